@@ -1,0 +1,3 @@
+//! Wire contract and behaviour of the hardware synchronization unit (HSU).
+#![cfg_attr(not(feature = "std"), no_std)]
+#![forbid(unsafe_code)]

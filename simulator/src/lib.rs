@@ -1,0 +1,1 @@
+//! Simulated light, cameras and HSU: real protocols, simulated photons.

@@ -1,0 +1,2 @@
+//! `fourdbody-sim`: the simulator's command line.
+fn main() {}

@@ -1,0 +1,1 @@
+//! Frames from cameras to the writer: buffer pool, trigger matching, bounded hand-offs.

@@ -1,0 +1,1 @@
+//! The node's HTTP control API: data transfer objects, server, client.

@@ -1,0 +1,218 @@
+//! `calibration.json`: everything that turns a pixel and its absolute phase into a world point.
+//!
+//! Versioned and self-describing; `sha256` covers the compact JSON of the same object without that field,
+//! so a file that was edited or cut is refused.
+
+use crate::config::{Channel, Rig};
+use crate::geometry::Device;
+use crate::ids::{CameraId, HeadId};
+use crate::pattern::Pattern;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
+
+/// One calibrated camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibratedCamera {
+    /// Its name in the rig.
+    pub id: CameraId,
+    /// Its geometry.
+    pub device: Device,
+}
+
+/// One calibrated head: the projector is the second device of each triangulation pair (paper, 4.2).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibratedHead {
+    /// Its name in the rig.
+    pub id: HeadId,
+    /// Its colour channel.
+    pub channel: Channel,
+    /// The projector as an inverse camera.
+    pub projector: Device,
+    /// Its cameras.
+    pub cameras: Vec<CalibratedCamera>,
+}
+
+/// A whole calibration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    format: String,
+    version: u32,
+    /// Name of the rig that it belongs to.
+    pub rig: String,
+    /// How it came to be, in words.
+    pub origin: String,
+    /// The pattern that the phases refer to.
+    pub pattern: Pattern,
+    /// Lower corner of the volume that it is valid in, world, m.
+    pub volume_min_m: [f64; 3],
+    /// Upper corner of that volume, world, m.
+    pub volume_max_m: [f64; 3],
+    /// The heads, in the rig's order.
+    pub heads: Vec<CalibratedHead>,
+}
+
+/// Why a calibration could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrationError {
+    /// The file could not be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is not a calibration that this version understands, or is damaged.
+    #[error("{path}: {reason}; expected a calibration.json as `fourdbody calibrate` writes it")]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+}
+
+const FORMAT: &str = "fourdbody-calibration";
+const VERSION: u32 = 1;
+
+impl Calibration {
+    /// A calibration with the geometry given; the rest comes from the rig.
+    pub fn new(rig: &Rig, origin: String, heads: Vec<CalibratedHead>) -> Self {
+        Self {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            rig: rig.name.clone(),
+            origin,
+            pattern: rig.pattern.clone(),
+            volume_min_m: rig.volume_min_m,
+            volume_max_m: rig.volume_max_m,
+            heads,
+        }
+    }
+
+    /// The rig's nominal geometry as a calibration.
+    pub fn nominal(rig: &Rig) -> Self {
+        let heads = rig.heads.iter().map(|head| CalibratedHead {
+            id: head.id.clone(),
+            channel: head.channel,
+            projector: head.projector.clone(),
+            cameras: head
+                .cameras
+                .iter()
+                .map(|c| CalibratedCamera { id: c.id.clone(), device: c.device.clone() })
+                .collect(),
+        });
+        Self::new(rig, "nominal geometry of the rig file".to_owned(), heads.collect())
+    }
+
+    /// All cameras with their heads, in the rig's order. A camera's place here is its number in merged clouds.
+    pub fn cameras(&self) -> impl Iterator<Item = (&CalibratedHead, &CalibratedCamera)> {
+        self.heads.iter().flat_map(|head| head.cameras.iter().map(move |camera| (head, camera)))
+    }
+
+    /// One camera with its head.
+    pub fn camera(&self, id: &CameraId) -> Option<(&CalibratedHead, &CalibratedCamera)> {
+        self.cameras().find(|(_, camera)| camera.id == *id)
+    }
+
+    /// Reads and checks a calibration file.
+    pub fn load(path: &Path) -> Result<Self, CalibrationError> {
+        let bytes =
+            std::fs::read(path).map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
+        Self::parse(&bytes).map_err(|reason| CalibrationError::Invalid { path: path.to_owned(), reason })
+    }
+
+    /// Checks the bytes of a calibration file.
+    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let mut value: serde_json::Value =
+            serde_json::from_slice(bytes).map_err(|e| format!("not valid JSON ({e})"))?;
+        let object = value.as_object_mut().ok_or("not a JSON object")?;
+        let stated = object.remove("sha256").ok_or("no sha256")?;
+        let found = sha256(&value);
+        let calibration: Self = serde_json::from_value(value).map_err(|e| e.to_string())?;
+        if calibration.format != FORMAT || calibration.version != VERSION {
+            return Err(format!(
+                "format {:?} version {}, expected {FORMAT:?} version {VERSION}",
+                calibration.format, calibration.version
+            ));
+        }
+        if stated.as_str() != Some(&found) {
+            return Err(format!("sha256 is {found}, but the file states {stated}: it was edited or damaged"));
+        }
+        calibration.check()?;
+        Ok(calibration)
+    }
+
+    /// Writes the file through a temporary neighbour, so that it is never half there.
+    pub fn save(&self, path: &Path) -> Result<(), CalibrationError> {
+        let io_error = |source| CalibrationError::Io { path: path.to_owned(), source };
+        let mut value = serde_json::to_value(self).map_err(|e| io_error(std::io::Error::other(e)))?;
+        value["sha256"] = sha256(&value).into();
+        let text = serde_json::to_string_pretty(&value).map_err(|e| io_error(std::io::Error::other(e)))?;
+        let partial = path.with_extension("json.partial");
+        std::fs::write(&partial, text + "\n").map_err(io_error)?;
+        std::fs::rename(&partial, path).map_err(io_error)
+    }
+
+    /// Values that would make every later step meaningless.
+    fn check(&self) -> Result<(), String> {
+        let mut ids = std::collections::BTreeSet::new();
+        for (head, camera) in self.cameras() {
+            if !ids.insert(&camera.id) {
+                return Err(format!("camera {} is listed twice", camera.id));
+            }
+            for (what, device) in [("camera", &camera.device), ("projector", &head.projector)] {
+                let lens = &device.lens;
+                let numbers = [lens.fx, lens.fy, lens.cx, lens.cy];
+                let finite = numbers.iter().chain(&lens.distortion).all(|x| x.is_finite());
+                if !finite || lens.fx <= 0.0 || lens.fy <= 0.0 || device.width == 0 || device.height == 0 {
+                    return Err(format!("{what} of {}: not a usable lens: {lens:?}", camera.id));
+                }
+            }
+        }
+        if ids.is_empty() { Err("no cameras".to_owned()) } else { Ok(()) }
+    }
+}
+
+/// Keys of a JSON object are sorted and floats print as the shortest text that reads back the same, so the
+/// compact text is canonical.
+fn sha256(value: &serde_json::Value) -> String {
+    Sha256::digest(value.to_string()).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Calibration;
+    use crate::config::Rig;
+    use std::path::Path;
+
+    fn calibration() -> Calibration {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+        Calibration::nominal(&Rig::load(&path).expect("the shipped rig"))
+    }
+
+    #[test]
+    fn it_survives_its_file() {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        let path = dir.path().join("calibration.json");
+        let calibration = calibration();
+        calibration.save(&path).expect("writable");
+        let back = Calibration::load(&path).expect("readable");
+        assert_eq!(back.cameras().count(), 8);
+        assert_eq!(back.pattern, calibration.pattern);
+    }
+
+    #[test]
+    fn a_changed_digit_is_found() {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        let path = dir.path().join("calibration.json");
+        calibration().save(&path).expect("writable");
+        let text = std::fs::read_to_string(&path).expect("readable").replacen("2048.0", "2049.0", 1);
+        let reason = Calibration::parse(text.as_bytes()).expect_err("must be refused");
+        assert!(reason.contains("sha256"), "{reason}");
+    }
+}

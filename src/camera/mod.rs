@@ -1,0 +1,1 @@
+//! Cameras: settings, and streams through Aravis.

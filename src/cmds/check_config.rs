@@ -1,0 +1,46 @@
+//! `fourdbody check-config`: validates configuration files, all problems at once.
+
+use super::{Exit, Failure};
+use crate::config::{ConfigError, NodeConfig, Rig};
+use std::path::{Path, PathBuf};
+
+/// Validate rig and node files; every problem is printed with its key path.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  fourdbody check-config config/rig.toml config/node-a.toml")]
+pub struct Args {
+    /// Rig or node files; a file with a `node` key is a node file.
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let results: Vec<(&PathBuf, Option<ConfigError>)> =
+        args.files.iter().map(|f| (f, check(f).err())).collect();
+    let good = results.iter().all(|(_, error)| error.is_none());
+    if args.json {
+        let files = results.iter().map(|(path, error)| {
+            let problems = error.iter().flat_map(|e| &e.problems);
+            let problems = problems.map(|p| serde_json::json!({"key": p.key, "message": p.message}));
+            serde_json::json!({"path": path, "problems": problems.collect::<Vec<_>>()})
+        });
+        println!("{}", serde_json::json!({"ok": good, "files": files.collect::<Vec<_>>()}));
+    } else {
+        for (path, error) in &results {
+            match error {
+                None => println!("{}: ok", path.display()),
+                Some(error) => eprintln!("{error}"),
+            }
+        }
+    }
+    Ok(if good { Exit::Done } else { Exit::Usage })
+}
+
+fn check(path: &Path) -> Result<(), ConfigError> {
+    let is_node = std::fs::read_to_string(path)
+        .is_ok_and(|text| text.parse::<toml::Table>().is_ok_and(|table| table.contains_key("node")));
+    if is_node { NodeConfig::load(path).map(drop) } else { Rig::load(path).map(drop) }
+}

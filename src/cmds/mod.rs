@@ -1,0 +1,56 @@
+//! One file per command of the command line: its arguments, and what it prints.
+//!
+//! Results go to standard output, diagnostics to standard error. Everything a command does lives in the
+//! library's other modules; here is only the talking.
+
+use crate::config::ConfigError;
+use std::fmt;
+use std::process::ExitCode;
+
+pub mod check_config;
+
+/// How a command ended (brief, section 7: a contract with scripts).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Exit {
+    /// Done.
+    Done = 0,
+    /// Any other failure.
+    Failure = 1,
+    /// Wrong usage or configuration.
+    Usage = 2,
+    /// Done, with data loss that is accounted for.
+    DataLoss = 3,
+    /// Data corrupt, or a verification failed.
+    Corrupt = 4,
+    /// A device or a link failed.
+    Device = 5,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        ExitCode::from(exit as u8)
+    }
+}
+
+/// A command's failure: what was expected, what was found, what to do; and the exit code.
+#[derive(Debug)]
+pub struct Failure {
+    /// The exit code.
+    pub exit: Exit,
+    /// For the user.
+    pub message: String,
+}
+
+impl Failure {
+    /// A failure with this exit code.
+    pub fn new(exit: Exit, message: impl fmt::Display) -> Self {
+        Self { exit, message: message.to_string() }
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        Self::new(Exit::Usage, error)
+    }
+}

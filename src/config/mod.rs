@@ -1,0 +1,67 @@
+//! Configuration files, read and validated with all problems at once.
+//!
+//! Two files: the rig (`rig.toml`: heads, pattern, board, nominal geometry; the same on every machine) and
+//! the node (`node-X.toml`: what one acquisition PC needs). Both go through [`Section`], which notes every
+//! problem under its key path, so that a user repairs a file in one go.
+
+mod node;
+mod rig;
+mod section;
+
+pub use node::{CameraConfig, FeatureSetting, FeatureValue, NodeConfig, SocketMode};
+pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
+pub use section::Section;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// One thing wrong in a configuration file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Problem {
+    /// Where: a key path such as `head[1].camera[0].id`; empty for the file as a whole.
+    pub key: String,
+    /// What was expected, what was found.
+    pub message: String,
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.key.is_empty() {
+            f.write_str(&self.message)
+        } else {
+            write!(f, "{}: {}", self.key, self.message)
+        }
+    }
+}
+
+/// A configuration file that cannot be used, with everything that is wrong in it.
+#[derive(Debug, Clone)]
+pub struct ConfigError {
+    /// The file.
+    pub path: PathBuf,
+    /// At least one.
+    pub problems: Vec<Problem>,
+}
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let count = self.problems.len();
+        write!(f, "{}: {count} problem{}", self.path.display(), if count == 1 { "" } else { "s" })?;
+        for problem in &self.problems {
+            write!(f, "\n  {problem}")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for ConfigError {}
+
+/// Reads a TOML file into a table.
+fn read_table(path: &Path) -> Result<toml::Table, ConfigError> {
+    let whole = |message: String| ConfigError {
+        path: path.to_owned(),
+        problems: vec![Problem { key: String::new(), message }],
+    };
+    let text = std::fs::read_to_string(path).map_err(|e| whole(format!("cannot be read: {e}")))?;
+    text.parse().map_err(|e: toml::de::Error| whole(format!("not valid TOML: {e}")))
+}

@@ -1,0 +1,263 @@
+//! What one acquisition PC needs: its cameras' addresses and settings, its serial device, its disk
+//! (`node-X.toml`).
+
+use super::{ConfigError, Problem, Rig, Section, read_table};
+use crate::ids::{CameraId, NodeId};
+use serde::{Deserialize, Serialize};
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+use std::net::{IpAddr, SocketAddr};
+use std::path::{Path, PathBuf};
+
+/// A GenICam feature's value as written in the configuration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum FeatureValue {
+    /// For booleans.
+    Flag(bool),
+    /// For integers.
+    Integer(i64),
+    /// For floats.
+    Float(f64),
+    /// For enumerations and texts.
+    Text(String),
+}
+
+/// One feature to set, in the order given (selectors first).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FeatureSetting {
+    /// SFNC name, for instance `TriggerMode`.
+    pub feature: String,
+    /// The value to set and to find when reading back.
+    pub value: FeatureValue,
+}
+
+/// One camera of the node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CameraConfig {
+    /// Its name in the rig.
+    pub id: CameraId,
+    /// Aravis device id or IP address.
+    pub address: String,
+    /// Set in this order before every session and read back; a difference refuses the session.
+    pub settings: Vec<FeatureSetting>,
+}
+
+/// How Aravis receives packets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SocketMode {
+    /// A packet socket where the process may open one (CAP_NET_RAW), an ordinary UDP socket otherwise.
+    Auto,
+    /// An ordinary UDP socket.
+    Standard,
+}
+
+/// The node.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeConfig {
+    /// Its name in the rig.
+    pub node: NodeId,
+    /// The rig.
+    pub rig: Rig,
+    /// The rig file's text, kept word for word in every recording.
+    pub rig_text: String,
+    /// Where the control API listens.
+    pub listen: SocketAddr,
+    /// Serial device of the link to the HSU.
+    pub hsu_device: PathBuf,
+    /// Sessions are directories below this one.
+    pub sessions_dir: PathBuf,
+    /// Never fill the disk beyond this many free bytes.
+    pub reserve_bytes: u64,
+    /// A segment is closed at the first trigger after this many bytes.
+    pub segment_bytes: u64,
+    /// Frame buffers per camera.
+    pub buffers_per_camera: usize,
+    /// GVSP packet size (IP packet), bytes.
+    pub packet_bytes: u32,
+    /// How packets are received.
+    pub socket: SocketMode,
+    /// The cameras, in the rig's order.
+    pub cameras: Vec<CameraConfig>,
+}
+
+impl NodeConfig {
+    /// Reads and validates a node file and the rig that it names.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let table = read_table(path)?;
+        let problems = RefCell::default();
+        let config = read_node(Section::root(&table, &problems), path.parent().unwrap_or(Path::new(".")));
+        let problems: Vec<Problem> = problems.into_inner();
+        match config {
+            Some(config) if problems.is_empty() => Ok(config),
+            _ => Err(ConfigError { path: path.to_owned(), problems }),
+        }
+    }
+}
+
+const FORMAT: u64 = 1;
+const MIB: u64 = 1 << 20;
+
+fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
+    root.integer("format", FORMAT..=FORMAT);
+    let node = NodeId(root.text("node"));
+    let rig_path = base.join(root.text("rig"));
+    let listen = read_listen(&root);
+    let hsu_device = root.section("hsu").map(|section| {
+        let device = PathBuf::from(section.text("device"));
+        section.finish();
+        device
+    });
+    let storage = root.section("storage").map(|section| {
+        let values = (
+            base.join(section.text("sessions_dir")),
+            section.integer_or("reserve_mib", 0..=1 << 30, 1024) * MIB,
+            section.integer_or("segment_mib", 1..=1 << 20, 16_384) * MIB,
+        );
+        section.finish();
+        values
+    });
+    let acquisition = root.section("acquisition").map(|section| {
+        let values = (
+            section.integer_or("buffers_per_camera", 4..=4096, 32) as usize,
+            section.integer_or("packet_bytes", 576..=65_000, 9000) as u32,
+            section
+                .choice_or_first("socket", &[("auto", SocketMode::Auto), ("standard", SocketMode::Standard)]),
+            read_settings(&section),
+        );
+        section.finish();
+        values
+    });
+    let common = acquisition.as_ref().map_or(&[][..], |(.., settings)| settings);
+    let cameras: Vec<CameraConfig> =
+        root.sections("camera").into_iter().map(|s| read_camera(s, common)).collect();
+    let rig = match Rig::load(&rig_path) {
+        Ok(rig) => Some(rig),
+        Err(error) => {
+            error.problems.iter().for_each(|p| root.problem("rig", format!("{}: {p}", rig_path.display())));
+            None
+        }
+    };
+    let rig_text = std::fs::read_to_string(&rig_path).unwrap_or_default();
+    if let Some(rig) = &rig {
+        check_against_rig(&root, rig, &node, &cameras);
+    }
+    root.finish();
+    let (sessions_dir, reserve_bytes, segment_bytes) = storage?;
+    let (buffers_per_camera, packet_bytes, socket, _) = acquisition?;
+    let rig = rig?;
+    let place = |id: &CameraId| rig.cameras().position(|(_, camera)| camera.id == *id);
+    let mut cameras = cameras;
+    cameras.sort_by_key(|camera| place(&camera.id));
+    Some(NodeConfig {
+        node,
+        rig_text,
+        listen,
+        hsu_device: hsu_device?,
+        sessions_dir,
+        reserve_bytes,
+        segment_bytes,
+        buffers_per_camera,
+        packet_bytes,
+        socket,
+        cameras,
+        rig,
+    })
+}
+
+/// Without authentication the API must not be reachable from a network.
+fn read_listen(root: &Section<'_>) -> SocketAddr {
+    let placeholder = SocketAddr::from(([127, 0, 0, 1], 0));
+    let Some(section) = root.section("api") else { return placeholder };
+    let text = section.text("listen");
+    let address = text.parse::<SocketAddr>().ok();
+    match address {
+        Some(address) if !address.ip().is_loopback() => section.problem(
+            "listen",
+            format!("expected a loopback address (the API has no authentication yet), found {address}"),
+        ),
+        None if !text.is_empty() => {
+            section
+                .problem("listen", format!("expected ADDRESS:PORT such as 127.0.0.1:7401, found {text:?}"));
+        }
+        _ => {}
+    }
+    section.finish();
+    address.unwrap_or(placeholder)
+}
+
+fn read_camera(section: Section<'_>, common: &[FeatureSetting]) -> CameraConfig {
+    let id = CameraId(section.text("id"));
+    let address = section.text("address");
+    let own = read_settings(&section);
+    // A camera's own value replaces the common one in place, so that the order stays that of the file.
+    let mut settings = common.to_vec();
+    for setting in own {
+        match settings.iter_mut().find(|s| s.feature == setting.feature && !is_selector(&s.feature)) {
+            Some(existing) => *existing = setting,
+            None => settings.push(setting),
+        }
+    }
+    section.finish();
+    CameraConfig { id, address, settings }
+}
+
+/// Selectors may be set several times, each time for the features behind them.
+fn is_selector(feature: &str) -> bool {
+    feature.ends_with("Selector")
+}
+
+fn read_settings(section: &Section<'_>) -> Vec<FeatureSetting> {
+    let mut settings = Vec::new();
+    for (i, entry) in section.list("settings").iter().enumerate() {
+        let pair = entry.as_array().map(Vec::as_slice);
+        let value = match pair {
+            Some([toml::Value::String(_), toml::Value::Boolean(b)]) => Some(FeatureValue::Flag(*b)),
+            Some([toml::Value::String(_), toml::Value::Integer(i)]) => Some(FeatureValue::Integer(*i)),
+            Some([toml::Value::String(_), toml::Value::Float(x)]) => Some(FeatureValue::Float(*x)),
+            Some([toml::Value::String(_), toml::Value::String(t)]) => Some(FeatureValue::Text(t.clone())),
+            _ => None,
+        };
+        match (pair, value) {
+            (Some([toml::Value::String(feature), _]), Some(value)) => {
+                settings.push(FeatureSetting { feature: feature.clone(), value });
+            }
+            _ => section.problem(
+                &format!("settings[{i}]"),
+                format!("expected [\"FeatureName\", value], found {entry}"),
+            ),
+        }
+    }
+    settings
+}
+
+fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[CameraConfig]) {
+    if !rig.nodes().contains(node) {
+        let nodes: Vec<String> = rig.nodes().iter().map(ToString::to_string).collect();
+        root.problem("node", format!("{node} is not in the rig, expected one of: {}", nodes.join(", ")));
+    }
+    let (mut ids, mut addresses) = (BTreeSet::new(), BTreeSet::new());
+    for (i, camera) in cameras.iter().enumerate() {
+        if !ids.insert(&camera.id) {
+            root.problem(&format!("camera[{i}].id"), format!("{} is listed twice", camera.id));
+        }
+        if !addresses.insert(&camera.address) {
+            root.problem(&format!("camera[{i}].address"), format!("{} is used twice", camera.address));
+        }
+        if !rig.cameras_of(node).any(|(_, known)| known.id == camera.id) {
+            let message = format!("{} is not a camera of node {node} in the rig", camera.id);
+            root.problem(&format!("camera[{i}].id"), message);
+        }
+        if camera.address.starts_with(|c: char| c.is_ascii_digit())
+            && camera.address.parse::<IpAddr>().is_err()
+        {
+            let message =
+                format!("expected an IP address or an Aravis device id, found {:?}", camera.address);
+            root.problem(&format!("camera[{i}].address"), message);
+        }
+    }
+    for (_, camera) in rig.cameras_of(node).filter(|(_, camera)| !ids.contains(&camera.id)) {
+        root.problem("camera", format!("{} of node {node} in the rig is missing", camera.id));
+    }
+}

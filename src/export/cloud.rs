@@ -1,0 +1,45 @@
+//! A point cloud as a structure of arrays.
+
+/// The camera number of a directional cloud's points before merging.
+pub const NO_CAMERA: u8 = u8::MAX;
+
+/// Points in the world frame. All arrays have the same length.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Cloud {
+    /// World coordinates, metres.
+    pub position_m: Vec<[f32; 3]>,
+    /// Unit normals towards the camera.
+    pub normal: Vec<[f32; 3]>,
+    /// 0 to 1: light averaged over one fringe period.
+    pub intensity: Vec<f32>,
+    /// Source pixel (column, row).
+    pub pixel: Vec<[u16; 2]>,
+    /// Source camera: its place in the calibration. Empty in a directional cloud.
+    pub camera: Vec<u8>,
+}
+
+impl Cloud {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.position_m.len()
+    }
+
+    /// Whether there are no points.
+    pub fn is_empty(&self) -> bool {
+        self.position_m.is_empty()
+    }
+
+    /// Whether the points carry their camera.
+    pub fn is_merged(&self) -> bool {
+        !self.camera.is_empty()
+    }
+
+    /// Appends a directional cloud as the points of camera number `camera`.
+    pub fn merge(&mut self, directional: &Cloud, camera: u8) {
+        self.position_m.extend_from_slice(&directional.position_m);
+        self.normal.extend_from_slice(&directional.normal);
+        self.intensity.extend_from_slice(&directional.intensity);
+        self.pixel.extend_from_slice(&directional.pixel);
+        self.camera.resize(self.position_m.len(), camera);
+    }
+}

@@ -1,0 +1,177 @@
+//! Row-major image planes and 8-bit grey PNG files.
+//!
+//! Pixel (u, v): u is the column, v the row, integers at pixel centres.
+
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter};
+use std::path::{Path, PathBuf};
+
+/// An owned plane of `width * height` values, row-major without padding.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plane<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+impl<T: Copy> Plane<T> {
+    /// A plane filled with one value.
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        Self { width, height, data: vec![value; width * height] }
+    }
+
+    /// Wraps `data`; `None` when its length is not `width * height`.
+    pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Option<Self> {
+        (data.len() == width * height).then_some(Self { width, height, data })
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All values, row after row.
+    pub fn as_slice(&self) -> &[T] {
+        &self.data
+    }
+
+    /// All values, row after row.
+    pub fn as_mut_slice(&mut self) -> &mut [T] {
+        &mut self.data
+    }
+
+    /// Row `v`.
+    pub fn row(&self, v: usize) -> &[T] {
+        &self.data[v * self.width..(v + 1) * self.width]
+    }
+
+    /// Row `v`.
+    pub fn row_mut(&mut self, v: usize) -> &mut [T] {
+        &mut self.data[v * self.width..(v + 1) * self.width]
+    }
+
+    /// The value at column `u`, row `v`.
+    pub fn at(&self, u: usize, v: usize) -> T {
+        self.data[v * self.width + u]
+    }
+
+    /// Replaces the value at column `u`, row `v`.
+    pub fn set(&mut self, u: usize, v: usize, value: T) {
+        self.data[v * self.width + u] = value;
+    }
+}
+
+/// A borrowed Mono8 image, for instance a frame mapped from a recording.
+#[derive(Debug, Clone, Copy)]
+pub struct Mono8<'a> {
+    width: usize,
+    height: usize,
+    data: &'a [u8],
+}
+
+impl<'a> Mono8<'a> {
+    /// Wraps `data`; `None` when its length is not `width * height`.
+    pub fn new(width: usize, height: usize, data: &'a [u8]) -> Option<Self> {
+        (data.len() == width * height).then_some(Self { width, height, data })
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All pixels, row after row.
+    pub fn as_slice(&self) -> &'a [u8] {
+        self.data
+    }
+
+    /// Row `v`.
+    pub fn row(&self, v: usize) -> &'a [u8] {
+        &self.data[v * self.width..(v + 1) * self.width]
+    }
+}
+
+impl<'a> From<&'a Plane<u8>> for Mono8<'a> {
+    fn from(plane: &'a Plane<u8>) -> Self {
+        Self { width: plane.width, height: plane.height, data: &plane.data }
+    }
+}
+
+/// Why a PNG could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum PngError {
+    /// The file could not be opened or read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is not an intact PNG.
+    #[error("{path}: not a readable PNG ({source}); expected an 8-bit grey PNG")]
+    Decode {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said.
+        source: png::DecodingError,
+    },
+    /// The PNG holds another kind of pixel.
+    #[error("{path}: expected 8-bit grey pixels, found {found}; convert it to 8-bit grey first")]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// Colour type and bit depth found.
+        found: String,
+    },
+}
+
+/// Reads an 8-bit grey PNG.
+pub fn read_png_grey(path: &Path) -> Result<Plane<u8>, PngError> {
+    let io_error = |source| PngError::Io { path: path.to_owned(), source };
+    let decode_error = |source| PngError::Decode { path: path.to_owned(), source };
+    let file = File::open(path).map_err(io_error)?;
+    let mut reader = png::Decoder::new(BufReader::new(file)).read_info().map_err(decode_error)?;
+    let info = reader.info();
+    let (width, height) = (info.width as usize, info.height as usize);
+    if info.color_type != png::ColorType::Grayscale || info.bit_depth != png::BitDepth::Eight {
+        let found = format!("{:?} {:?}", info.color_type, info.bit_depth);
+        return Err(PngError::Format { path: path.to_owned(), found });
+    }
+    let mut data = vec![0; width * height];
+    reader.next_frame(&mut data).map_err(decode_error)?;
+    Ok(Plane { width, height, data })
+}
+
+/// Writes an 8-bit grey PNG.
+pub fn write_png_grey(path: &Path, image: Mono8<'_>) -> io::Result<()> {
+    write_png(path, image.width, image.height, png::ColorType::Grayscale, image.data)
+}
+
+/// Writes an 8-bit RGB PNG; `rgb` holds `3 * width * height` bytes.
+pub fn write_png_rgb(path: &Path, width: usize, height: usize, rgb: &[u8]) -> io::Result<()> {
+    write_png(path, width, height, png::ColorType::Rgb, rgb)
+}
+
+fn write_png(path: &Path, width: usize, height: usize, color: png::ColorType, data: &[u8]) -> io::Result<()> {
+    let too_large = |_| io::Error::new(io::ErrorKind::InvalidInput, "image side exceeds 2^32 pixels");
+    let (w, h) = (u32::try_from(width).map_err(too_large)?, u32::try_from(height).map_err(too_large)?);
+    let mut encoder = png::Encoder::new(BufWriter::new(File::create(path)?), w, h);
+    encoder.set_color(color);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(data)?;
+    writer.finish()?;
+    Ok(())
+}

@@ -1,0 +1,41 @@
+//! The `fourdbody` command line: parse, run the command, turn its outcome into the exit code.
+
+use clap::{Parser, Subcommand};
+use fourdbody::cmds::{self, Exit, Failure};
+use std::process::ExitCode;
+
+/// 4D human-body scanner: capture, verify, reconstruct.
+///
+/// Exit codes: 0 done; 1 any other failure; 2 usage or configuration; 3 done, with data loss that is
+/// accounted for; 4 data corrupt or a verification failed; 5 device or link failure.
+#[derive(Parser)]
+#[command(version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    CheckConfig(cmds::check_config::Args),
+}
+
+fn main() -> ExitCode {
+    let filter = tracing_subscriber::EnvFilter::try_from_env("FOURDBODY_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let cli = Cli::parse();
+    match run(&cli.command) {
+        Ok(exit) => exit.into(),
+        Err(Failure { exit, message }) => {
+            eprintln!("error: {message}");
+            exit.into()
+        }
+    }
+}
+
+fn run(command: &Command) -> Result<Exit, Failure> {
+    match command {
+        Command::CheckConfig(args) => cmds::check_config::run(args),
+    }
+}

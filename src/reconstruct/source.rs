@@ -1,0 +1,27 @@
+//! Where frames come from, as the pipeline sees it.
+
+use crate::ids::{CameraId, TriggerIndex};
+use crate::image::Mono8;
+use std::ops::Range;
+
+/// What a source has at one trigger of one camera.
+#[derive(Debug)]
+pub enum Frame<'a> {
+    /// The image.
+    Image(Mono8<'a>),
+    /// There is no image, for this reason (a gap record's cause).
+    Gap(String),
+}
+
+/// A session's frames by camera and trigger: a recording, or images of another origin.
+pub trait FrameSource: Sync {
+    /// The cameras, in the rig's order.
+    fn cameras(&self) -> &[CameraId];
+
+    /// The triggers of the session.
+    fn triggers(&self) -> Range<u64>;
+
+    /// The frame of `camera` at `trigger`. An error means that the source is damaged there: the text says
+    /// what was expected, what was found and what to do.
+    fn frame(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String>;
+}

@@ -1,0 +1,1 @@
+//! One capture on one node: the state machine and its driver.

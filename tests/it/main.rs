@@ -1,0 +1,1 @@
+//! Integration tests of the product: one binary, a module per subject.
