@@ -1,1 +1,6 @@
 //! Simulated light, cameras and HSU: real protocols, simulated photons.
+//!
+//! Knows the product's library (rig, geometry, pattern, calibration file); the product never knows it.
+
+pub mod images;
+pub mod wire;
