@@ -1,1 +1,4 @@
 //! Frames from cameras to the writer: buffer pool, trigger matching, bounded hand-offs.
+
+pub mod matcher;
+pub mod pool;

@@ -1,1 +1,195 @@
-//! Cameras: settings, and streams through Aravis.
+//! Cameras: settings, and streams of frames into our own memory.
+//!
+//! Nothing above this layer may assume Ethernet: Aravis drives USB3 Vision cameras through the same calls.
+//! [`aravis`] is the only module that names Aravis and is compiled with the feature of that name.
+
+#[cfg(feature = "aravis")]
+mod aravis;
+mod settings;
+
+#[cfg(feature = "aravis")]
+pub use self::aravis::AravisCameras;
+pub use settings::{AppliedSetting, matches};
+
+use crate::acquire::pool::Block;
+use crate::config::{FeatureSetting, SocketMode};
+use crate::ids::BlockId;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// One camera found on the network or the bus.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CameraListing {
+    /// Aravis device id.
+    pub id: String,
+    /// IP address, or the bus address of a USB camera.
+    pub address: String,
+    /// Manufacturer.
+    pub vendor: String,
+    /// Model.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// "GigEVision", "USB3Vision", ...
+    pub protocol: String,
+}
+
+/// Who an opened camera says it is.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CameraIdentity {
+    /// Manufacturer.
+    pub vendor: String,
+    /// Model.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+}
+
+/// A camera failure, with what the operator can do about it.
+#[derive(Debug, thiserror::Error)]
+pub enum CameraError {
+    /// Nothing answers at the address.
+    #[error(
+        "no camera answers at {address} ({detail}); check its power and cable, and the address in the node file"
+    )]
+    NotFound {
+        /// As configured.
+        address: String,
+        /// What Aravis said.
+        detail: String,
+    },
+    /// Another program holds the control privilege.
+    #[error(
+        "the camera at {address} is controlled by another program; close that program, or wait until its heartbeat times out"
+    )]
+    Owned {
+        /// As configured.
+        address: String,
+    },
+    /// A feature could not be set or did not take the value.
+    #[error("feature {feature}: asked for {requested}, {found}; correct the node file's settings")]
+    Setting {
+        /// SFNC name.
+        feature: String,
+        /// As configured.
+        requested: String,
+        /// What the camera has or said.
+        found: String,
+    },
+    /// Communication failed.
+    #[error("communication with the camera failed while {doing}: {detail}; check cable and switch")]
+    Link {
+        /// What was being done.
+        doing: &'static str,
+        /// What Aravis said.
+        detail: String,
+    },
+}
+
+/// How a stream is to be set up.
+#[derive(Debug, Clone)]
+pub struct StreamOptions {
+    /// GVSP packet size, bytes.
+    pub packet_bytes: u32,
+    /// How packets are received.
+    pub socket: SocketMode,
+    /// Trigger period, ns: the scale of every timeout.
+    pub period_ns: u64,
+}
+
+/// One reading of a camera's clock between two readings of the host's.
+#[derive(Debug, Clone, Copy)]
+pub struct CameraClockSample {
+    /// Host clock (CLOCK_MONOTONIC) before the request, ns.
+    pub host_before_ns: u64,
+    /// Camera clock, ns.
+    pub camera_ns: u64,
+    /// Host clock (CLOCK_MONOTONIC) after the answer, ns.
+    pub host_after_ns: u64,
+}
+
+/// What became of a frame's transfer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Transfer {
+    /// All bytes arrived.
+    Complete,
+    /// Packets are missing.
+    MissingPackets,
+    /// The transfer stalled.
+    Timeout,
+    /// The image has another size than agreed.
+    SizeMismatch,
+    /// The stream was stopped in the middle.
+    Aborted,
+}
+
+/// One frame as it left the stream. Its memory goes back to the stream's pool when `block` is dropped.
+#[derive(Debug)]
+pub struct Received {
+    /// What became of the transfer.
+    pub transfer: Transfer,
+    /// GVSP block id.
+    pub block_id: BlockId,
+    /// Start of exposure on the camera's clock, ns.
+    pub camera_ns: u64,
+    /// When the frame's first packet was seen, host clock (CLOCK_REALTIME), ns.
+    pub host_ns: u64,
+    /// The memory; the pixels are valid when the transfer is complete.
+    pub block: Block,
+}
+
+/// Discovers and opens cameras.
+pub trait CameraBackend: Send {
+    /// All cameras that answer, without opening any.
+    fn list(&mut self) -> Vec<CameraListing>;
+
+    /// Opens a camera and takes control of it.
+    fn open(&mut self, address: &str) -> Result<Box<dyn Camera>, CameraError>;
+}
+
+/// An opened camera.
+pub trait Camera: Send {
+    /// Who it is.
+    fn identity(&self) -> &CameraIdentity;
+
+    /// Whether we still control it.
+    fn is_alive(&self) -> bool;
+
+    /// Sets features in order and reads each back; a difference is an error.
+    fn apply(&mut self, settings: &[FeatureSetting]) -> Result<Vec<AppliedSetting>, CameraError>;
+
+    /// Columns and rows of its images as set now.
+    fn image_size(&mut self) -> Result<(usize, usize), CameraError>;
+
+    /// Reads its clock; `None` where it has none that can be read.
+    fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError>;
+
+    /// Starts a fresh stream into `blocks` and the acquisition. From here on every trigger gives a frame.
+    fn start(
+        &mut self,
+        blocks: Vec<Block>,
+        options: &StreamOptions,
+    ) -> Result<Box<dyn FrameStream>, CameraError>;
+
+    /// Stops the acquisition.
+    fn stop(&mut self) -> Result<(), CameraError>;
+}
+
+/// A running stream. Dropping it ends it.
+pub trait FrameStream: Send {
+    /// The next frame, complete or not; `None` after `timeout` without any.
+    fn next(&mut self, timeout: Duration) -> Option<Received>;
+
+    /// Counters by Aravis' names.
+    fn counters(&self) -> Vec<(String, u64)>;
+}
+
+/// Host clock of [`CameraClockSample`] and of the HSU's clock samples: CLOCK_MONOTONIC since an arbitrary
+/// origin that is the same for the whole process, ns.
+pub fn monotonic_ns() -> u64 {
+    use std::sync::OnceLock;
+    use std::time::Instant;
+    static ORIGIN: OnceLock<Instant> = OnceLock::new();
+    let origin = *ORIGIN.get_or_init(Instant::now);
+    u64::try_from(origin.elapsed().as_nanos()).unwrap_or(u64::MAX)
+}

@@ -1,1 +1,3 @@
-//! One capture on one node: the state machine and its driver.
+//! One capture on one node: the pure state machine, and the driver that carries out its actions.
+
+pub mod state;

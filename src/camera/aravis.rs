@@ -1,0 +1,330 @@
+//! Cameras through Aravis 0.8: the only file that names it.
+//!
+//! What bites, and how it is met here (facts measured on 0.8.26):
+//! * A failed take-over of control is not an error of `Camera::new`: [`open`](CameraBackend::open) asks
+//!   `is_controller`.
+//! * Late blocks of a reused stream are thrown away silently: every arm makes a fresh stream.
+//! * Automatic packet size may exceed the MTU: the size is explicit, adjustment is off.
+//! * An incomplete frame holds back later ones for `frame-retention`: it is set to a few trigger periods.
+//! * The receive thread is Aravis' own; blocks travel to it and back through its queues.
+
+use super::{
+    AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing,
+    FrameStream, Received, StreamOptions, Transfer, matches, monotonic_ns,
+};
+use crate::acquire::pool::Block;
+use crate::config::{FeatureSetting, FeatureValue, SocketMode};
+use crate::ids::BlockId;
+use aravis::prelude::*;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use glib::prelude::{Cast, ObjectExt};
+use std::ffi::CStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// The cameras that Aravis can reach.
+#[derive(Debug, Default)]
+pub struct AravisCameras;
+
+impl CameraBackend for AravisCameras {
+    fn list(&mut self) -> Vec<CameraListing> {
+        // SAFETY: plain calls without arguments; Aravis serializes access to its device list.
+        let count = unsafe {
+            aravis_sys::arv_update_device_list();
+            aravis_sys::arv_get_n_devices()
+        };
+        // SAFETY: the pointers are null or NUL-terminated strings that live until the next list update,
+        // and are copied at once.
+        let text = |pointer: *const std::ffi::c_char| match pointer.is_null() {
+            true => String::new(),
+            false => unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned(),
+        };
+        let describe = |i| {
+            // SAFETY: i is below the count just asked for.
+            unsafe {
+                CameraListing {
+                    id: text(aravis_sys::arv_get_device_id(i)),
+                    address: text(aravis_sys::arv_get_device_address(i)),
+                    vendor: text(aravis_sys::arv_get_device_vendor(i)),
+                    model: text(aravis_sys::arv_get_device_model(i)),
+                    serial: text(aravis_sys::arv_get_device_serial_nbr(i)),
+                    protocol: text(aravis_sys::arv_get_device_protocol(i)),
+                }
+            }
+        };
+        (0..count).map(describe).collect()
+    }
+
+    fn open(&mut self, address: &str) -> Result<Box<dyn Camera>, CameraError> {
+        let not_found =
+            |e: glib::Error| CameraError::NotFound { address: address.to_owned(), detail: e.to_string() };
+        let camera = aravis::Camera::new(Some(address)).map_err(not_found)?;
+        let device = camera
+            .device()
+            .ok_or(CameraError::Link { doing: "opening it", detail: "Aravis gave no device".to_owned() })?;
+        if let Some(gv) = device.downcast_ref::<aravis::GvDevice>()
+            && !gv.is_controller()
+        {
+            return Err(CameraError::Owned { address: address.to_owned() });
+        }
+        let lost = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&lost);
+        device.connect_control_lost(move |_| flag.store(true, Ordering::Release));
+        let text = |r: Result<glib::GString, glib::Error>| r.map(|s| s.to_string()).unwrap_or_default();
+        let identity = CameraIdentity {
+            vendor: text(camera.vendor_name()),
+            model: text(camera.model_name()),
+            serial: text(camera.device_serial_number()),
+        };
+        Ok(Box::new(AravisCamera { camera, device, identity, lost }))
+    }
+}
+
+struct AravisCamera {
+    camera: aravis::Camera,
+    device: aravis::Device,
+    identity: CameraIdentity,
+    lost: Arc<AtomicBool>,
+}
+
+fn link_error(doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
+    move |e| CameraError::Link { doing, detail: e.to_string() }
+}
+
+impl AravisCamera {
+    fn set(&self, setting: &FeatureSetting) -> Result<(), glib::Error> {
+        let name = setting.feature.as_str();
+        match &setting.value {
+            FeatureValue::Flag(value) => self.device.set_boolean_feature_value(name, *value),
+            FeatureValue::Text(value) => self.device.set_string_feature_value(name, value),
+            FeatureValue::Float(value) => self.device.set_float_feature_value(name, *value),
+            // `1000` may be meant for a float feature such as ExposureTime.
+            FeatureValue::Integer(value) if self.is_float(name) => {
+                self.device.set_float_feature_value(name, *value as f64)
+            }
+            FeatureValue::Integer(value) => self.device.set_integer_feature_value(name, *value),
+        }
+    }
+
+    fn read_back(&self, setting: &FeatureSetting) -> Result<FeatureValue, glib::Error> {
+        let name = setting.feature.as_str();
+        match &setting.value {
+            FeatureValue::Flag(_) => self.device.boolean_feature_value(name).map(FeatureValue::Flag),
+            FeatureValue::Text(_) => {
+                self.device.string_feature_value(name).map(|s| FeatureValue::Text(s.to_string()))
+            }
+            FeatureValue::Float(_) => self.device.float_feature_value(name).map(FeatureValue::Float),
+            FeatureValue::Integer(_) if self.is_float(name) => {
+                self.device.float_feature_value(name).map(FeatureValue::Float)
+            }
+            FeatureValue::Integer(_) => self.device.integer_feature_value(name).map(FeatureValue::Integer),
+        }
+    }
+
+    fn is_float(&self, name: &str) -> bool {
+        self.device.feature(name).is_some_and(|node| node.is::<aravis::GcFloat>())
+    }
+}
+
+impl Camera for AravisCamera {
+    fn identity(&self) -> &CameraIdentity {
+        &self.identity
+    }
+
+    fn is_alive(&self) -> bool {
+        !self.lost.load(Ordering::Acquire)
+    }
+
+    fn apply(&mut self, settings: &[FeatureSetting]) -> Result<Vec<AppliedSetting>, CameraError> {
+        let refused = |setting: &FeatureSetting, found: String| CameraError::Setting {
+            feature: setting.feature.clone(),
+            requested: setting.value.to_string(),
+            found,
+        };
+        let mut applied = Vec::with_capacity(settings.len());
+        for setting in settings {
+            if self.device.feature(&setting.feature).is_none() {
+                return Err(refused(setting, "the camera has no such feature".to_owned()));
+            }
+            self.set(setting).map_err(|e| refused(setting, format!("the camera refused it ({e})")))?;
+            let actual = self
+                .read_back(setting)
+                .map_err(|e| refused(setting, format!("reading it back failed ({e})")))?;
+            if !matches(setting, &actual) {
+                return Err(refused(setting, format!("the camera has {actual}")));
+            }
+            let (feature, requested) = (setting.feature.clone(), setting.value.clone());
+            applied.push(AppliedSetting { feature, requested, actual });
+        }
+        Ok(applied)
+    }
+
+    fn image_size(&mut self) -> Result<(usize, usize), CameraError> {
+        let (_, _, width, height) = self.camera.region().map_err(link_error("reading the image size"))?;
+        Ok((usize::try_from(width).unwrap_or(0), usize::try_from(height).unwrap_or(0)))
+    }
+
+    fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError> {
+        // SFNC 2 names first, then the GigE Vision 1 names that Aravis provides for every GigE camera.
+        let names =
+            [("TimestampLatch", "TimestampLatchValue"), ("GevTimestampControlLatch", "GevTimestampValue")];
+        for (latch, value) in names {
+            if self.device.feature(latch).is_none() || self.device.feature(value).is_none() {
+                continue;
+            }
+            let host_before_ns = monotonic_ns();
+            self.device.execute_command(latch).map_err(link_error("latching its clock"))?;
+            let host_after_ns = monotonic_ns();
+            let ticks = self.device.integer_feature_value(value).map_err(link_error("reading its clock"))?;
+            let frequency =
+                self.device.integer_feature_value("GevTimestampTickFrequency").unwrap_or(1_000_000_000);
+            let ns = i128::from(ticks) * 1_000_000_000 / i128::from(frequency.max(1));
+            let camera_ns = u64::try_from(ns).unwrap_or(0);
+            return Ok(Some(CameraClockSample { host_before_ns, camera_ns, host_after_ns }));
+        }
+        Ok(None)
+    }
+
+    fn start(
+        &mut self,
+        blocks: Vec<Block>,
+        options: &StreamOptions,
+    ) -> Result<Box<dyn FrameStream>, CameraError> {
+        let is_gigevision = self.device.is::<aravis::GvDevice>();
+        if is_gigevision {
+            let bytes = i32::try_from(options.packet_bytes).unwrap_or(i32::MAX);
+            let size_error = link_error("setting the packet size");
+            self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
+            self.camera.gv_set_packet_size(bytes).map_err(size_error)?;
+            let socket = match options.socket {
+                SocketMode::Auto => aravis::GvStreamOption::NONE,
+                SocketMode::Standard => aravis::GvStreamOption::PACKET_SOCKET_DISABLED,
+            };
+            self.camera.gv_set_stream_options(socket);
+        }
+        let stream = self.camera.create_stream().map_err(link_error("creating the stream"))?;
+        if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
+            tune(gv, options.period_ns);
+        }
+        let stream = AravisStream::new(stream, blocks);
+        self.camera.start_acquisition().map_err(link_error("starting the acquisition"))?;
+        Ok(Box::new(stream))
+    }
+
+    fn stop(&mut self) -> Result<(), CameraError> {
+        self.camera.stop_acquisition().map_err(link_error("stopping the acquisition"))
+    }
+}
+
+/// Timeouts in trigger periods, within what makes sense on a network (microseconds).
+fn tune(stream: &aravis::GvStream, period_ns: u64) {
+    let periods_us = |n: u64| u32::try_from(n * period_ns / 1000).unwrap_or(u32::MAX);
+    stream.set_packet_timeout(periods_us(1).clamp(2_000, 20_000));
+    stream.set_frame_retention(periods_us(4).clamp(40_000, 200_000));
+    // The default socket buffer holds less than one frame.
+    stream.set_socket_buffer(aravis::GvStreamSocketBuffer::Fixed);
+    stream.set_socket_buffer_size(8 << 20);
+}
+
+/// A stream and the blocks that belong to it. A block is either lent to Aravis, or out with a frame while
+/// the Aravis buffer that wraps it waits in `parked`.
+struct AravisStream {
+    stream: aravis::Stream,
+    lent: Vec<Option<Block>>,
+    parked: Vec<Option<aravis::Buffer>>,
+    home: Sender<Block>,
+    returns: Receiver<Block>,
+}
+
+impl AravisStream {
+    fn new(stream: aravis::Stream, blocks: Vec<Block>) -> Self {
+        let (home, returns) = bounded(blocks.len().max(1));
+        let (mut lent, mut parked) = (Vec::new(), Vec::new());
+        for mut block in blocks {
+            let (pointer, length) = (block.pixel_pointer(), block.pixels().len());
+            // SAFETY: the block's memory stays allocated while Aravis holds the buffer: it waits untouched in
+            // `lent`, and `drop` ends the stream before the blocks are freed.
+            let buffer = unsafe { aravis::Buffer::new_preallocated_borrowed(pointer, length) };
+            stream.push_buffer(buffer);
+            lent.push(Some(block));
+            parked.push(None);
+        }
+        Self { stream, lent, parked, home, returns }
+    }
+
+    /// Lends blocks that came back to Aravis again.
+    fn recycle(&mut self) {
+        for mut block in self.returns.try_iter() {
+            let pointer = block.pixel_pointer();
+            // Numbers are ours only while the block is out: find the buffer by the memory it wraps.
+            let slot = self.parked.iter().position(|b| b.as_ref().is_some_and(|b| b.data().0 == pointer));
+            if let Some(slot) = slot {
+                self.lent[slot] = Some(block);
+                if let Some(buffer) = self.parked[slot].take() {
+                    self.stream.push_buffer(buffer);
+                }
+            }
+        }
+    }
+}
+
+impl FrameStream for AravisStream {
+    fn next(&mut self, timeout: Duration) -> Option<Received> {
+        self.recycle();
+        let timeout_us = u64::try_from(timeout.as_micros()).unwrap_or(u64::MAX);
+        let buffer = self.stream.timeout_pop_buffer(timeout_us)?;
+        let pointer = buffer.data().0;
+        let is_it = |block: &mut Option<Block>| block.as_mut().is_some_and(|b| b.pixel_pointer() == pointer);
+        let slot = self.lent.iter_mut().position(is_it)?;
+        let mut block = self.lent[slot].take()?;
+        block.set_home(self.home.clone());
+        let transfer = match buffer.status() {
+            aravis::BufferStatus::Success => {
+                let (_, _, width, height) = buffer.image_region();
+                let pixels = i64::from(width) * i64::from(height);
+                match usize::try_from(pixels) == Ok(block.pixels().len()) {
+                    true => Transfer::Complete,
+                    false => Transfer::SizeMismatch,
+                }
+            }
+            aravis::BufferStatus::Timeout => Transfer::Timeout,
+            aravis::BufferStatus::Aborted => Transfer::Aborted,
+            aravis::BufferStatus::SizeMismatch => Transfer::SizeMismatch,
+            _ => Transfer::MissingPackets,
+        };
+        let received = Received {
+            transfer,
+            block_id: BlockId(buffer.frame_id()),
+            camera_ns: buffer.timestamp(),
+            host_ns: buffer.system_timestamp(),
+            block,
+        };
+        self.parked[slot] = Some(buffer);
+        Some(received)
+    }
+
+    fn counters(&self) -> Vec<(String, u64)> {
+        const NAMES: [&str; 8] = [
+            "n_completed_buffers",
+            "n_failures",
+            "n_underruns",
+            "n_received_packets",
+            "n_missing_packets",
+            "n_error_packets",
+            "n_resend_requests",
+            "n_resent_packets",
+        ];
+        NAMES.iter().map(|name| ((*name).to_owned(), self.stream.info_uint64_by_name(name))).collect()
+    }
+}
+
+impl Drop for AravisStream {
+    fn drop(&mut self) {
+        // After this no thread of Aravis writes into the blocks any more; it also drops its buffers.
+        self.stream.stop_thread(true);
+        // Buffers wrap the blocks without owning them: forget them first.
+        self.parked.clear();
+        self.lent.clear();
+    }
+}

@@ -1,0 +1,62 @@
+//! Requested against applied GenICam settings.
+
+use crate::config::{FeatureSetting, FeatureValue};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// A feature as configured and as read back.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AppliedSetting {
+    /// SFNC name.
+    pub feature: String,
+    /// As configured.
+    pub requested: FeatureValue,
+    /// As read back.
+    pub actual: FeatureValue,
+}
+
+/// Cameras quantize floats (exposure in line times, gain in tenths of a decibel): this share of the
+/// requested value, or this absolute amount where that is more, passes as equal.
+const FLOAT_TOLERANCE: f64 = 2e-3;
+
+/// Whether a camera took a setting.
+pub fn matches(setting: &FeatureSetting, actual: &FeatureValue) -> bool {
+    use FeatureValue::{Flag, Float, Integer, Text};
+    let close = |a: f64, b: f64| (a - b).abs() <= FLOAT_TOLERANCE * a.abs().max(1.0);
+    match (&setting.value, actual) {
+        (Flag(a), Flag(b)) => a == b,
+        (Integer(a), Integer(b)) => a == b,
+        (Text(a), Text(b)) => a == b,
+        (Float(a), Float(b)) => close(*a, *b),
+        (Integer(a), Float(b)) => close(*a as f64, *b),
+        _ => false,
+    }
+}
+
+impl fmt::Display for FeatureValue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Flag(value) => value.fmt(f),
+            Self::Integer(value) => value.fmt(f),
+            Self::Float(value) => value.fmt(f),
+            Self::Text(value) => f.write_str(value),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::matches;
+    use crate::config::{FeatureSetting, FeatureValue};
+
+    #[test]
+    fn quantized_floats_pass_and_wrong_values_do_not() {
+        let exposure =
+            FeatureSetting { feature: "ExposureTime".to_owned(), value: FeatureValue::Float(1000.0) };
+        assert!(matches(&exposure, &FeatureValue::Float(1000.9)));
+        assert!(!matches(&exposure, &FeatureValue::Float(1010.0)));
+        let mode =
+            FeatureSetting { feature: "TriggerMode".to_owned(), value: FeatureValue::Text("On".to_owned()) };
+        assert!(!matches(&mode, &FeatureValue::Text("Off".to_owned())));
+    }
+}
