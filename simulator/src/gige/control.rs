@@ -194,7 +194,7 @@ impl Control {
         }
         let mut values = Vec::with_capacity(addresses.len());
         for address in addresses {
-            match self.registers.read(*address, 4).map(|bytes| <[u8; 4]>::try_from(bytes)) {
+            match self.registers.read(*address, 4).map(<[u8; 4]>::try_from) {
                 Ok(Ok(bytes)) => values.push(u32::from_be_bytes(bytes)),
                 Ok(Err(_)) => return (Status::InvalidAddress, values),
                 Err(status) => return (status, values),
@@ -298,3 +298,6 @@ impl Control {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;
