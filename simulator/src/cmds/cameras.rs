@@ -1,0 +1,130 @@
+//! `fourdbody-sim cameras`: simulated cameras by themselves, for any GigE Vision program.
+
+use crossbeam_channel::{Receiver, never, unbounded};
+use fourdbody_simulator::gige::{CameraOptions, ClockOptions, SimulatedCamera, TestImages, process_cpu_time};
+use fourdbody_simulator::wire::TriggerEdge;
+use std::net::Ipv4Addr;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
+use std::time::{Duration, Instant};
+
+/// Run simulated GigE Vision cameras on loopback addresses until interrupted.
+///
+/// Example: `fourdbody-sim cameras --count 8`, then `arv-tool-0.8` lists them and
+/// `arv-camera-test-0.8 -n 127.0.7.11` streams from one.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Number of cameras.
+    #[arg(long, default_value_t = 8)]
+    count: u8,
+    /// Address of the first camera; the others follow.
+    #[arg(long, default_value = "127.0.7.11")]
+    first: Ipv4Addr,
+    /// Columns of the sensor.
+    #[arg(long, default_value_t = 1920)]
+    width: usize,
+    /// Rows of the sensor.
+    #[arg(long, default_value_t = 1200)]
+    height: usize,
+    /// Edges per second on all trigger inputs; 0 for none.
+    #[arg(long, default_value_t = 0.0)]
+    trigger_hz: f64,
+    /// Lose one packet of so many, to see resend requests at work.
+    #[arg(long)]
+    lose_one_in: Option<std::num::NonZeroU64>,
+    /// Stop after so many seconds.
+    #[arg(long)]
+    duration: Option<f64>,
+    /// Print counters every second.
+    #[arg(long)]
+    verbose: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A message for the user.
+pub fn run(args: &Args) -> Result<(), String> {
+    if !(0.0..=10_000.0).contains(&args.trigger_hz) {
+        return Err(format!("--trigger-hz is {}, expected 0 to 10000", args.trigger_hz));
+    }
+    let mut cameras = Vec::new();
+    let mut wires = Vec::new();
+    for index in 0..args.count {
+        let (wire, triggers) = unbounded();
+        cameras.push(start(args, index, if args.trigger_hz > 0.0 { triggers } else { never() })?);
+        wires.push(wire);
+    }
+    for camera in &cameras {
+        println!("{}", camera.address());
+    }
+    let started = Instant::now();
+    let mut index = 0u64;
+    let mut next_report = started + Duration::from_secs(1);
+    loop {
+        let next = match args.trigger_hz {
+            0.0 => next_report,
+            hz => started + Duration::from_secs_f64(index as f64 / hz),
+        };
+        std::thread::sleep(next.saturating_duration_since(Instant::now()));
+        if args.trigger_hz > 0.0 {
+            let edge = TriggerEdge { instant: index as i64, time: Instant::now(), width_ns: 1_000_000 };
+            for wire in &wires {
+                let _ = wire.send(edge);
+            }
+            index += 1;
+        }
+        if Instant::now() >= next_report {
+            next_report += Duration::from_secs(1);
+            if args.verbose {
+                report(&cameras, started.elapsed());
+            }
+        }
+        if args.duration.is_some_and(|seconds| started.elapsed().as_secs_f64() >= seconds) {
+            report(&cameras, started.elapsed());
+            return Ok(());
+        }
+    }
+}
+
+fn start(args: &Args, index: u8, triggers: Receiver<TriggerEdge>) -> Result<SimulatedCamera, String> {
+    let address = args.first.to_bits().checked_add(u32::from(index)).map(Ipv4Addr::from_bits);
+    let address = address.ok_or("the addresses run out of the range")?;
+    let images = TestImages::new(args.width, args.height, u32::from(index), TestImages::DISTINCT);
+    let mut options = CameraOptions::new(&format!("SIM{index:04}"), address, Arc::new(images));
+    options.user_name = format!("camera{index}");
+    options.triggers = triggers;
+    // Every clock of its own, as in the laboratory.
+    options.clock = ClockOptions {
+        offset_ns: 1_000_000_000 * (1 + u64::from(index)),
+        drift_ppm: f64::from(index) * 10.0 - 35.0,
+    };
+    if let Some(one_in) = args.lose_one_in {
+        options.lose = Some(Arc::new(move |block, packet| {
+            // A multiplicative hash: lost packets lie scattered, and the same ones every time.
+            let mixed = (block << 24 ^ u64::from(packet)).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            (mixed >> 20).is_multiple_of(one_in.get())
+        }));
+    }
+    SimulatedCamera::start(options).map_err(|error| error.to_string())
+}
+
+fn report(cameras: &[SimulatedCamera], elapsed: Duration) {
+    let cpu = process_cpu_time().as_secs_f64();
+    println!("{:.1} s, {cpu:.2} s of CPU", elapsed.as_secs_f64());
+    for camera in cameras {
+        let s = camera.statistics();
+        println!(
+            "  {} frames {} packets {} resent {} unavailable {} ignored {} unheard {} errors {} lag {:.1} ms",
+            camera.address(),
+            s.frames_sent.load(Relaxed),
+            s.packets_sent.load(Relaxed),
+            s.packets_resent.load(Relaxed),
+            s.resends_unavailable.load(Relaxed),
+            s.triggers_ignored.load(Relaxed),
+            s.edges_unheard.load(Relaxed),
+            s.send_errors.load(Relaxed),
+            s.worst_lag_ns.load(Relaxed) as f64 / 1e6,
+        );
+    }
+}

@@ -1,0 +1,3 @@
+//! One file per subcommand of `fourdbody-sim`.
+
+pub mod cameras;

@@ -1,0 +1,91 @@
+//! A camera's own clock: it starts somewhere, and it runs a little too fast or too slow.
+
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Instant;
+
+/// Ticks per second of every simulated camera: its timestamps are nanoseconds of its own clock.
+pub const TICK_FREQUENCY: u64 = 1_000_000_000;
+
+/// Offset and drift of a camera's clock against the host's monotonic clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClockOptions {
+    /// What the camera's clock shows when the camera starts, ns.
+    pub offset_ns: u64,
+    /// How much faster than the host's clock it runs, parts per million; negative is slower.
+    pub drift_ppm: f64,
+}
+
+impl Default for ClockOptions {
+    fn default() -> Self {
+        Self { offset_ns: 1_000_000_000, drift_ppm: 0.0 }
+    }
+}
+
+/// The clock itself: host instants to camera nanoseconds. Shared by a camera's threads.
+#[derive(Debug)]
+pub struct CameraClock {
+    epoch: Instant,
+    offset_ns: AtomicI64,
+    drift_ppb: i64,
+}
+
+impl CameraClock {
+    /// A clock that shows `options.offset_ns` at `epoch`.
+    pub fn new(epoch: Instant, options: ClockOptions) -> Self {
+        let offset_ns = i64::try_from(options.offset_ns).unwrap_or(i64::MAX);
+        // `as` saturates, and turns NaN into no drift.
+        Self { epoch, offset_ns: offset_ns.into(), drift_ppb: (options.drift_ppm * 1000.0).round() as i64 }
+    }
+
+    /// Camera time, ns, at a host instant. Instants before the camera's start may show as 0.
+    pub fn at(&self, instant: Instant) -> u64 {
+        let shown = self.running(instant) + i128::from(self.offset_ns.load(Ordering::Relaxed));
+        u64::try_from(shown.max(0)).unwrap_or(u64::MAX)
+    }
+
+    /// Sets the clock to zero at a host instant (timestamp control register, bit "reset").
+    pub fn reset(&self, instant: Instant) {
+        let offset = i64::try_from(-self.running(instant)).unwrap_or(i64::MIN);
+        self.offset_ns.store(offset, Ordering::Relaxed);
+    }
+
+    /// Nanoseconds since the epoch as this clock counts them, without its offset.
+    fn running(&self, instant: Instant) -> i128 {
+        let host_ns = match instant.checked_duration_since(self.epoch) {
+            Some(after) => after.as_nanos() as i128,
+            None => -(self.epoch.saturating_duration_since(instant).as_nanos() as i128),
+        };
+        host_ns + (host_ns * i128::from(self.drift_ppb)).div_euclid(1_000_000_000)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::time::Duration;
+
+    #[test]
+    fn offset_and_drift_show() {
+        let epoch = Instant::now();
+        let clock = CameraClock::new(epoch, ClockOptions { offset_ns: 500, drift_ppm: -20.0 });
+        assert_eq!(clock.at(epoch), 500);
+        assert_eq!(clock.at(epoch + Duration::from_secs(1)), 1_000_000_500 - 20_000);
+        clock.reset(epoch + Duration::from_secs(1));
+        assert_eq!(clock.at(epoch + Duration::from_secs(1)), 0);
+    }
+
+    proptest! {
+        #[test]
+        fn the_clock_never_runs_backwards(
+            a in 0u64..1 << 50, step in 0u64..1 << 40, drift_ppm in -500.0..500.0f64, offset_ns: u32,
+        ) {
+            let epoch = Instant::now();
+            let clock = CameraClock::new(epoch, ClockOptions { offset_ns: offset_ns.into(), drift_ppm });
+            let (first, second) = (Duration::from_nanos(a), Duration::from_nanos(a + step));
+            let elapsed = clock.at(epoch + second) as i128 - clock.at(epoch + first) as i128;
+            let expected = step as f64 * (1.0 + drift_ppm * 1e-6);
+            prop_assert!((elapsed as f64 - expected).abs() <= 2.0 + step as f64 * 1e-9, "{elapsed} {expected}");
+        }
+    }
+}

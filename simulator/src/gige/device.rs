@@ -1,0 +1,289 @@
+//! One simulated camera: its sockets and its two threads (control, stream).
+
+use super::clock::{CameraClock, ClockOptions};
+use super::control::{Action, Control, Outcome};
+use super::registers::{Identity, Registers};
+use super::stream::{Order, Streamer};
+use super::transmit::{History, Transmitter, resend};
+use super::{CameraError, PacketFilter, Statistics, discovery, gvcp, gvsp, net};
+use crate::images::ImageSource;
+use crate::wire::TriggerEdge;
+use crossbeam_channel::{Receiver, Sender, never, unbounded};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed, Ordering::SeqCst};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Longest time the control thread sleeps: bounds how late a lost heartbeat or a stop is noticed.
+const CONTROL_TICK: Duration = Duration::from_millis(50);
+/// Asked of the system for the stream's socket; it may give less.
+const SEND_BUFFER: i32 = 8 << 20;
+/// Longest datagram a controller may send.
+const DATAGRAM: usize = 2048;
+
+/// What a simulated camera is made of.
+#[derive(Clone)]
+pub struct CameraOptions {
+    /// Serial number, at most 15 bytes; also the end of the name that Aravis gives the camera.
+    pub serial: String,
+    /// Model name, at most 31 bytes.
+    pub model: String,
+    /// Name given by the user, at most 15 bytes; may be empty.
+    pub user_name: String,
+    /// Its own loopback address, for instance 127.0.7.11; it listens on port 3956.
+    pub address: Ipv4Addr,
+    /// The light on the sensor; its size is the sensor's.
+    pub images: Arc<dyn ImageSource>,
+    /// The trigger input (`Line0`).
+    pub triggers: Receiver<TriggerEdge>,
+    /// The camera's clock.
+    pub clock: ClockOptions,
+    /// Frames kept for resend requests: what the camera's memory holds.
+    pub resend_frames: usize,
+    /// Block id of the first frame of every acquisition: 1, unless a test wants the ids to wrap early.
+    pub first_block_id: u64,
+    /// First transmissions that get lost on the way, by block and packet id.
+    pub lose: Option<PacketFilter>,
+}
+
+impl CameraOptions {
+    /// A camera with these pixels at this address, with nothing on its trigger input.
+    pub fn new(serial: &str, address: Ipv4Addr, images: Arc<dyn ImageSource>) -> Self {
+        Self {
+            serial: serial.to_owned(),
+            model: "Sim23M".to_owned(),
+            user_name: String::new(),
+            address,
+            images,
+            triggers: never(),
+            clock: ClockOptions::default(),
+            resend_frames: 8,
+            first_block_id: 1,
+            lose: None,
+        }
+    }
+}
+
+/// A running camera; it stops when dropped.
+#[derive(Debug)]
+pub struct SimulatedCamera {
+    address: Ipv4Addr,
+    statistics: Arc<Statistics>,
+    clock: Arc<CameraClock>,
+    stop: Arc<AtomicBool>,
+    orders: Sender<Order>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl SimulatedCamera {
+    /// Binds the camera's address and starts its threads.
+    ///
+    /// # Errors
+    /// An option that does not fit the registers, or an address that cannot be bound.
+    pub fn start(options: CameraOptions) -> Result<Self, CameraError> {
+        let sensor = check(&options)?;
+        let bind = |port| {
+            let address = SocketAddrV4::new(options.address, port);
+            UdpSocket::bind(address).map_err(|source| CameraError::Bind { address, source })
+        };
+        let control_socket = bind(gvcp::PORT)?;
+        let stream_socket = Arc::new(bind(0)?);
+        if let Err(error) = net::set_send_buffer(&stream_socket, SEND_BUFFER) {
+            tracing::warn!(%error, "cannot enlarge the stream's send buffer");
+        }
+        let clock = Arc::new(CameraClock::new(Instant::now(), options.clock));
+        let identity = Identity {
+            address: options.address,
+            model: options.model.clone(),
+            serial: options.serial.clone(),
+            user_name: options.user_name.clone(),
+        };
+        let mut registers = Registers::new(identity, sensor, Arc::clone(&clock));
+        registers.source_port = stream_socket.local_addr().map_or(0, |a| a.port());
+        let statistics = Arc::new(Statistics::default());
+        let history = Arc::new(History::new(options.resend_frames));
+        let running = Arc::new(AtomicU64::new(0));
+        let stop = Arc::new(AtomicBool::new(false));
+        let (orders, received) = unbounded();
+        let transmitter = Transmitter::new(
+            Arc::clone(&options.images),
+            Arc::clone(&stream_socket),
+            Arc::clone(&history),
+            Arc::clone(&statistics),
+            options.lose.clone(),
+        );
+        let streamer = Streamer {
+            orders: received,
+            triggers: options.triggers.clone(),
+            clock: Arc::clone(&clock),
+            transmitter,
+            socket: Arc::clone(&stream_socket),
+            history: Arc::clone(&history),
+            statistics: Arc::clone(&statistics),
+            running: Arc::clone(&running),
+            first_block_id: options.first_block_id,
+        };
+        let controller = Controller {
+            control: Control::new(registers),
+            socket: control_socket,
+            broadcasts: discovery::sockets(),
+            stream_socket,
+            images: options.images,
+            history,
+            statistics: Arc::clone(&statistics),
+            orders: orders.clone(),
+            running,
+            acquisitions: 0,
+            stop: Arc::clone(&stop),
+        };
+        let spawn = |part: &str, work: Box<dyn FnOnce() + Send>| {
+            let name = format!("{part}-{}", options.serial);
+            std::thread::Builder::new().name(name).spawn(work).map_err(CameraError::Thread)
+        };
+        // Built step by step, so that a camera that fails half-way stops what it started.
+        let address = options.address;
+        let mut camera =
+            SimulatedCamera { address, statistics, clock, stop, orders, threads: Vec::with_capacity(2) };
+        camera.threads.push(spawn("gvsp", Box::new(move || streamer.run()))?);
+        camera.threads.push(spawn("gvcp", Box::new(move || controller.run()))?);
+        Ok(camera)
+    }
+
+    /// The address at which it answers.
+    pub fn address(&self) -> Ipv4Addr {
+        self.address
+    }
+
+    /// Its counters.
+    pub fn statistics(&self) -> &Statistics {
+        &self.statistics
+    }
+
+    /// Its clock, as ground truth for whoever estimates it.
+    pub fn clock(&self) -> &CameraClock {
+        &self.clock
+    }
+}
+
+impl Drop for SimulatedCamera {
+    fn drop(&mut self) {
+        self.stop.store(true, Relaxed);
+        let _ = self.orders.send(Order::Quit);
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Checks what the registers must hold; gives the sensor's (columns, rows).
+fn check(options: &CameraOptions) -> Result<(u32, u32), CameraError> {
+    let (width, height) = options.images.size();
+    let sensor = u32::try_from(width).ok().zip(u32::try_from(height).ok());
+    let sensor = sensor.filter(|(w, h)| (16..=16_384).contains(w) && (1..=16_384).contains(h));
+    let sensor = sensor.ok_or(CameraError::Size { width, height })?;
+    let texts = [
+        ("serial", &options.serial, 15),
+        ("model", &options.model, 31),
+        ("user name", &options.user_name, 15),
+    ];
+    for (field, text, limit) in texts {
+        if text.len() > limit || text.contains('\0') {
+            return Err(CameraError::Text { field, text: text.clone(), limit });
+        }
+    }
+    Ok(sensor)
+}
+
+/// State of the control thread.
+struct Controller {
+    control: Control,
+    socket: UdpSocket,
+    broadcasts: Vec<UdpSocket>,
+    stream_socket: Arc<UdpSocket>,
+    images: Arc<dyn ImageSource>,
+    history: Arc<History>,
+    statistics: Arc<Statistics>,
+    orders: Sender<Order>,
+    running: Arc<AtomicU64>,
+    acquisitions: u64,
+    stop: Arc<AtomicBool>,
+}
+
+impl Controller {
+    fn run(mut self) {
+        let mut ready = Vec::new();
+        let mut buffer = [0; DATAGRAM];
+        while !self.stop.load(Relaxed) {
+            ready.clear();
+            let sockets: Vec<&UdpSocket> = std::iter::once(&self.socket).chain(&self.broadcasts).collect();
+            if let Err(error) = net::poll_readable(&sockets, CONTROL_TICK, &mut ready) {
+                tracing::error!(%error, "the control channel cannot wait for packets; the camera stops answering");
+                return;
+            }
+            let lost = self.control.expire(Instant::now());
+            self.carry_out(lost, None);
+            for index in ready.drain(..) {
+                match index.checked_sub(1) {
+                    None => self.serve(&mut buffer),
+                    Some(broadcast) => self.serve_broadcast(broadcast, &mut buffer),
+                }
+            }
+        }
+    }
+
+    fn serve(&mut self, buffer: &mut [u8]) {
+        let Ok((length, SocketAddr::V4(from))) = self.socket.recv_from(buffer) else { return };
+        let Some(datagram) = buffer.get(..length) else { return };
+        if self.control.acquiring() && self.running.load(SeqCst) == 0 {
+            self.control.acquisition_ended();
+        }
+        let ignored = self.statistics.triggers_ignored_now.load(Relaxed);
+        self.control.registers.triggers_ignored = u32::try_from(ignored).unwrap_or(u32::MAX);
+        let outcome = self.control.handle(datagram, from, Instant::now());
+        self.carry_out(outcome, Some(from));
+    }
+
+    /// A broadcast can only ask who is there; the answer comes from the camera's own address.
+    fn serve_broadcast(&mut self, index: usize, buffer: &mut [u8]) {
+        let Some(socket) = self.broadcasts.get(index) else { return };
+        let Ok((length, SocketAddr::V4(from))) = socket.recv_from(buffer) else { return };
+        let Some(datagram) = buffer.get(..length) else { return };
+        if let Some(answer) = discovery::answer(datagram, from, &self.control.registers) {
+            let _ = self.socket.send_to(&answer, from);
+        }
+    }
+
+    fn carry_out(&mut self, outcome: Outcome, from: Option<SocketAddrV4>) {
+        for action in outcome.actions {
+            match action {
+                Action::Start(settings) => {
+                    self.acquisitions += 1;
+                    self.running.store(self.acquisitions, SeqCst);
+                    let _ = self.orders.send(Order::Start(self.acquisitions, settings));
+                }
+                Action::Update(settings) => {
+                    let _ = self.orders.send(Order::Update(settings));
+                }
+                Action::Stop => {
+                    self.running.store(0, SeqCst);
+                    let _ = self.orders.send(Order::Stop);
+                }
+                Action::SoftwareTrigger => {
+                    let _ = self.orders.send(Order::SoftwareTrigger(Instant::now()));
+                }
+                Action::TestPacket { destination, packet_size, do_not_fragment } => {
+                    // Too long a packet must vanish, as it would on the wire: that is the test.
+                    let _ = net::set_do_not_fragment(&self.stream_socket, do_not_fragment);
+                    let _ = self.stream_socket.send_to(&gvsp::test_packet(packet_size), destination);
+                }
+                Action::Resend(request) => {
+                    resend(&request, &self.history, &*self.images, &self.stream_socket, &self.statistics);
+                }
+            }
+        }
+        if let (Some(answer), Some(from)) = (outcome.answer, from) {
+            let _ = self.socket.send_to(&answer, from);
+        }
+    }
+}

@@ -1,0 +1,295 @@
+//! GVSP, the GigE Vision stream protocol: the bytes of leader, payload and trailer packets, nothing else.
+//!
+//! A block (one image) is the leader (packet id 0), `n` payload packets (1..=n), all full but the last, and
+//! the trailer (n + 1). Headers have 8 bytes with 16-bit block ids, which skip 0 when they wrap, or 20
+//! bytes with 64-bit block ids ("extended id mode").
+
+/// Pixel format code of 8-bit grey (GenICam PFNC).
+pub const MONO8: u32 = 0x0108_0001;
+/// Bytes of IP and UDP headers, which the packet size register counts in.
+pub const IP_UDP_OVERHEAD: usize = 28;
+/// Longest GVSP header.
+pub const MAX_HEADER: usize = 20;
+/// Bytes of an image leader after the GVSP header.
+pub const LEADER_BODY: usize = 36;
+/// Bytes of an image trailer after the GVSP header.
+pub const TRAILER_BODY: usize = 8;
+
+const LEADER: u8 = 1;
+const TRAILER: u8 = 2;
+const PAYLOAD: u8 = 3;
+const EXTENDED: u8 = 0x80;
+const PAYLOAD_TYPE_IMAGE: u16 = 1;
+const FLAG_RESEND: u16 = 0x0001;
+
+/// Packet status field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u16)]
+pub enum Status {
+    /// Sent for the first time.
+    Ok = 0x0000,
+    /// Sent again on request.
+    Resent = 0x0100,
+    /// Cannot be sent again: not in the camera's memory.
+    Unavailable = 0x800c,
+}
+
+/// Width of the ids in every header of a stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum IdMode {
+    /// 16-bit block ids (1..=65535, 0 is skipped), 24-bit packet ids, 8-byte headers.
+    Standard,
+    /// 64-bit block ids, 32-bit packet ids, 20-byte headers.
+    Extended,
+}
+
+impl IdMode {
+    /// Bytes of a GVSP header.
+    pub fn header_size(self) -> usize {
+        match self {
+            IdMode::Standard => 8,
+            IdMode::Extended => MAX_HEADER,
+        }
+    }
+
+    /// The block id after `id`; the first one is 1.
+    pub fn next_block_id(self, id: u64) -> u64 {
+        match self {
+            IdMode::Standard if id >= 0xffff => 1,
+            IdMode::Standard | IdMode::Extended => id.wrapping_add(1).max(1),
+        }
+    }
+}
+
+/// How one image is cut into packets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Layout {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Width of the ids.
+    pub ids: IdMode,
+    /// Pixel bytes of every full payload packet.
+    pub chunk: usize,
+}
+
+impl Layout {
+    /// Cuts a Mono8 image for a packet size that counts IP, UDP and GVSP headers in (register SCPS).
+    /// `None` where a packet would hold no pixel.
+    pub fn new(width: u32, height: u32, packet_size: u16, ids: IdMode) -> Option<Self> {
+        let chunk = usize::from(packet_size).checked_sub(IP_UDP_OVERHEAD + ids.header_size())?;
+        if chunk == 0 || width == 0 || height == 0 {
+            return None;
+        }
+        Some(Self { width, height, ids, chunk })
+    }
+
+    /// Bytes of the image.
+    pub fn image_bytes(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// Number of payload packets; the trailer's packet id is one more.
+    pub fn payload_packets(&self) -> u32 {
+        u32::try_from(self.image_bytes().div_ceil(self.chunk)).unwrap_or(u32::MAX)
+    }
+
+    /// The trailer's packet id.
+    pub fn trailer_id(&self) -> u32 {
+        self.payload_packets().saturating_add(1)
+    }
+
+    /// Image bytes of a payload packet, empty for ids that are none.
+    pub fn range(&self, packet_id: u32) -> std::ops::Range<usize> {
+        if packet_id == 0 || packet_id > self.payload_packets() {
+            return 0..0;
+        }
+        let start = (packet_id as usize - 1) * self.chunk;
+        start..(start + self.chunk).min(self.image_bytes())
+    }
+}
+
+/// A GVSP header in the first [`IdMode::header_size`] bytes of the array.
+fn header(ids: IdMode, status: Status, format: u8, block_id: u64, packet_id: u32) -> [u8; MAX_HEADER] {
+    let mut bytes = [0; MAX_HEADER];
+    bytes[..2].copy_from_slice(&(status as u16).to_be_bytes());
+    match ids {
+        IdMode::Standard => {
+            bytes[2..4].copy_from_slice(&((block_id & 0xffff) as u16).to_be_bytes());
+            bytes[4..8].copy_from_slice(&(u32::from(format) << 24 | packet_id & 0x00ff_ffff).to_be_bytes());
+        }
+        IdMode::Extended => {
+            let flags = if status == Status::Resent { FLAG_RESEND } else { 0 };
+            bytes[2..4].copy_from_slice(&flags.to_be_bytes());
+            bytes[4] = format | EXTENDED;
+            bytes[8..16].copy_from_slice(&block_id.to_be_bytes());
+            bytes[16..20].copy_from_slice(&packet_id.to_be_bytes());
+        }
+    }
+    bytes
+}
+
+/// The headers of all payload packets of an image, built once and stamped with each new block id.
+#[derive(Debug)]
+pub struct PayloadHeaders {
+    ids: IdMode,
+    bytes: Vec<u8>,
+}
+
+impl PayloadHeaders {
+    /// Headers for packets 1..=n of this layout.
+    pub fn new(layout: &Layout) -> Self {
+        let size = layout.ids.header_size();
+        let mut bytes = Vec::with_capacity(size * layout.payload_packets() as usize);
+        for id in 1..=layout.payload_packets() {
+            bytes.extend_from_slice(&header(layout.ids, Status::Ok, PAYLOAD, 0, id)[..size]);
+        }
+        Self { ids: layout.ids, bytes }
+    }
+
+    /// Writes the block id into every header.
+    pub fn stamp(&mut self, block_id: u64) {
+        let short = ((block_id & 0xffff) as u16).to_be_bytes();
+        let long = block_id.to_be_bytes();
+        for header in self.bytes.chunks_exact_mut(self.ids.header_size()) {
+            match self.ids {
+                IdMode::Standard => header[2..4].copy_from_slice(&short),
+                IdMode::Extended => header[8..16].copy_from_slice(&long),
+            }
+        }
+    }
+
+    /// The header of payload packet `packet_id` (1..=n); empty for others.
+    pub fn get(&self, packet_id: u32) -> &[u8] {
+        let size = self.ids.header_size();
+        let start = (packet_id as usize).saturating_sub(1) * size;
+        if packet_id == 0 { &[] } else { self.bytes.get(start..start + size).unwrap_or(&[]) }
+    }
+}
+
+/// The leader packet: when the exposure began (camera clock ticks) and the image's geometry.
+pub fn leader(layout: &Layout, status: Status, block_id: u64, timestamp: u64) -> Vec<u8> {
+    let size = layout.ids.header_size();
+    let mut bytes = Vec::with_capacity(size + LEADER_BODY);
+    bytes.extend_from_slice(&header(layout.ids, status, LEADER, block_id, 0)[..size]);
+    bytes.extend([0, 0]);
+    bytes.extend(PAYLOAD_TYPE_IMAGE.to_be_bytes());
+    bytes.extend(timestamp.to_be_bytes());
+    bytes.extend(MONO8.to_be_bytes());
+    bytes.extend(layout.width.to_be_bytes());
+    bytes.extend(layout.height.to_be_bytes());
+    bytes.extend([0; 12]); // offset x, offset y, padding x, padding y
+    bytes
+}
+
+/// The trailer packet: the number of rows that were sent.
+pub fn trailer(layout: &Layout, status: Status, block_id: u64) -> Vec<u8> {
+    let size = layout.ids.header_size();
+    let mut bytes = Vec::with_capacity(size + TRAILER_BODY);
+    bytes.extend_from_slice(&header(layout.ids, status, TRAILER, block_id, layout.trailer_id())[..size]);
+    bytes.extend([0, 0]);
+    bytes.extend(PAYLOAD_TYPE_IMAGE.to_be_bytes());
+    bytes.extend(layout.height.to_be_bytes());
+    bytes
+}
+
+/// A payload packet sent again.
+pub fn resent_payload(layout: &Layout, block_id: u64, packet_id: u32, pixels: &[u8]) -> Vec<u8> {
+    let size = layout.ids.header_size();
+    let mut bytes = header(layout.ids, Status::Resent, PAYLOAD, block_id, packet_id)[..size].to_vec();
+    bytes.extend_from_slice(pixels);
+    bytes
+}
+
+/// The answer to a resend request that cannot be fulfilled: a header that says so.
+pub fn unavailable(ids: IdMode, block_id: u64, packet_id: u32) -> Vec<u8> {
+    header(ids, Status::Unavailable, PAYLOAD, block_id, packet_id)[..ids.header_size()].to_vec()
+}
+
+/// A test packet: as long as the packet size register asks for, block id 0, zeros.
+pub fn test_packet(packet_size: u16) -> Vec<u8> {
+    let length = usize::from(packet_size).saturating_sub(IP_UDP_OVERHEAD);
+    let mut bytes = vec![0; length];
+    for (to, from) in bytes.iter_mut().zip(header(IdMode::Standard, Status::Ok, PAYLOAD, 0, 0)) {
+        *to = from;
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn layout(ids: IdMode) -> Layout {
+        Layout::new(0x0780, 0x04b0, 9000, ids).expect("a valid layout")
+    }
+
+    #[test]
+    fn leader_has_the_bytes_of_the_standard() {
+        let bytes = leader(&layout(IdMode::Standard), Status::Ok, 0x1234, 0x0102_0304_0506_0708);
+        let golden = [
+            0x00, 0x00, 0x12, 0x34, // status ok, block id
+            0x01, 0x00, 0x00, 0x00, // leader, packet id 0
+            0x00, 0x00, 0x00, 0x01, // reserved, payload type image
+            0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x08, // timestamp
+            0x01, 0x08, 0x00, 0x01, // Mono8
+            0x00, 0x00, 0x07, 0x80, // 1920 columns
+            0x00, 0x00, 0x04, 0xb0, // 1200 rows
+            0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, // offsets, paddings
+        ];
+        assert_eq!(bytes, golden);
+    }
+
+    #[test]
+    fn extended_headers_have_the_bytes_of_the_standard() {
+        let bytes = trailer(&layout(IdMode::Extended), Status::Resent, 0x0000_0001_0000_0002);
+        let golden = [
+            0x01, 0x00, 0x00, 0x01, // status resent, flag packet resend
+            0x82, 0x00, 0x00, 0x00, // extended ids, trailer
+            0x00, 0x00, 0x00, 0x01, 0x00, 0x00, 0x00, 0x02, // block id
+            0x00, 0x00, 0x01, 0x03, // packet id 259: 258 payload packets of 8952 bytes
+            0x00, 0x00, 0x00, 0x01, // reserved, payload type image
+            0x00, 0x00, 0x04, 0xb0, // rows
+        ];
+        assert_eq!(bytes, golden);
+    }
+
+    #[test]
+    fn payload_headers_carry_block_and_packet_id() {
+        let mut headers = PayloadHeaders::new(&layout(IdMode::Standard));
+        headers.stamp(0xabcd);
+        // status ok, block id | payload format 3, packet id 257
+        assert_eq!(headers.get(257), [0x00, 0x00, 0xab, 0xcd, 0x03, 0x00, 0x01, 0x01]);
+        assert!(headers.get(0).is_empty() && headers.get(260).is_empty());
+    }
+
+    #[test]
+    fn standard_block_ids_skip_zero() {
+        assert_eq!(IdMode::Standard.next_block_id(0xffff), 1);
+        assert_eq!(IdMode::Extended.next_block_id(0xffff), 0x1_0000);
+        assert_eq!(IdMode::Extended.next_block_id(u64::MAX), 1);
+    }
+
+    proptest! {
+        #[test]
+        fn payload_packets_tile_the_image(
+            width in 1u32..3000, height in 1u32..2000, packet_size in 49u16..=65532, extended: bool,
+        ) {
+            let ids = if extended { IdMode::Extended } else { IdMode::Standard };
+            let layout = Layout::new(width, height, packet_size, ids).expect("room for pixels");
+            prop_assume!(layout.payload_packets() < 5000);
+            let mut next = 0;
+            for id in 1..=layout.payload_packets() {
+                let range = layout.range(id);
+                prop_assert_eq!(range.start, next);
+                let last = id == layout.payload_packets();
+                prop_assert!(last || range.len() == layout.chunk, "all packets but the last are full");
+                next = range.end;
+            }
+            prop_assert_eq!(next, layout.image_bytes());
+            prop_assert!(layout.range(0).is_empty() && layout.range(layout.trailer_id()).is_empty());
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Simulated GigE Vision cameras: real GVCP and GVSP endpoints on loopback addresses.
+//!
+//! ```text
+//! datagram -> [device] control thread -> [gvcp] decode -> [control] who may do what -> [registers] [map]
+//!          -> answer, and orders to the stream thread
+//! trigger edge or free run -> [stream] -> [sensor] accepts or ignores -> [transmit] frame -> [gvsp] packets
+//!          -> [net] sendmmsg
+//! ```
+//!
+//! [`gvcp`], [`gvsp`], [`control`], [`registers`], [`sensor`] and [`genicam`] know no sockets and no threads.
+//! `docs/design/simulated-cameras.md` says what of the standard is implemented.
+
+#![deny(unsafe_code)]
+
+pub mod clock;
+pub mod control;
+pub mod device;
+mod discovery;
+pub mod genicam;
+pub mod gvcp;
+pub mod gvsp;
+pub mod map;
+mod net;
+pub mod registers;
+pub mod sensor;
+pub mod settings;
+mod stream;
+mod test_images;
+mod transmit;
+
+pub use clock::{CameraClock, ClockOptions};
+pub use device::{CameraOptions, SimulatedCamera};
+pub use net::process_cpu_time;
+pub use test_images::{TestImages, TestStamp};
+
+use std::net::SocketAddrV4;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+/// Manufacturer name of all simulated cameras.
+pub const VENDOR: &str = "fourdbody";
+
+/// Decides by block id and packet id whether the first transmission of a packet is lost.
+pub type PacketFilter = Arc<dyn Fn(u64, u32) -> bool + Send + Sync>;
+
+/// Counters of one camera since it was started.
+#[derive(Debug, Default)]
+pub struct Statistics {
+    /// Frames handed to the network.
+    pub frames_sent: AtomicU64,
+    /// Stream packets handed to the network, without those sent again.
+    pub packets_sent: AtomicU64,
+    /// Triggers that came while the sensor was busy.
+    pub triggers_ignored: AtomicU64,
+    /// The same since the last start of an acquisition; shown in a register.
+    pub(crate) triggers_ignored_now: AtomicU64,
+    /// Edges on the trigger input while the camera did not wait for them.
+    pub edges_unheard: AtomicU64,
+    /// Packets sent again on request.
+    pub packets_resent: AtomicU64,
+    /// Resend requests for frames or packets that the camera does not have.
+    pub resends_unavailable: AtomicU64,
+    /// Frames or packets that the network refused.
+    pub send_errors: AtomicU64,
+    /// Longest time between the end of an exposure and the start of its transmission, ns.
+    pub worst_lag_ns: AtomicU64,
+}
+
+/// Why a camera does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum CameraError {
+    /// The camera's address and port are taken, or are not this host's.
+    #[error("cannot bind {address}: {source}; give each camera a free 127.x.y.z address of its own")]
+    Bind {
+        /// What was to be bound.
+        address: SocketAddrV4,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The image source has a size that no camera has.
+    #[error("images are {width} x {height} pixels, expected 16 to 16384 columns and 1 to 16384 rows")]
+    Size {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// A text does not fit into its register.
+    #[error("the {field} {text:?} must have at most {limit} bytes and no NUL")]
+    Text {
+        /// Which option.
+        field: &'static str,
+        /// What was given.
+        text: String,
+        /// Bytes that fit.
+        limit: usize,
+    },
+    /// The system gives no thread.
+    #[error("cannot start a camera thread: {0}")]
+    Thread(std::io::Error),
+}

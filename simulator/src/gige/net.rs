@@ -1,0 +1,209 @@
+//! The few socket calls that the standard library lacks: shared binding, polling several sockets, the
+//! don't-fragment option, and sending many datagrams by one system call without copying them together.
+#![allow(unsafe_code, reason = "thin wrappers around libc calls; nothing else in this module tree is unsafe")]
+
+use std::io;
+use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::time::Duration;
+
+/// Most datagrams handed to the kernel at once.
+pub const BATCH: usize = 64;
+
+fn set_option(
+    socket: &impl AsRawFd,
+    level: libc::c_int,
+    name: libc::c_int,
+    value: libc::c_int,
+) -> io::Result<()> {
+    // SAFETY: the pointer and length describe `value`, which outlives the call.
+    let result = unsafe {
+        libc::setsockopt(
+            socket.as_raw_fd(),
+            level,
+            name,
+            (&raw const value).cast(),
+            size_of::<libc::c_int>() as libc::socklen_t,
+        )
+    };
+    if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}
+
+/// A UDP socket on an address that other processes (and cameras) may bind as well: broadcast addresses.
+///
+/// # Errors
+/// As the system says, for instance where a program holds the port for itself alone.
+pub fn bind_shared(address: SocketAddrV4) -> io::Result<UdpSocket> {
+    // SAFETY: no pointers are passed; the result is checked before use.
+    let fd = unsafe { libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0) };
+    if fd < 0 {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: `fd` was just opened and nobody else owns it.
+    let socket = unsafe { OwnedFd::from_raw_fd(fd) };
+    set_option(&socket, libc::SOL_SOCKET, libc::SO_REUSEADDR, 1)?;
+    let name = libc::sockaddr_in {
+        sin_family: libc::AF_INET as libc::sa_family_t,
+        sin_port: address.port().to_be(),
+        sin_addr: libc::in_addr { s_addr: address.ip().to_bits().to_be() },
+        sin_zero: [0; 8],
+    };
+    // SAFETY: the pointer and length describe `name`, which outlives the call.
+    let result = unsafe {
+        libc::bind(
+            socket.as_raw_fd(),
+            (&raw const name).cast(),
+            size_of::<libc::sockaddr_in>() as libc::socklen_t,
+        )
+    };
+    if result == 0 { Ok(UdpSocket::from(socket)) } else { Err(io::Error::last_os_error()) }
+}
+
+/// Asks for a larger send buffer; the system may give less.
+pub fn set_send_buffer(socket: &UdpSocket, bytes: i32) -> io::Result<()> {
+    set_option(socket, libc::SOL_SOCKET, libc::SO_SNDBUF, bytes)
+}
+
+/// Sets or clears "don't fragment" on what the socket sends.
+pub fn set_do_not_fragment(socket: &UdpSocket, set: bool) -> io::Result<()> {
+    let mode = if set { libc::IP_PMTUDISC_PROBE } else { libc::IP_PMTUDISC_DONT };
+    set_option(socket, libc::IPPROTO_IP, libc::IP_MTU_DISCOVER, mode)
+}
+
+/// Waits until a socket has something to read, at most so long. Appends the indices of those that have.
+pub fn poll_readable(sockets: &[&UdpSocket], timeout: Duration, ready: &mut Vec<usize>) -> io::Result<()> {
+    let mut entries: Vec<libc::pollfd> = sockets
+        .iter()
+        .map(|s| libc::pollfd { fd: s.as_raw_fd(), events: libc::POLLIN, revents: 0 })
+        .collect();
+    let milliseconds = i32::try_from(timeout.as_millis()).unwrap_or(i32::MAX);
+    // SAFETY: pointer and count describe `entries`, which outlives the call.
+    let result = unsafe { libc::poll(entries.as_mut_ptr(), entries.len() as libc::nfds_t, milliseconds) };
+    if result < 0 {
+        let error = io::Error::last_os_error();
+        return if error.kind() == io::ErrorKind::Interrupted { Ok(()) } else { Err(error) };
+    }
+    ready.extend(entries.iter().enumerate().filter(|(_, e)| e.revents != 0).map(|(i, _)| i));
+    Ok(())
+}
+
+/// CPU time this process has used so far, user and system.
+pub fn process_cpu_time() -> Duration {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: the pointer is to a local `timespec`.
+    let result = unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &raw mut time) };
+    if result != 0 {
+        return Duration::ZERO;
+    }
+    Duration::new(time.tv_sec.unsigned_abs(), u32::try_from(time.tv_nsec).unwrap_or(0))
+}
+
+/// Datagrams of two parts each (header, pixels) on their way out through a connected socket.
+#[derive(Debug)]
+pub struct Batch<'a> {
+    parts: [(&'a [u8], &'a [u8]); BATCH],
+    length: usize,
+}
+
+impl Default for Batch<'_> {
+    fn default() -> Self {
+        Self { parts: [(&[], &[]); BATCH], length: 0 }
+    }
+}
+
+impl<'a> Batch<'a> {
+    /// Adds a datagram. The batch must not be full.
+    pub fn push(&mut self, header: &'a [u8], body: &'a [u8]) {
+        if let Some(place) = self.parts.get_mut(self.length) {
+            *place = (header, body);
+            self.length += 1;
+        }
+    }
+
+    /// Must it be sent before another datagram is added?
+    pub fn is_full(&self) -> bool {
+        self.length == BATCH
+    }
+
+    /// Sends everything and empties the batch; says how many datagrams went out.
+    ///
+    /// # Errors
+    /// What the system says of the first datagram that did not go out. A refusal by the receiver's host
+    /// (nobody listens yet) is reported on the packet after, which is tried again once.
+    pub fn send(&mut self, socket: &UdpSocket) -> io::Result<usize> {
+        let (mut sent, mut refused) = (0, false);
+        while sent < self.length {
+            match send_many(socket, &self.parts[sent..self.length]) {
+                Ok(count) => sent += count,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused && !refused => refused = true,
+                Err(error) => {
+                    self.length = 0;
+                    return Err(error);
+                }
+            }
+        }
+        self.length = 0;
+        Ok(sent)
+    }
+}
+
+fn send_many(socket: &UdpSocket, parts: &[(&[u8], &[u8])]) -> io::Result<usize> {
+    let empty = libc::iovec { iov_base: std::ptr::null_mut(), iov_len: 0 };
+    let mut vectors = [[empty; 2]; BATCH];
+    // SAFETY: all-zero is a valid `mmsghdr`: null pointers with zero lengths.
+    let mut messages: [libc::mmsghdr; BATCH] = unsafe { std::mem::zeroed() };
+    for ((pair, message), (header, body)) in vectors.iter_mut().zip(&mut messages).zip(parts) {
+        *pair = [header, body]
+            .map(|part| libc::iovec { iov_base: part.as_ptr().cast_mut().cast(), iov_len: part.len() });
+        message.msg_hdr.msg_iov = pair.as_mut_ptr();
+        message.msg_hdr.msg_iovlen = if body.is_empty() { 1 } else { 2 };
+    }
+    let count = parts.len().min(BATCH) as libc::c_uint;
+    // SAFETY: the first `count` messages point to vectors that point to slices borrowed for this call; the
+    // kernel only reads through them (and writes the message lengths).
+    let sent = unsafe { libc::sendmmsg(socket.as_raw_fd(), messages.as_mut_ptr(), count, 0) };
+    usize::try_from(sent).map_err(|_| io::Error::last_os_error())
+}
+
+/// Addresses on which broadcast discoveries arrive on loopback.
+pub const BROADCASTS: [Ipv4Addr; 2] = [Ipv4Addr::BROADCAST, Ipv4Addr::new(127, 255, 255, 255)];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_batch_arrives_in_order_and_whole() {
+        let receiver = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        receiver.set_read_timeout(Some(Duration::from_secs(5))).expect("a timeout");
+        let sender = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        sender.connect(receiver.local_addr().expect("an address")).expect("a route");
+        let headers: Vec<[u8; 2]> = (0..BATCH as u8).map(|i| [i, 0xff]).collect();
+        let body = [7; 100];
+        let mut batch = Batch::default();
+        for (i, header) in headers.iter().enumerate() {
+            batch.push(header, &body[..i]);
+        }
+        assert!(batch.is_full());
+        assert_eq!(batch.send(&sender).expect("sent"), BATCH);
+        let mut buffer = [0; 200];
+        for (i, header) in headers.iter().enumerate() {
+            let length = receiver.recv(&mut buffer).expect("a datagram");
+            assert_eq!(buffer[..length], [&header[..], &body[..i]].concat());
+        }
+    }
+
+    #[test]
+    fn a_closed_receiver_is_an_error_and_not_a_hang() {
+        let closed = UdpSocket::bind("127.0.0.1:0").expect("a socket").local_addr().expect("an address");
+        let sender = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        sender.connect(closed).expect("a route");
+        for _ in 0..4 {
+            let mut batch = Batch::default();
+            batch.push(&[1], &[2]);
+            batch.push(&[1], &[2]);
+            let _ = batch.send(&sender);
+        }
+    }
+}

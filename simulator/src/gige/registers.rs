@@ -1,0 +1,420 @@
+//! The register map: which registers exist, what they hold, and which values they take.
+//!
+//! Addresses below 0xa000 are the bootstrap registers of GigE Vision 2.x; those from 0x10000 on are the
+//! camera's own features, declared to the world by [`super::genicam`].
+
+use super::clock::{CameraClock, TICK_FREQUENCY};
+use super::gvcp::{DISCOVERY_SIZE, Status};
+use super::gvsp::{IdMode, MONO8};
+use super::map::{Access, Id, Register, find};
+use super::sensor;
+use super::settings::{AcquisitionMode, ExposureMode, Settings, TriggerSource};
+use super::{VENDOR, genicam};
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Where the GenICam XML starts; the URL register says so.
+pub const XML_ADDRESS: u32 = 0x0010_0000;
+/// Limits of the packet size register: IP, UDP and GVSP headers are counted in.
+pub const PACKET_SIZE: std::ops::RangeInclusive<u16> = 576..=65_532;
+/// The packet size must be a multiple of this.
+pub const PACKET_SIZE_STEP: u16 = 4;
+/// Narrowest image.
+pub const WIDTH_MIN: u32 = 16;
+/// Shortest heartbeat timeout, ms.
+const HEARTBEAT_MIN: u32 = 500;
+/// GVCP capability: user-defined name, serial number, PACKETRESEND, WRITEMEM, concatenation.
+const GVCP_CAPABILITY: u32 = 1 << 31 | 1 << 30 | 1 << 2 | 1 << 1 | 1;
+/// GVSP capability: stream source port register, 16-bit block ids.
+const GVSP_CAPABILITY: u32 = 1 << 31 | 1 << 30;
+/// GVSP configuration: 64-bit block ids are on.
+pub const EXTENDED_IDS_BIT: u32 = 1 << 30;
+
+/// What a camera is called and where it answers.
+#[derive(Debug, Clone)]
+pub struct Identity {
+    /// The device's own address.
+    pub address: Ipv4Addr,
+    /// Model name, at most 31 bytes.
+    pub model: String,
+    /// Serial number, at most 15 bytes.
+    pub serial: String,
+    /// Name given by the user, at most 15 bytes.
+    pub user_name: String,
+}
+
+/// What a register write sets off beyond the stored value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Effect {
+    /// Start acquiring with the settings as they stand.
+    Start,
+    /// Stop acquiring.
+    Stop,
+    /// A software trigger.
+    SoftwareTrigger,
+    /// Something changed that a running acquisition follows: destination, packet delay, exposure, rate.
+    Stream,
+    /// Send one test packet.
+    TestPacket,
+    /// The control channel privilege register was written: the caller decides.
+    Privilege(u32),
+}
+
+/// State behind the registers of one camera.
+#[derive(Debug)]
+pub struct Registers {
+    identity: Identity,
+    sensor: (u32, u32),
+    clock: Arc<CameraClock>,
+    xml: Vec<u8>,
+    latched: u64,
+    /// Control channel privilege as others read it.
+    pub privilege: u32,
+    /// The controller is lost after so many silent milliseconds.
+    pub heartbeat_ms: u32,
+    /// Port the stream goes to; 0 closes the stream.
+    pub host_port: u16,
+    /// Address the stream goes to.
+    pub destination: Ipv4Addr,
+    /// Port the stream comes from.
+    pub source_port: u16,
+    /// Size of stream packets, IP and UDP headers counted in.
+    pub packet_size: u16,
+    /// The stream's packets must not be fragmented.
+    pub do_not_fragment: bool,
+    /// Gap between packets, ticks.
+    pub packet_delay: u32,
+    /// Width of block and packet ids.
+    pub ids: IdMode,
+    /// Camera features.
+    pub settings: Settings,
+    /// Triggers ignored since the acquisition started.
+    pub triggers_ignored: u32,
+}
+
+impl Registers {
+    /// Registers after power-on of a camera with a sensor of (columns, rows).
+    pub fn new(identity: Identity, sensor: (u32, u32), clock: Arc<CameraClock>) -> Self {
+        Self {
+            xml: genicam::xml(&identity.model),
+            identity,
+            sensor,
+            clock,
+            latched: 0,
+            privilege: 0,
+            heartbeat_ms: 3000,
+            host_port: 0,
+            destination: Ipv4Addr::UNSPECIFIED,
+            source_port: 0,
+            packet_size: 9000,
+            do_not_fragment: true,
+            packet_delay: 0,
+            ids: IdMode::Standard,
+            settings: Settings::new(sensor.0, sensor.1),
+            triggers_ignored: 0,
+        }
+    }
+
+    /// Where the stream goes, if it is open.
+    pub fn stream_destination(&self) -> Option<SocketAddrV4> {
+        let open = self.host_port != 0 && !self.destination.is_unspecified();
+        open.then(|| SocketAddrV4::new(self.destination, self.host_port))
+    }
+
+    /// The discovery answer: the bootstrap registers from address 0, unused ones as zeros.
+    pub fn discovery(&self) -> [u8; DISCOVERY_SIZE] {
+        let mut bytes = [0; DISCOVERY_SIZE];
+        for (at, word) in (0u32..).step_by(4).zip(bytes.chunks_exact_mut(4)) {
+            if let Some(value) = self.word(at) {
+                word.copy_from_slice(&value);
+            }
+        }
+        bytes
+    }
+
+    /// Reads `count` bytes; both must be multiples of four.
+    ///
+    /// # Errors
+    /// Bad alignment, or an address that holds no register.
+    pub fn read(&self, address: u32, count: u16) -> Result<Vec<u8>, Status> {
+        if !address.is_multiple_of(4) || !count.is_multiple_of(4) {
+            return Err(Status::BadAlignment);
+        }
+        let mut bytes = Vec::with_capacity(usize::from(count));
+        for offset in (0..u32::from(count)).step_by(4) {
+            let at = address.checked_add(offset).ok_or(Status::InvalidAddress)?;
+            bytes.extend(self.word(at).ok_or(Status::InvalidAddress)?);
+        }
+        Ok(bytes)
+    }
+
+    /// Writes the one register that starts at `address` with the beginning of `data`; says how many bytes it
+    /// took and what follows from it. `acquiring` locks what must not change under a running acquisition.
+    ///
+    /// # Errors
+    /// Bad alignment, no register, read-only, locked, or a value out of range: the register keeps its value.
+    pub fn write(
+        &mut self,
+        address: u32,
+        data: &[u8],
+        acquiring: bool,
+        now: Instant,
+    ) -> Result<(usize, Option<Effect>), Status> {
+        if !address.is_multiple_of(4) || !data.len().is_multiple_of(4) {
+            return Err(Status::BadAlignment);
+        }
+        let Some((register, offset)) = find(address) else {
+            let in_xml = self.xml_word(address).is_some();
+            return Err(if in_xml { Status::WriteProtect } else { Status::InvalidAddress });
+        };
+        if register.access == Access::ReadOnly {
+            return Err(Status::WriteProtect);
+        }
+        if register.locked && acquiring {
+            return Err(Status::AccessDenied);
+        }
+        let whole = usize::from(register.length);
+        if register.id == Id::UserName {
+            let length = data.len().min(whole - offset);
+            self.write_user_name(offset, &data[..length])?;
+            return Ok((length, None));
+        }
+        // Half of a 64-bit value would be neither the old nor the new one.
+        if offset != 0 || data.len() < whole {
+            return Err(Status::InvalidAddress);
+        }
+        let effect = match <[u8; 8]>::try_from(&data[..whole]) {
+            Ok(bytes) => self.write_float(register, f64::from_be_bytes(bytes)),
+            Err(_) => {
+                let bytes = <[u8; 4]>::try_from(&data[..whole]).map_err(|_| Status::InvalidParameter)?;
+                self.write_integer(register, u32::from_be_bytes(bytes), now)
+            }
+        }?;
+        Ok((whole, effect))
+    }
+
+    fn write_user_name(&mut self, offset: usize, data: &[u8]) -> Result<(), Status> {
+        let mut bytes = text::<16>(&self.identity.user_name);
+        bytes[offset..offset + data.len()].copy_from_slice(data);
+        let end = bytes.iter().position(|b| *b == 0).unwrap_or(15).min(15);
+        let name = std::str::from_utf8(&bytes[..end]).map_err(|_| Status::InvalidParameter)?;
+        name.clone_into(&mut self.identity.user_name);
+        Ok(())
+    }
+
+    fn write_float(&mut self, register: &Register, value: f64) -> Result<Option<Effect>, Status> {
+        let set = match register.id {
+            Id::ExposureTime => self.settings.set_exposure_us(value),
+            Id::FrameRate => self.settings.set_frame_rate(value),
+            Id::Gain => self.settings.set_gain_db(value),
+            _ => return Err(Status::WriteProtect),
+        };
+        set.then_some(Some(Effect::Stream)).ok_or(Status::InvalidParameter)
+    }
+
+    fn write_integer(
+        &mut self,
+        register: &Register,
+        value: u32,
+        now: Instant,
+    ) -> Result<Option<Effect>, Status> {
+        let accept = |valid: bool| if valid { Ok(()) } else { Err(Status::InvalidParameter) };
+        let settings = &mut self.settings;
+        let mut effect = None;
+        match register.id {
+            Id::Heartbeat => {
+                accept(value >= HEARTBEAT_MIN)?;
+                self.heartbeat_ms = value;
+            }
+            Id::TimestampControl => {
+                if value & 1 != 0 {
+                    self.clock.reset(now);
+                }
+                if value & 2 != 0 {
+                    self.latched = self.clock.at(now);
+                }
+            }
+            Id::Privilege => effect = Some(Effect::Privilege(value)),
+            Id::HostPort => {
+                // Bit 31 would make this a receiver; the interface index has one value.
+                accept(value <= 0xffff)?;
+                self.host_port = (value & 0xffff) as u16;
+                effect = Some(Effect::Stream);
+            }
+            Id::PacketSize => {
+                let size = (value & 0xffff) as u16;
+                accept(PACKET_SIZE.contains(&size) && size.is_multiple_of(PACKET_SIZE_STEP))?;
+                // Mono8 has no byte order: the big-endian bit is accepted and has nothing to change.
+                self.packet_size = size;
+                self.do_not_fragment = value & 1 << 30 != 0;
+                effect = (value & 1 << 31 != 0).then_some(Effect::TestPacket);
+            }
+            Id::PacketDelay => {
+                self.packet_delay = value;
+                effect = Some(Effect::Stream);
+            }
+            Id::Destination => {
+                self.destination = Ipv4Addr::from_bits(value);
+                effect = Some(Effect::Stream);
+            }
+            Id::GvspConfiguration => {
+                accept(value & !EXTENDED_IDS_BIT == 0)?;
+                self.ids = if value == 0 { IdMode::Standard } else { IdMode::Extended };
+            }
+            Id::StreamConfiguration | Id::OffsetX | Id::OffsetY => accept(value == 0)?,
+            Id::Width => {
+                accept((WIDTH_MIN..=self.sensor.0).contains(&value))?;
+                settings.width = value;
+            }
+            Id::Height => {
+                accept((1..=self.sensor.1).contains(&value))?;
+                settings.height = value;
+            }
+            Id::PixelFormat => accept(value == MONO8)?,
+            Id::ExposureAuto | Id::TriggerSelector | Id::TriggerActivation => accept(value == 0)?,
+            Id::AcquisitionMode => {
+                settings.mode = AcquisitionMode::from_code(value).ok_or(Status::InvalidParameter)?;
+            }
+            Id::FrameCount => {
+                accept((1..=0xffff).contains(&value))?;
+                settings.frame_count = value;
+            }
+            Id::FrameRateEnable => {
+                accept(value <= 1)?;
+                settings.frame_rate_enabled = value == 1;
+                effect = Some(Effect::Stream);
+            }
+            Id::ExposureMode => {
+                settings.exposure_mode = ExposureMode::from_code(value).ok_or(Status::InvalidParameter)?;
+            }
+            Id::TriggerMode => {
+                accept(value <= 1)?;
+                settings.triggered = value == 1;
+            }
+            Id::TriggerSource => {
+                settings.source = TriggerSource::from_code(value).ok_or(Status::InvalidParameter)?;
+            }
+            Id::AcquisitionStart => effect = command(value, Effect::Start)?,
+            Id::AcquisitionStop => effect = command(value, Effect::Stop)?,
+            Id::TriggerSoftware => {
+                if !settings.triggered || settings.source != TriggerSource::Software {
+                    return Err(Status::AccessDenied);
+                }
+                effect = command(value, Effect::SoftwareTrigger)?;
+            }
+            _ => return Err(Status::WriteProtect),
+        }
+        Ok(effect)
+    }
+
+    fn xml_word(&self, address: u32) -> Option<[u8; 4]> {
+        let at = usize::try_from(address.checked_sub(XML_ADDRESS)?).ok()?;
+        self.xml.get(at..at.checked_add(4)?)?.try_into().ok()
+    }
+
+    /// The four bytes at an aligned address.
+    fn word(&self, address: u32) -> Option<[u8; 4]> {
+        let Some((register, offset)) = find(address) else { return self.xml_word(address) };
+        match register.length {
+            4 => Some(self.integer(register.id).to_be_bytes()),
+            8 => self.float(register.id).to_be_bytes().get(offset..offset + 4)?.try_into().ok(),
+            _ => {
+                let text = self.text(register.id);
+                let mut word = [0; 4];
+                for (i, byte) in word.iter_mut().enumerate() {
+                    // The last byte stays a terminator.
+                    let at = offset + i;
+                    if at + 1 < usize::from(register.length) {
+                        *byte = text.as_bytes().get(at).copied().unwrap_or(0);
+                    }
+                }
+                Some(word)
+            }
+        }
+    }
+
+    fn text(&self, id: Id) -> String {
+        match id {
+            Id::Manufacturer => VENDOR.to_owned(),
+            Id::Model => self.identity.model.clone(),
+            Id::DeviceVersion => env!("CARGO_PKG_VERSION").to_owned(),
+            Id::ManufacturerInfo => "simulated camera".to_owned(),
+            Id::Serial => self.identity.serial.clone(),
+            Id::UserName => self.identity.user_name.clone(),
+            Id::XmlUrl => format!("Local:fourdbody-sim.xml;{XML_ADDRESS:x};{:x}", self.xml.len()),
+            _ => String::new(),
+        }
+    }
+
+    fn float(&self, id: Id) -> f64 {
+        match id {
+            Id::ExposureTime => self.settings.exposure_us(),
+            Id::FrameRate => self.settings.frame_rate(),
+            Id::FrameRateMax => {
+                let period = sensor::shortest_period(self.settings.exposure(), self.settings.height);
+                1.0 / period.as_secs_f64()
+            }
+            Id::Gain => self.settings.gain_db(),
+            _ => 0.0,
+        }
+    }
+
+    fn integer(&self, id: Id) -> u32 {
+        let settings = &self.settings;
+        // A locally administered MAC that holds the address: unique on this host.
+        let mac = 0x0200_0000_0000_u64 | u64::from(self.identity.address.to_bits());
+        match id {
+            Id::Version => 2 << 16,
+            // Big-endian, transmitter, UTF-8.
+            Id::DeviceMode => 1 << 31 | 1,
+            Id::MacHigh => (mac >> 32) as u32,
+            Id::MacLow => (mac & 0xffff_ffff) as u32,
+            // Its address is given: what the standard calls a persistent IP.
+            Id::IpOptions | Id::IpConfiguration | Id::NetworkInterfaces | Id::StreamChannels => 1,
+            Id::IpAddress | Id::PersistentAddress => self.identity.address.to_bits(),
+            Id::SubnetMask | Id::PersistentMask => 0xff00_0000,
+            Id::GvspCapability => GVSP_CAPABILITY,
+            Id::GvcpCapability => GVCP_CAPABILITY,
+            Id::Heartbeat => self.heartbeat_ms,
+            Id::TickFrequencyHigh => (TICK_FREQUENCY >> 32) as u32,
+            Id::TickFrequencyLow => (TICK_FREQUENCY & 0xffff_ffff) as u32,
+            Id::TimestampHigh => (self.latched >> 32) as u32,
+            Id::TimestampLow => (self.latched & 0xffff_ffff) as u32,
+            Id::GvspConfiguration if self.ids == IdMode::Extended => EXTENDED_IDS_BIT,
+            Id::Privilege => self.privilege,
+            Id::HostPort => u32::from(self.host_port),
+            Id::PacketSize => u32::from(self.do_not_fragment) << 30 | u32::from(self.packet_size),
+            Id::PacketDelay => self.packet_delay,
+            Id::Destination => self.destination.to_bits(),
+            Id::SourcePort => u32::from(self.source_port),
+            Id::SensorWidth => self.sensor.0,
+            Id::SensorHeight => self.sensor.1,
+            Id::Width => settings.width,
+            Id::Height => settings.height,
+            Id::PixelFormat => MONO8,
+            Id::PayloadSize => settings.width.saturating_mul(settings.height),
+            Id::AcquisitionMode => settings.mode as u32,
+            Id::FrameCount => settings.frame_count,
+            Id::FrameRateEnable => u32::from(settings.frame_rate_enabled),
+            Id::ExposureMode => settings.exposure_mode as u32,
+            Id::TriggerMode => u32::from(settings.triggered),
+            Id::TriggerSource => settings.source as u32,
+            Id::TriggersIgnored => self.triggers_ignored,
+            _ => 0,
+        }
+    }
+}
+
+fn command(value: u32, effect: Effect) -> Result<Option<Effect>, Status> {
+    if value == 1 { Ok(Some(effect)) } else { Err(Status::InvalidParameter) }
+}
+
+/// Text in a fixed field, cut to leave a terminator.
+fn text<const N: usize>(text: &str) -> [u8; N] {
+    let mut bytes = [0; N];
+    for (to, from) in bytes[..N - 1].iter_mut().zip(text.bytes()) {
+        *to = from;
+    }
+    bytes
+}

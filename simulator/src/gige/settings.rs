@@ -1,0 +1,169 @@
+//! Camera features that a client sets: their values, limits and defaults.
+
+use super::sensor;
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+/// Limits of the exposure time, microseconds.
+pub const EXPOSURE_US: RangeInclusive<f64> = 10.0..=1_000_000.0;
+/// Lowest frame rate, Hz; the highest follows from exposure and readout.
+pub const FRAME_RATE_MIN: f64 = 0.1;
+/// Limits of the gain, dB.
+pub const GAIN_DB: RangeInclusive<f64> = 0.0..=24.0;
+
+macro_rules! coded {
+    ($(#[$doc:meta])* $name:ident { $($(#[$entry_doc:meta])* $entry:ident = $code:literal),* $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        #[repr(u32)]
+        pub enum $name { $($(#[$entry_doc])* $entry = $code),* }
+
+        impl $name {
+            /// Entries as GenICam names them, with their register values.
+            pub const ENTRIES: &[(&str, u32)] = &[$((stringify!($entry), $code)),*];
+
+            /// The entry with this register value.
+            pub fn from_code(code: u32) -> Option<Self> {
+                match code { $($code => Some(Self::$entry),)* _ => None }
+            }
+        }
+    };
+}
+
+coded! {
+    /// How many frames an acquisition has.
+    AcquisitionMode {
+        /// Until stopped.
+        Continuous = 0,
+        /// One.
+        SingleFrame = 1,
+        /// `AcquisitionFrameCount`.
+        MultiFrame = 2,
+    }
+}
+
+coded! {
+    /// What ends an exposure.
+    ExposureMode {
+        /// The exposure time.
+        Timed = 0,
+        /// The end of the trigger pulse.
+        TriggerWidth = 1,
+    }
+}
+
+coded! {
+    /// What starts an exposure while the trigger mode is on.
+    TriggerSource {
+        /// The trigger input.
+        Line0 = 0,
+        /// The command `TriggerSoftware`.
+        Software = 1,
+    }
+}
+
+/// Values of the camera's features.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// Columns sent.
+    pub width: u32,
+    /// Rows sent.
+    pub height: u32,
+    /// Frames per acquisition.
+    pub mode: AcquisitionMode,
+    /// Frames of a multi-frame acquisition.
+    pub frame_count: u32,
+    /// The frame rate governs free running; otherwise the camera runs as fast as it can.
+    pub frame_rate_enabled: bool,
+    /// What ends an exposure.
+    pub exposure_mode: ExposureMode,
+    /// Exposures start on triggers, not by themselves.
+    pub triggered: bool,
+    /// Which triggers.
+    pub source: TriggerSource,
+    frame_rate: f64,
+    exposure_us: f64,
+    gain_db: f64,
+}
+
+impl Settings {
+    /// Power-on values: whole sensor, free running, 30 Hz, 1 ms.
+    pub fn new(width: u32, height: u32) -> Self {
+        Self {
+            width,
+            height,
+            mode: AcquisitionMode::Continuous,
+            frame_count: 1,
+            frame_rate_enabled: true,
+            exposure_mode: ExposureMode::Timed,
+            triggered: false,
+            source: TriggerSource::Line0,
+            frame_rate: 30.0,
+            exposure_us: 1000.0,
+            gain_db: 0.0,
+        }
+    }
+
+    /// Exposure time, microseconds.
+    pub fn exposure_us(&self) -> f64 {
+        self.exposure_us
+    }
+
+    /// Exposure time.
+    pub fn exposure(&self) -> Duration {
+        Duration::from_nanos((self.exposure_us * 1000.0).round() as u64)
+    }
+
+    /// Free-running frame rate, Hz.
+    pub fn frame_rate(&self) -> f64 {
+        self.frame_rate
+    }
+
+    /// Gain, dB. Stored and read back; the simulated light is not amplified.
+    pub fn gain_db(&self) -> f64 {
+        self.gain_db
+    }
+
+    /// Sets the exposure time where it is within limits; says whether it was.
+    pub fn set_exposure_us(&mut self, value: f64) -> bool {
+        set(&mut self.exposure_us, value, EXPOSURE_US)
+    }
+
+    /// Sets the free-running rate where exposure and readout allow it; says whether they do.
+    pub fn set_frame_rate(&mut self, value: f64) -> bool {
+        let fastest = 1.0 / sensor::shortest_period(self.exposure(), self.height).as_secs_f64();
+        set(&mut self.frame_rate, value, FRAME_RATE_MIN..=fastest)
+    }
+
+    /// Sets the gain where it is within limits; says whether it was.
+    pub fn set_gain_db(&mut self, value: f64) -> bool {
+        set(&mut self.gain_db, value, GAIN_DB)
+    }
+
+    /// Time between the starts of two free-running exposures.
+    pub fn free_run_period(&self) -> Duration {
+        let shortest = sensor::shortest_period(self.exposure(), self.height);
+        if self.frame_rate_enabled {
+            shortest.max(Duration::from_secs_f64(1.0 / self.frame_rate))
+        } else {
+            shortest
+        }
+    }
+
+    /// Frames after which an acquisition ends by itself.
+    pub fn frame_limit(&self) -> Option<u64> {
+        match self.mode {
+            AcquisitionMode::Continuous => None,
+            AcquisitionMode::SingleFrame => Some(1),
+            AcquisitionMode::MultiFrame => Some(u64::from(self.frame_count)),
+        }
+    }
+}
+
+fn set(place: &mut f64, value: f64, limits: RangeInclusive<f64>) -> bool {
+    let valid = limits.contains(&value);
+    if valid {
+        *place = value;
+    }
+    valid
+}

@@ -1,0 +1,256 @@
+//! The streaming thread of one camera: triggers and the free-running clock become exposures, exposures
+//! become frames on the wire.
+
+use super::Statistics;
+use super::clock::CameraClock;
+use super::control::StreamSettings;
+use super::net;
+use super::sensor::{Exposure, Sensor};
+use super::settings::{ExposureMode, TriggerSource};
+use super::transmit::{Frame, History, Transmitter};
+use crate::wire::TriggerEdge;
+use crossbeam_channel::{Receiver, never, select};
+use std::collections::VecDeque;
+use std::net::UdpSocket;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed, Ordering::SeqCst};
+use std::time::{Duration, Instant};
+
+/// What the control thread tells the streaming thread.
+#[derive(Debug)]
+pub enum Order {
+    /// Start acquisition number `.0` (from 1 on).
+    Start(u64, StreamSettings),
+    /// Follow these settings.
+    Update(StreamSettings),
+    /// Stop acquiring.
+    Stop,
+    /// A software trigger at this time.
+    SoftwareTrigger(Instant),
+    /// End the thread.
+    Quit,
+}
+
+/// Longest sleep of an idle streaming thread.
+const IDLE: Duration = Duration::from_secs(1);
+
+struct Acquisition {
+    number: u64,
+    started: Instant,
+    stream: StreamSettings,
+    sensor: Sensor,
+    /// Exposures that are not sent yet, with the light they see.
+    exposures: VecDeque<(Exposure, i64)>,
+    next_block_id: u64,
+    /// Instant of the simulated world for exposures that no wire triggers.
+    next_instant: i64,
+    /// Start of the next free-running exposure.
+    next_free_run: Option<Instant>,
+    frames_left: Option<u64>,
+}
+
+/// State of the streaming thread.
+pub struct Streamer {
+    /// Orders from the control thread.
+    pub orders: Receiver<Order>,
+    /// The trigger input.
+    pub triggers: Receiver<TriggerEdge>,
+    /// The camera's clock.
+    pub clock: Arc<CameraClock>,
+    /// Where frames go out.
+    pub transmitter: Transmitter,
+    /// The stream's socket.
+    pub socket: Arc<UdpSocket>,
+    /// Frames kept for resend.
+    pub history: Arc<History>,
+    /// Counters.
+    pub statistics: Arc<Statistics>,
+    /// Number of the running acquisition, 0 where none runs.
+    pub running: Arc<AtomicU64>,
+    /// Block id of the first frame of each acquisition.
+    pub first_block_id: u64,
+}
+
+impl Streamer {
+    /// Runs until told to quit, or until nobody is left to tell.
+    pub fn run(mut self) {
+        let mut acquisition: Option<Acquisition> = None;
+        let mut connected = None;
+        loop {
+            let wait = acquisition.as_mut().map_or(IDLE, |a| a.next_deadline());
+            let triggers = &self.triggers;
+            let order = select! {
+                recv(self.orders) -> order => Some(order.unwrap_or(Order::Quit)),
+                recv(triggers) -> edge => match edge {
+                    Ok(edge) => {
+                        // An order that was given before this edge must take effect before it.
+                        while let Ok(order) = self.orders.try_recv() {
+                            if !self.obey(order, &mut acquisition, &mut connected) {
+                                return;
+                            }
+                        }
+                        self.on_edge(acquisition.as_mut(), edge);
+                        None
+                    }
+                    // Nobody holds the other end of the wire any more.
+                    Err(_) => { self.triggers = never(); None }
+                },
+                default(wait) => None,
+            };
+            if order.is_some_and(|order| !self.obey(order, &mut acquisition, &mut connected)) {
+                return;
+            }
+            if let Some(running) = &mut acquisition {
+                self.advance(running);
+                if running.frames_left == Some(0) {
+                    let _ = self.running.compare_exchange(running.number, 0, SeqCst, SeqCst);
+                    acquisition = None;
+                }
+            }
+        }
+    }
+
+    /// Obeys one order; false to quit.
+    fn obey(
+        &mut self,
+        order: Order,
+        acquisition: &mut Option<Acquisition>,
+        connected: &mut Option<std::net::SocketAddrV4>,
+    ) -> bool {
+        match order {
+            Order::Start(number, stream) => {
+                self.history.clear();
+                self.statistics.triggers_ignored_now.store(0, Relaxed);
+                self.connect(&stream, connected);
+                *acquisition = Some(Acquisition::new(number, stream, self.first_block_id));
+            }
+            Order::Update(stream) => {
+                self.connect(&stream, connected);
+                if let Some(running) = acquisition {
+                    running.stream = stream;
+                }
+            }
+            Order::Stop => *acquisition = None,
+            Order::SoftwareTrigger(time) => {
+                if let Some(running) = acquisition {
+                    let instant = running.take_instant();
+                    let exposure = running.stream.settings.exposure();
+                    self.trigger(running, time, exposure, instant);
+                }
+            }
+            Order::Quit => return false,
+        }
+        true
+    }
+
+    /// A connected socket saves the kernel a route look-up per packet.
+    fn connect(&self, stream: &StreamSettings, connected: &mut Option<std::net::SocketAddrV4>) {
+        if let Some(destination) = stream.destination.filter(|d| *connected != Some(*d)) {
+            match self.socket.connect(destination) {
+                Ok(()) => *connected = Some(destination),
+                Err(error) => tracing::warn!(%destination, %error, "no route to the stream's destination"),
+            }
+        }
+        if let Err(error) = net::set_do_not_fragment(&self.socket, stream.do_not_fragment) {
+            tracing::warn!(%error, "cannot set the don't-fragment option of the stream");
+        }
+    }
+
+    fn on_edge(&self, acquisition: Option<&mut Acquisition>, edge: TriggerEdge) {
+        let listening = acquisition.filter(|a| {
+            let settings = &a.stream.settings;
+            settings.triggered && settings.source == TriggerSource::Line0 && edge.time >= a.started
+        });
+        let Some(running) = listening else {
+            self.statistics.edges_unheard.fetch_add(1, Relaxed);
+            return;
+        };
+        let exposure = match running.stream.settings.exposure_mode {
+            ExposureMode::Timed => running.stream.settings.exposure(),
+            ExposureMode::TriggerWidth => Duration::from_nanos(edge.width_ns),
+        };
+        self.trigger(running, edge.time, exposure, edge.instant);
+    }
+
+    fn trigger(&self, running: &mut Acquisition, time: Instant, exposure: Duration, instant: i64) {
+        let rows = running.stream.layout.height;
+        match running.sensor.trigger(time, exposure, rows) {
+            Some(exposure) => running.exposures.push_back((exposure, instant)),
+            None => {
+                self.statistics.triggers_ignored.fetch_add(1, Relaxed);
+                self.statistics.triggers_ignored_now.fetch_add(1, Relaxed);
+            }
+        }
+    }
+
+    /// Starts free-running exposures that are due, and sends at most one frame whose exposure has ended.
+    fn advance(&mut self, running: &mut Acquisition) {
+        let now = Instant::now();
+        running.free_run(now);
+        let due = running.exposures.front().is_some_and(|(exposure, _)| exposure.end <= now);
+        if !due {
+            return;
+        }
+        let Some((exposure, instant)) = running.exposures.pop_front() else { return };
+        let frame = Frame {
+            block_id: running.next_block_id,
+            timestamp: self.clock.at(exposure.start),
+            instant,
+            layout: running.stream.layout,
+        };
+        running.next_block_id = frame.layout.ids.next_block_id(frame.block_id);
+        running.frames_left = running.frames_left.map(|left| left.saturating_sub(1));
+        let lag = now.saturating_duration_since(exposure.end).as_nanos();
+        self.statistics.worst_lag_ns.fetch_max(u64::try_from(lag).unwrap_or(u64::MAX), Relaxed);
+        if running.stream.destination.is_some() {
+            self.transmitter.send(&frame, running.stream.packet_delay);
+        }
+    }
+}
+
+impl Acquisition {
+    fn new(number: u64, stream: StreamSettings, first_block_id: u64) -> Self {
+        let started = Instant::now();
+        Self {
+            number,
+            started,
+            sensor: Sensor::default(),
+            exposures: VecDeque::new(),
+            next_block_id: first_block_id,
+            next_instant: 0,
+            next_free_run: (!stream.settings.triggered).then_some(started),
+            frames_left: stream.settings.frame_limit(),
+            stream,
+        }
+    }
+
+    fn take_instant(&mut self) -> i64 {
+        let instant = self.next_instant;
+        self.next_instant = instant.wrapping_add(1);
+        instant
+    }
+
+    fn free_run(&mut self, now: Instant) {
+        let Some(start) = self.next_free_run.filter(|start| *start <= now && self.exposures.is_empty())
+        else {
+            return;
+        };
+        let settings = &self.stream.settings;
+        let (exposure, period) = (settings.exposure(), settings.free_run_period());
+        // A host that fell behind by more than a period does not catch up by a burst.
+        let start = if now.saturating_duration_since(start) > period { now } else { start };
+        self.next_free_run = Some(start + period);
+        let instant = self.take_instant();
+        let exposure = Exposure { start, end: start + exposure };
+        self.exposures.push_back((exposure, instant));
+    }
+
+    /// How long the thread may sleep.
+    fn next_deadline(&mut self) -> Duration {
+        let next = match self.exposures.front() {
+            Some((exposure, _)) => Some(exposure.end),
+            None => self.next_free_run,
+        };
+        next.map_or(IDLE, |at| at.saturating_duration_since(Instant::now()).min(IDLE))
+    }
+}

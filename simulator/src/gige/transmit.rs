@@ -1,0 +1,221 @@
+//! Frames to packets to the socket, and packets sent again from the frames kept.
+
+use super::gvcp::ResendRequest;
+use super::gvsp::{self, Layout, PayloadHeaders, Status};
+use super::net::Batch;
+use super::{PacketFilter, Statistics};
+use crate::images::ImageSource;
+use std::collections::VecDeque;
+use std::net::UdpSocket;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// One image as it was or will be sent; its pixels stay with the image source.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    /// GVSP block id.
+    pub block_id: u64,
+    /// Camera clock at the start of the exposure, ns.
+    pub timestamp: u64,
+    /// Which light fell on the sensor.
+    pub instant: i64,
+    /// How it is cut into packets.
+    pub layout: Layout,
+}
+
+/// The image bytes `range` of the top-left crop of `layout`'s size, appended to `bytes`.
+fn crop(
+    source: &dyn ImageSource,
+    instant: i64,
+    layout: &Layout,
+    range: std::ops::Range<usize>,
+    bytes: &mut Vec<u8>,
+) {
+    let pixels = source.pixels(instant);
+    let (stride, width) = (source.size().0, layout.width as usize);
+    if stride == width {
+        bytes.extend_from_slice(pixels.get(range).unwrap_or(&[]));
+        return;
+    }
+    let mut at = range.start;
+    while at < range.end {
+        let (row, column) = (at / width, at % width);
+        let length = (width - column).min(range.end - at);
+        let start = row * stride + column;
+        bytes.extend_from_slice(pixels.get(start..start + length).unwrap_or(&[]));
+        at += length;
+    }
+}
+
+/// The last frames sent, for resend requests. No pixels are kept: the source still has them.
+#[derive(Debug)]
+pub struct History {
+    frames: Mutex<VecDeque<Frame>>,
+    capacity: usize,
+}
+
+impl History {
+    /// Room for so many frames.
+    pub fn new(capacity: usize) -> Self {
+        Self { frames: Mutex::new(VecDeque::with_capacity(capacity + 1)), capacity }
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, VecDeque<Frame>> {
+        self.frames.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn push(&self, frame: Frame) {
+        let mut frames = self.lock();
+        frames.push_back(frame);
+        while frames.len() > self.capacity {
+            frames.pop_front();
+        }
+    }
+
+    /// Forgets everything: a new acquisition starts its block ids anew.
+    pub fn clear(&self) {
+        self.lock().clear();
+    }
+
+    fn find(&self, block_id: u64) -> Option<Frame> {
+        self.lock().iter().rev().find(|f| f.block_id == block_id).copied()
+    }
+}
+
+/// Answers a resend request on the stream's socket.
+pub fn resend(
+    request: &ResendRequest,
+    history: &History,
+    source: &dyn ImageSource,
+    socket: &UdpSocket,
+    statistics: &Statistics,
+) {
+    use super::gvsp::IdMode;
+    let ids = if request.extended { IdMode::Extended } else { IdMode::Standard };
+    let frame = history.find(request.block_id).filter(|f| f.layout.ids == ids);
+    let valid = |frame: &Frame| request.first <= request.last && request.first <= frame.layout.trailer_id();
+    let Some(frame) = frame.filter(valid) else {
+        let _ = socket.send(&gvsp::unavailable(ids, request.block_id, request.first));
+        statistics.resends_unavailable.fetch_add(1, Relaxed);
+        return;
+    };
+    let mut pixels = Vec::with_capacity(frame.layout.chunk);
+    for id in request.first..=request.last.min(frame.layout.trailer_id()) {
+        let packet = if id == 0 {
+            gvsp::leader(&frame.layout, Status::Resent, frame.block_id, frame.timestamp)
+        } else if id == frame.layout.trailer_id() {
+            gvsp::trailer(&frame.layout, Status::Resent, frame.block_id)
+        } else {
+            pixels.clear();
+            crop(source, frame.instant, &frame.layout, frame.layout.range(id), &mut pixels);
+            gvsp::resent_payload(&frame.layout, frame.block_id, id, &pixels)
+        };
+        match socket.send(&packet) {
+            Ok(_) => statistics.packets_resent.fetch_add(1, Relaxed),
+            Err(_) => statistics.send_errors.fetch_add(1, Relaxed),
+        };
+    }
+}
+
+/// Sends whole frames: headers are built once per layout, pixels go out from where they lie.
+pub struct Transmitter {
+    source: Arc<dyn ImageSource>,
+    socket: Arc<UdpSocket>,
+    history: Arc<History>,
+    statistics: Arc<Statistics>,
+    lose: Option<PacketFilter>,
+    headers: Option<(Layout, PayloadHeaders)>,
+    cropped: Vec<u8>,
+}
+
+impl Transmitter {
+    /// A transmitter on a socket that is connected before frames are sent.
+    pub fn new(
+        source: Arc<dyn ImageSource>,
+        socket: Arc<UdpSocket>,
+        history: Arc<History>,
+        statistics: Arc<Statistics>,
+        lose: Option<PacketFilter>,
+    ) -> Self {
+        Self { source, socket, history, statistics, lose, headers: None, cropped: Vec::new() }
+    }
+
+    /// Sends one frame, `delay` between its packets (0: as fast as possible).
+    pub fn send(&mut self, frame: &Frame, delay: Duration) {
+        self.history.push(*frame);
+        let layout = &frame.layout;
+        if self.headers.as_ref().is_none_or(|(built, _)| built != layout) {
+            self.headers = Some((*layout, PayloadHeaders::new(layout)));
+        }
+        let Some((_, headers)) = &mut self.headers else { return };
+        headers.stamp(frame.block_id);
+        let pixels = if self.source.size().0 == layout.width as usize {
+            self.source.pixels(frame.instant).get(..layout.image_bytes()).unwrap_or(&[])
+        } else {
+            self.cropped.clear();
+            crop(&*self.source, frame.instant, layout, 0..layout.image_bytes(), &mut self.cropped);
+            &self.cropped
+        };
+        let leader = gvsp::leader(layout, Status::Ok, frame.block_id, frame.timestamp);
+        let trailer = gvsp::trailer(layout, Status::Ok, frame.block_id);
+        let packet = |id: u32| -> (&[u8], &[u8]) {
+            if id == 0 {
+                (&leader, &[])
+            } else if id == layout.trailer_id() {
+                (&trailer, &[])
+            } else {
+                (headers.get(id), pixels.get(layout.range(id)).unwrap_or(&[]))
+            }
+        };
+        let mut pacer = Pacer { start: Instant::now(), delay };
+        let (mut batch, mut sent) = (Batch::default(), 0);
+        for id in 0..=layout.trailer_id() {
+            if batch.is_full() || pacer.must_wait(id) {
+                match batch.send(&self.socket) {
+                    Ok(count) => sent += count,
+                    Err(_) => {
+                        self.statistics.send_errors.fetch_add(1, Relaxed);
+                        return;
+                    }
+                }
+                pacer.wait_for(id);
+            }
+            if self.lose.as_ref().is_none_or(|lose| !lose(frame.block_id, id)) {
+                let (header, body) = packet(id);
+                batch.push(header, body);
+            }
+        }
+        match batch.send(&self.socket) {
+            Ok(count) => {
+                self.statistics.packets_sent.fetch_add((sent + count) as u64, Relaxed);
+                self.statistics.frames_sent.fetch_add(1, Relaxed);
+            }
+            Err(_) => {
+                self.statistics.send_errors.fetch_add(1, Relaxed);
+            }
+        }
+    }
+}
+
+/// Keeps the mean distance between packets; what a sleep overshoots is caught up by a short burst.
+struct Pacer {
+    start: Instant,
+    delay: Duration,
+}
+
+impl Pacer {
+    fn due(&self, packet: u32) -> Instant {
+        self.start + self.delay.saturating_mul(packet)
+    }
+
+    fn must_wait(&self, packet: u32) -> bool {
+        !self.delay.is_zero() && Instant::now() < self.due(packet)
+    }
+
+    fn wait_for(&mut self, packet: u32) {
+        if !self.delay.is_zero() {
+            std::thread::sleep(self.due(packet).saturating_duration_since(Instant::now()));
+        }
+    }
+}
