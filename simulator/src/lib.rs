@@ -2,5 +2,6 @@
 //!
 //! Knows the product's library (rig, geometry, pattern, calibration file); the product never knows it.
 
+pub mod hsu;
 pub mod images;
 pub mod wire;
