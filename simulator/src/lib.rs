@@ -3,5 +3,6 @@
 //! Knows the product's library (rig, geometry, pattern, calibration file); the product never knows it.
 
 pub mod gige;
+pub mod hsu;
 pub mod images;
 pub mod wire;

@@ -1,1 +1,19 @@
 //! The serial link to the hardware synchronization unit.
+//!
+//! [`Hsu`] is the unit as this node sees it: blocking commands, each answered or refused, and a stream of
+//! [`HsuEvent`]s. Below it, [`link`] does framing, request ids, timeouts and retries over any byte stream,
+//! and `order` puts the trigger telemetry back into a gapless sequence. The wire contract is the crate
+//! `hsu-firmware-proto`; `docs/design/hsu-protocol.md` says why it is as it is.
+
+mod error;
+pub mod link;
+mod order;
+mod timing;
+mod unit;
+
+pub use error::HsuError;
+pub use hsu_firmware_proto::{
+    EndReason, Fault, Identity, LinkId, Refusal, SessionId, State, Status, TriggerFlags, TriggerRecord,
+};
+pub use timing::{ArmRequest, HsuTiming, session_id, trigger_index};
+pub use unit::{ClockSample, Hsu, HsuEvent, HsuTimeouts, LinkLoss};

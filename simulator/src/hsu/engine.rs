@@ -1,0 +1,170 @@
+//! The simulated unit's main loop: what the firmware does with timers and interrupts, on one thread.
+
+use super::line::Line;
+use super::{Control, HsuOptions, RunningClock};
+use crate::wire::TriggerEdge;
+use crossbeam_channel::{Sender, TrySendError};
+use hsu_firmware_proto::frame::{self, Decoder};
+use hsu_firmware_proto::{
+    HeadTiming, Identity, LinkId, MAX_MESSAGE, State, Sync, TriggerFlags, TriggerRecord, Unit, UnitOutputs,
+    UnitToHost,
+};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// Sleeping is only accurate to about this; the rest of the way to a trigger is spun.
+const SPIN: Duration = Duration::from_micros(100);
+/// Longest sleep: how soon the switches in [`Control`] are seen.
+const NAP: Duration = Duration::from_millis(10);
+
+pub(super) struct Engine {
+    identity: Identity,
+    unit: Unit,
+    decoders: Vec<Decoder>,
+    world: World,
+    /// The projectors' own frame clock, for [`Sync::ProjectorFrame`].
+    next_frame_ns: u64,
+}
+
+/// What the unit acts on.
+struct World {
+    clock: RunningClock,
+    lines: Vec<Line>,
+    cameras: Vec<(usize, Sender<TriggerEdge>)>,
+    /// Edges that have not risen yet, by camera, in order of time.
+    edges: Vec<(usize, TriggerEdge)>,
+    control: Arc<Control>,
+}
+
+impl UnitOutputs for World {
+    fn send(&mut self, link: LinkId, message: &UnitToHost) -> bool {
+        let Some(line) = self.lines.get_mut(link.index()) else { return false };
+        let mut bytes = [0; MAX_MESSAGE];
+        let length = message.encode(&mut bytes);
+        let mut framed = [0; frame::MAX_FRAME];
+        let length = frame::encode(&bytes[..length], &mut framed);
+        line.queue(&framed[..length])
+    }
+
+    fn fire(&mut self, trigger: &TriggerRecord, heads: &[HeadTiming]) {
+        self.control.fired.fetch_add(1, Ordering::Relaxed);
+        let late = u64::from(trigger.flags.contains(TriggerFlags::LATE));
+        self.control.late.fetch_add(late, Ordering::Relaxed);
+        for (camera, (head, _)) in self.cameras.iter().enumerate() {
+            // A camera on a head that is not configured hangs on a dead wire.
+            let Some(timing) = heads.get(*head) else { continue };
+            let time = self.clock.instant(trigger.time_ns.saturating_add(timing.delay_ns));
+            let edge = TriggerEdge { instant: trigger.number, time, width_ns: timing.exposure_ns };
+            self.edges.push((camera, edge));
+        }
+        self.edges.sort_by_key(|(_, edge)| edge.time);
+    }
+}
+
+impl World {
+    fn raise_edges(&mut self, now: Instant) {
+        let due = self.edges.partition_point(|(_, edge)| edge.time <= now);
+        for (camera, edge) in self.edges.drain(..due) {
+            // Copper does not wait. A camera that is gone is an open end.
+            if let Err(TrySendError::Full(_)) = self.cameras[camera].1.try_send(edge) {
+                self.control.lost_edges.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+impl Engine {
+    pub(super) fn new(options: HsuOptions, lines: Vec<Line>, control: Arc<Control>) -> Self {
+        let clock = RunningClock { origin: Instant::now(), clock: options.clock };
+        Self {
+            identity: options.identity,
+            unit: Unit::new(options.identity),
+            decoders: vec![Decoder::new(); lines.len()],
+            world: World { clock, lines, cameras: options.cameras, edges: Vec::new(), control },
+            next_frame_ns: 0,
+        }
+    }
+
+    pub(super) fn run(mut self) {
+        while !self.world.control.stop.load(Ordering::Relaxed) {
+            if self.world.control.power_cycle.swap(false, Ordering::Relaxed) {
+                self.unit = Unit::new(self.identity);
+                self.world.edges.clear();
+            }
+            let hangs = self.world.control.unresponsive.load(Ordering::Relaxed);
+            if !hangs {
+                self.keep_time();
+                self.world.lines.iter_mut().for_each(Line::write);
+            }
+            self.sleep(if hangs { Instant::now() + NAP } else { self.next_due() });
+            self.take_input(hangs);
+        }
+    }
+
+    fn keep_time(&mut self) {
+        let now = Instant::now();
+        self.world.raise_edges(now);
+        let now_ns = self.world.clock.reading(now);
+        if self.unit.next_due() <= now_ns {
+            self.unit.tick(now_ns, &mut self.world);
+        }
+        if let Some(timing) = self.unit.timing().filter(|timing| timing.sync == Sync::ProjectorFrame)
+            && now_ns >= self.next_frame_ns
+        {
+            self.next_frame_ns = now_ns.max(self.next_frame_ns.saturating_add(timing.period_ns));
+            self.unit.frame_sync(now_ns, &mut self.world);
+        }
+    }
+
+    fn next_due(&self) -> Instant {
+        let mut due = self.unit.next_due();
+        if self.unit.timing().is_some_and(|timing| timing.sync == Sync::ProjectorFrame) {
+            due = due.min(self.next_frame_ns);
+        }
+        let due = self.world.clock.instant(due);
+        self.world.edges.first().map_or(due, |(_, edge)| due.min(edge.time))
+    }
+
+    /// Sleeps until a host speaks or, at the latest, until shortly before `due`; then spins up to it.
+    fn sleep(&self, due: Instant) {
+        let left = due.saturating_duration_since(Instant::now());
+        let exact = self.unit.state() == State::Running;
+        if left <= SPIN {
+            while exact && Instant::now() < due {
+                std::hint::spin_loop();
+            }
+            return;
+        }
+        let nap = if exact { left - SPIN } else { left }.min(NAP);
+        let mut fds: Vec<libc::pollfd> = self.world.lines.iter().map(poll_for).collect();
+        let timeout = libc::timespec { tv_sec: 0, tv_nsec: nap.subsec_nanos().into() };
+        // SAFETY: the array and the time are live for the call, and the count is the array's; no signal mask.
+        // A failure (a signal came) only shortens the sleep.
+        unsafe { libc::ppoll(fds.as_mut_ptr(), fds.len() as libc::nfds_t, &timeout, std::ptr::null()) };
+    }
+
+    fn take_input(&mut self, hangs: bool) {
+        let mut buffer = [0; 1024];
+        for (link, decoder) in LinkId::ALL.into_iter().zip(&mut self.decoders) {
+            let Some(line) = self.world.lines.get_mut(link.index()) else { continue };
+            let bytes = line.read(&mut buffer);
+            if bytes.is_empty() {
+                line.lift_exclusive_use();
+                continue;
+            }
+            if hangs {
+                continue;
+            }
+            let now_ns = self.world.clock.reading(Instant::now());
+            let bad = decoder.errors().total();
+            decoder.feed(bytes, |message| self.unit.receive(link, now_ns, message, &mut self.world));
+            self.unit.bad_frames(link, decoder.errors().total().saturating_sub(bad));
+        }
+    }
+}
+
+fn poll_for(line: &Line) -> libc::pollfd {
+    let events = if line.has_output() { libc::POLLIN | libc::POLLOUT } else { libc::POLLIN };
+    libc::pollfd { fd: line.fd(), events, revents: 0 }
+}

@@ -1,0 +1,208 @@
+//! A simulated HSU: the firmware's own state machine behind two real ptys, and wires to the cameras.
+//!
+//! A host opens the pty with `serialport` like any serial device; nothing in the product knows of this
+//! module. One thread a unit waits for bytes and for the next trigger.
+
+mod engine;
+mod line;
+
+use crate::wire::TriggerEdge;
+use crossbeam_channel::Sender;
+use hsu_firmware_proto::{Identity, LINKS, NodeName};
+use line::Line;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// The unit's clock against the host's monotonic one.
+#[derive(Debug, Clone, Copy)]
+pub struct HsuClock {
+    /// What it shows when the simulation starts, ns.
+    pub offset_ns: u64,
+    /// How much faster it runs than the host's, parts per million.
+    pub drift_ppm: f64,
+}
+
+impl Default for HsuClock {
+    fn default() -> Self {
+        Self { offset_ns: 1_000_000_000, drift_ppm: 0.0 }
+    }
+}
+
+/// [`HsuClock`] with its origin.
+#[derive(Debug, Clone, Copy)]
+struct RunningClock {
+    origin: Instant,
+    clock: HsuClock,
+}
+
+impl RunningClock {
+    fn rate(&self) -> f64 {
+        1.0 + self.clock.drift_ppm * 1e-6
+    }
+
+    /// The unit's reading at an instant, ns.
+    fn reading(&self, at: Instant) -> u64 {
+        let elapsed = at.saturating_duration_since(self.origin).as_nanos() as f64 * self.rate();
+        self.clock.offset_ns.saturating_add(elapsed as u64)
+    }
+
+    /// The first instant with at least this reading.
+    fn instant(&self, reading_ns: u64) -> Instant {
+        let elapsed = reading_ns.saturating_sub(self.clock.offset_ns) as f64 / self.rate();
+        self.origin + Duration::from_nanos(elapsed.ceil() as u64)
+    }
+}
+
+/// Flips bits on the serial lines, in both directions.
+#[derive(Debug, Clone, Copy)]
+pub struct SerialNoise {
+    /// Bytes out of a million that lose one bit.
+    pub flips_per_million: u32,
+    /// Makes it repeatable, as far as the bytes are.
+    pub seed: u64,
+}
+
+/// What to simulate.
+#[derive(Debug, Clone)]
+pub struct HsuOptions {
+    /// Where to put a link to the serial device of each of the unit's sockets: one or two paths. A link left
+    /// behind by an earlier run is replaced; any other file is not.
+    pub links: Vec<PathBuf>,
+    /// The trigger wires: the number of the head that each hangs on, and its camera's end.
+    pub cameras: Vec<(usize, Sender<TriggerEdge>)>,
+    /// Who the unit says it is.
+    pub identity: Identity,
+    /// Its clock.
+    pub clock: HsuClock,
+    /// Disturbance of the serial lines.
+    pub noise: Option<SerialNoise>,
+}
+
+impl Default for HsuOptions {
+    fn default() -> Self {
+        Self {
+            links: Vec::new(),
+            cameras: Vec::new(),
+            identity: Identity {
+                name: NodeName::new("fourdbody-hsu").unwrap_or_default(),
+                unique_id: *b"SIMULATED-000001",
+                firmware: [1, 0, 0],
+            },
+            clock: HsuClock::default(),
+            noise: None,
+        }
+    }
+}
+
+/// What tests may do to a running unit, and see of it.
+#[derive(Debug, Default)]
+struct Control {
+    stop: AtomicBool,
+    unresponsive: AtomicBool,
+    power_cycle: AtomicBool,
+    fired: AtomicU64,
+    late: AtomicU64,
+    lost_edges: AtomicU64,
+}
+
+/// A unit that runs until it is dropped.
+#[derive(Debug)]
+pub struct SimulatedHsu {
+    control: Arc<Control>,
+    thread: Option<JoinHandle<()>>,
+    links: Vec<PathBuf>,
+}
+
+impl SimulatedHsu {
+    /// Opens the ptys and switches the unit on. Fails if a path is taken by something that is not a link, or
+    /// the system has no pty left.
+    pub fn start(options: HsuOptions) -> io::Result<Self> {
+        if options.links.is_empty() || options.links.len() > LINKS {
+            let message = format!("a unit has 1 to {LINKS} links, found {}", options.links.len());
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
+        }
+        let lines: Vec<Line> = (0u64..)
+            .zip(&options.links)
+            .map(|(number, path)| Line::open(path, options.noise.map(|n| (n, number))))
+            .collect::<io::Result<_>>()?;
+        let control = Arc::new(Control::default());
+        let links = options.links.clone();
+        let engine = engine::Engine::new(options, lines, control.clone());
+        let thread = std::thread::Builder::new().name("sim-hsu".into()).spawn(move || engine.run())?;
+        Ok(Self { control, thread: Some(thread), links })
+    }
+
+    /// The serial devices, in the order of the unit's sockets.
+    pub fn links(&self) -> &[PathBuf] {
+        &self.links
+    }
+
+    /// The serial device of a socket.
+    ///
+    /// # Panics
+    /// If the unit was started without it.
+    pub fn link(&self, index: usize) -> &Path {
+        &self.links[index]
+    }
+
+    /// A hanging unit: takes bytes, but answers nothing and fires nothing.
+    pub fn set_unresponsive(&self, unresponsive: bool) {
+        self.control.unresponsive.store(unresponsive, Ordering::Relaxed);
+    }
+
+    /// Takes the power away for a moment: the unit forgets everything but its clock.
+    pub fn power_cycle(&self) {
+        self.control.power_cycle.store(true, Ordering::Relaxed);
+    }
+
+    /// Triggers fired since the start, warm-up included.
+    pub fn fired(&self) -> u64 {
+        self.control.fired.load(Ordering::Relaxed)
+    }
+
+    /// Triggers among them that were late.
+    pub fn late(&self) -> u64 {
+        self.control.late.load(Ordering::Relaxed)
+    }
+
+    /// Edges for which a camera's wire had no room: its end is not being read.
+    pub fn lost_edges(&self) -> u64 {
+        self.control.lost_edges.load(Ordering::Relaxed)
+    }
+
+    /// Switches the unit off and removes its serial devices; the same as dropping it.
+    pub fn stop(self) {}
+}
+
+impl Drop for SimulatedHsu {
+    fn drop(&mut self) {
+        self.control.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A panic in the engine has already been printed; a drop must not add another.
+            let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{HsuClock, RunningClock};
+    use proptest::prelude::{prop_assert, proptest};
+    use std::time::Instant;
+
+    proptest! {
+        /// The engine sleeps until `instant(due)`: if the clock did not show `due` then, it would spin.
+        #[test]
+        fn clock_shows_what_it_was_asked_to_wait_for(
+            offset_ns in 0u64..1 << 50, drift_ppm in -200.0..200.0, ahead_ns in 0u64..1 << 45,
+        ) {
+            let clock = RunningClock { origin: Instant::now(), clock: HsuClock { offset_ns, drift_ppm } };
+            let reading = clock.reading(clock.instant(offset_ns + ahead_ns));
+            prop_assert!(reading.abs_diff(offset_ns + ahead_ns) <= 1);
+        }
+    }
+}

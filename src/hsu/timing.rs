@@ -1,0 +1,91 @@
+//! From the rig and the session to what the unit is told.
+
+use super::HsuError;
+use crate::config::Rig;
+use crate::ids::{NodeId, SessionName, TriggerIndex};
+use hsu_firmware_proto::{Arm, HeadTiming, LINKS, NodeName, SessionId, Sync, Timing, TriggerRecord};
+use sha2::{Digest, Sha256};
+use std::time::Duration;
+
+/// When projectors and cameras are triggered. Head number h is the rig's head h.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HsuTiming {
+    /// From trigger to trigger, ns.
+    pub period_ns: u64,
+    /// What starts a trigger.
+    pub sync: Sync,
+    /// The unit takes a host for dead that was silent for this long.
+    pub host_silence: Duration,
+    /// Per head: delay after the projector's frame sync, and exposure.
+    pub heads: Vec<HeadTiming>,
+}
+
+impl HsuTiming {
+    /// What the rig file asks for; the unit's timer drives the projectors.
+    pub fn from_rig(rig: &Rig) -> Self {
+        Self {
+            period_ns: (1e9 / rig.trigger_rate_hz).round() as u64,
+            sync: Sync::Timer,
+            host_silence: Duration::from_secs(2),
+            heads: rig
+                .heads
+                .iter()
+                .map(|head| HeadTiming { delay_ns: head.delay_ns, exposure_ns: head.exposure_ns })
+                .collect(),
+        }
+    }
+
+    /// As it goes over the wire; the error says what the unit could not run.
+    pub(super) fn to_wire(&self) -> Result<Timing, HsuError> {
+        let silence_ns = u64::try_from(self.host_silence.as_nanos()).unwrap_or(u64::MAX);
+        Ok(Timing::new(self.period_ns, self.sync, silence_ns, &self.heads)?)
+    }
+}
+
+/// What every node must ask for in the same way before a train can start.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ArmRequest {
+    /// See [`session_id`].
+    pub session: SessionId,
+    /// Triggers, without warm-up; `None`: until stopped.
+    pub triggers: Option<u64>,
+    /// Triggers before trigger index 0, for cameras that need some to wake up.
+    pub warm_up: u32,
+    /// The nodes that must arm.
+    pub nodes: Vec<NodeId>,
+}
+
+impl ArmRequest {
+    pub(super) fn to_wire(&self, timing_digest: u32) -> Result<Arm, HsuError> {
+        if self.nodes.is_empty() || self.nodes.len() > LINKS {
+            return Err(HsuError::Nodes { found: self.nodes.len() });
+        }
+        // Sorted, because the unit compares what the links ask for.
+        let mut nodes: Vec<&NodeId> = self.nodes.iter().collect();
+        nodes.sort();
+        let mut expected = [NodeName::NONE; LINKS];
+        for (place, node) in expected.iter_mut().zip(nodes) {
+            *place = node_name(node)?;
+        }
+        let (session, warm_up) = (self.session, self.warm_up);
+        Ok(Arm { session, trigger_count: self.triggers.unwrap_or(0), warm_up, timing_digest, expected })
+    }
+}
+
+/// A node's name as it goes over the wire.
+pub(super) fn node_name(node: &NodeId) -> Result<NodeName, HsuError> {
+    NodeName::new(node.as_str())
+        .filter(|name| !name.is_none())
+        .ok_or_else(|| HsuError::Name { name: node.as_str().to_owned() })
+}
+
+/// The id under which all nodes arm a session: the first 16 bytes of the SHA-256 of its name.
+pub fn session_id(session: &SessionName) -> SessionId {
+    let digest = Sha256::digest(session.as_str());
+    SessionId(digest.first_chunk().copied().unwrap_or_default())
+}
+
+/// The trigger index of a trigger; `None` for a warm-up trigger.
+pub fn trigger_index(record: &TriggerRecord) -> Option<TriggerIndex> {
+    u64::try_from(record.number).ok().map(TriggerIndex)
+}
