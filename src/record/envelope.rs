@@ -4,7 +4,7 @@
 //! data = 6, frame_id = 7. Fields from 1001 on are ours; the embedded descriptor declares them.
 
 use super::layout::MAX_CAMERA_NAME;
-use super::protobuf::{self, FieldType, MessageReader, MessageWriter, Value};
+use super::protobuf::{self, Buffer, FieldType, Fixed, MessageReader, MessageWriter, Value};
 use crate::ids::{BlockId, CameraId, TriggerIndex};
 use std::ops::Range;
 
@@ -100,15 +100,17 @@ pub enum EnvelopeError {
 /// `room` of [`ENVELOPE_CAPACITY`] bytes always suffices.
 pub fn write_envelope(room: &mut [u8], camera: &CameraId, meta: &FrameMeta) -> Result<usize, EnvelopeError> {
     let envelope = encode(camera, meta)?;
+    let envelope = envelope.as_slice();
     let start = room
         .len()
         .checked_sub(envelope.len())
         .ok_or(EnvelopeError::Room { needed: envelope.len(), room: room.len() })?;
-    room[start..].copy_from_slice(&envelope);
+    room[start..].copy_from_slice(envelope);
     Ok(envelope.len())
 }
 
-fn encode(camera: &CameraId, meta: &FrameMeta) -> Result<Vec<u8>, EnvelopeError> {
+/// No allocation, because it runs for every frame. With the longest name the envelope has 201 bytes.
+fn encode(camera: &CameraId, meta: &FrameMeta) -> Result<Fixed<ENVELOPE_CAPACITY>, EnvelopeError> {
     let name = camera.as_str().as_bytes();
     if name.len() > MAX_CAMERA_NAME {
         return Err(field_error(
@@ -117,12 +119,12 @@ fn encode(camera: &CameraId, meta: &FrameMeta) -> Result<Vec<u8>, EnvelopeError>
             format!("at most {MAX_CAMERA_NAME}"),
         ));
     }
-    let timestamp = MessageWriter::default()
+    let timestamp = MessageWriter::<Fixed<24>>::default()
         .varint(1, meta.host_time_ns / 1_000_000_000)
         .varint(2, meta.host_time_ns % 1_000_000_000)
         .into_bytes();
-    let checked = MessageWriter::default()
-        .bytes(1, &timestamp)
+    let checked = MessageWriter::<Fixed<ENVELOPE_CAPACITY>>::default()
+        .bytes(1, timestamp.as_slice())
         .fixed32(2, meta.width)
         .fixed32(3, meta.height)
         .bytes(4, ENCODING)
@@ -339,6 +341,18 @@ mod tests {
         let (meta, _) = sample();
         let error = write_envelope(&mut [0; 20], &CameraId::from("h0"), &meta);
         assert!(matches!(error, Err(EnvelopeError::Room { room: 20, .. })), "{error:?}");
+    }
+
+    #[test]
+    fn the_longest_envelope_fits() {
+        let most = u64::MAX;
+        let (trigger, block) = (TriggerIndex(most), BlockId(most));
+        let (width, height, pixels_crc) = (u32::MAX, u32::MAX, u32::MAX);
+        let meta =
+            FrameMeta { trigger, block, camera_time_ns: most, host_time_ns: most, width, height, pixels_crc };
+        let name = CameraId("x".repeat(super::MAX_CAMERA_NAME));
+        let length = write_envelope(&mut [0; ENVELOPE_CAPACITY], &name, &meta).expect("room enough");
+        assert!(length < ENVELOPE_CAPACITY, "{length} bytes could have been cut");
     }
 
     proptest! {

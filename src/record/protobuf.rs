@@ -9,24 +9,66 @@ const I64: u64 = 1;
 const LEN: u64 = 2;
 const I32: u64 = 5;
 
-/// A message under construction.
-#[derive(Default)]
-pub struct MessageWriter {
-    bytes: Vec<u8>,
+/// Where a message under construction grows.
+pub trait Buffer: Default {
+    /// Appends bytes.
+    fn append(&mut self, bytes: &[u8]);
+    /// Everything appended.
+    fn as_slice(&self) -> &[u8];
 }
 
-impl MessageWriter {
+impl Buffer for Vec<u8> {
+    fn append(&mut self, bytes: &[u8]) {
+        self.extend_from_slice(bytes);
+    }
+
+    fn as_slice(&self) -> &[u8] {
+        self
+    }
+}
+
+/// At most `N` bytes without allocation; what is beyond is dropped, so the owner chooses `N` with care.
+pub struct Fixed<const N: usize> {
+    bytes: [u8; N],
+    length: usize,
+}
+
+impl<const N: usize> Default for Fixed<N> {
+    fn default() -> Self {
+        Self { bytes: [0; N], length: 0 }
+    }
+}
+
+impl<const N: usize> Buffer for Fixed<N> {
+    fn append(&mut self, bytes: &[u8]) {
+        let fitting = bytes.len().min(N - self.length);
+        self.bytes[self.length..self.length + fitting].copy_from_slice(&bytes[..fitting]);
+        self.length += fitting;
+    }
+
+    fn as_slice(&self) -> &[u8] {
+        &self.bytes[..self.length]
+    }
+}
+
+/// A message under construction.
+#[derive(Default)]
+pub struct MessageWriter<B = Vec<u8>> {
+    bytes: B,
+}
+
+impl<B: Buffer> MessageWriter<B> {
     /// The encoded message.
-    pub fn into_bytes(self) -> Vec<u8> {
+    pub fn into_bytes(self) -> B {
         self.bytes
     }
 
     fn raw_varint(&mut self, mut value: u64) {
         while value >= 0x80 {
-            self.bytes.push(value as u8 | 0x80);
+            self.bytes.append(&[value as u8 | 0x80]);
             value >>= 7;
         }
-        self.bytes.push(value as u8);
+        self.bytes.append(&[value as u8]);
     }
 
     fn tag(&mut self, field: u32, wire: u64) {
@@ -43,21 +85,21 @@ impl MessageWriter {
     /// A `fixed32` field.
     pub fn fixed32(mut self, field: u32, value: u32) -> Self {
         self.tag(field, I32);
-        self.bytes.extend_from_slice(&value.to_le_bytes());
+        self.bytes.append(&value.to_le_bytes());
         self
     }
 
     /// A `fixed64` field.
     pub fn fixed64(mut self, field: u32, value: u64) -> Self {
         self.tag(field, I64);
-        self.bytes.extend_from_slice(&value.to_le_bytes());
+        self.bytes.append(&value.to_le_bytes());
         self
     }
 
     /// A `string`, `bytes` or message field.
     pub fn bytes(mut self, field: u32, value: &[u8]) -> Self {
         self = self.bytes_header(field, value.len() as u64);
-        self.bytes.extend_from_slice(value);
+        self.bytes.append(value);
         self
     }
 
@@ -70,7 +112,7 @@ impl MessageWriter {
 
     /// What has been encoded so far.
     pub fn so_far(&self) -> &[u8] {
-        &self.bytes
+        self.bytes.as_slice()
     }
 }
 
@@ -170,24 +212,24 @@ pub enum FieldType {
 
 /// Describes a singular field (`FieldDescriptorProto`: name 1, number 3, label 4, type 5).
 pub fn field(name: &str, number: u32, kind: FieldType) -> Vec<u8> {
-    let message = MessageWriter::default().bytes(1, name.as_bytes()).varint(3, number.into());
+    let message = <MessageWriter>::default().bytes(1, name.as_bytes()).varint(3, number.into());
     message.varint(4, 1).varint(5, kind as u64).into_bytes()
 }
 
 /// Describes a singular field that is a message (`FieldDescriptorProto`: type 11, type name 6).
 pub fn message_field(name: &str, number: u32, type_name: &str) -> Vec<u8> {
-    let message = MessageWriter::default().bytes(1, name.as_bytes()).varint(3, number.into());
+    let message = <MessageWriter>::default().bytes(1, name.as_bytes()).varint(3, number.into());
     message.varint(4, 1).varint(5, 11).bytes(6, type_name.as_bytes()).into_bytes()
 }
 
 /// Describes a proto3 file with one message (`FileDescriptorProto`: name 1, package 2, dependency 3, message
 /// type 4, syntax 12; `DescriptorProto`: name 1, field 2).
 pub fn file(path: &str, package: &str, imports: &[&str], message: &str, fields: &[Vec<u8>]) -> Vec<u8> {
-    let mut descriptor = MessageWriter::default().bytes(1, message.as_bytes());
+    let mut descriptor = <MessageWriter>::default().bytes(1, message.as_bytes());
     for field in fields {
         descriptor = descriptor.bytes(2, field);
     }
-    let mut file = MessageWriter::default().bytes(1, path.as_bytes()).bytes(2, package.as_bytes());
+    let mut file = <MessageWriter>::default().bytes(1, path.as_bytes()).bytes(2, package.as_bytes());
     for import in imports {
         file = file.bytes(3, import.as_bytes());
     }
@@ -196,7 +238,7 @@ pub fn file(path: &str, package: &str, imports: &[&str], message: &str, fields: 
 
 /// A `FileDescriptorSet` (file 1).
 pub fn file_set(files: &[Vec<u8>]) -> Vec<u8> {
-    files.iter().fold(MessageWriter::default(), |set, file| set.bytes(1, file)).into_bytes()
+    files.iter().fold(<MessageWriter>::default(), |set, file| set.bytes(1, file)).into_bytes()
 }
 
 #[cfg(test)]
@@ -207,14 +249,14 @@ mod tests {
     #[test]
     fn golden_bytes_of_the_encoding_guide() {
         // The guide's own examples: field 1 = varint 150; field 2 = string "testing".
-        let message = MessageWriter::default().varint(1, 150).bytes(2, b"testing").into_bytes();
+        let message = <MessageWriter>::default().varint(1, 150).bytes(2, b"testing").into_bytes();
         assert_eq!(message, b"\x08\x96\x01\x12\x07testing");
     }
 
     proptest! {
         #[test]
         fn fields_read_back(a: u64, b: u32, c: u64, text: Vec<u8>, number in 1u32..(1 << 29)) {
-            let writer = MessageWriter::default().varint(number, a).fixed32(2, b).fixed64(3, c).bytes(4, &text);
+            let writer = <MessageWriter>::default().varint(number, a).fixed32(2, b).fixed64(3, c).bytes(4, &text);
             let message = writer.into_bytes();
             let mut reader = MessageReader::new(&message);
             prop_assert_eq!(reader.next_field(), Ok(Some((number.into(), Value::Varint(a)))));
