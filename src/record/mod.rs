@@ -1,1 +1,26 @@
 //! Recordings: layout, writer, reader, verification.
+//!
+//! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and
+//! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
+
+mod direct;
+pub mod envelope;
+pub mod layout;
+mod protobuf;
+mod reader;
+mod scan;
+mod segment;
+mod session;
+mod verdict;
+
+mod writer;
+
+pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
+pub use layout::{
+    CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NodeEvent, RecordingHeader,
+    TriggerRecord,
+};
+pub use reader::{ReadError, RecordedFrame, RecordingReader, SessionReader};
+pub use session::node_dir;
+pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
+pub use writer::{RecordError, Recording, WriterOptions};

@@ -1,0 +1,317 @@
+//! The contract of a recording: topics, schemas, metadata keys, the format's version, and the records that
+//! are JSON. Frames are in [`super::envelope`].
+
+use crate::config::FeatureSetting;
+use crate::ids::{CameraId, NodeId, SessionName, TriggerIndex};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// `format` in the header metadata.
+pub const FORMAT: &str = "fourdbody-recording";
+/// `version` in the header metadata; a reader refuses a higher one.
+pub const VERSION: u32 = 1;
+
+/// Metadata record at the start of every segment.
+pub const HEADER_METADATA: &str = "fourdbody.header";
+/// Metadata record at the end of every segment: its range of triggers.
+pub const SEGMENT_METADATA: &str = "fourdbody.segment";
+/// Metadata record at the end of the last segment.
+pub const VERDICT_METADATA: &str = "fourdbody.verdict";
+
+/// Key of both metadata records: JSON of [`RecordingHeader`] without the rig; JSON of the verdict.
+pub const KEY_JSON: &str = "json";
+/// Key of the header metadata: the rig file, word for word.
+pub const KEY_RIG: &str = "rig";
+/// Key of header and segment metadata: the segment's number, from 0.
+pub const KEY_SEGMENT: &str = "segment";
+/// Key of header and segment metadata: no frame or gap below this trigger belongs to the segment.
+pub const KEY_FIRST_TRIGGER: &str = "first_trigger";
+/// Key of the segment metadata: the first trigger of the next segment; absent in the last one.
+pub const KEY_END_TRIGGER: &str = "end_trigger";
+
+/// Topic of gap records.
+pub const GAPS_TOPIC: &str = "/gaps";
+/// Topic of the HSU's trigger table.
+pub const TRIGGERS_TOPIC: &str = "/hsu/triggers";
+/// Topic of raw clock samples.
+pub const CLOCK_TOPIC: &str = "/clock";
+/// Topic of node events.
+pub const EVENTS_TOPIC: &str = "/events";
+/// Topic of the frame index, the last message of a closed segment.
+pub const INDEX_TOPIC: &str = "/index";
+
+/// A session has fewer triggers than this: 38 hours at 120 Hz. It bounds what a wrong index can cost.
+pub const MAX_TRIGGERS: u64 = 1 << 24;
+/// A recording has at most this many cameras.
+pub const MAX_CAMERAS: usize = 64;
+/// A camera's name has at most this many bytes; it is part of every frame's message.
+pub const MAX_CAMERA_NAME: usize = 64;
+
+/// Topic of a camera's frames.
+pub fn image_topic(camera: &CameraId) -> String {
+    format!("/camera/{camera}/image")
+}
+
+/// File name of a segment.
+pub fn segment_name(number: u32) -> String {
+    format!("segment-{number:03}.mcap")
+}
+
+/// The number in a segment's file name.
+pub fn segment_number(name: &str) -> Option<u32> {
+    let digits = name.strip_prefix("segment-")?.strip_suffix(".mcap")?;
+    (digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit())).then(|| digits.parse().ok())?
+}
+
+/// One camera of a recording.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CameraHeader {
+    /// Its name in the rig.
+    pub id: CameraId,
+    /// Columns of its frames.
+    pub width: u32,
+    /// Rows of its frames.
+    pub height: u32,
+    /// Model, serial number and firmware as the camera states them; empty where unknown.
+    pub device: String,
+    /// Settings as read back from the camera after they were set.
+    pub settings: Vec<FeatureSetting>,
+}
+
+/// Who counted the triggers.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HsuIdentity {
+    /// Unique id of the device.
+    pub uid: String,
+    /// Its firmware.
+    pub firmware: String,
+    /// Version of the serial protocol spoken.
+    pub protocol: u32,
+}
+
+/// What makes a segment understandable alone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RecordingHeader {
+    /// Name of the session.
+    pub session: SessionName,
+    /// Unique id of the session, the same on both nodes.
+    pub session_id: String,
+    /// The node that records.
+    pub node: NodeId,
+    /// The rig file, word for word.
+    #[serde(skip)]
+    pub rig_text: String,
+    /// The node's cameras in the rig's order.
+    pub cameras: Vec<CameraHeader>,
+    /// The HSU; `None` for images that were imported.
+    pub hsu: Option<HsuIdentity>,
+    /// Triggers asked for; `None` runs until stop.
+    pub expected_triggers: Option<u64>,
+    /// Triggers per second.
+    pub trigger_rate_hz: f64,
+    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`.
+    pub host_clock: String,
+    /// Host time when the recording was created, ns.
+    pub created_ns: u64,
+    /// Name and version of the recording software.
+    pub software: String,
+    /// Pseudonym of the subject.
+    pub subject: Option<String>,
+    /// Free text.
+    pub note: Option<String>,
+}
+
+/// Why a frame is missing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GapCause {
+    /// Packets of the frame were lost and not resent.
+    MissingPackets,
+    /// The frame did not arrive in time.
+    Timeout,
+    /// The camera did not expose at this trigger.
+    NotTriggered,
+    /// The frame arrived, but no buffer was free for it.
+    DroppedRingFull,
+    /// The frame arrived, but could not be written.
+    DroppedDisk,
+    /// The camera was gone.
+    Unplugged,
+    /// The session was aborted before the frame came.
+    Aborted,
+    /// The frame had another size than the session's.
+    SizeMismatch,
+    /// Block id and camera timestamp named different triggers.
+    IdentityMismatch,
+    /// Imported images: there was no file for this trigger.
+    NotRecorded,
+    /// The frame was recorded, but is damaged (written by `recover`).
+    Damaged,
+    /// Nothing is known; also stands for causes of a later version.
+    #[serde(other)]
+    Unknown,
+}
+
+impl fmt::Display for GapCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // The serialized name is the name everywhere.
+        self.serialize(f)
+    }
+}
+
+/// Stands where a frame is missing.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GapRecord {
+    /// The camera.
+    pub camera: CameraId,
+    /// The trigger.
+    pub trigger: TriggerIndex,
+    /// Why.
+    pub cause: GapCause,
+}
+
+/// One row of the HSU's trigger table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TriggerRecord {
+    /// The trigger.
+    pub index: TriggerIndex,
+    /// When it was emitted, HSU clock, ns.
+    pub hsu_time_ns: u64,
+    /// As the HSU reports them; 0 is an ordinary trigger.
+    pub flags: u32,
+    /// When the report arrived, host clock, ns.
+    pub host_time_ns: u64,
+}
+
+/// One exchange with the HSU, for fitting its clock again later.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClockSample {
+    /// Request sent, host clock, ns.
+    pub host_send_ns: u64,
+    /// Answer received, host clock, ns.
+    pub host_receive_ns: u64,
+    /// Answered, HSU clock, ns.
+    pub hsu_time_ns: u64,
+}
+
+/// Something that happened on the node during the session.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NodeEvent {
+    /// When, host clock, ns.
+    pub host_time_ns: u64,
+    /// A word, for instance `camera_lost` or `duplicate`.
+    pub kind: String,
+    /// The camera concerned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraId>,
+    /// The trigger concerned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trigger: Option<TriggerIndex>,
+    /// For people.
+    pub message: String,
+}
+
+/// Name and JSON schema of the channels whose messages are JSON, with their topics.
+pub(crate) fn json_channels() -> [(&'static str, &'static str, serde_json::Value); 4] {
+    let integer = serde_json::json!({"type": "integer", "minimum": 0});
+    let text = serde_json::json!({"type": "string"});
+    let object = |required: &[&str], properties: serde_json::Value| serde_json::json!({"type": "object", "required": required, "properties": properties});
+    [
+        (
+            GAPS_TOPIC,
+            "fourdbody.Gap",
+            object(
+                &["camera", "trigger", "cause"],
+                serde_json::json!({"camera": text, "trigger": integer, "cause": text}),
+            ),
+        ),
+        (
+            TRIGGERS_TOPIC,
+            "fourdbody.Trigger",
+            object(
+                &["index", "hsu_time_ns", "flags", "host_time_ns"],
+                serde_json::json!({"index": integer, "hsu_time_ns": integer, "flags": integer, "host_time_ns": integer}),
+            ),
+        ),
+        (
+            CLOCK_TOPIC,
+            "fourdbody.ClockSample",
+            object(
+                &["host_send_ns", "host_receive_ns", "hsu_time_ns"],
+                serde_json::json!({"host_send_ns": integer, "host_receive_ns": integer, "hsu_time_ns": integer}),
+            ),
+        ),
+        (
+            EVENTS_TOPIC,
+            "fourdbody.Event",
+            object(
+                &["host_time_ns", "kind", "message"],
+                serde_json::json!({"host_time_ns": integer, "kind": text, "camera": text, "trigger": integer, "message": text}),
+            ),
+        ),
+    ]
+}
+
+impl RecordingHeader {
+    /// What would make a recording impossible or ambiguous.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        if self.cameras.is_empty() || self.cameras.len() > MAX_CAMERAS {
+            return Err(format!("{} cameras, expected 1 to {MAX_CAMERAS}", self.cameras.len()));
+        }
+        let mut ids = std::collections::BTreeSet::new();
+        for camera in &self.cameras {
+            let name = camera.id.as_str();
+            if name.is_empty() || name.len() > MAX_CAMERA_NAME {
+                return Err(format!(
+                    "camera name {name:?} has {} bytes, expected 1 to {MAX_CAMERA_NAME}",
+                    name.len()
+                ));
+            }
+            if !ids.insert(name) {
+                return Err(format!("camera {name} is listed twice"));
+            }
+            if camera.width == 0 || camera.height == 0 || camera.width > 1 << 16 || camera.height > 1 << 16 {
+                return Err(format!(
+                    "camera {name}: frames of {} x {}, expected sides of 1 to 65536",
+                    camera.width, camera.height
+                ));
+            }
+        }
+        match self.expected_triggers {
+            Some(n) if n > MAX_TRIGGERS => {
+                Err(format!("{n} triggers expected, at most {MAX_TRIGGERS} can be recorded"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Bytes of pixels that the session will bring, where that is known.
+    pub fn expected_bytes(&self) -> Option<u64> {
+        let per_trigger: u64 =
+            self.cameras.iter().map(|c| u64::from(c.width) * u64::from(c.height) + 512).sum();
+        self.expected_triggers.map(|n| n.saturating_mul(per_trigger))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{GapCause, segment_name, segment_number};
+
+    #[test]
+    fn causes_keep_their_names() {
+        assert_eq!(GapCause::MissingPackets.to_string(), "missing_packets");
+        assert_eq!(serde_json::to_string(&GapCause::DroppedDisk).expect("JSON"), "\"dropped_disk\"");
+        let later: GapCause = serde_json::from_str("\"invented_in_2031\"").expect("any word");
+        assert_eq!(later, GapCause::Unknown);
+    }
+
+    #[test]
+    fn segment_names_read_back() {
+        for number in [0, 7, 999, 1000, 123_456] {
+            assert_eq!(segment_number(&segment_name(number)), Some(number));
+        }
+        for other in ["segment-01.mcap", "segment-000.mcap.partial", "segment--01.mcap", "segment-+01.mcap"] {
+            assert_eq!(segment_number(other), None, "{other}");
+        }
+    }
+}

@@ -1,0 +1,479 @@
+//! Reads recordings: maps segments, knows the outcome of every trigger, checks every frame on access.
+
+use super::direct::map_file;
+use super::envelope::{FrameMeta, parse_envelope, pixels_crc};
+use super::layout::{
+    CLOCK_TOPIC, ClockSample, EVENTS_TOPIC, FORMAT, GAPS_TOPIC, GapCause, GapRecord, HEADER_METADATA,
+    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, KEY_RIG, KEY_SEGMENT, MAX_TRIGGERS, NodeEvent,
+    RecordingHeader, SEGMENT_METADATA, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
+};
+use super::scan::{End, Event, Walker};
+use super::session::{RecordingFiles, find};
+use super::verdict::Verdict;
+use crate::config::Rig;
+use crate::ids::{CameraId, TriggerIndex};
+use crate::image::Mono8;
+use crate::reconstruct::{Frame, FrameSource};
+use memmap2::Mmap;
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Notes about one recording beyond this many are dropped: the first ones say what is wrong.
+const MAX_PROBLEMS: usize = 1000;
+
+/// Why a recording could not be opened at all.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct ReadError(pub String);
+
+/// Something about a segment's records that is not as it should be.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Problem {
+    /// The segment's number.
+    pub segment: u32,
+    /// The camera concerned.
+    pub camera: Option<CameraId>,
+    /// The trigger concerned.
+    pub trigger: Option<TriggerIndex>,
+    /// What was expected and found.
+    pub message: String,
+}
+
+/// One mapped segment.
+pub struct SegmentReader {
+    /// Its number.
+    pub number: u32,
+    /// Its file.
+    pub path: PathBuf,
+    /// No frame of an earlier trigger belongs to it.
+    pub first_trigger: u64,
+    /// No frame from this trigger on belongs to it; unknown in the last segment and after a crash.
+    pub end_trigger: Option<u64>,
+    /// How its records end.
+    pub end: End,
+    pub(crate) map: Option<Mmap>,
+}
+
+impl SegmentReader {
+    /// All bytes.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        // An empty file cannot be mapped.
+        self.map.as_deref().unwrap_or_default()
+    }
+}
+
+/// What a camera has at a trigger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Outcome {
+    /// A frame: place of the segment in the recording, and of the message in it.
+    Frame { segment: usize, offset: usize, length: usize },
+    /// A gap record.
+    Gap(GapCause),
+}
+
+/// One node's recording.
+pub struct RecordingReader {
+    /// Its directory, or the single segment.
+    pub path: PathBuf,
+    /// What it says about itself.
+    pub header: RecordingHeader,
+    /// In order.
+    pub segments: Vec<SegmentReader>,
+    /// The HSU's trigger table, by index.
+    pub triggers: BTreeMap<TriggerIndex, TriggerRecord>,
+    /// In the order of the file.
+    pub clock_samples: Vec<ClockSample>,
+    /// In the order of the file.
+    pub events: Vec<NodeEvent>,
+    /// The verdict as stored; `None` when the recording was not finished.
+    pub verdict: Option<Verdict>,
+    /// What was found wrong when opening.
+    pub problems: Vec<Problem>,
+    /// Per camera of the header.
+    pub(crate) outcomes: Vec<BTreeMap<u64, Outcome>>,
+}
+
+/// A frame that passed its checks.
+#[derive(Debug, Clone, Copy)]
+pub struct RecordedFrame<'a> {
+    /// Identity.
+    pub meta: FrameMeta,
+    /// Pixels.
+    pub image: Mono8<'a>,
+}
+
+impl RecordingReader {
+    /// Maps the segments and walks their records.
+    pub(crate) fn open(files: &RecordingFiles) -> Result<Self, ReadError> {
+        let error = |message: String| ReadError(format!("{}: {message}", files.path.display()));
+        let mut recording: Option<Self> = None;
+        for (number, path) in &files.segments {
+            let length = std::fs::metadata(path).map_err(|e| error(e.to_string()))?.len();
+            let map = (length > 0).then(|| map_file(path)).transpose().map_err(|e| error(e.to_string()))?;
+            let segment = SegmentReader {
+                number: *number,
+                path: path.clone(),
+                first_trigger: 0,
+                end_trigger: None,
+                end: End::Cut { at: 0 },
+                map,
+            };
+            let header = read_header(segment.bytes());
+            match (&mut recording, header) {
+                (None, Ok((header, _))) => recording = Some(Self::empty(files.path.clone(), header)),
+                (None, Err(reason)) if files.segments.len() == 1 => return Err(error(reason)),
+                // A segment that was cut before its header holds nothing; the others speak for it.
+                (None, Err(_)) => continue,
+                _ => {}
+            }
+            if let Some(recording) = &mut recording {
+                recording.add(segment);
+            }
+        }
+        recording
+            .ok_or_else(|| error("no segment has a readable header; nothing can be recovered".to_owned()))
+    }
+
+    fn empty(path: PathBuf, header: RecordingHeader) -> Self {
+        Self {
+            path,
+            outcomes: vec![BTreeMap::new(); header.cameras.len()],
+            header,
+            segments: Vec::new(),
+            triggers: BTreeMap::new(),
+            clock_samples: Vec::new(),
+            events: Vec::new(),
+            verdict: None,
+            problems: Vec::new(),
+        }
+    }
+
+    fn problem(
+        &mut self,
+        segment: u32,
+        camera: Option<usize>,
+        trigger: Option<u64>,
+        message: impl Into<String>,
+    ) {
+        if self.problems.len() < MAX_PROBLEMS {
+            let camera = camera.and_then(|c| self.header.cameras.get(c)).map(|c| c.id.clone());
+            let trigger = trigger.map(TriggerIndex);
+            self.problems.push(Problem { segment, camera, trigger, message: message.into() });
+        }
+    }
+
+    fn add(&mut self, mut segment: SegmentReader) {
+        let (place, number) = (self.segments.len(), segment.number);
+        let expected = self.segments.last().map_or(number, |last| last.number + 1);
+        if number != expected {
+            self.problem(number, None, None, format!("expected segment {expected} here: it is missing"));
+        }
+        let topics: Vec<String> = self.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
+        let mut channels: BTreeMap<u16, Topic> = BTreeMap::new();
+        let map = segment.map.take();
+        let bytes = map.as_deref().unwrap_or_default();
+        let mut walker = Walker::new(bytes);
+        for event in walker.by_ref() {
+            match event {
+                Event::Channel { id, topic } => {
+                    channels.insert(id, Topic::of(topic, &topics));
+                }
+                Event::Message { channel, sequence, data } => {
+                    let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
+                    if let Topic::Image(camera) = topic {
+                        let outcome =
+                            Outcome::Frame { segment: place, offset: data.start, length: data.len() };
+                        self.outcome(number, camera, u64::from(sequence), outcome);
+                    } else {
+                        self.small_record(number, topic, &bytes[data]);
+                    }
+                }
+                Event::Metadata { name, entries } => self.metadata(&mut segment, name, &entries),
+                // What follows repeats what was read.
+                Event::DataEnd { .. } => {}
+                Event::Chunk { .. } => {}
+            }
+        }
+        segment.end = walker.end();
+        segment.map = map;
+        self.segments.push(segment);
+    }
+
+    fn outcome(&mut self, segment: u32, camera: usize, trigger: u64, outcome: Outcome) {
+        if trigger >= MAX_TRIGGERS {
+            let message = format!("no session has more than {MAX_TRIGGERS} triggers");
+            self.problem(segment, Some(camera), Some(trigger), message);
+            return;
+        }
+        let Some(outcomes) = self.outcomes.get_mut(camera) else { return };
+        if let Some(first) = outcomes.get(&trigger) {
+            let message = format!("two outcomes, expected one: {first:?} and {outcome:?}");
+            self.problem(segment, Some(camera), Some(trigger), message);
+            return;
+        }
+        outcomes.insert(trigger, outcome);
+    }
+
+    fn small_record(&mut self, segment: u32, topic: Topic, bytes: &[u8]) {
+        let result = match topic {
+            Topic::Gaps => serde_json::from_slice(bytes).map(|gap: GapRecord| {
+                match self.header.cameras.iter().position(|c| c.id == gap.camera) {
+                    Some(camera) => self.outcome(segment, camera, gap.trigger.0, Outcome::Gap(gap.cause)),
+                    None => {
+                        let message = format!("a gap record of camera {}, which is not recorded", gap.camera);
+                        self.problem(segment, None, Some(gap.trigger.0), message);
+                    }
+                }
+            }),
+            Topic::Triggers => serde_json::from_slice(bytes).map(|record: TriggerRecord| {
+                if self.triggers.insert(record.index, record).is_some_and(|first| first != record) {
+                    let message = "two different rows in the trigger table";
+                    self.problem(segment, None, Some(record.index.0), message);
+                }
+            }),
+            Topic::Clock => serde_json::from_slice(bytes).map(|sample| self.clock_samples.push(sample)),
+            Topic::Events => serde_json::from_slice(bytes).map(|event| self.events.push(event)),
+            Topic::Image(_) | Topic::Other => Ok(()),
+        };
+        if let Err(error) = result {
+            self.problem(segment, None, None, format!("a record of {topic:?} is not readable: {error}"));
+        }
+    }
+
+    fn metadata(&mut self, segment: &mut SegmentReader, name: &str, entries: &BTreeMap<&str, &str>) {
+        let number = |key| entries.get(key).and_then(|text: &&str| text.parse::<u64>().ok());
+        match name {
+            HEADER_METADATA => match parse_header(entries) {
+                Ok((header, stated)) => {
+                    segment.first_trigger = number(KEY_FIRST_TRIGGER).unwrap_or(0);
+                    if stated != segment.number {
+                        let message = format!("the file says that it is segment {stated}");
+                        self.problem(segment.number, None, None, message);
+                    }
+                    if header != self.header {
+                        let message = "its header differs from that of the first segment";
+                        self.problem(segment.number, None, None, message);
+                    }
+                }
+                Err(message) => self.problem(segment.number, None, None, message),
+            },
+            SEGMENT_METADATA => segment.end_trigger = number(KEY_END_TRIGGER),
+            VERDICT_METADATA => {
+                let json = entries.get(KEY_JSON).copied().unwrap_or_default();
+                match serde_json::from_str(json) {
+                    Ok(verdict) => self.verdict = Some(verdict),
+                    Err(error) => {
+                        let message = format!("the stored verdict is not readable: {error}");
+                        self.problem(segment.number, None, None, message);
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The frame of a camera (its place in the header) at a trigger, checked; `Ok(Err(cause))` for a gap.
+    pub fn frame(
+        &self,
+        camera: usize,
+        trigger: TriggerIndex,
+    ) -> Result<Result<RecordedFrame<'_>, GapCause>, String> {
+        let described = self.header.cameras.get(camera).ok_or("no such camera in the recording")?;
+        let place = || format!("{}: camera {} trigger {trigger}", self.path.display(), described.id);
+        let outcome = self.outcomes.get(camera).and_then(|outcomes| outcomes.get(&trigger.0));
+        match outcome {
+            None => Err(format!(
+                "{}: neither a frame nor a gap record; the recording was cut or not finished: run `fourdbody verify`",
+                place()
+            )),
+            Some(Outcome::Gap(cause)) => Ok(Err(*cause)),
+            Some(&Outcome::Frame { segment, offset, length }) => {
+                let message = self.segments.get(segment).and_then(|s| s.bytes().get(offset..offset + length));
+                let message = message.ok_or_else(|| format!("{}: outside of its file", place()))?;
+                check_frame(message, camera, trigger, &self.header)
+                    .map(Ok)
+                    .map_err(|reason| format!("{}: {reason}; run `fourdbody verify`", place()))
+            }
+        }
+    }
+
+    /// One more than the highest trigger that is known of.
+    pub fn triggers_end(&self) -> u64 {
+        let outcomes =
+            self.outcomes.iter().filter_map(|o| o.last_key_value()).map(|(trigger, _)| trigger + 1);
+        let table = self.triggers.last_key_value().map(|(index, _)| index.0 + 1);
+        let stated = self.verdict.as_ref().map(|verdict| verdict.triggers);
+        outcomes.chain(table).chain(stated).max().unwrap_or(0).min(MAX_TRIGGERS)
+    }
+}
+
+/// Checks a frame's message against its own checksums and against the identity that it was asked for.
+fn check_frame<'a>(
+    message: &'a [u8],
+    camera: usize,
+    trigger: TriggerIndex,
+    header: &RecordingHeader,
+) -> Result<RecordedFrame<'a>, String> {
+    let described = &header.cameras[camera];
+    let envelope = parse_envelope(message).map_err(|e| e.to_string())?;
+    let meta = envelope.meta;
+    if envelope.camera != described.id.as_str() || meta.trigger != trigger {
+        return Err(format!("the frame says camera {} trigger {}", envelope.camera, meta.trigger));
+    }
+    let (width, height) = (described.width, described.height);
+    if (meta.width, meta.height) != (width, height) {
+        return Err(format!("the frame is {} x {}, expected {width} x {height}", meta.width, meta.height));
+    }
+    let pixels = &message[envelope.pixels];
+    let found = pixels_crc(pixels);
+    if found != meta.pixels_crc {
+        let stated = meta.pixels_crc;
+        return Err(format!("checksum of the pixels is {found:#010x}, expected {stated:#010x}: damaged"));
+    }
+    let image = Mono8::new(width as usize, height as usize, pixels).ok_or("pixels do not fill the frame")?;
+    Ok(RecordedFrame { meta, image })
+}
+
+/// What a channel carries.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Topic {
+    /// Frames of the camera at this place in the header.
+    Image(usize),
+    /// Gap records.
+    Gaps,
+    /// The trigger table.
+    Triggers,
+    /// Clock samples.
+    Clock,
+    /// Events.
+    Events,
+    /// The frame index, and what later versions add.
+    Other,
+}
+
+impl Topic {
+    pub(crate) fn of(topic: &str, images: &[String]) -> Self {
+        match topic {
+            GAPS_TOPIC => Self::Gaps,
+            TRIGGERS_TOPIC => Self::Triggers,
+            CLOCK_TOPIC => Self::Clock,
+            EVENTS_TOPIC => Self::Events,
+            _ => images.iter().position(|image| image == topic).map_or(Self::Other, Self::Image),
+        }
+    }
+}
+
+/// The header of a segment and the segment's own number, from the first metadata record.
+fn read_header(bytes: &[u8]) -> Result<(RecordingHeader, u32), String> {
+    let mut walker = Walker::new(bytes);
+    for event in walker.by_ref().take(8) {
+        if let Event::Metadata { name: HEADER_METADATA, entries } = event {
+            return parse_header(&entries);
+        }
+    }
+    match walker.end() {
+        End::Damaged { at, reason } => Err(format!("not a recording: at byte {at}: {reason}")),
+        _ => Err(format!("not a recording: no metadata record {HEADER_METADATA:?} at its start")),
+    }
+}
+
+fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<(RecordingHeader, u32), String> {
+    let get = |key: &str| entries.get(key).copied().ok_or_else(|| format!("the header has no {key:?}"));
+    let (format, version) = (get("format")?, get("version")?);
+    if format != FORMAT || version.parse::<u32>().is_ok_and(|v| v > VERSION) {
+        return Err(format!(
+            "format {format:?} version {version}, this program reads {FORMAT:?} up to version {VERSION}"
+        ));
+    }
+    let mut header: RecordingHeader =
+        serde_json::from_str(get(KEY_JSON)?).map_err(|e| format!("the header is not readable: {e}"))?;
+    header.rig_text = get(KEY_RIG)?.to_owned();
+    header.check()?;
+    let segment = get(KEY_SEGMENT)?;
+    let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
+    Ok((header, number))
+}
+
+/// A session: the recordings of all its nodes.
+pub struct SessionReader {
+    recordings: Vec<RecordingReader>,
+    cameras: Vec<CameraId>,
+    /// Recording and place in its header, for each of `cameras`.
+    places: Vec<(usize, usize)>,
+    triggers: Range<u64>,
+}
+
+impl SessionReader {
+    /// Opens a session's directory, one recording's directory, or one segment.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        let files = find(path).map_err(ReadError)?;
+        let recordings: Vec<RecordingReader> =
+            files.iter().map(RecordingReader::open).collect::<Result<_, _>>()?;
+        let mut places: Vec<(usize, usize)> = Vec::new();
+        for (r, recording) in recordings.iter().enumerate() {
+            places.extend((0..recording.header.cameras.len()).map(|c| (r, c)));
+        }
+        let id = |&(r, c): &(usize, usize)| recordings[r].header.cameras[c].id.clone();
+        if let Some(rig) = recordings.first().and_then(|r| parse_rig(&r.header.rig_text).ok()) {
+            let order: Vec<&CameraId> = rig.cameras().map(|(_, camera)| &camera.id).collect();
+            places.sort_by_key(|place| order.iter().position(|o| **o == id(place)).unwrap_or(usize::MAX));
+        }
+        let cameras: Vec<CameraId> = places.iter().map(id).collect();
+        let start =
+            recordings.iter().filter_map(|r| r.segments.first()).map(|segment| segment.first_trigger).min();
+        let end = recordings.iter().map(RecordingReader::triggers_end).max().unwrap_or(0);
+        let triggers = start.unwrap_or(0).min(end)..end;
+        Ok(Self { recordings, cameras, places, triggers })
+    }
+
+    /// The recordings, by node.
+    pub fn recordings(&self) -> &[RecordingReader] {
+        &self.recordings
+    }
+
+    /// The rig as it was when the session was recorded.
+    pub fn rig(&self) -> Result<Rig, ReadError> {
+        let recording =
+            self.recordings.first().ok_or_else(|| ReadError("the session has no recording".to_owned()))?;
+        parse_rig(&recording.header.rig_text)
+            .map_err(|e| ReadError(format!("{}: the recorded rig file: {e}", recording.path.display())))
+    }
+
+    /// The frame of a camera at a trigger, with its identity; `Ok(Err(cause))` for a gap.
+    pub fn recorded_frame(
+        &self,
+        camera: &CameraId,
+        trigger: TriggerIndex,
+    ) -> Result<Result<RecordedFrame<'_>, GapCause>, String> {
+        let place = self.cameras.iter().position(|id| id == camera);
+        let (r, c) = place.and_then(|place| self.places.get(place).copied()).ok_or_else(|| {
+            let known: Vec<&str> = self.cameras.iter().map(CameraId::as_str).collect();
+            format!("camera {camera} is not in the session; it has {}", known.join(", "))
+        })?;
+        self.recordings[r].frame(c, trigger)
+    }
+}
+
+pub(crate) fn parse_rig(text: &str) -> Result<Rig, String> {
+    let table: toml::Table = text.parse().map_err(|e: toml::de::Error| e.to_string())?;
+    Rig::from_table(&table)
+        .map_err(|problems| problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
+}
+
+impl FrameSource for SessionReader {
+    fn cameras(&self) -> &[CameraId] {
+        &self.cameras
+    }
+
+    fn triggers(&self) -> Range<u64> {
+        self.triggers.clone()
+    }
+
+    fn frame(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String> {
+        self.recorded_frame(camera, trigger).map(|outcome| match outcome {
+            Ok(frame) => Frame::Image(frame.image),
+            Err(cause) => Frame::Gap(cause.to_string()),
+        })
+    }
+}

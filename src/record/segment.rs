@@ -1,0 +1,312 @@
+//! One segment: an MCAP file whose bytes on disk are a clean prefix at every instant.
+
+use super::direct::{AlignedBuffer, BLOCK, Store};
+use super::envelope::{self, FrameMeta};
+use super::layout::{
+    FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, KEY_RIG, KEY_SEGMENT,
+    RecordingHeader, SEGMENT_METADATA, VERDICT_METADATA, VERSION, image_topic, json_channels,
+};
+use super::verdict::Verdict;
+use mcap::McapError;
+use mcap::records::{MessageHeader, Metadata};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::io::{self, Seek, SeekFrom, Write};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Holds the open chunk; what was committed before has left for the store, except the start of its last
+/// block, which is written again with what follows.
+struct Window {
+    store: Box<dyn Store>,
+    buffer: AlignedBuffer,
+    /// Offset in the file of the buffer's first byte; a multiple of [`BLOCK`].
+    base: u64,
+    /// Bytes of the buffer in use.
+    filled: usize,
+    cursor: usize,
+    /// True length of what the store holds.
+    committed: u64,
+    failed: bool,
+    closed: bool,
+}
+
+impl Window {
+    fn position(&self) -> u64 {
+        self.base + self.cursor as u64
+    }
+
+    fn check(&self) -> io::Result<()> {
+        if self.failed { Err(io::Error::other("an earlier write to this segment failed")) } else { Ok(()) }
+    }
+
+    /// Hands everything to the store; the last block is padded with zeros.
+    fn commit(&mut self) -> io::Result<()> {
+        self.check()?;
+        let end = self.base + self.filled as u64;
+        if end == self.committed {
+            return Ok(());
+        }
+        let padded = self.filled.next_multiple_of(BLOCK);
+        self.buffer.as_mut_slice()[self.filled..padded].fill(0);
+        if let Err(error) = self.store.write_at(self.base, &self.buffer.as_slice()[..padded]) {
+            self.failed = true;
+            // What was committed before must stay a clean prefix, and frames of this commit are reported
+            // lost: they must not reappear. If this fails as well, nothing more can be done.
+            let _ = self.store.set_len(self.committed);
+            return Err(error);
+        }
+        self.committed = end;
+        let whole = self.filled - self.filled % BLOCK;
+        self.buffer.as_mut_slice().copy_within(whole..self.filled, 0);
+        self.base += whole as u64;
+        self.filled -= whole;
+        self.cursor = self.filled;
+        Ok(())
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.check()?;
+        self.store.sync().inspect_err(|_| self.failed = true)
+    }
+
+    fn close(&mut self) -> io::Result<()> {
+        self.commit()?;
+        self.closed = true;
+        self.store.set_len(self.committed)?;
+        self.sync()
+    }
+}
+
+impl Drop for Window {
+    fn drop(&mut self) {
+        if !self.closed && !self.failed {
+            // Somebody gave up before `finish`: keep what there is. There is nobody left to tell.
+            let _ = self.close();
+        }
+    }
+}
+
+/// The window as the `mcap` writer holds it.
+struct Handle(Arc<Mutex<Window>>);
+
+impl Handle {
+    fn lock(&self) -> MutexGuard<'_, Window> {
+        // A panic in between leaves counts, not invariants, behind: the window stays usable.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Write for Handle {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut window = self.lock();
+        window.check()?;
+        let (cursor, end) = (window.cursor, window.cursor + bytes.len());
+        window.buffer.reserve(end + BLOCK);
+        window.buffer.as_mut_slice()[cursor..end].copy_from_slice(bytes);
+        window.cursor = end;
+        window.filled = window.filled.max(end);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.lock().commit()
+    }
+}
+
+impl Seek for Handle {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let mut window = self.lock();
+        let end = window.base + window.filled as u64;
+        let target = match to {
+            SeekFrom::Start(offset) => Some(offset),
+            SeekFrom::Current(by) => window.position().checked_add_signed(by),
+            SeekFrom::End(by) => end.checked_add_signed(by),
+        };
+        let inside = target.filter(|target| (window.base..=end).contains(target));
+        let target = inside.ok_or_else(|| io::Error::other("seek to what has left the window"))?;
+        window.cursor = (target - window.base) as usize;
+        Ok(target)
+    }
+}
+
+/// Channels whose messages are JSON, in the order of [`json_channels`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum JsonChannel {
+    /// Gap records.
+    Gaps,
+    /// The HSU's trigger table.
+    Triggers,
+    /// Clock samples.
+    Clock,
+    /// Node events.
+    Events,
+}
+
+/// Place of every frame in a segment.
+#[derive(Debug, Default, Serialize, serde::Deserialize)]
+pub struct FrameIndex {
+    /// Camera (its place in the header), trigger, offset in the file and length of the message.
+    pub frames: Vec<(u32, u64, u64, u64)>,
+}
+
+/// A segment being written.
+pub struct Segment {
+    mcap: mcap::Writer<Handle>,
+    window: Arc<Mutex<Window>>,
+    number: u32,
+    first_trigger: u64,
+    images: Vec<u16>,
+    json: Vec<u16>,
+    index_channel: u16,
+    index: FrameIndex,
+    last_time_ns: u64,
+}
+
+impl Segment {
+    /// Starts a segment in an empty store; its header is committed.
+    pub fn create(
+        store: Box<dyn Store>,
+        window_bytes: usize,
+        number: u32,
+        first_trigger: u64,
+        header: &RecordingHeader,
+    ) -> io::Result<Self> {
+        let buffer = AlignedBuffer::new(window_bytes);
+        let (base, filled, cursor, committed) = (0, 0, 0, 0);
+        let window = Window { store, buffer, base, filled, cursor, committed, failed: false, closed: false };
+        let window = Arc::new(Mutex::new(window));
+        // Chunks end where `commit` says; see docs/design/recording.md for why seeking is allowed.
+        let options = mcap::WriteOptions::new()
+            .compression(None)
+            .chunk_size(None)
+            .profile("")
+            .library(concat!("fourdbody ", env!("CARGO_PKG_VERSION")));
+        let mcap = options.create(Handle(Arc::clone(&window))).map_err(io_error)?;
+        let mut segment = Self {
+            mcap,
+            window,
+            number,
+            first_trigger,
+            images: Vec::new(),
+            json: Vec::new(),
+            index_channel: 0,
+            index: FrameIndex::default(),
+            last_time_ns: header.created_ns,
+        };
+        segment.begin(header).map_err(io_error)?;
+        segment.commit()?;
+        Ok(segment)
+    }
+
+    fn begin(&mut self, header: &RecordingHeader) -> Result<(), McapError> {
+        let json = serde_json::to_string(header).map_err(|e| McapError::Io(e.into()))?;
+        let entries = [
+            ("format", FORMAT.to_owned()),
+            ("version", VERSION.to_string()),
+            ("session", header.session.to_string()),
+            ("session_id", header.session_id.clone()),
+            ("node", header.node.to_string()),
+            (KEY_SEGMENT, self.number.to_string()),
+            (KEY_FIRST_TRIGGER, self.first_trigger.to_string()),
+            (KEY_JSON, json),
+            (KEY_RIG, header.rig_text.clone()),
+        ];
+        self.mcap.write_metadata(&metadata(HEADER_METADATA, entries))?;
+        let none = BTreeMap::new();
+        let image = self.mcap.add_schema(envelope::SCHEMA_NAME, "protobuf", &envelope::schema())?;
+        for camera in &header.cameras {
+            let id = self.mcap.add_channel(image, &image_topic(&camera.id), "protobuf", &none)?;
+            self.images.push(id);
+        }
+        for (topic, name, schema) in json_channels() {
+            let schema = self.mcap.add_schema(name, "jsonschema", schema.to_string().as_bytes())?;
+            let id = self.mcap.add_channel(schema, topic, "json", &none)?;
+            self.json.push(id);
+        }
+        let index = serde_json::json!({"type": "object", "properties": {"frames": {"type": "array", "items": {
+            "type": "array", "description": "camera, trigger, offset in the file, length of the message"}}}});
+        let schema =
+            self.mcap.add_schema("fourdbody.FrameIndex", "jsonschema", index.to_string().as_bytes())?;
+        self.index_channel = self.mcap.add_channel(schema, INDEX_TOPIC, "json", &none)?;
+        Ok(())
+    }
+
+    /// First trigger of the segment.
+    pub fn first_trigger(&self) -> u64 {
+        self.first_trigger
+    }
+
+    /// Bytes so far, the open chunk included.
+    pub fn bytes(&self) -> u64 {
+        self.lock().position()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Window> {
+        self.window.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds a frame to the open chunk.
+    pub fn frame(&mut self, camera: usize, meta: &FrameMeta, message: &[u8]) -> io::Result<()> {
+        let channel_id = *self.images.get(camera).ok_or_else(|| io::Error::other("no such camera"))?;
+        self.write(channel_id, meta.trigger.0, meta.host_time_ns, message)?;
+        let offset = self.bytes() - message.len() as u64;
+        self.index.frames.push((camera as u32, meta.trigger.0, offset, message.len() as u64));
+        Ok(())
+    }
+
+    /// Adds a small record to the open chunk.
+    pub fn json(&mut self, channel: JsonChannel, sequence: u64, time_ns: u64, json: &[u8]) -> io::Result<()> {
+        self.write(self.json[channel as usize], sequence, time_ns, json)
+    }
+
+    fn write(&mut self, channel_id: u16, sequence: u64, time_ns: u64, data: &[u8]) -> io::Result<()> {
+        self.last_time_ns = self.last_time_ns.max(time_ns);
+        let header =
+            MessageHeader { channel_id, sequence: sequence as u32, log_time: time_ns, publish_time: time_ns };
+        self.mcap.write_to_known_channel(&header, data).map_err(io_error)
+    }
+
+    /// Ends the open chunk and hands it to the store: from here on it survives the process.
+    pub fn commit(&mut self) -> io::Result<()> {
+        self.mcap.flush().map_err(io_error)
+    }
+
+    /// Commits, and returns when it survives a power cut.
+    pub fn sync(&mut self) -> io::Result<()> {
+        self.commit()?;
+        self.lock().sync()
+    }
+
+    /// Makes sure that nothing more is written: the open chunk's frames are accounted for elsewhere.
+    pub fn abandon(&mut self) {
+        self.lock().failed = true;
+    }
+
+    /// Writes the index, the segment's range, the verdict if this is the last one, and the summary.
+    pub fn finish(mut self, end_trigger: Option<u64>, verdict: Option<&Verdict>) -> io::Result<()> {
+        let index = serde_json::to_vec(&self.index)?;
+        self.write(self.index_channel, 0, self.last_time_ns, &index)?;
+        let mut entries =
+            vec![(KEY_SEGMENT, self.number.to_string()), (KEY_FIRST_TRIGGER, self.first_trigger.to_string())];
+        entries.extend(end_trigger.map(|end| (KEY_END_TRIGGER, end.to_string())));
+        self.mcap.write_metadata(&metadata(SEGMENT_METADATA, entries)).map_err(io_error)?;
+        if let Some(verdict) = verdict {
+            let entries = [(KEY_JSON, serde_json::to_string(verdict)?)];
+            self.mcap.write_metadata(&metadata(VERDICT_METADATA, entries)).map_err(io_error)?;
+        }
+        self.mcap.finish().map_err(io_error)?;
+        self.lock().close()
+    }
+}
+
+fn metadata<'a>(name: &str, entries: impl IntoIterator<Item = (&'a str, String)>) -> Metadata {
+    let metadata = entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+    Metadata { name: name.to_owned(), metadata }
+}
+
+fn io_error(error: McapError) -> io::Error {
+    match error {
+        McapError::Io(error) => error,
+        other => io::Error::other(other),
+    }
+}

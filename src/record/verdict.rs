@@ -1,0 +1,273 @@
+//! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
+
+use super::layout::{GapCause, MAX_TRIGGERS};
+use crate::ids::{CameraId, TriggerIndex};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::ops::Range;
+
+/// What a session amounts to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// Every camera has a frame for every trigger that was asked for.
+    Complete,
+    /// Something is missing, and it is known what and why.
+    Incomplete,
+    /// The session was aborted; what was recorded until then is accounted for.
+    Aborted,
+}
+
+/// One camera's outcomes.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CameraVerdict {
+    /// The camera.
+    pub camera: CameraId,
+    /// Triggers with a frame.
+    pub frames: u64,
+    /// Triggers with a gap record, by cause.
+    pub gaps: BTreeMap<GapCause, u64>,
+}
+
+impl CameraVerdict {
+    /// Triggers with a gap record.
+    pub fn gap_count(&self) -> u64 {
+        self.gaps.values().sum()
+    }
+}
+
+/// What one node's recording amounts to.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Verdict {
+    /// In one word.
+    pub status: Status,
+    /// Triggers of the session: every camera has this many outcomes.
+    pub triggers: u64,
+    /// Triggers asked for.
+    pub triggers_expected: Option<u64>,
+    /// Triggers that the HSU reports to have emitted; `None` when the report is missing.
+    pub triggers_emitted: Option<u64>,
+    /// Per camera, in the recording's order.
+    pub cameras: Vec<CameraVerdict>,
+    /// Outcomes that were refused: a second one for a trigger, or one that lies outside the session. Each
+    /// is an event in the recording.
+    pub refused: u64,
+    /// Why the session was aborted.
+    pub aborted: Option<String>,
+}
+
+impl Verdict {
+    /// Frames of all cameras.
+    pub fn frames(&self) -> u64 {
+        self.cameras.iter().map(|camera| camera.frames).sum()
+    }
+
+    /// Gap records of all cameras.
+    pub fn gaps(&self) -> u64 {
+        self.cameras.iter().map(CameraVerdict::gap_count).sum()
+    }
+
+    /// Derives the status from everything else.
+    pub(crate) fn judge(&self) -> Status {
+        let asked = self.triggers_expected.is_none_or(|n| n == self.triggers);
+        let counted = self.triggers_emitted == Some(self.triggers);
+        if self.aborted.is_some() {
+            Status::Aborted
+        } else if asked && counted && self.gaps() == 0 && self.refused == 0 {
+            Status::Complete
+        } else {
+            Status::Incomplete
+        }
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let word = match self.status {
+            Status::Complete => "complete",
+            Status::Incomplete => "incomplete",
+            Status::Aborted => "aborted",
+        };
+        let (triggers, frames, gaps) = (self.triggers, self.frames(), self.gaps());
+        write!(f, "{word}: {triggers} triggers, {frames} frames, {gaps} gaps")?;
+        match (self.triggers_expected, self.triggers_emitted) {
+            (Some(n), _) if n != triggers => write!(f, " ({n} triggers were asked for)")?,
+            (_, None) => write!(f, " (the HSU's count is missing)")?,
+            (_, Some(n)) if n != triggers => write!(f, " (the HSU counted {n})")?,
+            _ => {}
+        }
+        if self.refused > 0 {
+            write!(f, "; {} outcomes refused", self.refused)?;
+        }
+        if let Some(reason) = &self.aborted {
+            write!(f, "; {reason}")?;
+        }
+        for camera in self.cameras.iter().filter(|camera| !camera.gaps.is_empty()) {
+            write!(f, "\n  {}: {} frames", camera.camera, camera.frames)?;
+            for (cause, count) in &camera.gaps {
+                write!(f, ", {count} {cause}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// How a session ended, as the one who ran it knows.
+#[derive(Debug, Clone)]
+pub struct SessionEnd {
+    /// Triggers that the HSU reports to have emitted.
+    pub triggers_emitted: Option<u64>,
+    /// Why the session was aborted, if it was.
+    pub aborted: Option<String>,
+    /// Cause of the gap records for outcomes that are still absent.
+    pub absent: GapCause,
+    /// When, host clock, ns.
+    pub host_time_ns: u64,
+}
+
+/// A set of trigger indexes as disjoint ranges: its size is that of the disorder, not of the session.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct TriggerSet {
+    /// Start to end (exclusive); neighbours never touch.
+    ranges: BTreeMap<u64, u64>,
+}
+
+impl TriggerSet {
+    /// Adds an index; `false` when it was there. Indexes from [`MAX_TRIGGERS`] on are never added.
+    pub fn insert(&mut self, index: u64) -> bool {
+        if index >= MAX_TRIGGERS {
+            return false;
+        }
+        let before = self.ranges.range(..=index).next_back().map(|(&start, &end)| (start, end));
+        let start = match before {
+            Some((_, end)) if end > index => return false,
+            Some((start, end)) if end == index => start,
+            _ => index,
+        };
+        let end = self.ranges.remove(&(index + 1)).unwrap_or(index + 1);
+        self.ranges.insert(start, end);
+        true
+    }
+
+    /// Takes an index out again; `false` when it was not there.
+    pub fn remove(&mut self, index: u64) -> bool {
+        let Some((&start, &end)) = self.ranges.range(..=index).next_back() else { return false };
+        if end <= index {
+            return false;
+        }
+        self.ranges.remove(&start);
+        if start < index {
+            self.ranges.insert(start, index);
+        }
+        if index + 1 < end {
+            self.ranges.insert(index + 1, end);
+        }
+        true
+    }
+
+    /// One more than the highest index; 0 when there is none.
+    pub fn end(&self) -> u64 {
+        self.ranges.last_key_value().map_or(0, |(_, &end)| end)
+    }
+
+    /// Whether all indexes of 0 to `end` are there.
+    pub fn covers(&self, end: u64) -> bool {
+        end == 0 || self.ranges.get(&0).is_some_and(|&first| first >= end)
+    }
+
+    /// The ranges of 0 to `end` that are absent.
+    pub fn absent(&self, end: u64) -> Vec<Range<u64>> {
+        let mut absent = Vec::new();
+        let mut next = 0;
+        for (&start, &stop) in self.ranges.range(..end) {
+            if next < start {
+                absent.push(next..start);
+            }
+            next = stop;
+        }
+        if next < end {
+            absent.push(next..end);
+        }
+        absent
+    }
+}
+
+/// Outcomes of one camera so far.
+#[derive(Debug, Clone, Default)]
+pub struct CameraTally {
+    seen: TriggerSet,
+    frames: u64,
+    gaps: BTreeMap<GapCause, u64>,
+}
+
+impl CameraTally {
+    /// Notes a frame; `false` when the trigger has an outcome already.
+    pub fn frame(&mut self, trigger: TriggerIndex) -> bool {
+        let fresh = self.seen.insert(trigger.0);
+        self.frames += u64::from(fresh);
+        fresh
+    }
+
+    /// Notes a gap; `false` when the trigger has an outcome already.
+    pub fn gap(&mut self, trigger: TriggerIndex, cause: GapCause) -> bool {
+        let fresh = self.seen.insert(trigger.0);
+        if fresh {
+            *self.gaps.entry(cause).or_default() += 1;
+        }
+        fresh
+    }
+
+    /// Takes back a frame that did not reach the disk.
+    pub fn forget_frame(&mut self, trigger: TriggerIndex) {
+        if self.seen.remove(trigger.0) {
+            self.frames = self.frames.saturating_sub(1);
+        }
+    }
+
+    /// The triggers with an outcome.
+    pub fn seen(&self) -> &TriggerSet {
+        &self.seen
+    }
+
+    /// The counts.
+    pub fn verdict(&self, camera: &CameraId) -> CameraVerdict {
+        CameraVerdict { camera: camera.clone(), frames: self.frames, gaps: self.gaps.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TriggerSet;
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
+
+    proptest! {
+        #[test]
+        fn a_trigger_set_is_a_set(steps in prop::collection::vec((0u64..60, any::<bool>()), 0..200), end in 0u64..70) {
+            let (mut set, mut model) = (TriggerSet::default(), BTreeSet::new());
+            for (index, add) in steps {
+                if add {
+                    prop_assert_eq!(set.insert(index), model.insert(index));
+                } else {
+                    prop_assert_eq!(set.remove(index), model.remove(&index));
+                }
+            }
+            prop_assert_eq!(set.end(), model.last().map_or(0, |last| last + 1));
+            prop_assert_eq!(set.covers(end), (0..end).all(|i| model.contains(&i)));
+            let absent: Vec<u64> = set.absent(end).into_iter().flatten().collect();
+            let expected: Vec<u64> = (0..end).filter(|i| !model.contains(i)).collect();
+            prop_assert_eq!(absent, expected);
+        }
+    }
+
+    #[test]
+    fn its_size_is_that_of_the_disorder() {
+        let mut set = TriggerSet::default();
+        for index in (0..10_000u64).map(|i| i ^ 3) {
+            assert!(set.insert(index));
+            assert!(set.ranges.len() <= 3);
+        }
+        assert_eq!((set.ranges.len(), set.end()), (1, 10_000));
+    }
+}

@@ -1,0 +1,185 @@
+//! Recordings: what is written is read back, and what is broken is found.
+
+use fourdbody::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
+use fourdbody::reconstruct::{Frame, FrameSource};
+use fourdbody::record::envelope::pixels_crc;
+use fourdbody::record::{
+    CameraHeader, ClockSample, ENVELOPE_CAPACITY, FrameMeta, GapCause, HsuIdentity, NodeEvent, Recording,
+    RecordingHeader, SessionEnd, SessionReader, Status, TriggerRecord, WriterOptions, node_dir,
+    write_envelope,
+};
+use std::path::Path;
+
+const WIDTH: u32 = 40;
+const HEIGHT: u32 = 30;
+const PERIOD_NS: u64 = 8_333_333;
+const START_NS: u64 = 1_790_000_000_000_000_000;
+
+/// A header of cameras that the shipped rig has on this node.
+pub fn header(node: &str, cameras: &[&str], triggers: Option<u64>) -> RecordingHeader {
+    let camera = |id: &&str| CameraHeader {
+        id: CameraId::from(*id),
+        width: WIDTH,
+        height: HEIGHT,
+        device: "test".to_owned(),
+        settings: Vec::new(),
+    };
+    RecordingHeader {
+        session: SessionName::from("walk-01"),
+        session_id: "5f0c".to_owned(),
+        node: NodeId::from(node),
+        rig_text: std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml"))
+            .expect("config/rig.toml is in the repository"),
+        cameras: cameras.iter().map(camera).collect(),
+        hsu: Some(HsuIdentity { uid: "hsu-1".to_owned(), firmware: "1.0".to_owned(), protocol: 1 }),
+        expected_triggers: triggers,
+        trigger_rate_hz: 120.0,
+        host_clock: "CLOCK_REALTIME".to_owned(),
+        created_ns: START_NS,
+        software: "test".to_owned(),
+        subject: Some("s-17".to_owned()),
+        note: None,
+    }
+}
+
+pub fn pixels(camera: usize, trigger: u64) -> Vec<u8> {
+    (0..WIDTH * HEIGHT).map(|i| (i as u64 * 7 + trigger * 13 + camera as u64 * 101) as u8).collect()
+}
+
+/// A frame as the acquisition hands it over: description and message.
+pub fn frame(camera: &str, number: usize, trigger: u64) -> (FrameMeta, Vec<u8>) {
+    let pixels = pixels(number, trigger);
+    let meta = FrameMeta {
+        trigger: TriggerIndex(trigger),
+        block: BlockId(trigger + 1),
+        camera_time_ns: 1000 + trigger * PERIOD_NS,
+        host_time_ns: START_NS + trigger * PERIOD_NS,
+        width: WIDTH,
+        height: HEIGHT,
+        pixels_crc: pixels_crc(&pixels),
+    };
+    let mut buffer = vec![0; ENVELOPE_CAPACITY];
+    buffer.extend_from_slice(&pixels);
+    let envelope = write_envelope(&mut buffer[..ENVELOPE_CAPACITY], &CameraId::from(camera), &meta);
+    (meta, buffer.split_off(ENVELOPE_CAPACITY - envelope.expect("room enough")))
+}
+
+pub fn trigger(index: u64) -> TriggerRecord {
+    TriggerRecord {
+        index: TriggerIndex(index),
+        hsu_time_ns: 5_000 + index * PERIOD_NS,
+        flags: 0,
+        host_time_ns: START_NS + index * PERIOD_NS,
+    }
+}
+
+pub fn end(triggers: u64) -> SessionEnd {
+    SessionEnd {
+        triggers_emitted: Some(triggers),
+        aborted: None,
+        absent: GapCause::Timeout,
+        host_time_ns: START_NS + triggers * PERIOD_NS,
+    }
+}
+
+pub fn options(segment_bytes: u64) -> WriterOptions {
+    WriterOptions { segment_bytes, reserve_bytes: 0, ..WriterOptions::default() }
+}
+
+/// Records `triggers` triggers of these cameras; `missing` become gaps.
+pub fn record(dir: &Path, header: RecordingHeader, triggers: u64, missing: &[(usize, u64)]) {
+    let mut recording = Recording::create(dir, header.clone(), options(60_000)).expect("a new recording");
+    for index in 0..triggers {
+        recording.trigger(&trigger(index)).expect("recorded");
+        for (number, camera) in header.cameras.iter().enumerate() {
+            if missing.contains(&(number, index)) {
+                recording.gap(number, TriggerIndex(index), GapCause::MissingPackets).expect("recorded");
+            } else {
+                let (meta, message) = frame(camera.id.as_str(), number, index);
+                recording.frame(number, &meta, &message).expect("recorded");
+            }
+        }
+    }
+    recording.finish(end(triggers)).expect("finished");
+}
+
+#[test]
+fn a_session_of_two_nodes_reads_back() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let session = dir.path().join("walk-01");
+    record(
+        &node_dir(&session, &NodeId::from("b")),
+        header("b", &["h2_up", "h2_low"], Some(50)),
+        50,
+        &[(1, 7)],
+    );
+    record(&node_dir(&session, &NodeId::from("a")), header("a", &["h0_up", "h0_low"], Some(50)), 50, &[]);
+    let reader = SessionReader::open(&session).expect("a session");
+    assert_eq!(reader.triggers(), 0..50);
+    let names: Vec<&str> = reader.cameras().iter().map(CameraId::as_str).collect();
+    assert_eq!(names, ["h0_up", "h0_low", "h2_up", "h2_low"], "in the rig's order");
+    assert!(reader.recordings().iter().all(|r| r.segments.len() > 1 && r.problems.is_empty()));
+    for (camera, number) in [("h0_up", 0), ("h0_low", 1), ("h2_up", 0), ("h2_low", 1)] {
+        for index in 0..50 {
+            match reader.frame(&CameraId::from(camera), TriggerIndex(index)).expect("an outcome") {
+                Frame::Image(image) => {
+                    assert_eq!(image.as_slice(), pixels(number, index), "{camera} {index}")
+                }
+                Frame::Gap(cause) => {
+                    assert_eq!((camera, index, cause.as_str()), ("h2_low", 7, "missing_packets"));
+                }
+            }
+        }
+    }
+    let [a, b] = reader.recordings() else { panic!("two recordings") };
+    assert_eq!(a.header, header("a", &["h0_up", "h0_low"], Some(50)));
+    assert_eq!(a.triggers.len(), 50);
+    let verdict = a.verdict.as_ref().expect("stored");
+    assert_eq!((verdict.status, verdict.frames(), verdict.gaps()), (Status::Complete, 100, 0));
+    let verdict = b.verdict.as_ref().expect("stored");
+    assert_eq!((verdict.status, verdict.frames(), verdict.gaps()), (Status::Incomplete, 99, 1));
+}
+
+#[test]
+fn small_records_read_back_and_every_segment_stands_alone() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let path = dir.path().join("node-a");
+    let mut recording =
+        Recording::create(&path, header("a", &["h0_up"], None), options(20_000)).expect("a new recording");
+    let sample = ClockSample { host_send_ns: START_NS, host_receive_ns: START_NS + 9, hsu_time_ns: 4 };
+    let event = NodeEvent {
+        host_time_ns: START_NS,
+        kind: "camera_lost".to_owned(),
+        camera: Some(CameraId::from("h0_up")),
+        trigger: None,
+        message: "no packets for 25 ms".to_owned(),
+    };
+    recording.clock_sample(&sample).expect("recorded");
+    recording.event(&event).expect("recorded");
+    for index in 0..60 {
+        let (meta, message) = frame("h0_up", 0, index);
+        recording.frame(0, &meta, &message).expect("recorded");
+    }
+    let verdict = recording.finish(end(60)).expect("finished");
+    assert_eq!(verdict.status, Status::Complete);
+    let reader = SessionReader::open(&path).expect("a recording");
+    let recording = &reader.recordings()[0];
+    assert_eq!(recording.clock_samples, [sample]);
+    assert_eq!(recording.events, [event]);
+    assert!(recording.segments.len() >= 3);
+    let mut next = 0;
+    for segment in &recording.segments {
+        assert_eq!(segment.first_trigger, next);
+        let alone = SessionReader::open(&segment.path).expect("understandable alone");
+        assert_eq!(alone.recordings()[0].header, recording.header);
+        assert_eq!(alone.rig().expect("the rig").cameras().count(), 8);
+        let last = next..segment.end_trigger.unwrap_or(60);
+        assert_eq!(alone.triggers().start, last.start);
+        for index in last.clone() {
+            let frame = alone.frame(&CameraId::from("h0_up"), TriggerIndex(index)).expect("an outcome");
+            assert!(matches!(frame, Frame::Image(image) if image.as_slice() == pixels(0, index)));
+        }
+        next = last.end;
+    }
+    assert_eq!(next, 60);
+}
