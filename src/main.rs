@@ -17,7 +17,11 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Node(cmds::node::Args),
     CheckConfig(cmds::check_config::Args),
+    Cameras(cmds::cameras::Args),
+    Capture(cmds::capture::Args),
+    Status(cmds::status::Args),
 }
 
 fn main() -> ExitCode {
@@ -36,6 +40,10 @@ fn main() -> ExitCode {
 
 fn run(command: &Command) -> Result<Exit, Failure> {
     match command {
+        Command::Node(args) => cmds::node::run(args),
         Command::CheckConfig(args) => cmds::check_config::run(args),
+        Command::Cameras(args) => cmds::cameras::run(args),
+        Command::Capture(args) => cmds::capture::run(args),
+        Command::Status(args) => cmds::status::run(args),
     }
 }

@@ -5,4 +5,5 @@
 pub mod gige;
 pub mod hsu;
 pub mod images;
+pub mod laboratory;
 pub mod wire;

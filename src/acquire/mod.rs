@@ -2,3 +2,5 @@
 
 pub mod matcher;
 pub mod pool;
+pub mod receiver;
+pub mod recorder;

@@ -10,18 +10,19 @@
 
 use super::{
     AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing,
-    FrameStream, Received, StreamOptions, Transfer, matches, monotonic_ns,
+    FrameStream, Received, StreamOptions, Transfer, matches,
 };
 use crate::acquire::pool::Block;
 use crate::config::{FeatureSetting, FeatureValue, SocketMode};
 use crate::ids::BlockId;
+use crate::time::monotonic_ns;
 use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};
 use std::ffi::CStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The cameras that Aravis can reach.
 #[derive(Debug, Default)]
@@ -173,9 +174,9 @@ impl Camera for AravisCamera {
             if self.device.feature(latch).is_none() || self.device.feature(value).is_none() {
                 continue;
             }
-            let host_before_ns = monotonic_ns();
+            let host_before_ns = monotonic_ns(Instant::now());
             self.device.execute_command(latch).map_err(link_error("latching its clock"))?;
-            let host_after_ns = monotonic_ns();
+            let host_after_ns = monotonic_ns(Instant::now());
             let ticks = self.device.integer_feature_value(value).map_err(link_error("reading its clock"))?;
             let frequency =
                 self.device.integer_feature_value("GevTimestampTickFrequency").unwrap_or(1_000_000_000);

@@ -183,13 +183,3 @@ pub trait FrameStream: Send {
     /// Counters by Aravis' names.
     fn counters(&self) -> Vec<(String, u64)>;
 }
-
-/// Host clock of [`CameraClockSample`] and of the HSU's clock samples: CLOCK_MONOTONIC since an arbitrary
-/// origin that is the same for the whole process, ns.
-pub fn monotonic_ns() -> u64 {
-    use std::sync::OnceLock;
-    use std::time::Instant;
-    static ORIGIN: OnceLock<Instant> = OnceLock::new();
-    let origin = *ORIGIN.get_or_init(Instant::now);
-    u64::try_from(origin.elapsed().as_nanos()).unwrap_or(u64::MAX)
-}

@@ -7,7 +7,11 @@ use crate::config::ConfigError;
 use std::fmt;
 use std::process::ExitCode;
 
+pub mod cameras;
+pub mod capture;
 pub mod check_config;
+pub mod node;
+pub mod status;
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,6 +29,14 @@ pub enum Exit {
     Corrupt = 4,
     /// A device or a link failed.
     Device = 5,
+}
+
+impl Exit {
+    /// The exit that a code of a fault means.
+    pub fn from_code(code: u8) -> Self {
+        let known = [Self::Done, Self::Usage, Self::DataLoss, Self::Corrupt, Self::Device];
+        known.into_iter().find(|exit| *exit as u8 == code).unwrap_or(Self::Failure)
+    }
 }
 
 impl From<Exit> for ExitCode {

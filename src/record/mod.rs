@@ -15,6 +15,7 @@ mod verdict;
 
 mod writer;
 
+pub use direct::free_bytes;
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NodeEvent, RecordingHeader,

@@ -12,6 +12,7 @@
 //! train is started only when this node and, by the HSU, every other node is ready.
 
 use crate::cmds::Exit;
+use crate::ids::NodeId;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -25,8 +26,8 @@ pub struct SessionRequest {
     pub name: String,
     /// Exactly this many triggers; 0: until stopped.
     pub triggers: u64,
-    /// How many nodes take part.
-    pub nodes: u8,
+    /// The nodes that take part: the HSU starts only when all of them have armed.
+    pub nodes: Vec<NodeId>,
     /// Pseudonymous.
     pub subject: Option<String>,
     /// Free text.
@@ -100,8 +101,8 @@ pub enum Event {
 /// What the driver must do, in this order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
-    /// Open what is not open, apply and read back settings.
-    PrepareCameras,
+    /// Open what is not open, apply and read back settings, connect to the HSU.
+    PrepareDevices,
     /// Create the recording.
     CreateRecording,
     /// Start fresh streams on all cameras.
@@ -152,7 +153,7 @@ pub struct Machine {
 
 /// The steps of preparation, in order, each with what undoes it.
 const STEPS: [(Action, Option<Action>); 4] = [
-    (Action::PrepareCameras, None),
+    (Action::PrepareDevices, None),
     (Action::CreateRecording, Some(Action::DiscardRecording)),
     (Action::StartStreams, Some(Action::StopStreams)),
     (Action::ArmHsu, Some(Action::DisarmHsu)),
@@ -325,7 +326,7 @@ mod tests {
     fn a_session_goes_through_all_phases() {
         let mut m = machine();
         let t = Duration::ZERO;
-        assert_eq!(m.step(Event::Prepare(request()), t), [Action::PrepareCameras]);
+        assert_eq!(m.step(Event::Prepare(request()), t), [Action::PrepareDevices]);
         assert_eq!(m.step(Event::StepDone, t), [Action::CreateRecording]);
         assert_eq!(m.step(Event::StepDone, t), [Action::StartStreams]);
         assert_eq!(m.step(Event::StepDone, t), [Action::ArmHsu]);
@@ -410,7 +411,7 @@ mod tests {
                     match action {
                         Action::StopStreams => streams -= 1,
                         Action::DiscardRecording | Action::CloseRecording { .. } => recordings -= 1,
-                        Action::PrepareCameras | Action::CreateRecording | Action::StartStreams | Action::ArmHsu => acting = Some(action),
+                        Action::PrepareDevices | Action::CreateRecording | Action::StartStreams | Action::ArmHsu => acting = Some(action),
                         _ => {}
                     }
                 }

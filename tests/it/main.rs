@@ -1,5 +1,7 @@
 //! Integration tests of the product: one binary, a module per subject.
 
+mod chain;
 mod hsu;
+mod lab;
 mod recording;
 mod third_party_mcap;

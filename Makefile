@@ -1,0 +1,37 @@
+# fourdbody: each target installs the Debian packages that it needs and that are missing, and says so.
+#
+#   make demo      simulator, two nodes, one session, verified, reconstructed and scored
+#   make test      everything that can be tested on this machine
+#   make lint      formatting and lints, all fatal
+
+SHELL := /bin/bash
+CARGO ?= cargo
+export CARGO_TERM_COLOR ?= auto
+
+.PHONY: all demo test lint packages test-packages clean-out
+
+all: packages
+	$(CARGO) build --release --workspace
+
+# Aravis' development package does not depend on everything that its pkg-config file names.
+packages:
+	@scripts/install-packages.sh gcc pkg-config libaravis-dev libusb-1.0-0-dev
+
+# Third parties that the tests talk to; a test whose program is absent says so and is skipped.
+test-packages: packages
+	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv
+	@scripts/make-venv.sh tests/.venv mcap==1.6.0
+
+demo: packages
+	$(CARGO) build --release --workspace
+	scripts/demo.sh
+
+test: test-packages
+	$(CARGO) test --workspace
+	@echo "-- without Aravis: everything but the live cameras"
+	$(CARGO) test --no-default-features --lib
+
+lint: packages
+	$(CARGO) fmt --all -- --check
+	$(CARGO) clippy --workspace --all-targets -- -D warnings
+	$(CARGO) clippy --no-default-features --all-targets -- -D warnings

@@ -1,0 +1,219 @@
+//! The laboratory in one process: all cameras of a rig on loopback addresses, the HSU on ptys, and the
+//! configuration files with which real nodes drive them.
+
+use crate::gige::{CameraError, CameraOptions, ClockOptions, SimulatedCamera};
+use crate::hsu::{HsuOptions, SimulatedHsu};
+use crate::images::ImageSource;
+use crossbeam_channel::unbounded;
+use fourdbody::config::Rig;
+use fourdbody::ids::{CameraId, NodeId};
+use std::fmt::Write as _;
+use std::io;
+use std::net::Ipv4Addr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What to set up.
+pub struct LaboratoryOptions {
+    /// The rig file's text; it is copied beside the node files.
+    pub rig_text: String,
+    /// Where node files, the rig file and the links to the HSU's ptys go.
+    pub run_dir: PathBuf,
+    /// Where the nodes shall record.
+    pub sessions_dir: PathBuf,
+    /// Address of the first camera; the others follow.
+    pub first_address: Ipv4Addr,
+    /// Port of the first node's API; the others follow. 0: any free ports.
+    pub first_port: u16,
+    /// How much free disk the nodes keep, MiB.
+    pub reserve_mib: u64,
+    /// Size of the nodes' segments, MiB.
+    pub segment_mib: u64,
+    /// Frame buffers per camera.
+    pub buffers_per_camera: usize,
+}
+
+impl LaboratoryOptions {
+    /// A laboratory below `run_dir`, with these rig and defaults for the rest.
+    pub fn new(rig_text: String, run_dir: &Path) -> Self {
+        Self {
+            rig_text,
+            run_dir: run_dir.to_owned(),
+            sessions_dir: run_dir.join("sessions"),
+            first_address: Ipv4Addr::new(127, 0, 7, 11),
+            first_port: 7401,
+            reserve_mib: 256,
+            segment_mib: 16_384,
+            buffers_per_camera: 16,
+        }
+    }
+}
+
+/// Why the laboratory cannot be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum LaboratoryError {
+    /// The rig file is wrong.
+    #[error("the rig file has problems: {0}")]
+    Rig(String),
+    /// A file, link or pty could not be made.
+    #[error("{what}: {source}")]
+    Io {
+        /// What was being made.
+        what: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A camera did not start.
+    #[error("camera {id}: {source}")]
+    Camera {
+        /// Its name in the rig.
+        id: CameraId,
+        /// Why.
+        source: CameraError,
+    },
+}
+
+/// One node's configuration, ready to be used.
+#[derive(Debug, Clone)]
+pub struct NodeFile {
+    /// The node.
+    pub node: NodeId,
+    /// Its file.
+    pub path: PathBuf,
+    /// The port of its API.
+    pub port: u16,
+}
+
+/// Cameras and HSU, running until dropped.
+pub struct Laboratory {
+    /// The rig.
+    pub rig: Rig,
+    /// In the rig's order.
+    pub cameras: Vec<SimulatedCamera>,
+    /// With one link per node, in the order of the nodes' names.
+    pub hsu: SimulatedHsu,
+    /// One per node, in the order of their names.
+    pub nodes: Vec<NodeFile>,
+}
+
+impl Laboratory {
+    /// Starts everything; `images` gives each camera its light.
+    pub fn start(
+        options: &LaboratoryOptions,
+        mut images: impl FnMut(&CameraId) -> Arc<dyn ImageSource>,
+    ) -> Result<Self, LaboratoryError> {
+        let io_error = |what: &Path| {
+            let what = what.display().to_string();
+            move |source| LaboratoryError::Io { what, source }
+        };
+        let table = options.rig_text.parse().map_err(|e| LaboratoryError::Rig(format!("not TOML: {e}")))?;
+        let rig = Rig::from_table(&table).map_err(|problems| {
+            LaboratoryError::Rig(problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
+        })?;
+        std::fs::create_dir_all(&options.run_dir).map_err(io_error(&options.run_dir))?;
+        let rig_path = options.run_dir.join("rig.toml");
+        std::fs::write(&rig_path, &options.rig_text).map_err(io_error(&rig_path))?;
+
+        let mut cameras = Vec::new();
+        let mut wires = Vec::new();
+        for (number, (head, camera)) in (0u32..).zip(rig.cameras()) {
+            let address = camera_address(options, number);
+            let (wire, triggers) = unbounded();
+            let mut setup = CameraOptions::new(&format!("SIM{number:04}"), address, images(&camera.id));
+            setup.user_name = camera.id.to_string();
+            setup.triggers = triggers;
+            // Every clock of its own, as in the laboratory.
+            setup.clock = ClockOptions {
+                offset_ns: 1_000_000_000 * (1 + u64::from(number)),
+                drift_ppm: f64::from(number) * 10.0 - 35.0,
+            };
+            let started = SimulatedCamera::start(setup);
+            cameras
+                .push(started.map_err(|source| LaboratoryError::Camera { id: camera.id.clone(), source })?);
+            let place = rig.heads.iter().position(|other| other.id == head.id);
+            wires.extend(place.map(|place| (place, wire)));
+        }
+        let nodes = write_node_files(options, &rig)?;
+        let links = nodes.iter().map(|node| hsu_link(options, &node.node)).collect();
+        let setup = HsuOptions { links, cameras: wires, ..HsuOptions::default() };
+        let hsu = SimulatedHsu::start(setup)
+            .map_err(|source| LaboratoryError::Io { what: "the HSU's ptys".to_owned(), source })?;
+        Ok(Self { rig, cameras, hsu, nodes })
+    }
+
+    /// The nodes' URLs, separated by commas, as `fourdbody capture --nodes` takes them.
+    pub fn urls(&self) -> String {
+        let urls: Vec<String> =
+            self.nodes.iter().map(|node| format!("http://127.0.0.1:{}", node.port)).collect();
+        urls.join(",")
+    }
+}
+
+fn camera_address(options: &LaboratoryOptions, number: u32) -> Ipv4Addr {
+    Ipv4Addr::from_bits(options.first_address.to_bits().wrapping_add(number))
+}
+
+fn hsu_link(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
+    options.run_dir.join(format!("hsu-{node}"))
+}
+
+fn write_node_files(options: &LaboratoryOptions, rig: &Rig) -> Result<Vec<NodeFile>, LaboratoryError> {
+    let mut files = Vec::new();
+    for (number, node) in (0u16..).zip(rig.nodes()) {
+        let path = options.run_dir.join(format!("node-{node}.toml"));
+        let port_error = |source| LaboratoryError::Io { what: "a free port".to_owned(), source };
+        let port = match options.first_port {
+            0 => free_port().map_err(port_error)?,
+            first => first.wrapping_add(number),
+        };
+        let text = node_text(options, rig, &node, port);
+        std::fs::write(&path, text)
+            .map_err(|source| LaboratoryError::Io { what: path.display().to_string(), source })?;
+        files.push(NodeFile { node, path, port });
+    }
+    Ok(files)
+}
+
+/// A port that was free a moment ago.
+fn free_port() -> io::Result<u16> {
+    Ok(std::net::TcpListener::bind("127.0.0.1:0")?.local_addr()?.port())
+}
+
+fn node_text(options: &LaboratoryOptions, rig: &Rig, node: &NodeId, port: u16) -> String {
+    let quoted = |path: &Path| format!("{:?}", path.display().to_string());
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let mut text = format!(
+        "# Written by the simulator: node {node} of the simulated laboratory.\n\
+         format = 1\nnode = \"{node}\"\nrig = \"rig.toml\"\n\n\
+         [api]\nlisten = \"127.0.0.1:{port}\"\n\n\
+         [hsu]\ndevice = {}\n\n\
+         [storage]\nsessions_dir = {}\nreserve_mib = {}\nsegment_mib = {}\n\n\
+         [acquisition]\nbuffers_per_camera = {}\npacket_bytes = 9000\nsocket = \"auto\"\n",
+        quoted(&absolute(&hsu_link(options, node))),
+        quoted(&absolute(&options.sessions_dir)),
+        options.reserve_mib,
+        options.segment_mib,
+        options.buffers_per_camera,
+    );
+    for (number, (head, camera)) in (0u32..).zip(rig.cameras()) {
+        if camera.node != *node {
+            continue;
+        }
+        let settings = format!(
+            "  [\"PixelFormat\", \"Mono8\"],\n  [\"Width\", {}],\n  [\"Height\", {}],\n  \
+             [\"TriggerSelector\", \"FrameStart\"],\n  [\"TriggerMode\", \"On\"],\n  [\"TriggerSource\", \"Line0\"],\n  \
+             [\"TriggerActivation\", \"RisingEdge\"],\n  [\"ExposureTime\", {:?}],\n  [\"Gain\", 0.0],\n",
+            camera.device.width,
+            camera.device.height,
+            head.exposure_ns as f64 / 1000.0
+        );
+        // Writing into a String cannot fail.
+        let _ = write!(
+            text,
+            "\n[[camera]]\nid = \"{}\"\naddress = \"{}\"\nsettings = [\n{settings}]\n",
+            camera.id,
+            camera_address(options, number)
+        );
+    }
+    text
+}

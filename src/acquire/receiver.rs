@@ -1,0 +1,84 @@
+//! One thread per camera: takes frames off its stream and hands them to the recorder.
+//!
+//! The checksum is computed here, so that it covers the way through the recorder and is spread over cores.
+
+use super::pool::Block;
+use crate::camera::{FrameStream, Transfer};
+use crate::ids::BlockId;
+use crate::record::envelope::pixels_crc;
+use crossbeam_channel::Sender;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// A frame on its way to the recorder.
+#[derive(Debug)]
+pub struct Arrival {
+    /// The camera's place in the node's list.
+    pub camera: usize,
+    /// What became of the transfer.
+    pub transfer: Transfer,
+    /// GVSP block id.
+    pub block_id: BlockId,
+    /// Start of exposure, camera clock, ns.
+    pub camera_ns: u64,
+    /// First packet seen, host clock (CLOCK_REALTIME), ns.
+    pub host_ns: u64,
+    /// CRC-32 of the pixels, when the transfer is complete.
+    pub pixels_crc: u32,
+    /// When it was taken off the stream.
+    pub taken: Instant,
+    /// The pixels, with room before them.
+    pub block: Block,
+}
+
+/// A running receiver.
+#[derive(Debug)]
+pub struct Receiver {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Vec<(String, u64)>>,
+}
+
+/// How long a receiver waits for a frame before it looks whether it shall stop.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+impl Receiver {
+    /// Starts the thread of camera number `camera`. It ends with `stop`, or when the recorder is gone.
+    pub fn start(
+        camera: usize,
+        mut stream: Box<dyn FrameStream>,
+        recorder: Sender<Arrival>,
+    ) -> std::io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopping = Arc::clone(&stop);
+        let thread = std::thread::Builder::new().name(format!("receive-{camera}")).spawn(move || {
+            while !stopping.load(Ordering::Acquire) {
+                let Some(frame) = stream.next(PATIENCE) else { continue };
+                let complete = frame.transfer == Transfer::Complete;
+                let arrival = Arrival {
+                    camera,
+                    transfer: frame.transfer,
+                    block_id: frame.block_id,
+                    camera_ns: frame.camera_ns,
+                    host_ns: frame.host_ns,
+                    pixels_crc: if complete { pixels_crc(frame.block.pixels()) } else { 0 },
+                    taken: Instant::now(),
+                    block: frame.block,
+                };
+                // The channel holds as many frames as there are blocks: it is never full.
+                if recorder.send(arrival).is_err() {
+                    break;
+                }
+            }
+            stream.counters()
+        })?;
+        Ok(Self { stop, thread })
+    }
+
+    /// Ends the stream and returns its counters by Aravis' names.
+    pub fn stop(self) -> Vec<(String, u64)> {
+        self.stop.store(true, Ordering::Release);
+        self.thread.join().unwrap_or_default()
+    }
+}

@@ -1,0 +1,123 @@
+//! What goes over the API.
+
+use crate::camera::CameraIdentity;
+use crate::ids::{CameraId, NodeId};
+use crate::session::state::{Fault, Phase};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Everything that a node tells of itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NodeStatus {
+    /// Its name in the rig.
+    pub node: NodeId,
+    /// Software version.
+    pub version: String,
+    /// The rig's name.
+    pub rig: String,
+    /// Triggers per second, by the rig.
+    pub trigger_rate_hz: f64,
+    /// Where it is in a session.
+    pub phase: Phase,
+    /// Its cameras, in the rig's order.
+    pub cameras: Vec<CameraStatus>,
+    /// Its link to the HSU.
+    pub hsu: HsuStatus,
+    /// Where sessions are recorded.
+    pub sessions_dir: PathBuf,
+    /// Free space there, bytes.
+    pub free_bytes: u64,
+    /// The session in progress, or the last one.
+    pub session: Option<SessionStatus>,
+}
+
+/// One camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CameraStatus {
+    /// Its name in the rig.
+    pub id: CameraId,
+    /// As configured.
+    pub address: String,
+    /// Who it is, once opened.
+    pub identity: Option<CameraIdentity>,
+    /// Why it is not usable; `None` when it is.
+    pub problem: Option<String>,
+}
+
+/// The link to the HSU.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct HsuStatus {
+    /// Serial device, as configured.
+    pub device: PathBuf,
+    /// Who it is, once connected.
+    pub identity: Option<String>,
+    /// Why it is not usable; `None` when it is.
+    pub problem: Option<String>,
+}
+
+/// A session's progress, and in the end its outcome.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SessionStatus {
+    /// The same on both nodes.
+    pub session_id: u64,
+    /// As asked for.
+    pub name: String,
+    /// This node's recording.
+    pub directory: PathBuf,
+    /// Triggers asked for; 0: until stopped.
+    pub triggers_asked: u64,
+    /// Triggers that the HSU reported so far.
+    pub triggers: u64,
+    /// Progress per camera, in the rig's order.
+    pub cameras: Vec<CameraProgress>,
+    /// Most frames that waited for the writer at any time.
+    pub ring_high_water_frames: u64,
+    /// Set when the session has ended on this node.
+    pub outcome: Option<Outcome>,
+}
+
+/// One camera's frames so far.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CameraProgress {
+    /// Its name in the rig.
+    pub id: CameraId,
+    /// Frames handed to the writer.
+    pub frames: u64,
+    /// Gap records so far.
+    pub gaps: u64,
+}
+
+/// How a session ended on this node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// There is a recording, and this is its verdict.
+    Recorded(serde_json::Value),
+    /// There is none.
+    Failed(Fault),
+}
+
+/// Which session a command is for: a late command for another one is refused.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SessionCommand {
+    /// As in the request.
+    pub session_id: u64,
+    /// For an abort.
+    #[serde(default)]
+    pub reason: Option<String>,
+}
+
+/// Where the API lies on a node.
+pub mod path {
+    /// GET: [`super::NodeStatus`].
+    pub const STATUS: &str = "/api/v1/status";
+    /// POST [`crate::session::state::SessionRequest`]: answers when the node is ready, or why it is not.
+    pub const PREPARE: &str = "/api/v1/session/prepare";
+    /// POST [`super::SessionCommand`].
+    pub const START: &str = "/api/v1/session/start";
+    /// POST [`super::SessionCommand`].
+    pub const STOP: &str = "/api/v1/session/stop";
+    /// POST [`super::SessionCommand`].
+    pub const ABORT: &str = "/api/v1/session/abort";
+}
