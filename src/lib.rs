@@ -41,3 +41,5 @@ pub mod reconstruct;
 pub mod record;
 /// One capture on one node: the state machine and its driver.
 pub mod session;
+/// Figures of merit: clouds against the truth.
+pub mod validate;
