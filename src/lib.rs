@@ -43,3 +43,5 @@ pub mod record;
 pub mod session;
 /// The host's clocks.
 pub mod time;
+/// Figures of merit: clouds against the truth.
+pub mod validate;

@@ -1,7 +1,38 @@
 //! One frame to one point cloud: the phase pipeline (paper, section 4.1).
 //!
-//! Knows nothing of cameras, networks or tokio, and builds without Aravis.
+//! Knows nothing of cameras, networks or tokio, and builds without Aravis. Each stage is a file of pure
+//! functions over planes; [`pipeline`] composes them for one frame.
 
+/// Absolute phase: selection of the pixels that become points, Equation 5.
+pub mod absolute;
+/// Connected components of a mask.
+pub mod components;
+/// Wrapped phase Wm and modulation.
+pub mod demodulate;
+/// Maps as pictures.
+pub mod dump;
+/// Marker map Mm.
+pub mod marker;
+/// Phase under the marker.
+pub mod marker_phase;
+/// Object mask Om.
+pub mod mask;
+/// Normals from neighbouring points.
+pub mod normals;
+/// What the pipeline must know of a camera and its projector.
+pub mod pair;
+/// Fringe period Pm, amplitude Am, stability Sm.
+pub mod period;
+/// One frame to one directional cloud.
+pub mod pipeline;
+/// Frames from PNG files.
+pub mod png_source;
+/// The part of a frame that holds the object.
+pub mod roi;
 mod source;
+/// From absolute phase to points.
+pub mod triangulate;
+/// The anchored spanning forest.
+pub mod unwrap;
 
 pub use source::{Frame, FrameSource};

@@ -1,14 +1,16 @@
 //! Where frames come from, as the pipeline sees it.
 
 use crate::ids::{CameraId, TriggerIndex};
-use crate::image::Mono8;
+use crate::image::{Mono8, Plane};
 use std::ops::Range;
 
 /// What a source has at one trigger of one camera.
 #[derive(Debug)]
 pub enum Frame<'a> {
-    /// The image.
+    /// The image, mapped from a recording.
     Image(Mono8<'a>),
+    /// The image, decoded from a file.
+    Owned(Plane<u8>),
     /// There is no image, for this reason (a gap record's cause).
     Gap(String),
 }

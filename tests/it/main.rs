@@ -5,3 +5,4 @@ mod hsu;
 mod lab;
 mod recording;
 mod third_party_mcap;
+mod shared_scene;

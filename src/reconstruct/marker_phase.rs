@@ -1,0 +1,203 @@
+//! The phase under and beside the marker, where the fringe is not a sine.
+//!
+//! Within one period of the marker its modulation shifts the phase, by up to pi between the dashes of a
+//! darkened marker. [`average`] takes the mean phasor over one period of the modulation along the column, with
+//! the fringe's local tilt taken out: that of a zero-mean marker has no bias left. The mean light of a darkened
+//! marker is known too, lobe times `1 - depth / 2`, so its bias is a function of the phase alone: [`Bias`]
+//! tabulates it from the formula itself and takes it off.
+
+use super::demodulate::{Phasors, sums};
+use super::pair::Pair;
+use crate::image::Plane;
+use crate::pattern::{Marker, Pattern};
+use std::f32::consts::{PI, TAU};
+
+/// The zone around a ridge in which the marker disturbs the phase, in periods to each side.
+const REACH_PERIODS: f32 = 1.0;
+
+/// Below this coherence the mean over the marker's period means nothing.
+const MIN_COHERENCE: f32 = 0.5;
+
+/// Replaces the phasors around the marker's ridges by their mean over one period of the modulation; those
+/// for which that mean is not to be had become unknown.
+pub fn average(phasors: &mut Phasors, ridge: &Plane<u8>, period: &Plane<f32>, pair: &Pair) {
+    let zone = zone(ridge, period);
+    let (c, s) = (phasors.c.clone(), phasors.s.clone());
+    let taps = taps(pair.marker_period_px);
+    let half = taps.len() / 2;
+    for v in 0..zone.height() {
+        for u in 0..zone.width() {
+            if zone.at(u, v) == 0 || (c.at(u, v) == 0.0 && s.at(u, v) == 0.0) {
+                continue;
+            }
+            let (mut re, mut im, mut length) = (0.0, 0.0, 0.0);
+            if v >= half && v + half < zone.height() {
+                let tilt = tilt(&c, &s, u, v, half);
+                for (k, tap) in taps.iter().enumerate() {
+                    let (x, y) = (c.at(u, v + k - half), s.at(u, v + k - half));
+                    if x == 0.0 && y == 0.0 {
+                        (re, im) = (0.0, 0.0);
+                        break;
+                    }
+                    let (sin, cos) = (-tilt * (k as f32 - half as f32)).sin_cos();
+                    re += tap * (x * cos - y * sin);
+                    im += tap * (x * sin + y * cos);
+                    length += tap * (x * x + y * y).sqrt();
+                }
+            }
+            let coherent = (re * re + im * im).sqrt() > MIN_COHERENCE * length;
+            phasors.c.set(u, v, if coherent { re } else { 0.0 });
+            phasors.s.set(u, v, if coherent { im } else { 0.0 });
+            // A lobe of other height than its neighbours is no misfit here.
+            phasors.misfit.set(u, v, 0.0);
+        }
+    }
+}
+
+/// The ridge, widened along the rows.
+fn zone(ridge: &Plane<u8>, period: &Plane<f32>) -> Plane<u8> {
+    let mut zone = Plane::filled(ridge.width(), ridge.height(), 0u8);
+    for v in 0..ridge.height() {
+        for u in (0..ridge.width()).filter(|&u| ridge.at(u, v) != 0) {
+            let reach = (REACH_PERIODS * period.at(u, v)).ceil() as usize;
+            let end = (u + reach + 1).min(ridge.width());
+            zone.row_mut(v)[u.saturating_sub(reach)..end].fill(1);
+        }
+    }
+    zone
+}
+
+/// Weights of a mean over exactly `period` rows; the outermost taps count in part.
+fn taps(period: f32) -> Vec<f32> {
+    let half = ((period - 1.0) / 2.0).ceil().max(0.0) as usize;
+    let end = (period - (2 * half) as f32 + 1.0) / 2.0;
+    (0..=2 * half).map(|k| if k == 0 || k == 2 * half { end / period } else { 1.0 / period }).collect()
+}
+
+/// Mean phase step from one row to the next around a pixel, rad.
+fn tilt(c: &Plane<f32>, s: &Plane<f32>, u: usize, v: usize, half: usize) -> f32 {
+    let (mut re, mut im) = (0.0, 0.0);
+    for row in v - half..v + half {
+        let (a, b) = ((c.at(u, row), s.at(u, row)), (c.at(u, row + 1), s.at(u, row + 1)));
+        re += a.0 * b.0 + a.1 * b.1;
+        im += a.0 * b.1 - a.1 * b.0;
+    }
+    if re == 0.0 && im == 0.0 { 0.0 } else { im.atan2(re) }
+}
+
+/// The bias of the seven-point formula around a darkened marker, by the biased phase relative to the marker.
+#[derive(Debug)]
+pub struct Bias {
+    /// Biased phase at the marker's ridge, rad.
+    centre: f32,
+    /// Bias at `-REACH .. REACH` of the biased phase relative to the marker; empty where there is none.
+    table: Vec<f32>,
+}
+
+impl Bias {
+    const REACH: f32 = 1.5 * TAU;
+    const STEPS: usize = 1536;
+
+    /// The table for a pattern.
+    pub fn new(pattern: &Pattern) -> Self {
+        let centre = TAU * pattern.marker_index as f32;
+        let Marker::Darkened { depth } = pattern.marker else {
+            return Self { centre, table: Vec::new() };
+        };
+        let lobe = 1.0 - depth as f32 / 2.0;
+        let (low, high) = (pattern.low as f32, pattern.high as f32);
+        let light = |x: f32| {
+            let fringe = low + (high - low) * (0.5 + 0.5 * x.cos());
+            if x.abs() <= PI { fringe * lobe } else { fringe }
+        };
+        let biased = |x: f32| {
+            let (s, c) = sums(&std::array::from_fn(|k| light(x + (k as f32 - 3.0) * TAU / 6.0)));
+            let wrapped = s.atan2(c);
+            wrapped + TAU * ((x - wrapped) / TAU).round()
+        };
+        // Sample the biased phase finely and invert it: for each entry the first true phase that reaches it.
+        let step = 2.0 * Self::REACH / Self::STEPS as f32;
+        let mut table = Vec::with_capacity(Self::STEPS + 1);
+        let (fine, mut x) = (step / 8.0, -Self::REACH);
+        let mut at = biased(x);
+        for i in 0..=Self::STEPS {
+            let target = i as f32 * step - Self::REACH;
+            while at < target && x < Self::REACH {
+                x += fine;
+                at = biased(x);
+            }
+            table.push(at - x);
+        }
+        Self { centre, table }
+    }
+
+    /// Takes the bias off absolute phases.
+    pub fn correct(&self, absolute: &mut Plane<f32>) {
+        if self.table.is_empty() {
+            return;
+        }
+        let scale = Self::STEPS as f32 / (2.0 * Self::REACH);
+        for phase in absolute.as_mut_slice() {
+            let place = (*phase - self.centre + Self::REACH) * scale;
+            if place >= 0.0 && place < Self::STEPS as f32 {
+                let i = place as usize;
+                let f = place - i as f32;
+                *phase -= (1.0 - f) * self.table[i] + f * self.table[i + 1];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Bias, taps};
+    use crate::image::Plane;
+    use crate::pattern::{Marker, Pattern};
+    use crate::reconstruct::demodulate::sums;
+    use std::f32::consts::TAU;
+
+    #[test]
+    fn the_bias_of_a_darkened_marker_is_taken_off() {
+        let pattern = Pattern {
+            period_px: 8.0,
+            marker_index: 80,
+            marker: Marker::Darkened { depth: 0.8 },
+            marker_period_px: 8.0,
+            low: 0.0,
+            high: 1.0,
+            gamma: 1.0,
+        };
+        // Light averaged along the marker, from the pattern itself.
+        let light = |phase: f64| {
+            let u = pattern.column(phase);
+            (0..32).map(|v| pattern.light(u, f64::from(v) / 4.0)).sum::<f64>() as f32 / 32.0
+        };
+        let (mut before, mut after) = (0f32, 0f32);
+        for i in -240..240 {
+            let truth = 80.0 * f64::from(TAU) + f64::from(i) * 0.03 + 0.01;
+            let samples = std::array::from_fn(|k| light(truth + (k as f64 - 3.0) * f64::from(TAU) / 6.0));
+            let (s, c) = sums(&samples);
+            let wrapped = s.atan2(c);
+            let truth = truth as f32;
+            let mut plane = Plane::filled(1, 1, wrapped + TAU * ((truth - wrapped) / TAU).round());
+            before = before.max((plane.at(0, 0) - truth).abs());
+            Bias::new(&pattern).correct(&mut plane);
+            after = after.max((plane.at(0, 0) - truth).abs());
+        }
+        assert!(before > 0.2 && after < 0.01, "{before} {after}");
+    }
+
+    #[test]
+    fn taps_are_a_mean_over_the_period() {
+        for period in [7.0, 8.4, 11.0, 11.9, 12.3] {
+            let taps = taps(period);
+            assert!((taps.iter().sum::<f32>() - 1.0).abs() < 1e-5 && taps.iter().all(|&x| x > 0.0), "{taps:?}");
+            let response: f32 = taps
+                .iter()
+                .enumerate()
+                .map(|(k, tap)| tap * (TAU * (k as f32 - (taps.len() / 2) as f32) / period).cos())
+                .sum();
+            assert!(response.abs() < 0.02, "{period}: {response}");
+        }
+    }
+}

@@ -1,0 +1,272 @@
+//! One frame to one directional cloud: the stages in their order, each timed.
+
+use super::demodulate::{Gains, Phasors};
+use super::marker_phase::Bias;
+use super::roi::Roi;
+use super::triangulate::Triangulator;
+use super::{absolute, demodulate, marker, marker_phase, mask, normals, period, unwrap};
+use crate::export::Cloud;
+use crate::image::{Mono8, Plane};
+use nalgebra::Point3;
+use std::time::{Duration, Instant};
+
+/// How the absolute phase is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// The paper's section 4.1: one spanning tree guided by Qm, one shift by the marker's median.
+    Paper,
+    /// The anchored spanning forest: every marker pixel is an anchor, contradictions are refused.
+    Anchored,
+}
+
+/// What became of a frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Outcome {
+    /// A cloud, which may leave parts unresolved.
+    Cloud,
+    /// No point can be trusted, for this reason.
+    Refused(String),
+}
+
+/// Pixel counts that tell how a frame went.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Pixels on the object mask.
+    pub object: usize,
+    /// Pixels with a wrapped phase.
+    pub phase: usize,
+    /// Pixels on marker cores.
+    pub marker: usize,
+    /// Pixels left out because nothing anchors their fringe order.
+    pub refused: usize,
+    /// Merges refused because anchors contradicted.
+    pub contradictions: usize,
+    /// Pixels dropped near depth steps, faint or not like a fringe.
+    pub dropped: usize,
+}
+
+/// Everything that one frame gives.
+#[derive(Debug)]
+pub struct Reconstruction {
+    /// The directional cloud, in the world frame.
+    pub cloud: Cloud,
+    /// Whether there is one.
+    pub outcome: Outcome,
+    /// How it went.
+    pub counts: Counts,
+    /// Time of each stage, in order.
+    pub stages: Vec<(&'static str, Duration)>,
+    /// The maps, where they were asked for.
+    pub maps: Option<Maps>,
+}
+
+/// The maps of a frame, on its region of interest.
+#[derive(Debug)]
+pub struct Maps {
+    /// Where they lie in the frame.
+    pub roi: Roi,
+    /// Columns and rows of the whole frame.
+    pub frame: (usize, usize),
+    /// Named maps: Om, Pm, Am, Sm, Wm, Vm, Bm, Qm, Um, Mm, Fm as far as the method has them. NaN: undefined.
+    pub planes: Vec<(&'static str, Plane<f32>)>,
+}
+
+/// Reconstructs the frames of one camera.
+#[derive(Debug)]
+pub struct Pipeline {
+    triangulator: Triangulator,
+    gains: Gains,
+    bias: Bias,
+    method: Method,
+    keep_maps: bool,
+}
+
+/// Runs stages and keeps their times.
+#[derive(Default)]
+pub(super) struct Clock(Vec<(&'static str, Duration)>);
+
+impl Clock {
+    /// Runs one stage.
+    pub(super) fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = work();
+        self.0.push((stage, start.elapsed()));
+        result
+    }
+}
+
+/// The absolute phase with what the points need beside it.
+struct Resolved {
+    absolute: Plane<f32>,
+    phasors: Phasors,
+    planes: Vec<(&'static str, Plane<f32>)>,
+}
+
+impl Pipeline {
+    /// A pipeline for one camera.
+    pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
+        let bias = Bias::new(&triangulator.pair().pattern);
+        Self { triangulator, gains: Gains::new(), bias, method, keep_maps }
+    }
+
+    /// Reconstructs one frame.
+    pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
+        let mut clock = Clock::default();
+        let mut counts = Counts::default();
+        let pair = self.triangulator.pair();
+        let expected = (pair.camera.width, pair.camera.height);
+        if (image.width(), image.height()) != expected {
+            let found = (image.width(), image.height());
+            return refused(clock, counts, format!("the frame has {found:?} pixels, the calibration {expected:?}"));
+        }
+        let object = clock.time("mask", || match self.method {
+            Method::Anchored => mask::envelope(image, pair.period_px),
+            Method::Paper => mask::otsu(image, pair.period_px),
+        });
+        let Some(roi) = Roi::of(&object) else {
+            return refused(clock, counts, "there is no object in the frame".to_owned());
+        };
+        let (image, object) = (roi.cut_image(image), roi.cut(&object));
+        counts.object = object.as_slice().iter().filter(|&&x| x != 0).count();
+        let resolved = match self.method {
+            Method::Anchored => self.anchored(&image, &object, &mut clock, &mut counts),
+            Method::Paper => return refused(clock, counts, "not yet".to_owned()),
+        };
+        let resolved = match resolved {
+            Ok(resolved) => resolved,
+            Err(reason) => return refused(clock, counts, reason),
+        };
+        let points = clock.time("triangulate", || self.triangulate(&resolved.absolute, roi));
+        let cloud = clock.time("normals", || self.cloud(&points, &resolved.phasors, roi));
+        let frame = expected;
+        Reconstruction {
+            outcome: outcome_of(&cloud, &counts),
+            cloud,
+            counts,
+            stages: clock.0,
+            maps: self.keep_maps.then_some(Maps { roi, frame, planes: resolved.planes }),
+        }
+    }
+
+    fn anchored(
+        &self,
+        image: &Plane<u8>,
+        object: &Plane<u8>,
+        clock: &mut Clock,
+        counts: &mut Counts,
+    ) -> Result<Resolved, String> {
+        let pair = self.triangulator.pair();
+        let image = Mono8::from(image);
+        let periods = clock.time("period", || period::measure(image, object, pair.period_px));
+        let period = &periods.period;
+        let mut phasors =
+            clock.time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
+        clock.time("average", || demodulate::average_rows(&mut phasors));
+        let ridges = clock.time("marker", || marker::ridges(image, object, period, pair));
+        clock.time("marker phase", || marker_phase::average(&mut phasors, &ridges.ridge, period, pair));
+        let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
+        counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
+        let markers = clock.time("anchors", || marker::detect(&ridges, period, &wrapped, pair));
+        counts.marker = markers.label.as_slice().iter().filter(|&&x| x != 0).count();
+        let unwrapped = clock.time("unwrap", || {
+            unwrap::unwrap(&wrapped, period, &markers.label, pair, &unwrap::Settings::default())
+        });
+        counts.refused = unwrapped.refused_px;
+        counts.contradictions = unwrapped.contradictions;
+        let mut absolute = unwrapped.absolute;
+        self.bias.correct(&mut absolute);
+        counts.dropped = clock.time("select", || {
+            absolute::select(&mut absolute, period, &phasors, pair.sign, &absolute::Settings::default())
+        });
+        let mut planes = Vec::new();
+        if self.keep_maps {
+            let number = |plane: &Plane<u8>| convert(plane, f32::from);
+            planes = vec![
+                ("Om", number(object)),
+                ("Pm", periods.period.clone()),
+                ("Am", number(&periods.amplitude)),
+                ("Sm", period::stability(period, pair.period_px)),
+                ("Wm", wrapped),
+                ("Em", ridges.energy),
+                ("Mm", convert(&markers.label, |x| x.min(1) as f32)),
+                ("misfit", phasors.misfit.clone()),
+                ("Fm", absolute.clone()),
+            ];
+        }
+        Ok(Resolved { absolute, phasors, planes })
+    }
+
+    /// Points in camera axes, m; NaN where there is none.
+    fn triangulate(&self, absolute: &Plane<f32>, roi: Roi) -> Plane<[f32; 3]> {
+        let pair = self.triangulator.pair();
+        let mut points = Plane::filled(roi.width, roi.height, [f32::NAN; 3]);
+        for v in 0..roi.height {
+            for (u, &phase) in absolute.row(v).iter().enumerate() {
+                if phase.is_nan() {
+                    continue;
+                }
+                let point = self.triangulator.point(roi.u + u, roi.v + v, f64::from(phase));
+                let Some((camera, world)) = point else { continue };
+                if pair.in_volume(&world) {
+                    points.set(u, v, [camera.x as f32, camera.y as f32, camera.z as f32]);
+                }
+            }
+        }
+        points
+    }
+
+    /// The cloud in the world frame. A point without a normal, or that faces away from the projector that
+    /// is supposed to light it, is dropped.
+    fn cloud(&self, points: &Plane<[f32; 3]>, phasors: &Phasors, roi: Roi) -> Cloud {
+        let pair = self.triangulator.pair();
+        let world_from_camera = pair.camera.world_from_device.isometry().cast::<f32>();
+        let projector = pair.camera.device_point(&pair.projector.centre()).cast::<f32>();
+        let mut cloud = Cloud::default();
+        for v in 0..roi.height {
+            for u in 0..roi.width {
+                let p = points.at(u, v);
+                if p[0].is_nan() {
+                    continue;
+                }
+                let Some(n) = normals::normal(points, u, v, pair.camera.lens.fx as f32) else { continue };
+                let light = [projector.x - p[0], projector.y - p[1], projector.z - p[2]];
+                if normals::dot(n, light) <= 0.0 {
+                    continue;
+                }
+                let world = world_from_camera.transform_point(&Point3::from(p));
+                let normal = world_from_camera.transform_vector(&n.into());
+                cloud.position_m.push(world.coords.into());
+                cloud.normal.push(normal.into());
+                cloud.intensity.push((phasors.mean.at(u, v) / 255.0).clamp(0.0, 1.0));
+                cloud.pixel.push([(roi.u + u) as u16, (roi.v + v) as u16]);
+            }
+        }
+        cloud
+    }
+}
+
+fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
+    if counts.marker == 0 {
+        Outcome::Refused("no marker was found, so that no fringe order is known".to_owned())
+    } else if cloud.is_empty() {
+        Outcome::Refused("no pixel has a fringe order that can be trusted".to_owned())
+    } else {
+        Outcome::Cloud
+    }
+}
+
+fn refused(clock: Clock, counts: Counts, reason: String) -> Reconstruction {
+    Reconstruction {
+        cloud: Cloud::default(),
+        outcome: Outcome::Refused(reason),
+        counts,
+        stages: clock.0,
+        maps: None,
+    }
+}
+
+/// A plane of numbers for the map dump.
+pub(super) fn convert<T: Copy>(plane: &Plane<T>, number: impl Fn(T) -> f32) -> Plane<f32> {
+    let data = plane.as_slice().iter().map(|&x| number(x)).collect();
+    Plane::from_vec(plane.width(), plane.height(), data).unwrap_or_else(|| Plane::filled(0, 0, 0.0))
+}

@@ -1,0 +1,46 @@
+//! The part of a frame that holds the object: everything after the mask works on it alone.
+
+use crate::image::{Mono8, Plane};
+
+/// A rectangle of pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Roi {
+    /// First column.
+    pub u: usize,
+    /// First row.
+    pub v: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+}
+
+impl Roi {
+    /// The smallest rectangle that holds all non-zero pixels; `None` where there are none.
+    pub fn of(mask: &Plane<u8>) -> Option<Self> {
+        let (mut left, mut right) = (usize::MAX, 0);
+        let (mut top, mut bottom) = (usize::MAX, 0);
+        for v in 0..mask.height() {
+            let row = mask.row(v);
+            let Some(first) = row.iter().position(|&x| x != 0) else { continue };
+            let last = row.iter().rposition(|&x| x != 0).unwrap_or(first);
+            (left, right) = (left.min(first), right.max(last));
+            (top, bottom) = (top.min(v), v);
+        }
+        (left <= right).then(|| Self { u: left, v: top, width: right - left + 1, height: bottom - top + 1 })
+    }
+
+    /// The rectangle's part of a mask.
+    pub fn cut(&self, plane: &Plane<u8>) -> Plane<u8> {
+        self.cut_image(Mono8::from(plane))
+    }
+
+    /// The rectangle's part of an image. The rectangle must lie in it.
+    pub fn cut_image(&self, image: Mono8<'_>) -> Plane<u8> {
+        let mut out = Plane::filled(self.width, self.height, 0);
+        for v in 0..self.height {
+            out.row_mut(v).copy_from_slice(&image.row(self.v + v)[self.u..self.u + self.width]);
+        }
+        out
+    }
+}

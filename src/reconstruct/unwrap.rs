@@ -1,0 +1,280 @@
+//! Unwrapped and absolute phase of the default method: the anchored spanning forest.
+//!
+//! The graph has a node per pixel of known wrapped phase and an edge per pair of neighbours. Edges are taken
+//! in the order of their carrier residual: how far the wrapped step differs from the one that the local
+//! period predicts (`2 pi / P` along the row, none along the column), averaged along the boundary that the
+//! edge crosses, because on the edge of an arm single pixels always agree by chance. Each tree carries the
+//! fringe order that its marker pixels vote for; a merge of two trees whose votes contradict is refused, and
+//! so is a merge of two large trees across a doubtful edge. Trees without enough votes stay unresolved: the
+//! fringe order is never guessed.
+
+use super::pair::Pair;
+use crate::image::Plane;
+use std::f32::consts::{PI, TAU};
+
+/// Settings of the forest.
+#[derive(Debug, Clone, Copy)]
+pub struct Settings {
+    /// Steps further than this from the prediction are never taken, rad.
+    pub max_residual: f32,
+    /// Above this averaged residual an edge only attaches small trees, rad.
+    pub doubtful_residual: f32,
+    /// The largest tree that a doubtful edge attaches, px.
+    pub small_tree_px: u32,
+    /// Votes from which a tree's order counts as known.
+    pub min_votes: u32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { max_residual: 1.5, doubtful_residual: 0.45, small_tree_px: 60, min_votes: 20 }
+    }
+}
+
+/// What came of the forest.
+#[derive(Debug)]
+pub struct Unwrapped {
+    /// Absolute phase, rad; NaN where it is unresolved.
+    pub absolute: Plane<f32>,
+    /// Pixels in trees without a known order.
+    pub refused_px: usize,
+    /// Merges refused because the votes contradicted.
+    pub contradictions: usize,
+}
+
+/// Resolution of the edge order, rad.
+const BUCKET_RAD: f32 = 1.0 / 256.0;
+
+/// Unwraps `wrapped` (NaN: unknown) with the marker pixels (non-zero `anchor`) as absolute anchors.
+pub fn unwrap(
+    wrapped: &Plane<f32>,
+    period: &Plane<f32>,
+    anchor: &Plane<u32>,
+    pair: &Pair,
+    settings: &Settings,
+) -> Unwrapped {
+    let costs = Costs::new(wrapped, period, pair.sign);
+    let edges = costs.sorted_edges(wrapped.width(), settings);
+    let mut forest = Forest::new(anchor);
+    let phase = wrapped.as_slice();
+    let width = wrapped.width();
+    let mut contradictions = 0;
+    for edge in edges {
+        let (a, vertical) = ((edge >> 1) as usize, edge & 1 == 1);
+        let b = if vertical { a + width } else { a + 1 };
+        let step = phase[b] - phase[a];
+        let expected = if vertical { 0.0 } else { costs.expected(period, a) };
+        let turns = ((expected - step) / TAU).round() as i32;
+        let doubtful = costs.at(a, vertical) > settings.doubtful_residual;
+        contradictions += usize::from(!forest.merge(a, b, turns, doubtful, settings));
+    }
+    let mut refused_px = 0;
+    let mut absolute = Plane::filled(wrapped.width(), wrapped.height(), f32::NAN);
+    let marker = pair.pattern.marker_index as i32;
+    for (i, out) in absolute.as_mut_slice().iter_mut().enumerate() {
+        if phase[i].is_nan() {
+            continue;
+        }
+        let (root, turns) = forest.find(i);
+        match forest.order(root, settings.min_votes) {
+            Some(order) => *out = phase[i] + TAU * (order + turns + marker) as f32,
+            None => refused_px += 1,
+        }
+    }
+    Unwrapped { absolute, refused_px, contradictions }
+}
+
+/// Averaged carrier residuals of the edges to the right and down of each pixel; NaN: no edge.
+struct Costs {
+    right: Plane<f32>,
+    down: Plane<f32>,
+    carrier: f32,
+}
+
+impl Costs {
+    fn new(wrapped: &Plane<f32>, period: &Plane<f32>, sign: f32) -> Self {
+        let (w, h) = (wrapped.width(), wrapped.height());
+        let mut right = Plane::filled(w, h, f32::NAN);
+        let mut down = Plane::filled(w, h, f32::NAN);
+        let carrier = sign * TAU;
+        for v in 0..h {
+            let (row, p) = (wrapped.row(v), period.row(v));
+            for (u, out) in right.row_mut(v).iter_mut().enumerate().take(w.saturating_sub(1)) {
+                *out = wrap(row[u + 1] - row[u] - 2.0 * carrier / (p[u] + p[u + 1])).abs();
+            }
+            if v + 1 < h {
+                for ((out, a), b) in down.row_mut(v).iter_mut().zip(row).zip(wrapped.row(v + 1)) {
+                    *out = wrap(b - a).abs();
+                }
+            }
+        }
+        let mut costs = Self { right, down, carrier };
+        costs.average();
+        costs
+    }
+
+    /// Each residual becomes the larger of itself and its mean along the boundary it crosses: +-4 columns for
+    /// steps down, +-2 rows for steps right.
+    fn average(&mut self) {
+        let (w, h) = (self.down.width(), self.down.height());
+        for v in 0..h {
+            let own = self.down.row(v).to_vec();
+            let row = self.down.row_mut(v);
+            for u in 0..w {
+                if !own[u].is_nan() {
+                    row[u] = own[u].max(mean_of_known(&own[u.saturating_sub(4)..(u + 5).min(w)]));
+                }
+            }
+        }
+        let own = self.right.clone();
+        let mut column = [0f32; 5];
+        for v in 2..h.saturating_sub(2) {
+            for u in 0..w {
+                let centre = own.at(u, v);
+                if !centre.is_nan() {
+                    for (k, x) in column.iter_mut().enumerate() {
+                        *x = own.at(u, v + k - 2);
+                    }
+                    self.right.set(u, v, centre.max(mean_of_known(&column)));
+                }
+            }
+        }
+    }
+
+    fn at(&self, pixel: usize, vertical: bool) -> f32 {
+        if vertical { self.down.as_slice()[pixel] } else { self.right.as_slice()[pixel] }
+    }
+
+    /// The step that the period predicts between a pixel and the next in its row.
+    fn expected(&self, period: &Plane<f32>, pixel: usize) -> f32 {
+        let p = period.as_slice();
+        2.0 * self.carrier / (p[pixel] + p[pixel + 1])
+    }
+
+    /// Edges as `2 * pixel + (down ? 1 : 0)`, by rising cost; ties in the order of the pixels.
+    fn sorted_edges(&self, width: usize, settings: &Settings) -> Vec<u32> {
+        let bucket = |cost: f32| (cost / BUCKET_RAD) as usize;
+        let buckets = bucket(settings.max_residual) + 1;
+        let mut start = vec![0u32; buckets + 1];
+        let right = self.right.as_slice();
+        let down = self.down.as_slice();
+        debug_assert!(right.len().is_multiple_of(width.max(1)));
+        for &cost in right.iter().chain(down) {
+            if cost <= settings.max_residual {
+                start[bucket(cost) + 1] += 1;
+            }
+        }
+        for i in 0..buckets {
+            start[i + 1] += start[i];
+        }
+        let mut edges = vec![0u32; start[buckets] as usize];
+        for pixel in 0..right.len() {
+            for (cost, bit) in [(right[pixel], 0), (down[pixel], 1)] {
+                if cost <= settings.max_residual {
+                    let place = &mut start[bucket(cost)];
+                    edges[*place as usize] = (2 * pixel + bit) as u32;
+                    *place += 1;
+                }
+            }
+        }
+        edges
+    }
+}
+
+fn mean_of_known(values: &[f32]) -> f32 {
+    let (sum, count) =
+        values.iter().filter(|x| !x.is_nan()).fold((0.0, 0u32), |(sum, count), x| (sum + x, count + 1));
+    sum / count.max(1) as f32
+}
+
+/// To (-pi, pi].
+fn wrap(x: f32) -> f32 {
+    let turns = (x / TAU).round();
+    let y = x - turns * TAU;
+    if y <= -PI { y + TAU } else { y }
+}
+
+/// Union-find whose links carry whole turns, and whose roots carry the marker's votes.
+struct Forest {
+    parent: Vec<u32>,
+    /// Turns of a pixel relative to its parent.
+    turns: Vec<i32>,
+    size: Vec<u32>,
+    /// Order that the votes give the root, and how many they are.
+    order: Vec<i32>,
+    votes: Vec<u32>,
+}
+
+impl Forest {
+    fn new(anchor: &Plane<u32>) -> Self {
+        let n = anchor.as_slice().len();
+        Self {
+            parent: (0..n as u32).collect(),
+            turns: vec![0; n],
+            size: vec![1; n],
+            order: vec![0; n],
+            votes: anchor.as_slice().iter().map(|&x| u32::from(x != 0)).collect(),
+        }
+    }
+
+    /// Root of a pixel, and the pixel's turns relative to it.
+    fn find(&mut self, pixel: usize) -> (usize, i32) {
+        let (mut root, mut turns) = (pixel, 0);
+        while self.parent[root] as usize != root {
+            turns += self.turns[root];
+            root = self.parent[root] as usize;
+        }
+        // Second pass: every pixel on the way points at the root.
+        let (mut at, mut rest) = (pixel, turns);
+        while self.parent[at] as usize != root && at != root {
+            let (next, own) = (self.parent[at] as usize, self.turns[at]);
+            (self.parent[at], self.turns[at]) = (root as u32, rest);
+            rest -= own;
+            at = next;
+        }
+        (root, turns)
+    }
+
+    fn order(&self, root: usize, min_votes: u32) -> Option<i32> {
+        (self.votes[root] >= min_votes).then_some(self.order[root])
+    }
+
+    /// Merges the trees of `a` and `b`, where `b` has `turns` more whole turns than `a`. False when the votes
+    /// of two trees of known order contradict.
+    fn merge(&mut self, a: usize, b: usize, turns: i32, doubtful: bool, settings: &Settings) -> bool {
+        let (mut root, turns_a) = self.find(a);
+        let (mut other, turns_b) = self.find(b);
+        if root == other {
+            return true;
+        }
+        if doubtful && self.size[root].min(self.size[other]) > settings.small_tree_px {
+            return true;
+        }
+        // Turns of `other` relative to `root`.
+        let mut shift = turns_a + turns - turns_b;
+        if self.size[root] < self.size[other] {
+            (root, other, shift) = (other, root, -shift);
+        }
+        let (votes, votes_other) = (self.votes[root], self.votes[other]);
+        // The order that the other tree's votes give this root.
+        let order_other = self.order[other] - shift;
+        if votes > 0 && votes_other > 0 && self.order[root] != order_other {
+            if votes.min(votes_other) >= settings.min_votes {
+                return false;
+            }
+            if votes_other > votes {
+                self.order[root] = order_other;
+            }
+            self.votes[root] = votes.abs_diff(votes_other);
+        } else {
+            if votes == 0 {
+                self.order[root] = order_other;
+            }
+            self.votes[root] = votes + votes_other;
+        }
+        self.parent[other] = root as u32;
+        self.turns[other] = shift;
+        self.size[root] += self.size[other];
+        true
+    }
+}

@@ -1,0 +1,292 @@
+//! Clouds against rendered ground truth: depth, phase and light of every pixel of a camera.
+//!
+//! A truth file is an `npz` with `crop` = [v0, v1, u0, u1] of the full `shape` = [rows, columns], and for the
+//! crop `depth` (camera z, m; NaN: nothing there), `lit` (in the projector's view, not shadowed, facing it).
+//!
+//! The distance of a point is the Euclidean one to the true surface around its pixel, triangulated from the
+//! depth map. Its fringe order is wrong when the phase at which the projector sees the point differs by more
+//! than pi from that of the true surface at its pixel. A point whose pixel sees no surface counts as wrong too
+//! (`off_surface`).
+
+use crate::export::Cloud;
+use crate::geometry::Device;
+use crate::image::Plane;
+use crate::pattern::Pattern;
+use nalgebra::{Point3, Vector3};
+use npyz::npz::NpzArchive;
+use serde::Serialize;
+use std::f64::consts::PI;
+use std::path::Path;
+
+/// Neighbouring pixels are on one surface when their points are nearer than this many pixel spacings.
+const MAX_STRETCH: f64 = 12.0;
+
+/// Up to this distance, m, the cells that touch the pixel are enough to find the nearest surface.
+const NEAR_M: f64 = 0.001;
+
+/// Cells searched on each side where the nearest surface is further away.
+const WIDE_PX: usize = 4;
+
+/// The truth of one camera at one instant.
+#[derive(Debug)]
+pub struct Truth {
+    /// First column and row of the crop.
+    origin: [usize; 2],
+    /// True points in camera axes, m; NaN where there is nothing.
+    points: Plane<[f64; 3]>,
+    lit: Plane<u8>,
+    focal_px: f64,
+}
+
+impl Truth {
+    /// Reads a truth file for a camera.
+    pub fn load(path: &Path, camera: &Device) -> Result<Self, String> {
+        let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+        let mut archive = NpzArchive::open(path).map_err(|e| fail(&e))?;
+        let crop: Vec<i64> = array(&mut archive, "crop").map_err(|e| fail(&e))?;
+        let depth: Vec<f32> = array(&mut archive, "depth").map_err(|e| fail(&e))?;
+        let lit: Vec<bool> = array(&mut archive, "lit").map_err(|e| fail(&e))?;
+        let crop: Option<Vec<usize>> = crop.iter().map(|&x| usize::try_from(x).ok()).collect();
+        let &[v0, v1, u0, u1] =
+            crop.as_deref().unwrap_or_default().as_array().ok_or_else(|| fail(&"crop is not [v0, v1, u0, u1]"))?;
+        if v0 >= v1 || u0 >= u1 || v1 > camera.height || u1 > camera.width {
+            return Err(fail(&format!("crop [{v0}, {v1}, {u0}, {u1}] does not fit the camera's sensor")));
+        }
+        let (width, height) = (u1 - u0, v1 - v0);
+        let lit = Plane::from_vec(width, height, lit.into_iter().map(u8::from).collect());
+        let depth = Plane::from_vec(width, height, depth);
+        let (Some(lit), Some(depth)) = (lit, depth) else {
+            return Err(fail(&format!("expected depth and lit of {width} x {height} pixels")));
+        };
+        let mut points = Plane::filled(width, height, [f64::NAN; 3]);
+        for v in 0..height {
+            for u in 0..width {
+                let z = f64::from(depth.at(u, v));
+                if z.is_nan() {
+                    continue;
+                }
+                if let Some([x, y]) = camera.lens.undistort((u0 + u) as f64, (v0 + v) as f64) {
+                    points.set(u, v, [x * z, y * z, z]);
+                }
+            }
+        }
+        Ok(Self { origin: [u0, v0], points, lit, focal_px: camera.lens.fx })
+    }
+
+    /// Place of a frame pixel in the crop.
+    fn place(&self, [u, v]: [u16; 2]) -> Option<(usize, usize)> {
+        let u = usize::from(u).checked_sub(self.origin[0])?;
+        let v = usize::from(v).checked_sub(self.origin[1])?;
+        (u < self.points.width() && v < self.points.height()).then_some((u, v))
+    }
+
+    /// Distance from a point in camera axes to the surface around a pixel, m; infinite where there is none.
+    fn distance(&self, point: &Vector3<f64>, place: (usize, usize)) -> f64 {
+        let near = self.distance_within(point, place, 1);
+        if near <= NEAR_M { near } else { near.min(self.distance_within(point, place, WIDE_PX)) }
+    }
+
+    fn distance_within(&self, point: &Vector3<f64>, (u, v): (usize, usize), reach: usize) -> f64 {
+        let mut best = f64::INFINITY;
+        let columns = u.saturating_sub(reach)..(u + reach).min(self.points.width() - 1);
+        for y in v.saturating_sub(reach)..(v + reach).min(self.points.height() - 1) {
+            for x in columns.clone() {
+                let corner = |dx: usize, dy: usize| Vector3::from(self.points.at(x + dx, y + dy));
+                let [a, b, c, d] = [corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1)];
+                for triangle in [[a, b, c], [d, c, b]] {
+                    if self.is_surface(&triangle) {
+                        best = best.min((closest(point, &triangle) - point).norm());
+                    }
+                }
+            }
+        }
+        best
+    }
+
+    fn is_surface(&self, [a, b, c]: &[Vector3<f64>; 3]) -> bool {
+        let limit = MAX_STRETCH * a.z / self.focal_px;
+        (b - a).norm() < limit && (c - a).norm() < limit && (c - b).norm() < limit
+    }
+}
+
+fn array<T: npyz::Deserialize>(
+    archive: &mut NpzArchive<std::io::BufReader<std::fs::File>>,
+    name: &str,
+) -> Result<Vec<T>, String> {
+    let file = archive.by_name(name).map_err(|e| format!("{name}: {e}"))?;
+    let file = file.ok_or_else(|| format!("there is no array {name:?}"))?;
+    file.into_vec().map_err(|e| format!("{name}: {e}"))
+}
+
+/// The point of a triangle that is nearest to `p` (Ericson, Real-Time Collision Detection, 5.1.5: by the
+/// Voronoi region that `p` lies in).
+fn closest(p: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Vector3<f64> {
+    let (ab, ac) = (b - a, c - a);
+    let (d1, d2) = (ab.dot(&(p - a)), ac.dot(&(p - a)));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return *a;
+    }
+    let (d3, d4) = (ab.dot(&(p - b)), ac.dot(&(p - b)));
+    if d3 >= 0.0 && d4 <= d3 {
+        return *b;
+    }
+    let (d5, d6) = (ab.dot(&(p - c)), ac.dot(&(p - c)));
+    if d6 >= 0.0 && d5 <= d6 {
+        return *c;
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return a + ab * (d1 / (d1 - d3));
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return a + ac * (d2 / (d2 - d6));
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
+    }
+    a + (ab * vb + ac * vc) / (va + vb + vc)
+}
+
+/// What scoring needs to know of a camera.
+#[derive(Debug, Clone, Copy)]
+pub struct Reference<'a> {
+    /// The camera.
+    pub camera: &'a Device,
+    /// Its head's projector.
+    pub projector: &'a Device,
+    /// The pattern.
+    pub pattern: &'a Pattern,
+}
+
+/// Counts and distances, which add up over clouds.
+#[derive(Debug, Clone, Default)]
+pub struct Tally {
+    points: usize,
+    wrong_order: usize,
+    off_surface: usize,
+    lit: usize,
+    lit_right: usize,
+    /// Distances of the points that have a surface, m, with whether their order is right.
+    distances: Vec<(f32, bool)>,
+}
+
+impl Tally {
+    /// Adds the points of `cloud` for which `select` holds (by index), all of one camera, and that camera's
+    /// lit pixels.
+    pub fn add(&mut self, cloud: &Cloud, select: impl Fn(usize) -> bool, truth: &Truth, reference: Reference<'_>) {
+        self.lit += truth.lit.as_slice().iter().filter(|&&x| x != 0).count();
+        let world_from_camera = reference.camera.world_from_device.isometry();
+        let phase = |world: &Point3<f64>| {
+            reference.projector.project(world).map(|[u, _]| reference.pattern.phase(u))
+        };
+        for i in (0..cloud.len()).filter(|&i| select(i)) {
+            self.points += 1;
+            let place = truth.place(cloud.pixel[i]);
+            let surface = place.map(|(u, v)| Point3::from(truth.points.at(u, v)));
+            let (Some(place), Some(surface)) = (place, surface.filter(|p| !p.x.is_nan())) else {
+                self.off_surface += 1;
+                continue;
+            };
+            let world = Point3::from(cloud.position_m[i]).cast::<f64>();
+            let right = match (phase(&world), phase(&world_from_camera.transform_point(&surface))) {
+                (Some(found), Some(expected)) => (found - expected).abs() <= PI,
+                _ => false,
+            };
+            self.wrong_order += usize::from(!right);
+            self.lit_right += usize::from(right && truth.lit.at(place.0, place.1) != 0);
+            let point = reference.camera.device_point(&world);
+            let distance = truth.distance(&point.coords, place);
+            if distance.is_finite() {
+                self.distances.push((distance as f32, right));
+            }
+        }
+    }
+
+    /// Adds another tally.
+    pub fn join(&mut self, other: &Tally) {
+        self.points += other.points;
+        self.wrong_order += other.wrong_order;
+        self.off_surface += other.off_surface;
+        self.lit += other.lit;
+        self.lit_right += other.lit_right;
+        self.distances.extend_from_slice(&other.distances);
+    }
+
+    /// The figures.
+    pub fn score(&self) -> Score {
+        let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
+        let mut all: Vec<f32> = self.distances.iter().map(|&(d, _)| d).collect();
+        all.sort_unstable_by(f32::total_cmp);
+        let right: Vec<f32> = self.distances.iter().filter(|x| x.1).map(|x| x.0).collect();
+        let quantile = |q: f64| {
+            let i = (q * all.len().saturating_sub(1) as f64).round() as usize;
+            all.get(i).map_or(f64::NAN, |&d| 1e3 * f64::from(d))
+        };
+        let rms = |values: &[f32]| {
+            let sum: f64 = values.iter().map(|&d| f64::from(d) * f64::from(d)).sum();
+            1e3 * (sum / values.len() as f64).sqrt()
+        };
+        Score {
+            points: self.points,
+            rms_mm: rms(&all),
+            rms_right_order_mm: rms(&right),
+            p95_mm: quantile(0.95),
+            robust_mm: 1.4826 * quantile(0.5),
+            wrong_order_share: share(self.wrong_order + self.off_surface, self.points),
+            off_surface_share: share(self.off_surface, self.points),
+            completeness_of_lit: share(self.lit_right, self.lit),
+            lit_px: self.lit,
+        }
+    }
+}
+
+/// The figures of one cloud or of several together.
+#[derive(Debug, Clone, Serialize)]
+pub struct Score {
+    /// Number of points.
+    pub points: usize,
+    /// RMS distance to the true surface of all points that have one, wrong fringe orders included, mm.
+    pub rms_mm: f64,
+    /// The same of the points of right fringe order.
+    pub rms_right_order_mm: f64,
+    /// 95th percentile of the distance of all points that have a surface, mm.
+    pub p95_mm: f64,
+    /// 1.4826 times the median distance, mm.
+    pub robust_mm: f64,
+    /// Share of points of wrong fringe order, or where there is no surface.
+    pub wrong_order_share: f64,
+    /// Share of points where there is no surface.
+    pub off_surface_share: f64,
+    /// Share of the lit pixels that have a point of right order.
+    pub completeness_of_lit: f64,
+    /// Number of lit pixels.
+    pub lit_px: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::closest;
+    use nalgebra::Vector3;
+    use proptest::prelude::{ProptestConfig, prop_assert, proptest};
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn no_point_of_the_triangle_is_nearer(coordinates in proptest::array::uniform12(-1.0f64..1.0)) {
+            let vertex = |i: usize| Vector3::new(coordinates[i], coordinates[i + 1], coordinates[i + 2]);
+            let (p, triangle) = (vertex(0), [vertex(3), vertex(6), vertex(9)]);
+            let found = (closest(&p, &triangle) - p).norm();
+            let mut sampled = f64::INFINITY;
+            for i in 0..=60 {
+                for j in 0..=60 - i {
+                    let (s, t) = (f64::from(i) / 60.0, f64::from(j) / 60.0);
+                    let q = triangle[0] * (1.0 - s - t) + triangle[1] * s + triangle[2] * t;
+                    sampled = sampled.min((q - p).norm());
+                }
+            }
+            prop_assert!(found <= sampled + 1e-12 && found > sampled - 0.05, "{found} {sampled}");
+        }
+    }
+}
