@@ -18,6 +18,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     CheckConfig(cmds::check_config::Args),
+    Import(cmds::import::Args),
+    Info(cmds::info::Args),
+    Verify(cmds::verify::Args),
 }
 
 fn main() -> ExitCode {
@@ -37,5 +40,8 @@ fn main() -> ExitCode {
 fn run(command: &Command) -> Result<Exit, Failure> {
     match command {
         Command::CheckConfig(args) => cmds::check_config::run(args),
+        Command::Import(args) => cmds::import::run(args),
+        Command::Info(args) => cmds::info::run(args),
+        Command::Verify(args) => cmds::verify::run(args),
     }
 }

@@ -8,6 +8,10 @@ use std::fmt;
 use std::process::ExitCode;
 
 pub mod check_config;
+pub mod import;
+pub mod info;
+mod progress;
+pub mod verify;
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
