@@ -22,6 +22,9 @@ enum Command {
     Cameras(cmds::cameras::Args),
     Capture(cmds::capture::Args),
     Status(cmds::status::Args),
+    Import(cmds::import::Args),
+    Info(cmds::info::Args),
+    Verify(cmds::verify::Args),
 }
 
 fn main() -> ExitCode {
@@ -45,5 +48,8 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::Cameras(args) => cmds::cameras::run(args),
         Command::Capture(args) => cmds::capture::run(args),
         Command::Status(args) => cmds::status::run(args),
+        Command::Import(args) => cmds::import::run(args),
+        Command::Info(args) => cmds::info::run(args),
+        Command::Verify(args) => cmds::verify::run(args),
     }
 }

@@ -12,6 +12,10 @@ pub mod capture;
 pub mod check_config;
 pub mod node;
 pub mod status;
+pub mod import;
+pub mod info;
+mod progress;
+pub mod verify;
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -12,6 +12,7 @@ mod scan;
 mod segment;
 mod session;
 mod verdict;
+pub mod verify;
 
 mod writer;
 

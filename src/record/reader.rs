@@ -105,7 +105,7 @@ pub struct RecordedFrame<'a> {
 
 impl RecordingReader {
     /// Maps the segments and walks their records.
-    pub(crate) fn open(files: &RecordingFiles) -> Result<Self, ReadError> {
+    pub(super) fn open(files: &RecordingFiles) -> Result<Self, ReadError> {
         let error = |message: String| ReadError(format!("{}: {message}", files.path.display()));
         let mut recording: Option<Self> = None;
         for (number, path) in &files.segments {
@@ -190,9 +190,7 @@ impl RecordingReader {
                     }
                 }
                 Event::Metadata { name, entries } => self.metadata(&mut segment, name, &entries),
-                // What follows repeats what was read.
-                Event::DataEnd { .. } => {}
-                Event::Chunk { .. } => {}
+                Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
             }
         }
         segment.end = walker.end();
@@ -298,18 +296,23 @@ impl RecordingReader {
         }
     }
 
-    /// One more than the highest trigger that is known of.
-    pub fn triggers_end(&self) -> u64 {
+    /// One more than the highest trigger in the records.
+    pub(crate) fn known_end(&self) -> u64 {
         let outcomes =
             self.outcomes.iter().filter_map(|o| o.last_key_value()).map(|(trigger, _)| trigger + 1);
-        let table = self.triggers.last_key_value().map(|(index, _)| index.0 + 1);
-        let stated = self.verdict.as_ref().map(|verdict| verdict.triggers);
-        outcomes.chain(table).chain(stated).max().unwrap_or(0).min(MAX_TRIGGERS)
+        let table = self.triggers.last_key_value().map(|(index, _)| index.0.saturating_add(1));
+        outcomes.chain(table).max().unwrap_or(0).min(MAX_TRIGGERS)
+    }
+
+    /// Triggers of the session, as far as this recording knows.
+    pub fn triggers_end(&self) -> u64 {
+        let stated = self.verdict.as_ref().map_or(0, |verdict| verdict.triggers);
+        self.known_end().max(stated.min(MAX_TRIGGERS))
     }
 }
 
 /// Checks a frame's message against its own checksums and against the identity that it was asked for.
-fn check_frame<'a>(
+pub(crate) fn check_frame<'a>(
     message: &'a [u8],
     camera: usize,
     trigger: TriggerIndex,

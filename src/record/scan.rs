@@ -56,6 +56,13 @@ pub enum Event<'a> {
         /// CRC-32 of everything before; 0 means none was computed.
         crc: u32,
     },
+    /// The last record.
+    Footer {
+        /// What its checksum covers: the summary, and the footer up to the checksum.
+        covered: Range<usize>,
+        /// CRC-32 of the summary; 0 means none was computed.
+        crc: u32,
+    },
 }
 
 /// How the walk ended.
@@ -226,9 +233,18 @@ impl<'a> Walker<'a> {
                 Some(Event::Channel { id, topic: fields.text()? })
             })(),
             op::DATA_END => fields.u32().map(|crc| Event::DataEnd { offset: start, crc }),
-            op::FOOTER => {
-                self.footer(start, body.end);
-                return None;
+            op::FOOTER if self.chunk_end.is_none() => {
+                let event = (|| {
+                    let (summary, _) = (fields.u64()?, fields.u64()?);
+                    let first = if summary == 0 { start } else { usize::try_from(summary).ok()? };
+                    let covered = first..body.start + fields.position;
+                    self.bytes.get(covered.clone())?;
+                    Some(Event::Footer { covered, crc: fields.u32()? })
+                })();
+                if event.is_some() {
+                    self.footer(start, body.end);
+                }
+                event
             }
             op::HEADER | op::SCHEMA | op::MESSAGE_INDEX => return None,
             op::CHUNK_INDEX..=op::SUMMARY_OFFSET if self.chunk_end.is_none() => return None,

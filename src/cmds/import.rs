@@ -1,0 +1,327 @@
+//! `fourdbody import`: image sequences of other recorders become a session.
+//!
+//! `DIR/CAMERA/INDEX.png`, index = trigger index. Everything is checked before anything is written, and the
+//! session appears under its name only when it is whole.
+
+use super::progress::Progress;
+use super::{Exit, Failure};
+use crate::config::{Rig, RigCamera};
+use crate::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
+use crate::image::read_png_grey;
+use crate::record::envelope::pixels_crc;
+use crate::record::{
+    CameraHeader, ENVELOPE_CAPACITY, FrameMeta, GapCause, MAX_TRIGGERS, RecordError, Recording,
+    RecordingHeader, SessionEnd, Verdict, WriterOptions, node_dir, write_envelope,
+};
+use rayon::prelude::*;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Turn image sequences of another recorder into a session.
+#[derive(clap::Args)]
+#[command(after_help = "\
+DIR holds a directory per camera of the rig, with 8-bit grey images of the camera's size, named by trigger
+index: DIR/h0_up/0.png, DIR/h0_up/1.png, ... (leading zeros are fine). An index that some camera has and another
+has not becomes a gap record (not_recorded).
+
+Example:
+  fourdbody import --rig config/rig.toml --images shots --out sessions/walk-01")]
+pub struct Args {
+    /// The rig that the images were taken with.
+    #[arg(long)]
+    rig: PathBuf,
+    /// Directory of image sequences.
+    #[arg(long)]
+    images: PathBuf,
+    /// The session's directory; must not exist.
+    #[arg(long)]
+    out: PathBuf,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Images of one camera by trigger.
+type Sequence = BTreeMap<u64, PathBuf>;
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let rig = Rig::load(&args.rig)?;
+    let rig_text = std::fs::read_to_string(&args.rig)
+        .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
+    let name = session_name(&args.out)?;
+    if args.out.exists() {
+        let message =
+            format!("{} exists; a session is never overwritten: choose another name", args.out.display());
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let sequences =
+        find_images(&rig, &args.images).map_err(|problems| all_problems(&args.images, &problems))?;
+    let triggers = sequences.values().filter_map(|s| s.last_key_value()).map(|(last, _)| last + 1).max();
+    let triggers = triggers.unwrap_or(0);
+    check_images(&rig, &sequences).map_err(|problems| all_problems(&args.images, &problems))?;
+    let partial = partial_path(&args.out);
+    let session = Import { rig: &rig, rig_text: &rig_text, name: &name, sequences: &sequences, triggers };
+    let result = session.write(&partial).and_then(|verdicts| {
+        std::fs::rename(&partial, &args.out)
+            .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
+        Ok(verdicts)
+    });
+    let verdicts = match result {
+        Ok(verdicts) => verdicts,
+        Err(failure) => {
+            // The error that led here is the one to report.
+            let _ = std::fs::remove_dir_all(&partial);
+            return Err(failure);
+        }
+    };
+    if args.json {
+        println!("{}", serde_json::json!({"session": args.out, "triggers": triggers, "nodes": verdicts}));
+    } else {
+        for (node, verdict) in &verdicts {
+            println!("node {node}: {verdict}");
+        }
+        println!("{}: imported", args.out.display());
+    }
+    let lossless = verdicts.values().all(|verdict| verdict.gaps() == 0);
+    Ok(if lossless { Exit::Done } else { Exit::DataLoss })
+}
+
+fn session_name(out: &Path) -> Result<SessionName, Failure> {
+    let name = out.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    SessionName::parse(name).map_err(|e| Failure::new(Exit::Usage, format!("--out {}: {e}", out.display())))
+}
+
+/// A hidden neighbour on the same file system.
+fn partial_path(out: &Path) -> PathBuf {
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    out.with_file_name(format!(".{name}.partial-{}", std::process::id()))
+}
+
+fn all_problems(images: &Path, problems: &[String]) -> Failure {
+    let count = problems.len();
+    let plural = if count == 1 { "" } else { "s" };
+    let list = problems.join("\n  ");
+    Failure::new(Exit::Usage, format!("{}: {count} problem{plural}\n  {list}", images.display()))
+}
+
+/// The images of every camera, or everything that is wrong with their names.
+fn find_images(rig: &Rig, images: &Path) -> Result<BTreeMap<CameraId, Sequence>, Vec<String>> {
+    let mut problems = Vec::new();
+    let mut sequences = BTreeMap::new();
+    for name in names_in(images, &mut problems) {
+        if images.join(&name).is_dir() && !rig.cameras().any(|(_, camera)| camera.id.as_str() == name) {
+            let known: Vec<&str> = rig.cameras().map(|(_, camera)| camera.id.as_str()).collect();
+            let path = images.join(&name);
+            problems.push(format!("{}: no camera of the rig; expected {}", path.display(), known.join(", ")));
+        }
+    }
+    for (_, camera) in rig.cameras() {
+        let dir = images.join(camera.id.as_str());
+        let mut sequence = Sequence::new();
+        // A camera without a directory recorded nothing.
+        let names = if dir.is_dir() { names_in(&dir, &mut problems) } else { Vec::new() };
+        for name in names.iter().filter(|name| !name.starts_with('.')) {
+            let path = dir.join(name);
+            let index = name.strip_suffix(".png").filter(|digits| digits.bytes().all(|b| b.is_ascii_digit()));
+            let index = index.and_then(|digits| digits.parse().ok()).filter(|index| *index < MAX_TRIGGERS);
+            match index {
+                None => problems.push(format!(
+                    "{}: expected INDEX.png with a trigger index from 0 to {}",
+                    path.display(),
+                    MAX_TRIGGERS - 1
+                )),
+                Some(index) => {
+                    if let Some(other) = sequence.insert(index, path.clone()) {
+                        problems.push(format!(
+                            "{} and {}: both are trigger {index}",
+                            other.display(),
+                            path.display()
+                        ));
+                    }
+                }
+            }
+        }
+        sequences.insert(camera.id.clone(), sequence);
+    }
+    if problems.is_empty() && sequences.values().all(BTreeMap::is_empty) {
+        problems.push("no images; expected CAMERA/INDEX.png with the rig's camera names".to_owned());
+    }
+    if problems.is_empty() { Ok(sequences) } else { Err(problems) }
+}
+
+fn names_in(dir: &Path, problems: &mut Vec<String>) -> Vec<String> {
+    let entries = std::fs::read_dir(dir).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    match entries {
+        Ok(entries) => {
+            let mut names: Vec<String> =
+                entries.iter().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+            names.sort();
+            names
+        }
+        Err(error) => {
+            problems.push(format!("{}: {error}", dir.display()));
+            Vec::new()
+        }
+    }
+}
+
+/// Decodes every image once to be sure of it: an import of an hour must not fail at its end.
+fn check_images(rig: &Rig, sequences: &BTreeMap<CameraId, Sequence>) -> Result<(), Vec<String>> {
+    let progress = Progress::of("checking", "images");
+    let total: u64 = sequences.values().map(|s| s.len() as u64).sum();
+    let done = AtomicU64::new(0);
+    let mut problems = Vec::new();
+    for (_, camera) in rig.cameras() {
+        let Some(sequence) = sequences.get(&camera.id) else { continue };
+        let wrong: Vec<String> = sequence
+            .par_iter()
+            .filter_map(|(_, path)| {
+                progress.at(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+                read_image(camera, path).err()
+            })
+            .collect();
+        problems.extend(wrong);
+    }
+    if problems.is_empty() { Ok(()) } else { Err(problems) }
+}
+
+fn read_image(camera: &RigCamera, path: &Path) -> Result<Vec<u8>, String> {
+    let image = read_png_grey(path).map_err(|e| e.to_string())?;
+    let (width, height) = (camera.device.width, camera.device.height);
+    if (image.width(), image.height()) != (width, height) {
+        return Err(format!(
+            "{}: expected {width} x {height} pixels (camera {} of the rig), found {} x {}",
+            path.display(),
+            camera.id,
+            image.width(),
+            image.height()
+        ));
+    }
+    Ok(image.as_slice().to_vec())
+}
+
+/// Everything that the session will be.
+struct Import<'a> {
+    rig: &'a Rig,
+    rig_text: &'a str,
+    name: &'a SessionName,
+    sequences: &'a BTreeMap<CameraId, Sequence>,
+    triggers: u64,
+}
+
+impl Import<'_> {
+    fn write(&self, dir: &Path) -> Result<BTreeMap<String, Verdict>, Failure> {
+        let progress = Progress::of("importing", "triggers");
+        let nodes = self.rig.nodes();
+        let created_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
+        let total = self.triggers * nodes.len() as u64;
+        let mut verdicts = BTreeMap::new();
+        for (n, node) in nodes.iter().enumerate() {
+            let before = n as u64 * self.triggers;
+            let advance = |trigger: u64| progress.at(before + trigger, total);
+            verdicts.insert(node.to_string(), self.write_node(dir, node, created_ns, &advance)?);
+        }
+        Ok(verdicts)
+    }
+
+    fn write_node(
+        &self,
+        dir: &Path,
+        node: &NodeId,
+        created_ns: u64,
+        advance: &dyn Fn(u64),
+    ) -> Result<Verdict, Failure> {
+        let failed = |e: RecordError| Failure::new(Exit::Failure, e);
+        let cameras: Vec<&RigCamera> = self.rig.cameras_of(node).map(|(_, camera)| camera).collect();
+        let header = self.header(node, &cameras, created_ns);
+        let mut recording =
+            Recording::create(&node_dir(dir, node), header, WriterOptions::default()).map_err(failed)?;
+        let period_ns = 1e9 / self.rig.trigger_rate_hz;
+        for trigger in 0..self.triggers {
+            let camera_time_ns = (trigger as f64 * period_ns).round() as u64;
+            let images: Vec<Option<Result<Vec<u8>, String>>> = cameras
+                .par_iter()
+                .map(|camera| {
+                    let path = self.sequences.get(&camera.id).and_then(|s| s.get(&trigger));
+                    path.map(|path| message_of(camera, path, trigger, camera_time_ns, created_ns))
+                })
+                .collect();
+            for (place, image) in images.into_iter().enumerate() {
+                let Some(message) = image.transpose().map_err(|e| Failure::new(Exit::Usage, e))? else {
+                    continue;
+                };
+                let envelope = crate::record::parse_envelope(&message);
+                let meta = envelope.map_err(|e| Failure::new(Exit::Failure, e))?.meta;
+                recording.frame(place, &meta, &message).map_err(failed)?;
+            }
+            for (place, camera) in cameras.iter().enumerate() {
+                if !self.sequences.get(&camera.id).is_some_and(|s| s.contains_key(&trigger)) {
+                    recording.gap(place, TriggerIndex(trigger), GapCause::NotRecorded).map_err(failed)?;
+                }
+            }
+            advance(trigger + 1);
+        }
+        let end = SessionEnd {
+            triggers_emitted: Some(self.triggers),
+            aborted: None,
+            absent: GapCause::NotRecorded,
+            host_time_ns: created_ns,
+        };
+        recording.finish(end).map_err(failed)
+    }
+
+    fn header(&self, node: &NodeId, cameras: &[&RigCamera], created_ns: u64) -> RecordingHeader {
+        let digest = Sha256::digest(format!("{} {created_ns} {}", self.name, std::process::id()));
+        let cameras = cameras.iter().map(|camera| CameraHeader {
+            id: camera.id.clone(),
+            width: camera.device.width as u32,
+            height: camera.device.height as u32,
+            device: "imported images".to_owned(),
+            settings: Vec::new(),
+        });
+        RecordingHeader {
+            session: self.name.clone(),
+            session_id: digest.iter().take(16).map(|byte| format!("{byte:02x}")).collect(),
+            node: node.clone(),
+            rig_text: self.rig_text.to_owned(),
+            cameras: cameras.collect(),
+            hsu: None,
+            expected_triggers: Some(self.triggers),
+            trigger_rate_hz: self.rig.trigger_rate_hz,
+            host_clock: "trigger index times nominal period, from the import on".to_owned(),
+            created_ns,
+            software: concat!("fourdbody ", env!("CARGO_PKG_VERSION"), " import").to_owned(),
+            subject: None,
+            note: None,
+        }
+    }
+}
+
+/// An image as a frame's message.
+fn message_of(
+    camera: &RigCamera,
+    path: &Path,
+    trigger: u64,
+    camera_time_ns: u64,
+    created_ns: u64,
+) -> Result<Vec<u8>, String> {
+    let pixels = read_image(camera, path)?;
+    let meta = FrameMeta {
+        trigger: TriggerIndex(trigger),
+        block: BlockId(trigger),
+        camera_time_ns,
+        host_time_ns: created_ns.saturating_add(camera_time_ns),
+        width: camera.device.width as u32,
+        height: camera.device.height as u32,
+        pixels_crc: pixels_crc(&pixels),
+    };
+    let mut message = vec![0; ENVELOPE_CAPACITY];
+    let length = write_envelope(&mut message, &camera.id, &meta).map_err(|e| e.to_string())?;
+    message.drain(..ENVELOPE_CAPACITY - length);
+    message.extend_from_slice(&pixels);
+    Ok(message)
+}

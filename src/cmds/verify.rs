@@ -1,0 +1,93 @@
+//! `fourdbody verify`: recomputes everything that recordings claim from the files alone.
+
+use super::progress::Progress;
+use super::{Exit, Failure};
+use crate::record::verify::{Report, Severity, verify};
+use std::path::PathBuf;
+
+/// Check every invariant of recordings: checksums, exactly one outcome per camera and trigger, verdicts.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Prints one line per finding, then a line per node. Exit code 0: every frame is there and good; 3: frames are
+missing, and the recording says which and why; 4: damaged, or missing without a word.
+
+Example:
+  fourdbody verify /var/lib/fourdbody/sessions/walk-01")]
+pub struct Args {
+    /// Sessions, recordings of one node, or single segments (of which only the integrity is checked).
+    #[arg(required = true)]
+    paths: Vec<PathBuf>,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let mut exit = Exit::Done;
+    let mut reports = Vec::new();
+    for path in &args.paths {
+        let progress = Progress::of_bytes("verifying");
+        let result = verify(path, &|done, total| progress.at(done, total));
+        drop(progress);
+        let found = match &result {
+            Ok(report) => severity_exit(report.worst),
+            // A path that does not exist is a mistake of usage, not of the data.
+            Err(_) if !path.exists() => Exit::Usage,
+            Err(_) => Exit::Corrupt,
+        };
+        exit = worse(exit, found);
+        match result {
+            Ok(report) if args.json => {
+                let value = serde_json::to_value(&report).map_err(|e| Failure::new(Exit::Failure, e))?;
+                reports.push(value);
+            }
+            Ok(report) => print(&report),
+            Err(error) => {
+                eprintln!("error: {error}");
+                reports.push(serde_json::json!({"path": path, "error": error.to_string()}));
+            }
+        }
+    }
+    if args.json {
+        println!("{}", serde_json::json!({"exit": exit as u8, "reports": reports}));
+    }
+    Ok(exit)
+}
+
+fn print(report: &Report) {
+    for finding in &report.findings {
+        println!("{finding}");
+    }
+    if report.findings_omitted > 0 {
+        println!("... and {} findings more", report.findings_omitted);
+    }
+    for recording in &report.recordings {
+        println!("node {}: {}", recording.node, recording.verdict);
+    }
+    let word = match report.worst {
+        None | Some(Severity::Note) => "good: every checksum and every count is right",
+        Some(Severity::Loss) => "data loss, all of it accounted for",
+        Some(Severity::Corrupt) => "CORRUPT: damaged, or missing without a record; see above",
+    };
+    println!("{}: {word}", report.path.display());
+}
+
+fn severity_exit(worst: Option<Severity>) -> Exit {
+    match worst {
+        None | Some(Severity::Note) => Exit::Done,
+        Some(Severity::Loss) => Exit::DataLoss,
+        Some(Severity::Corrupt) => Exit::Corrupt,
+    }
+}
+
+/// The exit code of two paths together: corrupt data outranks everything.
+fn worse(a: Exit, b: Exit) -> Exit {
+    let rank = |exit: Exit| match exit {
+        Exit::Done => 0,
+        Exit::DataLoss => 1,
+        Exit::Usage => 2,
+        _ => 3,
+    };
+    if rank(b) > rank(a) { b } else { a }
+}

@@ -1,0 +1,137 @@
+//! The books: outcomes counted again, and the trigger table.
+
+use super::{Notes, Severity};
+use crate::ids::TriggerIndex;
+use crate::record::layout::GapCause;
+use crate::record::reader::{Outcome, RecordingReader};
+use crate::record::verdict::{CameraVerdict, Status, Verdict};
+use crate::record::writer::REFUSED;
+use std::collections::BTreeMap;
+
+/// The verdict as the records have it. What records cannot show (the HSU's count, why it was aborted) comes
+/// from the stored one.
+pub fn recount(recording: &RecordingReader) -> Verdict {
+    let stored = recording.verdict.as_ref();
+    let emitted = stored.and_then(|verdict| verdict.triggers_emitted);
+    let cameras = recording.header.cameras.iter().zip(&recording.outcomes).map(|(camera, outcomes)| {
+        let mut counted = CameraVerdict { camera: camera.id.clone(), frames: 0, gaps: BTreeMap::new() };
+        for outcome in outcomes.values() {
+            match outcome {
+                Outcome::Frame { .. } => counted.frames += 1,
+                Outcome::Gap(cause) => *counted.gaps.entry(*cause).or_default() += 1,
+            }
+        }
+        counted
+    });
+    let mut verdict = Verdict {
+        status: Status::Incomplete,
+        triggers: recording.known_end().max(emitted.unwrap_or(0)),
+        triggers_expected: recording.header.expected_triggers,
+        triggers_emitted: emitted,
+        cameras: cameras.collect(),
+        refused: recording.events.iter().filter(|event| event.kind == REFUSED).count() as u64,
+        aborted: stored.and_then(|verdict| verdict.aborted.clone()),
+    };
+    verdict.status = verdict.judge();
+    verdict
+}
+
+/// Compares the books with what was stored and with themselves.
+pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) {
+    if let Some(first) = recording.segments.first().filter(|segment| segment.number != 0) {
+        let message = format!("expected segment 0 first, found segment {}", first.number);
+        notes.add(Severity::Corrupt, None, None, None, message);
+    }
+    match &recording.verdict {
+        None => {
+            let message = "no verdict: the recording was not finished; run `fourdbody recover`";
+            notes.add(Severity::Corrupt, None, None, None, message);
+        }
+        Some(stored) if stored != verdict => {
+            let message = format!(
+                "the stored verdict is not what the records say; stored: {stored}; counted: {verdict}"
+            );
+            notes.add(Severity::Corrupt, None, None, None, message);
+        }
+        Some(_) => {}
+    }
+    if verdict.status == Status::Aborted || verdict.triggers_expected.is_some_and(|n| n != verdict.triggers) {
+        let first_line = verdict.to_string().lines().next().unwrap_or_default().to_owned();
+        notes.add(Severity::Loss, None, None, None, first_line);
+    }
+    if verdict.triggers_emitted.is_some_and(|n| n < verdict.triggers) {
+        let (triggers, emitted) = (verdict.triggers, verdict.triggers_emitted.unwrap_or(0));
+        let message = format!("outcomes for {triggers} triggers, but the HSU emitted {emitted}");
+        notes.add(Severity::Corrupt, None, None, None, message);
+    } else if verdict.triggers_emitted.is_none() && recording.verdict.is_some() {
+        notes.add(Severity::Loss, None, None, None, "the HSU's trigger count is missing");
+    }
+    for event in recording.events.iter().filter(|event| event.kind == REFUSED) {
+        let trigger = event.trigger.map(|t| (t.0, t.0));
+        notes.add(Severity::Loss, None, event.camera.as_ref(), trigger, &event.message);
+    }
+    for camera in 0..recording.outcomes.len() {
+        check_outcomes(recording, camera, verdict.triggers, notes);
+    }
+    check_table(recording, verdict.triggers, notes);
+}
+
+/// A line for each run of triggers with the same cause, and for each run without any outcome.
+fn check_outcomes(recording: &RecordingReader, camera: usize, triggers: u64, notes: &mut Notes) {
+    let (Some(outcomes), Some(described)) =
+        (recording.outcomes.get(camera), recording.header.cameras.get(camera))
+    else {
+        return;
+    };
+    let mut absent = |first: u64, last: u64| {
+        let message = "neither a frame nor a gap record";
+        notes.add(Severity::Corrupt, None, Some(&described.id), Some((first, last)), message);
+    };
+    let mut runs: Vec<(GapCause, u64, u64)> = Vec::new();
+    let mut next = 0;
+    for (&trigger, outcome) in outcomes {
+        if next < trigger {
+            absent(next, trigger - 1);
+        }
+        next = trigger + 1;
+        if let Outcome::Gap(cause) = *outcome {
+            match runs.last_mut() {
+                Some((of, _, last)) if *of == cause && *last + 1 == trigger => *last = trigger,
+                _ => runs.push((cause, trigger, trigger)),
+            }
+        }
+    }
+    if next < triggers {
+        absent(next, triggers - 1);
+    }
+    for (cause, first, last) in runs {
+        let message = format!("gap: {cause}");
+        notes.add(Severity::Loss, None, Some(&described.id), Some((first, last)), message);
+    }
+}
+
+/// The trigger table has a row for every trigger, and its times increase. Imported images have no table.
+fn check_table(recording: &RecordingReader, triggers: u64, notes: &mut Notes) {
+    if recording.header.hsu.is_none() {
+        return;
+    }
+    let table = &recording.triggers;
+    let mut next = 0;
+    for index in table.keys().map(|index| index.0).chain([triggers]).filter(|index| *index <= triggers) {
+        if next < index {
+            let message = "no row in the HSU's trigger table";
+            notes.add(Severity::Loss, None, None, Some((next, index - 1)), message);
+        }
+        next = index + 1;
+    }
+    for ((before, row), (index, next)) in table.iter().zip(table.iter().skip(1)) {
+        if next.hsu_time_ns <= row.hsu_time_ns {
+            let TriggerIndex(index) = *index;
+            let message = format!(
+                "HSU time {} ns is not after that of trigger {before}, {} ns",
+                next.hsu_time_ns, row.hsu_time_ns
+            );
+            notes.add(Severity::Corrupt, None, None, Some((index, index)), message);
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! The bytes of the segments: every checksum, every frame, and the frames' places in time.
+
+use super::{Notes, Severity};
+use crate::ids::TriggerIndex;
+use crate::record::layout::image_topic;
+use crate::record::reader::{RecordingReader, SegmentReader, Topic, check_frame};
+use crate::record::scan::{End, Event, Walker};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Camera time by trigger.
+type Times = BTreeMap<u64, u64>;
+
+/// Checks all segments, then what only shows across them.
+pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u64) + Sync)) {
+    let node = recording.header.node.as_str();
+    let checked: Vec<(Notes, Vec<Times>)> = recording
+        .segments
+        .par_iter()
+        .map(|segment| {
+            let mut own = Notes::new(node);
+            let times = check_segment(recording, segment, &mut own, advance);
+            (own, times)
+        })
+        .collect();
+    let mut times = vec![Times::new(); recording.header.cameras.len()];
+    for (own, of_segment) in checked {
+        notes.absorb(own);
+        for (all, some) in times.iter_mut().zip(of_segment) {
+            all.extend(some);
+        }
+    }
+    for (camera, times) in times.iter().enumerate() {
+        check_times(recording, camera, times, notes);
+    }
+}
+
+fn check_segment(
+    recording: &RecordingReader,
+    segment: &SegmentReader,
+    notes: &mut Notes,
+    advance: &(dyn Fn(u64) + Sync),
+) -> Vec<Times> {
+    let (bytes, number) = (segment.bytes(), Some(segment.number));
+    let topics: Vec<String> = recording.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
+    let mut channels = BTreeMap::new();
+    let mut times = vec![Times::new(); recording.header.cameras.len()];
+    let (mut data_end, mut reported) = (false, 0);
+    let mut walker = Walker::new(bytes);
+    for event in walker.by_ref() {
+        match event {
+            Event::Channel { id, topic } => {
+                channels.insert(id, Topic::of(topic, &topics));
+            }
+            Event::Chunk { records, crc, whole } => {
+                if whole {
+                    let message =
+                        format!("the chunk at bytes {} to {} fails its checksum", records.start, records.end);
+                    check_crc(notes, number, &bytes[records.clone()], crc, message);
+                }
+                let position = records.end.min(bytes.len()) as u64;
+                advance(position - reported);
+                reported = position;
+            }
+            Event::Message { channel, sequence, data } => {
+                if let Some(Topic::Image(camera)) = channels.get(&channel) {
+                    let trigger = u64::from(sequence);
+                    let checked =
+                        check_frame(&bytes[data], *camera, TriggerIndex(trigger), &recording.header);
+                    note_frame(recording, segment, *camera, trigger, checked.as_ref().err(), notes);
+                    if let Ok(frame) = checked {
+                        times[*camera].insert(trigger, frame.meta.camera_time_ns);
+                    }
+                }
+            }
+            Event::DataEnd { offset, crc } => {
+                data_end = true;
+                check_crc(notes, number, &bytes[..offset], crc, "the data section fails its checksum".into());
+            }
+            Event::Footer { covered, crc } => {
+                check_crc(notes, number, &bytes[covered], crc, "the summary fails its checksum".into());
+            }
+            Event::Metadata { .. } => {}
+        }
+    }
+    advance(bytes.len() as u64 - reported);
+    note_end(walker.end(), data_end, bytes.len(), number, notes);
+    times
+}
+
+/// A checksum of 0 means that none was computed; the writer always computes it.
+fn check_crc(notes: &mut Notes, segment: Option<u32>, bytes: &[u8], stated: u32, message: String) {
+    let found = crc32fast::hash(bytes);
+    if found != stated {
+        let message = format!("{message}: {found:#010x}, expected {stated:#010x}");
+        notes.add(Severity::Corrupt, segment, None, None, message);
+    }
+}
+
+fn note_frame(
+    recording: &RecordingReader,
+    segment: &SegmentReader,
+    camera: usize,
+    trigger: u64,
+    wrong: Option<&String>,
+    notes: &mut Notes,
+) {
+    let id = recording.header.cameras.get(camera).map(|camera| &camera.id);
+    let mut add = |message: String| {
+        notes.add(Severity::Corrupt, Some(segment.number), id, Some((trigger, trigger)), message);
+    };
+    if let Some(reason) = wrong {
+        add(reason.clone());
+    }
+    if trigger < segment.first_trigger || segment.end_trigger.is_some_and(|end| trigger >= end) {
+        let end = segment.end_trigger.map_or("the end".to_owned(), |end| end.to_string());
+        add(format!("the frame lies outside of its segment's triggers, {} to {end}", segment.first_trigger));
+    }
+}
+
+fn note_end(end: End, data_end: bool, length: usize, segment: Option<u32>, notes: &mut Notes) {
+    match end {
+        End::Closed if data_end => {}
+        End::Closed => {
+            notes.add(Severity::Corrupt, segment, None, None, "closed without an end of its data section");
+        }
+        End::Cut { at } => {
+            let message = format!("was not closed: usable up to byte {at} of {length}");
+            notes.add(Severity::Loss, segment, None, None, message);
+        }
+        End::Damaged { at, reason } => {
+            notes.add(Severity::Corrupt, segment, None, None, format!("damaged at byte {at}: {reason}"));
+        }
+    }
+}
+
+/// The second witness: from frame to frame the camera's clock must advance as the HSU's does. Frames that
+/// are far apart are not compared, since clocks drift.
+fn check_times(recording: &RecordingReader, camera: usize, times: &Times, notes: &mut Notes) {
+    const NEAR: u64 = 100;
+    let id = recording.header.cameras.get(camera).map(|camera| &camera.id);
+    let half_period_ns = (0.5e9 / recording.header.trigger_rate_hz) as u64;
+    let hsu = |trigger: u64| recording.triggers.get(&TriggerIndex(trigger)).map(|row| row.hsu_time_ns);
+    for ((&before, &time_before), (&trigger, &time)) in times.iter().zip(times.iter().skip(1)) {
+        let mut add = |message| notes.add(Severity::Corrupt, None, id, Some((trigger, trigger)), message);
+        let Some(camera_ns) = time.checked_sub(time_before).filter(|ns| *ns > 0) else {
+            add(format!("its camera time {time} ns is not after that of trigger {before}, {time_before} ns"));
+            continue;
+        };
+        let (Some(from), Some(to)) = (hsu(before), hsu(trigger)) else { continue };
+        let hsu_ns = to.saturating_sub(from);
+        if trigger - before <= NEAR && camera_ns.abs_diff(hsu_ns) > half_period_ns {
+            add(format!(
+                "{camera_ns} ns after trigger {before} by the camera's clock, {hsu_ns} ns by the HSU's: not the frame of this trigger"
+            ));
+        }
+    }
+}
