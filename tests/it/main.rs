@@ -4,5 +4,6 @@ mod chain;
 mod hsu;
 mod lab;
 mod recording;
-mod third_party_mcap;
+mod refusals;
 mod shared_scene;
+mod third_party_mcap;
