@@ -65,14 +65,20 @@ impl Receiver {
         receiver
     }
 
-    fn request(&mut self, command: Command) -> Vec<u8> {
+    /// Status and payload of the acknowledge.
+    fn ask(&mut self, command: Command) -> (u16, Vec<u8>) {
         let request = Request { id: self.next_request, ack: true, command };
         self.next_request += 1;
         self.control.send(&request.encode()).expect("sent");
         let mut buffer = [0; 600];
         let length = self.control.recv(&mut buffer).expect("an acknowledge");
-        assert_eq!(buffer[..2], [0, 0], "status of {request:?}");
-        buffer[8..length].to_vec()
+        (u16::from_be_bytes([buffer[0], buffer[1]]), buffer[8..length].to_vec())
+    }
+
+    fn request(&mut self, command: Command) -> Vec<u8> {
+        let (status, payload) = self.ask(command.clone());
+        assert_eq!(status, 0, "status of {command:?}");
+        payload
     }
 
     fn write(&mut self, id: Id, value: u32) {
@@ -254,8 +260,12 @@ fn standard_ids_wrap_and_skip_zero() {
         .map(|(block, i)| (*block, TestImages::identify(&i.pixels, WIDTH).expect("a whole image").instant))
         .collect();
     assert_eq!(by_block, vec![(1, 2), (2, 3), (0xfffe, 0), (0xffff, 1)]);
-    // The acquisition has ended by itself: the format is no longer locked.
-    receiver.write(Id::Width, 32);
+    // The acquisition ends by itself after its last frame, and the format is no longer locked.
+    let unlock = || Command::WriteRegisters(vec![(Id::Width.address(), 32)]);
+    let deadline = Instant::now() + Duration::from_secs(5);
+    while receiver.ask(unlock()).0 != 0 {
+        assert!(Instant::now() < deadline, "the acquisition does not end");
+    }
     reaches(&camera.statistics().frames_sent, 4);
 }
 
