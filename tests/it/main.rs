@@ -7,3 +7,4 @@ mod recording;
 mod refusals;
 mod shared_scene;
 mod third_party_mcap;
+mod third_party_camera;

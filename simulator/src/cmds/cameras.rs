@@ -68,7 +68,8 @@ pub fn run(args: &Args) -> Result<(), String> {
         };
         std::thread::sleep(next.saturating_duration_since(Instant::now()));
         if args.trigger_hz > 0.0 {
-            let edge = TriggerEdge { instant: index as i64, time: Instant::now(), width_ns: 1_000_000 };
+            // A timer in hardware does not wait for this thread to wake up: the edge rises on schedule.
+            let edge = TriggerEdge { instant: index as i64, time: next, width_ns: 1_000_000 };
             for wire in &wires {
                 let _ = wire.send(edge);
             }
@@ -101,9 +102,10 @@ fn start(args: &Args, index: u8, triggers: Receiver<TriggerEdge>) -> Result<Simu
     };
     if let Some(one_in) = args.lose_one_in {
         options.lose = Some(Arc::new(move |block, packet| {
-            // A multiplicative hash: lost packets lie scattered, and the same ones every time.
-            let mixed = (block << 24 ^ u64::from(packet)).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            (mixed >> 20).is_multiple_of(one_in.get())
+            // A hash instead of chance: the same packets are lost every time.
+            let mut mixed = (block << 20).wrapping_add(u64::from(packet)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            mixed = (mixed ^ mixed >> 32).wrapping_mul(0xd6e8_feb8_6659_fd93);
+            (mixed >> 32).is_multiple_of(one_in.get())
         }));
     }
     SimulatedCamera::start(options).map_err(|error| error.to_string())

@@ -260,7 +260,7 @@ impl Controller {
                 Action::Start(settings) => {
                     self.acquisitions += 1;
                     self.running.store(self.acquisitions, SeqCst);
-                    let _ = self.orders.send(Order::Start(self.acquisitions, settings));
+                    let _ = self.orders.send(Order::Start(self.acquisitions, Instant::now(), settings));
                 }
                 Action::Update(settings) => {
                     let _ = self.orders.send(Order::Update(settings));
@@ -287,3 +287,6 @@ impl Controller {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -19,8 +19,9 @@ use std::time::{Duration, Instant};
 /// What the control thread tells the streaming thread.
 #[derive(Debug)]
 pub enum Order {
-    /// Start acquisition number `.0` (from 1 on).
-    Start(u64, StreamSettings),
+    /// Start acquisition number `.0` (from 1 on), ordered at `.1`: edges count from the acknowledge on,
+    /// whenever this thread gets to run.
+    Start(u64, Instant, StreamSettings),
     /// Follow these settings.
     Update(StreamSettings),
     /// Stop acquiring.
@@ -118,11 +119,11 @@ impl Streamer {
         connected: &mut Option<std::net::SocketAddrV4>,
     ) -> bool {
         match order {
-            Order::Start(number, stream) => {
+            Order::Start(number, started, stream) => {
                 self.history.clear();
                 self.statistics.triggers_ignored_now.store(0, Relaxed);
                 self.connect(&stream, connected);
-                *acquisition = Some(Acquisition::new(number, stream, self.first_block_id));
+                *acquisition = Some(Acquisition::new(number, started, stream, self.first_block_id));
             }
             Order::Update(stream) => {
                 self.connect(&stream, connected);
@@ -209,8 +210,7 @@ impl Streamer {
 }
 
 impl Acquisition {
-    fn new(number: u64, stream: StreamSettings, first_block_id: u64) -> Self {
-        let started = Instant::now();
+    fn new(number: u64, started: Instant, stream: StreamSettings, first_block_id: u64) -> Self {
         Self {
             number,
             started,
