@@ -18,6 +18,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     CheckConfig(cmds::check_config::Args),
+    Pattern(cmds::pattern::Args),
+    Reconstruct(cmds::reconstruct::Args),
+    Validate(cmds::validate::Args),
 }
 
 fn main() -> ExitCode {
@@ -37,5 +40,8 @@ fn main() -> ExitCode {
 fn run(command: &Command) -> Result<Exit, Failure> {
     match command {
         Command::CheckConfig(args) => cmds::check_config::run(args),
+        Command::Pattern(args) => cmds::pattern::run(args),
+        Command::Reconstruct(args) => cmds::reconstruct::run(args),
+        Command::Validate(args) => cmds::validate::run(args),
     }
 }

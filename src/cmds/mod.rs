@@ -8,6 +8,9 @@ use std::fmt;
 use std::process::ExitCode;
 
 pub mod check_config;
+pub mod pattern;
+pub mod reconstruct;
+pub mod validate;
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -191,7 +191,10 @@ mod tests {
     fn taps_are_a_mean_over_the_period() {
         for period in [7.0, 8.4, 11.0, 11.9, 12.3] {
             let taps = taps(period);
-            assert!((taps.iter().sum::<f32>() - 1.0).abs() < 1e-5 && taps.iter().all(|&x| x > 0.0), "{taps:?}");
+            assert!(
+                (taps.iter().sum::<f32>() - 1.0).abs() < 1e-5 && taps.iter().all(|&x| x > 0.0),
+                "{taps:?}"
+            );
             let response: f32 = taps
                 .iter()
                 .enumerate()

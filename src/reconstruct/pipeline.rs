@@ -117,7 +117,11 @@ impl Pipeline {
         let expected = (pair.camera.width, pair.camera.height);
         if (image.width(), image.height()) != expected {
             let found = (image.width(), image.height());
-            return refused(clock, counts, format!("the frame has {found:?} pixels, the calibration {expected:?}"));
+            return refused(
+                clock,
+                counts,
+                format!("the frame has {found:?} pixels, the calibration {expected:?}"),
+            );
         }
         let object = clock.time("mask", || match self.method {
             Method::Anchored => mask::envelope(image, pair.period_px),
@@ -159,8 +163,8 @@ impl Pipeline {
         let image = Mono8::from(image);
         let periods = clock.time("period", || period::measure(image, object, pair.period_px));
         let period = &periods.period;
-        let mut phasors =
-            clock.time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
+        let mut phasors = clock
+            .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
         clock.time("average", || demodulate::average_rows(&mut phasors));
         let ridges = clock.time("marker", || marker::ridges(image, object, period, pair));
         clock.time("marker phase", || marker_phase::average(&mut phasors, &ridges.ridge, period, pair));

@@ -47,8 +47,11 @@ impl Truth {
         let depth: Vec<f32> = array(&mut archive, "depth").map_err(|e| fail(&e))?;
         let lit: Vec<bool> = array(&mut archive, "lit").map_err(|e| fail(&e))?;
         let crop: Option<Vec<usize>> = crop.iter().map(|&x| usize::try_from(x).ok()).collect();
-        let &[v0, v1, u0, u1] =
-            crop.as_deref().unwrap_or_default().as_array().ok_or_else(|| fail(&"crop is not [v0, v1, u0, u1]"))?;
+        let &[v0, v1, u0, u1] = crop
+            .as_deref()
+            .unwrap_or_default()
+            .as_array()
+            .ok_or_else(|| fail(&"crop is not [v0, v1, u0, u1]"))?;
         if v0 >= v1 || u0 >= u1 || v1 > camera.height || u1 > camera.width {
             return Err(fail(&format!("crop [{v0}, {v1}, {u0}, {u1}] does not fit the camera's sensor")));
         }
@@ -175,12 +178,17 @@ pub struct Tally {
 impl Tally {
     /// Adds the points of `cloud` for which `select` holds (by index), all of one camera, and that camera's
     /// lit pixels.
-    pub fn add(&mut self, cloud: &Cloud, select: impl Fn(usize) -> bool, truth: &Truth, reference: Reference<'_>) {
+    pub fn add(
+        &mut self,
+        cloud: &Cloud,
+        select: impl Fn(usize) -> bool,
+        truth: &Truth,
+        reference: Reference<'_>,
+    ) {
         self.lit += truth.lit.as_slice().iter().filter(|&&x| x != 0).count();
         let world_from_camera = reference.camera.world_from_device.isometry();
-        let phase = |world: &Point3<f64>| {
-            reference.projector.project(world).map(|[u, _]| reference.pattern.phase(u))
-        };
+        let phase =
+            |world: &Point3<f64>| reference.projector.project(world).map(|[u, _]| reference.pattern.phase(u));
         for i in (0..cloud.len()).filter(|&i| select(i)) {
             self.points += 1;
             let place = truth.place(cloud.pixel[i]);

@@ -105,15 +105,21 @@ fn score(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Score) 
     let found = reconstruct(scene, "body_arms_raised", camera, method);
     let path = scene.join(format!("body_arms_raised/truth/{camera}_000000.npz"));
     let truth = Truth::load(&path, &calibrated.device).expect("truth");
-    let reference = Reference {
-        camera: &calibrated.device,
-        projector: &head.projector,
-        pattern: &calibration.pattern,
-    };
+    let reference =
+        Reference { camera: &calibrated.device, projector: &head.projector, pattern: &calibration.pattern };
     let mut tally = Tally::default();
     tally.add(&found.cloud, |_| true, &truth, reference);
     let score = tally.score();
     (found, score)
+}
+
+/// Writes the scene's rig as a calibration file, for the command line: `CALIBRATION_OUT=FILE`.
+#[test]
+#[ignore = "a converter, for development"]
+fn write_calibration() {
+    let Some(scene) = scene() else { return };
+    let out = std::env::var_os("CALIBRATION_OUT").expect("CALIBRATION_OUT=FILE");
+    calibration(&scene).save(Path::new(&out)).expect("writable");
 }
 
 #[test]
