@@ -4,6 +4,7 @@ use super::{Exit, Failure};
 use crate::calibrate::Calibration;
 use crate::export::{Cloud, ply};
 use crate::ids::CameraId;
+use crate::image::write_png_rgb;
 use crate::validate::truth::{Reference, Score, Tally, Truth};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -42,6 +43,9 @@ struct TruthArgs {
     /// Print one JSON object instead of a table.
     #[arg(long)]
     json: bool,
+    /// Draw where each directional cloud is right (grey), wrong (red, magenta) or missing (blue).
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -67,8 +71,15 @@ fn truth(args: &TruthArgs) -> Result<Exit, Failure> {
         let reference =
             Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
         let cloud = directional(&args.clouds, &camera.id, trigger)?;
-        let tally = per_camera.entry(number).or_default();
-        tally.add(&cloud.unwrap_or_default(), |_| true, &truth, reference);
+        let cloud = cloud.unwrap_or_default();
+        per_camera.entry(number).or_default().add(&cloud, |_| true, &truth, reference);
+        if let Some(folder) = &args.pictures {
+            let (width, height, rgb) = truth.picture(&cloud, reference);
+            let path = folder.join(format!("{}_{trigger:06}.png", camera.id));
+            std::fs::create_dir_all(folder)
+                .and_then(|()| write_png_rgb(&path, width, height, &rgb))
+                .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))?;
+        }
         if loaded.as_ref().is_none_or(|(index, _)| *index != trigger) {
             let cloud =
                 load(&[args.clouds.join("merged"), args.clouds.clone()], &format!("{trigger:06}.ply"))?;
