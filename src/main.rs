@@ -25,6 +25,9 @@ enum Command {
     Import(cmds::import::Args),
     Info(cmds::info::Args),
     Verify(cmds::verify::Args),
+    Pattern(cmds::pattern::Args),
+    Reconstruct(cmds::reconstruct::Args),
+    Validate(cmds::validate::Args),
 }
 
 fn main() -> ExitCode {
@@ -51,5 +54,8 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::Import(args) => cmds::import::run(args),
         Command::Info(args) => cmds::info::run(args),
         Command::Verify(args) => cmds::verify::run(args),
+        Command::Pattern(args) => cmds::pattern::run(args),
+        Command::Reconstruct(args) => cmds::reconstruct::run(args),
+        Command::Validate(args) => cmds::validate::run(args),
     }
 }

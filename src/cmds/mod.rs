@@ -16,6 +16,9 @@ pub mod import;
 pub mod info;
 mod progress;
 pub mod verify;
+pub mod pattern;
+pub mod reconstruct;
+pub mod validate;
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

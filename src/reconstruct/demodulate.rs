@@ -145,8 +145,9 @@ fn remainder(samples: &[f32; 7], s: f32, c: f32) -> (f32, f32) {
 }
 
 /// Mean phasor of five rows where all five are known and agree; elsewhere the row's own. Averaging along the
-/// fringe halves the noise and, on a fringe that is straight over five rows, biases nothing.
-pub fn average_rows(phasors: &mut Phasors) {
+/// fringe halves the noise and, on a fringe that is straight over five rows, biases nothing. Pixels with a
+/// non-zero `skip` stay as they are.
+pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
     let (w, h) = (phasors.c.width(), phasors.c.height());
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
     for v in ROWS_EACH_SIDE..h.saturating_sub(ROWS_EACH_SIDE) {
@@ -156,7 +157,7 @@ pub fn average_rows(phasors: &mut Phasors) {
         });
         let (out_c, out_s) = (phasors.c.row_mut(v), phasors.s.row_mut(v));
         for u in 0..w {
-            if out_c[u] == 0.0 && out_s[u] == 0.0 {
+            if skip.at(u, v) != 0 || (out_c[u] == 0.0 && out_s[u] == 0.0) {
                 continue;
             }
             let (mut sum_c, mut sum_s, mut length, mut known) = (0.0, 0.0, 0.0, true);
@@ -205,7 +206,7 @@ mod tests {
         let mask = Plane::filled(WIDTH, 5, 1u8);
         let assumed = Plane::filled(WIDTH, 5, assumed);
         let mut phasors = demodulate(Mono8::from(&image), &mask, &assumed, &Gains::new(), sign);
-        average_rows(&mut phasors);
+        average_rows(&mut phasors, &Plane::filled(WIDTH, 5, 0));
         let found = wrapped(&phasors);
         (20..WIDTH - 20).map(|u| wrap(found.at(u, 2) - phase(u, 2)).abs()).fold(0.0, f32::max)
     }

@@ -8,6 +8,7 @@
 
 use super::demodulate::{Phasors, sums};
 use super::pair::Pair;
+use super::period::runs;
 use crate::image::Plane;
 use crate::pattern::{Marker, Pattern};
 use std::f32::consts::{PI, TAU};
@@ -18,10 +19,45 @@ const REACH_PERIODS: f32 = 1.0;
 /// Below this coherence the mean over the marker's period means nothing.
 const MIN_COHERENCE: f32 = 0.5;
 
-/// Replaces the phasors around the marker's ridges by their mean over one period of the modulation; those
-/// for which that mean is not to be had become unknown.
-pub fn average(phasors: &mut Phasors, ridge: &Plane<u8>, period: &Plane<f32>, pair: &Pair) {
-    let zone = zone(ridge, period);
+/// The pixels whose demodulation window touches the marker: the ridge, widened along the rows.
+pub fn zone(ridge: &Plane<u8>, period: &Plane<f32>) -> Plane<u8> {
+    let mut zone = Plane::filled(ridge.width(), ridge.height(), 0u8);
+    for v in 0..ridge.height() {
+        for u in (0..ridge.width()).filter(|&u| ridge.at(u, v) != 0) {
+            let reach = (REACH_PERIODS * period.at(u, v)).ceil() as usize;
+            let end = (u + reach + 1).min(ridge.width());
+            zone.row_mut(v)[u.saturating_sub(reach)..end].fill(1);
+        }
+    }
+    zone
+}
+
+/// Crossings of the median cannot be counted where a lobe is missing: in the zone the period becomes the mean
+/// of those beside it.
+pub fn bridge_period(period: &mut Plane<f32>, zone: &Plane<u8>, nominal_px: f32) {
+    let beside = (1.5 * nominal_px).round() as usize;
+    for v in 0..zone.height() {
+        for run in runs(zone.row(v)) {
+            let row = period.row_mut(v);
+            let left = run.start.checked_sub(beside).map_or(0.0, |u| row[u]);
+            let right = row.get(run.end - 1 + beside).copied().unwrap_or(0.0);
+            let (left, right) = match (left > 0.0, right > 0.0) {
+                (true, true) => (left, right),
+                (true, false) => (left, left),
+                (false, true) => (right, right),
+                (false, false) => continue,
+            };
+            let last = (run.len() - 1).max(1) as f32;
+            for (i, p) in row[run].iter_mut().enumerate() {
+                *p = left + (right - left) * i as f32 / last;
+            }
+        }
+    }
+}
+
+/// Replaces the phasors in the zone by their mean over one period of the modulation; those for which that
+/// mean is not to be had become unknown.
+pub fn average(phasors: &mut Phasors, zone: &Plane<u8>, pair: &Pair) {
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
     let taps = taps(pair.marker_period_px);
     let half = taps.len() / 2;
@@ -52,19 +88,6 @@ pub fn average(phasors: &mut Phasors, ridge: &Plane<u8>, period: &Plane<f32>, pa
             phasors.misfit.set(u, v, 0.0);
         }
     }
-}
-
-/// The ridge, widened along the rows.
-fn zone(ridge: &Plane<u8>, period: &Plane<f32>) -> Plane<u8> {
-    let mut zone = Plane::filled(ridge.width(), ridge.height(), 0u8);
-    for v in 0..ridge.height() {
-        for u in (0..ridge.width()).filter(|&u| ridge.at(u, v) != 0) {
-            let reach = (REACH_PERIODS * period.at(u, v)).ceil() as usize;
-            let end = (u + reach + 1).min(ridge.width());
-            zone.row_mut(v)[u.saturating_sub(reach)..end].fill(1);
-        }
-    }
-    zone
 }
 
 /// Weights of a mean over exactly `period` rows; the outermost taps count in part.
@@ -191,7 +214,10 @@ mod tests {
     fn taps_are_a_mean_over_the_period() {
         for period in [7.0, 8.4, 11.0, 11.9, 12.3] {
             let taps = taps(period);
-            assert!((taps.iter().sum::<f32>() - 1.0).abs() < 1e-5 && taps.iter().all(|&x| x > 0.0), "{taps:?}");
+            assert!(
+                (taps.iter().sum::<f32>() - 1.0).abs() < 1e-5 && taps.iter().all(|&x| x > 0.0),
+                "{taps:?}"
+            );
             let response: f32 = taps
                 .iter()
                 .enumerate()

@@ -5,6 +5,8 @@
 
 /// Absolute phase: selection of the pixels that become points, Equation 5.
 pub mod absolute;
+/// A session to clouds on disk.
+pub mod batch;
 /// Connected components of a mask.
 pub mod components;
 /// Wrapped phase Wm and modulation.
@@ -17,6 +19,8 @@ pub mod marker;
 pub mod marker_phase;
 /// Object mask Om.
 pub mod mask;
+/// Directional clouds to a merged cloud.
+pub mod merge;
 /// Normals from neighbouring points.
 pub mod normals;
 /// What the pipeline must know of a camera and its projector.

@@ -52,8 +52,8 @@ impl Pair {
             ));
         }
         let marker_contrast = match pattern.marker {
-            // One lobe in one period of the fringes: mean 1 - depth / 2, amplitude depth / 2.
-            Marker::Darkened { depth } => depth / 2.0,
+            // Mean 1 - depth / 2, amplitude depth / 2.
+            Marker::Darkened { depth } => depth / 2.0 / (1.0 - depth / 2.0),
             Marker::ZeroMean { amplitude } => amplitude,
         };
         Ok(Self {

@@ -87,7 +87,13 @@ fn mean_crossing_distance(samples: &[u8], threshold: f32, margin: f32) -> f32 {
         if (value > 0.0) != (before > 0.0) {
             seen = i as f32 - value / (value - before);
         }
-        let now = if value > margin { 1 } else if value < -margin { -1 } else { side };
+        let now = if value > margin {
+            1
+        } else if value < -margin {
+            -1
+        } else {
+            side
+        };
         if now != side {
             if side != 0 {
                 let direction = usize::from(now > 0);

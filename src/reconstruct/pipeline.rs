@@ -117,7 +117,11 @@ impl Pipeline {
         let expected = (pair.camera.width, pair.camera.height);
         if (image.width(), image.height()) != expected {
             let found = (image.width(), image.height());
-            return refused(clock, counts, format!("the frame has {found:?} pixels, the calibration {expected:?}"));
+            return refused(
+                clock,
+                counts,
+                format!("the frame has {found:?} pixels, the calibration {expected:?}"),
+            );
         }
         let object = clock.time("mask", || match self.method {
             Method::Anchored => mask::envelope(image, pair.period_px),
@@ -157,13 +161,17 @@ impl Pipeline {
     ) -> Result<Resolved, String> {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let periods = clock.time("period", || period::measure(image, object, pair.period_px));
+        let mut periods = clock.time("period", || period::measure(image, object, pair.period_px));
+        let ridges = clock.time("marker", || marker::ridges(image, object, &periods.period, pair));
+        let zone = marker_phase::zone(&ridges.ridge, &periods.period);
+        marker_phase::bridge_period(&mut periods.period, &zone, pair.period_px);
         let period = &periods.period;
-        let mut phasors =
-            clock.time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
-        clock.time("average", || demodulate::average_rows(&mut phasors));
-        let ridges = clock.time("marker", || marker::ridges(image, object, period, pair));
-        clock.time("marker phase", || marker_phase::average(&mut phasors, &ridges.ridge, period, pair));
+        let mut phasors = clock
+            .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
+        clock.time("average", || {
+            marker_phase::average(&mut phasors, &zone, pair);
+            demodulate::average_rows(&mut phasors, &zone);
+        });
         let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
         counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
         let markers = clock.time("anchors", || marker::detect(&ridges, period, &wrapped, pair));

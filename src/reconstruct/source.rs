@@ -26,4 +26,10 @@ pub trait FrameSource: Sync {
     /// The frame of `camera` at `trigger`. An error means that the source is damaged there: the text says
     /// what was expected, what was found and what to do.
     fn frame(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String>;
+
+    /// When `trigger` was, ns since the UNIX epoch or the session's start; `None` where the source does not
+    /// know.
+    fn trigger_time_ns(&self, _trigger: TriggerIndex) -> Option<u64> {
+        None
+    }
 }

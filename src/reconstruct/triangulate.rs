@@ -75,7 +75,8 @@ impl Triangulator {
         let (fu, fv) = ((u % GRID_PX) as f64 / GRID_PX as f64, (v % GRID_PX) as f64 / GRID_PX as f64);
         let (a, b) = (self.rays.get(first)?, self.rays.get(first + 1)?);
         let (c, d) = (self.rays.get(first + self.columns)?, self.rays.get(first + self.columns + 1)?);
-        let mix = |i: usize| (1.0 - fv) * ((1.0 - fu) * a[i] + fu * b[i]) + fv * ((1.0 - fu) * c[i] + fu * d[i]);
+        let mix =
+            |i: usize| (1.0 - fv) * ((1.0 - fu) * a[i] + fu * b[i]) + fv * ((1.0 - fu) * c[i] + fu * d[i]);
         let (x, y) = (mix(0), mix(1));
         (x.is_finite() && y.is_finite()).then(|| Vector3::new(x, y, 1.0))
     }

@@ -27,7 +27,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { max_residual: 1.5, doubtful_residual: 0.45, small_tree_px: 60, min_votes: 20 }
+        Self { max_residual: 1.5, doubtful_residual: 0.05, small_tree_px: 60, min_votes: 20 }
     }
 }
 
@@ -54,7 +54,7 @@ pub fn unwrap(
     settings: &Settings,
 ) -> Unwrapped {
     let costs = Costs::new(wrapped, period, pair.sign);
-    let edges = costs.sorted_edges(wrapped.width(), settings);
+    let edges = costs.sorted_edges(settings);
     let mut forest = Forest::new(anchor);
     let phase = wrapped.as_slice();
     let width = wrapped.width();
@@ -84,12 +84,20 @@ pub fn unwrap(
     Unwrapped { absolute, refused_px, contradictions }
 }
 
-/// Averaged carrier residuals of the edges to the right and down of each pixel; NaN: no edge.
+/// Costs of the edges to the right and down of each pixel; NaN: no edge.
 struct Costs {
     right: Plane<f32>,
     down: Plane<f32>,
     carrier: f32,
 }
+
+/// Half sizes (columns, rows) of the box in which the local mean step is taken.
+const MEAN_STEP_BOX: (usize, usize) = (5, 3);
+
+/// Half sizes (columns, rows) of the boxes in which residuals are averaged: along the boundary that steps to
+/// the right and steps down cross.
+const ALONG_RIGHT: (usize, usize) = (1, 3);
+const ALONG_DOWN: (usize, usize) = (4, 1);
 
 impl Costs {
     fn new(wrapped: &Plane<f32>, period: &Plane<f32>, sign: f32) -> Self {
@@ -100,45 +108,15 @@ impl Costs {
         for v in 0..h {
             let (row, p) = (wrapped.row(v), period.row(v));
             for (u, out) in right.row_mut(v).iter_mut().enumerate().take(w.saturating_sub(1)) {
-                *out = wrap(row[u + 1] - row[u] - 2.0 * carrier / (p[u] + p[u + 1])).abs();
+                *out = wrap(row[u + 1] - row[u] - 2.0 * carrier / (p[u] + p[u + 1]));
             }
             if v + 1 < h {
                 for ((out, a), b) in down.row_mut(v).iter_mut().zip(row).zip(wrapped.row(v + 1)) {
-                    *out = wrap(b - a).abs();
+                    *out = wrap(b - a);
                 }
             }
         }
-        let mut costs = Self { right, down, carrier };
-        costs.average();
-        costs
-    }
-
-    /// Each residual becomes the larger of itself and its mean along the boundary it crosses: +-4 columns for
-    /// steps down, +-2 rows for steps right.
-    fn average(&mut self) {
-        let (w, h) = (self.down.width(), self.down.height());
-        for v in 0..h {
-            let own = self.down.row(v).to_vec();
-            let row = self.down.row_mut(v);
-            for u in 0..w {
-                if !own[u].is_nan() {
-                    row[u] = own[u].max(mean_of_known(&own[u.saturating_sub(4)..(u + 5).min(w)]));
-                }
-            }
-        }
-        let own = self.right.clone();
-        let mut column = [0f32; 5];
-        for v in 2..h.saturating_sub(2) {
-            for u in 0..w {
-                let centre = own.at(u, v);
-                if !centre.is_nan() {
-                    for (k, x) in column.iter_mut().enumerate() {
-                        *x = own.at(u, v + k - 2);
-                    }
-                    self.right.set(u, v, centre.max(mean_of_known(&column)));
-                }
-            }
-        }
+        Self { right: cost(&right, ALONG_RIGHT), down: cost(&down, ALONG_DOWN), carrier }
     }
 
     fn at(&self, pixel: usize, vertical: bool) -> f32 {
@@ -152,13 +130,12 @@ impl Costs {
     }
 
     /// Edges as `2 * pixel + (down ? 1 : 0)`, by rising cost; ties in the order of the pixels.
-    fn sorted_edges(&self, width: usize, settings: &Settings) -> Vec<u32> {
+    fn sorted_edges(&self, settings: &Settings) -> Vec<u32> {
         let bucket = |cost: f32| (cost / BUCKET_RAD) as usize;
         let buckets = bucket(settings.max_residual) + 1;
         let mut start = vec![0u32; buckets + 1];
         let right = self.right.as_slice();
         let down = self.down.as_slice();
-        debug_assert!(right.len().is_multiple_of(width.max(1)));
         for &cost in right.iter().chain(down) {
             if cost <= settings.max_residual {
                 start[bucket(cost) + 1] += 1;
@@ -181,10 +158,65 @@ impl Costs {
     }
 }
 
-fn mean_of_known(values: &[f32]) -> f32 {
-    let (sum, count) =
-        values.iter().filter(|x| !x.is_nan()).fold((0.0, 0u32), |(sum, count), x| (sum + x, count + 1));
-    sum / count.max(1) as f32
+/// How far each step is from the local mean step, averaged along the boundary: the larger of that mean and of
+/// the edge's own.
+fn cost(step: &Plane<f32>, along: (usize, usize)) -> Plane<f32> {
+    let mean = box_mean_of_known(step, MEAN_STEP_BOX);
+    let mut own = step.clone();
+    for (x, mean) in own.as_mut_slice().iter_mut().zip(mean.as_slice()) {
+        *x = wrap(*x - mean).abs();
+    }
+    let averaged = box_mean_of_known(&own, along);
+    for (x, averaged) in own.as_mut_slice().iter_mut().zip(averaged.as_slice()) {
+        // NaN stays: there is no edge.
+        if *x < *averaged {
+            *x = *averaged;
+        }
+    }
+    own
+}
+
+/// Mean of the values that are not NaN in a box of +-`half` (columns, rows); 0 where there are none.
+fn box_mean_of_known(values: &Plane<f32>, half: (usize, usize)) -> Plane<f32> {
+    let (w, h) = (values.width(), values.height());
+    let mut out = Plane::filled(w, h, 0f32);
+    // Sums over the rows of the box, kept up to date as the box moves down. Whole thousandths, so that what
+    // is added and taken off again cancels exactly.
+    let mut sums = vec![(0i32, 0i32); w];
+    let add = |sums: &mut [(i32, i32)], row: &[f32], sign: i32| {
+        for (sum, &x) in sums.iter_mut().zip(row) {
+            if !x.is_nan() {
+                sum.0 += sign * (x * 1024.0).round() as i32;
+                sum.1 += sign;
+            }
+        }
+    };
+    for v in 0..half.1.min(h) {
+        add(&mut sums, values.row(v), 1);
+    }
+    for v in 0..h {
+        if v + half.1 < h {
+            add(&mut sums, values.row(v + half.1), 1);
+        }
+        if v > half.1 {
+            add(&mut sums, values.row(v - half.1 - 1), -1);
+        }
+        let (mut sum, mut count) = (0i32, 0i32);
+        for x in &sums[..half.0.min(w)] {
+            (sum, count) = (sum + x.0, count + x.1);
+        }
+        for (u, out) in out.row_mut(v).iter_mut().enumerate() {
+            if let Some(x) = sums.get(u + half.0) {
+                (sum, count) = (sum + x.0, count + x.1);
+            }
+            if u > half.0 {
+                let x = sums[u - half.0 - 1];
+                (sum, count) = (sum - x.0, count - x.1);
+            }
+            *out = sum as f32 / (1024.0 * count.max(1) as f32);
+        }
+    }
+    out
 }
 
 /// To (-pi, pi].

@@ -47,8 +47,11 @@ impl Truth {
         let depth: Vec<f32> = array(&mut archive, "depth").map_err(|e| fail(&e))?;
         let lit: Vec<bool> = array(&mut archive, "lit").map_err(|e| fail(&e))?;
         let crop: Option<Vec<usize>> = crop.iter().map(|&x| usize::try_from(x).ok()).collect();
-        let &[v0, v1, u0, u1] =
-            crop.as_deref().unwrap_or_default().as_array().ok_or_else(|| fail(&"crop is not [v0, v1, u0, u1]"))?;
+        let &[v0, v1, u0, u1] = crop
+            .as_deref()
+            .unwrap_or_default()
+            .as_array()
+            .ok_or_else(|| fail(&"crop is not [v0, v1, u0, u1]"))?;
         if v0 >= v1 || u0 >= u1 || v1 > camera.height || u1 > camera.width {
             return Err(fail(&format!("crop [{v0}, {v1}, {u0}, {u1}] does not fit the camera's sensor")));
         }
@@ -80,6 +83,50 @@ impl Truth {
         (u < self.points.width() && v < self.points.height()).then_some((u, v))
     }
 
+    /// Holds point `i` of a cloud of this camera against the truth.
+    fn judge(&self, cloud: &Cloud, i: usize, reference: Reference<'_>) -> Verdict {
+        let place = self.place(cloud.pixel[i]);
+        let surface = place.map(|(u, v)| Point3::from(self.points.at(u, v)));
+        let (Some(place), Some(surface)) = (place, surface.filter(|p| !p.x.is_nan())) else {
+            return Verdict::OffSurface;
+        };
+        let phase = |world: &Point3<f64>| {
+            reference.projector.project(world).map(|[u, _]| reference.pattern.phase(u))
+        };
+        let world = Point3::from(cloud.position_m[i]).cast::<f64>();
+        let expected = reference.camera.world_from_device.isometry().transform_point(&surface);
+        let right = match (phase(&world), phase(&expected)) {
+            (Some(found), Some(expected)) => (found - expected).abs() <= PI,
+            _ => false,
+        };
+        let point = reference.camera.device_point(&world);
+        Verdict::On {
+            right,
+            lit: self.lit.at(place.0, place.1) != 0,
+            distance_m: self.distance(&point.coords, place),
+        }
+    }
+
+    /// Where a cloud of this camera is right, wrong or missing: columns, rows and RGB of the crop. Blue: lit,
+    /// but no point; grey: right, the darker the further from the surface (black at 1 mm); red: wrong order;
+    /// magenta: no surface there.
+    pub fn picture(&self, cloud: &Cloud, reference: Reference<'_>) -> (usize, usize, Vec<u8>) {
+        let (width, height) = (self.lit.width(), self.lit.height());
+        let mut rgb: Vec<u8> =
+            self.lit.as_slice().iter().flat_map(|&lit| if lit != 0 { [0, 0, 255] } else { [0, 0, 48] }).collect();
+        for i in 0..cloud.len() {
+            let Some((u, v)) = self.place(cloud.pixel[i]) else { continue };
+            let colour = match self.judge(cloud, i, reference) {
+                Verdict::OffSurface => [255, 0, 255],
+                Verdict::On { right: false, .. } => [255, 0, 0],
+                Verdict::On { distance_m, .. } => [(255.0 * (1.0 - distance_m / 1e-3)).max(0.0) as u8; 3],
+            };
+            let at = 3 * (v * width + u);
+            rgb[at..at + 3].copy_from_slice(&colour);
+        }
+        (width, height, rgb)
+    }
+
     /// Distance from a point in camera axes to the surface around a pixel, m; infinite where there is none.
     fn distance(&self, point: &Vector3<f64>, place: (usize, usize)) -> f64 {
         let near = self.distance_within(point, place, 1);
@@ -107,6 +154,21 @@ impl Truth {
         let limit = MAX_STRETCH * a.z / self.focal_px;
         (b - a).norm() < limit && (c - a).norm() < limit && (c - b).norm() < limit
     }
+}
+
+/// One point against the truth.
+enum Verdict {
+    /// There is no surface at its pixel.
+    OffSurface,
+    /// There is one.
+    On {
+        /// Whether the fringe order is right.
+        right: bool,
+        /// Whether the projector lights the pixel.
+        lit: bool,
+        /// Distance to the surface, m; infinite where it is too broken to be triangulated.
+        distance_m: f64,
+    },
 }
 
 fn array<T: npyz::Deserialize>(
@@ -175,31 +237,25 @@ pub struct Tally {
 impl Tally {
     /// Adds the points of `cloud` for which `select` holds (by index), all of one camera, and that camera's
     /// lit pixels.
-    pub fn add(&mut self, cloud: &Cloud, select: impl Fn(usize) -> bool, truth: &Truth, reference: Reference<'_>) {
+    pub fn add(
+        &mut self,
+        cloud: &Cloud,
+        select: impl Fn(usize) -> bool,
+        truth: &Truth,
+        reference: Reference<'_>,
+    ) {
         self.lit += truth.lit.as_slice().iter().filter(|&&x| x != 0).count();
-        let world_from_camera = reference.camera.world_from_device.isometry();
-        let phase = |world: &Point3<f64>| {
-            reference.projector.project(world).map(|[u, _]| reference.pattern.phase(u))
-        };
         for i in (0..cloud.len()).filter(|&i| select(i)) {
             self.points += 1;
-            let place = truth.place(cloud.pixel[i]);
-            let surface = place.map(|(u, v)| Point3::from(truth.points.at(u, v)));
-            let (Some(place), Some(surface)) = (place, surface.filter(|p| !p.x.is_nan())) else {
-                self.off_surface += 1;
-                continue;
-            };
-            let world = Point3::from(cloud.position_m[i]).cast::<f64>();
-            let right = match (phase(&world), phase(&world_from_camera.transform_point(&surface))) {
-                (Some(found), Some(expected)) => (found - expected).abs() <= PI,
-                _ => false,
-            };
-            self.wrong_order += usize::from(!right);
-            self.lit_right += usize::from(right && truth.lit.at(place.0, place.1) != 0);
-            let point = reference.camera.device_point(&world);
-            let distance = truth.distance(&point.coords, place);
-            if distance.is_finite() {
-                self.distances.push((distance as f32, right));
+            match truth.judge(cloud, i, reference) {
+                Verdict::OffSurface => self.off_surface += 1,
+                Verdict::On { right, lit, distance_m } => {
+                    self.wrong_order += usize::from(!right);
+                    self.lit_right += usize::from(right && lit);
+                    if distance_m.is_finite() {
+                        self.distances.push((distance_m as f32, right));
+                    }
+                }
             }
         }
     }

@@ -113,6 +113,15 @@ fn score(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Score) 
     (found, score)
 }
 
+/// Writes the scene's rig as a calibration file, for the command line: `CALIBRATION_OUT=FILE`.
+#[test]
+#[ignore = "a converter, for development"]
+fn write_calibration() {
+    let Some(scene) = scene() else { return };
+    let out = std::env::var_os("CALIBRATION_OUT").expect("CALIBRATION_OUT=FILE");
+    calibration(&scene).save(Path::new(&out)).expect("writable");
+}
+
 #[test]
 #[ignore = "all eight cameras: for development"]
 fn all_cameras_scored() {

@@ -1,0 +1,330 @@
+//! A session's frames to clouds on disk: parallel, resumable, the same bytes whatever the number of threads.
+//!
+//! ```text
+//! OUT/clouds/CAMERA_INDEX.ply   one directional cloud (without points where the frame was refused)
+//! OUT/merged/INDEX.ply          all cameras of one trigger
+//! OUT/summary.json              what became of every frame
+//! ```
+//!
+//! Every cloud states the parameters that it was made with, as a hash over calibration, method and the
+//! version of this program; a finished cloud with the same hash is not made again.
+
+use super::dump;
+use super::merge::merge;
+use super::pair::Pair;
+use super::pipeline::{Method, Outcome, Pipeline, Reconstruction};
+use super::source::{Frame, FrameSource};
+use super::triangulate::Triangulator;
+use crate::calibrate::Calibration;
+use crate::export::{Cloud, ply};
+use crate::ids::{CameraId, TriggerIndex};
+use crate::image::Mono8;
+use rayon::prelude::*;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+/// Raised whenever the same frame may give other points.
+const ALGORITHM: u32 = 1;
+
+/// What to do.
+#[derive(Debug)]
+pub struct Plan {
+    /// Where the results go.
+    pub out: PathBuf,
+    /// Which triggers.
+    pub triggers: Range<u64>,
+    /// Which cameras; all are in the calibration.
+    pub cameras: Vec<CameraId>,
+    /// This share of the triggers: those whose index leaves `shard.0` when divided by `shard.1`.
+    pub shard: (u64, u64),
+    /// How the absolute phase is found.
+    pub method: Method,
+    /// Where the maps of every frame go, if anywhere.
+    pub maps: Option<PathBuf>,
+}
+
+impl Plan {
+    /// The triggers of this shard, in order.
+    pub fn shard_triggers(&self) -> impl Iterator<Item = u64> + '_ {
+        self.triggers.clone().filter(|t| t % self.shard.1.max(1) == self.shard.0)
+    }
+}
+
+/// What became of one frame.
+#[derive(Debug, Clone, Serialize)]
+pub struct FrameSummary {
+    /// The camera.
+    pub camera: CameraId,
+    /// `cloud`, `refused` (no fringe order can be trusted), `gap` (no frame) or `damaged`.
+    pub outcome: &'static str,
+    /// Why there is no cloud.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Points of the directional cloud.
+    pub points: usize,
+    /// Object pixels left out because nothing anchors their fringe order.
+    pub unresolved_px: usize,
+}
+
+/// What became of one trigger.
+#[derive(Debug, Clone, Serialize)]
+pub struct TriggerSummary {
+    /// Its index.
+    pub trigger: u64,
+    /// Points of the merged cloud.
+    pub merged_points: usize,
+    /// Its frames, in the calibration's order.
+    pub frames: Vec<FrameSummary>,
+}
+
+/// What became of a run.
+#[derive(Debug, Clone, Serialize)]
+pub struct Summary {
+    /// Hash of everything that the clouds depend on beside the frames.
+    pub parameters: String,
+    /// `anchored` or `paper`.
+    pub method: &'static str,
+    /// Frames expected.
+    pub frames: usize,
+    /// Frames with a cloud.
+    pub clouds: usize,
+    /// Frames refused.
+    pub refused: usize,
+    /// Frames that are missing.
+    pub gaps: usize,
+    /// Frames that could not be read.
+    pub damaged: usize,
+    /// Points of all merged clouds.
+    pub merged_points: usize,
+    /// The triggers, in order.
+    pub triggers: Vec<TriggerSummary>,
+}
+
+/// Time spent, over the frames that were computed and not found finished.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Timings {
+    /// Frames computed.
+    pub frames: usize,
+    /// Sum of each stage, ms.
+    pub stage_ms: BTreeMap<&'static str, f64>,
+    /// Sum of all stages, ms.
+    pub total_ms: f64,
+}
+
+impl Timings {
+    fn add(&mut self, stages: &[(&'static str, Duration)]) {
+        self.frames += 1;
+        for (stage, time) in stages {
+            let ms = time.as_secs_f64() * 1e3;
+            *self.stage_ms.entry(stage).or_default() += ms;
+            self.total_ms += ms;
+        }
+    }
+}
+
+/// The name of a method on the command line and in files.
+pub fn method_name(method: Method) -> &'static str {
+    match method {
+        Method::Anchored => "anchored",
+        Method::Paper => "paper",
+    }
+}
+
+/// Where a directional cloud is.
+pub fn cloud_path(out: &Path, camera: &CameraId, trigger: u64) -> PathBuf {
+    out.join("clouds").join(format!("{camera}_{trigger:06}.ply"))
+}
+
+/// Where a merged cloud is.
+pub fn merged_path(out: &Path, trigger: u64) -> PathBuf {
+    out.join("merged").join(format!("{trigger:06}.ply"))
+}
+
+struct Job<'a> {
+    source: &'a dyn FrameSource,
+    plan: &'a Plan,
+    calibration: &'a Calibration,
+    parameters: String,
+    /// Camera, its number in merged clouds, its pipeline.
+    cameras: Vec<(CameraId, u8, Pipeline)>,
+    timings: Mutex<Timings>,
+}
+
+/// Runs the plan on the current rayon pool. `progress` is told the number of triggers done.
+pub fn run(
+    source: &dyn FrameSource,
+    calibration: &Calibration,
+    plan: &Plan,
+    progress: impl Fn(usize) + Sync,
+) -> Result<(Summary, Timings), String> {
+    for folder in ["clouds", "merged"] {
+        let path = plan.out.join(folder);
+        std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+    }
+    let mut cameras = Vec::new();
+    for (number, (head, camera)) in calibration.cameras().enumerate() {
+        if plan.cameras.contains(&camera.id) {
+            let number = u8::try_from(number).map_err(|_| "more than 255 cameras".to_owned())?;
+            let triangulator = Triangulator::new(Pair::new(head, camera, calibration)?);
+            let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
+            cameras.push((camera.id.clone(), number, pipeline));
+        }
+    }
+    let parameters = parameters(calibration, plan)?;
+    let job = Job { source, plan, calibration, parameters, cameras, timings: Mutex::default() };
+    let done = AtomicUsize::new(0);
+    let triggers: Vec<u64> = plan.shard_triggers().collect();
+    let triggers: Result<Vec<TriggerSummary>, String> = triggers
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|trigger| {
+            let summary = job.trigger(trigger);
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+            summary
+        })
+        .collect();
+    let summary = summarize(triggers?, &job);
+    let timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    Ok((summary, timings))
+}
+
+/// Hash over everything that the clouds depend on beside the frames.
+fn parameters(calibration: &Calibration, plan: &Plan) -> Result<String, String> {
+    let value = serde_json::json!({
+        "algorithm": ALGORITHM,
+        "version": env!("CARGO_PKG_VERSION"),
+        "method": method_name(plan.method),
+        "calibration": calibration,
+    });
+    let text = serde_json::to_string(&value).map_err(|e| e.to_string())?;
+    Ok(Sha256::digest(text).iter().take(16).map(|byte| format!("{byte:02x}")).collect())
+}
+
+fn summarize(triggers: Vec<TriggerSummary>, job: &Job<'_>) -> Summary {
+    let count = |outcome: &str| {
+        triggers.iter().flat_map(|t| &t.frames).filter(|frame| frame.outcome == outcome).count()
+    };
+    Summary {
+        parameters: job.parameters.clone(),
+        method: method_name(job.plan.method),
+        frames: triggers.iter().map(|t| t.frames.len()).sum(),
+        clouds: count("cloud"),
+        refused: count("refused"),
+        gaps: count("gap"),
+        damaged: count("damaged"),
+        merged_points: triggers.iter().map(|t| t.merged_points).sum(),
+        triggers,
+    }
+}
+
+impl Job<'_> {
+    fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
+        let results: Result<Vec<(FrameSummary, Cloud)>, String> =
+            self.cameras.par_iter().map(|camera| self.frame(camera, trigger)).collect();
+        let results = results?;
+        let numbers = self.cameras.iter().map(|(_, number, _)| *number);
+        let merged = merge(numbers.zip(results.iter().map(|(_, cloud)| cloud)));
+        let mut comments = self.comments(trigger);
+        let names = self.cameras.iter().map(|(id, number, _)| format!("{number}={id}"));
+        comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
+        let path = merged_path(&self.plan.out, trigger);
+        ply::save(&path, &merged, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        let frames = results.into_iter().map(|(summary, _)| summary).collect();
+        Ok(TriggerSummary { trigger, merged_points: merged.len(), frames })
+    }
+
+    fn comments(&self, trigger: u64) -> Vec<String> {
+        vec![
+            format!("fourdbody {}", env!("CARGO_PKG_VERSION")),
+            format!("parameters {}", self.parameters),
+            format!("calibration {}: {}", self.calibration.rig, self.calibration.origin),
+            format!("trigger {trigger}"),
+        ]
+    }
+
+    fn frame(
+        &self,
+        (camera, _, pipeline): &(CameraId, u8, Pipeline),
+        trigger: u64,
+    ) -> Result<(FrameSummary, Cloud), String> {
+        let none = |outcome, reason: String| {
+            let camera = camera.clone();
+            let summary = FrameSummary { camera, outcome, reason: Some(reason), points: 0, unresolved_px: 0 };
+            Ok((summary, Cloud::default()))
+        };
+        if let Some(finished) = self.finished(camera, trigger) {
+            return Ok(finished);
+        }
+        let frame = match self.source.frame(camera, TriggerIndex(trigger)) {
+            Err(reason) => return none("damaged", reason),
+            Ok(Frame::Gap(cause)) => return none("gap", cause),
+            Ok(frame) => frame,
+        };
+        let image = match &frame {
+            Frame::Image(image) => *image,
+            Frame::Owned(plane) => Mono8::from(plane),
+            Frame::Gap(_) => return none("gap", String::new()),
+        };
+        let result = pipeline.run(image);
+        self.save(camera, trigger, &result)?;
+        let (outcome, reason) = match result.outcome {
+            Outcome::Cloud => ("cloud", None),
+            Outcome::Refused(reason) => ("refused", Some(reason)),
+        };
+        let summary = FrameSummary {
+            camera: camera.clone(),
+            outcome,
+            reason,
+            points: result.cloud.len(),
+            unresolved_px: result.counts.refused,
+        };
+        Ok((summary, result.cloud))
+    }
+
+    fn save(&self, camera: &CameraId, trigger: u64, result: &Reconstruction) -> Result<(), String> {
+        if let (Some(folder), Some(maps)) = (&self.plan.maps, &result.maps) {
+            dump::write(folder, &format!("{camera}_{trigger:06}"), maps)
+                .map_err(|e| format!("{}: {e}", folder.display()))?;
+        }
+        let mut comments = self.comments(trigger);
+        comments.push(format!("camera {camera}"));
+        comments.push(format!("unresolved_px {}", result.counts.refused));
+        if let Outcome::Refused(reason) = &result.outcome {
+            comments.push(format!("refused {reason}"));
+        }
+        let path = cloud_path(&self.plan.out, camera, trigger);
+        ply::save(&path, &result.cloud, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        timings.add(&result.stages);
+        Ok(())
+    }
+
+    /// The finished cloud of a frame, where there is one made with the same parameters, and no maps are
+    /// asked for.
+    fn finished(&self, camera: &CameraId, trigger: u64) -> Option<(FrameSummary, Cloud)> {
+        if self.plan.maps.is_some() {
+            return None;
+        }
+        let path = cloud_path(&self.plan.out, camera, trigger);
+        let header = ply::load_header(&path).ok()?;
+        if header.comment("parameters") != Some(&self.parameters) {
+            return None;
+        }
+        let (header, cloud) = ply::load(&path).ok()?;
+        let reason = header.comment("refused").map(str::to_owned);
+        let summary = FrameSummary {
+            camera: camera.clone(),
+            outcome: if reason.is_some() { "refused" } else { "cloud" },
+            reason,
+            points: cloud.len(),
+            unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
+        };
+        Some((summary, cloud))
+    }
+}
