@@ -93,6 +93,12 @@ fn link_error(doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
     move |e| CameraError::Link { doing, detail: e.to_string() }
 }
 
+/// Whether the camera did not answer at all, as opposed to refusing.
+fn is_silence(error: &glib::Error) -> bool {
+    use aravis::DeviceError::{NotConnected, Timeout, TransferError};
+    [Timeout, NotConnected, TransferError].iter().any(|kind| error.matches(*kind))
+}
+
 impl AravisCamera {
     fn set(&self, setting: &FeatureSetting) -> Result<(), glib::Error> {
         let name = setting.feature.as_str();
@@ -148,10 +154,14 @@ impl Camera for AravisCamera {
             if self.device.feature(&setting.feature).is_none() {
                 return Err(refused(setting, "the camera has no such feature".to_owned()));
             }
-            self.set(setting).map_err(|e| refused(setting, format!("the camera refused it ({e})")))?;
-            let actual = self
-                .read_back(setting)
-                .map_err(|e| refused(setting, format!("reading it back failed ({e})")))?;
+            let failed = |what: &str, e: glib::Error| {
+                if is_silence(&e) {
+                    return CameraError::Link { doing: "setting its features", detail: e.to_string() };
+                }
+                refused(setting, format!("{what} ({e})"))
+            };
+            self.set(setting).map_err(|e| failed("the camera refused it", e))?;
+            let actual = self.read_back(setting).map_err(|e| failed("reading it back failed", e))?;
             if !matches(setting, &actual) {
                 return Err(refused(setting, format!("the camera has {actual}")));
             }

@@ -77,7 +77,9 @@ pub enum CameraError {
         found: String,
     },
     /// Communication failed.
-    #[error("communication with the camera failed while {doing}: {detail}; check cable and switch")]
+    #[error(
+        "communication with the camera failed while {doing} ({detail}); check its power, cable and switch"
+    )]
     Link {
         /// What was being done.
         doing: &'static str,

@@ -10,15 +10,15 @@ use std::process::ExitCode;
 pub mod cameras;
 pub mod capture;
 pub mod check_config;
-pub mod node;
-pub mod status;
 pub mod import;
 pub mod info;
-mod progress;
-pub mod verify;
+pub mod node;
 pub mod pattern;
+mod progress;
 pub mod reconstruct;
+pub mod status;
 pub mod validate;
+pub mod verify;
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

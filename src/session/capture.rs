@@ -58,8 +58,9 @@ impl Captured {
         let mut lines = vec![format!("session {}: {}", self.name, self.verdict())];
         for (node, session) in &self.nodes {
             lines.push(format!("  node {node}: {}, {} triggers", status_word(session), session.triggers));
-            for camera in &session.cameras {
-                lines.push(format!("    {}: {} frames, {} gaps", camera.id, camera.frames, camera.gaps));
+            match &session.outcome {
+                Some(Outcome::Recorded(verdict)) => lines.extend(camera_lines(verdict)),
+                _ => lines.push("    nothing recorded".to_owned()),
             }
             if let Some(reason) = aborted(session) {
                 lines.push(format!("    ended early: {reason}"));
@@ -86,6 +87,18 @@ impl Captured {
             "complete"
         }
     }
+}
+
+/// One line a camera of a node's verdict, with the causes of its gaps.
+fn camera_lines(verdict: &serde_json::Value) -> Vec<String> {
+    let line = |camera: &serde_json::Value| {
+        let causes = camera["gaps"].as_object().into_iter().flatten();
+        let causes: Vec<String> = causes.map(|(cause, count)| format!("{count} {cause}")).collect();
+        let gaps =
+            if causes.is_empty() { "no gaps".to_owned() } else { format!("gaps: {}", causes.join(", ")) };
+        format!("    {}: {} frames, {gaps}", camera["camera"].as_str().unwrap_or("?"), camera["frames"])
+    };
+    verdict["cameras"].as_array().into_iter().flatten().map(line).collect()
 }
 
 fn status_word(session: &SessionStatus) -> &str {

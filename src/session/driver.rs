@@ -19,7 +19,7 @@ use crate::record::{
 use crate::time::host_time_ns;
 use crossbeam_channel::{Receiver, Sender, bounded, never, select, unbounded};
 use std::collections::VecDeque;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
@@ -356,6 +356,7 @@ impl Node {
             ..WriterOptions::default()
         };
         let recording = Recording::create(&session.dir, header, options).map_err(|error| {
+            remove_if_empty(&session.dir);
             let exit = if matches!(error, RecordError::Exists { .. }) { Exit::Usage } else { Exit::Failure };
             Fault::new(exit, error)
         })?;
@@ -420,10 +421,7 @@ impl Node {
         session.end_recorder();
         session.recording = None;
         let removed = std::fs::remove_dir_all(&session.dir);
-        // The other node may record into the same session directory: remove it only when it is empty.
-        if let Some(parent) = session.dir.parent() {
-            drop(std::fs::remove_dir(parent));
-        }
+        remove_if_empty(&session.dir);
         removed.map_err(|e| {
             Fault::new(Exit::Failure, format!("{}: cannot be removed: {e}", session.dir.display()))
         })
@@ -530,6 +528,14 @@ impl Node {
         status.hsu = hsu;
         status.free_bytes = free;
         status.session = session;
+    }
+}
+
+/// Removes a session's directory, unless the other node has recorded into it.
+fn remove_if_empty(recording: &Path) {
+    if let Some(session) = recording.parent() {
+        // Not empty, or not there: both are as they should be.
+        drop(std::fs::remove_dir(session));
     }
 }
 

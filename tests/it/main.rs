@@ -6,5 +6,5 @@ mod lab;
 mod recording;
 mod refusals;
 mod shared_scene;
-mod third_party_mcap;
 mod third_party_camera;
+mod third_party_mcap;
