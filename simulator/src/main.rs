@@ -1,2 +1,44 @@
 //! `fourdbody-sim`: the simulator's command line.
-fn main() {}
+
+use clap::{Parser, Subcommand};
+use fourdbody::cmds::{Exit, Failure};
+use fourdbody_simulator::cmds;
+use std::process::ExitCode;
+
+/// Simulated light, cameras and HSU for fourdbody: real protocols, simulated photons.
+///
+/// Exit codes: 0 done; 1 any other failure; 2 usage or configuration.
+#[derive(Parser)]
+#[command(version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Render(cmds::render::Args),
+    ExportPng(cmds::export_png::Args),
+    ConvertRig(cmds::convert_rig::Args),
+}
+
+fn main() -> ExitCode {
+    let filter = tracing_subscriber::EnvFilter::try_from_env("FOURDBODY_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    match run(&Cli::parse().command) {
+        Ok(exit) => exit.into(),
+        Err(Failure { exit, message }) => {
+            eprintln!("error: {message}");
+            exit.into()
+        }
+    }
+}
+
+fn run(command: &Command) -> Result<Exit, Failure> {
+    match command {
+        Command::Render(args) => cmds::render::run(args),
+        Command::ExportPng(args) => cmds::export_png::run(args),
+        Command::ConvertRig(args) => cmds::convert_rig::run(args),
+    }
+}
