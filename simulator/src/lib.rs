@@ -6,4 +6,25 @@ pub mod gige;
 pub mod hsu;
 pub mod images;
 pub mod laboratory;
+/// Rendered sequences on disk, and their replay.
+pub mod cache;
+/// One file per command of the command line.
+pub mod cmds;
+pub mod images;
+/// From the projector's panel to pixel values.
+pub mod optics;
+/// Seeded randomness by hashing.
+pub mod random;
+/// Writing `rig.toml`.
+pub mod rig_file;
+/// Scenario files.
+pub mod scenario;
+/// What stands in the light.
+pub mod scene;
+/// A whole scenario to a cache directory.
+pub mod sequence;
+/// The rig's true geometry.
+pub mod true_rig;
+/// Ground truth files.
+pub mod truth;
 pub mod wire;

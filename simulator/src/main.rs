@@ -6,6 +6,13 @@ use std::process::ExitCode;
 mod cmds;
 
 /// Simulated cameras, light and HSU for fourdbody.
+use fourdbody::cmds::{Exit, Failure};
+use fourdbody_simulator::cmds;
+use std::process::ExitCode;
+
+/// Simulated light, cameras and HSU for fourdbody: real protocols, simulated photons.
+///
+/// Exit codes: 0 done; 1 any other failure; 2 usage or configuration.
 #[derive(Parser)]
 #[command(version, propagate_version = true)]
 struct Cli {
@@ -16,6 +23,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Cameras(cmds::cameras::Args),
+    Render(cmds::render::Args),
+    ExportPng(cmds::export_png::Args),
+    ConvertRig(cmds::convert_rig::Args),
 }
 
 fn main() -> ExitCode {
@@ -31,5 +41,21 @@ fn main() -> ExitCode {
             eprintln!("error: {message}");
             ExitCode::FAILURE
         }
+    }
+}
+    match run(&Cli::parse().command) {
+        Ok(exit) => exit.into(),
+        Err(Failure { exit, message }) => {
+            eprintln!("error: {message}");
+            exit.into()
+        }
+    }
+}
+
+fn run(command: &Command) -> Result<Exit, Failure> {
+    match command {
+        Command::Render(args) => cmds::render::run(args),
+        Command::ExportPng(args) => cmds::export_png::run(args),
+        Command::ConvertRig(args) => cmds::convert_rig::run(args),
     }
 }

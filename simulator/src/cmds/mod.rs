@@ -1,3 +1,19 @@
 //! One file per subcommand of `fourdbody-sim`.
 
 pub mod cameras;
+//! One file per command of `fourdbody-sim`.
+
+pub mod convert_rig;
+pub mod export_png;
+pub mod render;
+
+use crate::sequence::RenderError;
+use fourdbody::cmds::{Exit, Failure};
+
+fn failure(error: RenderError) -> Failure {
+    let exit = match error {
+        RenderError::Config(_) | RenderError::Unfit(_) => Exit::Usage,
+        _ => Exit::Failure,
+    };
+    Failure::new(exit, error)
+}

@@ -1,0 +1,70 @@
+//! `fourdbody-sim render`: a scenario to frames and ground truth.
+
+use super::failure;
+use crate::sequence::{Changes, Run};
+use fourdbody::cmds::{Exit, Failure};
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Render a scenario: frames of all cameras, true geometry, ground truth. Does nothing when the directory
+/// holds exactly this already.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  fourdbody-sim render --scenario config/scenarios/demo.toml --out target/demo/frames"
+)]
+pub struct Args {
+    /// The scenario.
+    #[arg(long)]
+    scenario: PathBuf,
+    /// Where the frames go.
+    #[arg(long)]
+    out: PathBuf,
+    /// A mesh (OBJ, PLY) or a directory of them in place of the scenario's subject.
+    #[arg(long)]
+    mesh: Option<PathBuf>,
+    /// Another number of instants than the scenario's.
+    #[arg(long)]
+    instants: Option<usize>,
+    /// Divide the resolution of cameras and panels by this, for tests.
+    #[arg(long, default_value_t = 1)]
+    size_divisor: usize,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let changes =
+        Changes { mesh: args.mesh.clone(), instants: args.instants, size_divisor: args.size_divisor };
+    let run = Run::load(&args.scenario, &changes).map_err(failure)?;
+    let began = Instant::now();
+    let mut shown = began;
+    let terminal = std::io::stderr().is_terminal();
+    let rendered = run
+        .render(&args.out, |done, total| {
+            if terminal && (done == total || shown.elapsed() > Duration::from_millis(200)) {
+                shown = Instant::now();
+                eprint!("\rframe {done} of {total}");
+                let _ = std::io::stderr().flush();
+            }
+        })
+        .map_err(failure)?;
+    if terminal && rendered {
+        eprintln!();
+    }
+    let (instants, cameras) = (run.scenario.instants, run.rig.cameras().count());
+    let seconds = began.elapsed().as_secs_f64();
+    if args.json {
+        let summary = serde_json::json!({
+            "out": args.out, "rendered": rendered, "instants": instants, "cameras": cameras, "duration_s": seconds,
+        });
+        println!("{summary}");
+    } else if rendered {
+        println!("{}: {instants} instants of {cameras} cameras in {seconds:.1} s", args.out.display());
+    } else {
+        println!("{}: up to date, {instants} instants of {cameras} cameras", args.out.display());
+    }
+    Ok(Exit::Done)
+}

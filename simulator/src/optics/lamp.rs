@@ -1,0 +1,172 @@
+//! Projectors: how much light leaves a panel position.
+
+use crate::scenario::{Light, Optics};
+use fourdbody::config::Channel;
+use fourdbody::geometry::Device;
+use fourdbody::image::Plane;
+use fourdbody::pattern::Pattern;
+use nalgebra::Point3;
+
+/// Fractions of a pixel that the blur is tabulated for: half a step is 2e-4 px, or 2e-4 rad at period 8.
+const FRACTIONS: usize = 2048;
+
+/// A panel's image as light, seen through the panel's pixels and the projector's blur.
+pub struct PanelLight {
+    /// Light of each panel pixel, 0 to 1, with a dark margin of `reach` on all sides.
+    light: Plane<f32>,
+    width: usize,
+    height: usize,
+    reach: usize,
+    /// For each fraction, the weights of the pixels from `-reach` to `reach`.
+    weights: Vec<f32>,
+}
+
+impl PanelLight {
+    /// An 8-bit panel image through `black + (1 - black) (value / 255)^gamma`, a pixel's square and a Gaussian
+    /// of `blur_px`.
+    pub fn new(panel: &Plane<u8>, gamma: f64, black: f64, blur_px: f64) -> Self {
+        let reach = (0.5 + 4.0 * blur_px).ceil() as usize;
+        let (width, height) = (panel.width(), panel.height());
+        let mut light = Plane::filled(width + 2 * reach, height + 2 * reach, 0f32);
+        let table: Vec<f32> = (0..256)
+            .map(|value| (black + (1.0 - black) * (f64::from(value) / 255.0).powf(gamma)) as f32)
+            .collect();
+        for v in 0..height {
+            let row = &mut light.row_mut(v + reach)[reach..reach + width];
+            row.iter_mut().zip(panel.row(v)).for_each(|(light, &value)| *light = table[usize::from(value)]);
+        }
+        Self { light, width, height, reach, weights: weights(blur_px, reach) }
+    }
+
+    /// What the rig's pattern, white or black looks like on this projector.
+    pub fn of(light: Light, pattern: &Pattern, optics: &Optics, width: usize, height: usize) -> Self {
+        let panel = match light {
+            Light::Fringes => pattern.panel(width, height),
+            Light::White => Plane::filled(width, height, 255),
+            Light::Dark => Plane::filled(width, height, 0),
+        };
+        let gamma = optics.projector_gamma.unwrap_or(pattern.gamma);
+        Self::new(&panel, gamma, optics.black_level, optics.projector_blur_px)
+    }
+
+    /// Light at panel position (u, v): 0 outside the panel and its blur.
+    #[inline]
+    pub fn at(&self, u: f64, v: f64) -> f32 {
+        // Beyond the last pixel whose blur can reach inside, and for NaN.
+        let margin = self.reach as f64 - 0.5;
+        let inside = u > -margin && v > -margin;
+        if !(inside && u < self.width as f64 - 1.0 + margin && v < self.height as f64 - 1.0 + margin) {
+            return 0.0;
+        }
+        let taps = 2 * self.reach + 1;
+        let split = |x: f64| {
+            let nearest = (x + 0.5).floor();
+            let fraction = ((x + 0.5 - nearest) * FRACTIONS as f64) as usize;
+            (nearest as isize, &self.weights[fraction.min(FRACTIONS - 1) * taps..][..taps])
+        };
+        let (column, along_u) = split(u);
+        let (row, along_v) = split(v);
+        // The dark margin holds what lies beyond the panel; taps further out are cut.
+        let first_column = column.max(0) as usize;
+        let skip_u = first_column.wrapping_sub(column as usize).min(taps);
+        let mut sum = 0.0;
+        for (j, weight) in along_v.iter().enumerate() {
+            let y = row + j as isize;
+            if y < 0 || y as usize >= self.light.height() {
+                continue;
+            }
+            let line = self.light.row(y as usize).get(first_column..).unwrap_or(&[]);
+            let part: f32 = line.iter().zip(&along_u[skip_u..]).map(|(light, weight)| light * weight).sum();
+            sum += weight * part;
+        }
+        sum
+    }
+}
+
+/// Shares of the neighbouring pixels at each fraction: Gaussian integrated over the pixel (Simpson's rule).
+fn weights(blur_px: f64, reach: usize) -> Vec<f32> {
+    let taps = 2 * reach + 1;
+    let mut weights = Vec::with_capacity(FRACTIONS * taps);
+    for fraction in 0..FRACTIONS {
+        let offset = (fraction as f64 + 0.5) / FRACTIONS as f64 - 0.5;
+        let share = |tap: usize| pixel_share(offset - (tap as f64 - reach as f64), blur_px);
+        let raw: Vec<f64> = (0..taps).map(share).collect();
+        let sum: f64 = raw.iter().sum();
+        weights.extend(raw.iter().map(|w| (w / sum) as f32));
+    }
+    weights
+}
+
+/// Light from a pixel's unit square at `distance` px from its centre under a Gaussian blur.
+fn pixel_share(distance: f64, blur_px: f64) -> f64 {
+    if blur_px < 1e-6 {
+        return if distance.abs() <= 0.5 { 1.0 } else { 0.0 };
+    }
+    const STEPS: usize = 64;
+    let gauss = |x: f64| (-0.5 * (x / blur_px).powi(2)).exp();
+    (0..=STEPS)
+        .map(|i| {
+            let weight = if i == 0 || i == STEPS { 1.0 } else { 2.0 + 2.0 * (i % 2) as f64 };
+            weight * gauss(distance - 0.5 + i as f64 / STEPS as f64)
+        })
+        .sum()
+}
+
+/// A projector in its place.
+pub struct Lamp {
+    /// True geometry.
+    pub device: Device,
+    /// Its colour.
+    pub channel: Channel,
+    /// Its projection centre, world, m.
+    pub centre: Point3<f64>,
+}
+
+impl Lamp {
+    /// A projector.
+    pub fn new(device: Device, channel: Channel) -> Self {
+        let centre = device.centre();
+        Self { device, channel, centre }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::PanelLight;
+    use fourdbody::image::Plane;
+
+    #[test]
+    fn a_flat_panel_is_flat_and_ends_at_its_border() {
+        let light = PanelLight::new(&Plane::filled(40, 30, 255), 1.0, 0.004, 0.55);
+        for u in [6.0, 6.25, 20.1, 33.9] {
+            assert!((light.at(u, 15.3) - 1.0).abs() < 1e-6);
+        }
+        assert!((light.at(-0.5, 15.0) - 0.5).abs() < 1e-3, "{}", light.at(-0.5, 15.0));
+        assert!((light.at(39.5, 15.0) - 0.5).abs() < 1e-3, "{}", light.at(39.5, 15.0));
+        assert!((light.at(20.0, 29.5) - 0.5).abs() < 1e-3);
+        for outside in [(-9.0, 15.0), (60.0, 15.0), (20.0, -9.0), (20.0, 45.0), (f64::NAN, 0.0)] {
+            assert_eq!(light.at(outside.0, outside.1), 0.0);
+        }
+        for edge in 0..500 {
+            let u = -5.0 + 0.1 * f64::from(edge);
+            assert!((0.0..=1.000_01).contains(&light.at(u, u)), "{u}");
+        }
+    }
+
+    #[test]
+    fn blur_lowers_contrast_as_its_transfer_function_says() {
+        let mut panel = Plane::filled(64, 16, 0u8);
+        for v in 0..16 {
+            for u in 0..64 {
+                let phase = std::f64::consts::TAU * (u as f64 + 0.5) / 8.0;
+                panel.set(u, v, (127.5 + 127.0 * phase.cos()).round() as u8);
+            }
+        }
+        let light = PanelLight::new(&panel, 1.0, 0.0, 0.55);
+        let (bright, dark) = (f64::from(light.at(31.5, 8.0)), f64::from(light.at(27.5, 8.0)));
+        let frequency = 1.0 / 8.0;
+        let gauss = (-2.0 * (std::f64::consts::PI * frequency * 0.55f64).powi(2)).exp();
+        let pixel = (std::f64::consts::PI * frequency).sin() / (std::f64::consts::PI * frequency);
+        assert!(((bright - dark) - gauss * pixel * 254.0 / 255.0).abs() < 0.003, "{}", bright - dark);
+    }
+}

@@ -1,0 +1,11 @@
+//! From the projector's panel to pixel values: `docs/design/simulated-light.md` has the equations.
+
+mod expose;
+mod lamp;
+pub mod render;
+mod sensor;
+
+pub use expose::{Exposure, blur, expose};
+pub use lamp::{Lamp, PanelLight};
+pub use render::{Irradiance, Studio};
+pub use sensor::Sensor;

@@ -1,0 +1,109 @@
+//! What the mannequin does: postures over time.
+
+use super::skeleton::{Bone, Posture};
+use nalgebra::Vector3;
+use std::f64::consts::TAU;
+
+/// A repeated movement.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Motion {
+    /// Stands with slightly spread arms, breathing.
+    Stand,
+    /// Raises both arms sideways and lowers them.
+    ArmRaise,
+    /// Walks without leaving its place.
+    WalkInPlace,
+    /// Turns the upper body to the left and to the right.
+    Twist,
+    /// Forearms across the trunk, rocking a little.
+    ArmsCrossed,
+}
+
+impl Motion {
+    /// All motions by their names in scenarios.
+    pub const NAMES: [(&'static str, Self); 5] = [
+        ("stand", Self::Stand),
+        ("arm_raise", Self::ArmRaise),
+        ("walk_in_place", Self::WalkInPlace),
+        ("twist", Self::Twist),
+        ("arms_crossed", Self::ArmsCrossed),
+    ];
+
+    /// The posture at `cycles` repetitions (0: the beginning, 1: the same again).
+    pub fn posture(self, cycles: f64) -> Posture {
+        let swing = (TAU * cycles).sin();
+        let rise = 0.5 - 0.5 * (TAU * cycles).cos();
+        let mut posture = Posture::default();
+        match self {
+            Self::Stand => {
+                spread_arms(&mut posture, 22.0 + 0.5 * swing);
+                bend_elbows(&mut posture, 12.0);
+                forward(&mut posture, Bone::Chest, 0.4 * swing);
+            }
+            Self::ArmRaise => {
+                spread_arms(&mut posture, 25.0 + 75.0 * rise);
+                bend_elbows(&mut posture, 15.0 - 5.0 * rise);
+                forward(&mut posture, Bone::Head, -5.0 * rise);
+            }
+            Self::WalkInPlace => walk(&mut posture, cycles),
+            Self::Twist => {
+                spread_arms(&mut posture, 35.0);
+                bend_elbows(&mut posture, 40.0);
+                for (bone, degrees) in [(Bone::Spine, 14.0), (Bone::Chest, 16.0), (Bone::Head, -10.0)] {
+                    posture.turn(bone, Vector3::z(), (degrees * swing).to_radians());
+                }
+            }
+            Self::ArmsCrossed => cross_arms(&mut posture, swing),
+        }
+        posture
+    }
+}
+
+/// Turns a bone forwards (a hanging limb swings to +x) by degrees.
+fn forward(posture: &mut Posture, bone: Bone, degrees: f64) {
+    posture.turn(bone, -Vector3::y(), degrees.to_radians());
+}
+
+fn spread_arms(posture: &mut Posture, degrees: f64) {
+    posture.turn(Bone::UpperArmL, Vector3::x(), degrees.to_radians());
+    posture.turn(Bone::UpperArmR, Vector3::x(), -degrees.to_radians());
+}
+
+fn bend_elbows(posture: &mut Posture, degrees: f64) {
+    forward(posture, Bone::ForearmL, degrees);
+    forward(posture, Bone::ForearmR, degrees);
+}
+
+fn walk(posture: &mut Posture, cycles: f64) {
+    spread_arms(posture, 18.0);
+    let sides = [
+        (0.0, Bone::ThighL, Bone::ShankL, Bone::FootL, Bone::UpperArmR, Bone::ForearmR),
+        (0.5, Bone::ThighR, Bone::ShankR, Bone::FootR, Bone::UpperArmL, Bone::ForearmL),
+    ];
+    for (offset, thigh, shank, foot, arm, forearm) in sides {
+        let lift = (TAU * (cycles + offset)).sin().max(0.0).powi(2);
+        forward(posture, thigh, 50.0 * lift);
+        forward(posture, shank, -80.0 * lift);
+        forward(posture, foot, 10.0 * lift);
+        forward(posture, arm, 25.0 * lift - 8.0);
+        forward(posture, forearm, 20.0 + 25.0 * lift);
+    }
+    posture.turn(Bone::Chest, Vector3::z(), (4.0 * (TAU * cycles).sin()).to_radians());
+}
+
+fn cross_arms(posture: &mut Posture, swing: f64) {
+    // The left forearm lies a little higher and further out, so that the two touch but do not merge.
+    let arms = [
+        (1.0, Bone::UpperArmL, Bone::ForearmL, 40.0, 84.0 + 2.0 * swing, 62.0),
+        (-1.0, Bone::UpperArmR, Bone::ForearmR, 26.0, 80.0 - 2.0 * swing, 66.0),
+    ];
+    for (side, arm, forearm, lift, bend, inward) in arms {
+        posture.turn(arm, Vector3::x(), side * 16f64.to_radians());
+        forward(posture, arm, lift);
+        // Seen from above the forearm turns inwards about the upper arm.
+        posture.turn(forearm, Vector3::z(), -side * f64::to_radians(inward));
+        forward(posture, forearm, bend);
+    }
+    forward(posture, Bone::Head, 4.0 + 2.0 * swing);
+}
