@@ -2,15 +2,15 @@
 //!
 //! Knows the product's library (rig, geometry, pattern, calibration file); the product never knows it.
 
-pub mod gige;
-pub mod hsu;
-pub mod images;
-pub mod laboratory;
+/// Rendered sequences on disk, and their replay.
 /// Rendered sequences on disk, and their replay.
 pub mod cache;
 /// One file per command of the command line.
 pub mod cmds;
+pub mod gige;
+pub mod hsu;
 pub mod images;
+pub mod laboratory;
 /// From the projector's panel to pixel values.
 pub mod optics;
 /// Seeded randomness by hashing.

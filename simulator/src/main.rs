@@ -1,11 +1,6 @@
 //! `fourdbody-sim`: the simulator's command line.
 
 use clap::{Parser, Subcommand};
-use std::process::ExitCode;
-
-mod cmds;
-
-/// Simulated cameras, light and HSU for fourdbody.
 use fourdbody::cmds::{Exit, Failure};
 use fourdbody_simulator::cmds;
 use std::process::ExitCode;
@@ -22,27 +17,17 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    Cameras(cmds::cameras::Args),
+    Run(cmds::run::Args),
     Render(cmds::render::Args),
     ExportPng(cmds::export_png::Args),
     ConvertRig(cmds::convert_rig::Args),
+    Cameras(cmds::cameras::Args),
 }
 
 fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_env("FOURDBODY_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
-    let result = match &Cli::parse().command {
-        Command::Cameras(args) => cmds::cameras::run(args),
-    };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(message) => {
-            eprintln!("error: {message}");
-            ExitCode::FAILURE
-        }
-    }
-}
     match run(&Cli::parse().command) {
         Ok(exit) => exit.into(),
         Err(Failure { exit, message }) => {
@@ -54,8 +39,10 @@ fn main() -> ExitCode {
 
 fn run(command: &Command) -> Result<Exit, Failure> {
     match command {
+        Command::Run(args) => cmds::run::run(args),
         Command::Render(args) => cmds::render::run(args),
         Command::ExportPng(args) => cmds::export_png::run(args),
         Command::ConvertRig(args) => cmds::convert_rig::run(args),
+        Command::Cameras(args) => cmds::cameras::run(args),
     }
 }

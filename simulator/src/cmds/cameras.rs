@@ -1,8 +1,9 @@
 //! `fourdbody-sim cameras`: simulated cameras by themselves, for any GigE Vision program.
 
+use crate::gige::{CameraOptions, ClockOptions, SimulatedCamera, TestImages, process_cpu_time};
+use crate::wire::TriggerEdge;
 use crossbeam_channel::{Receiver, never, unbounded};
-use fourdbody_simulator::gige::{CameraOptions, ClockOptions, SimulatedCamera, TestImages, process_cpu_time};
-use fourdbody_simulator::wire::TriggerEdge;
+use fourdbody::cmds::{Exit, Failure};
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -41,12 +42,10 @@ pub struct Args {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// A message for the user.
-pub fn run(args: &Args) -> Result<(), String> {
+pub fn run(args: &Args) -> Result<Exit, Failure> {
     if !(0.0..=10_000.0).contains(&args.trigger_hz) {
-        return Err(format!("--trigger-hz is {}, expected 0 to 10000", args.trigger_hz));
+        let message = format!("--trigger-hz is {}, expected 0 to 10000", args.trigger_hz);
+        return Err(Failure::new(Exit::Usage, message));
     }
     let mut cameras = Vec::new();
     let mut wires = Vec::new();
@@ -83,14 +82,14 @@ pub fn run(args: &Args) -> Result<(), String> {
         }
         if args.duration.is_some_and(|seconds| started.elapsed().as_secs_f64() >= seconds) {
             report(&cameras, started.elapsed());
-            return Ok(());
+            return Ok(Exit::Done);
         }
     }
 }
 
-fn start(args: &Args, index: u8, triggers: Receiver<TriggerEdge>) -> Result<SimulatedCamera, String> {
+fn start(args: &Args, index: u8, triggers: Receiver<TriggerEdge>) -> Result<SimulatedCamera, Failure> {
     let address = args.first.to_bits().checked_add(u32::from(index)).map(Ipv4Addr::from_bits);
-    let address = address.ok_or("the addresses run out of the range")?;
+    let address = address.ok_or_else(|| Failure::new(Exit::Usage, "the addresses run out of the range"))?;
     let images = TestImages::new(args.width, args.height, u32::from(index), TestImages::DISTINCT);
     let mut options = CameraOptions::new(&format!("SIM{index:04}"), address, Arc::new(images));
     options.user_name = format!("camera{index}");
@@ -108,7 +107,7 @@ fn start(args: &Args, index: u8, triggers: Receiver<TriggerEdge>) -> Result<Simu
             (mixed >> 32).is_multiple_of(one_in.get())
         }));
     }
-    SimulatedCamera::start(options).map_err(|error| error.to_string())
+    SimulatedCamera::start(options).map_err(|error| Failure::new(Exit::Failure, error))
 }
 
 fn report(cameras: &[SimulatedCamera], elapsed: Duration) {

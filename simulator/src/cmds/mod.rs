@@ -1,11 +1,10 @@
-//! One file per subcommand of `fourdbody-sim`.
-
-pub mod cameras;
 //! One file per command of `fourdbody-sim`.
 
+pub mod cameras;
 pub mod convert_rig;
 pub mod export_png;
 pub mod render;
+pub mod run;
 
 use crate::sequence::RenderError;
 use fourdbody::cmds::{Exit, Failure};

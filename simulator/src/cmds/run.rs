@@ -1,0 +1,120 @@
+//! `fourdbody-sim run`: the whole laboratory on the wire, for real nodes.
+
+use crate::cache::{CachedImages, Manifest};
+use crate::gige::TestImages;
+use crate::images::ImageSource;
+use crate::laboratory::{Laboratory, LaboratoryOptions};
+use fourdbody::cmds::{Exit, Failure};
+use fourdbody::config::Rig;
+use std::net::Ipv4Addr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Run all cameras of a rig and the HSU, and write the configuration of the nodes that drive them.
+///
+/// The cameras show frames that `fourdbody-sim render` made, or, with --rig, a test image. When everything is
+/// up, one line of JSON with the nodes' configuration files goes to standard output. Runs until it is killed.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  fourdbody-sim run --frames target/frames --run-dir target/lab --rate-hz 20\n  fourdbody node --config target/lab/node-a.toml"
+)]
+pub struct Args {
+    /// Directory of `fourdbody-sim render`.
+    #[arg(long, value_name = "DIR", required_unless_present = "rig")]
+    frames: Option<PathBuf>,
+    /// A rig file, for test images instead of rendered frames.
+    #[arg(long, value_name = "FILE", conflicts_with = "frames")]
+    rig: Option<PathBuf>,
+    /// Where configuration files and serial devices go.
+    #[arg(long, value_name = "DIR")]
+    run_dir: PathBuf,
+    /// Where the nodes record; by default below the run directory.
+    #[arg(long, value_name = "DIR")]
+    sessions_dir: Option<PathBuf>,
+    /// Triggers per second, instead of the rig's.
+    #[arg(long, value_name = "HZ")]
+    rate_hz: Option<f64>,
+    /// Address of the first camera; the others follow.
+    #[arg(long, default_value = "127.0.7.11")]
+    first_address: Ipv4Addr,
+    /// Port of the first node's API; the others follow. 0: any free ports.
+    #[arg(long, default_value_t = 7401)]
+    first_port: u16,
+    /// Frame buffers per camera.
+    #[arg(long, default_value_t = 32)]
+    buffers: usize,
+    /// Stop after so many seconds.
+    #[arg(long, value_name = "S")]
+    duration: Option<f64>,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let rig_path = match (&args.frames, &args.rig) {
+        (Some(frames), _) => frames.join("rig.toml"),
+        (None, Some(rig)) => rig.clone(),
+        (None, None) => return Err(Failure::new(Exit::Usage, "expected --frames or --rig")),
+    };
+    let mut options = LaboratoryOptions::new(rig_text(&rig_path, args.rate_hz)?, &args.run_dir);
+    if let Some(sessions) = &args.sessions_dir {
+        options.sessions_dir = sessions.clone();
+    }
+    options.first_address = args.first_address;
+    options.first_port = args.first_port;
+    options.buffers_per_camera = args.buffers;
+    let mut images = images(args, &rig_path)?;
+    let laboratory =
+        Laboratory::start(&options, |_| images.remove(0)).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let nodes: Vec<_> = laboratory
+        .nodes
+        .iter()
+        .map(|node| serde_json::json!({ "node": node.node, "config": node.path, "port": node.port }))
+        .collect();
+    println!("{}", serde_json::json!({ "ready": true, "urls": laboratory.urls(), "nodes": nodes }));
+    match args.duration {
+        Some(seconds) if seconds > 0.0 && seconds < 1e9 => {
+            std::thread::sleep(Duration::from_secs_f64(seconds))
+        }
+        Some(seconds) => {
+            return Err(Failure::new(
+                Exit::Usage,
+                format!("--duration is {seconds}, expected seconds above 0"),
+            ));
+        }
+        None => loop {
+            std::thread::park();
+        },
+    }
+    Ok(Exit::Done)
+}
+
+/// The rig file's text, with another trigger rate where one is asked for.
+fn rig_text(path: &Path, rate_hz: Option<f64>) -> Result<String, Failure> {
+    let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
+    let Some(rate_hz) = rate_hz else { return Ok(text) };
+    let mut table: toml::Table = text.parse().map_err(|e| wrong(&e))?;
+    table.insert("trigger_rate_hz".to_owned(), rate_hz.into());
+    toml::to_string(&table).map_err(|e| wrong(&e))
+}
+
+/// What each camera shows, in the rig's order.
+fn images(args: &Args, rig_path: &Path) -> Result<Vec<Arc<dyn ImageSource>>, Failure> {
+    let rig = Rig::load(rig_path)?;
+    let unusable = |e| Failure::new(Exit::Failure, e);
+    let manifest = args.frames.as_deref().map(Manifest::load).transpose().map_err(unusable)?;
+    let mut images: Vec<Arc<dyn ImageSource>> = Vec::new();
+    for (number, (_, camera)) in (0u32..).zip(rig.cameras()) {
+        images.push(match (&args.frames, &manifest) {
+            (Some(frames), Some(manifest)) => {
+                Arc::new(CachedImages::open(frames, manifest, &camera.id).map_err(unusable)?)
+            }
+            _ => {
+                let (width, height) = (camera.device.width, camera.device.height);
+                Arc::new(TestImages::new(width, height, number, TestImages::DISTINCT))
+            }
+        });
+    }
+    Ok(images)
+}
