@@ -18,7 +18,7 @@ fn decoded(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Vec<u8>> {
 
 /// Plenty of zeros, which is where stuffing can go wrong.
 fn message() -> impl Strategy<Value = Vec<u8>> {
-    prop::collection::vec(prop_oneof![Just(0u8), Just(0xff), any::<u8>()], 0..=MAX_MESSAGE)
+    prop::collection::vec(prop_oneof![Just(0u8), Just(0xff), any::<u8>()], 1..=MAX_MESSAGE)
 }
 
 #[derive(Debug, Clone)]
@@ -138,9 +138,21 @@ fn every_single_bit_error_is_caught() {
     }
 }
 
+/// Five code bytes of a run of zeros unstuff to four zeros, which is the CRC of nothing.
 #[test]
-fn a_message_that_is_too_long_is_not_framed() {
+fn zeros_that_were_cut_short_are_no_empty_message() {
+    let mut decoder = Decoder::new();
+    let cut = &framed(&[0; 30])[..6];
+    assert_eq!(cut, [0, 1, 1, 1, 1, 1]);
+    assert!(decoded(&mut decoder, cut).is_empty());
+    assert!(decoded(&mut decoder, &framed(b"next")).len() == 1);
+    assert_eq!(decoder.errors().stuffing, 1);
+}
+
+#[test]
+fn a_message_that_is_too_long_or_empty_is_not_framed() {
     let mut out = [0; MAX_FRAME];
+    assert_eq!(encode(&[], &mut out), 0);
     assert_eq!(encode(&[1; MAX_MESSAGE + 1], &mut out), 0);
     assert!(encode(&[1; MAX_MESSAGE], &mut out) > MAX_MESSAGE);
 }

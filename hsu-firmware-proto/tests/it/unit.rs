@@ -38,6 +38,7 @@ struct Bench {
     unit: Unit,
     out: Outputs,
     now: u64,
+    next_beat: u64,
     id: u32,
 }
 
@@ -56,7 +57,7 @@ impl Bench {
     fn new() -> Self {
         let identity =
             Identity { name: NodeName::new("test").expect("short"), unique_id: [0; 16], firmware: [0, 0, 1] };
-        Self { unit: Unit::new(identity), out: Outputs::default(), now: SECOND, id: 0 }
+        Self { unit: Unit::new(identity), out: Outputs::default(), now: SECOND, next_beat: 2 * SECOND, id: 0 }
     }
 
     /// Both have greeted and configured the same timing.
@@ -126,7 +127,8 @@ impl Bench {
         for _ in 0..steps {
             self.now += step;
             self.unit.tick(self.now, &mut self.out);
-            if self.now % SECOND < step {
+            if self.now >= self.next_beat {
+                self.next_beat = self.now + SECOND / 2;
                 for link in LinkId::ALL {
                     self.ask(link, Request::Heartbeat);
                 }
@@ -180,7 +182,7 @@ proptest! {
         let mut turns = 0;
         for &step in steps.iter().cycle() {
             // Idle turns up to the next event do nothing; skip most of them, or short steps never arrive.
-            bench.now = bench.now.max(bench.unit.next_due().saturating_sub(PERIOD / 16));
+            bench.now = bench.now.max(bench.unit.next_due().saturating_sub(5 * step.min(PERIOD / 16)));
             bench.pass(step, 1);
             turns += 1;
             if bench.unit.state() == State::Finished || turns > 100_000 {
@@ -250,6 +252,9 @@ proptest! {
             let may_fire = bench.unit.state() == State::Running;
             bench.pass(pause.max(1), 1);
             prop_assert!(may_fire || bench.out.fired.len() == fired);
+            if matches!(bench.unit.state(), State::Idle | State::Finished) {
+                arms = [None, None];
+            }
         }
     }
 
@@ -507,4 +512,11 @@ fn lost_messages_and_broken_frames_are_counted() {
     bench.unit.hardware_fault(0x17, bench.now, &mut bench.out);
     assert_eq!(bench.faults(LinkId::A), [Fault::Hardware { code: 0x17 }]);
     assert_eq!(bench.status(LinkId::A).faults, 1);
+}
+
+/// The memory of a small microcontroller (64 KiB) must hold the unit, its decoders and a stack.
+#[test]
+fn the_unit_fits_a_microcontroller() {
+    assert!(size_of::<Unit>() <= 16 * 1024, "{} bytes", size_of::<Unit>());
+    assert!(size_of::<hsu_firmware_proto::frame::Decoder>() <= 512);
 }
