@@ -43,9 +43,9 @@ const CRC_TABLE: [u32; 16] = {
     table
 };
 
-/// Frames a message; returns the frame's length. A message of more than [`MAX_MESSAGE`] bytes gives 0.
+/// Frames a message; returns the frame's length. No bytes, or more than [`MAX_MESSAGE`], give 0.
 pub fn encode(message: &[u8], out: &mut [u8; MAX_FRAME]) -> usize {
-    if message.len() > MAX_MESSAGE {
+    if message.is_empty() || message.len() > MAX_MESSAGE {
         return 0;
     }
     let crc = crc32(message).to_le_bytes();
@@ -141,7 +141,9 @@ impl Decoder {
         if stuffed == 0 {
             return None;
         }
-        let Some(length) = unstuff(&mut self.buffer[..stuffed]).and_then(|l| l.checked_sub(CRC_BYTES)) else {
+        // The CRC of nothing is four zeros, so a run of zeros that was cut short would pass for an empty message.
+        let body = unstuff(&mut self.buffer[..stuffed]).filter(|&body| body > CRC_BYTES);
+        let Some(length) = body.map(|body| body - CRC_BYTES) else {
             self.errors.stuffing = self.errors.stuffing.saturating_add(1);
             return None;
         };

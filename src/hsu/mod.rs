@@ -5,15 +5,20 @@
 //! and `order` puts the trigger telemetry back into a gapless sequence. The wire contract is the crate
 //! `hsu-firmware-proto`; `docs/design/hsu-protocol.md` says why it is as it is.
 
+mod conversation;
 mod error;
+mod event;
 pub mod link;
 mod order;
+#[cfg(test)]
+mod tests;
 mod timing;
 mod unit;
 
 pub use error::HsuError;
+pub use event::{HsuEvent, LinkLoss};
 pub use hsu_firmware_proto::{
     EndReason, Fault, Identity, LinkId, Refusal, SessionId, State, Status, TriggerFlags, TriggerRecord,
 };
 pub use timing::{ArmRequest, HsuTiming, session_id, trigger_index};
-pub use unit::{ClockSample, Hsu, HsuEvent, HsuTimeouts, LinkLoss};
+pub use unit::{ClockSample, Hsu, HsuTimeouts};

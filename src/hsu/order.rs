@@ -35,14 +35,21 @@ impl Hole {
 pub(super) struct Order {
     session: SessionId,
     next: i64,
+    /// A trigger of it has been seen.
+    started: bool,
     done: bool,
     hole: Option<Hole>,
     held: VecDeque<HsuEvent>,
 }
 
 impl Order {
-    /// A session is being armed: its first trigger has this number.
-    pub(super) fn begin(&mut self, session: SessionId, first: i64) {
+    /// A session is being armed: its first trigger has this number. A session that has begun goes on: the unit
+    /// will refuse to arm it again.
+    pub(super) fn begin(&mut self, session: SessionId, first: i64, emit: &mut impl FnMut(HsuEvent)) {
+        if self.session == session && self.started {
+            return;
+        }
+        self.give_up(emit);
         *self = Self { session, next: first, ..Self::default() };
     }
 
@@ -56,8 +63,7 @@ impl Order {
         match &event {
             HsuEvent::Trigger { session, trigger } if *session != self.session => {
                 // A train that another process armed: its beginning is not ours to ask for.
-                self.give_up(emit);
-                self.begin(*session, trigger.number);
+                self.begin(*session, trigger.number, emit);
                 self.push(event, emit);
             }
             HsuEvent::Trigger { .. } | HsuEvent::Done { .. } if self.hole.is_some() => {
@@ -68,6 +74,7 @@ impl Order {
             }
             HsuEvent::Trigger { trigger, .. } => {
                 let number = trigger.number;
+                self.started = true;
                 if number > self.next {
                     self.open_hole(number);
                     self.held.push_back(event);
@@ -191,7 +198,7 @@ mod tests {
         ) {
             let (first, end) = (-5i64, 35i64);
             let mut order = Order::default();
-            order.begin(SESSION, first);
+            order.begin(SESSION, first, &mut |_| {});
             let mut events = Vec::new();
             let place = |number: i64| (number - first) as usize;
             let fill = |order: &mut Order, events: &mut Vec<HsuEvent>| {
@@ -217,9 +224,11 @@ mod tests {
                 state: State::Finished, session: SESSION, next_number: end, emitted: end as u64,
                 end: EndReason::Completed, ..Status::default()
             };
-            order.push(HsuEvent::Heartbeat(status), &mut |event| events.push(event));
-            fill(&mut order, &mut events);
-            order.push(HsuEvent::Heartbeat(status), &mut |event| events.push(event));
+            // Heartbeats go on for ever; a few of them settle everything.
+            for _ in 0..3 {
+                order.push(HsuEvent::Heartbeat(status), &mut |event| events.push(event));
+                fill(&mut order, &mut events);
+            }
             prop_assert_eq!(all_numbers(&events), (first..end).collect::<Vec<_>>());
             events.retain(|event| !matches!(event, HsuEvent::Heartbeat(_)));
             let dones = events.iter().filter(|event| matches!(event, HsuEvent::Done { .. })).count();

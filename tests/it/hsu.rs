@@ -378,3 +378,33 @@ fn session_ids_are_the_same_on_every_node() {
         [0x69, 0xb5, 0x93, 0x42, 0xb1, 0x0d, 0xc1, 0x96, 0xac, 0x3b, 0xac, 0x0a, 0xde, 0x39, 0x4a, 0x56];
     assert_eq!(session_id(&name), SessionId(expected));
 }
+
+/// A measurement, not a test: how evenly the simulated unit fires on this machine.
+/// `cargo test --release --test it hsu::pace -- --ignored --nocapture`
+#[test]
+#[ignore = "takes half a minute and prints figures instead of judging them"]
+fn pace_at_120_hz() {
+    let _alone = alone();
+    let bench = bench();
+    let request = request("pace", Some(3600));
+    let hsus = both_armed(&bench, &rig_timing(), &request);
+    hsus[0].start(request.session).expect("started");
+    let (mut times, mut done) = (Vec::new(), false);
+    while !done {
+        match hsus[0].events().recv_timeout(FAR).expect("the train ends") {
+            HsuEvent::Trigger { trigger, .. } => times.push(trigger.time_ns),
+            HsuEvent::Done { .. } => done = true,
+            _ => {}
+        }
+    }
+    let mut off_us: Vec<f64> =
+        times.windows(2).map(|pair| ((pair[1] - pair[0]) as f64 - 8_333_333.0).abs() / 1e3).collect();
+    off_us.sort_by(f64::total_cmp);
+    let share = |part: f64| off_us[(part * (off_us.len() - 1) as f64) as usize];
+    println!("triggers {} of 3605, late {}", times.len(), bench.hsu.late());
+    println!("period error us: p50 {:.1} p99 {:.1} max {:.1}", share(0.5), share(0.99), share(1.0));
+    let samples: Vec<_> = (0..200).filter_map(|_| hsus[1].query_clock().ok()).collect();
+    let mut way_us: Vec<f64> = samples.iter().map(|s| (s.received - s.sent).as_secs_f64() * 1e6).collect();
+    way_us.sort_by(f64::total_cmp);
+    println!("clock query there and back us: best {:.0} median {:.0}", way_us[0], way_us[way_us.len() / 2]);
+}

@@ -5,13 +5,11 @@
 //! [`UnitOutputs`]. All times are nanoseconds of the unit's own clock, which must not run backwards.
 //!
 //! ```text
-//!            Arm (one of several)         Arm (last of those expected)
-//!    Idle ------------------------> Arming -----------------------------> Armed
-//!      ^ \____________________________________________________________^    | Start
-//!      |         Arm (only one expected)                                     v
-//!   power up     Arming, Armed -- Disarm, LinkSilent --> Finished <------ Running
-//!                Finished -- Arm --> Arming or Armed          count reached, Stop, Disarm
+//! Idle --Arm--> Arming --Arm--> Armed --Start--> Running --count, Stop, Disarm--> Finished --Arm--> Arming
 //! ```
+//!
+//! Armed means that every expected node has armed the same; Start is refused before. Hello and Goodbye take
+//! the arming of their own link back, Disarm that of both. `docs/design/hsu-protocol.md` has the whole table.
 //!
 //! An armed link that falls silent disarms both before the start. Once triggers are being fired the train
 //! goes on: the other node's frames are still good, and its host decides. Only a train without a count ends

@@ -1,1 +1,5 @@
 //! Integration tests of the HSU protocol: golden bytes, framing properties, behaviour of the unit.
+mod framing;
+mod messages;
+mod unit;
+mod versioning;

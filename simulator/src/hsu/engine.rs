@@ -87,6 +87,7 @@ impl Engine {
     }
 
     pub(super) fn run(mut self) {
+        stand_in_for_a_hardware_timer();
         while !self.world.control.stop.load(Ordering::Relaxed) {
             if self.world.control.power_cycle.swap(false, Ordering::Relaxed) {
                 self.unit = Unit::new(self.identity);
@@ -161,6 +162,17 @@ impl Engine {
             decoder.feed(bytes, |message| self.unit.receive(link, now_ns, message, &mut self.world));
             self.unit.bad_frames(link, decoder.errors().total().saturating_sub(bad));
         }
+    }
+}
+
+/// A real unit fires from a timer that no other program delays. With the permission for it (CAP_SYS_NICE or an
+/// rtprio limit) this thread comes close; without, late triggers are flagged as late, and nothing else.
+fn stand_in_for_a_hardware_timer() {
+    let lowest = libc::sched_param { sched_priority: 1 };
+    // SAFETY: the parameter is live for the call; 0 is the calling thread. A refusal changes nothing.
+    let refused = unsafe { libc::sched_setscheduler(0, libc::SCHED_RR, &lowest) } != 0;
+    if refused {
+        tracing::debug!("the simulated HSU runs without real-time priority: triggers may be late");
     }
 }
 

@@ -1,0 +1,2 @@
+//! One file of golden bytes per released protocol version.
+mod v01;
