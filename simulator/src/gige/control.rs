@@ -75,12 +75,15 @@ pub struct Control {
     pub registers: Registers,
     controller: Option<Controller>,
     acquiring: bool,
+    /// The last write of the controller and its answer: a command that is repeated with its request id,
+    /// because the acknowledge got lost, is answered again and not executed again.
+    last_write: Option<(Vec<u8>, Vec<u8>)>,
 }
 
 impl Control {
     /// A device that nobody controls.
     pub fn new(registers: Registers) -> Self {
-        Self { registers, controller: None, acquiring: false }
+        Self { registers, controller: None, acquiring: false, last_write: None }
     }
 
     /// The acquisition ended by itself (single or multi-frame).
@@ -105,10 +108,19 @@ impl Control {
         };
         if let Some(controller) = self.controller.as_mut().filter(|c| c.address == from) {
             controller.heard = now;
+            if let Some((_, answer)) = self.last_write.as_ref().filter(|(write, _)| write == datagram) {
+                outcome.answer = Some(answer.clone());
+                return outcome;
+            }
         }
         let answer = self.execute(&request, from, now, &mut outcome.actions);
         // A discovery is answered whatever its flags say.
         outcome.answer = answer.filter(|_| request.ack || request.command == Command::Discovery);
+        let write = matches!(request.command, Command::WriteRegisters(_) | Command::WriteMemory { .. });
+        if self.is_controller(from) {
+            let answer = outcome.answer.clone().filter(|_| write);
+            self.last_write = answer.map(|answer| (datagram.to_vec(), answer));
+        }
         outcome
     }
 
@@ -124,6 +136,7 @@ impl Control {
 
     fn release(&mut self, actions: &mut Vec<Action>) {
         self.controller = None;
+        self.last_write = None;
         self.registers.privilege = 0;
         self.registers.host_port = 0;
         self.acquiring = false;

@@ -88,6 +88,9 @@ impl SimulatedCamera {
             UdpSocket::bind(address).map_err(|source| CameraError::Bind { address, source })
         };
         let control_socket = bind(gvcp::PORT)?;
+        // A datagram that polling announced may yet be discarded by its checksum: reading must not wait for
+        // the next one.
+        control_socket.set_nonblocking(true).map_err(CameraError::Socket)?;
         let stream_socket = Arc::new(bind(0)?);
         if let Err(error) = net::set_send_buffer(&stream_socket, SEND_BUFFER) {
             tracing::warn!(%error, "cannot enlarge the stream's send buffer");

@@ -11,7 +11,8 @@ pub fn sockets() -> Vec<UdpSocket> {
     let mut sockets = Vec::with_capacity(BROADCASTS.len());
     for address in BROADCASTS {
         let address = SocketAddrV4::new(address, gvcp::PORT);
-        match bind_shared(address) {
+        let bound = bind_shared(address).and_then(|s| s.set_nonblocking(true).map(|()| s));
+        match bound {
             Ok(socket) => sockets.push(socket),
             Err(error) => {
                 tracing::warn!(%address, %error, "discovery by broadcast will not find this camera")

@@ -95,6 +95,9 @@ pub enum CameraError {
         /// Bytes that fit.
         limit: usize,
     },
+    /// A socket refuses an option.
+    #[error("cannot set up a camera socket: {0}")]
+    Socket(std::io::Error),
     /// The system gives no thread.
     #[error("cannot start a camera thread: {0}")]
     Thread(std::io::Error),

@@ -219,13 +219,11 @@ impl Registers {
         value: u32,
         now: Instant,
     ) -> Result<Option<Effect>, Status> {
-        let accept = |valid: bool| if valid { Ok(()) } else { Err(Status::InvalidParameter) };
-        let settings = &mut self.settings;
-        let mut effect = None;
         match register.id {
             Id::Heartbeat => {
                 accept(value >= HEARTBEAT_MIN)?;
                 self.heartbeat_ms = value;
+                Ok(None)
             }
             Id::TimestampControl => {
                 if value & 1 != 0 {
@@ -234,13 +232,23 @@ impl Registers {
                 if value & 2 != 0 {
                     self.latched = self.clock.at(now);
                 }
+                Ok(None)
             }
-            Id::Privilege => effect = Some(Effect::Privilege(value)),
+            Id::Privilege => Ok(Some(Effect::Privilege(value))),
+            Id::HostPort | Id::PacketSize | Id::PacketDelay | Id::Destination | Id::GvspConfiguration => {
+                self.write_stream_channel(register.id, value)
+            }
+            _ => self.write_feature(register.id, value),
+        }
+    }
+
+    /// Registers of the stream channel.
+    fn write_stream_channel(&mut self, id: Id, value: u32) -> Result<Option<Effect>, Status> {
+        match id {
             Id::HostPort => {
                 // Bit 31 would make this a receiver; the interface index has one value.
                 accept(value <= 0xffff)?;
                 self.host_port = (value & 0xffff) as u16;
-                effect = Some(Effect::Stream);
             }
             Id::PacketSize => {
                 let size = (value & 0xffff) as u16;
@@ -248,21 +256,28 @@ impl Registers {
                 // Mono8 has no byte order: the big-endian bit is accepted and has nothing to change.
                 self.packet_size = size;
                 self.do_not_fragment = value & 1 << 30 != 0;
-                effect = (value & 1 << 31 != 0).then_some(Effect::TestPacket);
+                return Ok((value & 1 << 31 != 0).then_some(Effect::TestPacket));
             }
-            Id::PacketDelay => {
-                self.packet_delay = value;
-                effect = Some(Effect::Stream);
-            }
-            Id::Destination => {
-                self.destination = Ipv4Addr::from_bits(value);
-                effect = Some(Effect::Stream);
-            }
+            Id::PacketDelay => self.packet_delay = value,
+            Id::Destination => self.destination = Ipv4Addr::from_bits(value),
             Id::GvspConfiguration => {
                 accept(value & !EXTENDED_IDS_BIT == 0)?;
                 self.ids = if value == 0 { IdMode::Standard } else { IdMode::Extended };
             }
+            _ => return Err(Status::WriteProtect),
+        }
+        Ok(Some(Effect::Stream))
+    }
+
+    /// Camera features that are integers.
+    fn write_feature(&mut self, id: Id, value: u32) -> Result<Option<Effect>, Status> {
+        let settings = &mut self.settings;
+        let coded = Status::InvalidParameter;
+        match id {
+            // Features with a single value, as their description says.
             Id::StreamConfiguration | Id::OffsetX | Id::OffsetY => accept(value == 0)?,
+            Id::ExposureAuto | Id::TriggerSelector | Id::TriggerActivation => accept(value == 0)?,
+            Id::PixelFormat => accept(value == MONO8)?,
             Id::Width => {
                 accept((WIDTH_MIN..=self.sensor.0).contains(&value))?;
                 settings.width = value;
@@ -271,11 +286,7 @@ impl Registers {
                 accept((1..=self.sensor.1).contains(&value))?;
                 settings.height = value;
             }
-            Id::PixelFormat => accept(value == MONO8)?,
-            Id::ExposureAuto | Id::TriggerSelector | Id::TriggerActivation => accept(value == 0)?,
-            Id::AcquisitionMode => {
-                settings.mode = AcquisitionMode::from_code(value).ok_or(Status::InvalidParameter)?;
-            }
+            Id::AcquisitionMode => settings.mode = AcquisitionMode::from_code(value).ok_or(coded)?,
             Id::FrameCount => {
                 accept((1..=0xffff).contains(&value))?;
                 settings.frame_count = value;
@@ -283,29 +294,25 @@ impl Registers {
             Id::FrameRateEnable => {
                 accept(value <= 1)?;
                 settings.frame_rate_enabled = value == 1;
-                effect = Some(Effect::Stream);
+                return Ok(Some(Effect::Stream));
             }
-            Id::ExposureMode => {
-                settings.exposure_mode = ExposureMode::from_code(value).ok_or(Status::InvalidParameter)?;
-            }
+            Id::ExposureMode => settings.exposure_mode = ExposureMode::from_code(value).ok_or(coded)?,
             Id::TriggerMode => {
                 accept(value <= 1)?;
                 settings.triggered = value == 1;
             }
-            Id::TriggerSource => {
-                settings.source = TriggerSource::from_code(value).ok_or(Status::InvalidParameter)?;
-            }
-            Id::AcquisitionStart => effect = command(value, Effect::Start)?,
-            Id::AcquisitionStop => effect = command(value, Effect::Stop)?,
+            Id::TriggerSource => settings.source = TriggerSource::from_code(value).ok_or(coded)?,
+            Id::AcquisitionStart => return command(value, Effect::Start),
+            Id::AcquisitionStop => return command(value, Effect::Stop),
             Id::TriggerSoftware => {
                 if !settings.triggered || settings.source != TriggerSource::Software {
                     return Err(Status::AccessDenied);
                 }
-                effect = command(value, Effect::SoftwareTrigger)?;
+                return command(value, Effect::SoftwareTrigger);
             }
             _ => return Err(Status::WriteProtect),
         }
-        Ok(effect)
+        Ok(None)
     }
 
     fn xml_word(&self, address: u32) -> Option<[u8; 4]> {
@@ -404,6 +411,10 @@ impl Registers {
             _ => 0,
         }
     }
+}
+
+fn accept(valid: bool) -> Result<(), Status> {
+    if valid { Ok(()) } else { Err(Status::InvalidParameter) }
 }
 
 fn command(value: u32, effect: Effect) -> Result<Option<Effect>, Status> {

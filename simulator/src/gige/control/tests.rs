@@ -177,6 +177,10 @@ fn software_triggers_need_their_source() {
     assert_eq!(client.write(Id::TriggerSoftware, 1), (OK, vec![]), "lost while nothing runs");
     client.write(Id::AcquisitionStart, 1);
     assert_eq!(client.write(Id::TriggerSoftware, 1), (OK, vec![Action::SoftwareTrigger]));
+    // The same request id again: the acknowledge got lost, the trigger did not.
+    assert_eq!(client.write(Id::TriggerSoftware, 1), (OK, vec![]));
+    client.read(Id::Privilege);
+    assert_eq!(client.write(Id::TriggerSoftware, 1), (OK, vec![Action::SoftwareTrigger]));
 }
 
 #[test]
