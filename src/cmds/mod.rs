@@ -11,6 +11,7 @@ pub mod check_config;
 pub mod pattern;
 pub mod reconstruct;
 pub mod validate;
+pub mod view;
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -90,9 +90,8 @@ impl Truth {
         let (Some(place), Some(surface)) = (place, surface.filter(|p| !p.x.is_nan())) else {
             return Verdict::OffSurface;
         };
-        let phase = |world: &Point3<f64>| {
-            reference.projector.project(world).map(|[u, _]| reference.pattern.phase(u))
-        };
+        let phase =
+            |world: &Point3<f64>| reference.projector.project(world).map(|[u, _]| reference.pattern.phase(u));
         let world = Point3::from(cloud.position_m[i]).cast::<f64>();
         let expected = reference.camera.world_from_device.isometry().transform_point(&surface);
         let right = match (phase(&world), phase(&expected)) {
@@ -112,8 +111,12 @@ impl Truth {
     /// magenta: no surface there.
     pub fn picture(&self, cloud: &Cloud, reference: Reference<'_>) -> (usize, usize, Vec<u8>) {
         let (width, height) = (self.lit.width(), self.lit.height());
-        let mut rgb: Vec<u8> =
-            self.lit.as_slice().iter().flat_map(|&lit| if lit != 0 { [0, 0, 255] } else { [0, 0, 48] }).collect();
+        let mut rgb: Vec<u8> = self
+            .lit
+            .as_slice()
+            .iter()
+            .flat_map(|&lit| if lit != 0 { [0, 0, 255] } else { [0, 0, 48] })
+            .collect();
         for i in 0..cloud.len() {
             let Some((u, v)) = self.place(cloud.pixel[i]) else { continue };
             let colour = match self.judge(cloud, i, reference) {
