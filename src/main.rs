@@ -28,6 +28,7 @@ enum Command {
     Pattern(cmds::pattern::Args),
     Reconstruct(cmds::reconstruct::Args),
     Validate(cmds::validate::Args),
+    View(cmds::view::Args),
 }
 
 fn main() -> ExitCode {
@@ -57,5 +58,6 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::Pattern(args) => cmds::pattern::run(args),
         Command::Reconstruct(args) => cmds::reconstruct::run(args),
         Command::Validate(args) => cmds::validate::run(args),
+        Command::View(args) => cmds::view::run(args),
     }
 }

@@ -19,6 +19,7 @@ pub mod reconstruct;
 pub mod status;
 pub mod validate;
 pub mod verify;
+pub mod view;
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,5 +3,7 @@
 mod cloud;
 /// Binary PLY files.
 pub mod ply;
+/// Pictures of clouds.
+pub mod view;
 
 pub use cloud::{Cloud, NO_CAMERA};

@@ -31,6 +31,8 @@ pub mod period;
 pub mod pipeline;
 /// Frames from PNG files.
 pub mod png_source;
+/// Verticality Vm, border distance Bm, quality Qm.
+pub mod quality;
 /// The part of a frame that holds the object.
 pub mod roi;
 mod source;
@@ -38,5 +40,7 @@ mod source;
 pub mod triangulate;
 /// The anchored spanning forest.
 pub mod unwrap;
+/// The paper's spanning tree and marker.
+pub mod unwrap_paper;
 
 pub use source::{Frame, FrameSource};

@@ -4,7 +4,9 @@ use super::demodulate::{Gains, Phasors};
 use super::marker_phase::Bias;
 use super::roi::Roi;
 use super::triangulate::Triangulator;
-use super::{absolute, demodulate, marker, marker_phase, mask, normals, period, unwrap};
+use super::{
+    absolute, demodulate, marker, marker_phase, mask, normals, period, quality, unwrap, unwrap_paper,
+};
 use crate::export::Cloud;
 use crate::image::{Mono8, Plane};
 use nalgebra::Point3;
@@ -134,11 +136,7 @@ impl Pipeline {
         counts.object = object.as_slice().iter().filter(|&&x| x != 0).count();
         let resolved = match self.method {
             Method::Anchored => self.anchored(&image, &object, &mut clock, &mut counts),
-            Method::Paper => return refused(clock, counts, "not yet".to_owned()),
-        };
-        let resolved = match resolved {
-            Ok(resolved) => resolved,
-            Err(reason) => return refused(clock, counts, reason),
+            Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
         let points = clock.time("triangulate", || self.triangulate(&resolved.absolute, roi));
         let cloud = clock.time("normals", || self.cloud(&points, &resolved.phasors, roi));
@@ -158,7 +156,7 @@ impl Pipeline {
         object: &Plane<u8>,
         clock: &mut Clock,
         counts: &mut Counts,
-    ) -> Result<Resolved, String> {
+    ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
         let mut periods = clock.time("period", || period::measure(image, object, pair.period_px));
@@ -177,7 +175,14 @@ impl Pipeline {
         let markers = clock.time("anchors", || marker::detect(&ridges, period, &wrapped, pair));
         counts.marker = markers.label.as_slice().iter().filter(|&&x| x != 0).count();
         let unwrapped = clock.time("unwrap", || {
-            unwrap::unwrap(&wrapped, period, &markers.label, pair, &unwrap::Settings::default())
+            unwrap::unwrap(
+                &wrapped,
+                period,
+                &phasors.misfit,
+                &markers.label,
+                pair,
+                &unwrap::Settings::default(),
+            )
         });
         counts.refused = unwrapped.refused_px;
         counts.contradictions = unwrapped.contradictions;
@@ -201,7 +206,60 @@ impl Pipeline {
                 ("Fm", absolute.clone()),
             ];
         }
-        Ok(Resolved { absolute, phasors, planes })
+        Resolved { absolute, phasors, planes }
+    }
+
+    /// Section 4.1 of the paper as it stands.
+    fn paper(
+        &self,
+        image: &Plane<u8>,
+        object: &Plane<u8>,
+        clock: &mut Clock,
+        counts: &mut Counts,
+    ) -> Resolved {
+        let pair = self.triangulator.pair();
+        let image = Mono8::from(image);
+        let periods = clock.time("period", || period::measure(image, object, pair.period_px));
+        let (period, amplitude) = (&periods.period, &periods.amplitude);
+        let stability = clock.time("stability", || period::stability(period, pair.period_px));
+        let phasors = clock
+            .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
+        let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
+        counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
+        let vertical = clock.time("verticality", || quality::verticality(image, period));
+        let border = clock.time("border", || quality::border(object));
+        let quality = clock.time("quality", || {
+            let amplitude = quality::normalized_amplitude(amplitude, object);
+            quality::quality([&border, &amplitude, &vertical, &stability])
+        });
+        let unwrapped = clock.time("unwrap", || unwrap_paper::unwrap(&wrapped, &quality));
+        let (energy, segment) = clock.time("marker", || unwrap_paper::marker(image, object, pair));
+        counts.marker = segment.as_slice().iter().filter(|&&x| x != 0).count();
+        let shift = unwrap_paper::shift(&unwrapped, &wrapped, &segment, pair);
+        let absolute = match shift {
+            Some(shift) => convert(&unwrapped, |x| x + shift),
+            None => Plane::filled(wrapped.width(), wrapped.height(), f32::NAN),
+        };
+        let known = absolute.as_slice().iter().filter(|x| !x.is_nan()).count();
+        counts.refused = counts.phase - known;
+        let mut planes = Vec::new();
+        if self.keep_maps {
+            planes = vec![
+                ("Om", convert(object, f32::from)),
+                ("Pm", period.clone()),
+                ("Am", convert(amplitude, f32::from)),
+                ("Sm", stability),
+                ("Wm", wrapped),
+                ("Vm", vertical),
+                ("Bm", border),
+                ("Qm", quality),
+                ("Um", unwrapped),
+                ("Em", energy),
+                ("Mm", convert(&segment, f32::from)),
+                ("Fm", absolute.clone()),
+            ];
+        }
+        Resolved { absolute, phasors, planes }
     }
 
     /// Points in camera axes, m; NaN where there is none.

@@ -27,7 +27,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { max_residual: 1.5, doubtful_residual: 0.05, small_tree_px: 60, min_votes: 20 }
+        Self { max_residual: 1.5, doubtful_residual: 0.04, small_tree_px: 60, min_votes: 20 }
     }
 }
 
@@ -49,11 +49,12 @@ const BUCKET_RAD: f32 = 1.0 / 256.0;
 pub fn unwrap(
     wrapped: &Plane<f32>,
     period: &Plane<f32>,
+    misfit: &Plane<f32>,
     anchor: &Plane<u32>,
     pair: &Pair,
     settings: &Settings,
 ) -> Unwrapped {
-    let costs = Costs::new(wrapped, period, pair.sign);
+    let costs = Costs::new(wrapped, period, misfit, pair.sign);
     let edges = costs.sorted_edges(settings);
     let mut forest = Forest::new(anchor);
     let phase = wrapped.as_slice();
@@ -91,6 +92,10 @@ struct Costs {
     carrier: f32,
 }
 
+/// A window that crosses a depth step does not hold a sine: what the misfit of the fringe model has above this
+/// is added to the cost, 1 rad per unit. On smooth skin the misfit stays below it.
+const GOOD_MISFIT: f32 = 0.1;
+
 /// Half sizes (columns, rows) of the box in which the local mean step is taken.
 const MEAN_STEP_BOX: (usize, usize) = (5, 3);
 
@@ -100,7 +105,7 @@ const ALONG_RIGHT: (usize, usize) = (1, 3);
 const ALONG_DOWN: (usize, usize) = (4, 1);
 
 impl Costs {
-    fn new(wrapped: &Plane<f32>, period: &Plane<f32>, sign: f32) -> Self {
+    fn new(wrapped: &Plane<f32>, period: &Plane<f32>, misfit: &Plane<f32>, sign: f32) -> Self {
         let (w, h) = (wrapped.width(), wrapped.height());
         let mut right = Plane::filled(w, h, f32::NAN);
         let mut down = Plane::filled(w, h, f32::NAN);
@@ -116,7 +121,13 @@ impl Costs {
                 }
             }
         }
-        Self { right: cost(&right, ALONG_RIGHT), down: cost(&down, ALONG_DOWN), carrier }
+        let mut costs = Self { right: cost(&right, ALONG_RIGHT), down: cost(&down, ALONG_DOWN), carrier };
+        for plane in [&mut costs.right, &mut costs.down] {
+            for (x, misfit) in plane.as_mut_slice().iter_mut().zip(misfit.as_slice()) {
+                *x += (misfit - GOOD_MISFIT).max(0.0);
+            }
+        }
+        costs
     }
 
     fn at(&self, pixel: usize, vertical: bool) -> f32 {
