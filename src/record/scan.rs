@@ -226,13 +226,16 @@ impl<'a> Walker<'a> {
             op::METADATA => (|| {
                 let name = fields.text()?;
                 Some(Event::Metadata { name, entries: fields.text_map()? })
-            })(),
+            })()
+            .filter(|_| fields.used_up()),
             op::CHANNEL => (|| {
                 let id = fields.u16()?;
                 fields.u16()?;
                 Some(Event::Channel { id, topic: fields.text()? })
             })(),
-            op::DATA_END => fields.u32().map(|crc| Event::DataEnd { offset: start, crc }),
+            op::DATA_END => {
+                fields.u32().map(|crc| Event::DataEnd { offset: start, crc }).filter(|_| fields.used_up())
+            }
             op::FOOTER if self.chunk_end.is_none() => {
                 let event = (|| {
                     let (summary, _) = (fields.u64()?, fields.u64()?);
@@ -297,6 +300,11 @@ impl<'a> Fields<'a> {
         let taken = self.bytes.get(self.position..end)?;
         self.position = end;
         Some(taken)
+    }
+
+    /// A later MCAP may append fields, but what we read was written by us: more bytes are a wrong length.
+    fn used_up(&self) -> bool {
+        self.position == self.bytes.len()
     }
 
     fn u16(&mut self) -> Option<u16> {

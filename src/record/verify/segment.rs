@@ -2,8 +2,8 @@
 
 use super::{Notes, Severity};
 use crate::ids::TriggerIndex;
-use crate::record::layout::image_topic;
-use crate::record::reader::{RecordingReader, SegmentReader, Topic, check_frame};
+use crate::record::layout::{GapCause, image_topic};
+use crate::record::reader::{Outcome, RecordingReader, SegmentReader, Topic, check_frame};
 use crate::record::scan::{End, Event, Walker};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -84,7 +84,7 @@ fn check_segment(
         }
     }
     advance(bytes.len() as u64 - reported);
-    note_end(walker.end(), data_end, bytes.len(), number, notes);
+    note_end(recording, segment, walker.end(), data_end, notes);
     times
 }
 
@@ -118,18 +118,31 @@ fn note_frame(
     }
 }
 
-fn note_end(end: End, data_end: bool, length: usize, segment: Option<u32>, notes: &mut Notes) {
+fn note_end(
+    recording: &RecordingReader,
+    segment: &SegmentReader,
+    end: End,
+    data_end: bool,
+    notes: &mut Notes,
+) {
+    let number = Some(segment.number);
     match end {
         End::Closed if data_end => {}
         End::Closed => {
-            notes.add(Severity::Corrupt, segment, None, None, "closed without an end of its data section");
+            notes.add(Severity::Corrupt, number, None, None, "closed without an end of its data section");
         }
         End::Cut { at } => {
-            let message = format!("was not closed: usable up to byte {at} of {length}");
-            notes.add(Severity::Loss, segment, None, None, message);
+            // A segment that the disk refused stays open, and the books went on in a later one. Any other
+            // one was cut, or has a length field that points beyond its end.
+            let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);
+            let mut outcomes = recording.outcomes.iter().flat_map(|outcomes| outcomes.values());
+            let disk_failed = outcomes.any(|outcome| *outcome == Outcome::Gap(GapCause::DroppedDisk));
+            let severity = if disk_failed && !is_last { Severity::Loss } else { Severity::Corrupt };
+            let message = format!("was not closed: usable up to byte {at} of {}", segment.bytes().len());
+            notes.add(severity, number, None, None, message);
         }
         End::Damaged { at, reason } => {
-            notes.add(Severity::Corrupt, segment, None, None, format!("damaged at byte {at}: {reason}"));
+            notes.add(Severity::Corrupt, number, None, None, format!("damaged at byte {at}: {reason}"));
         }
     }
 }
