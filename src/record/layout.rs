@@ -284,6 +284,9 @@ impl RecordingHeader {
         if self.cameras.is_empty() || self.cameras.len() > MAX_CAMERAS {
             return Err(format!("{} cameras, expected 1 to {MAX_CAMERAS}", self.cameras.len()));
         }
+        // Both become names of directories.
+        SessionName::parse(self.session.as_str())?;
+        SessionName::parse(self.node.as_str()).map_err(|e| format!("node: {e}"))?;
         let mut ids = std::collections::BTreeSet::new();
         for camera in &self.cameras {
             let name = camera.id.as_str();

@@ -67,16 +67,22 @@ fn record_ends(bytes: &[u8]) -> (Vec<usize>, Vec<usize>) {
 
 /// Frames that can be read, each one checked against what was recorded.
 fn readable_frames(path: &Path) -> usize {
-    let Ok(reader) = SessionReader::open(path) else { return 0 };
-    let recording = &reader.recordings()[0];
-    let mut count = 0;
-    for (camera, index) in (0..CAMERAS.len()).flat_map(|c| (0..TRIGGERS).map(move |i| (c, i))) {
-        if let Ok(Ok(frame)) = recording.frame(camera, TriggerIndex(index)) {
-            assert_eq!(frame.image.as_slice(), pixels(camera, index), "camera {camera} trigger {index}");
-            count += 1;
-        }
+    let count = |reader: &SessionReader| {
+        let recording = &reader.recordings()[0];
+        let places = (0..CAMERAS.len()).flat_map(|c| (0..TRIGGERS).map(move |i| (c, i)));
+        let read = places.filter(|&(camera, index)| match recording.frame(camera, TriggerIndex(index)) {
+            Ok(Ok(frame)) => {
+                assert_eq!(frame.image.as_slice(), pixels(camera, index), "camera {camera} trigger {index}");
+                true
+            }
+            _ => false,
+        });
+        read.count()
+    };
+    if let Ok(reader) = SessionReader::open_frames(path) {
+        count(&reader);
     }
-    count
+    SessionReader::open(path).map_or(0, |reader| count(&reader))
 }
 
 #[test]
