@@ -29,6 +29,13 @@ pub const KEY_FIRST_TRIGGER: &str = "first_trigger";
 /// Key of the segment metadata: the first trigger of the next segment; absent in the last one.
 pub const KEY_END_TRIGGER: &str = "end_trigger";
 
+/// Keys of the segment metadata: where the message of [`INDEX_TOPIC`] has its payload, and its CRC-32.
+pub const KEY_INDEX_OFFSET: &str = "index_offset";
+/// See [`KEY_INDEX_OFFSET`].
+pub const KEY_INDEX_LENGTH: &str = "index_length";
+/// See [`KEY_INDEX_OFFSET`].
+pub const KEY_INDEX_CRC: &str = "index_crc32";
+
 /// Topic of gap records.
 pub const GAPS_TOPIC: &str = "/gaps";
 /// Topic of the HSU's trigger table.
@@ -37,7 +44,7 @@ pub const TRIGGERS_TOPIC: &str = "/hsu/triggers";
 pub const CLOCK_TOPIC: &str = "/clock";
 /// Topic of node events.
 pub const EVENTS_TOPIC: &str = "/events";
-/// Topic of the frame index, the last message of a closed segment.
+/// Topic of the segment's index, the last message of a closed segment.
 pub const INDEX_TOPIC: &str = "/index";
 
 /// A session has fewer triggers than this: 38 hours at 120 Hz. It bounds what a wrong index can cost.
@@ -211,6 +218,25 @@ pub struct NodeEvent {
     pub message: String,
 }
 
+/// All outcomes of a segment, so that a closed one opens without walking its records.
+#[derive(Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SegmentIndex {
+    /// Camera (its place in the header), trigger, offset of the message's payload in the file, its length.
+    pub frames: Vec<(u32, u64, u64, u64)>,
+    /// The gap records.
+    pub gaps: Vec<GapRecord>,
+}
+
+/// JSON schema of [`SegmentIndex`].
+pub(crate) fn index_schema() -> serde_json::Value {
+    let frames =
+        "camera (its place in the header), trigger, offset in the file and length of the message's payload";
+    serde_json::json!({"type": "object", "required": ["frames", "gaps"], "properties": {
+        "frames": {"type": "array", "description": frames, "items": {"type": "array", "items": {"type": "integer"}}},
+        "gaps": {"type": "array", "items": {"type": "object"}},
+    }})
+}
+
 /// Name and JSON schema of the channels whose messages are JSON, with their topics.
 pub(crate) fn json_channels() -> [(&'static str, &'static str, serde_json::Value); 4] {
     let integer = serde_json::json!({"type": "integer", "minimum": 0});
@@ -258,6 +284,9 @@ impl RecordingHeader {
         if self.cameras.is_empty() || self.cameras.len() > MAX_CAMERAS {
             return Err(format!("{} cameras, expected 1 to {MAX_CAMERAS}", self.cameras.len()));
         }
+        // Both become names of directories.
+        SessionName::parse(self.session.as_str())?;
+        SessionName::parse(self.node.as_str()).map_err(|e| format!("node: {e}"))?;
         let mut ids = std::collections::BTreeSet::new();
         for camera in &self.cameras {
             let name = camera.id.as_str();

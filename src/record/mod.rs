@@ -22,7 +22,7 @@ pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NodeEvent, RecordingHeader,
     TriggerRecord,
 };
-pub use reader::{ReadError, RecordedFrame, RecordingReader, SessionReader};
-pub use session::node_dir;
+pub use reader::{ReadError, RecordedFrame, RecordingReader};
+pub use session::{SessionReader, node_dir};
 pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
 pub use writer::{RecordError, Recording, WriterOptions};

@@ -4,20 +4,18 @@ use super::direct::map_file;
 use super::envelope::{FrameMeta, parse_envelope, pixels_crc};
 use super::layout::{
     CLOCK_TOPIC, ClockSample, EVENTS_TOPIC, FORMAT, GAPS_TOPIC, GapCause, GapRecord, HEADER_METADATA,
-    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, KEY_RIG, KEY_SEGMENT, MAX_TRIGGERS, NodeEvent,
-    RecordingHeader, SEGMENT_METADATA, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
+    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG,
+    KEY_SEGMENT, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA, SegmentIndex, TRIGGERS_TOPIC,
+    TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
 };
-use super::scan::{End, Event, Walker};
-use super::session::{RecordingFiles, find};
+use super::scan::{End, Event, Walker, metadata_by_index};
+use super::session::RecordingFiles;
 use super::verdict::Verdict;
-use crate::config::Rig;
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
-use crate::reconstruct::{Frame, FrameSource};
-use memmap2::Mmap;
+use memmap2::{Advice, Mmap};
 use std::collections::BTreeMap;
-use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Notes about one recording beyond this many are dropped: the first ones say what is wrong.
 const MAX_PROBLEMS: usize = 1000;
@@ -61,6 +59,23 @@ impl SegmentReader {
         // An empty file cannot be mapped.
         self.map.as_deref().unwrap_or_default()
     }
+
+    /// A message's bytes, which the system is told to fetch in one go.
+    fn message(&self, offset: usize, length: usize) -> Option<&[u8]> {
+        let message = self.bytes().get(offset..offset.checked_add(length)?)?;
+        // Advice is only advice.
+        let _ = self.map.as_ref()?.advise_range(Advice::WillNeed, offset, length);
+        Some(message)
+    }
+}
+
+/// How much of a recording to read when opening it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Extent {
+    /// All small records.
+    Everything,
+    /// Outcomes and verdict, by way of the indexes.
+    Outcomes,
 }
 
 /// What a camera has at a trigger.
@@ -105,7 +120,7 @@ pub struct RecordedFrame<'a> {
 
 impl RecordingReader {
     /// Maps the segments and walks their records.
-    pub(super) fn open(files: &RecordingFiles) -> Result<Self, ReadError> {
+    pub(super) fn open(files: &RecordingFiles, what: Extent) -> Result<Self, ReadError> {
         let error = |message: String| ReadError(format!("{}: {message}", files.path.display()));
         let mut recording: Option<Self> = None;
         for (number, path) in &files.segments {
@@ -128,7 +143,7 @@ impl RecordingReader {
                 _ => {}
             }
             if let Some(recording) = &mut recording {
-                recording.add(segment);
+                recording.add(segment, what);
             }
         }
         recording
@@ -163,16 +178,33 @@ impl RecordingReader {
         }
     }
 
-    fn add(&mut self, mut segment: SegmentReader) {
-        let (place, number) = (self.segments.len(), segment.number);
+    fn add(&mut self, mut segment: SegmentReader, what: Extent) {
+        let number = segment.number;
         let expected = self.segments.last().map_or(number, |last| last.number + 1);
         if number != expected {
             self.problem(number, None, None, format!("expected segment {expected} here: it is missing"));
         }
+        let map = segment.map.take();
+        if let Some(map) = &map {
+            // The walk touches a page here and there: reading ahead would fetch most of the file. Advice is
+            // only advice, so a refusal is none of our business.
+            let _ = map.advise(Advice::Random);
+        }
+        let bytes = map.as_deref().unwrap_or_default();
+        if what == Extent::Everything || !self.take_index(&mut segment, bytes) {
+            self.walk(&mut segment, bytes);
+        }
+        if let Some(map) = &map {
+            let _ = map.advise(Advice::Normal);
+        }
+        segment.map = map;
+        self.segments.push(segment);
+    }
+
+    fn walk(&mut self, segment: &mut SegmentReader, bytes: &[u8]) {
+        let (place, number) = (self.segments.len(), segment.number);
         let topics: Vec<String> = self.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
         let mut channels: BTreeMap<u16, Topic> = BTreeMap::new();
-        let map = segment.map.take();
-        let bytes = map.as_deref().unwrap_or_default();
         let mut walker = Walker::new(bytes);
         for event in walker.by_ref() {
             match event {
@@ -189,13 +221,42 @@ impl RecordingReader {
                         self.small_record(number, topic, &bytes[data]);
                     }
                 }
-                Event::Metadata { name, entries } => self.metadata(&mut segment, name, &entries),
+                Event::Metadata { name, entries } => self.metadata(segment, name, &entries),
                 Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
             }
         }
         segment.end = walker.end();
-        segment.map = map;
-        self.segments.push(segment);
+    }
+
+    /// The outcomes of a closed segment from its index; `false` when there is none to rely on.
+    fn take_index(&mut self, segment: &mut SegmentReader, bytes: &[u8]) -> bool {
+        let Some(metadata) = metadata_by_index(bytes) else { return false };
+        let Some(index) = stated_index(bytes, &metadata) else { return false };
+        for (name, entries) in &metadata {
+            self.metadata(segment, name, entries);
+        }
+        let (place, number) = (self.segments.len(), segment.number);
+        for (camera, trigger, offset, length) in index.frames {
+            let (Ok(offset), Ok(length)) = (usize::try_from(offset), usize::try_from(length)) else {
+                continue;
+            };
+            self.outcome(number, camera as usize, trigger, Outcome::Frame { segment: place, offset, length });
+        }
+        for gap in index.gaps {
+            self.gap(number, &gap);
+        }
+        segment.end = End::Closed;
+        true
+    }
+
+    fn gap(&mut self, segment: u32, gap: &GapRecord) {
+        match self.header.cameras.iter().position(|c| c.id == gap.camera) {
+            Some(camera) => self.outcome(segment, camera, gap.trigger.0, Outcome::Gap(gap.cause)),
+            None => {
+                let message = format!("a gap record of camera {}, which is not recorded", gap.camera);
+                self.problem(segment, None, Some(gap.trigger.0), message);
+            }
+        }
     }
 
     fn outcome(&mut self, segment: u32, camera: usize, trigger: u64, outcome: Outcome) {
@@ -215,15 +276,7 @@ impl RecordingReader {
 
     fn small_record(&mut self, segment: u32, topic: Topic, bytes: &[u8]) {
         let result = match topic {
-            Topic::Gaps => serde_json::from_slice(bytes).map(|gap: GapRecord| {
-                match self.header.cameras.iter().position(|c| c.id == gap.camera) {
-                    Some(camera) => self.outcome(segment, camera, gap.trigger.0, Outcome::Gap(gap.cause)),
-                    None => {
-                        let message = format!("a gap record of camera {}, which is not recorded", gap.camera);
-                        self.problem(segment, None, Some(gap.trigger.0), message);
-                    }
-                }
-            }),
+            Topic::Gaps => serde_json::from_slice(bytes).map(|gap| self.gap(segment, &gap)),
             Topic::Triggers => serde_json::from_slice(bytes).map(|record: TriggerRecord| {
                 if self.triggers.insert(record.index, record).is_some_and(|first| first != record) {
                     let message = "two different rows in the trigger table";
@@ -287,7 +340,7 @@ impl RecordingReader {
             )),
             Some(Outcome::Gap(cause)) => Ok(Err(*cause)),
             Some(&Outcome::Frame { segment, offset, length }) => {
-                let message = self.segments.get(segment).and_then(|s| s.bytes().get(offset..offset + length));
+                let message = self.segments.get(segment).and_then(|s| s.message(offset, length));
                 let message = message.ok_or_else(|| format!("{}: outside of its file", place()))?;
                 check_frame(message, camera, trigger, &self.header)
                     .map(Ok)
@@ -367,6 +420,20 @@ impl Topic {
     }
 }
 
+/// The index that a closed segment states, if it is intact.
+pub(crate) fn stated_index(bytes: &[u8], metadata: &[(&str, BTreeMap<&str, &str>)]) -> Option<SegmentIndex> {
+    let mut own = metadata.iter().filter(|(name, _)| *name == SEGMENT_METADATA);
+    own.find_map(|(_, entries)| parse_index(bytes, entries))
+}
+
+fn parse_index(bytes: &[u8], entries: &BTreeMap<&str, &str>) -> Option<SegmentIndex> {
+    let number = |key: &str| entries.get(key)?.parse::<usize>().ok();
+    let (offset, length) = (number(KEY_INDEX_OFFSET)?, number(KEY_INDEX_LENGTH)?);
+    let index = bytes.get(offset..offset.checked_add(length)?)?;
+    let intact = number(KEY_INDEX_CRC)? == crc32fast::hash(index) as usize;
+    intact.then(|| serde_json::from_slice(index).ok()).flatten()
+}
+
 /// The header of a segment and the segment's own number, from the first metadata record.
 fn read_header(bytes: &[u8]) -> Result<(RecordingHeader, u32), String> {
     let mut walker = Walker::new(bytes);
@@ -396,87 +463,4 @@ fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<(RecordingHeader, u32)
     let segment = get(KEY_SEGMENT)?;
     let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
     Ok((header, number))
-}
-
-/// A session: the recordings of all its nodes.
-pub struct SessionReader {
-    recordings: Vec<RecordingReader>,
-    cameras: Vec<CameraId>,
-    /// Recording and place in its header, for each of `cameras`.
-    places: Vec<(usize, usize)>,
-    triggers: Range<u64>,
-}
-
-impl SessionReader {
-    /// Opens a session's directory, one recording's directory, or one segment.
-    pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let files = find(path).map_err(ReadError)?;
-        let recordings: Vec<RecordingReader> =
-            files.iter().map(RecordingReader::open).collect::<Result<_, _>>()?;
-        let mut places: Vec<(usize, usize)> = Vec::new();
-        for (r, recording) in recordings.iter().enumerate() {
-            places.extend((0..recording.header.cameras.len()).map(|c| (r, c)));
-        }
-        let id = |&(r, c): &(usize, usize)| recordings[r].header.cameras[c].id.clone();
-        if let Some(rig) = recordings.first().and_then(|r| parse_rig(&r.header.rig_text).ok()) {
-            let order: Vec<&CameraId> = rig.cameras().map(|(_, camera)| &camera.id).collect();
-            places.sort_by_key(|place| order.iter().position(|o| **o == id(place)).unwrap_or(usize::MAX));
-        }
-        let cameras: Vec<CameraId> = places.iter().map(id).collect();
-        let start =
-            recordings.iter().filter_map(|r| r.segments.first()).map(|segment| segment.first_trigger).min();
-        let end = recordings.iter().map(RecordingReader::triggers_end).max().unwrap_or(0);
-        let triggers = start.unwrap_or(0).min(end)..end;
-        Ok(Self { recordings, cameras, places, triggers })
-    }
-
-    /// The recordings, by node.
-    pub fn recordings(&self) -> &[RecordingReader] {
-        &self.recordings
-    }
-
-    /// The rig as it was when the session was recorded.
-    pub fn rig(&self) -> Result<Rig, ReadError> {
-        let recording =
-            self.recordings.first().ok_or_else(|| ReadError("the session has no recording".to_owned()))?;
-        parse_rig(&recording.header.rig_text)
-            .map_err(|e| ReadError(format!("{}: the recorded rig file: {e}", recording.path.display())))
-    }
-
-    /// The frame of a camera at a trigger, with its identity; `Ok(Err(cause))` for a gap.
-    pub fn recorded_frame(
-        &self,
-        camera: &CameraId,
-        trigger: TriggerIndex,
-    ) -> Result<Result<RecordedFrame<'_>, GapCause>, String> {
-        let place = self.cameras.iter().position(|id| id == camera);
-        let (r, c) = place.and_then(|place| self.places.get(place).copied()).ok_or_else(|| {
-            let known: Vec<&str> = self.cameras.iter().map(CameraId::as_str).collect();
-            format!("camera {camera} is not in the session; it has {}", known.join(", "))
-        })?;
-        self.recordings[r].frame(c, trigger)
-    }
-}
-
-pub(crate) fn parse_rig(text: &str) -> Result<Rig, String> {
-    let table: toml::Table = text.parse().map_err(|e: toml::de::Error| e.to_string())?;
-    Rig::from_table(&table)
-        .map_err(|problems| problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
-}
-
-impl FrameSource for SessionReader {
-    fn cameras(&self) -> &[CameraId] {
-        &self.cameras
-    }
-
-    fn triggers(&self) -> Range<u64> {
-        self.triggers.clone()
-    }
-
-    fn frame(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String> {
-        self.recorded_frame(camera, trigger).map(|outcome| match outcome {
-            Ok(frame) => Frame::Image(frame.image),
-            Err(cause) => Frame::Gap(cause.to_string()),
-        })
-    }
 }

@@ -226,13 +226,16 @@ impl<'a> Walker<'a> {
             op::METADATA => (|| {
                 let name = fields.text()?;
                 Some(Event::Metadata { name, entries: fields.text_map()? })
-            })(),
+            })()
+            .filter(|_| fields.used_up()),
             op::CHANNEL => (|| {
                 let id = fields.u16()?;
                 fields.u16()?;
                 Some(Event::Channel { id, topic: fields.text()? })
             })(),
-            op::DATA_END => fields.u32().map(|crc| Event::DataEnd { offset: start, crc }),
+            op::DATA_END => {
+                fields.u32().map(|crc| Event::DataEnd { offset: start, crc }).filter(|_| fields.used_up())
+            }
             op::FOOTER if self.chunk_end.is_none() => {
                 let event = (|| {
                     let (summary, _) = (fields.u64()?, fields.u64()?);
@@ -280,6 +283,45 @@ impl<'a> Iterator for Walker<'a> {
     }
 }
 
+/// The metadata records of a closed file, by way of its summary and without a walk; `None` when the file is
+/// not closed or its summary does not lead there.
+pub fn metadata_by_index(bytes: &[u8]) -> Option<Vec<(&str, BTreeMap<&str, &str>)>> {
+    const FOOTER_BODY: usize = 20;
+    let footer = bytes.strip_suffix(MAGIC)?;
+    let (_, footer) = footer.split_at_checked(footer.len().checked_sub(PREAMBLE + FOOTER_BODY)?)?;
+    if preamble(footer)? != (op::FOOTER, FOOTER_BODY as u64) {
+        return None;
+    }
+    let summary = Fields { bytes: footer, position: PREAMBLE }.u64()?;
+    let mut position = usize::try_from(summary).ok().filter(|start| *start > 0)?;
+    let mut found = Vec::new();
+    loop {
+        let (opcode, body, next) = record_at(bytes, position)?;
+        match opcode {
+            op::METADATA_INDEX => {
+                let offset = Fields { bytes: body, position: 0 }.u64()?;
+                let (opcode, body, _) = record_at(bytes, usize::try_from(offset).ok()?)?;
+                let mut fields = Fields { bytes: body, position: 0 };
+                if opcode != op::METADATA {
+                    return None;
+                }
+                found.push((fields.text()?, fields.text_map()?));
+            }
+            op::FOOTER => return Some(found),
+            _ => {}
+        }
+        position = next;
+    }
+}
+
+/// Opcode and body of the record at `position`, and where the next one begins.
+fn record_at(bytes: &[u8], position: usize) -> Option<(u8, &[u8], usize)> {
+    let (opcode, length) = preamble(bytes.get(position..)?)?;
+    let body = position.checked_add(PREAMBLE)?;
+    let end = body.checked_add(usize::try_from(length).ok()?)?;
+    Some((opcode, bytes.get(body..end)?, end))
+}
+
 fn preamble(bytes: &[u8]) -> Option<(u8, u64)> {
     let (&opcode, rest) = bytes.split_first()?;
     Some((opcode, u64::from_le_bytes(*rest.first_chunk()?)))
@@ -297,6 +339,11 @@ impl<'a> Fields<'a> {
         let taken = self.bytes.get(self.position..end)?;
         self.position = end;
         Some(taken)
+    }
+
+    /// A later MCAP may append fields, but what we read was written by us: more bytes are a wrong length.
+    fn used_up(&self) -> bool {
+        self.position == self.bytes.len()
     }
 
     fn u16(&mut self) -> Option<u16> {

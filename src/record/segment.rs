@@ -3,13 +3,13 @@
 use super::direct::{AlignedBuffer, BLOCK, Store};
 use super::envelope::{self, FrameMeta};
 use super::layout::{
-    FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, KEY_RIG, KEY_SEGMENT,
-    RecordingHeader, SEGMENT_METADATA, VERDICT_METADATA, VERSION, image_topic, json_channels,
+    FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC,
+    KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG, KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA,
+    SegmentIndex, VERDICT_METADATA, VERSION, image_topic, index_schema, json_channels,
 };
 use super::verdict::Verdict;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata};
-use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -142,13 +142,6 @@ pub enum JsonChannel {
     Events,
 }
 
-/// Place of every frame in a segment.
-#[derive(Debug, Default, Serialize, serde::Deserialize)]
-pub struct FrameIndex {
-    /// Camera (its place in the header), trigger, offset in the file and length of the message.
-    pub frames: Vec<(u32, u64, u64, u64)>,
-}
-
 /// A segment being written.
 pub struct Segment {
     mcap: mcap::Writer<Handle>,
@@ -158,7 +151,7 @@ pub struct Segment {
     images: Vec<u16>,
     json: Vec<u16>,
     index_channel: u16,
-    index: FrameIndex,
+    index: SegmentIndex,
     last_time_ns: u64,
 }
 
@@ -190,7 +183,7 @@ impl Segment {
             images: Vec::new(),
             json: Vec::new(),
             index_channel: 0,
-            index: FrameIndex::default(),
+            index: SegmentIndex::default(),
             last_time_ns: header.created_ns,
         };
         segment.begin(header).map_err(io_error)?;
@@ -223,10 +216,8 @@ impl Segment {
             let id = self.mcap.add_channel(schema, topic, "json", &none)?;
             self.json.push(id);
         }
-        let index = serde_json::json!({"type": "object", "properties": {"frames": {"type": "array", "items": {
-            "type": "array", "description": "camera, trigger, offset in the file, length of the message"}}}});
-        let schema =
-            self.mcap.add_schema("fourdbody.FrameIndex", "jsonschema", index.to_string().as_bytes())?;
+        let schema = index_schema().to_string();
+        let schema = self.mcap.add_schema("fourdbody.Index", "jsonschema", schema.as_bytes())?;
         self.index_channel = self.mcap.add_channel(schema, INDEX_TOPIC, "json", &none)?;
         Ok(())
     }
@@ -256,6 +247,9 @@ impl Segment {
 
     /// Adds a small record to the open chunk.
     pub fn json(&mut self, channel: JsonChannel, sequence: u64, time_ns: u64, json: &[u8]) -> io::Result<()> {
+        if channel == JsonChannel::Gaps {
+            self.index.gaps.push(serde_json::from_slice(json)?);
+        }
         self.write(self.json[channel as usize], sequence, time_ns, json)
     }
 
@@ -286,8 +280,13 @@ impl Segment {
     pub fn finish(mut self, end_trigger: Option<u64>, verdict: Option<&Verdict>) -> io::Result<()> {
         let index = serde_json::to_vec(&self.index)?;
         self.write(self.index_channel, 0, self.last_time_ns, &index)?;
-        let mut entries =
-            vec![(KEY_SEGMENT, self.number.to_string()), (KEY_FIRST_TRIGGER, self.first_trigger.to_string())];
+        let mut entries = vec![
+            (KEY_SEGMENT, self.number.to_string()),
+            (KEY_FIRST_TRIGGER, self.first_trigger.to_string()),
+            (KEY_INDEX_OFFSET, (self.bytes() - index.len() as u64).to_string()),
+            (KEY_INDEX_LENGTH, index.len().to_string()),
+            (KEY_INDEX_CRC, crc32fast::hash(&index).to_string()),
+        ];
         entries.extend(end_trigger.map(|end| (KEY_END_TRIGGER, end.to_string())));
         self.mcap.write_metadata(&metadata(SEGMENT_METADATA, entries)).map_err(io_error)?;
         if let Some(verdict) = verdict {

@@ -1,7 +1,11 @@
-//! Where things are: a session's directory, its recordings, their segments.
+//! A session: a directory with the recordings of all its nodes, read as one source of frames.
 
-use super::layout::segment_number;
-use crate::ids::NodeId;
+use super::layout::{GapCause, segment_number};
+use super::reader::{Extent, ReadError, RecordedFrame, RecordingReader};
+use crate::config::Rig;
+use crate::ids::{CameraId, NodeId, TriggerIndex};
+use crate::reconstruct::{Frame, FrameSource};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// The directory of a node's recording inside a session's directory.
@@ -19,7 +23,7 @@ pub struct RecordingFiles {
 }
 
 /// Finds the recordings at `path`: a session's directory, a recording's, or a single segment.
-pub fn find(path: &Path) -> Result<Vec<RecordingFiles>, String> {
+fn find(path: &Path) -> Result<Vec<RecordingFiles>, String> {
     let shown = path.display();
     let expected =
         "expected a session (node-*/segment-*.mcap), a recording (segment-*.mcap) or an .mcap file";
@@ -63,4 +67,97 @@ fn entries(dir: &Path) -> Result<Vec<(String, PathBuf)>, String> {
     }
     found.sort();
     Ok(found)
+}
+
+/// A session: the recordings of all its nodes.
+pub struct SessionReader {
+    recordings: Vec<RecordingReader>,
+    cameras: Vec<CameraId>,
+    /// Recording and place in its header, for each of `cameras`.
+    places: Vec<(usize, usize)>,
+    triggers: Range<u64>,
+}
+
+impl SessionReader {
+    /// Opens a session's directory, one recording's directory, or one segment, and reads all small records.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        Self::open_extent(path, Extent::Everything)
+    }
+
+    /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Trigger
+    /// tables, clock samples and events stay empty.
+    pub fn open_frames(path: &Path) -> Result<Self, ReadError> {
+        Self::open_extent(path, Extent::Outcomes)
+    }
+
+    fn open_extent(path: &Path, what: Extent) -> Result<Self, ReadError> {
+        let files = find(path).map_err(ReadError)?;
+        let recordings: Vec<RecordingReader> =
+            files.iter().map(|files| RecordingReader::open(files, what)).collect::<Result<_, _>>()?;
+        let mut places: Vec<(usize, usize)> = Vec::new();
+        for (r, recording) in recordings.iter().enumerate() {
+            places.extend((0..recording.header.cameras.len()).map(|c| (r, c)));
+        }
+        let id = |&(r, c): &(usize, usize)| recordings[r].header.cameras[c].id.clone();
+        if let Some(rig) = recordings.first().and_then(|r| parse_rig(&r.header.rig_text).ok()) {
+            let order: Vec<&CameraId> = rig.cameras().map(|(_, camera)| &camera.id).collect();
+            places.sort_by_key(|place| order.iter().position(|o| **o == id(place)).unwrap_or(usize::MAX));
+        }
+        let cameras: Vec<CameraId> = places.iter().map(id).collect();
+        let start =
+            recordings.iter().filter_map(|r| r.segments.first()).map(|segment| segment.first_trigger).min();
+        let end = recordings.iter().map(RecordingReader::triggers_end).max().unwrap_or(0);
+        let triggers = start.unwrap_or(0).min(end)..end;
+        Ok(Self { recordings, cameras, places, triggers })
+    }
+
+    /// The recordings, by node.
+    pub fn recordings(&self) -> &[RecordingReader] {
+        &self.recordings
+    }
+
+    /// The rig as it was when the session was recorded.
+    pub fn rig(&self) -> Result<Rig, ReadError> {
+        let recording =
+            self.recordings.first().ok_or_else(|| ReadError("the session has no recording".to_owned()))?;
+        parse_rig(&recording.header.rig_text)
+            .map_err(|e| ReadError(format!("{}: the recorded rig file: {e}", recording.path.display())))
+    }
+
+    /// The frame of a camera at a trigger, with its identity; `Ok(Err(cause))` for a gap.
+    pub fn recorded_frame(
+        &self,
+        camera: &CameraId,
+        trigger: TriggerIndex,
+    ) -> Result<Result<RecordedFrame<'_>, GapCause>, String> {
+        let place = self.cameras.iter().position(|id| id == camera);
+        let (r, c) = place.and_then(|place| self.places.get(place).copied()).ok_or_else(|| {
+            let known: Vec<&str> = self.cameras.iter().map(CameraId::as_str).collect();
+            format!("camera {camera} is not in the session; it has {}", known.join(", "))
+        })?;
+        self.recordings[r].frame(c, trigger)
+    }
+}
+
+pub(crate) fn parse_rig(text: &str) -> Result<Rig, String> {
+    let table: toml::Table = text.parse().map_err(|e: toml::de::Error| e.to_string())?;
+    Rig::from_table(&table)
+        .map_err(|problems| problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
+}
+
+impl FrameSource for SessionReader {
+    fn cameras(&self) -> &[CameraId] {
+        &self.cameras
+    }
+
+    fn triggers(&self) -> Range<u64> {
+        self.triggers.clone()
+    }
+
+    fn frame(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String> {
+        self.recorded_frame(camera, trigger).map(|outcome| match outcome {
+            Ok(frame) => Frame::Image(frame.image),
+            Err(cause) => Frame::Gap(cause.to_string()),
+        })
+    }
 }

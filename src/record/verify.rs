@@ -6,7 +6,8 @@
 mod accounting;
 mod segment;
 
-use super::reader::{ReadError, RecordingReader, SessionReader, parse_rig};
+use super::reader::{ReadError, RecordingReader};
+use super::session::{SessionReader, parse_rig};
 use super::verdict::Verdict;
 use crate::ids::CameraId;
 use serde::Serialize;

@@ -93,6 +93,8 @@ pub struct Recording {
     time_ns: u64,
     last_sync: Instant,
     unsynced: u64,
+    /// A segment was created whose name is not durable yet.
+    new_name: bool,
 }
 
 impl Recording {
@@ -138,6 +140,7 @@ impl Recording {
             refused: 0,
             last_sync: Instant::now(),
             unsynced: 0,
+            new_name: false,
         };
         recording.open_segment(0).map_err(disk)?;
         sync_directory(parent).map_err(disk)?;
@@ -387,8 +390,12 @@ impl Recording {
 
     fn sync(&mut self) -> Result<(), RecordError> {
         self.commit_all()?;
-        let result = self.segments.iter_mut().try_for_each(|entry| entry.segment.sync());
+        let mut result = self.segments.iter_mut().try_for_each(|entry| entry.segment.sync());
+        if self.new_name {
+            result = result.and_then(|()| sync_directory(&self.dir));
+        }
         result.or_else(|source| self.fail(source))?;
+        self.new_name = false;
         self.last_sync = Instant::now();
         self.unsynced = 0;
         let free = free_bytes(&self.dir).unwrap_or(u64::MAX);
@@ -407,7 +414,7 @@ impl Recording {
         let largest = self.header.cameras.iter().map(|c| c.width as usize * c.height as usize).max();
         let window = (largest.unwrap_or(0) + 4096) * FRAMES_PER_CHUNK + 2 * CHUNK_BYTES as usize;
         let segment = Segment::create(store, window, self.next_number, first_trigger, &self.header)?;
-        sync_directory(&self.dir)?;
+        self.new_name = true;
         self.next_number += 1;
         let open_since = segment.bytes();
         self.segments.push_back(OpenSegment { segment, open: Vec::new(), open_frames: 0, open_since });

@@ -7,4 +7,6 @@ mod recording;
 mod refusals;
 mod shared_scene;
 mod third_party_camera;
+mod recording_commands;
+mod recording_damage;
 mod third_party_mcap;

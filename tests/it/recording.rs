@@ -114,8 +114,17 @@ fn a_session_of_two_nodes_reads_back() {
         &[(1, 7)],
     );
     record(&node_dir(&session, &NodeId::from("a")), header("a", &["h0_up", "h0_low"], Some(50)), 50, &[]);
+    for reader in [SessionReader::open(&session), SessionReader::open_frames(&session)] {
+        let reader = reader.expect("a session");
+        assert_eq!(reader.triggers(), 0..50);
+        check_two_nodes(&reader);
+    }
     let reader = SessionReader::open(&session).expect("a session");
-    assert_eq!(reader.triggers(), 0..50);
+    let [a, _] = reader.recordings() else { panic!("two recordings") };
+    assert_eq!(a.triggers.len(), 50);
+}
+
+fn check_two_nodes(reader: &SessionReader) {
     let names: Vec<&str> = reader.cameras().iter().map(CameraId::as_str).collect();
     assert_eq!(names, ["h0_up", "h0_low", "h2_up", "h2_low"], "in the rig's order");
     assert!(reader.recordings().iter().all(|r| r.segments.len() > 1 && r.problems.is_empty()));
@@ -134,7 +143,6 @@ fn a_session_of_two_nodes_reads_back() {
     }
     let [a, b] = reader.recordings() else { panic!("two recordings") };
     assert_eq!(a.header, header("a", &["h0_up", "h0_low"], Some(50)));
-    assert_eq!(a.triggers.len(), 50);
     let verdict = a.verdict.as_ref().expect("stored");
     assert_eq!((verdict.status, verdict.frames(), verdict.gaps()), (Status::Complete, 100, 0));
     let verdict = b.verdict.as_ref().expect("stored");

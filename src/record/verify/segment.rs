@@ -2,9 +2,9 @@
 
 use super::{Notes, Severity};
 use crate::ids::TriggerIndex;
-use crate::record::layout::image_topic;
-use crate::record::reader::{RecordingReader, SegmentReader, Topic, check_frame};
-use crate::record::scan::{End, Event, Walker};
+use crate::record::layout::{GapCause, GapRecord, SegmentIndex, image_topic};
+use crate::record::reader::{Outcome, RecordingReader, SegmentReader, Topic, check_frame, stated_index};
+use crate::record::scan::{End, Event, Walker, metadata_by_index};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -46,6 +46,7 @@ fn check_segment(
     let mut channels = BTreeMap::new();
     let mut times = vec![Times::new(); recording.header.cameras.len()];
     let (mut data_end, mut reported) = (false, 0);
+    let mut index = SegmentIndex::default();
     let mut walker = Walker::new(bytes);
     for event in walker.by_ref() {
         match event {
@@ -63,8 +64,12 @@ fn check_segment(
                 reported = position;
             }
             Event::Message { channel, sequence, data } => {
-                if let Some(Topic::Image(camera)) = channels.get(&channel) {
+                if channels.get(&channel) == Some(&Topic::Gaps) {
+                    // One that is not readable has been noted when the recording was opened.
+                    index.gaps.extend(serde_json::from_slice::<GapRecord>(&bytes[data]).ok());
+                } else if let Some(Topic::Image(camera)) = channels.get(&channel) {
                     let trigger = u64::from(sequence);
+                    index.frames.push((*camera as u32, trigger, data.start as u64, data.len() as u64));
                     let checked =
                         check_frame(&bytes[data], *camera, TriggerIndex(trigger), &recording.header);
                     note_frame(recording, segment, *camera, trigger, checked.as_ref().err(), notes);
@@ -84,7 +89,13 @@ fn check_segment(
         }
     }
     advance(bytes.len() as u64 - reported);
-    note_end(walker.end(), data_end, bytes.len(), number, notes);
+    if walker.end() == End::Closed {
+        let stated = metadata_by_index(bytes).and_then(|metadata| stated_index(bytes, &metadata));
+        if stated != Some(index) {
+            notes.add(Severity::Corrupt, number, None, None, "its index is not what its records say");
+        }
+    }
+    note_end(recording, segment, walker.end(), data_end, notes);
     times
 }
 
@@ -118,18 +129,31 @@ fn note_frame(
     }
 }
 
-fn note_end(end: End, data_end: bool, length: usize, segment: Option<u32>, notes: &mut Notes) {
+fn note_end(
+    recording: &RecordingReader,
+    segment: &SegmentReader,
+    end: End,
+    data_end: bool,
+    notes: &mut Notes,
+) {
+    let number = Some(segment.number);
     match end {
         End::Closed if data_end => {}
         End::Closed => {
-            notes.add(Severity::Corrupt, segment, None, None, "closed without an end of its data section");
+            notes.add(Severity::Corrupt, number, None, None, "closed without an end of its data section");
         }
         End::Cut { at } => {
-            let message = format!("was not closed: usable up to byte {at} of {length}");
-            notes.add(Severity::Loss, segment, None, None, message);
+            // A segment that the disk refused stays open, and the books went on in a later one. Any other
+            // one was cut, or has a length field that points beyond its end.
+            let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);
+            let mut outcomes = recording.outcomes.iter().flat_map(|outcomes| outcomes.values());
+            let disk_failed = outcomes.any(|outcome| *outcome == Outcome::Gap(GapCause::DroppedDisk));
+            let severity = if disk_failed && !is_last { Severity::Loss } else { Severity::Corrupt };
+            let message = format!("was not closed: usable up to byte {at} of {}", segment.bytes().len());
+            notes.add(severity, number, None, None, message);
         }
         End::Damaged { at, reason } => {
-            notes.add(Severity::Corrupt, segment, None, None, format!("damaged at byte {at}: {reason}"));
+            notes.add(Severity::Corrupt, number, None, None, format!("damaged at byte {at}: {reason}"));
         }
     }
 }

@@ -334,6 +334,36 @@ fn dropped_without_finish_it_reads_as_far_as_it_came() {
     assert!(missing.contains("neither a frame nor a gap record"), "{missing}");
 }
 
+/// What a killed process leaves: whole chunks, zeros up to the end of the block, no summary.
+#[test]
+fn killed_it_reads_up_to_the_last_chunk() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let path = dir.path().join("node-a");
+    let mut recording = Recording::create(&path, header(None), options(1 << 30)).expect("created");
+    for trigger in 0..11 {
+        let (meta, message) = frame(0, trigger);
+        recording.frame(0, &meta, &message).expect("recorded");
+    }
+    std::mem::forget(recording);
+    let length = std::fs::metadata(path.join("segment-000.mcap")).expect("a segment").len();
+    assert_eq!(length % 4096, 0, "whole blocks");
+    for reader in [SessionReader::open(&path), SessionReader::open_frames(&path)] {
+        let reader = reader.expect("readable");
+        let recording = &reader.recordings()[0];
+        assert_eq!((recording.triggers_end(), recording.problems.len()), (8, 0));
+        for trigger in 0..8 {
+            let found = recording.frame(0, TriggerIndex(trigger)).expect("an outcome").expect("a frame");
+            assert_eq!(found.meta, frame(0, trigger).0);
+        }
+    }
+}
+
+#[test]
+fn it_can_move_to_the_writer_thread() {
+    fn is_send<T: Send>() {}
+    is_send::<Recording>();
+}
+
 #[test]
 fn the_reserve_stops_frames_and_nothing_else() {
     let dir = tempfile::tempdir().expect("a temporary directory");
