@@ -75,8 +75,6 @@ pub enum Subject {
         position_m: [f64; 2],
         /// Which way it faces from world +x (head h0), towards +y.
         heading_deg: f64,
-        /// All lengths times this.
-        scale: f64,
         /// Resolution of its surface.
         cell_mm: f64,
         /// Relative amplitude of the skin's texture.
@@ -321,7 +319,6 @@ fn read_subject(section: Section<'_>, directory: &Path) -> Subject {
             start: section.number_or("start", 0.0..=1.0, 0.0),
             position_m: section.vector_or("position_m", [0.0; 2]),
             heading_deg: section.number_or("heading_deg", -360.0..=360.0, 0.0),
-            scale: section.number_or("scale", 0.1..=2.0, 1.0),
             cell_mm: section.number_or("cell_mm", 1.0..=50.0, 6.0),
             texture: section.number_or("texture", 0.0..=0.5, 0.04),
         },

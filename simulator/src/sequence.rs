@@ -70,11 +70,12 @@ pub struct Run {
 }
 
 /// The sources of everything that decides a pixel: an edited renderer makes old caches stale.
-const SOURCES: [&str; 18] = [
+const SOURCES: [&str; 19] = [
     include_str!("optics/expose.rs"),
     include_str!("optics/lamp.rs"),
     include_str!("optics/render.rs"),
     include_str!("optics/sensor.rs"),
+    include_str!("optics/tiles.rs"),
     include_str!("random.rs"),
     include_str!("scenario.rs"),
     include_str!("scene/bvh.rs"),

@@ -169,7 +169,7 @@ fn drawn(device: &Device) -> Result<Device, String> {
     let (position, target, roll_deg) = aim(device);
     let rounded = |x: f64, step: f64| (x / step).round() * step;
     let position_m = position.map(|x| rounded(x, 0.05));
-    let target_m = target.map(|x| rounded(x, 0.1));
+    let target_m = target.map(|x| rounded(x, 0.05));
     let pose =
         look_at(position_m, target_m, rounded(roll_deg, 5.0)).ok_or("a device looks straight up or down")?;
     let focal = rounded((device.lens.fx + device.lens.fy) / 2.0, 10.0);

@@ -4,8 +4,9 @@ mod expose;
 mod lamp;
 pub mod render;
 mod sensor;
+mod tiles;
 
 pub use expose::{Exposure, blur, expose};
 pub use lamp::{Lamp, PanelLight};
 pub use render::{Irradiance, Studio};
-pub use sensor::Sensor;
+pub use sensor::{RoomLight, Sensor};

@@ -2,7 +2,8 @@
 
 use super::expose::{Exposure, blur, expose};
 use super::lamp::{Lamp, PanelLight};
-use super::sensor::Sensor;
+use super::sensor::{RoomLight, Sensor};
+use super::tiles::Tiles;
 use crate::random::NormalTable;
 use crate::scenario::{Light, Optics, Scenario};
 use crate::scene::{Hit, Scene, Sight};
@@ -82,7 +83,7 @@ pub struct Studio {
     pub lamps: Vec<Lamp>,
     panels: Vec<(Light, Vec<PanelLight>)>,
     /// For each sensor and light, the room in the light of each of the sensor's lamps.
-    rooms: Vec<Vec<(Light, Vec<Vec<f32>>)>>,
+    rooms: Vec<Vec<(Light, Vec<RoomLight>)>>,
     optics: Optics,
     seed: u64,
     normal: NormalTable,
@@ -171,10 +172,12 @@ impl Studio {
         let Some((_, panels)) = self.panels.iter().find(|(of, _)| *of == light) else { return };
         let Some((_, room)) = self.rooms[number].iter().find(|(of, _)| *of == light) else { return };
         let exposed = Exposed { lamps: &self.lamps, panels, optics: &self.optics };
-        let view = View { sensor, scene, exposed, room };
+        let tiles = Tiles::new(scene, &sensor.device);
+        let panel_tiles = sensor.lamps.iter().map(|&l| Tiles::new(scene, &self.lamps[l].device)).collect();
+        let view = View { sensor, scene, exposed, room, tiles, panel_tiles };
         memory.seen.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
             for (u, seen) in row.iter_mut().enumerate() {
-                *seen = sensor.sight(u, v).map_or(NOTHING, |sight| view.look(&sight, v * width + u));
+                *seen = view.first_look(u, v);
             }
         });
         let seen = &memory.seen;
@@ -208,10 +211,23 @@ struct View<'a> {
     sensor: &'a Sensor,
     scene: &'a Scene,
     exposed: Exposed<'a>,
-    room: &'a [Vec<f32>],
+    room: &'a [RoomLight],
+    /// Where the camera may see the scene.
+    tiles: Tiles,
+    /// Where the sensor's projectors may.
+    panel_tiles: Vec<Tiles>,
 }
 
 impl View<'_> {
+    /// What the line of sight through a pixel's centre brings.
+    fn first_look(&self, u: usize, v: usize) -> Seen {
+        let pixel = v * self.sensor.device.width + u;
+        if !self.tiles.holds(u, v) {
+            return Seen { value: self.room_light(|| self.sensor.sight(u, v), pixel), ..NOTHING };
+        }
+        self.sensor.sight(u, v).map_or(NOTHING, |sight| self.look(&sight, pixel))
+    }
+
     /// What a line of sight through pixel number `pixel` brings.
     fn look(&self, sight: &Sight, pixel: usize) -> Seen {
         match self.scene.intersect(sight) {
@@ -220,7 +236,7 @@ impl View<'_> {
                 albedo: hit.albedo as f32,
                 value: self.subject_light(sight, &hit),
             },
-            None => Seen { value: self.room_light(sight, pixel), ..NOTHING },
+            None => Seen { value: self.room_light(|| Some(*sight), pixel), ..NOTHING },
         }
     }
 
@@ -235,15 +251,14 @@ impl View<'_> {
         (hit.albedo * (direct.sum::<f64>() + optics.ambient * optics.exposure_dn)) as f32
     }
 
-    fn room_light(&self, sight: &Sight, pixel: usize) -> f32 {
+    fn room_light(&self, sight: impl Fn() -> Option<Sight>, pixel: usize) -> f32 {
         // Less than this many DN of light cannot be told from the noise: not worth a shadow.
         const FAINT_DN: f32 = 0.02;
         let mut sum = 0.0;
-        let mut room = None;
-        for (light, &lamp) in self.room.iter().zip(&self.sensor.lamps) {
-            let value = light[pixel];
-            if value > FAINT_DN {
-                room = room.or_else(|| Sensor::room_point(sight, self.exposed.optics));
+        for (n, (light, &lamp)) in self.room.iter().zip(&self.sensor.lamps).enumerate() {
+            let value = light.dn[pixel];
+            if value > FAINT_DN && self.panel_tiles[n].holds_tile(light.panel_tile[pixel]) {
+                let room = sight().and_then(|sight| Sensor::room_point(&sight, self.exposed.optics));
                 let source = &self.exposed.lamps[lamp].centre;
                 if room.is_some_and(|room| self.scene.shadowed(&room.point, &room.normal, source)) {
                     continue;
@@ -283,7 +298,11 @@ impl Studio {
         let sensor = &self.sensors[sensor];
         let lamp = &self.lamps[sensor.head];
         let (width, height) = (sensor.device.width, sensor.device.height);
+        let tiles = Tiles::new(scene, &sensor.device);
         let at = |u: usize, v: usize| -> Option<(f32, f32, bool)> {
+            if !tiles.holds(u, v) {
+                return None;
+            }
             let sight = sensor.sight(u, v)?;
             let hit = scene.intersect(&sight)?;
             let point = sight.at(hit.distance);

@@ -2,6 +2,7 @@
 
 use super::lamp::Lamp;
 use super::render::{Exposed, lamp_light};
+use super::tiles::tile_number;
 use crate::random::{NormalTable, hash, mix, text_number};
 use crate::scenario::Optics;
 use crate::scene::Sight;
@@ -143,20 +144,32 @@ impl Sensor {
     }
 
     /// The empty room in one light: for each projector that this camera sees, what it adds to each pixel.
-    pub fn room_light(&self, exposed: &Exposed<'_>) -> Vec<Vec<f32>> {
-        let (width, height) = (self.device.width, self.device.height);
-        let lamps = self.lamps.iter().map(|&lamp| {
-            let mut light = vec![0f32; width * height];
-            light.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
-                for (u, value) in row.iter_mut().enumerate() {
-                    let room = self.sight(u, v).and_then(|sight| Self::room_point(&sight, exposed.optics));
-                    let Some(room) = room else { continue };
-                    let full = lamp_light(exposed, lamp, &room.point, &room.normal);
-                    *value = (full * room.albedo / exposed.albedo_of(self.channel)) as f32;
-                }
-            });
-            light
-        });
-        lamps.collect()
+    pub fn room_light(&self, exposed: &Exposed<'_>) -> Vec<RoomLight> {
+        self.lamps.iter().map(|&lamp| self.room_light_of(exposed, lamp)).collect()
     }
+
+    fn room_light_of(&self, exposed: &Exposed<'_>, lamp: usize) -> RoomLight {
+        let (width, height) = (self.device.width, self.device.height);
+        let mut light = RoomLight { dn: vec![0.0; width * height], panel_tile: vec![0; width * height] };
+        let rows = light.dn.par_chunks_mut(width).zip(light.panel_tile.par_chunks_mut(width));
+        rows.enumerate().for_each(|(v, (values, tiles))| {
+            for (u, (value, tile)) in values.iter_mut().zip(tiles).enumerate() {
+                let room = self.sight(u, v).and_then(|sight| Self::room_point(&sight, exposed.optics));
+                let Some(room) = room else { continue };
+                let full = lamp_light(exposed, lamp, &room.point, &room.normal);
+                *value = (full * room.albedo / exposed.albedo_of(self.channel)) as f32;
+                let projector = &exposed.lamps[lamp].device;
+                *tile = projector.project(&room.point).map_or(0, |pixel| tile_number(projector, pixel));
+            }
+        });
+        light
+    }
+}
+
+/// What one projector adds to the picture of the empty room.
+pub struct RoomLight {
+    /// Per pixel, DN.
+    pub dn: Vec<f32>,
+    /// Per pixel, the tile of the projector's panel that lights it.
+    pub panel_tile: Vec<u32>,
 }

@@ -4,6 +4,7 @@
 //! result for any number of threads.
 
 use super::mesh::Mesh;
+use std::cell::RefCell;
 
 /// A ray for many tests: single precision finds the triangle, the caller refines the point.
 #[derive(Debug, Clone, Copy)]
@@ -51,6 +52,24 @@ struct Corner {
     edge1: [f32; 3],
     edge2: [f32; 3],
     number: u32,
+    /// How far beyond its three edges a hit still counts, as weights of the opposite vertices.
+    margin: [f32; 3],
+}
+
+impl Corner {
+    fn new([a, b, c]: [[f32; 3]; 3], number: u32) -> Self {
+        /// Single precision places a ray to a fraction of this, m; without it rays slip between triangles.
+        const SLIP_M: f32 = 1.5e-6;
+        let minus = |p: [f32; 3], q: [f32; 3]| -> [f32; 3] { std::array::from_fn(|axis| p[axis] - q[axis]) };
+        let (edge1, edge2, opposite) = (minus(b, a), minus(c, a), minus(c, b));
+        let normal = cross(&edge1, &edge2);
+        let double_area = dot(&normal, &normal).sqrt();
+        // Twice the area over an edge is the height of the vertex opposite.
+        let margin = |edge: &[f32; 3]| (SLIP_M * dot(edge, edge).sqrt() / double_area).min(1.0);
+        let margin = [margin(&opposite), margin(&edge2), margin(&edge1)];
+        let margin = if double_area > 0.0 { margin } else { [0.0; 3] };
+        Self { first: a, edge1, edge2, number, margin }
+    }
 }
 
 /// The hierarchy, with its own copy of the triangles in its order.
@@ -65,6 +84,12 @@ const BINS: usize = 12;
 /// Beyond this depth splits halve the count, so that no input makes the tree deeper than the walk's stack.
 const BALANCED_BELOW: usize = 32;
 const STACK: usize = 72;
+
+thread_local! {
+    /// Nodes yet to visit: kept, because clearing it for each ray would cost as much as a short walk.
+    static PENDING: RefCell<[(u32, f32); STACK]> = const { RefCell::new([(0, 0.0); STACK]) };
+}
+
 const PARALLEL_ABOVE: usize = 4096;
 
 #[derive(Clone, Copy)]
@@ -112,11 +137,7 @@ impl Bvh {
             })
             .collect();
         let nodes = if items.is_empty() { Vec::new() } else { build(&mut items, 0, 0) };
-        let triangles = items.iter().map(|item| {
-            let [a, b, c] = mesh.corners(item.number as usize);
-            let minus = |p: [f32; 3]| std::array::from_fn(|axis| p[axis] - a[axis]);
-            Corner { first: a, edge1: minus(b), edge2: minus(c), number: item.number }
-        });
+        let triangles = items.iter().map(|item| Corner::new(mesh.corners(item.number as usize), item.number));
         Self { triangles: triangles.collect(), nodes }
     }
 
@@ -140,19 +161,41 @@ impl Bvh {
         self.walk(ray, from, &mut limit, |triangle, limit| intersect(triangle, ray, from, *limit).is_some())
     }
 
+    /// Balls (centre, radius) that together hold all triangles.
+    pub fn balls(&self) -> impl Iterator<Item = ([f32; 3], f32)> {
+        self.nodes.iter().filter(|node| node.count > 0).map(|node| {
+            let centre = std::array::from_fn(|axis| 0.5 * (node.low[axis] + node.high[axis]));
+            let half: [f32; 3] = std::array::from_fn(|axis| 0.5 * (node.high[axis] - node.low[axis]));
+            (centre, dot(&half, &half).sqrt())
+        })
+    }
+
     /// Visits the triangles of all leaves that the ray crosses, near ones first, until `visit` says so.
     fn walk(
         &self,
         ray: &FastRay,
         from: f32,
         limit: &mut f32,
+        visit: impl FnMut(&Corner, &mut f32) -> bool,
+    ) -> bool {
+        match self.nodes.first().and_then(|root| enters(root, ray, from, *limit)) {
+            Some(entry) => {
+                PENDING.with_borrow_mut(|stack| self.walk_from(entry, stack, ray, from, limit, visit))
+            }
+            None => false,
+        }
+    }
+
+    fn walk_from(
+        &self,
+        entry: f32,
+        stack: &mut [(u32, f32); STACK],
+        ray: &FastRay,
+        from: f32,
+        limit: &mut f32,
         mut visit: impl FnMut(&Corner, &mut f32) -> bool,
     ) -> bool {
-        let mut stack = [(0u32, 0f32); STACK];
         let mut depth = 0;
-        let Some(entry) = self.nodes.first().and_then(|root| enters(root, ray, from, *limit)) else {
-            return false;
-        };
         let mut current = (0u32, entry);
         loop {
             let node = &self.nodes[current.0 as usize];
@@ -215,7 +258,6 @@ fn enters(node: &Node, ray: &FastRay, from: f32, to: f32) -> Option<f32> {
 /// Möller and Trumbore 1997, with a margin at the edges so that no ray slips between two triangles.
 #[inline]
 fn intersect(triangle: &Corner, ray: &FastRay, from: f32, to: f32) -> Option<TriangleHit> {
-    const MARGIN: f32 = 2e-6;
     let p = cross(&ray.direction, &triangle.edge2);
     let determinant = dot(&triangle.edge1, &p);
     let inverse = 1.0 / determinant;
@@ -225,7 +267,9 @@ fn intersect(triangle: &Corner, ray: &FastRay, from: f32, to: f32) -> Option<Tri
     let v = dot(&ray.direction, &q) * inverse;
     let distance = dot(&triangle.edge2, &q) * inverse;
     // Written so that NaN from a zero determinant fails.
-    let hit = u >= -MARGIN && v >= -MARGIN && u + v <= 1.0 + MARGIN && distance > from && distance < to;
+    let [at_first, at_second, at_third] = triangle.margin;
+    let inside = u >= -at_second && v >= -at_third && u + v <= 1.0 + at_first;
+    let hit = inside && distance > from && distance < to;
     hit.then_some(TriangleHit { triangle: triangle.number, distance, weights: [u, v] })
 }
 

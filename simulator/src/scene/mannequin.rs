@@ -83,39 +83,53 @@ pub struct Mannequin {
 
 impl Mannequin {
     /// At `cycles` repetitions of `motion`, its lowest point on the floor at `position_m`, facing
-    /// `heading_rad` from world +x towards +y; all lengths times `scale`.
-    pub fn new(motion: Motion, cycles: f64, position_m: [f64; 2], heading_rad: f64, scale: f64) -> Self {
+    /// `heading_rad` from world +x towards +y.
+    pub fn new(motion: Motion, cycles: f64, position_m: [f64; 2], heading_rad: f64) -> Self {
         let flesh = all_flesh();
+        let groups = group_lists(&flesh);
         let posed = motion.posture(cycles).body_from_rest();
-        let build = |poses: &[Isometry3<f64>; BONES]| -> Vec<RoundedCone> {
-            flesh.iter().map(|(bone, _, shape)| RoundedCone::new(shape, &poses[*bone as usize])).collect()
-        };
-        let lowest = flesh.iter().map(|(bone, _, shape)| lowest_point(shape, &posed[*bone as usize]));
+        let lowest = flesh.iter().map(|(bone, _, shape)| lowest_point(shape, &posed[*bone as usize]).z);
         let lift = -lowest.fold(f64::INFINITY, f64::min);
-        let place_at = position_m.map(|x| x / scale);
-        let world_from_rest = skeleton::place(&posed, lift, heading_rad, place_at);
-        let grown = |shape: &ConeShape| ConeShape {
-            ends: shape.ends.map(|end| end.map(|x| x * scale)),
-            radii: shape.radii.map(|r| r * scale),
-            flatten: shape.flatten,
+        // Blended flesh bulges below the balls that it is made of.
+        let standing = Self::on_bones(&flesh, &groups, skeleton::place(&posed, lift, 0.0, [0.0; 2]));
+        let lift = lift - standing.lowest();
+        Self::on_bones(&flesh, &groups, skeleton::place(&posed, lift, heading_rad, position_m))
+    }
+
+    fn on_bones(
+        flesh: &[(Bone, u8, ConeShape)],
+        groups: &[Group],
+        world_from_rest: [Isometry3<f64>; BONES],
+    ) -> Self {
+        let cone = |(bone, _, shape): &(Bone, u8, ConeShape)| {
+            RoundedCone::new(shape, &world_from_rest[*bone as usize])
         };
-        let mut this = Self {
-            cones: build(&world_from_rest),
+        Self {
+            cones: flesh.iter().map(cone).collect(),
             rest: flesh.iter().map(|(bone, _, shape)| (*bone, *shape)).collect(),
             world_from_rest,
-            groups: group_lists(&flesh, scale),
-        };
-        if scale != 1.0 {
-            this.world_from_rest.iter_mut().for_each(|pose| pose.translation.vector *= scale);
-            this.rest.iter_mut().for_each(|(_, shape)| *shape = grown(shape));
-            let poses = &this.world_from_rest;
-            this.cones = this
-                .rest
-                .iter()
-                .map(|(bone, shape)| RoundedCone::new(shape, &poses[*bone as usize]))
-                .collect();
+            groups: groups.to_vec(),
         }
-        this
+    }
+
+    /// Height of the lowest skin, m, for a body within a few centimetres of the floor: from below, along
+    /// verticals through the lowest points of the cones near the floor.
+    fn lowest(&self) -> f64 {
+        const START: f64 = -0.04;
+        let feet =
+            self.rest.iter().map(|(bone, shape)| lowest_point(shape, &self.world_from_rest[*bone as usize]));
+        let heights = feet.filter(|foot| foot.z < 0.03).map(|foot| {
+            let mut z = START;
+            for _ in 0..200 {
+                let gap = self.field(&Point3::new(foot.x, foot.y, z));
+                if gap < 1e-7 {
+                    break;
+                }
+                z += gap;
+            }
+            z
+        });
+        heights.fold(f64::INFINITY, f64::min)
     }
 
     /// The implicit field at a world point, m: negative inside, at most the distance to the skin. Cross
@@ -198,20 +212,24 @@ fn right_groups(groups: u8) -> u8 {
     groups & TRUNK | arm | leg
 }
 
-fn group_lists(flesh: &[(Bone, u8, ConeShape)], scale: f64) -> Vec<Group> {
+fn group_lists(flesh: &[(Bone, u8, ConeShape)]) -> Vec<Group> {
     let members = |bit: u8| {
         let of_group = flesh.iter().enumerate().filter(move |(_, (_, groups, _))| groups & bit != 0);
         of_group.map(|(number, _)| number as u32).collect()
     };
-    GROUPS.iter().map(|&(bit, blend)| Group { blend_m: blend * scale, cones: members(bit) }).collect()
+    GROUPS.iter().map(|&(bit, blend)| Group { blend_m: blend, cones: members(bit) }).collect()
 }
 
-/// Lowest z of a flattened cone: that of its two flattened balls (the cone between is their convex hull).
-fn lowest_point(shape: &ConeShape, pose: &Isometry3<f64>) -> f64 {
-    let down = pose.rotation.inverse() * nalgebra::Vector3::z();
-    let reach = down.component_mul(&nalgebra::Vector3::from(shape.flatten)).norm();
-    let z = |end: usize| (pose * Point3::from(shape.ends[end])).z - shape.radii[end] * reach;
-    z(0).min(z(1))
+/// Lowest point of a flattened cone: that of its two flattened balls (the cone is their convex hull).
+fn lowest_point(shape: &ConeShape, pose: &Isometry3<f64>) -> Point3<f64> {
+    let flatten = nalgebra::Vector3::from(shape.flatten);
+    let down = -(pose.rotation.inverse() * nalgebra::Vector3::z());
+    let scaled = down.component_mul(&flatten);
+    // The point of the ellipsoid furthest along `down`.
+    let reach = scaled.component_mul(&flatten) / scaled.norm();
+    let point = |end: usize| pose * (Point3::from(shape.ends[end]) + reach * shape.radii[end]);
+    let (a, b) = (point(0), point(1));
+    if a.z < b.z { a } else { b }
 }
 
 #[cfg(test)]
@@ -223,10 +241,10 @@ mod tests {
     fn it_is_a_closed_body_of_human_size_in_every_motion() {
         for (name, motion) in Motion::NAMES {
             for cycles in [0.0, 0.3, 0.75] {
-                let mesh = Mannequin::new(motion, cycles, [0.0, 0.0], 0.0, 1.0).mesh(0.012, 0.03);
+                let mesh = Mannequin::new(motion, cycles, [0.0, 0.0], 0.0).mesh(0.012, 0.03);
                 let (low, high) = mesh.bounds().expect("a body");
                 assert_eq!(mesh.open_edges(), 0, "{name} at {cycles}");
-                assert!(low[2].abs() < 0.004, "{name} at {cycles}: lowest point {}", low[2]);
+                assert!(low[2].abs() < 0.001, "{name} at {cycles}: lowest point {}", low[2]);
                 assert!((1.68..1.80).contains(&high[2]), "{name} at {cycles}: height {}", high[2]);
                 let litres = 1000.0 * mesh.volume();
                 assert!((50.0..90.0).contains(&litres), "{name} at {cycles}: {litres} l");
@@ -237,7 +255,7 @@ mod tests {
 
     #[test]
     fn vertices_lie_on_the_exact_surface() {
-        let body = Mannequin::new(Motion::ArmRaise, 0.4, [0.1, -0.05], 0.3, 1.0);
+        let body = Mannequin::new(Motion::ArmRaise, 0.4, [0.1, -0.05], 0.3);
         let mesh = body.mesh(0.012, 0.0);
         let off = |p: &[f32; 3]| body.field(&nalgebra::Point3::from(p.map(f64::from))).abs();
         let wrong = mesh.positions.iter().filter(|p| off(p) > 1e-5).count();
@@ -247,7 +265,7 @@ mod tests {
 
     #[test]
     fn neighbouring_instants_move_little() {
-        let at = |cycles| Mannequin::new(Motion::ArmRaise, cycles, [0.0; 2], 0.0, 1.0);
+        let at = |cycles| Mannequin::new(Motion::ArmRaise, cycles, [0.0; 2], 0.0);
         let (now, next) = (at(0.25), at(0.25 + 1.0 / 240.0));
         let mesh = now.mesh(0.02, 0.0);
         let moved =

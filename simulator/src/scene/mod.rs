@@ -107,6 +107,22 @@ pub struct Scene {
     pub solids: Vec<Solid>,
 }
 
+impl Scene {
+    /// Balls (world centre, radius, m) that together hold everything; `None` where a solid has no such list.
+    pub fn balls(&self) -> Option<Vec<(Point3<f64>, f64)>> {
+        let mut balls = Vec::new();
+        for solid in &self.solids {
+            let Solid::Mesh(mesh) = solid else { return None };
+            balls.extend(
+                mesh.bvh
+                    .balls()
+                    .map(|(centre, radius)| (Point3::from(centre.map(f64::from)), f64::from(radius))),
+            );
+        }
+        Some(balls)
+    }
+}
+
 /// Shadow rays begin this far from the surface, m: beyond rounding and the flatness of triangles.
 const LIFT_M: f64 = 2e-4;
 

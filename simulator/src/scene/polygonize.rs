@@ -58,7 +58,7 @@ fn case_triangles(case: usize) -> Vec<[u8; 3]> {
             while inside(face[(j + 1) % 4]) {
                 j = (j + 1) % 4;
             }
-            next[edge_between(face[j], face[(j + 1) % 4])] = edge_between(a, b);
+            next[edge_between(a, b)] = edge_between(face[j], face[(j + 1) % 4]);
         }
     }
     let mut triangles = Vec::new();

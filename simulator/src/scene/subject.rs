@@ -35,18 +35,9 @@ impl Stage {
     pub fn scene(&self, instant: usize, offset_s: f64) -> Result<Scene, mesh_file::MeshError> {
         let time_s = instant as f64 / self.rate_hz + offset_s;
         Ok(Scene::of(match &self.subject {
-            Subject::Mannequin {
-                motion,
-                period_s,
-                start,
-                position_m,
-                heading_deg,
-                scale,
-                cell_mm,
-                texture,
-            } => {
+            Subject::Mannequin { motion, period_s, start, position_m, heading_deg, cell_mm, texture } => {
                 let cycles = start + time_s / period_s;
-                let body = Mannequin::new(*motion, cycles, *position_m, heading_deg.to_radians(), *scale);
+                let body = Mannequin::new(*motion, cycles, *position_m, heading_deg.to_radians());
                 Solid::Mesh(MeshSolid::new(body.mesh(cell_mm / 1000.0, *texture)))
             }
             Subject::Flat { plate_m, black, .. } => {
