@@ -5,7 +5,7 @@ use crate::gige::{CameraError, CameraOptions, ClockOptions, SimulatedCamera};
 use crate::hsu::{HsuOptions, SimulatedHsu};
 use crate::images::ImageSource;
 use crossbeam_channel::unbounded;
-use fourdbody::config::Rig;
+use fourdbody::config::{Rig, SocketMode};
 use fourdbody::ids::{CameraId, NodeId};
 use std::fmt::Write as _;
 use std::io;
@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// What to set up.
+#[derive(Debug, Clone)]
 pub struct LaboratoryOptions {
     /// The rig file's text; it is copied beside the node files.
     pub rig_text: String,
@@ -31,6 +32,8 @@ pub struct LaboratoryOptions {
     pub segment_mib: u64,
     /// Frame buffers per camera.
     pub buffers_per_camera: usize,
+    /// How the nodes receive packets.
+    pub socket: SocketMode,
 }
 
 impl LaboratoryOptions {
@@ -45,6 +48,7 @@ impl LaboratoryOptions {
             reserve_mib: 256,
             segment_mib: 16_384,
             buffers_per_camera: 16,
+            socket: SocketMode::Auto,
         }
     }
 }
@@ -188,12 +192,16 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, node: &NodeId, port: u16) -
          [api]\nlisten = \"127.0.0.1:{port}\"\n\n\
          [hsu]\ndevice = {}\n\n\
          [storage]\nsessions_dir = {}\nreserve_mib = {}\nsegment_mib = {}\n\n\
-         [acquisition]\nbuffers_per_camera = {}\npacket_bytes = 9000\nsocket = \"auto\"\n",
+         [acquisition]\nbuffers_per_camera = {}\npacket_bytes = 9000\nsocket = \"{}\"\n",
         quoted(&absolute(&hsu_link(options, node))),
         quoted(&absolute(&options.sessions_dir)),
         options.reserve_mib,
         options.segment_mib,
         options.buffers_per_camera,
+        match options.socket {
+            SocketMode::Auto => "auto",
+            SocketMode::Standard => "standard",
+        },
     );
     for (number, (head, camera)) in (0u32..).zip(rig.cameras()) {
         if camera.node != *node {

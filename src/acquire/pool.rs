@@ -15,7 +15,6 @@ pub const ROOM_BYTES: usize = 4096;
 pub struct Block {
     memory: NonNull<u8>,
     layout: Layout,
-    number: usize,
     home: Option<Sender<Block>>,
 }
 
@@ -25,23 +24,18 @@ unsafe impl Send for Block {}
 unsafe impl Sync for Block {}
 
 impl Block {
-    /// Allocates a block for `pixel_bytes` of pixels and touches every page. `number` is the caller's.
-    pub fn allocate(pixel_bytes: usize, number: usize) -> Self {
+    /// Allocates a block for `pixel_bytes` of pixels and touches every page.
+    pub fn allocate(pixel_bytes: usize) -> Self {
         let size = ROOM_BYTES + pixel_bytes;
         let layout = Layout::from_size_align(size, ROOM_BYTES)
             .expect("invariant: a frame fits in half the address space");
         // SAFETY: the layout's size is at least ROOM_BYTES, hence not zero.
         let memory = unsafe { alloc_zeroed(layout) };
         let Some(memory) = NonNull::new(memory) else { handle_alloc_error(layout) };
-        let mut block = Self { memory, layout, number, home: None };
+        let mut block = Self { memory, layout, home: None };
         // Zeroed memory may be lazily mapped: writing once per page makes it resident before frame 0.
         block.bytes_mut().iter_mut().step_by(4096).for_each(|byte| *byte = 0);
         block
-    }
-
-    /// The number given when it was allocated.
-    pub fn number(&self) -> usize {
-        self.number
     }
 
     /// Where it goes when it is dropped.
@@ -80,7 +74,7 @@ impl Block {
 impl Drop for Block {
     fn drop(&mut self) {
         if let Some(home) = self.home.take() {
-            let back = Self { memory: self.memory, layout: self.layout, number: self.number, home: None };
+            let back = Self { memory: self.memory, layout: self.layout, home: None };
             // Without its stream the block comes back in the error and is freed: it has no home then.
             drop(home.send(back));
             return;
@@ -92,7 +86,7 @@ impl Drop for Block {
 
 impl fmt::Debug for Block {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Block {} of {} bytes", self.number, self.layout.size())
+        write!(f, "Block of {} bytes", self.layout.size())
     }
 }
 
@@ -103,19 +97,19 @@ mod tests {
     #[test]
     fn dropped_blocks_come_home_with_their_bytes() {
         let (home, returns) = crossbeam_channel::bounded(1);
-        let mut block = Block::allocate(100, 7);
+        let mut block = Block::allocate(100);
         block.set_home(home);
         block.bytes_mut()[ROOM_BYTES] = 42;
         drop(block);
         let back = returns.try_recv().expect("came home");
-        assert_eq!((back.number(), back.pixels()[0], back.pixels().len()), (7, 42, 100));
+        assert_eq!((back.pixels()[0], back.pixels().len()), (42, 100));
         assert_eq!(back.pixels().as_ptr() as usize % 4096, 0);
     }
 
     #[test]
     fn blocks_without_a_stream_are_freed() {
         let (home, returns) = crossbeam_channel::bounded(1);
-        let mut block = Block::allocate(100, 0);
+        let mut block = Block::allocate(100);
         block.set_home(home);
         drop(returns);
         drop(block);

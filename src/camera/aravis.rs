@@ -197,7 +197,7 @@ impl Camera for AravisCamera {
         Ok(None)
     }
 
-    fn start(
+    fn create_stream(
         &mut self,
         blocks: Vec<Block>,
         options: &StreamOptions,
@@ -218,9 +218,11 @@ impl Camera for AravisCamera {
         if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
             tune(gv, options.period_ns);
         }
-        let stream = AravisStream::new(stream, blocks);
-        self.camera.start_acquisition().map_err(link_error("starting the acquisition"))?;
-        Ok(Box::new(stream))
+        Ok(Box::new(AravisStream::new(stream, blocks)))
+    }
+
+    fn start(&mut self) -> Result<(), CameraError> {
+        self.camera.start_acquisition().map_err(link_error("starting the acquisition"))
     }
 
     fn stop(&mut self) -> Result<(), CameraError> {
@@ -268,7 +270,7 @@ impl AravisStream {
     fn recycle(&mut self) {
         for mut block in self.returns.try_iter() {
             let pointer = block.pixel_pointer();
-            // Numbers are ours only while the block is out: find the buffer by the memory it wraps.
+            // The buffer that wraps this memory.
             let slot = self.parked.iter().position(|b| b.as_ref().is_some_and(|b| b.data().0 == pointer));
             if let Some(slot) = slot {
                 self.lent[slot] = Some(block);

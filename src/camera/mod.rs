@@ -166,12 +166,16 @@ pub trait Camera: Send {
     /// Reads its clock; `None` where it has none that can be read.
     fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError>;
 
-    /// Starts a fresh stream into `blocks` and the acquisition. From here on every trigger gives a frame.
-    fn start(
+    /// Creates a fresh stream into `blocks`. All streams of a host are created before any acquisition starts:
+    /// a packet socket takes foreign packets for its own until its filter is set.
+    fn create_stream(
         &mut self,
         blocks: Vec<Block>,
         options: &StreamOptions,
     ) -> Result<Box<dyn FrameStream>, CameraError>;
+
+    /// Starts the acquisition. From here on every trigger gives a frame.
+    fn start(&mut self) -> Result<(), CameraError>;
 
     /// Stops the acquisition.
     fn stop(&mut self) -> Result<(), CameraError>;

@@ -24,6 +24,13 @@ struct Slot {
     size: (usize, usize),
 }
 
+impl Slot {
+    fn start(&mut self) -> Result<(), Fault> {
+        let Some(camera) = &mut self.camera else { return Ok(()) };
+        camera.start().map_err(|e| Fault::new(Exit::Device, format!("camera {}: {e}", self.config.id)))
+    }
+}
+
 /// A camera that is ready for a session.
 #[derive(Debug, Clone)]
 pub struct PreparedCamera {
@@ -222,39 +229,36 @@ impl Devices {
         self.slots.iter_mut().map(|slot| Some(camera(slot)? - hsu?)).collect()
     }
 
-    /// Starts a fresh stream and a receiver on every camera; on failure none is left running.
+    /// Creates a fresh stream with a receiver on every camera, then starts every acquisition; on failure none
+    /// is left running.
     pub fn start_streams(&mut self, recorder: &Sender<Arrival>) -> Result<Vec<Receiver>, Fault> {
+        let mut receivers = Vec::new();
+        let created = (0..self.slots.len()).try_for_each(|i| {
+            receivers.push(self.create_stream(i, recorder.clone())?);
+            Ok(())
+        });
+        let started = created.and_then(|()| self.slots.iter_mut().try_for_each(Slot::start));
+        match started {
+            Ok(()) => Ok(receivers),
+            Err(fault) => {
+                self.stop_streams(receivers);
+                Err(fault)
+            }
+        }
+    }
+
+    fn create_stream(&mut self, i: usize, recorder: Sender<Arrival>) -> Result<Receiver, Fault> {
         let options = StreamOptions {
             packet_bytes: self.config.packet_bytes,
             socket: self.config.socket,
             period_ns: (1e9 / self.config.rig.trigger_rate_hz) as u64,
         };
-        let mut receivers = Vec::new();
-        for i in 0..self.slots.len() {
-            match self.start_stream(i, &options, recorder.clone()) {
-                Ok(receiver) => receivers.push(receiver),
-                Err(fault) => {
-                    self.stop_streams(receivers);
-                    return Err(fault);
-                }
-            }
-        }
-        Ok(receivers)
-    }
-
-    fn start_stream(
-        &mut self,
-        i: usize,
-        options: &StreamOptions,
-        recorder: Sender<Arrival>,
-    ) -> Result<Receiver, Fault> {
         let slot = &mut self.slots[i];
-        let id = &slot.config.id;
+        let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
         let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
         let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
-        let blocks =
-            (0..self.config.buffers_per_camera).map(|n| Block::allocate(slot.size.0 * slot.size.1, n));
-        let stream = camera.start(blocks.collect(), options).map_err(|e| fault(e.to_string()))?;
+        let blocks = (0..self.config.buffers_per_camera).map(|_| Block::allocate(pixel_bytes));
+        let stream = camera.create_stream(blocks.collect(), &options).map_err(|e| fault(e.to_string()))?;
         Receiver::start(i, stream, recorder).map_err(|e| fault(format!("cannot start its thread: {e}")))
     }
 

@@ -2,6 +2,7 @@
 
 use fourdbody::api::client::NodeClient;
 use fourdbody::api::dto::NodeStatus;
+use fourdbody::config::SocketMode;
 use fourdbody_simulator::gige::TestImages;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use std::net::Ipv4Addr;
@@ -37,6 +38,8 @@ pub fn laboratory(dir: &Path, subnet: u8, rate_hz: f64) -> Laboratory {
 
 /// Starts a laboratory with options of the test's own.
 pub fn start_laboratory(options: &LaboratoryOptions) -> Laboratory {
+    // A packet socket sees the traffic of other tests on this host for a moment after it is made.
+    let options = &LaboratoryOptions { socket: SocketMode::Standard, ..options.clone() };
     let mut number = 0;
     let images = |_: &_| {
         number += 1;
