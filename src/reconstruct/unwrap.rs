@@ -94,7 +94,7 @@ struct Costs {
 
 /// A window that crosses a depth step does not hold a sine: what the misfit of the fringe model has above this
 /// is added to the cost, 1 rad per unit. On smooth skin the misfit stays below it.
-const GOOD_MISFIT: f32 = 0.1;
+const GOOD_MISFIT: f32 = 0.2;
 
 /// Half sizes (columns, rows) of the box in which the local mean step is taken.
 const MEAN_STEP_BOX: (usize, usize) = (5, 3);
