@@ -3,6 +3,7 @@
 //! ```text
 //! OUT/clouds/CAMERA_INDEX.ply   one directional cloud (without points where the frame was refused)
 //! OUT/merged/INDEX.ply          all cameras of one trigger
+//! OUT/sequence.mcap             the merged clouds, for viewers
 //! OUT/summary.json              what became of every frame
 //! ```
 //!
@@ -17,6 +18,7 @@ use super::resolve::resolve;
 use super::source::{Frame, FrameSource};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
+use crate::export::sequence::SequenceWriter;
 use crate::export::{Cloud, ply};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
@@ -192,6 +194,29 @@ fn help_each_other(head: &[Camera], stages: &mut [Stage]) {
             a.counts.refused -= gained.min(a.counts.refused);
         }
     }
+}
+
+/// Writes the merged clouds of a finished run as one MCAP file, in order. Triggers without a time of their
+/// own are placed by index at `rate_hz`.
+pub fn write_sequence(
+    source: &dyn FrameSource,
+    plan: &Plan,
+    rate_hz: f64,
+    path: &Path,
+) -> Result<(), String> {
+    let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+    let partial = path.with_extension("mcap.partial");
+    let file = std::fs::File::create(&partial).map_err(|e| fail(&e))?;
+    let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(|e| fail(&e))?;
+    for trigger in plan.shard_triggers() {
+        let (_, cloud) = ply::load(&merged_path(&plan.out, trigger)).map_err(|e| e.to_string())?;
+        let time = source.trigger_time_ns(TriggerIndex(trigger));
+        let time = time.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64);
+        writer.push(time, &cloud).map_err(|e| fail(&e))?;
+    }
+    let buffer = writer.finish().map_err(|e| fail(&e))?;
+    buffer.into_inner().map_err(|e| fail(&e.into_error()))?;
+    std::fs::rename(&partial, path).map_err(|e| fail(&e))
 }
 
 /// Runs the plan on the current rayon pool. `progress` is told the number of triggers done.

@@ -11,7 +11,7 @@ use super::pair::Pair;
 use super::pipeline::Prepared;
 use super::triangulate::Triangulator;
 use nalgebra::Point3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::TAU;
 
 /// Points of a tree that are tried.
@@ -29,6 +29,15 @@ const MIN_AGREE_SHARE: f32 = 0.2;
 /// Share of the samples seen by the other camera that must agree for the best order.
 const MIN_AGREE_OF_SEEN: f32 = 0.7;
 
+/// Side of the tiles in which evidence is gathered, px.
+const TILE_PX: usize = 32;
+
+/// One of so many pixels is tried there.
+const TILE_SAMPLING: usize = 8;
+
+/// Votes for less those against from which a tile supports its neighbours.
+const MIN_TILE_VOTES: i32 = 4;
+
 /// The best order must gather this many times the agreement of the second best.
 const MARGIN: f32 = 2.5;
 
@@ -43,13 +52,16 @@ pub fn resolve(own: &mut Prepared, triangulator: &Triangulator, other: &Prepared
     }
     let mut gained = 0;
     for pixels in trees.values().filter(|pixels| pixels.len() >= MIN_TREE_PX) {
-        if let Some(order) = vote(own, pixels, triangulator, other, partner) {
-            for &pixel in pixels {
-                let phase = own.open.relative.as_slice()[pixel as usize] + TAU * order as f32;
-                own.absolute.as_mut_slice()[pixel as usize] = phase;
-                own.open.tree.as_mut_slice()[pixel as usize] = 0;
+        let Some(order) = vote(own, pixels, triangulator, other, partner) else { continue };
+        let supported = supported_tiles(own, pixels, order, triangulator, other, partner);
+        for &pixel in pixels {
+            if !supported.contains(&own.tile(pixel)) {
+                continue;
             }
-            gained += pixels.len();
+            let phase = own.open.relative.as_slice()[pixel as usize] + TAU * order as f32;
+            own.absolute.as_mut_slice()[pixel as usize] = phase;
+            own.open.tree.as_mut_slice()[pixel as usize] = 0;
+            gained += 1;
         }
     }
     gained
@@ -92,6 +104,49 @@ fn vote(
     let (&(agree, seen, order), second) = (scores.first()?, scores.get(1).map_or(0.0, |s| s.0));
     let enough = agree >= MIN_AGREE_SHARE * samples.len() as f32 && agree >= MIN_AGREE_OF_SEEN * seen;
     (enough && agree >= MARGIN * second).then_some(order)
+}
+
+impl Prepared {
+    /// Place of a pixel in the grid of tiles.
+    fn tile(&self, pixel: u32) -> (usize, usize) {
+        (pixel as usize % self.roi.width / TILE_PX, pixel as usize / self.roi.width / TILE_PX)
+    }
+}
+
+/// The tiles of a tree whose order the other camera confirms there, and their neighbours. A tree may have
+/// grown over two surfaces: an order holds only near the evidence for it.
+fn supported_tiles(
+    own: &Prepared,
+    pixels: &[u32],
+    order: i32,
+    triangulator: &Triangulator,
+    other: &Prepared,
+    partner: &Pair,
+) -> BTreeSet<(usize, usize)> {
+    let mut balance: BTreeMap<(usize, usize), i32> = BTreeMap::new();
+    for &pixel in pixels.iter().step_by(TILE_SAMPLING) {
+        let phase = own.open.relative.as_slice()[pixel as usize] + TAU * order as f32;
+        let (u, v) = (pixel as usize % own.roi.width, pixel as usize / own.roi.width);
+        let Some((_, world)) = triangulator.point(own.roi.u + u, own.roi.v + v, f64::from(phase)) else {
+            continue;
+        };
+        if let Some(known) = phase_at(other, partner, &world) {
+            let agrees = (known - phase).abs() < AGREE_RAD;
+            *balance.entry(own.tile(pixel)).or_default() += if agrees { 1 } else { -1 };
+        }
+    }
+    let good = |tile: &(usize, usize)| balance.get(tile).copied().unwrap_or(0);
+    let mut supported = BTreeSet::new();
+    for &(x, y) in balance.iter().filter(|(_, votes)| **votes >= MIN_TILE_VOTES).map(|(tile, _)| tile) {
+        for near in
+            (x.saturating_sub(1)..=x + 1).flat_map(|x| (y.saturating_sub(1)..=y + 1).map(move |y| (x, y)))
+        {
+            if good(&near) >= 0 {
+                supported.insert(near);
+            }
+        }
+    }
+    supported
 }
 
 /// The absolute phase that a camera knows where it would see a world point, interpolated along the row.
