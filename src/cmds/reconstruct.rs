@@ -40,6 +40,9 @@ pub struct Args {
     /// Only the triggers whose index leaves I when divided by N, for runs on several machines.
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(u64, u64)>,
+    /// Triggers per second, for the times in sequence.mcap where the session does not tell them.
+    #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
+    rate_hz: f64,
     /// Write the time of each stage to this file, as JSON.
     #[arg(long, value_name = "FILE")]
     timings: Option<PathBuf>,
@@ -105,6 +108,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     };
     let run = pool.install(|| batch::run(source.as_ref(), &calibration, &plan, progress));
     let (summary, timings) = run.map_err(|e| Failure::new(Exit::Failure, e))?;
+    let sequence = args.out.join(shard_name("sequence", "mcap", args.shard));
+    batch::write_sequence(source.as_ref(), &plan, args.rate_hz, &sequence)
+        .map_err(|e| Failure::new(Exit::Failure, e))?;
     write_json(&args.out.join(shard_name("summary", "json", args.shard)), &summary)?;
     if let Some(path) = &args.timings {
         write_json(path, &timings)?;
@@ -166,6 +172,11 @@ fn report(args: &Args, summary: &Summary) {
             }
         }
     }
+}
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|rate: &f64| (0.001..=1e6).contains(rate));
+    rate.ok_or_else(|| format!("expected triggers per second, for instance 120, found {text:?}"))
 }
 
 fn parse_range(text: &str) -> Result<Range<u64>, String> {

@@ -3,6 +3,8 @@
 mod cloud;
 /// Binary PLY files.
 pub mod ply;
+/// Sequences of clouds as MCAP.
+pub mod sequence;
 /// Pictures of clouds.
 pub mod view;
 

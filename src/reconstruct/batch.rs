@@ -3,6 +3,7 @@
 //! ```text
 //! OUT/clouds/CAMERA_INDEX.ply   one directional cloud (without points where the frame was refused)
 //! OUT/merged/INDEX.ply          all cameras of one trigger
+//! OUT/sequence.mcap             the merged clouds, for viewers
 //! OUT/summary.json              what became of every frame
 //! ```
 //!
@@ -12,10 +13,12 @@
 use super::dump;
 use super::merge::merge;
 use super::pair::Pair;
-use super::pipeline::{Method, Outcome, Pipeline, Reconstruction};
+use super::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
+use super::resolve::resolve;
 use super::source::{Frame, FrameSource};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
+use crate::export::sequence::SequenceWriter;
 use crate::export::{Cloud, ply};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
@@ -151,9 +154,69 @@ struct Job<'a> {
     plan: &'a Plan,
     calibration: &'a Calibration,
     parameters: String,
-    /// Camera, its number in merged clouds, its pipeline.
-    cameras: Vec<(CameraId, u8, Pipeline)>,
+    /// The cameras asked for, by head.
+    heads: Vec<Vec<Camera>>,
     timings: Mutex<Timings>,
+}
+
+struct Camera {
+    id: CameraId,
+    /// Its number in merged clouds.
+    number: u8,
+    pipeline: Pipeline,
+}
+
+/// A frame on its way.
+enum Stage {
+    Prepared(Box<Prepared>),
+    Refused(Box<Reconstruction>),
+    /// No frame: outcome and reason.
+    Missing(&'static str, String),
+}
+
+/// The comment that names the cameras that a directional cloud depends on.
+fn partners(head: &[Camera]) -> String {
+    let names: Vec<&str> = head.iter().map(|camera| camera.id.as_str()).collect();
+    format!("head {}", names.join(" "))
+}
+
+/// Each camera in turn, twice, takes the orders of its open trees from the others.
+fn help_each_other(head: &[Camera], stages: &mut [Stage]) {
+    for round in 0..2 * head.len() {
+        let own = round % head.len();
+        for other in (0..head.len()).filter(|&other| other != own) {
+            let Ok([Stage::Prepared(a), Stage::Prepared(b)]) = stages.get_disjoint_mut([own, other]) else {
+                continue;
+            };
+            let partner = head[other].pipeline.triangulator().pair();
+            let gained = resolve(a, head[own].pipeline.triangulator(), b, partner);
+            a.counts.by_partner += gained;
+            a.counts.refused -= gained.min(a.counts.refused);
+        }
+    }
+}
+
+/// Writes the merged clouds of a finished run as one MCAP file, in order. Triggers without a time of their
+/// own are placed by index at `rate_hz`.
+pub fn write_sequence(
+    source: &dyn FrameSource,
+    plan: &Plan,
+    rate_hz: f64,
+    path: &Path,
+) -> Result<(), String> {
+    let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+    let partial = path.with_extension("mcap.partial");
+    let file = std::fs::File::create(&partial).map_err(|e| fail(&e))?;
+    let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(|e| fail(&e))?;
+    for trigger in plan.shard_triggers() {
+        let (_, cloud) = ply::load(&merged_path(&plan.out, trigger)).map_err(|e| e.to_string())?;
+        let time = source.trigger_time_ns(TriggerIndex(trigger));
+        let time = time.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64);
+        writer.push(time, &cloud).map_err(|e| fail(&e))?;
+    }
+    let buffer = writer.finish().map_err(|e| fail(&e))?;
+    buffer.into_inner().map_err(|e| fail(&e.into_error()))?;
+    std::fs::rename(&partial, path).map_err(|e| fail(&e))
 }
 
 /// Runs the plan on the current rayon pool. `progress` is told the number of triggers done.
@@ -167,17 +230,25 @@ pub fn run(
         let path = plan.out.join(folder);
         std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     }
-    let mut cameras = Vec::new();
+    let mut heads: Vec<Vec<Camera>> = Vec::new();
+    let mut last = None;
     for (number, (head, camera)) in calibration.cameras().enumerate() {
         if plan.cameras.contains(&camera.id) {
             let number = u8::try_from(number).map_err(|_| "more than 255 cameras".to_owned())?;
             let triangulator = Triangulator::new(Pair::new(head, camera, calibration)?);
             let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
-            cameras.push((camera.id.clone(), number, pipeline));
+            if last != Some(&head.id) {
+                heads.push(Vec::new());
+                last = Some(&head.id);
+            }
+            let camera = Camera { id: camera.id.clone(), number, pipeline };
+            if let Some(cameras) = heads.last_mut() {
+                cameras.push(camera);
+            }
         }
     }
     let parameters = parameters(calibration, plan)?;
-    let job = Job { source, plan, calibration, parameters, cameras, timings: Mutex::default() };
+    let job = Job { source, plan, calibration, parameters, heads, timings: Mutex::default() };
     let done = AtomicUsize::new(0);
     let triggers: Vec<u64> = plan.shard_triggers().collect();
     let triggers: Result<Vec<TriggerSummary>, String> = triggers
@@ -225,18 +296,42 @@ fn summarize(triggers: Vec<TriggerSummary>, job: &Job<'_>) -> Summary {
 
 impl Job<'_> {
     fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
-        let results: Result<Vec<(FrameSummary, Cloud)>, String> =
-            self.cameras.par_iter().map(|camera| self.frame(camera, trigger)).collect();
-        let results = results?;
-        let numbers = self.cameras.iter().map(|(_, number, _)| *number);
-        let merged = merge(numbers.zip(results.iter().map(|(_, cloud)| cloud)));
+        let results: Result<Vec<Vec<(FrameSummary, Cloud)>>, String> =
+            self.heads.par_iter().with_max_len(1).map(|head| self.head(head, trigger)).collect();
+        let results: Vec<(FrameSummary, Cloud)> = results?.into_iter().flatten().collect();
+        let cameras = || self.heads.iter().flatten();
+        let merged = merge(cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)));
         let mut comments = self.comments(trigger);
-        let names = self.cameras.iter().map(|(id, number, _)| format!("{number}={id}"));
+        let names = cameras().map(|c| format!("{}={}", c.number, c.id));
         comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
         let path = merged_path(&self.plan.out, trigger);
         ply::save(&path, &merged, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
         let frames = results.into_iter().map(|(summary, _)| summary).collect();
         Ok(TriggerSummary { trigger, merged_points: merged.len(), frames })
+    }
+
+    /// The cameras of one head together: each may give fringe orders to the other.
+    fn head(&self, head: &[Camera], trigger: u64) -> Result<Vec<(FrameSummary, Cloud)>, String> {
+        let finished: Option<Vec<_>> =
+            head.iter().map(|camera| self.finished(head, camera, trigger)).collect();
+        if let Some(finished) = finished {
+            return Ok(finished);
+        }
+        let mut stages: Vec<Stage> = head.par_iter().map(|camera| self.prepare(camera, trigger)).collect();
+        if self.plan.method == Method::Anchored {
+            help_each_other(head, &mut stages);
+        }
+        let work = head.par_iter().zip(stages).map(|(camera, stage)| match stage {
+            Stage::Prepared(prepared) => self.save(head, camera, trigger, camera.pipeline.finish(*prepared)),
+            Stage::Refused(result) => self.save(head, camera, trigger, *result),
+            Stage::Missing(outcome, reason) => {
+                let camera = camera.id.clone();
+                let reason = Some(reason);
+                let summary = FrameSummary { camera, outcome, reason, points: 0, unresolved_px: 0 };
+                Ok((summary, Cloud::default()))
+            }
+        });
+        work.collect()
     }
 
     fn comments(&self, trigger: u64) -> Vec<String> {
@@ -248,72 +343,64 @@ impl Job<'_> {
         ]
     }
 
-    fn frame(
-        &self,
-        (camera, _, pipeline): &(CameraId, u8, Pipeline),
-        trigger: u64,
-    ) -> Result<(FrameSummary, Cloud), String> {
-        let none = |outcome, reason: String| {
-            let camera = camera.clone();
-            let summary = FrameSummary { camera, outcome, reason: Some(reason), points: 0, unresolved_px: 0 };
-            Ok((summary, Cloud::default()))
-        };
-        if let Some(finished) = self.finished(camera, trigger) {
-            return Ok(finished);
-        }
-        let frame = match self.source.frame(camera, TriggerIndex(trigger)) {
-            Err(reason) => return none("damaged", reason),
-            Ok(Frame::Gap(cause)) => return none("gap", cause),
+    fn prepare(&self, camera: &Camera, trigger: u64) -> Stage {
+        let frame = match self.source.frame(&camera.id, TriggerIndex(trigger)) {
+            Err(reason) => return Stage::Missing("damaged", reason),
             Ok(frame) => frame,
         };
         let image = match &frame {
             Frame::Image(image) => *image,
             Frame::Owned(plane) => Mono8::from(plane),
-            Frame::Gap(_) => return none("gap", String::new()),
+            Frame::Gap(cause) => return Stage::Missing("gap", cause.clone()),
         };
-        let result = pipeline.run(image);
-        self.save(camera, trigger, &result)?;
+        match camera.pipeline.prepare(image) {
+            Ok(prepared) => Stage::Prepared(Box::new(prepared)),
+            Err(refused) => Stage::Refused(refused),
+        }
+    }
+
+    /// Writes a cloud, and the maps where they are asked for.
+    fn save(
+        &self,
+        head: &[Camera],
+        camera: &Camera,
+        trigger: u64,
+        result: Reconstruction,
+    ) -> Result<(FrameSummary, Cloud), String> {
+        let id = &camera.id;
+        if let (Some(folder), Some(maps)) = (&self.plan.maps, &result.maps) {
+            dump::write(folder, &format!("{id}_{trigger:06}"), maps)
+                .map_err(|e| format!("{}: {e}", folder.display()))?;
+        }
+        let mut comments = self.comments(trigger);
+        comments.push(format!("camera {id}"));
+        comments.push(partners(head));
+        comments.push(format!("unresolved_px {}", result.counts.refused));
         let (outcome, reason) = match result.outcome {
             Outcome::Cloud => ("cloud", None),
             Outcome::Refused(reason) => ("refused", Some(reason)),
         };
-        let summary = FrameSummary {
-            camera: camera.clone(),
-            outcome,
-            reason,
-            points: result.cloud.len(),
-            unresolved_px: result.counts.refused,
-        };
-        Ok((summary, result.cloud))
-    }
-
-    fn save(&self, camera: &CameraId, trigger: u64, result: &Reconstruction) -> Result<(), String> {
-        if let (Some(folder), Some(maps)) = (&self.plan.maps, &result.maps) {
-            dump::write(folder, &format!("{camera}_{trigger:06}"), maps)
-                .map_err(|e| format!("{}: {e}", folder.display()))?;
-        }
-        let mut comments = self.comments(trigger);
-        comments.push(format!("camera {camera}"));
-        comments.push(format!("unresolved_px {}", result.counts.refused));
-        if let Outcome::Refused(reason) = &result.outcome {
-            comments.push(format!("refused {reason}"));
-        }
-        let path = cloud_path(&self.plan.out, camera, trigger);
+        comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
+        let path = cloud_path(&self.plan.out, id, trigger);
         ply::save(&path, &result.cloud, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         timings.add(&result.stages);
-        Ok(())
+        let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
+        let summary = FrameSummary { camera: id.clone(), outcome, reason, points, unresolved_px };
+        Ok((summary, result.cloud))
     }
 
     /// The finished cloud of a frame, where there is one made with the same parameters, and no maps are
     /// asked for.
-    fn finished(&self, camera: &CameraId, trigger: u64) -> Option<(FrameSummary, Cloud)> {
+    fn finished(&self, head: &[Camera], camera: &Camera, trigger: u64) -> Option<(FrameSummary, Cloud)> {
+        let camera = &camera.id;
         if self.plan.maps.is_some() {
             return None;
         }
         let path = cloud_path(&self.plan.out, camera, trigger);
         let header = ply::load_header(&path).ok()?;
-        if header.comment("parameters") != Some(&self.parameters) {
+        let same = header.comment("parameters") == Some(&self.parameters);
+        if !same || !header.comments.contains(&partners(head)) {
             return None;
         }
         let (header, cloud) = ply::load(&path).ok()?;

@@ -33,6 +33,8 @@ pub mod pipeline;
 pub mod png_source;
 /// Verticality Vm, border distance Bm, quality Qm.
 pub mod quality;
+/// Fringe orders from the head's other camera.
+pub mod resolve;
 /// The part of a frame that holds the object.
 pub mod roi;
 mod source;

@@ -4,6 +4,7 @@ use super::demodulate::{Gains, Phasors};
 use super::marker_phase::Bias;
 use super::roi::Roi;
 use super::triangulate::Triangulator;
+use super::unwrap::OpenTrees;
 use super::{
     absolute, demodulate, marker, marker_phase, mask, normals, period, quality, unwrap, unwrap_paper,
 };
@@ -43,6 +44,8 @@ pub struct Counts {
     pub refused: usize,
     /// Merges refused because anchors contradicted.
     pub contradictions: usize,
+    /// Pixels whose order the head's other camera gave.
+    pub by_partner: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,
 }
@@ -84,7 +87,7 @@ pub struct Pipeline {
 }
 
 /// Runs stages and keeps their times.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub(super) struct Clock(Vec<(&'static str, Duration)>);
 
 impl Clock {
@@ -97,10 +100,30 @@ impl Clock {
     }
 }
 
+/// A frame whose phase is unwrapped as far as the camera alone can. [`super::resolve::resolve`] may add to it
+/// before [`Pipeline::finish`] makes the cloud.
+#[derive(Debug)]
+pub struct Prepared {
+    /// Where the object is; all planes cover this part of the frame.
+    pub roi: Roi,
+    /// Absolute phase, rad; NaN where it is not known.
+    pub absolute: Plane<f32>,
+    /// Trees that lack their fringe order.
+    pub open: OpenTrees,
+    /// How it went so far.
+    pub counts: Counts,
+    phasors: Phasors,
+    period: Plane<f32>,
+    planes: Vec<(&'static str, Plane<f32>)>,
+    clock: Clock,
+}
+
 /// The absolute phase with what the points need beside it.
 struct Resolved {
     absolute: Plane<f32>,
+    open: OpenTrees,
     phasors: Phasors,
+    period: Plane<f32>,
     planes: Vec<(&'static str, Plane<f32>)>,
 }
 
@@ -111,26 +134,36 @@ impl Pipeline {
         Self { triangulator, gains: Gains::new(), bias, method, keep_maps }
     }
 
-    /// Reconstructs one frame.
+    /// What it triangulates with.
+    pub fn triangulator(&self) -> &Triangulator {
+        &self.triangulator
+    }
+
+    /// Reconstructs one frame by itself.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
+        match self.prepare(image) {
+            Ok(prepared) => self.finish(prepared),
+            Err(refused) => *refused,
+        }
+    }
+
+    /// Unwraps one frame; the error is the refusal of a frame that shows nothing.
+    pub fn prepare(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
         let pair = self.triangulator.pair();
         let expected = (pair.camera.width, pair.camera.height);
         if (image.width(), image.height()) != expected {
             let found = (image.width(), image.height());
-            return refused(
-                clock,
-                counts,
-                format!("the frame has {found:?} pixels, the calibration {expected:?}"),
-            );
+            let reason = format!("the frame has {found:?} pixels, the calibration {expected:?}");
+            return Err(refused(clock, counts, reason));
         }
         let object = clock.time("mask", || match self.method {
             Method::Anchored => mask::envelope(image, pair.period_px),
             Method::Paper => mask::otsu(image, pair.period_px),
         });
         let Some(roi) = Roi::of(&object) else {
-            return refused(clock, counts, "there is no object in the frame".to_owned());
+            return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
         let (image, object) = (roi.cut_image(image), roi.cut(&object));
         counts.object = object.as_slice().iter().filter(|&&x| x != 0).count();
@@ -138,15 +171,30 @@ impl Pipeline {
             Method::Anchored => self.anchored(&image, &object, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
-        let points = clock.time("triangulate", || self.triangulate(&resolved.absolute, roi));
-        let cloud = clock.time("normals", || self.cloud(&points, &resolved.phasors, roi));
-        let frame = expected;
+        let Resolved { absolute, open, phasors, period, planes } = resolved;
+        Ok(Prepared { roi, absolute, open, counts, phasors, period, planes, clock })
+    }
+
+    /// Makes the cloud of an unwrapped frame.
+    pub fn finish(&self, prepared: Prepared) -> Reconstruction {
+        let Prepared { roi, mut absolute, mut counts, phasors, period, mut planes, mut clock, .. } = prepared;
+        let pair = self.triangulator.pair();
+        if self.method == Method::Anchored {
+            counts.dropped = clock.time("select", || {
+                self.bias.correct(&mut absolute);
+                absolute::select(&mut absolute, &period, &phasors, pair.sign, &absolute::Settings::default())
+            });
+        }
+        let points = clock.time("triangulate", || self.triangulate(&absolute, roi));
+        let cloud = clock.time("normals", || self.cloud(&points, &phasors, roi));
+        let frame = (pair.camera.width, pair.camera.height);
+        planes.push(("Fm", absolute));
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),
             cloud,
             counts,
             stages: clock.0,
-            maps: self.keep_maps.then_some(Maps { roi, frame, planes: resolved.planes }),
+            maps: self.keep_maps.then_some(Maps { roi, frame, planes }),
         }
     }
 
@@ -186,11 +234,6 @@ impl Pipeline {
         });
         counts.refused = unwrapped.refused_px;
         counts.contradictions = unwrapped.contradictions;
-        let mut absolute = unwrapped.absolute;
-        self.bias.correct(&mut absolute);
-        counts.dropped = clock.time("select", || {
-            absolute::select(&mut absolute, period, &phasors, pair.sign, &absolute::Settings::default())
-        });
         let mut planes = Vec::new();
         if self.keep_maps {
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
@@ -202,11 +245,12 @@ impl Pipeline {
                 ("Wm", wrapped),
                 ("Em", ridges.energy),
                 ("Mm", convert(&markers.label, |x| x.min(1) as f32)),
+                ("Um", unwrapped.absolute.clone()),
                 ("misfit", phasors.misfit.clone()),
-                ("Fm", absolute.clone()),
             ];
         }
-        Resolved { absolute, phasors, planes }
+        let (absolute, open) = (unwrapped.absolute, unwrapped.open);
+        Resolved { absolute, open, phasors, period: periods.period, planes }
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -256,10 +300,10 @@ impl Pipeline {
                 ("Um", unwrapped),
                 ("Em", energy),
                 ("Mm", convert(&segment, f32::from)),
-                ("Fm", absolute.clone()),
             ];
         }
-        Resolved { absolute, phasors, planes }
+        let open = OpenTrees::none(absolute.width(), absolute.height());
+        Resolved { absolute, open, phasors, period: periods.period, planes }
     }
 
     /// Points in camera axes, m; NaN where there is none.
@@ -312,7 +356,7 @@ impl Pipeline {
 }
 
 fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
-    if counts.marker == 0 {
+    if cloud.is_empty() && counts.marker == 0 {
         Outcome::Refused("no marker was found, so that no fringe order is known".to_owned())
     } else if cloud.is_empty() {
         Outcome::Refused("no pixel has a fringe order that can be trusted".to_owned())
@@ -321,14 +365,14 @@ fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
     }
 }
 
-fn refused(clock: Clock, counts: Counts, reason: String) -> Reconstruction {
-    Reconstruction {
+fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> {
+    Box::new(Reconstruction {
         cloud: Cloud::default(),
         outcome: Outcome::Refused(reason),
         counts,
         stages: clock.0,
         maps: None,
-    }
+    })
 }
 
 /// A plane of numbers for the map dump.

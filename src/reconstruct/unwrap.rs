@@ -36,10 +36,28 @@ impl Default for Settings {
 pub struct Unwrapped {
     /// Absolute phase, rad; NaN where it is unresolved.
     pub absolute: Plane<f32>,
+    /// The trees without a known order.
+    pub open: OpenTrees,
     /// Pixels in trees without a known order.
     pub refused_px: usize,
     /// Merges refused because the votes contradicted.
     pub contradictions: usize,
+}
+
+/// Pixels whose phase is known but for the order of the tree that they belong to.
+#[derive(Debug)]
+pub struct OpenTrees {
+    /// Phase within the tree, rad; meaningless where `tree` is 0.
+    pub relative: Plane<f32>,
+    /// Tree of each pixel, 0 where there is none; the numbers have no order.
+    pub tree: Plane<u32>,
+}
+
+impl OpenTrees {
+    /// No trees.
+    pub fn none(width: usize, height: usize) -> Self {
+        Self { relative: Plane::filled(width, height, 0.0), tree: Plane::filled(width, height, 0) }
+    }
 }
 
 /// Resolution of the edge order, rad.
@@ -71,6 +89,7 @@ pub fn unwrap(
     }
     let mut refused_px = 0;
     let mut absolute = Plane::filled(wrapped.width(), wrapped.height(), f32::NAN);
+    let mut open = OpenTrees::none(wrapped.width(), wrapped.height());
     let marker = pair.pattern.marker_index as i32;
     for (i, out) in absolute.as_mut_slice().iter_mut().enumerate() {
         if phase[i].is_nan() {
@@ -79,10 +98,14 @@ pub fn unwrap(
         let (root, turns) = forest.find(i);
         match forest.order(root, settings.min_votes) {
             Some(order) => *out = phase[i] + TAU * (order + turns + marker) as f32,
-            None => refused_px += 1,
+            None => {
+                refused_px += 1;
+                open.relative.as_mut_slice()[i] = phase[i] + TAU * turns as f32;
+                open.tree.as_mut_slice()[i] = root as u32 + 1;
+            }
         }
     }
-    Unwrapped { absolute, refused_px, contradictions }
+    Unwrapped { absolute, open, refused_px, contradictions }
 }
 
 /// Costs of the edges to the right and down of each pixel; NaN: no edge.
@@ -94,7 +117,7 @@ struct Costs {
 
 /// A window that crosses a depth step does not hold a sine: what the misfit of the fringe model has above this
 /// is added to the cost, 1 rad per unit. On smooth skin the misfit stays below it.
-const GOOD_MISFIT: f32 = 0.1;
+const GOOD_MISFIT: f32 = 0.2;
 
 /// Half sizes (columns, rows) of the box in which the local mean step is taken.
 const MEAN_STEP_BOX: (usize, usize) = (5, 3);
