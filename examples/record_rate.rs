@@ -1,6 +1,6 @@
 //! How fast this machine records: frames of a node's four cameras, from memory to disk, nothing else running.
 //!
-//! `cargo run --release --no-default-features --example record_rate -- DIR [FRAMES]`
+//! `cargo run --release --no-default-features --example record_rate -- DIR [FRAMES [SYNC_MS]]`
 //!
 //! Prints the time of a `Recording::frame` call (mean, p99, maximum), the rate, and the processor time of the
 //! whole process per GB recorded, the checksum of the pixels apart. A node needs 480 frames/s, 1.106 GB/s.
@@ -57,11 +57,16 @@ fn processor_time() -> Result<Duration, Box<dyn Error>> {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
-    let dir = args.next().ok_or("usage: record_rate DIR [FRAMES]")?;
+    let dir = args.next().ok_or("usage: record_rate DIR [FRAMES [SYNC_MS]]")?;
     let frames: u64 = args.next().map_or(Ok(2400), |text| text.parse())?;
     let mut pool: Vec<Vec<u8>> =
         (0..POOL).map(|i| (0..ENVELOPE_CAPACITY + PIXELS).map(|p| (p * 31 + i) as u8).collect()).collect();
-    let mut recording = Recording::create(Path::new(&dir), header(), WriterOptions::default())?;
+    let mut options = WriterOptions::default();
+    if let Some(text) = args.next() {
+        options.sync_interval = Duration::from_millis(text.parse()?);
+        options.sync_bytes = u64::MAX;
+    }
+    let mut recording = Recording::create(Path::new(&dir), header(), options)?;
     let (mut calls, mut checksums) = (Vec::new(), Duration::ZERO);
     let (started, processor_before) = (Instant::now(), processor_time()?);
     for n in 0..frames {
