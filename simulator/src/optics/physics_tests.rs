@@ -61,9 +61,9 @@ fn truth_lies_on_the_surface_and_projects_to_its_phase() {
             }
             let [x, y] = camera.lens.undistort(u as f64, v as f64).expect("in the image");
             let point = camera.world_from_device.isometry() * Point3::new(x * z, y * z, z);
-            // Facets of 8 mm lie a little inside the exact skin, most on fingers.
+            // Facets of 8 mm lie a little inside the exact skin, most on fingers, and outside in hollows.
             let inside = -body.field(&point);
-            assert!((-2e-4..3e-3).contains(&inside), "({u}, {v}): {inside}");
+            assert!((-6e-4..3e-3).contains(&inside), "({u}, {v}): {inside}");
             far += usize::from(inside > 5e-4);
             let phase = projector.project(&point).map(|[pu, _]| rig.pattern.phase(pu)).expect("in front");
             assert!((f64::from(seen.phase.at(u, v)) - phase).abs() < 1e-3, "({u}, {v})");
@@ -108,8 +108,8 @@ fn bright_ridges_lie_where_the_geometry_says() {
             let marker = (order - f64::from(rig.pattern.marker_index)).abs() < 1.5;
             if !(b > 30.0 && b > a && b >= c)
                 || marker
-                || !phase(u - 1).is_finite()
-                || !phase(u + 1).is_finite()
+                || !phase(u - 4).is_finite()
+                || !phase(u + 4).is_finite()
             {
                 continue;
             }
