@@ -5,11 +5,13 @@
 //! `shape` = [rows, columns].
 
 use crate::optics::render::SensorTruth;
+use fourdbody::image::Plane;
 use npyz::WriterBuilder;
 use npyz::npz::NpzWriter;
 use npyz::zip::CompressionMethod;
 use npyz::zip::write::FileOptions;
-use std::io;
+use std::fs::File;
+use std::io::{self, Write};
 use std::path::Path;
 
 /// Rows and columns `[v0, v1, u0, u1]` around everything finite; all zero where nothing is.
@@ -29,33 +31,45 @@ fn crop_of(truth: &SensorTruth) -> [usize; 4] {
 pub fn write_npz(path: &Path, truth: &SensorTruth) -> io::Result<()> {
     let crop = crop_of(truth);
     let [v0, v1, u0, u1] = crop;
-    let shape = [(v1 - v0) as u64, (u1 - u0) as u64];
+    let size = [(v1 - v0) as u64, (u1 - u0) as u64];
+    let rows = v0..v1;
+    let mask: Vec<bool> =
+        rows.clone().flat_map(|v| truth.depth.row(v)[u0..u1].iter().map(|z| z.is_finite())).collect();
+    let lit: Vec<bool> = rows.clone().flat_map(|v| truth.lit.row(v)[u0..u1].iter().copied()).collect();
+    let cut = |plane: &Plane<f32>| -> Vec<f32> {
+        rows.clone().flat_map(|v| plane.row(v)[u0..u1].iter().copied()).collect()
+    };
+    let numbers = |values: &[usize]| -> Vec<i64> { values.iter().map(|&x| x as i64).collect() };
+    let mut file = NpzWriter::create(path)?;
+    add(&mut file, "depth", &size, &cut(&truth.depth))?;
+    add(&mut file, "phase", &size, &cut(&truth.phase))?;
+    add(&mut file, "mask", &size, &mask)?;
+    add(&mut file, "lit", &size, &lit)?;
+    add(&mut file, "crop", &[4], &numbers(&crop))?;
+    add(&mut file, "shape", &[2], &numbers(&[truth.depth.height(), truth.depth.width()]))?;
+    file.zip_writer().finish()?;
+    Ok(())
+}
+
+/// Adds one array, handing it to the compressor in one piece: number by number would take a hundred times
+/// longer.
+fn add<T: npyz::AutoSerialize + Copy>(
+    file: &mut NpzWriter<io::BufWriter<File>>,
+    name: &str,
+    shape: &[u64],
+    values: &[T],
+) -> io::Result<()> {
+    let mut bytes = Vec::with_capacity(std::mem::size_of_val(values) + 128);
+    let mut array = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd()?;
+    array.extend(values.iter().copied())?;
+    array.finish()?;
     // Without a time of writing the same truth has the same bytes.
     let options = FileOptions::default()
         .compression_method(CompressionMethod::Deflated)
         .compression_level(Some(1))
         .last_modified_time(npyz::zip::DateTime::default());
-    let mut file = NpzWriter::create(path)?;
-    for (name, plane) in [("depth", &truth.depth), ("phase", &truth.phase)] {
-        let mut array = file.array::<f32>(name, options)?.default_dtype().shape(&shape).begin_nd()?;
-        (v0..v1).try_for_each(|v| array.extend(plane.row(v)[u0..u1].iter().copied()))?;
-        array.finish()?;
-    }
-    let mut array = file.array::<bool>("mask", options)?.default_dtype().shape(&shape).begin_nd()?;
-    (v0..v1).try_for_each(|v| array.extend(truth.depth.row(v)[u0..u1].iter().map(|z| z.is_finite())))?;
-    array.finish()?;
-    let mut array = file.array::<bool>("lit", options)?.default_dtype().shape(&shape).begin_nd()?;
-    (v0..v1).try_for_each(|v| array.extend(truth.lit.row(v)[u0..u1].iter().copied()))?;
-    array.finish()?;
-    let whole = [truth.depth.height(), truth.depth.width()];
-    for (name, values) in [("crop", crop.as_slice()), ("shape", whole.as_slice())] {
-        let length = [values.len() as u64];
-        let mut array = file.array::<i64>(name, options)?.default_dtype().shape(&length).begin_nd()?;
-        array.extend(values.iter().map(|&x| x as i64))?;
-        array.finish()?;
-    }
-    file.zip_writer().finish()?;
-    Ok(())
+    file.zip_writer().start_file(npyz::npz::file_name_from_array_name(name), options)?;
+    file.zip_writer().write_all(&bytes)
 }
 
 #[cfg(test)]

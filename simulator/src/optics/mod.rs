@@ -2,6 +2,8 @@
 
 mod expose;
 mod lamp;
+#[cfg(test)]
+mod physics_tests;
 pub mod render;
 mod sensor;
 mod tiles;

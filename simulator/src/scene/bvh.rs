@@ -248,9 +248,13 @@ fn enters(node: &Node, ray: &FastRay, from: f32, to: f32) -> Option<f32> {
     for axis in 0..3 {
         let a = (node.low[axis] - ray.origin[axis]) * ray.inverse[axis];
         let b = (node.high[axis] - ray.origin[axis]) * ray.inverse[axis];
-        near = near.max(a.min(b));
+        // Plain comparisons are one instruction each; f32::min and max would also look for NaN, which
+        // cannot arise here.
+        let (first, last) = if a < b { (a, b) } else { (b, a) };
         // Rounding must not lose a box that the ray grazes (Ize 2013).
-        far = far.min(a.max(b) * 1.000_000_4);
+        let last = last * 1.000_000_4;
+        near = if first > near { first } else { near };
+        far = if last < far { last } else { far };
     }
     (near <= far).then_some(near)
 }
