@@ -7,6 +7,7 @@ use crate::reconstruct::FrameSource;
 use crate::reconstruct::batch::{self, Plan, Summary};
 use crate::reconstruct::pipeline::Method;
 use crate::reconstruct::png_source::PngSource;
+use crate::record::SessionReader;
 use std::io::IsTerminal;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -66,7 +67,10 @@ enum MethodName {
 
 /// Opens a session: a directory of recordings, or of images.
 fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn FrameSource>, String> {
-    Ok(Box::new(PngSource::open(path, cameras)?))
+    if cameras.iter().any(|camera| path.join(camera.as_str()).is_dir()) {
+        return Ok(Box::new(PngSource::open(path, cameras)?));
+    }
+    Ok(Box::new(SessionReader::open(path).map_err(|e| e.to_string())?))
 }
 
 /// Runs the command.

@@ -518,7 +518,9 @@ impl Node {
     fn publish(&mut self) {
         let session = self.session.as_ref().map(Session::status);
         let (cameras, hsu) = (self.devices.camera_statuses(), self.devices.hsu_status());
-        let free = free_bytes(&self.config.sessions_dir).unwrap_or(0);
+        // The directory is made with the first session.
+        let existing = self.config.sessions_dir.ancestors().find(|dir| dir.is_dir());
+        let free = existing.and_then(|dir| free_bytes(dir).ok()).unwrap_or(0);
         let mut status = match self.status.write() {
             Ok(status) => status,
             Err(poisoned) => poisoned.into_inner(),
