@@ -30,7 +30,7 @@ const MIN_AGREE_SHARE: f32 = 0.2;
 const MIN_AGREE_OF_SEEN: f32 = 0.7;
 
 /// Side of the tiles in which evidence is gathered, px.
-const TILE_PX: usize = 32;
+const TILE_PX: usize = 16;
 
 /// One of so many pixels is tried there.
 const TILE_SAMPLING: usize = 8;
