@@ -14,7 +14,11 @@ pub const SATURATED: u8 = 250;
 const MIN_COMPONENT_PX: u32 = 400;
 
 /// Envelope levels below the black level by less than this are never object, DN.
-const MIN_ABOVE_BLACK_DN: u8 = 8;
+const MIN_ABOVE_BLACK_DN: u8 = 6;
+
+/// Envelope levels above the black level by more than this are always object, DN: fringes on dark hair are
+/// that weak, and Otsu's threshold, drawn by the mass of bright skin, lies above them.
+const MAX_ABOVE_BLACK_DN: u8 = 8;
 
 /// The default mask: 1 on the object, 0 elsewhere and on over-exposed pixels. `period_px` is the nominal
 /// fringe period in the image.
@@ -72,7 +76,7 @@ fn log_threshold(envelope: &Plane<u8>) -> u8 {
     }
     let level = otsu_level(&logarithmic);
     let from_otsu = (0..256).rev().find(|&value| bin(value) <= level).unwrap_or(0) as u8;
-    from_otsu.max(black.saturating_add(MIN_ABOVE_BLACK_DN))
+    from_otsu.clamp(black.saturating_add(MIN_ABOVE_BLACK_DN), black.saturating_add(MAX_ABOVE_BLACK_DN))
 }
 
 /// Otsu's threshold (1979): the last bin of the darker class.

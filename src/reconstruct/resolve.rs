@@ -30,13 +30,13 @@ const MIN_AGREE_SHARE: f32 = 0.2;
 const MIN_AGREE_OF_SEEN: f32 = 0.7;
 
 /// Side of the tiles in which evidence is gathered, px.
-const TILE_PX: usize = 32;
+const TILE_PX: usize = 16;
 
 /// One of so many pixels is tried there.
 const TILE_SAMPLING: usize = 8;
 
 /// Votes for less those against from which a tile supports its neighbours.
-const MIN_TILE_VOTES: i32 = 4;
+const MIN_TILE_VOTES: i32 = 10;
 
 /// The best order must gather this many times the agreement of the second best.
 const MARGIN: f32 = 2.5;
@@ -135,13 +135,13 @@ fn supported_tiles(
             *balance.entry(own.tile(pixel)).or_default() += if agrees { 1 } else { -1 };
         }
     }
-    let good = |tile: &(usize, usize)| balance.get(tile).copied().unwrap_or(0);
+    let contested = |tile: &(usize, usize)| balance.get(tile).is_some_and(|&votes| votes <= 0);
     let mut supported = BTreeSet::new();
     for &(x, y) in balance.iter().filter(|(_, votes)| **votes >= MIN_TILE_VOTES).map(|(tile, _)| tile) {
         for near in
             (x.saturating_sub(1)..=x + 1).flat_map(|x| (y.saturating_sub(1)..=y + 1).map(move |y| (x, y)))
         {
-            if good(&near) >= 0 {
+            if !contested(&near) {
                 supported.insert(near);
             }
         }
