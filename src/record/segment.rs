@@ -8,29 +8,101 @@ use super::layout::{
     SegmentIndex, VERDICT_METADATA, VERSION, image_topic, index_schema, json_channels,
 };
 use super::verdict::Verdict;
+use crossbeam_channel::{Receiver, Sender, bounded};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata};
 use std::collections::BTreeMap;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Holds the open chunk; what was committed before has left for the store, except the start of its last
+/// What the disk thread of a segment is asked for.
+enum Command {
+    Write { buffer: AlignedBuffer, offset: u64, length: usize },
+    SetLength(u64),
+    Sync,
+}
+
+/// The answer; a buffer comes back with it.
+type Reply = (io::Result<()>, Option<AlignedBuffer>);
+
+/// Writes on a thread of its own, so that the next chunk is copied while the disk takes the last one. One
+/// command is under way at a time.
+struct Disk {
+    commands: Sender<Command>,
+    replies: Receiver<Reply>,
+}
+
+impl Disk {
+    fn start(mut store: Box<dyn Store>) -> io::Result<Self> {
+        let (commands, orders) = bounded::<Command>(1);
+        let (answers, replies) = bounded::<Reply>(1);
+        // Ends when the segment drops its side of the channels.
+        std::thread::Builder::new().name("segment-disk".to_owned()).spawn(move || {
+            for command in orders {
+                let reply = match command {
+                    Command::Write { buffer, offset, length } => {
+                        (store.write_at(offset, &buffer.as_slice()[..length]), Some(buffer))
+                    }
+                    Command::SetLength(length) => (store.set_len(length), None),
+                    Command::Sync => (store.sync(), None),
+                };
+                if answers.send(reply).is_err() {
+                    break;
+                }
+            }
+        })?;
+        Ok(Self { commands, replies })
+    }
+
+    fn send(&self, command: Command) -> io::Result<()> {
+        self.commands.send(command).map_err(|_| io::Error::other("the disk thread is gone"))
+    }
+
+    fn receive(&self) -> Reply {
+        self.replies.recv().unwrap_or_else(|_| (Err(io::Error::other("the disk thread is gone")), None))
+    }
+
+    fn call(&self, command: Command) -> io::Result<()> {
+        self.send(command)?;
+        self.receive().0
+    }
+}
+
+/// Holds the open chunk; what was committed before has left for the disk, except the start of its last
 /// block, which is written again with what follows.
 struct Window {
-    store: Box<dyn Store>,
+    disk: Disk,
     buffer: AlignedBuffer,
+    spare: Option<AlignedBuffer>,
     /// Offset in the file of the buffer's first byte; a multiple of [`BLOCK`].
     base: u64,
     /// Bytes of the buffer in use.
     filled: usize,
     cursor: usize,
-    /// True length of what the store holds.
+    /// True length of what the disk has.
     committed: u64,
+    /// True length once the write under way is done.
+    under_way: Option<u64>,
     failed: bool,
     closed: bool,
 }
 
 impl Window {
+    fn new(store: Box<dyn Store>, bytes: usize) -> io::Result<Self> {
+        Ok(Self {
+            disk: Disk::start(store)?,
+            buffer: AlignedBuffer::new(bytes),
+            spare: None,
+            base: 0,
+            filled: 0,
+            cursor: 0,
+            committed: 0,
+            under_way: None,
+            failed: false,
+            closed: false,
+        })
+    }
+
     fn position(&self) -> u64 {
         self.base + self.cursor as u64
     }
@@ -39,25 +111,43 @@ impl Window {
         if self.failed { Err(io::Error::other("an earlier write to this segment failed")) } else { Ok(()) }
     }
 
-    /// Hands everything to the store; the last block is padded with zeros.
-    fn commit(&mut self) -> io::Result<()> {
+    /// Waits for the write under way.
+    fn settle(&mut self) -> io::Result<()> {
         self.check()?;
+        let Some(end) = self.under_way.take() else { return Ok(()) };
+        let (result, buffer) = self.disk.receive();
+        self.spare = buffer;
+        if result.is_err() {
+            self.failed = true;
+            // What was committed before must stay a clean prefix, and frames of this commit are reported
+            // lost: they must not reappear. If this fails as well, nothing more can be done.
+            let _ = self.disk.call(Command::SetLength(self.committed));
+        } else {
+            self.committed = end;
+        }
+        result
+    }
+
+    /// Hands everything to the disk, once it is done with the commit before; the last block is padded with
+    /// zeros.
+    fn commit(&mut self) -> io::Result<()> {
+        self.settle()?;
         let end = self.base + self.filled as u64;
         if end == self.committed {
             return Ok(());
         }
-        let padded = self.filled.next_multiple_of(BLOCK);
-        self.buffer.as_mut_slice()[self.filled..padded].fill(0);
-        if let Err(error) = self.store.write_at(self.base, &self.buffer.as_slice()[..padded]) {
-            self.failed = true;
-            // What was committed before must stay a clean prefix, and frames of this commit are reported
-            // lost: they must not reappear. If this fails as well, nothing more can be done.
-            let _ = self.store.set_len(self.committed);
-            return Err(error);
-        }
-        self.committed = end;
+        let length = self.filled.next_multiple_of(BLOCK);
         let whole = self.filled - self.filled % BLOCK;
-        self.buffer.as_mut_slice().copy_within(whole..self.filled, 0);
+        self.buffer.as_mut_slice()[self.filled..length].fill(0);
+        let capacity = self.buffer.as_slice().len();
+        let mut next = self.spare.take().unwrap_or_else(|| AlignedBuffer::new(capacity));
+        next.as_mut_slice()[..self.filled - whole]
+            .copy_from_slice(&self.buffer.as_slice()[whole..self.filled]);
+        let buffer = std::mem::replace(&mut self.buffer, next);
+        self.disk
+            .send(Command::Write { buffer, offset: self.base, length })
+            .inspect_err(|_| self.failed = true)?;
+        self.under_way = Some(end);
         self.base += whole as u64;
         self.filled -= whole;
         self.cursor = self.filled;
@@ -65,14 +155,15 @@ impl Window {
     }
 
     fn sync(&mut self) -> io::Result<()> {
-        self.check()?;
-        self.store.sync().inspect_err(|_| self.failed = true)
+        self.settle()?;
+        self.disk.call(Command::Sync).inspect_err(|_| self.failed = true)
     }
 
     fn close(&mut self) -> io::Result<()> {
         self.commit()?;
+        self.settle()?;
         self.closed = true;
-        self.store.set_len(self.committed)?;
+        self.disk.call(Command::SetLength(self.committed))?;
         self.sync()
     }
 }
@@ -164,10 +255,7 @@ impl Segment {
         first_trigger: u64,
         header: &RecordingHeader,
     ) -> io::Result<Self> {
-        let buffer = AlignedBuffer::new(window_bytes);
-        let (base, filled, cursor, committed) = (0, 0, 0, 0);
-        let window = Window { store, buffer, base, filled, cursor, committed, failed: false, closed: false };
-        let window = Arc::new(Mutex::new(window));
+        let window = Arc::new(Mutex::new(Window::new(store, window_bytes)?));
         // Chunks end where `commit` says; see docs/design/recording.md for why seeking is allowed.
         let options = mcap::WriteOptions::new()
             .compression(None)
@@ -188,6 +276,7 @@ impl Segment {
         };
         segment.begin(header).map_err(io_error)?;
         segment.commit()?;
+        segment.settle()?;
         Ok(segment)
     }
 
@@ -260,9 +349,15 @@ impl Segment {
         self.mcap.write_to_known_channel(&header, data).map_err(io_error)
     }
 
-    /// Ends the open chunk and hands it to the store: from here on it survives the process.
+    /// Ends the open chunk and hands it to the disk, once the chunk before is written: that one survives the
+    /// process from here on. An error concerns one of the two.
     pub fn commit(&mut self) -> io::Result<()> {
         self.mcap.flush().map_err(io_error)
+    }
+
+    /// Waits until the last commit is written.
+    pub fn settle(&mut self) -> io::Result<()> {
+        self.lock().settle()
     }
 
     /// Commits, and returns when it survives a power cut.

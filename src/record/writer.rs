@@ -23,7 +23,7 @@ mod error;
 pub use error::RecordError;
 
 const MIB: u64 = 1 << 20;
-/// Frames of one chunk: what a crash of the process can cost at most.
+/// Frames of one chunk. A crash of the process costs at most two chunks: the open one, and the one under way.
 const FRAMES_PER_CHUNK: usize = 4;
 /// A chunk ends after this many bytes of small records, too.
 const CHUNK_BYTES: u64 = 1 << 20;
@@ -67,9 +67,10 @@ enum Unwritten {
     Json { channel: JsonChannel, sequence: u64, time_ns: u64, bytes: Vec<u8> },
 }
 
-/// A segment, and what its open chunk holds.
+/// A segment, and what its open chunk and the one under way to the disk hold.
 struct OpenSegment {
     segment: Segment,
+    under_way: Vec<Unwritten>,
     open: Vec<Unwritten>,
     open_frames: usize,
     open_since: u64,
@@ -256,7 +257,7 @@ impl Recording {
             }
         }
         // Outcomes that were lost with a failed segment have become gaps in the tallies by now.
-        let _ = self.commit_all();
+        let _ = self.settle_all();
         let verdict = self.verdict(triggers, end);
         let result = self.close(&verdict);
         result.map_err(|source| RecordError::Unfinished {
@@ -383,13 +384,13 @@ impl Recording {
         Ok(())
     }
 
-    fn commit_all(&mut self) -> Result<(), RecordError> {
-        let result = self.segments.iter_mut().try_for_each(OpenSegment::commit);
+    fn settle_all(&mut self) -> Result<(), RecordError> {
+        let result = self.segments.iter_mut().try_for_each(OpenSegment::settle);
         result.or_else(|source| self.fail(source))
     }
 
     fn sync(&mut self) -> Result<(), RecordError> {
-        self.commit_all()?;
+        self.settle_all()?;
         let mut result = self.segments.iter_mut().try_for_each(|entry| entry.segment.sync());
         if self.new_name {
             result = result.and_then(|()| sync_directory(&self.dir));
@@ -417,7 +418,13 @@ impl Recording {
         self.new_name = true;
         self.next_number += 1;
         let open_since = segment.bytes();
-        self.segments.push_back(OpenSegment { segment, open: Vec::new(), open_frames: 0, open_since });
+        self.segments.push_back(OpenSegment {
+            segment,
+            under_way: Vec::new(),
+            open: Vec::new(),
+            open_frames: 0,
+            open_since,
+        });
         Ok(())
     }
 
@@ -442,7 +449,7 @@ impl Recording {
             return Ok(());
         }
         let Some(mut older) = self.segments.pop_front() else { return Ok(()) };
-        if let Err(source) = older.commit() {
+        if let Err(source) = older.settle() {
             self.segments.push_front(older);
             return self.fail(source);
         }
@@ -467,10 +474,11 @@ impl Recording {
     fn abandon_segments(&mut self) {
         let mut lost = std::mem::take(&mut self.unwritten);
         for mut entry in std::mem::take(&mut self.segments) {
-            if entry.commit().is_ok() {
+            if entry.settle().is_ok() {
                 self.closing.push(std::thread::spawn(move || entry.segment.finish(None, None)));
             } else {
                 entry.segment.abandon();
+                lost.extend(entry.under_way);
                 lost.extend(entry.open);
             }
         }
@@ -505,7 +513,7 @@ impl Recording {
         let Some(entry) = self.segments.back_mut() else { return Ok(()) };
         let mut waiting = std::mem::take(&mut self.unwritten).into_iter();
         let result = waiting.by_ref().try_for_each(|record| entry.write(record));
-        let result = result.and_then(|()| entry.commit()).and_then(|()| entry.segment.sync());
+        let result = result.and_then(|()| entry.settle()).and_then(|()| entry.segment.sync());
         self.unwritten.extend(waiting);
         if result.is_err() {
             self.abandon_segments();
@@ -528,9 +536,18 @@ impl OpenSegment {
 
     fn commit(&mut self) -> io::Result<()> {
         self.segment.commit()?;
-        self.open.clear();
+        self.under_way.clear();
+        std::mem::swap(&mut self.under_way, &mut self.open);
         self.open_frames = 0;
         self.open_since = self.segment.bytes();
+        Ok(())
+    }
+
+    /// Commits, and returns when nothing is under way any more.
+    fn settle(&mut self) -> io::Result<()> {
+        self.commit()?;
+        self.segment.settle()?;
+        self.under_way.clear();
         Ok(())
     }
 }

@@ -156,9 +156,9 @@ proptest! {
         prop_assert_eq!(verdict.status == Status::Complete, failed_at.is_none());
         check_books(&path, &verdict);
         if let Some(failed_at) = failed_at {
-            // At most the open chunks of two segments were lost.
+            // At most two chunks of each of two segments were lost.
             let lost_before = verdict.gaps() - 2 * (triggers - failed_at - 1);
-            prop_assert!(lost_before <= 10, "{} frames lost at trigger {}", lost_before, failed_at);
+            prop_assert!(lost_before <= 18, "{} frames lost at trigger {}", lost_before, failed_at);
         }
     }
 
@@ -344,6 +344,8 @@ fn killed_it_reads_up_to_the_last_chunk() {
         let (meta, message) = frame(0, trigger);
         recording.frame(0, &meta, &message).expect("recorded");
     }
+    // The second chunk is under way; wait for it, as a kernel would finish it.
+    recording.segments[0].segment.settle().expect("written");
     std::mem::forget(recording);
     let length = std::fs::metadata(path.join("segment-000.mcap")).expect("a segment").len();
     assert_eq!(length % 4096, 0, "whole blocks");
