@@ -312,3 +312,42 @@ impl Run {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Changes, Run};
+    use crate::cache::{CachedImages, Manifest};
+    use crate::images::ImageSource;
+    use crate::scenario::Scenario;
+    use fourdbody::calibrate::Calibration;
+    use fourdbody::config::Rig;
+    use std::path::Path;
+
+    #[test]
+    fn a_directory_is_rendered_once_and_again_when_anything_changes() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/scenarios/sphere.toml");
+        let scenario = Scenario::load(&path).expect("valid");
+        let rig = Rig::load(&scenario.rig).expect("valid");
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        let render = |seed: u64, divisor: usize| {
+            let scenario = Scenario { seed, ..scenario.clone() };
+            let changes = Changes { size_divisor: divisor, ..Changes::default() };
+            let run = Run::new(scenario, &rig, &changes).expect("fits");
+            run.render(dir.path(), |_, _| {}).expect("rendered")
+        };
+        assert!(render(1, 16) && !render(1, 16) && render(2, 16) && render(2, 12) && !render(2, 12));
+        let manifest = Manifest::load(dir.path()).expect("complete");
+        let camera = &manifest.cameras[5];
+        let images = CachedImages::open(dir.path(), &manifest, &camera.id).expect("complete");
+        assert_eq!(images.size(), (160, 100));
+        assert!(images.pixels(3).iter().any(|&value| value > 60), "the ball is in the picture");
+        assert!(dir.path().join(format!("truth/{}_000000.npz", camera.id)).exists());
+        let written = Rig::load(&dir.path().join("rig.toml")).expect("a valid rig");
+        let calibration = Calibration::load(&dir.path().join("calibration.json")).expect("a calibration");
+        assert_eq!(written.pattern, calibration.pattern);
+        std::fs::remove_file(Manifest::frames_path(dir.path(), &camera.id)).expect("there");
+        assert!(render(2, 12), "a missing file is noticed");
+        let tiny = Changes { size_divisor: 400, ..Changes::default() };
+        assert!(Run::new(scenario.clone(), &rig, &tiny).is_err());
+    }
+}

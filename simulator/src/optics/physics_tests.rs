@@ -106,11 +106,9 @@ fn bright_ridges_lie_where_the_geometry_says() {
             let phase = |u: usize| f64::from(seen.phase.at(u, v));
             let order = (phase(u) / std::f64::consts::TAU).round();
             let marker = (order - f64::from(rig.pattern.marker_index)).abs() < 1.5;
-            if !(b > 30.0 && b > a && b >= c)
-                || marker
-                || !phase(u - 4).is_finite()
-                || !phase(u + 4).is_finite()
-            {
+            let ridge = b > 30.0 && b > a && b >= c;
+            let interior = phase(u - 4).is_finite() && phase(u + 4).is_finite();
+            if marker || !ridge || !interior {
                 continue;
             }
             let peak = 0.5 * (a - c) / (a - 2.0 * b + c);

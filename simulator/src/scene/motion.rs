@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 pub enum Motion {
     /// Stands with slightly spread arms, breathing.
     Stand,
-    /// Raises both arms sideways and lowers them.
+    /// Raises both arms, half to the side and half to the front, and lowers them.
     ArmRaise,
     /// Walks without leaving its place.
     WalkInPlace,
@@ -42,8 +42,11 @@ impl Motion {
                 forward(&mut posture, Bone::Chest, 0.4 * swing);
             }
             Self::ArmRaise => {
+                // Somewhat to the front, where the arms stay within the volume.
+                posture.turn(Bone::UpperArmL, Vector3::z(), -f64::to_radians(38.0));
+                posture.turn(Bone::UpperArmR, Vector3::z(), f64::to_radians(38.0));
                 spread_arms(&mut posture, 25.0 + 75.0 * rise);
-                bend_elbows(&mut posture, 15.0 - 5.0 * rise);
+                bend_elbows(&mut posture, 20.0 + 10.0 * rise);
                 forward(&mut posture, Bone::Head, -5.0 * rise);
             }
             Self::WalkInPlace => walk(&mut posture, cycles),
