@@ -163,7 +163,8 @@ mod tests {
             picture.rgb.chunks(3).filter(|x| x[0] != super::BACKGROUND[0]).count() as f64
         };
         let one = lit(&draw(&sphere(), 37.0, style));
-        let radius: f64 = 50.0 / 1.06;
+        // The frame holds the cloud's diagonal.
+        let radius = 50.0 * 0.5 / (0.5 * 2f64.sqrt() * 0.8 * 1.06);
         assert!((one / (std::f64::consts::PI * radius * radius) - 1.0).abs() < 0.1, "{one}");
         let four = draw_sides(&sphere(), 0.0, 4, style);
         assert_eq!((four.width, four.rgb.len()), (400, 120_000));

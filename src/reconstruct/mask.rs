@@ -180,9 +180,8 @@ fn median3x3(image: &Plane<u8>) -> Plane<u8> {
     let mut out = image.clone();
     for v in 1..h.saturating_sub(1) {
         let (a, b, c) = (image.row(v - 1), image.row(v), image.row(v + 1));
-        let row = out.row_mut(v);
-        for u in 1..w.saturating_sub(1) {
-            row[u] = median9(a, b, c, u);
+        for (u, median) in out.row_mut(v).iter_mut().enumerate().take(w.saturating_sub(1)).skip(1) {
+            *median = median9(a, b, c, u);
         }
     }
     out

@@ -115,7 +115,7 @@ pub struct Prepared {
     phasors: Phasors,
     period: Plane<f32>,
     planes: Vec<(&'static str, Plane<f32>)>,
-    clock: Clock,
+    pub(super) clock: Clock,
 }
 
 /// The absolute phase with what the points need beside it.
@@ -236,13 +236,21 @@ impl Pipeline {
         counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
         if self.keep_maps {
+            let stability = period::stability(period, pair.period_px);
+            let vertical = quality::verticality(image, period);
+            let border = quality::border(object);
+            let amplitude = quality::normalized_amplitude(&periods.amplitude, object);
+            let quality = quality::quality([&border, &amplitude, &vertical, &stability]);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
             planes = vec![
                 ("Om", number(object)),
                 ("Pm", periods.period.clone()),
                 ("Am", number(&periods.amplitude)),
-                ("Sm", period::stability(period, pair.period_px)),
+                ("Sm", stability),
                 ("Wm", wrapped),
+                ("Vm", vertical),
+                ("Bm", border),
+                ("Qm", quality),
                 ("Em", ridges.energy),
                 ("Mm", convert(&markers.label, |x| x.min(1) as f32)),
                 ("Um", unwrapped.absolute.clone()),

@@ -44,6 +44,13 @@ const MARGIN: f32 = 2.5;
 /// Resolves trees of `own` by the absolute phase of `other`, a camera of the same head. Returns the number of
 /// pixels that gained an absolute phase.
 pub fn resolve(own: &mut Prepared, triangulator: &Triangulator, other: &Prepared, partner: &Pair) -> usize {
+    let mut clock = std::mem::take(&mut own.clock);
+    let gained = clock.time("partner", || resolve_trees(own, triangulator, other, partner));
+    own.clock = clock;
+    gained
+}
+
+fn resolve_trees(own: &mut Prepared, triangulator: &Triangulator, other: &Prepared, partner: &Pair) -> usize {
     let mut trees: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     for (pixel, &tree) in own.open.tree.as_slice().iter().enumerate() {
         if tree != 0 {

@@ -101,3 +101,51 @@ impl Triangulator {
         None
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Triangulator;
+    use crate::calibrate::Calibration;
+    use crate::config::Rig;
+    use crate::reconstruct::pair::Pair;
+    use proptest::prelude::{ProptestConfig, prop_assert, prop_assume, proptest};
+    use std::path::Path;
+
+    /// The first pair of the shipped rig, with strong lenses.
+    fn triangulator() -> Triangulator {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+        let mut calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
+        let head = &mut calibration.heads[0];
+        head.projector.lens.distortion = [-0.12, 0.08, 4e-4, -3e-4, 0.01];
+        head.cameras[0].device.lens.distortion = [-0.11, 0.09, -3e-4, 2e-4, -0.01];
+        let head = &calibration.heads[0];
+        Triangulator::new(Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair"))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(100))]
+        #[test]
+        fn a_point_comes_back_within_a_hundredth_of_a_millimetre(
+            u in 0usize..1920, v in 0usize..1200, distance in 1.6f64..3.4,
+        ) {
+            let triangulator = triangulator();
+            let pair = triangulator.pair();
+            let ray = pair.camera.ray(u as f64, v as f64).expect("inside the image");
+            let point = ray.at(distance);
+            let panel = pair.projector.project(&point);
+            prop_assume!(panel.is_some_and(|panel| pair.projector.contains(panel)));
+            let phase = pair.pattern.phase(panel.map_or(0.0, |panel| panel[0]));
+            let (camera, world) = triangulator.point(u, v, phase).expect("on the panel");
+            prop_assert!((world - point).norm() < 1e-5, "{} m", (world - point).norm());
+            prop_assert!((camera - pair.camera.device_point(&world)).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn columns_beside_the_panel_are_refused() {
+        let triangulator = triangulator();
+        assert!(triangulator.point(960, 600, -10.0).is_none());
+        assert!(triangulator.point(960, 600, 1e4).is_none());
+        assert!(triangulator.point(960, 600, f64::NAN).is_none());
+    }
+}

@@ -344,3 +344,107 @@ impl Forest {
         true
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Settings, Unwrapped, unwrap, wrap};
+    use crate::calibrate::Calibration;
+    use crate::config::Rig;
+    use crate::image::Plane;
+    use crate::reconstruct::pair::Pair;
+    use proptest::prelude::{ProptestConfig, prop_assert, prop_assert_eq, proptest};
+    use std::f32::consts::TAU;
+    use std::path::Path;
+
+    const W: usize = 140;
+    const H: usize = 90;
+    const PERIOD: f32 = 11.0;
+
+    /// Unwraps a planted absolute phase (NaN: no surface) whose fringe 80 is the marker in `marker_rows`.
+    fn run(truth: &Plane<f32>, marker_rows: std::ops::Range<usize>) -> Unwrapped {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+        let calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
+        let head = &calibration.heads[0];
+        let mut pair = Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair");
+        pair.sign = 1.0;
+        let map = |f: &dyn Fn(f32) -> f32| {
+            Plane::from_vec(W, H, truth.as_slice().iter().map(|&x| f(x)).collect()).expect("same size")
+        };
+        let wrapped = map(&|x| wrap(x));
+        let mut anchor = Plane::filled(W, H, 0u32);
+        for v in marker_rows {
+            for u in 0..W {
+                anchor.set(u, v, u32::from((truth.at(u, v) - 80.0 * TAU).abs() < 1.5));
+            }
+        }
+        let (period, misfit) = (map(&|_| PERIOD), map(&|_| 0.0));
+        unwrap(&wrapped, &period, &misfit, &anchor, &pair, &Settings::default())
+    }
+
+    /// A tilted, gently curved surface that shows the marker near column 60.
+    fn surface(tilt: f32, curve: f32) -> Plane<f32> {
+        let mut truth = Plane::filled(W, H, f32::NAN);
+        for v in 0..H {
+            for u in 0..W {
+                let (x, y) = (u as f32 - 60.0, v as f32 - 45.0);
+                truth.set(u, v, 80.0 * TAU + TAU * x / PERIOD + tilt * y + curve * (x * x + y * y));
+            }
+        }
+        truth
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn a_smooth_surface_is_unwrapped_whole(tilt in -0.4f32..0.4, curve in -0.0005f32..0.0005) {
+            let truth = surface(tilt, curve);
+            let found = run(&truth, 0..H);
+            for (found, truth) in found.absolute.as_slice().iter().zip(truth.as_slice()) {
+                prop_assert!((found - truth).abs() < 1e-2, "{found} {truth}");
+            }
+            prop_assert_eq!(found.refused_px, 0);
+        }
+
+        #[test]
+        fn no_order_is_guessed_beyond_a_depth_step(step in 0.8f32..5.4, tilt in -0.1f32..0.1) {
+            // The lower half lies `step` rad and two fringes nearer; only the upper half shows the marker.
+            let mut truth = surface(tilt, 0.0);
+            for v in 50..H {
+                truth.row_mut(v).iter_mut().for_each(|x| *x += step + 2.0 * TAU);
+            }
+            let found = run(&truth, 0..45);
+            for v in 0..H {
+                for u in 0..W {
+                    let (found, truth) = (found.absolute.at(u, v), truth.at(u, v));
+                    prop_assert!(found.is_nan() || (found - truth).abs() < 1e-2, "({u}, {v})");
+                    // Rows just before the step may go with it.
+                    prop_assert!(found.is_nan() || v < 50, "({u}, {v})");
+                    prop_assert!(!found.is_nan() || v >= 44, "({u}, {v})");
+                }
+            }
+            prop_assert!(found.refused_px >= (H - 50) * W);
+        }
+    }
+
+    #[test]
+    fn trees_whose_markers_contradict_stay_apart() {
+        // Two halves joined almost seamlessly modulo 2 pi, two fringes apart, each with its marker.
+        let mut truth = surface(0.0, 0.0);
+        for v in 45..H {
+            truth.row_mut(v).iter_mut().for_each(|x| *x += 2.0 * TAU + 0.03);
+        }
+        let found = run(&truth, 0..H);
+        assert!(found.contradictions > 0);
+        let wrong =
+            found.absolute.as_slice().iter().zip(truth.as_slice()).filter(|(a, b)| (*a - *b).abs() > 1.0);
+        assert!(wrong.count() < 3 * W, "only the seam may be wrong");
+    }
+
+    #[test]
+    fn without_a_marker_everything_is_refused() {
+        let found = run(&surface(0.1, 0.0), 0..0);
+        assert!(found.absolute.as_slice().iter().all(|x| x.is_nan()));
+        assert_eq!(found.refused_px, W * H);
+        assert!(found.open.tree.as_slice().iter().all(|&tree| tree != 0));
+    }
+}

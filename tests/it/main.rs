@@ -7,6 +7,7 @@ mod recording;
 mod recording_commands;
 mod recording_damage;
 mod refusals;
+mod analytic_scene;
 mod shared_scene;
 mod third_party_camera;
 mod third_party_mcap;

@@ -1,0 +1,138 @@
+//! The pipeline on a sphere and a wall that are rendered here by direct formula, through the shipped rig.
+
+use fourdbody::calibrate::Calibration;
+use fourdbody::config::Rig;
+use fourdbody::geometry::Ray;
+use fourdbody::image::{Mono8, Plane};
+use fourdbody::pattern::Marker;
+use fourdbody::reconstruct::pair::Pair;
+use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
+use fourdbody::reconstruct::triangulate::Triangulator;
+use nalgebra::{Point3, Vector3};
+use std::path::Path;
+
+/// First hit of a ray: the point and its outward normal.
+type Hit = Option<(Point3<f64>, Vector3<f64>)>;
+
+fn pair(marker: Option<Marker>) -> Pair {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+    let mut rig = Rig::load(&path).expect("the shipped rig");
+    rig.pattern.marker = marker.unwrap_or(rig.pattern.marker);
+    let mut calibration = Calibration::nominal(&rig);
+    calibration.heads[0].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
+    let head = &calibration.heads[0];
+    Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair")
+}
+
+/// Photographs a convex surface; every second of the projector's pixels is not modelled, its light is a
+/// continuous function of place.
+fn photograph(pair: &Pair, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
+    let mut image = Plane::filled(pair.camera.width, pair.camera.height, 2u8);
+    let centre = pair.projector.centre();
+    for v in 250..950 {
+        for u in 300..1700 {
+            let Some(ray) = pair.camera.ray(u as f64, v as f64) else { continue };
+            let Some((point, normal)) = surface(&ray) else { continue };
+            let light = (centre - point).normalize().dot(&normal);
+            if light <= 0.0 {
+                continue;
+            }
+            if let Some(panel) = pair.projector.project(&point).filter(|p| pair.projector.contains(*p)) {
+                let value = 2.0 + 180.0 * light * pair.pattern.light(panel[0], panel[1]);
+                image.set(u, v, value.round() as u8);
+            }
+        }
+    }
+    image
+}
+
+fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
+    move |ray| {
+        let along = (centre - ray.origin).dot(&ray.direction);
+        let nearest = (ray.at(along) - centre).norm_squared();
+        let half = (radius * radius - nearest).max(0.0).sqrt();
+        (half > 0.0).then(|| {
+            let point = ray.at(along - half);
+            (point, (point - centre) / radius)
+        })
+    }
+}
+
+fn reconstruct(pair: Pair, image: &Plane<u8>) -> Reconstruction {
+    Pipeline::new(Triangulator::new(pair), Method::Anchored, false).run(Mono8::from(image))
+}
+
+#[test]
+fn a_sphere_with_the_marker_on_it_is_measured() {
+    for marker in [Marker::ZeroMean { amplitude: 0.3 }, Marker::Darkened { depth: 0.8 }] {
+        let pair = pair(Some(marker));
+        let centre = Point3::new(0.05, -0.02, 1.03);
+        let image = photograph(&pair, sphere(centre, 0.20));
+        let camera = pair.camera.centre();
+        let found = reconstruct(pair, &image);
+        assert_eq!(found.outcome, Outcome::Cloud, "{marker:?}");
+        assert!(found.cloud.len() > 50_000, "{} points", found.cloud.len());
+        let mut errors = Vec::new();
+        for (p, n) in found.cloud.position_m.iter().zip(&found.cloud.normal) {
+            let (p, n) = (Point3::from(*p).cast::<f64>(), Vector3::from(*n).cast::<f64>());
+            errors.push(((p - centre).norm() - 0.20).abs());
+            assert!((n.norm() - 1.0).abs() < 1e-5 && n.dot(&(camera - p)) > 0.0);
+        }
+        errors.sort_by(f64::total_cmp);
+        let quantile = |q: f64| errors[(q * (errors.len() - 1) as f64) as usize];
+        assert!(quantile(0.5) < 0.00015 && quantile(0.95) < 0.0006, "{} {}", quantile(0.5), quantile(0.95));
+        // A wrong order would be 40 mm off.
+        assert!(quantile(1.0) < 0.010, "{}", quantile(1.0));
+    }
+}
+
+#[test]
+fn normals_of_a_wall_are_those_of_the_wall() {
+    let pair = pair(None);
+    let normal = Vector3::new(0.9, 0.2, 0.1).normalize();
+    let image = photograph(&pair, |ray: &Ray| {
+        let distance = (Point3::new(0.0, 0.0, 1.0) - ray.origin).dot(&normal) / ray.direction.dot(&normal);
+        let point = ray.at(distance);
+        (distance > 0.0 && (point.z - 1.0).abs() < 0.3 && point.y.abs() < 0.3).then_some((point, normal))
+    });
+    let found = reconstruct(pair, &image);
+    let cosines: Vec<f32> =
+        found.cloud.normal.iter().map(|n| normal.cast::<f32>().dot(&Vector3::from(*n))).collect();
+    assert!(cosines.len() > 100_000, "{} points", cosines.len());
+    let good = cosines.iter().filter(|&&c| c > 0.995).count();
+    assert!(good * 100 > cosines.len() * 97, "{good} of {}", cosines.len());
+}
+
+#[test]
+fn a_sphere_beside_the_marker_is_refused() {
+    let pair = pair(None);
+    let image = photograph(&pair, sphere(Point3::new(0.0, 0.0, 1.45), 0.20));
+    let found = reconstruct(pair, &image);
+    assert!(matches!(found.outcome, Outcome::Refused(_)), "{} points", found.cloud.len());
+    assert!(found.cloud.is_empty() && found.counts.refused > 30_000, "{:?}", found.counts);
+}
+
+#[test]
+fn an_over_exposed_patch_leaves_a_hole_and_no_wrong_points() {
+    let pair = pair(None);
+    let centre = Point3::new(0.0, 0.0, 1.0);
+    let mut image = photograph(&pair, sphere(centre, 0.20));
+    let [u, v] = pair.camera.project(&Point3::new(0.19, 0.0, 1.06)).expect("in view").map(|x| x as usize);
+    for row in v - 10..v + 10 {
+        image.row_mut(row)[u - 10..u + 10].fill(255);
+    }
+    let found = reconstruct(pair, &image);
+    let inside = |p: &[u16; 2]| usize::from(p[0]).abs_diff(u) < 13 && usize::from(p[1]).abs_diff(v) < 9;
+    assert!(found.cloud.len() > 40_000 && !found.cloud.pixel.iter().any(inside));
+    let off = |p: &[f32; 3]| (p[0].hypot(p[1]).hypot(p[2] - 1.0) - 0.20).abs();
+    assert!(found.cloud.position_m.iter().all(|p| off(p) < 0.010));
+}
+
+#[test]
+fn an_empty_frame_and_one_of_another_size_are_refused() {
+    let black = Plane::filled(1920, 1200, 2u8);
+    assert!(matches!(reconstruct(pair(None), &black).outcome, Outcome::Refused(_)));
+    let small = Plane::filled(64, 48, 100u8);
+    let Outcome::Refused(reason) = reconstruct(pair(None), &small).outcome else { panic!("must be refused") };
+    assert!(reason.contains("1920"), "{reason}");
+}
