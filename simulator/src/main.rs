@@ -22,6 +22,7 @@ enum Command {
     ExportPng(cmds::export_png::Args),
     ConvertRig(cmds::convert_rig::Args),
     Cameras(cmds::cameras::Args),
+    Summarize(cmds::summarize::Args),
 }
 
 fn main() -> ExitCode {
@@ -44,5 +45,6 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::ExportPng(args) => cmds::export_png::run(args),
         Command::ConvertRig(args) => cmds::convert_rig::run(args),
         Command::Cameras(args) => cmds::cameras::run(args),
+        Command::Summarize(args) => cmds::summarize::run(args),
     }
 }

@@ -1,5 +1,6 @@
 //! Integration tests of the product: one binary, a module per subject.
 
+mod analytic_scene;
 mod chain;
 mod hsu;
 mod lab;
@@ -7,7 +8,6 @@ mod recording;
 mod recording_commands;
 mod recording_damage;
 mod refusals;
-mod analytic_scene;
 mod shared_scene;
 mod third_party_camera;
 mod third_party_mcap;

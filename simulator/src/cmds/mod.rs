@@ -5,6 +5,7 @@ pub mod convert_rig;
 pub mod export_png;
 pub mod render;
 pub mod run;
+pub mod summarize;
 
 use crate::sequence::RenderError;
 use fourdbody::cmds::{Exit, Failure};
