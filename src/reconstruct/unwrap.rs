@@ -19,6 +19,9 @@ pub struct Settings {
     pub max_residual: f32,
     /// Above this averaged residual an edge only attaches small trees, rad.
     pub doubtful_residual: f32,
+    /// The same for the residual averaged over a wider stretch, rad: where the outline of a limb crosses the
+    /// fringes, the phases on both sides agree over a short stretch by chance.
+    pub doubtful_stretch: f32,
     /// The largest tree that a doubtful edge attaches, px.
     pub small_tree_px: u32,
     /// Votes from which a tree's order counts as known.
@@ -27,7 +30,13 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { max_residual: 1.5, doubtful_residual: 0.04, small_tree_px: 60, min_votes: 20 }
+        Self {
+            max_residual: 1.5,
+            doubtful_residual: 0.04,
+            doubtful_stretch: 0.04,
+            small_tree_px: 60,
+            min_votes: 20,
+        }
     }
 }
 
@@ -84,7 +93,8 @@ pub fn unwrap(
         let step = phase[b] - phase[a];
         let expected = if vertical { 0.0 } else { costs.expected(period, a) };
         let turns = ((expected - step) / TAU).round() as i32;
-        let doubtful = costs.at(a, vertical) > settings.doubtful_residual;
+        let doubtful = costs.at(a, vertical) > settings.doubtful_residual
+            || costs.stretch_at(a, vertical) > settings.doubtful_stretch;
         contradictions += usize::from(!forest.merge(a, b, turns, doubtful, settings));
     }
     let mut refused_px = 0;
@@ -112,6 +122,8 @@ pub fn unwrap(
 struct Costs {
     right: Plane<f32>,
     down: Plane<f32>,
+    right_stretch: Plane<f32>,
+    down_stretch: Plane<f32>,
     carrier: f32,
 }
 
@@ -126,6 +138,9 @@ const MEAN_STEP_BOX: (usize, usize) = (5, 3);
 /// the right and steps down cross.
 const ALONG_RIGHT: (usize, usize) = (1, 3);
 const ALONG_DOWN: (usize, usize) = (4, 1);
+
+/// Half sizes (columns, rows) of the box that says whether phases agree over a longer stretch.
+const STRETCH: (usize, usize) = (9, 10);
 
 impl Costs {
     fn new(wrapped: &Plane<f32>, period: &Plane<f32>, misfit: &Plane<f32>, sign: f32) -> Self {
@@ -144,7 +159,9 @@ impl Costs {
                 }
             }
         }
-        let mut costs = Self { right: cost(&right, ALONG_RIGHT), down: cost(&down, ALONG_DOWN), carrier };
+        let (right, right_stretch) = cost(&right, ALONG_RIGHT);
+        let (down, down_stretch) = cost(&down, ALONG_DOWN);
+        let mut costs = Self { right, down, right_stretch, down_stretch, carrier };
         for plane in [&mut costs.right, &mut costs.down] {
             for (x, misfit) in plane.as_mut_slice().iter_mut().zip(misfit.as_slice()) {
                 *x += (misfit - GOOD_MISFIT).max(0.0);
@@ -155,6 +172,10 @@ impl Costs {
 
     fn at(&self, pixel: usize, vertical: bool) -> f32 {
         if vertical { self.down.as_slice()[pixel] } else { self.right.as_slice()[pixel] }
+    }
+
+    fn stretch_at(&self, pixel: usize, vertical: bool) -> f32 {
+        if vertical { self.down_stretch.as_slice()[pixel] } else { self.right_stretch.as_slice()[pixel] }
     }
 
     /// The step that the period predicts between a pixel and the next in its row.
@@ -193,21 +214,22 @@ impl Costs {
 }
 
 /// How far each step is from the local mean step, averaged along the boundary: the larger of that mean and of
-/// the edge's own.
-fn cost(step: &Plane<f32>, along: (usize, usize)) -> Plane<f32> {
+/// the edge's own. Second, the mean over a wider stretch.
+fn cost(step: &Plane<f32>, along: (usize, usize)) -> (Plane<f32>, Plane<f32>) {
     let mean = box_mean_of_known(step, MEAN_STEP_BOX);
     let mut own = step.clone();
     for (x, mean) in own.as_mut_slice().iter_mut().zip(mean.as_slice()) {
         *x = wrap(*x - mean).abs();
     }
     let averaged = box_mean_of_known(&own, along);
+    let stretch = box_mean_of_known(&own, STRETCH);
     for (x, averaged) in own.as_mut_slice().iter_mut().zip(averaged.as_slice()) {
         // NaN stays: there is no edge.
         if *x < *averaged {
             *x = *averaged;
         }
     }
-    own
+    (own, stretch)
 }
 
 /// Mean of the values that are not NaN in a box of +-`half` (columns, rows); 0 where there are none.
