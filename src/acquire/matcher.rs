@@ -111,8 +111,19 @@ pub enum Match {
     Wait,
     /// No trigger is near its timestamp, this far from the nearest (ns).
     Spurious(i64),
+    /// It came before the first trigger.
+    BeforeTrain,
     /// A frame of this trigger, or of a later one, was matched already.
     Repeated(TriggerIndex),
+}
+
+/// What is known of a camera's clock before the first frame.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ClockRelation {
+    /// The camera's clock minus the HSU's, ns, where the camera's can be read.
+    pub camera_minus_hsu_ns: Option<i128>,
+    /// The HSU's clock minus the host's (CLOCK_REALTIME), ns.
+    pub hsu_minus_host_ns: Option<i128>,
 }
 
 /// Matches the frames of one camera, in the order in which they arrive.
@@ -121,6 +132,8 @@ pub struct Matcher {
     period_ns: u64,
     /// Camera clock minus HSU clock, ns; refined by every frame that both witnesses agree on.
     offset_ns: Option<i128>,
+    /// HSU clock minus host clock (CLOCK_REALTIME), ns: stands in for a camera clock that cannot be read.
+    hsu_minus_host_ns: Option<i128>,
     refined: bool,
     ids: BlockIds,
     /// A block's count and its trigger.
@@ -133,11 +146,12 @@ pub struct Matcher {
 const FOLLOW_SHARE: i128 = 8;
 
 impl Matcher {
-    /// `offset_ns` is the camera's clock minus the HSU's plus the head's delay, where it could be measured.
-    pub fn new(period_ns: u64, offset_ns: Option<i128>) -> Self {
+    /// With what is known of the clocks before the session.
+    pub fn new(period_ns: u64, clocks: ClockRelation) -> Self {
         Self {
             period_ns,
-            offset_ns,
+            offset_ns: clocks.camera_minus_hsu_ns,
+            hsu_minus_host_ns: clocks.hsu_minus_host_ns,
             refined: false,
             ids: BlockIds::default(),
             base: None,
@@ -146,9 +160,24 @@ impl Matcher {
         }
     }
 
-    /// Names the trigger of a frame. While the answer is [`Match::Wait`], ask again with the same frame; with
-    /// `last_call` the block id has to do without the timestamp.
-    pub fn assign(&mut self, id: BlockId, camera_ns: u64, table: &TriggerTable, last_call: bool) -> Match {
+    /// Names the trigger of a frame by its block id, its timestamp on the camera's clock and its arrival on
+    /// the host's. While the answer is [`Match::Wait`], ask again with the same frame; with `last_call` the
+    /// block id has to do without the timestamp.
+    pub fn assign(
+        &mut self,
+        id: BlockId,
+        camera_ns: u64,
+        host_ns: u64,
+        table: &TriggerTable,
+        last_call: bool,
+    ) -> Match {
+        if let (None, Some(hsu_minus_host)) = (self.offset_ns, self.hsu_minus_host_ns) {
+            self.offset_ns = Some(i128::from(camera_ns) - i128::from(host_ns) - hsu_minus_host);
+        }
+        if last_call && table.is_empty() {
+            self.pending = None;
+            return Match::BeforeTrain;
+        }
         // A frame that is asked about again must not be counted again.
         let count = match self.pending.take() {
             Some((pending, count)) if pending == id => count,
@@ -224,7 +253,7 @@ enum ByTime {
 
 #[cfg(test)]
 mod tests {
-    use super::{Match, Matcher, TriggerTable, Witness};
+    use super::{ClockRelation, Match, Matcher, TriggerTable, Witness};
     use crate::ids::{BlockId, TriggerIndex};
     use proptest::prelude::{ProptestConfig, any, prop_assert_eq, proptest};
 
@@ -234,6 +263,10 @@ mod tests {
         let mut table = TriggerTable::default();
         (0..count).for_each(|k| table.insert(TriggerIndex(k), 1_000_000_000 + k * PERIOD_NS));
         table
+    }
+
+    fn camera_clock(offset_ns: i128) -> ClockRelation {
+        ClockRelation { camera_minus_hsu_ns: Some(offset_ns), hsu_minus_host_ns: None }
     }
 
     fn id16(count: u64) -> BlockId {
@@ -251,7 +284,7 @@ mod tests {
             let count = 2_000u64;
             let table = table(count);
             let offset = 5_000_000_000i64;
-            let mut matcher = Matcher::new(PERIOD_NS, Some(i128::from(offset) + coarse_error_ns));
+            let mut matcher = Matcher::new(PERIOD_NS, camera_clock(i128::from(offset) + coarse_error_ns));
             let mut state = seed | 1;
             let mut next = || { state ^= state << 13; state ^= state >> 7; state ^= state << 17; state };
             let mut id = first_id;
@@ -259,7 +292,7 @@ mod tests {
                 if next() % 10 == 0 { continue; }
                 let hsu = (1_000_000_000 + k * PERIOD_NS) as i64;
                 let camera = hsu + offset + hsu * drift_ppm / 1_000_000 - 1_000 * drift_ppm + (next() % 400_000) as i64 - 200_000;
-                match matcher.assign(id16(id), camera as u64, &table, false) {
+                match matcher.assign(id16(id), camera as u64, 0, &table, false) {
                     Match::Trigger(trigger, _) => prop_assert_eq!(trigger, TriggerIndex(k)),
                     other => prop_assert_eq!(format!("{other:?}"), format!("trigger {k}")),
                 }
@@ -272,44 +305,68 @@ mod tests {
     fn an_ignored_trigger_is_told_from_a_lost_frame() {
         let table = table(10);
         let at = |k: u64| 1_000_000_000 + k * PERIOD_NS;
-        let mut matcher = Matcher::new(PERIOD_NS, Some(0));
-        let first = matcher.assign(BlockId(1), at(0), &table, false);
+        let mut matcher = Matcher::new(PERIOD_NS, camera_clock(0));
+        let first = matcher.assign(BlockId(1), at(0), 0, &table, false);
         assert_eq!(first, Match::Trigger(TriggerIndex(0), Witness::Both));
         // Frame lost on the way: the id skips with the time.
-        let lost = matcher.assign(BlockId(3), at(2), &table, false);
+        let lost = matcher.assign(BlockId(3), at(2), 0, &table, false);
         assert_eq!(lost, Match::Trigger(TriggerIndex(2), Witness::Both));
         // Trigger ignored: the id does not skip.
-        let ignored = matcher.assign(BlockId(4), at(4), &table, false);
+        let ignored = matcher.assign(BlockId(4), at(4), 0, &table, false);
         let expected = TriggerIndex(3);
         assert_eq!(ignored, Match::Trigger(TriggerIndex(4), Witness::Corrected { expected }));
-        let again = matcher.assign(BlockId(5), at(5), &table, false);
+        let again = matcher.assign(BlockId(5), at(5), 0, &table, false);
         assert_eq!(again, Match::Trigger(TriggerIndex(5), Witness::Both));
     }
 
     #[test]
     fn frames_wait_for_their_trigger_and_are_not_counted_twice() {
-        let mut matcher = Matcher::new(PERIOD_NS, Some(0));
+        let mut matcher = Matcher::new(PERIOD_NS, camera_clock(0));
         let at = |k: u64| 1_000_000_000 + k * PERIOD_NS;
-        assert_eq!(matcher.assign(BlockId(1), at(0), &table(0), false), Match::Wait);
-        assert_eq!(matcher.assign(BlockId(1), at(0), &table(0), false), Match::Wait);
-        let first = matcher.assign(BlockId(1), at(0), &table(1), false);
+        assert_eq!(matcher.assign(BlockId(1), at(0), 0, &table(0), false), Match::Wait);
+        assert_eq!(matcher.assign(BlockId(1), at(0), 0, &table(0), false), Match::Wait);
+        let first = matcher.assign(BlockId(1), at(0), 0, &table(1), false);
         assert_eq!(first, Match::Trigger(TriggerIndex(0), Witness::Both));
         // The trigger's report is lost for good: the block id must do.
-        let second = matcher.assign(BlockId(2), at(1), &table(1), true);
+        let second = matcher.assign(BlockId(2), at(1), 0, &table(1), true);
         assert_eq!(second, Match::Trigger(TriggerIndex(1), Witness::BlockIdOnly));
     }
 
     #[test]
     fn spurious_and_repeated_frames_are_refused() {
         let table = table(10);
-        let mut matcher = Matcher::new(PERIOD_NS, Some(0));
+        let mut matcher = Matcher::new(PERIOD_NS, camera_clock(0));
         let at = |k: u64| 1_000_000_000 + k * PERIOD_NS;
         assert!(matches!(
-            matcher.assign(BlockId(1), at(0) - 2 * PERIOD_NS, &table, false),
+            matcher.assign(BlockId(1), at(0) - 2 * PERIOD_NS, 0, &table, false),
             Match::Spurious(_)
         ));
-        assert!(matches!(matcher.assign(BlockId(2), at(3), &table, false), Match::Trigger(..)));
-        let repeated = matcher.assign(BlockId(2), at(3), &table, false);
+        assert!(matches!(matcher.assign(BlockId(2), at(3), 0, &table, false), Match::Trigger(..)));
+        let repeated = matcher.assign(BlockId(2), at(3), 0, &table, false);
         assert_eq!(repeated, Match::Repeated(TriggerIndex(3)));
+    }
+
+    #[test]
+    fn a_camera_without_a_readable_clock_is_matched_by_arrival() {
+        // Host clock runs 7 s behind the HSU's; the frames arrive 2 ms after their triggers.
+        let clocks = ClockRelation { camera_minus_hsu_ns: None, hsu_minus_host_ns: Some(7_000_000_000) };
+        let mut matcher = Matcher::new(PERIOD_NS, clocks);
+        let hsu = |k: i64| (8_000_000_000 + k * PERIOD_NS as i64) as u64;
+        let host = |k: i64| hsu(k) - 7_000_000_000 + 2_000_000;
+        let camera = |k: i64| (500_000_000_000 + k * PERIOD_NS as i64) as u64;
+        // A free-running camera sends before the first trigger, while nothing is reported yet and after.
+        let empty = TriggerTable::default();
+        let early = matcher.assign(BlockId(1), camera(-60), host(-60), &empty, true);
+        assert_eq!(early, Match::BeforeTrain);
+        let mut table = TriggerTable::default();
+        (0..5).for_each(|k| table.insert(TriggerIndex(k), hsu(k as i64)));
+        assert!(matches!(
+            matcher.assign(BlockId(60), camera(-1), host(-1), &table, false),
+            Match::Spurious(_)
+        ));
+        for k in 0..5 {
+            let found = matcher.assign(BlockId(61 + k), camera(k as i64), host(k as i64), &table, false);
+            assert_eq!(found, Match::Trigger(TriggerIndex(k), Witness::Both));
+        }
     }
 }

@@ -91,6 +91,8 @@ struct Lane {
     /// The first trigger without an outcome.
     next: u64,
     lost: bool,
+    /// Frames that no trigger explains.
+    spurious: u64,
 }
 
 /// The recorder's side of a session.
@@ -105,7 +107,8 @@ pub struct Recorder {
     draining: bool,
     /// How many triggers there were, once the HSU said so.
     emitted: Option<u64>,
-    last_arrival: Instant,
+    /// When a frame last got its trigger.
+    last_settled: Instant,
     failed: bool,
 }
 
@@ -139,6 +142,7 @@ impl Recorder {
             pending: VecDeque::new(),
             next: 0,
             lost: false,
+            spurious: 0,
         };
         let recorder = Self {
             recording,
@@ -150,7 +154,7 @@ impl Recorder {
             events,
             draining: false,
             emitted: None,
-            last_arrival: Instant::now(),
+            last_settled: Instant::now(),
             failed: false,
         };
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || recorder.run())
@@ -177,7 +181,6 @@ impl Recorder {
 
     fn take(&mut self, arrival: Arrival) {
         let camera = arrival.camera;
-        self.last_arrival = arrival.taken;
         self.lanes[camera].pending.push_back(arrival);
         let waiting: usize =
             self.lanes.iter().map(|lane| lane.pending.len()).sum::<usize>() + self.arrivals.len();
@@ -199,7 +202,7 @@ impl Recorder {
             ToRecorder::Drain { emitted } => {
                 self.draining = true;
                 self.emitted = emitted.or(self.emitted);
-                self.last_arrival = Instant::now();
+                self.last_settled = Instant::now();
             }
             ToRecorder::Close { .. } | ToRecorder::Discard => {}
         }
@@ -210,18 +213,19 @@ impl Recorder {
         while let Some(arrival) = self.lanes[camera].pending.pop_front() {
             let last_call = arrival.taken.elapsed() > REPORT_PATIENCE;
             let lane = &mut self.lanes[camera];
-            match lane.matcher.assign(arrival.block_id, arrival.camera_ns, &self.triggers, last_call) {
+            match lane.matcher.assign(
+                arrival.block_id,
+                arrival.camera_ns,
+                arrival.host_ns,
+                &self.triggers,
+                last_call,
+            ) {
                 Match::Wait => return lane.pending.push_front(arrival),
                 Match::Trigger(trigger, witness) => self.settle(trigger, witness, arrival),
-                Match::Spurious(residual_ns) => self.note(
-                    camera,
-                    "spurious_frame",
-                    None,
-                    format!(
-                        "block {} lies {residual_ns} ns from the nearest trigger; not recorded",
-                        arrival.block_id
-                    ),
-                ),
+                Match::Spurious(residual_ns) => {
+                    self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
+                }
+                Match::BeforeTrain => self.spurious(&arrival, "came before the first trigger"),
                 Match::Repeated(last) => self.note(
                     camera,
                     "repeated_frame",
@@ -234,7 +238,11 @@ impl Recorder {
 
     /// Gives the trigger of `arrival`, and those before it that have none, an outcome.
     fn settle(&mut self, trigger: TriggerIndex, witness: Witness, arrival: Arrival) {
+        if self.emitted.is_some_and(|emitted| trigger.0 >= emitted) {
+            return self.spurious(&arrival, "came after the last trigger");
+        }
         let camera = arrival.camera;
+        self.last_settled = Instant::now();
         let (mut skipped, mut cause) = (self.lanes[camera].next..trigger.0, GapCause::MissingPackets);
         if let Witness::Corrected { expected } = witness {
             cause = GapCause::NotTriggered;
@@ -283,6 +291,16 @@ impl Recorder {
         }
     }
 
+    /// A frame that no trigger explains: a free-running camera makes many, so only the first is an event.
+    fn spurious(&mut self, arrival: &Arrival, why: &str) {
+        let lane = &mut self.lanes[arrival.camera];
+        lane.spurious += 1;
+        if lane.spurious == 1 {
+            let text = format!("block {} {why}; not recorded (later ones are counted)", arrival.block_id);
+            self.note(arrival.camera, "spurious_frame", None, text);
+        }
+    }
+
     fn gaps(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
         triggers.for_each(|trigger| self.gap(camera, TriggerIndex(trigger), cause));
     }
@@ -324,7 +342,7 @@ impl Recorder {
             return;
         }
         let all_in = self.emitted.is_some_and(|n| self.lanes.iter().all(|lane| lane.lost || lane.next >= n));
-        let quiet = self.last_arrival.elapsed() > DRAIN_PATIENCE && self.arrivals.is_empty();
+        let quiet = self.last_settled.elapsed() > DRAIN_PATIENCE && self.arrivals.is_empty();
         if all_in || quiet {
             self.draining = false;
             drop(self.events.send(FromRecorder::Drained));
@@ -347,6 +365,15 @@ impl Recorder {
         for camera in 0..self.lanes.len() {
             self.lanes[camera].pending.iter_mut().for_each(|arrival| arrival.taken -= REPORT_PATIENCE * 2);
             self.advance(camera);
+            let count = self.lanes[camera].spurious;
+            if count > 1 {
+                self.note(
+                    camera,
+                    "spurious_frames",
+                    None,
+                    format!("{count} frames that no trigger explains"),
+                );
+            }
         }
         self.give_up_until(self.emitted.unwrap_or(0).max(self.triggers.len()));
         let end = SessionEnd {

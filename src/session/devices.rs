@@ -1,6 +1,7 @@
 //! The node's devices: its cameras and its link to the HSU, kept open between sessions.
 
 use super::state::Fault;
+use crate::acquire::matcher::ClockRelation;
 use crate::acquire::pool::Block;
 use crate::acquire::receiver::{Arrival, Receiver};
 use crate::api::dto::{CameraStatus, HsuStatus};
@@ -11,7 +12,7 @@ use crate::cmds::Exit;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::hsu::{Hsu, HsuTimeouts, HsuTiming};
 use crate::ids::CameraId;
-use crate::time::monotonic_ns;
+use crate::time::{host_time_ns, monotonic_ns};
 use crossbeam_channel::Sender;
 use std::time::{Duration, Instant};
 
@@ -213,20 +214,28 @@ impl Devices {
         Ok(PreparedCamera { id: id.clone(), size, identity: camera.identity().clone(), settings })
     }
 
-    /// Each camera's clock minus the HSU's, ns, where both can be read. Accurate to half a round trip.
-    pub fn clock_offsets(&mut self) -> Vec<Option<i128>> {
+    /// How each camera's clock relates to the HSU's; accurate to half a round trip.
+    pub fn clock_relations(&mut self) -> Vec<ClockRelation> {
         let hsu = self.hsu.as_ref().and_then(|hsu| {
             let samples = (0..CLOCK_SAMPLES).filter_map(|_| hsu.query_clock().ok());
             let best = samples.min_by_key(|s| s.received - s.sent)?;
             Some(i128::from(best.time_ns) - middle(monotonic_ns(best.sent), monotonic_ns(best.received)))
         });
+        let realtime = i128::from(host_time_ns()) - i128::from(monotonic_ns(Instant::now()));
         let camera = |slot: &mut Slot| {
             let camera = slot.camera.as_mut()?;
             let samples = (0..CLOCK_SAMPLES).filter_map(|_| camera.sample_clock().ok().flatten());
-            let best = samples.min_by_key(|s: &CameraClockSample| s.host_after_ns - s.host_before_ns)?;
+            let samples: Vec<CameraClockSample> = samples.collect();
+            // A latch that does nothing leaves the value as it is.
+            let runs = samples.iter().any(|s| s.camera_ns != samples[0].camera_ns);
+            let best = samples.iter().min_by_key(|s| s.host_after_ns - s.host_before_ns).filter(|_| runs)?;
             Some(i128::from(best.camera_ns) - middle(best.host_before_ns, best.host_after_ns))
         };
-        self.slots.iter_mut().map(|slot| Some(camera(slot)? - hsu?)).collect()
+        let relation = |slot: &mut Slot| ClockRelation {
+            camera_minus_hsu_ns: camera(slot).zip(hsu).map(|(camera, hsu)| camera - hsu),
+            hsu_minus_host_ns: hsu.map(|hsu| hsu - realtime),
+        };
+        self.slots.iter_mut().map(relation).collect()
     }
 
     /// Creates a fresh stream with a receiver on every camera, then starts every acquisition; on failure none

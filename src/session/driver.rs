@@ -2,7 +2,7 @@
 
 use super::devices::{Devices, PreparedCamera, unique_id};
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
-use crate::acquire::matcher::Matcher;
+use crate::acquire::matcher::{ClockRelation, Matcher};
 use crate::acquire::receiver::{Arrival, Receiver as StreamReceiver};
 use crate::acquire::recorder::{FromRecorder, LaneSetup, Progress, Recorder, ToRecorder};
 use crate::api::dto::{CameraProgress, NodeStatus, Outcome, SessionCommand, SessionStatus};
@@ -366,17 +366,17 @@ impl Node {
 
     /// Relates the clocks, starts the recorder, then the streams.
     fn start_streams(&mut self) -> Result<(), Fault> {
-        let offsets = self.devices.clock_offsets();
+        let clocks = self.devices.clock_relations();
         let Some(session) = &mut self.session else { return Ok(()) };
         let Some(recording) = session.recording.take() else { return Ok(()) };
         let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
-        let lane = |(camera, offset): (&PreparedCamera, Option<i128>)| LaneSetup {
+        let lane = |(camera, clocks): (&PreparedCamera, ClockRelation)| LaneSetup {
             id: camera.id.clone(),
             width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
             height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
-            matcher: Matcher::new(period_ns, offset),
+            matcher: Matcher::new(period_ns, clocks),
         };
-        let lanes: Vec<LaneSetup> = session.cameras.iter().zip(offsets).map(lane).collect();
+        let lanes: Vec<LaneSetup> = session.cameras.iter().zip(clocks).map(lane).collect();
         let (arrivals_in, arrivals) = bounded::<Arrival>(self.config.buffers_per_camera * lanes.len().max(1));
         let (to_recorder, commands) = unbounded();
         let (events, from_recorder) = unbounded();

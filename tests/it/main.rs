@@ -11,3 +11,5 @@ mod refusals;
 mod shared_scene;
 mod third_party_camera;
 mod third_party_mcap;
+#[cfg(feature = "aravis")]
+mod third_party_node;
