@@ -1,11 +1,12 @@
 //! The node's thread: carries out what the state machine says, and feeds it what happens.
 
+use super::current::Session;
 use super::devices::{Devices, PreparedCamera, unique_id};
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
 use crate::acquire::matcher::{ClockRelation, Matcher};
-use crate::acquire::receiver::{Arrival, Receiver as StreamReceiver};
-use crate::acquire::recorder::{FromRecorder, LaneSetup, Progress, Recorder, ToRecorder};
-use crate::api::dto::{CameraProgress, NodeStatus, Outcome, SessionCommand, SessionStatus};
+use crate::acquire::receiver::Arrival;
+use crate::acquire::recorder::{FromRecorder, LaneSetup, Recorder, ToRecorder};
+use crate::api::dto::{NodeStatus, Outcome, SessionCommand};
 use crate::api::server::{Command, Reply, SharedStatus};
 use crate::camera::{AppliedSetting, CameraBackend};
 use crate::cmds::Exit;
@@ -19,8 +20,7 @@ use crate::record::{
 use crate::time::host_time_ns;
 use crossbeam_channel::{Receiver, Sender, bounded, never, select, unbounded};
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::path::Path;
 use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -87,21 +87,6 @@ impl Driver {
             tracing::error!("the node's thread panicked");
         }
     }
-}
-
-/// A session from its preparation on.
-struct Session {
-    request: SessionRequest,
-    dir: PathBuf,
-    cameras: Vec<PreparedCamera>,
-    recording: Option<Recording>,
-    progress: Arc<Progress>,
-    to_recorder: Option<Sender<ToRecorder>>,
-    from_recorder: Receiver<FromRecorder>,
-    recorder: Option<JoinHandle<()>>,
-    receivers: Vec<StreamReceiver>,
-    outcome: Option<Outcome>,
-    lost_reported: bool,
 }
 
 struct Node {
@@ -557,60 +542,4 @@ fn hsu_session(id: u64) -> SessionId {
 
 fn hsu_fault(error: HsuError) -> Fault {
     Fault::new(Exit::Device, format!("HSU: {error}"))
-}
-
-impl Session {
-    fn new(request: SessionRequest, dir: PathBuf, cameras: usize) -> Self {
-        Self {
-            request,
-            dir,
-            cameras: Vec::new(),
-            recording: None,
-            progress: Arc::new(Progress::new(cameras)),
-            to_recorder: None,
-            from_recorder: never(),
-            recorder: None,
-            receivers: Vec::new(),
-            outcome: None,
-            lost_reported: false,
-        }
-    }
-
-    fn tell(&self, message: ToRecorder) {
-        if let Some(recorder) = &self.to_recorder {
-            // A recorder that is gone is noticed by its event channel.
-            drop(recorder.send(message));
-        }
-    }
-
-    /// Ends the recorder's thread, if it has not ended by itself.
-    fn end_recorder(&mut self) {
-        self.tell(ToRecorder::Discard);
-        self.to_recorder = None;
-        self.from_recorder = never();
-        if let Some(thread) = self.recorder.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the recorder panicked");
-        }
-    }
-
-    fn status(&self) -> SessionStatus {
-        let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
-        let cameras = self.cameras.iter().enumerate().map(|(i, camera)| CameraProgress {
-            id: camera.id.clone(),
-            frames: self.progress.frames.get(i).map_or(0, load),
-            gaps: self.progress.gaps.get(i).map_or(0, load),
-        });
-        SessionStatus {
-            session_id: self.request.session_id,
-            name: self.request.name.clone(),
-            directory: self.dir.clone(),
-            triggers_asked: self.request.triggers,
-            triggers: load(&self.progress.triggers),
-            cameras: cameras.collect(),
-            ring_high_water_frames: load(&self.progress.high_water),
-            outcome: self.outcome.clone(),
-        }
-    }
 }

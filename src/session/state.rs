@@ -290,6 +290,7 @@ impl Machine {
 mod tests {
     use super::{Action, Event, Fault, Machine, Phase, READY_TIMEOUT, SessionRequest};
     use crate::cmds::Exit;
+    use crate::ids::NodeId;
     use proptest::prelude::{
         Just, ProptestConfig, Strategy, prop_assert, prop_assert_eq, prop_oneof, proptest,
     };
@@ -300,7 +301,7 @@ mod tests {
             session_id: 7,
             name: "walk".to_owned(),
             triggers: 24,
-            nodes: 2,
+            nodes: vec![NodeId::from("a"), NodeId::from("b")],
             subject: None,
             note: None,
         }

@@ -1,6 +1,7 @@
 //! Integration tests of the product: one binary, a module per subject.
 
 mod analytic_scene;
+mod architecture;
 mod chain;
 mod hsu;
 mod lab;

@@ -1,0 +1,84 @@
+//! What a node holds while it is in a session: the request, the threads that record it, and its outcome.
+
+use super::devices::PreparedCamera;
+use super::state::SessionRequest;
+use crate::acquire::receiver::Receiver as StreamReceiver;
+use crate::acquire::recorder::{FromRecorder, Progress, ToRecorder};
+use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
+use crate::record::Recording;
+use crossbeam_channel::{Receiver, Sender, never};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
+
+/// A session from its preparation on.
+pub(super) struct Session {
+    pub(super) request: SessionRequest,
+    pub(super) dir: PathBuf,
+    pub(super) cameras: Vec<PreparedCamera>,
+    pub(super) recording: Option<Recording>,
+    pub(super) progress: Arc<Progress>,
+    pub(super) to_recorder: Option<Sender<ToRecorder>>,
+    pub(super) from_recorder: Receiver<FromRecorder>,
+    pub(super) recorder: Option<JoinHandle<()>>,
+    pub(super) receivers: Vec<StreamReceiver>,
+    pub(super) outcome: Option<Outcome>,
+    pub(super) lost_reported: bool,
+}
+
+impl Session {
+    pub(super) fn new(request: SessionRequest, dir: PathBuf, cameras: usize) -> Self {
+        Self {
+            request,
+            dir,
+            cameras: Vec::new(),
+            recording: None,
+            progress: Arc::new(Progress::new(cameras)),
+            to_recorder: None,
+            from_recorder: never(),
+            recorder: None,
+            receivers: Vec::new(),
+            outcome: None,
+            lost_reported: false,
+        }
+    }
+
+    pub(super) fn tell(&self, message: ToRecorder) {
+        if let Some(recorder) = &self.to_recorder {
+            // A recorder that is gone is noticed by its event channel.
+            drop(recorder.send(message));
+        }
+    }
+
+    /// Ends the recorder's thread, if it has not ended by itself.
+    pub(super) fn end_recorder(&mut self) {
+        self.tell(ToRecorder::Discard);
+        self.to_recorder = None;
+        self.from_recorder = never();
+        if let Some(thread) = self.recorder.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the recorder panicked");
+        }
+    }
+
+    pub(super) fn status(&self) -> SessionStatus {
+        let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
+        let cameras = self.cameras.iter().enumerate().map(|(i, camera)| CameraProgress {
+            id: camera.id.clone(),
+            frames: self.progress.frames.get(i).map_or(0, load),
+            gaps: self.progress.gaps.get(i).map_or(0, load),
+        });
+        SessionStatus {
+            session_id: self.request.session_id,
+            name: self.request.name.clone(),
+            directory: self.dir.clone(),
+            triggers_asked: self.request.triggers,
+            triggers: load(&self.progress.triggers),
+            cameras: cameras.collect(),
+            ring_high_water_frames: load(&self.progress.high_water),
+            outcome: self.outcome.clone(),
+        }
+    }
+}
