@@ -2,12 +2,16 @@
 
 mod analytic_scene;
 mod architecture;
+#[cfg(feature = "aravis")]
 mod chain;
 mod hsu;
+// Without live cameras only some of its parts are used.
+#[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
 mod recording;
 mod recording_commands;
 mod recording_damage;
+#[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
 mod shared_scene;
 mod third_party_camera;

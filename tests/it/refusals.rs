@@ -20,6 +20,7 @@ fn assert_refused(dir: &Path, nodes: &mut [NodeProcess], output: &Output, code: 
     assert!(!session.exists(), "{} was left behind", session.display());
 }
 
+#[cfg(feature = "aravis")]
 #[test]
 fn a_missing_camera_is_named_and_a_later_session_works() {
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -32,35 +33,33 @@ fn a_missing_camera_is_named_and_a_later_session_works() {
     assert_refused(dir.path(), &mut nodes, &output, 5, &["node b", "h2_low", "cable"]);
 }
 
+#[cfg(feature = "aravis")]
 #[test]
 fn a_camera_of_another_program_is_recognized() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory(dir.path(), 103, 20.0);
-    #[cfg(feature = "aravis")]
-    {
-        use fourdbody::camera::{AravisCameras, CameraBackend};
-        let other = AravisCameras.open("127.0.103.12").expect("the other program opens it first");
-        let mut nodes: Vec<NodeProcess> =
-            laboratory.nodes.iter().map(|node| NodeProcess::start(&node.path, node.port)).collect();
-        nodes[0].wait_until("one camera owned", |status| {
-            status.cameras.iter().any(|c| c.problem.as_ref().is_some_and(|p| p.contains("another program")))
-        });
-        nodes[1].wait_ready();
-        let output = capture(&laboratory, "5");
-        assert_refused(
-            dir.path(),
-            &mut nodes,
-            &output,
-            5,
-            &["h0_low", "127.0.103.12", "controlled by another program"],
-        );
-        drop(other);
-        let output = capture(&laboratory, "5");
-        assert_eq!(output.status.code(), Some(0), "{}", text_of(&output));
-    }
-    drop(laboratory);
+    use fourdbody::camera::{AravisCameras, CameraBackend};
+    let other = AravisCameras.open("127.0.103.12").expect("the other program opens it first");
+    let mut nodes: Vec<NodeProcess> =
+        laboratory.nodes.iter().map(|node| NodeProcess::start(&node.path, node.port)).collect();
+    nodes[0].wait_until("one camera owned", |status| {
+        status.cameras.iter().any(|c| c.problem.as_ref().is_some_and(|p| p.contains("another program")))
+    });
+    nodes[1].wait_ready();
+    let output = capture(&laboratory, "5");
+    assert_refused(
+        dir.path(),
+        &mut nodes,
+        &output,
+        5,
+        &["h0_low", "127.0.103.12", "controlled by another program"],
+    );
+    drop(other);
+    let output = capture(&laboratory, "5");
+    assert_eq!(output.status.code(), Some(0), "{}", text_of(&output));
 }
 
+#[cfg(feature = "aravis")]
 #[test]
 fn an_hsu_that_does_not_answer_is_told() {
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -75,6 +74,7 @@ fn an_hsu_that_does_not_answer_is_told() {
     assert_eq!(output.status.code(), Some(0), "{}", text_of(&output));
 }
 
+#[cfg(feature = "aravis")]
 #[test]
 fn a_disk_that_cannot_hold_the_session_refuses_it() {
     let dir = tempfile::tempdir().expect("a temporary directory");
