@@ -35,10 +35,10 @@ impl CameraBackend for AravisCameras {
             aravis_sys::arv_update_device_list();
             aravis_sys::arv_get_n_devices()
         };
-        // SAFETY: the pointers are null or NUL-terminated strings that live until the next list update,
-        // and are copied at once.
         let text = |pointer: *const std::ffi::c_char| match pointer.is_null() {
             true => String::new(),
+            // SAFETY: not null, hence a NUL-terminated string that lives until the next list update; it is
+            // copied at once.
             false => unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned(),
         };
         let describe = |i| {

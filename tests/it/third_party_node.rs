@@ -59,7 +59,7 @@ fn our_node_records_from_aravis_own_fake_camera() {
          [hsu]\ndevice = \"{}\"\n[storage]\nsessions_dir = \"sessions\"\nreserve_mib = 1\n\
          [acquisition]\nbuffers_per_camera = 32\npacket_bytes = 1400\nsocket = \"standard\"\nsettings = [\n\
          [\"PixelFormat\", \"Mono8\"], [\"Width\", 512], [\"Height\", 512], [\"TriggerMode\", \"Off\"],\n\
-         [\"ExposureTimeAbs\", 1000.0]]\n[[camera]]\nid = \"h0_up\"\naddress = \"127.0.0.1\"\n",
+         [\"ExposureTimeAbs\", 10000.0]]\n[[camera]]\nid = \"h0_up\"\naddress = \"127.0.0.1\"\n",
         hsu.link(0).display()
     );
     let file = dir.path().join("node.toml");
