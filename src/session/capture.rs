@@ -11,7 +11,7 @@ use crate::ids::SessionName;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// What to capture.
 #[derive(Debug, Clone)]
@@ -121,12 +121,16 @@ pub fn capture(options: &CaptureOptions, mut progress: impl FnMut(&str)) -> Resu
     let nodes: Vec<NodeClient> = options.nodes.iter().map(|url| NodeClient::new(url)).collect();
     let statuses = nodes.iter().map(NodeClient::status).collect::<Result<Vec<_>, _>>()?;
     let request = request(options, &statuses)?;
+    let stop = stop_on_ctrl_c()?;
     progress("preparing cameras and HSU on all nodes");
     if let Err(fault) = prepare_all(&nodes, &statuses, &request) {
         abort_all(&nodes, request.session_id, "another node could not get ready");
         return Err(fault);
     }
-    let stop = stop_on_ctrl_c()?;
+    if stop.load(Ordering::Acquire) {
+        abort_all(&nodes, request.session_id, "stopped by the operator before the start");
+        return Err(Fault::new(Exit::Failure, "stopped before the start; nothing was recorded"));
+    }
     if let Err(fault) = nodes[0].start(request.session_id) {
         abort_all(&nodes, request.session_id, &fault.message);
         return Err(fault);
@@ -224,6 +228,17 @@ fn abort_all(nodes: &[NodeClient], session_id: u64, reason: &str) {
     }
 }
 
+/// A node that is silent about the session for this long is lost.
+const LOST_PATIENCE: Duration = Duration::from_secs(5);
+
+fn lost(node: &NodeClient) -> Fault {
+    let message = format!(
+        "the node at {} does not answer any more; what it recorded is on its disk, see `fourdbody verify` there",
+        node.url()
+    );
+    Fault::new(Exit::Device, message)
+}
+
 /// Polls until every node has an outcome for this session.
 fn follow(
     nodes: &[NodeClient],
@@ -232,28 +247,35 @@ fn follow(
     progress: &mut impl FnMut(&str),
 ) -> Result<Vec<SessionStatus>, Fault> {
     const POLL: Duration = Duration::from_millis(100);
-    const UNREACHABLE_POLLS_MAX: u32 = 50;
-    let mut unreachable = vec![0u32; nodes.len()];
+    let mut seen = vec![Instant::now(); nodes.len()];
     let mut latest: Vec<Option<SessionStatus>> = vec![None; nodes.len()];
     let mut told = false;
     loop {
         if stop.swap(false, Ordering::AcqRel) {
             progress("stopping after the current trigger");
-            nodes[0].stop(request.session_id)?;
+            // Any link will do: the first node may be the one that is gone.
+            nodes.iter().map(|node| node.stop(request.session_id)).find(Result::is_ok).unwrap_or(Ok(()))?;
         }
         for (i, node) in nodes.iter().enumerate() {
-            match node.status() {
-                Ok(status) => {
-                    unreachable[i] = 0;
-                    latest[i] = status.session.filter(|s| s.session_id == request.session_id);
+            if latest[i].as_ref().is_some_and(|session| session.outcome.is_some()) {
+                continue;
+            }
+            let answer =
+                node.status().map(|status| status.session.filter(|s| s.session_id == request.session_id));
+            match answer {
+                Ok(Some(session)) => {
+                    seen[i] = Instant::now();
+                    latest[i] = Some(session);
                 }
-                Err(fault) => {
-                    unreachable[i] += 1;
-                    if unreachable[i] > UNREACHABLE_POLLS_MAX {
+                _ if seen[i].elapsed() < LOST_PATIENCE => {}
+                // It died, or was restarted and knows nothing of the session.
+                _ => match &mut latest[i] {
+                    Some(session) => session.outcome = Some(Outcome::Failed(lost(node))),
+                    None => {
                         abort_all(nodes, request.session_id, "the other node does not answer any more");
-                        return Err(fault);
+                        return Err(lost(node));
                     }
-                }
+                },
             }
         }
         let ended = |s: &Option<SessionStatus>| s.as_ref().is_some_and(|s| s.outcome.is_some());
@@ -284,9 +306,16 @@ fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>, Fault> {
         .enable_all()
         .build()
         .map_err(|e| Fault::new(Exit::Failure, format!("cannot watch for Ctrl-C: {e}")))?;
+    // Registered before the thread runs: from here on no Ctrl-C kills the process.
+    let mut interrupts = {
+        let _inside = runtime.enter();
+        use tokio::signal::unix::{SignalKind, signal};
+        signal(SignalKind::interrupt())
+            .map_err(|e| Fault::new(Exit::Failure, format!("cannot watch for Ctrl-C: {e}")))?
+    };
     std::thread::spawn(move || {
         runtime.block_on(async {
-            while tokio::signal::ctrl_c().await.is_ok() {
+            while interrupts.recv().await.is_some() {
                 set.store(true, Ordering::Release);
             }
         });

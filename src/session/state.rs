@@ -207,7 +207,9 @@ impl Machine {
             }
             (Phase::Ready, Event::Failed(fault)) => self.give_up(fault.message),
             (Phase::Ready, Event::Abort(reason)) => self.give_up(reason),
-            (Phase::Ready, Event::Stop) => self.give_up("stopped before it was started".to_owned()),
+            // It may have been started from another node, or the first report is on its way: the HSU knows, and
+            // answers with the end of a train that may be empty.
+            (Phase::Ready, Event::Stop) => vec![Action::StopTrain],
             // All telemetry of a short train may be lost: the end tells that it ran.
             (Phase::Ready, Event::TrainDone { emitted: 0 }) => self.give_up("the train was empty".to_owned()),
             (Phase::Ready, Event::Tick) if self.idle_for(now) > READY_TIMEOUT => {

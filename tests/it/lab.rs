@@ -101,6 +101,11 @@ impl NodeProcess {
     pub fn wait_idle(&mut self) -> NodeStatus {
         self.wait_until("idle", |status| status.phase == fourdbody::session::state::Phase::Idle)
     }
+
+    /// The process's id.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
 }
 
 impl Drop for NodeProcess {

@@ -3,6 +3,8 @@
 mod analytic_scene;
 mod architecture;
 #[cfg(feature = "aravis")]
+mod breaks;
+#[cfg(feature = "aravis")]
 mod chain;
 mod hsu;
 // Without live cameras only some of its parts are used.

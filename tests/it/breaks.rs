@@ -1,0 +1,76 @@
+//! Sessions that end otherwise than planned: every outcome is accounted for, and nothing hangs.
+
+use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+use fourdbody_simulator::laboratory::Laboratory;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+/// A capture until stopped, and waits until its train runs.
+fn start_capture(laboratory: &Laboratory, nodes: &mut [NodeProcess], name: &str) -> Child {
+    let child = Command::new(FOURDBODY)
+        .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "0", "--name", name])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary starts");
+    for node in nodes {
+        node.wait_until("ten triggers", |status| {
+            status
+                .session
+                .as_ref()
+                .is_some_and(|s| s.name == name && s.triggers >= 10 && s.cameras.iter().all(|c| c.frames > 5))
+        });
+    }
+    child
+}
+
+fn signal(signal: &str, pid: u32) {
+    let sent = Command::new("kill").args([signal, &pid.to_string()]).status().expect("kill is installed");
+    assert!(sent.success());
+}
+
+fn verify(dir: &Path, name: &str) -> Output {
+    fourdbody(&["verify", &dir.join("sessions").join(name).display().to_string()])
+}
+
+#[test]
+fn ctrl_c_ends_a_session_that_runs_until_stopped() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 110, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, &mut nodes, "stopped");
+    signal("-INT", capture.id());
+    let output = capture.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(0), "{}", text_of(&output));
+    assert!(text_of(&output).contains("session stopped: complete"), "{}", text_of(&output));
+    let verified = verify(dir.path(), "stopped");
+    assert_eq!(verified.status.code(), Some(0), "{}", text_of(&verified));
+}
+
+#[test]
+fn a_node_that_is_killed_loses_at_most_its_last_chunks_and_the_other_ends_accounted() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 111, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, &mut nodes, "killed");
+    signal("-KILL", nodes[0].pid());
+    let output = capture.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
+    nodes[1].wait_idle();
+
+    let survivor = fourdbody(&["verify", &dir.path().join("sessions/killed/node-b").display().to_string()]);
+    assert!(matches!(survivor.status.code(), Some(0 | 3)), "{}", text_of(&survivor));
+    // The dead node's recording is unfinished, but what was flushed is there and intact.
+    let dead = dir.path().join("sessions/killed/node-a");
+    let unfinished = fourdbody(&["verify", &dead.display().to_string()]);
+    assert_eq!(unfinished.status.code(), Some(4), "{}", text_of(&unfinished));
+    let reader = fourdbody::record::SessionReader::open(&dead).expect("readable");
+    use fourdbody::reconstruct::{Frame, FrameSource};
+    let images = reader.triggers().flat_map(|t| reader.cameras().iter().map(move |c| (c.clone(), t)));
+    let images: Vec<_> = images.collect();
+    let intact = images.iter().filter(|(camera, trigger)| {
+        matches!(reader.frame(camera, fourdbody::ids::TriggerIndex(*trigger)), Ok(Frame::Image(_)))
+    });
+    assert!(intact.count() >= 4, "some of the first frames must have reached the disk");
+}
