@@ -1,14 +1,12 @@
 //! The writer's thread: matches frames to triggers and writes them, with a gap record for whatever is missing.
 
 use super::matcher::{Match, Matcher, TriggerTable, Witness};
-use super::pool::ROOM_BYTES;
 use super::receiver::Arrival;
 use crate::camera::Transfer;
 use crate::cmds::Exit;
 use crate::ids::{CameraId, TriggerIndex};
 use crate::record::{
     ClockSample, FrameMeta, GapCause, NodeEvent, RecordError, Recording, SessionEnd, TriggerRecord, Verdict,
-    write_envelope,
 };
 use crate::session::state::Fault;
 use crate::time::host_time_ns;
@@ -265,7 +263,7 @@ impl Recorder {
         }
     }
 
-    fn write(&mut self, camera: usize, trigger: TriggerIndex, mut arrival: Arrival) {
+    fn write(&mut self, camera: usize, trigger: TriggerIndex, arrival: Arrival) {
         let lane = &self.lanes[camera];
         let meta = FrameMeta {
             trigger,
@@ -276,12 +274,7 @@ impl Recorder {
             height: lane.height,
             pixels_crc: arrival.pixels_crc,
         };
-        let envelope_bytes = match write_envelope(arrival.block.room_mut(), &lane.id, &meta) {
-            Ok(length) => length,
-            Err(error) => return self.fail(&error.to_string()),
-        };
-        let message = &arrival.block.bytes()[ROOM_BYTES - envelope_bytes..];
-        match self.recording.frame(camera, &meta, message) {
+        match self.recording.frame_in_place(camera, &meta, arrival.block) {
             Ok(()) => drop(self.progress.frames[camera].fetch_add(1, Ordering::Relaxed)),
             // The recording has accounted for the frame as dropped.
             Err(error) => {

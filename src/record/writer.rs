@@ -3,12 +3,13 @@
 //! One thread calls it. It blocks while the disk writes; frames wait in their pool meanwhile.
 
 use super::direct::{DirectFile, Store, free_bytes, sync_directory};
-use super::envelope::{FrameMeta, parse_envelope};
+use super::envelope::{FrameMeta, parse_envelope, write_envelope};
 use super::layout::{
     ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
 };
 use super::segment::{JsonChannel, Segment};
 use super::verdict::{CameraTally, SessionEnd, Status, Verdict};
+use crate::acquire::pool::{Block, ROOM_BYTES};
 use crate::ids::{CameraId, TriggerIndex};
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -178,6 +179,20 @@ impl Recording {
         self.unsynced += message.len() as u64;
         self.after_record(place)?;
         self.split_if_due()
+    }
+
+    /// Records a frame from the memory that the camera layer received it into: the envelope goes into the
+    /// block's room, and the block goes back to its pool once the disk has it. Otherwise as [`Self::frame`].
+    pub fn frame_in_place(
+        &mut self,
+        camera: usize,
+        meta: &FrameMeta,
+        mut block: Block,
+    ) -> Result<(), RecordError> {
+        let id = self.camera_id(camera).unwrap_or(CameraId(String::new()));
+        let length = write_envelope(block.room_mut(), &id, meta)
+            .map_err(|e| RecordError::Frame { camera, reason: e.to_string() })?;
+        self.frame(camera, meta, &block.bytes()[ROOM_BYTES - length..])
     }
 
     /// The message must be the frame that `meta` and the header describe: otherwise a reader would refuse it.
