@@ -22,12 +22,21 @@ use std::time::{Duration, Instant};
 pub enum ToRecorder {
     /// The HSU reported a trigger.
     Trigger(TriggerRecord),
-    /// A clock exchange, for the record.
+    /// The HSU reported a warm-up trigger: its frames are recognized and not recorded.
+    WarmUp {
+        /// Its number, negative.
+        number: i64,
+        /// When it was fired, HSU clock, ns.
+        hsu_time_ns: u64,
+    },
+    /// A clock exchange with the HSU or a camera, for the fits and for the record.
     Clock(ClockSample),
     /// Something happened, for the record.
     Event(NodeEvent),
     /// A camera is gone: what is missing from now on is missing for that reason.
     CameraLost(usize),
+    /// The camera is back with a fresh stream: its block ids begin anew, its clock may have been reset.
+    CameraBack(usize),
     /// No more triggers will come: wait for their frames, then say so.
     Drain {
         /// How many triggers there were, where the HSU said so.
@@ -47,6 +56,8 @@ pub enum ToRecorder {
 pub enum FromRecorder {
     /// The frames of all triggers are in, or will not come any more.
     Drained,
+    /// The ring was full for the first time, and the configuration says to stop then.
+    RingFull,
     /// Writing failed: nothing more can be recorded.
     Failed(Fault),
     /// The recording is closed.
@@ -58,6 +69,10 @@ pub enum FromRecorder {
 pub struct Progress {
     /// Triggers reported.
     pub triggers: AtomicU64,
+    /// Packets (or whatever else shows that it sends) seen from each camera: the receivers count them.
+    pub heard: Vec<AtomicU64>,
+    /// Frames taken off each camera's stream, whatever became of them.
+    pub received: Vec<AtomicU64>,
     /// Frames written, per camera.
     pub frames: Vec<AtomicU64>,
     /// Gap records written, per camera.
@@ -70,7 +85,14 @@ impl Progress {
     /// All zero.
     pub fn new(cameras: usize) -> Self {
         let zeros = || (0..cameras).map(|_| AtomicU64::new(0)).collect();
-        Self { triggers: AtomicU64::new(0), frames: zeros(), gaps: zeros(), high_water: AtomicU64::new(0) }
+        Self {
+            triggers: AtomicU64::new(0),
+            heard: zeros(),
+            received: zeros(),
+            frames: zeros(),
+            gaps: zeros(),
+            high_water: AtomicU64::new(0),
+        }
     }
 }
 
@@ -196,7 +218,9 @@ impl Recorder {
             }
             ToRecorder::Clock(sample) => self.attempt(|recording| recording.clock_sample(&sample)),
             ToRecorder::Event(event) => self.attempt(|recording| recording.event(&event)),
+            ToRecorder::WarmUp { .. } => {}
             ToRecorder::CameraLost(camera) => self.lanes[camera].lost = true,
+            ToRecorder::CameraBack(camera) => self.lanes[camera].lost = false,
             ToRecorder::Drain { emitted } => {
                 self.draining = true;
                 self.emitted = emitted.or(self.emitted);
@@ -383,7 +407,7 @@ impl Recorder {
 fn gap_cause(transfer: Transfer) -> Option<GapCause> {
     match transfer {
         Transfer::Complete => None,
-        Transfer::MissingPackets => Some(GapCause::MissingPackets),
+        Transfer::MissingPackets | Transfer::Unwritten => Some(GapCause::MissingPackets),
         Transfer::Timeout => Some(GapCause::Timeout),
         Transfer::SizeMismatch => Some(GapCause::SizeMismatch),
         Transfer::Aborted => Some(GapCause::Aborted),

@@ -121,6 +121,8 @@ pub enum Transfer {
     Timeout,
     /// The image has another size than agreed.
     SizeMismatch,
+    /// All bytes are said to have arrived, but a part of the block was not written.
+    Unwritten,
     /// The stream was stopped in the middle.
     Aborted,
 }

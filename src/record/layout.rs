@@ -190,15 +190,18 @@ pub struct TriggerRecord {
     pub host_time_ns: u64,
 }
 
-/// One exchange with the HSU, for fitting its clock again later.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+/// One exchange with a device, for fitting its clock again later.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClockSample {
+    /// The camera; `None` for the HSU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraId>,
     /// Request sent, host clock, ns.
     pub host_send_ns: u64,
     /// Answer received, host clock, ns.
     pub host_receive_ns: u64,
-    /// Answered, HSU clock, ns.
-    pub hsu_time_ns: u64,
+    /// Answered, the device's clock, ns.
+    pub device_time_ns: u64,
 }
 
 /// Something that happened on the node during the session.
@@ -263,8 +266,8 @@ pub(crate) fn json_channels() -> [(&'static str, &'static str, serde_json::Value
             CLOCK_TOPIC,
             "fourdbody.ClockSample",
             object(
-                &["host_send_ns", "host_receive_ns", "hsu_time_ns"],
-                serde_json::json!({"host_send_ns": integer, "host_receive_ns": integer, "hsu_time_ns": integer}),
+                &["host_send_ns", "host_receive_ns", "device_time_ns"],
+                serde_json::json!({"camera": text, "host_send_ns": integer, "host_receive_ns": integer, "device_time_ns": integer}),
             ),
         ),
         (

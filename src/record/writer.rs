@@ -239,7 +239,7 @@ impl Recording {
         Ok(())
     }
 
-    /// Records an exchange with the HSU.
+    /// Records a clock exchange.
     pub fn clock_sample(&mut self, sample: &ClockSample) -> Result<(), RecordError> {
         self.json(JsonChannel::Clock, self.newest(), sample.host_receive_ns, sample)
     }

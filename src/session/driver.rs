@@ -458,6 +458,7 @@ impl Node {
     fn recorder_event(&mut self, event: FromRecorder) {
         match event {
             FromRecorder::Drained => self.take(Event::Drained),
+            FromRecorder::RingFull => {}
             FromRecorder::Failed(fault) => self.take(Event::Failed(fault)),
             FromRecorder::Closed(verdict) => {
                 self.in_session(|session| {

@@ -155,7 +155,12 @@ fn small_records_read_back_and_every_segment_stands_alone() {
     let path = dir.path().join("node-a");
     let mut recording =
         Recording::create(&path, header("a", &["h0_up"], None), options(20_000)).expect("a new recording");
-    let sample = ClockSample { host_send_ns: START_NS, host_receive_ns: START_NS + 9, hsu_time_ns: 4 };
+    let sample = ClockSample {
+        camera: None,
+        host_send_ns: START_NS,
+        host_receive_ns: START_NS + 9,
+        device_time_ns: 4,
+    };
     let event = NodeEvent {
         host_time_ns: START_NS,
         kind: "camera_lost".to_owned(),
