@@ -23,6 +23,8 @@ pub mod camera;
 pub mod cmds;
 /// Configuration files, read and validated with all problems at once.
 pub mod config;
+/// Is this host fit for its cameras' rate?
+pub mod doctor;
 /// Point clouds and pictures on their way out: PLY, MCAP, PNG.
 pub mod export;
 /// Lens models, rigid transforms and the triangulating devices.

@@ -20,6 +20,7 @@ use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};
 use std::ffi::CStr;
+use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -67,7 +68,7 @@ impl CameraBackend for AravisCameras {
         if let Some(gv) = device.downcast_ref::<aravis::GvDevice>()
             && !gv.is_controller()
         {
-            return Err(CameraError::Owned { address: address.to_owned() });
+            return Err(CameraError::Owned { address: address.to_owned(), holder: holder(&device) });
         }
         let lost = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&lost);
@@ -80,6 +81,15 @@ impl CameraBackend for AravisCameras {
         };
         Ok(Box::new(AravisCamera { camera, device, identity, lost }))
     }
+}
+
+/// Who controls a GigE camera, by its bootstrap registers; not every camera has them.
+fn holder(device: &aravis::Device) -> Option<String> {
+    const PORT: u64 = 0x0a04;
+    const ADDRESS: u64 = 0x0a14;
+    let read = |register| device.read_register(register).ok().map(|(_, value)| value);
+    let address = read(ADDRESS).filter(|&bits| bits != 0)?;
+    Some(format!("{}:{}", Ipv4Addr::from_bits(address), read(PORT)? & 0xffff))
 }
 
 struct AravisCamera {
@@ -195,6 +205,24 @@ impl Camera for AravisCamera {
             return Ok(Some(CameraClockSample { host_before_ns, camera_ns, host_after_ns }));
         }
         Ok(None)
+    }
+
+    fn test_packet_size(&mut self, bytes: u32) -> Result<Option<u32>, CameraError> {
+        let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return Ok(None) };
+        let error = link_error("testing the packet size");
+        if self.device.feature("ArvGevSCPSFireTestPacket").is_none() {
+            return Ok(None);
+        }
+        let size = i32::try_from(bytes).unwrap_or(i32::MAX);
+        self.camera.gv_set_packet_size(size).map_err(&error)?;
+        // Creating a stream tests the size that is set, and looks for a smaller one when nothing arrives.
+        self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::OnFailure);
+        let stream = self.camera.create_stream().map_err(&error);
+        self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
+        if let Some(stream) = stream?.downcast_ref::<aravis::GvStream>() {
+            stream.stop_thread(true);
+        }
+        gv.packet_size().map(Some).map_err(error)
     }
 
     fn create_stream(

@@ -60,11 +60,14 @@ pub enum CameraError {
     },
     /// Another program holds the control privilege.
     #[error(
-        "the camera at {address} is controlled by another program; close that program, or wait until its heartbeat times out"
+        "the camera at {address} is controlled by another program{}; close that program, or wait until its heartbeat times out",
+        holder.as_ref().map(|host| format!(" on {host}")).unwrap_or_default()
     )]
     Owned {
         /// As configured.
         address: String,
+        /// Address and port of that program, where the camera tells.
+        holder: Option<String>,
     },
     /// A feature could not be set or did not take the value.
     #[error("feature {feature}: asked for {requested}, {found}; correct the node file's settings")]
@@ -167,6 +170,12 @@ pub trait Camera: Send {
 
     /// Reads its clock; `None` where it has none that can be read.
     fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError>;
+
+    /// Has the camera send test packets of `bytes` and gives the size that arrives: `bytes`, or the largest
+    /// smaller one that does. `None` where the transport or the camera has no such test. No stream may exist.
+    fn test_packet_size(&mut self, _bytes: u32) -> Result<Option<u32>, CameraError> {
+        Ok(None)
+    }
 
     /// Creates a fresh stream into `blocks`. All streams of a host are created before any acquisition starts:
     /// a packet socket takes foreign packets for its own until its filter is set.

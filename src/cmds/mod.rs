@@ -10,6 +10,7 @@ use std::process::ExitCode;
 pub mod cameras;
 pub mod capture;
 pub mod check_config;
+pub mod doctor;
 pub mod import;
 pub mod info;
 pub mod node;

@@ -138,6 +138,7 @@ impl Control {
         self.controller = None;
         self.last_write = None;
         self.registers.privilege = 0;
+        self.registers.controller = None;
         self.registers.host_port = 0;
         self.acquiring = false;
         actions.push(Action::Stop);
@@ -291,6 +292,7 @@ impl Control {
                 let exclusive = value & EXCLUSIVE != 0;
                 self.controller = Some(Controller { address: from, exclusive, heard: now });
                 self.registers.privilege = value;
+                self.registers.controller = Some(from);
             }
             // Switchover and its key are not implemented, and the capability register says so.
             _ => return Err(Status::InvalidParameter),

@@ -90,6 +90,8 @@ registers! {
     TimestampLow        0x094c  4 ReadOnly;
     GvspConfiguration   0x0960  4 ReadWrite locked;
     Privilege           0x0a00  4 ReadWrite;
+    ControllerPort      0x0a04  4 ReadOnly;
+    ControllerAddress   0x0a14  4 ReadOnly;
     HostPort            0x0d00  4 ReadWrite;
     PacketSize          0x0d04  4 ReadWrite locked;
     PacketDelay         0x0d08  4 ReadWrite;

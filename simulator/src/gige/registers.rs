@@ -24,8 +24,9 @@ pub const PACKET_SIZE_STEP: u16 = 4;
 pub const WIDTH_MIN: u32 = 16;
 /// Shortest heartbeat timeout, ms.
 const HEARTBEAT_MIN: u32 = 500;
-/// GVCP capability: user-defined name, serial number, PACKETRESEND, WRITEMEM, concatenation.
-const GVCP_CAPABILITY: u32 = 1 << 31 | 1 << 30 | 1 << 2 | 1 << 1 | 1;
+/// GVCP capability: user-defined name, serial number, the controller's port and address, PACKETRESEND,
+/// WRITEMEM, concatenation.
+const GVCP_CAPABILITY: u32 = 1 << 31 | 1 << 30 | 1 << 27 | 1 << 2 | 1 << 1 | 1;
 /// GVSP capability: stream source port register, 16-bit block ids.
 const GVSP_CAPABILITY: u32 = 1 << 31 | 1 << 30;
 /// GVSP configuration: 64-bit block ids are on.
@@ -71,6 +72,8 @@ pub struct Registers {
     latched: u64,
     /// Control channel privilege as others read it.
     pub privilege: u32,
+    /// Who has it ("primary application").
+    pub controller: Option<SocketAddrV4>,
     /// The controller is lost after so many silent milliseconds.
     pub heartbeat_ms: u32,
     /// Port the stream goes to; 0 closes the stream.
@@ -103,6 +106,7 @@ impl Registers {
             clock,
             latched: 0,
             privilege: 0,
+            controller: None,
             heartbeat_ms: 3000,
             host_port: 0,
             destination: Ipv4Addr::UNSPECIFIED,
@@ -390,6 +394,8 @@ impl Registers {
             Id::TimestampLow => (self.latched & 0xffff_ffff) as u32,
             Id::GvspConfiguration if self.ids == IdMode::Extended => EXTENDED_IDS_BIT,
             Id::Privilege => self.privilege,
+            Id::ControllerPort => self.controller.map_or(0, |c| u32::from(c.port())),
+            Id::ControllerAddress => self.controller.map_or(0, |c| c.ip().to_bits()),
             Id::HostPort => u32::from(self.host_port),
             Id::PacketSize => u32::from(self.do_not_fragment) << 30 | u32::from(self.packet_size),
             Id::PacketDelay => self.packet_delay,

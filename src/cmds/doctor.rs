@@ -1,0 +1,72 @@
+//! `fourdbody doctor`: is this host fit for its cameras' rate?
+
+use super::{Exit, Failure};
+use crate::camera::CameraBackend;
+use crate::config::NodeConfig;
+use crate::doctor::{Finding, Grade, examine, exit_of};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Examine this host: sockets, limits, network, disk, cameras, HSU; a verdict a line.
+///
+/// Limits and capabilities are those of the user who runs this: run it as the node's user. Exit codes: 0 fit
+/// (perhaps with warnings), 1 the host is unfit, 2 configuration, 5 a device failed.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  sudo -u fourdbody fourdbody doctor --config /etc/fourdbody/node.toml --disk-seconds 10"
+)]
+pub struct Args {
+    /// The node file; without it only the host is examined, for four cameras of 1920 x 1200 at 120 Hz.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+    /// How long to record noise into the sessions directory; 0: not at all. The file is deleted.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(0..=600))]
+    disk_seconds: u64,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let config = args.config.as_deref().map(NodeConfig::load).transpose()?;
+    let mut backend = backend();
+    let mut findings: Vec<Finding> = Vec::new();
+    let disk_time = Duration::from_secs(args.disk_seconds);
+    let backend: Option<&mut dyn CameraBackend> = match &mut backend {
+        Some(backend) => Some(backend.as_mut()),
+        None => None,
+    };
+    examine(config.as_ref(), backend, disk_time, |finding| {
+        // Each verdict at once: an absent camera takes seconds.
+        if !args.json {
+            println!("{finding}");
+        }
+        findings.push(finding);
+    });
+    let exit = exit_of(&findings);
+    let count = |grade| findings.iter().filter(|finding| finding.grade == grade).count();
+    let (ok, warnings, failed) = (count(Grade::Ok), count(Grade::Warning), count(Grade::Failed));
+    if args.json {
+        let node = config.as_ref().map(|config| &config.node);
+        let fit = exit == Exit::Done;
+        println!("{}", serde_json::json!({ "fit": fit, "node": node, "findings": findings }));
+    } else {
+        let verdict = match exit {
+            Exit::Done => "fit",
+            _ => "not fit",
+        };
+        println!("{verdict}: {ok} ok, {warnings} warnings, {failed} failed");
+    }
+    Ok(exit)
+}
+
+#[cfg(feature = "aravis")]
+fn backend() -> Option<Box<dyn CameraBackend>> {
+    Some(Box::new(crate::camera::AravisCameras))
+}
+
+#[cfg(not(feature = "aravis"))]
+fn backend() -> Option<Box<dyn CameraBackend>> {
+    None
+}

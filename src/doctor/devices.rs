@@ -1,0 +1,388 @@
+//! Cameras and HSU: there, free, who they are, and whether they answer as a session needs it.
+
+use super::{Check, Finding, Load};
+use crate::api::dto::NodeStatus;
+use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity};
+use crate::config::{CameraConfig, NodeConfig};
+use crate::hsu::{Hsu, HsuTimeouts};
+use crate::ids::CameraId;
+use crate::time::monotonic_ns;
+use std::ffi::CString;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+
+/// Clock readings per device; the shortest round trip counts.
+const CLOCK_READINGS: usize = 8;
+
+/// A camera's clock, read several times.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ClockFacts {
+    /// The shortest way there and back, ns.
+    pub round_trip_ns: u64,
+    /// Whether it moved between readings.
+    pub runs: bool,
+}
+
+/// An opened camera.
+#[derive(Debug)]
+pub struct OpenedCamera {
+    /// Who it is.
+    pub identity: CameraIdentity,
+    /// Columns and rows after all settings were set and read back.
+    pub size: Result<(usize, usize), CameraError>,
+    /// The packet size that arrives.
+    pub packet_bytes: Result<Option<u32>, CameraError>,
+    /// Its clock, where it can be read.
+    pub clock: Result<Option<ClockFacts>, CameraError>,
+}
+
+/// What is known of a camera.
+#[derive(Debug)]
+pub struct CameraFacts {
+    /// Its name in the rig.
+    pub id: CameraId,
+    /// As configured.
+    pub address: String,
+    /// Columns and rows that the rig has for it.
+    pub expected_size: (usize, usize),
+    /// What opening it came to.
+    pub opened: Result<OpenedCamera, CameraError>,
+}
+
+impl CameraFacts {
+    /// Opens the camera, tries it, and lets go of it. Its settings stay as the node file has them.
+    pub fn gather(camera: &CameraConfig, config: &NodeConfig, backend: &mut dyn CameraBackend) -> Self {
+        let device = config.rig.cameras().find(|(_, known)| known.id == camera.id);
+        Self {
+            id: camera.id.clone(),
+            address: camera.address.clone(),
+            expected_size: device.map_or((0, 0), |(_, c)| (c.device.width, c.device.height)),
+            opened: backend.open(&camera.address).map(|mut opened| OpenedCamera {
+                identity: opened.identity().clone(),
+                size: opened.apply(&camera.settings).and_then(|_| opened.image_size()),
+                packet_bytes: opened.test_packet_size(config.packet_bytes),
+                clock: read_clock(opened.as_mut()),
+            }),
+        }
+    }
+}
+
+fn read_clock(camera: &mut dyn Camera) -> Result<Option<ClockFacts>, CameraError> {
+    let mut readings = Vec::new();
+    for _ in 0..CLOCK_READINGS {
+        let Some(reading) = camera.sample_clock()? else { return Ok(None) };
+        readings.push(reading);
+    }
+    let round_trips = readings.iter().map(|r| r.host_after_ns.saturating_sub(r.host_before_ns));
+    // A latch that does nothing leaves the value as it is.
+    let runs = readings.windows(2).any(|pair| pair[0].camera_ns != pair[1].camera_ns);
+    Ok(Some(ClockFacts { round_trip_ns: round_trips.min().unwrap_or(0), runs }))
+}
+
+/// The verdicts on one camera.
+pub fn judge_camera(facts: &CameraFacts, load: &Load) -> Vec<Finding> {
+    let check = |what: &str| Check::device(format!("camera {}{what}", facts.id));
+    let opened = match &facts.opened {
+        Ok(opened) => opened,
+        Err(error) => {
+            let (found, advice) = split(error);
+            return vec![check("").failed(found, format!("a camera at {}", facts.address), advice)];
+        }
+    };
+    let CameraIdentity { vendor, model, serial } = &opened.identity;
+    let name = format!("{vendor} {model}, serial number {serial}, at {}, under our control", facts.address);
+    let (width, height) = facts.expected_size;
+    let settings = match &opened.size {
+        Ok(size) if *size == facts.expected_size => {
+            check(": settings").ok(format!("taken and read back, {width} x {height}"))
+        }
+        Ok(size) => check(": settings").failed(
+            format!("its images are {} x {}", size.0, size.1),
+            format!("{width} x {height}, as the rig has it"),
+            "set Width and Height in the node file",
+        ),
+        Err(error) => {
+            let (found, advice) = split(error);
+            check(": settings").failed(found, "every setting of the node file to be taken", advice)
+        }
+    };
+    let mut findings = vec![check("").ok(name), settings];
+    findings.push(judge_packets(check(": packet size"), opened, load));
+    findings.push(judge_clock(check(": clock"), opened, load));
+    findings
+}
+
+fn judge_packets(check: Check, opened: &OpenedCamera, load: &Load) -> Finding {
+    let asked = load.packet_bytes;
+    let expected = format!("packets of {asked} bytes to arrive (acquisition.packet_bytes)");
+    match &opened.packet_bytes {
+        Ok(Some(size)) if *size == asked => check.ok(format!("a test packet of {asked} bytes arrived")),
+        Ok(Some(size)) => check.failed(
+            format!("the largest packet that arrives has {size} bytes"),
+            expected,
+            "raise the MTU on this host's interface and on every switch between, or lower the setting",
+        ),
+        Ok(None) => check.ok("not to be tested: the camera sends no test packets"),
+        Err(error) => {
+            let (found, advice) = split(error);
+            check.failed(found, expected, advice)
+        }
+    }
+}
+
+fn judge_clock(check: Check, opened: &OpenedCamera, load: &Load) -> Finding {
+    let half_period_ns = (0.5e9 / load.rate_hz) as u64;
+    let expected = format!("a clock that can be read within {} (half a period)", duration(half_period_ns));
+    let unread = "frames will be matched by block ids and arrival alone: prefer a camera with a clock";
+    match &opened.clock {
+        Ok(Some(clock)) if !clock.runs => check.warning("stands still", expected, unread),
+        Ok(Some(clock)) if clock.round_trip_ns > half_period_ns => check.warning(
+            format!("read within {}", duration(clock.round_trip_ns)),
+            expected,
+            "look for load on this host or on the network",
+        ),
+        Ok(Some(clock)) => check.ok(format!("runs, read within {}", duration(clock.round_trip_ns))),
+        Ok(None) => check.warning("cannot be read", expected, unread),
+        Err(error) => {
+            let (found, advice) = split(error);
+            check.failed(found, expected, advice)
+        }
+    }
+}
+
+/// An error's own words: what was found, and after the semicolon what to do.
+fn split(error: &dyn std::error::Error) -> (String, String) {
+    let text = error.to_string();
+    match text.split_once("; ") {
+        Some((found, advice)) => (found.to_owned(), advice.to_owned()),
+        None => (text, "check its power and cable".to_owned()),
+    }
+}
+
+fn duration(ns: u64) -> String {
+    match ns {
+        0..1_000_000 => format!("{} us", ns / 1000),
+        _ => format!("{:.1} ms", ns as f64 / 1e6),
+    }
+}
+
+/// In place of the cameras, where this binary cannot drive any.
+pub fn cameras_not_examined() -> Finding {
+    Check::device("cameras").warning(
+        "not examined: this binary was built without the feature `aravis`",
+        "a binary that can drive cameras",
+        "build it with default features",
+    )
+}
+
+/// What a running node says of the devices that it holds.
+pub fn judge_status(status: &NodeStatus) -> Vec<Finding> {
+    let judge = |name: String, known: Option<String>, problem: &Option<String>| {
+        let check = Check::device(name);
+        match problem {
+            None => check.ok(known.unwrap_or_else(|| "in use".to_owned())),
+            Some(problem) => {
+                let (found, advice) = problem.split_once("; ").unwrap_or((problem, "see the node's log"));
+                check.failed(found, "a device that the node can use", advice)
+            }
+        }
+    };
+    let cameras = status.cameras.iter().map(|camera| {
+        let known = camera.identity.as_ref();
+        let known = known.map(|i| format!("{} {}, serial number {}", i.vendor, i.model, i.serial));
+        judge(format!("camera {}", camera.id), known, &camera.problem)
+    });
+    let hsu = judge("HSU".to_owned(), status.hsu.identity.clone(), &status.hsu.problem);
+    cameras.chain([hsu]).collect()
+}
+
+/// A greeted HSU.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GreetedHsu {
+    /// Product, unit and firmware.
+    pub identity: String,
+    /// Protocol version of the conversation.
+    pub protocol: u8,
+    /// What it is doing.
+    pub state: String,
+    /// The shortest way of a clock reading there and back, ns; `None` when no reading was answered.
+    pub round_trip_ns: Option<u64>,
+    /// Frames from it that could not be read.
+    pub bad_frames: u32,
+}
+
+/// What is known of the HSU.
+#[derive(Debug)]
+pub struct HsuFacts {
+    /// As configured.
+    pub device: PathBuf,
+    /// Whether it can be a serial port; the reason if not.
+    pub device_file: Result<(), String>,
+    /// What greeting it came to; `None` when it was not tried.
+    pub greeted: Option<Result<GreetedHsu, String>>,
+}
+
+impl HsuFacts {
+    /// Looks at the device, greets the unit and reads its clock. Greeting takes back what this node has armed:
+    /// not while a node runs.
+    pub fn gather(config: &NodeConfig) -> Self {
+        let device = config.hsu_device.clone();
+        let device_file = look_at_device(&device);
+        let greeted = device_file.is_ok().then(|| greet(config).map_err(|e| e.to_string()));
+        Self { device, device_file, greeted }
+    }
+}
+
+fn look_at_device(device: &Path) -> Result<(), String> {
+    let kind = std::fs::metadata(device).map_err(|e| e.to_string())?.file_type();
+    if !kind.is_char_device() {
+        return Err("not a serial device".to_owned());
+    }
+    let path = CString::new(device.as_os_str().as_bytes()).map_err(|e| e.to_string())?;
+    // SAFETY: the string lives during the call.
+    match unsafe { libc::access(path.as_ptr(), libc::R_OK | libc::W_OK) } {
+        0 => Ok(()),
+        _ => Err(std::io::Error::last_os_error().to_string()),
+    }
+}
+
+fn greet(config: &NodeConfig) -> Result<GreetedHsu, crate::hsu::HsuError> {
+    let hsu = Hsu::connect(&config.hsu_device, &config.node, &HsuTimeouts::default())?;
+    let readings = (0..CLOCK_READINGS).filter_map(|_| hsu.query_clock().ok());
+    let round_trip_ns = readings.map(|r| monotonic_ns(r.received).saturating_sub(monotonic_ns(r.sent))).min();
+    let [major, minor, patch] = hsu.identity().firmware;
+    let unit = crate::session::devices::unique_id(&hsu);
+    Ok(GreetedHsu {
+        identity: format!("{} {unit} firmware {major}.{minor}.{patch}", hsu.identity().name),
+        protocol: hsu.welcome().agreed,
+        state: hsu.status()?.state.to_string(),
+        round_trip_ns,
+        bad_frames: hsu.bad_frames(),
+    })
+}
+
+/// The verdicts on the HSU.
+pub fn judge_hsu(facts: &HsuFacts, load: &Load) -> Vec<Finding> {
+    let device = facts.device.display();
+    let check = Check::device("HSU device");
+    let file = match &facts.device_file {
+        Ok(()) => check.ok(format!("{device}")),
+        Err(error) => check.failed(
+            format!("{device}: {error}"),
+            "a serial device that may be read and written (hsu.device)",
+            "check the cable and the udev link; the node's user must be in the group dialout",
+        ),
+    };
+    let check = Check::device("HSU");
+    let greeted = match &facts.greeted {
+        None => return vec![file],
+        Some(Err(error)) => {
+            let advice = "check that hsu.device is the HSU's, its power and its cable";
+            return vec![file, check.failed(error, format!("a fourdbody-hsu on {device}"), advice)];
+        }
+        Some(Ok(greeted)) => greeted,
+    };
+    let name = format!("{}, protocol {}, {}", greeted.identity, greeted.protocol, greeted.state);
+    let mut findings = vec![file, check.ok(name)];
+    let check = Check::device("HSU clock");
+    let limit = (0.5e9 / load.rate_hz) as u64;
+    let expected = format!("a reading within {} (half a period)", duration(limit));
+    findings.push(match greeted.round_trip_ns {
+        Some(ns) if ns <= limit => check.ok(format!("read within {}", duration(ns))),
+        Some(ns) => check.warning(
+            format!("read within {}", duration(ns)),
+            expected,
+            "set the USB converter's latency timer to 1 ms (/sys/bus/usb-serial/devices/*/latency_timer)",
+        ),
+        None => check.failed("no reading was answered", expected, "check the serial cable"),
+    });
+    if greeted.bad_frames > 0 {
+        findings.push(Check::device("HSU line").warning(
+            format!("{} broken frames", greeted.bad_frames),
+            "none",
+            "check the cable and its shield",
+        ));
+    }
+    findings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::doctor::Grade;
+
+    fn camera() -> CameraFacts {
+        CameraFacts {
+            id: CameraId::from("h0_up"),
+            address: "192.168.10.2".to_owned(),
+            expected_size: (1920, 1200),
+            opened: Ok(OpenedCamera {
+                identity: CameraIdentity::default(),
+                size: Ok((1920, 1200)),
+                packet_bytes: Ok(Some(9000)),
+                clock: Ok(Some(ClockFacts { round_trip_ns: 200_000, runs: true })),
+            }),
+        }
+    }
+
+    fn grades(facts: &CameraFacts) -> Vec<Grade> {
+        judge_camera(facts, &Load::reference()).iter().map(|f| f.grade).collect()
+    }
+
+    fn opened(change: impl FnOnce(&mut OpenedCamera)) -> Vec<Grade> {
+        let mut facts = camera();
+        change(facts.opened.as_mut().expect("opened"));
+        grades(&facts)
+    }
+
+    #[test]
+    fn a_camera_is_judged_by_what_a_session_needs() {
+        use Grade::{Failed, Ok as Good, Warning};
+        let link = || CameraError::Link { doing: "reading its clock", detail: "Timeout".to_owned() };
+        assert_eq!(grades(&camera()), [Good; 4]);
+        assert_eq!(opened(|c| c.size = Ok((640, 480))), [Good, Failed, Good, Good]);
+        assert_eq!(opened(|c| c.packet_bytes = Ok(Some(1500))), [Good, Good, Failed, Good]);
+        // USB cameras have neither packets nor, some, a clock.
+        assert_eq!(opened(|c| c.packet_bytes = Ok(None)), [Good; 4]);
+        assert_eq!(opened(|c| c.clock = Ok(None)), [Good, Good, Good, Warning]);
+        assert_eq!(opened(|c| c.clock = Err(link())), [Good, Good, Good, Failed]);
+        let stopped = ClockFacts { round_trip_ns: 1, runs: false };
+        assert_eq!(opened(|c| c.clock = Ok(Some(stopped))), [Good, Good, Good, Warning]);
+        let slow = ClockFacts { round_trip_ns: 5_000_000, runs: true };
+        assert_eq!(opened(|c| c.clock = Ok(Some(slow))), [Good, Good, Good, Warning]);
+    }
+
+    #[test]
+    fn who_has_a_camera_is_told() {
+        let holder = Some("192.168.10.9:50123".to_owned());
+        let error = CameraError::Owned { address: "192.168.10.2".to_owned(), holder };
+        let findings = judge_camera(&CameraFacts { opened: Err(error), ..camera() }, &Load::reference());
+        let line = findings[0].to_string();
+        assert!(line.starts_with("failed   camera h0_up: "), "{line}");
+        assert!(line.contains("on 192.168.10.9:50123") && line.contains("close that program"), "{line}");
+    }
+
+    #[test]
+    fn an_hsu_is_judged_by_device_identity_and_round_trip() {
+        use Grade::{Failed, Ok as Good, Warning};
+        let greeted = GreetedHsu {
+            identity: "fourdbody-hsu 1 firmware 1.0.0".to_owned(),
+            protocol: 1,
+            state: "idle".to_owned(),
+            round_trip_ns: Some(400_000),
+            bad_frames: 0,
+        };
+        let judge = |device_file: Result<(), String>, greeted: Option<Result<GreetedHsu, String>>| {
+            let facts = HsuFacts { device: "/dev/ttyUSB0".into(), device_file, greeted };
+            judge_hsu(&facts, &Load::reference()).iter().map(|f| f.grade).collect::<Vec<_>>()
+        };
+        assert_eq!(judge(Err("No such file".to_owned()), None), [Failed]);
+        assert_eq!(judge(Ok(()), Some(Err("silence".to_owned()))), [Good, Failed]);
+        assert_eq!(judge(Ok(()), Some(Ok(greeted.clone()))), [Good; 3]);
+        let slow = GreetedHsu { round_trip_ns: Some(16_000_000), bad_frames: 2, ..greeted.clone() };
+        assert_eq!(judge(Ok(()), Some(Ok(slow))), [Good, Good, Warning, Warning]);
+        let mute = GreetedHsu { round_trip_ns: None, ..greeted };
+        assert_eq!(judge(Ok(()), Some(Ok(mute))), [Good, Good, Failed]);
+    }
+}

@@ -1,0 +1,382 @@
+//! The disk of the recordings: can it take what the cameras give, and for how long?
+
+use super::{Check, Finding, Load, bytes};
+use crate::acquire::pool::Block;
+use crate::config::NodeConfig;
+use crate::ids::{BlockId, SessionName, TriggerIndex};
+use crate::record::envelope::pixels_crc;
+use crate::record::{
+    CameraHeader, FrameMeta, GapCause, Recording, RecordingHeader, SessionEnd, WriterOptions, free_bytes,
+};
+use crate::time::host_time_ns;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// The disk must be this much faster than the cameras: it is never as fast as in a test all the time.
+pub const SPEED_FACTOR: f64 = 1.3;
+/// Frames in memory during the test.
+const POOL_FRAMES: usize = 32;
+/// A disk that takes nothing for so long is broken.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// A session's usual length; a disk that holds less is worth a warning.
+const USUAL_MINUTES: f64 = 10.0;
+
+/// What the test recording came to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Speed {
+    /// Pixels written.
+    pub bytes: u64,
+    /// From the first frame until everything was on the medium.
+    pub elapsed: Duration,
+    /// The longest time that a frame had to wait to be taken.
+    pub longest_wait: Duration,
+}
+
+/// What is known of the disk.
+#[derive(Debug)]
+pub struct DiskFacts {
+    /// As configured.
+    pub sessions_dir: PathBuf,
+    /// The directory itself, or the nearest one above it that exists.
+    pub examined: PathBuf,
+    /// Whether `O_DIRECT` is taken; the system's words if not, or if no file can be made at all.
+    pub direct: Result<(), String>,
+    /// Whether space can be reserved (`fallocate`).
+    pub fallocate: Result<(), String>,
+    /// Free bytes there.
+    pub free: Result<u64, String>,
+    /// What the node keeps free.
+    pub reserve: u64,
+    /// The test recording; `None` when it was not asked for.
+    pub speed: Option<Result<Speed, String>>,
+}
+
+impl DiskFacts {
+    /// Looks, and records noise for `test` (zero: not at all). Everything written is deleted.
+    pub fn gather(config: &NodeConfig, test: Duration) -> Self {
+        let sessions_dir = std::path::absolute(&config.sessions_dir).unwrap_or(config.sessions_dir.clone());
+        let examined = sessions_dir.ancestors().find(|dir| dir.is_dir()).unwrap_or(Path::new("/")).to_owned();
+        let free = free_bytes(&examined).map_err(|e| e.to_string());
+        let speed = (!test.is_zero()).then(|| record_noise(config, &examined, test));
+        Self {
+            direct: probe(&examined, libc::O_DIRECT, |_| Ok(())).map_err(|e| e.to_string()),
+            fallocate: probe(&examined, 0, reserve_space).map_err(|e| e.to_string()),
+            sessions_dir,
+            examined,
+            free,
+            reserve: config.reserve_bytes,
+            speed,
+        }
+    }
+}
+
+/// Tries something on a new file, which is removed again.
+fn probe(dir: &Path, flags: i32, attempt: impl FnOnce(&File) -> io::Result<()>) -> io::Result<()> {
+    let path = dir.join(format!(".fourdbody-doctor-{}", std::process::id()));
+    let opened = OpenOptions::new().write(true).create_new(true).custom_flags(flags).open(&path);
+    let result = opened.and_then(|file| attempt(&file));
+    // Some file systems create the file before they refuse a flag.
+    let _ = std::fs::remove_file(&path);
+    result
+}
+
+fn reserve_space(file: &File) -> io::Result<()> {
+    // SAFETY: the descriptor is open for the duration of the call.
+    match unsafe { libc::fallocate(file.as_raw_fd(), libc::FALLOC_FL_KEEP_SIZE, 0, 1 << 20) } {
+        0 => Ok(()),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
+
+/// Removes the test recording, whatever happened to it.
+struct Scratch(PathBuf);
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A recording of noise by the product's own writer, as fast as it goes.
+fn record_noise(config: &NodeConfig, dir: &Path, test: Duration) -> Result<Speed, String> {
+    let header = noise_header(config);
+    let sizes: Vec<(u32, u32)> = header.cameras.iter().map(|c| (c.width, c.height)).collect();
+    if sizes.is_empty() {
+        return Err("the node has no cameras".to_owned());
+    }
+    let free = free_bytes(dir).map_err(|e| e.to_string())?;
+    // Half of what is not reserved: the test must not be what fills the disk.
+    let limit = free.saturating_sub(config.reserve_bytes) / 2;
+    let options = WriterOptions {
+        segment_bytes: config.segment_bytes,
+        reserve_bytes: config.reserve_bytes,
+        ..WriterOptions::default()
+    };
+    let scratch = Scratch(dir.join(format!(".fourdbody-doctor-recording-{}", std::process::id())));
+    let mut recording = Recording::create(&scratch.0, header, options).map_err(|e| e.to_string())?;
+    let pools = noise_pools(&sizes);
+    let mut speed = Speed { bytes: 0, elapsed: Duration::ZERO, longest_wait: Duration::ZERO };
+    let begun = Instant::now();
+    let mut trigger = 0;
+    while begun.elapsed() < test && speed.bytes < limit {
+        for (camera, (&(width, height), pool)) in sizes.iter().zip(&pools).enumerate() {
+            let asked = Instant::now();
+            let block = pool.lend().ok_or("the disk took nothing for a minute")?;
+            let meta = FrameMeta {
+                trigger: TriggerIndex(trigger),
+                block: BlockId(trigger + 1),
+                camera_time_ns: trigger,
+                host_time_ns: host_time_ns(),
+                width,
+                height,
+                pixels_crc: pool.checksum,
+            };
+            recording.frame_in_place(camera, &meta, block).map_err(|e| e.to_string())?;
+            speed.longest_wait = speed.longest_wait.max(asked.elapsed());
+            speed.bytes += u64::from(width) * u64::from(height);
+        }
+        trigger += 1;
+    }
+    let end = SessionEnd {
+        triggers_emitted: Some(trigger),
+        aborted: None,
+        absent: GapCause::Unknown,
+        host_time_ns: host_time_ns(),
+    };
+    recording.finish(end).map_err(|e| e.to_string())?;
+    speed.elapsed = begun.elapsed();
+    Ok(speed)
+}
+
+/// One camera's noise, in blocks that come back when the writer has done with them.
+struct Pool {
+    checksum: u32,
+    home: Sender<Block>,
+    returns: Receiver<Block>,
+}
+
+impl Pool {
+    fn new(pixels: usize, blocks: usize) -> Self {
+        let (home, returns) = bounded(blocks);
+        let mut checksum = 0;
+        for _ in 0..blocks {
+            let mut block = Block::allocate(pixels);
+            let room = block.bytes().len() - pixels;
+            let noise = (0u32..).map(|n| (n.wrapping_mul(0x9e37_79b9) >> 24) as u8);
+            block.bytes_mut()[room..].iter_mut().zip(noise).for_each(|(pixel, value)| *pixel = value);
+            checksum = pixels_crc(block.pixels());
+            // There is room for all of them.
+            let _ = home.send(block);
+        }
+        Self { checksum, home, returns }
+    }
+
+    fn lend(&self) -> Option<Block> {
+        let mut block = self.returns.recv_timeout(PATIENCE).ok()?;
+        block.set_home(self.home.clone());
+        Some(block)
+    }
+}
+
+fn noise_pools(sizes: &[(u32, u32)]) -> Vec<Pool> {
+    let blocks = (POOL_FRAMES / sizes.len()).max(2);
+    sizes.iter().map(|&(width, height)| Pool::new(width as usize * height as usize, blocks)).collect()
+}
+
+fn noise_header(config: &NodeConfig) -> RecordingHeader {
+    let cameras = config.rig.cameras_of(&config.node).map(|(_, camera)| CameraHeader {
+        id: camera.id.clone(),
+        width: camera.device.width as u32,
+        height: camera.device.height as u32,
+        device: String::new(),
+        settings: Vec::new(),
+    });
+    RecordingHeader {
+        session: SessionName::from("doctor"),
+        session_id: "doctor".to_owned(),
+        node: config.node.clone(),
+        rig_text: config.rig_text.clone(),
+        cameras: cameras.collect(),
+        hsu: None,
+        expected_triggers: None,
+        trigger_rate_hz: config.rig.trigger_rate_hz,
+        host_clock: "CLOCK_REALTIME".to_owned(),
+        created_ns: host_time_ns(),
+        software: format!("fourdbody {} doctor", env!("CARGO_PKG_VERSION")),
+        subject: None,
+        note: None,
+    }
+}
+
+/// The verdicts on the disk.
+pub fn judge(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
+    let mut findings = vec![judge_directory(facts)];
+    if findings[0].grade == super::Grade::Failed {
+        return findings;
+    }
+    let file_system = "use ext4 or XFS on a local disk";
+    let check = Check::host("direct writes");
+    findings.push(match &facts.direct {
+        Ok(()) => check.ok("O_DIRECT is taken"),
+        Err(error) => check.warning(
+            format!("the file system refuses O_DIRECT ({error})"),
+            "direct writes: through the page cache they stall for seconds",
+            file_system,
+        ),
+    });
+    let check = Check::host("reserved space");
+    findings.push(match &facts.fallocate {
+        Ok(()) => check.ok("fallocate is taken"),
+        Err(error) => check.warning(
+            format!("the file system refuses fallocate ({error})"),
+            "segments that are reserved before they are written",
+            file_system,
+        ),
+    });
+    findings.push(judge_space(facts, load));
+    findings.extend(judge_speed(facts, load));
+    findings
+}
+
+fn judge_directory(facts: &DiskFacts) -> Finding {
+    let check = Check::host("sessions directory");
+    let dir = facts.sessions_dir.display();
+    // If neither kind of file can be made, the directory is not writable.
+    match (&facts.direct, &facts.fallocate) {
+        (Err(error), Err(_)) => check.failed(
+            format!("no file can be made in {} ({error})", facts.examined.display()),
+            format!("to write in {dir} (storage.sessions_dir)"),
+            "create it and give it to the node's user, or correct the path",
+        ),
+        _ if facts.examined != facts.sessions_dir => {
+            check.ok(format!("{dir} does not exist; the first session makes it"))
+        }
+        _ => check.ok(format!("{dir}")),
+    }
+}
+
+fn judge_space(facts: &DiskFacts, load: &Load) -> Finding {
+    let check = Check::host("disk space");
+    let free = match &facts.free {
+        Ok(free) => *free,
+        Err(error) => {
+            return check.failed(format!("cannot be read ({error})"), "free space", "check the disk");
+        }
+    };
+    let usable = free.saturating_sub(facts.reserve);
+    let minutes = usable as f64 / load.bytes_per_s().max(1.0) / 60.0;
+    let found = format!("{} beyond the reserve of {}: {minutes:.1} min", bytes(usable), bytes(facts.reserve));
+    let advice = "delete or move sessions";
+    match usable {
+        0 => check.failed(found, format!("more free space than {}", bytes(facts.reserve)), advice),
+        _ if minutes < USUAL_MINUTES => check.warning(found, format!("{USUAL_MINUTES:.0} min"), advice),
+        _ => check.ok(found),
+    }
+}
+
+fn judge_speed(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
+    let check = Check::host("disk speed");
+    let megabytes = |per_s: f64| format!("{:.0} MB/s", per_s / 1e6);
+    let needed = load.bytes_per_s() * SPEED_FACTOR;
+    let expected = format!(
+        "{}: {SPEED_FACTOR} x the {} of the cameras",
+        megabytes(needed),
+        megabytes(load.bytes_per_s())
+    );
+    let advice = "free the disk of other work, or use a faster one (NVMe)";
+    let speed = match &facts.speed {
+        None => return vec![check.warning("not measured", expected, "run with --disk-seconds 3")],
+        Some(Err(error)) => {
+            let found = format!("the test recording failed: {error}");
+            return vec![check.failed(found, expected, "check the disk")];
+        }
+        Some(Ok(speed)) => speed,
+    };
+    let rate = speed.bytes as f64 / speed.elapsed.as_secs_f64().max(1e-9);
+    let found = format!("{} over {:.1} s", megabytes(rate), speed.elapsed.as_secs_f64());
+    let first = match rate {
+        rate if rate >= needed => check.ok(format!("{found}, {} needed", megabytes(needed))),
+        rate if rate >= load.bytes_per_s() => check.warning(found, expected, advice),
+        _ => check.failed(found, expected, advice),
+    };
+    let check = Check::host("disk pauses");
+    let wait = speed.longest_wait.as_secs_f64();
+    let found = format!("{:.0} ms at the longest", wait * 1e3);
+    let held = load.buffered_s();
+    // The test writes as fast as it can; a pause that eats half the frame buffers is too near.
+    let second = match wait {
+        wait if wait <= held / 2.0 => check.ok(found),
+        _ => check.warning(
+            found,
+            format!("at most half of the {:.0} ms that the frame buffers hold", held * 1e3),
+            "raise acquisition.buffers_per_camera, or use a faster disk",
+        ),
+    };
+    vec![first, second]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{DiskFacts, Speed, judge};
+    use crate::doctor::{Grade, Load};
+    use std::time::Duration;
+
+    fn good() -> DiskFacts {
+        DiskFacts {
+            sessions_dir: "/data/sessions".into(),
+            examined: "/data/sessions".into(),
+            direct: Ok(()),
+            fallocate: Ok(()),
+            free: Ok(2 << 40),
+            reserve: 4 << 30,
+            speed: Some(Ok(Speed {
+                bytes: 6_000_000_000,
+                elapsed: Duration::from_secs(3),
+                longest_wait: Duration::from_millis(20),
+            })),
+        }
+    }
+
+    fn complaints(facts: &DiskFacts) -> Vec<(String, Grade)> {
+        let findings = judge(facts, &Load::reference()).into_iter().filter(|f| f.grade != Grade::Ok);
+        findings.map(|f| (f.check, f.grade)).collect()
+    }
+
+    #[test]
+    fn a_disk_is_judged_by_the_cameras_rate_with_a_margin() {
+        assert_eq!(complaints(&good()), []);
+        let at = |megabytes: u64| {
+            let bytes = 3_000_000 * megabytes;
+            let speed = Speed { bytes, elapsed: Duration::from_secs(3), longest_wait: Duration::ZERO };
+            complaints(&DiskFacts { speed: Some(Ok(speed)), ..good() })
+        };
+        let slow = |grade| vec![("disk speed".to_owned(), grade)];
+        // 1106 MB/s, and 1438 with the margin.
+        assert_eq!([at(1100), at(1110), at(1430)], [Grade::Failed, Grade::Warning, Grade::Warning].map(slow));
+        assert_eq!(at(1440), []);
+    }
+
+    #[test]
+    fn pauses_space_and_refusals_are_told() {
+        let pause = Speed {
+            bytes: 6_000_000_000,
+            elapsed: Duration::from_secs(3),
+            longest_wait: Duration::from_millis(400),
+        };
+        let facts = DiskFacts { speed: Some(Ok(pause)), ..good() };
+        assert_eq!(complaints(&facts), [("disk pauses".to_owned(), Grade::Warning)]);
+        let refusal = || Err("Invalid argument".to_owned());
+        let facts = DiskFacts { direct: refusal(), free: Ok(64 << 30), speed: None, ..good() };
+        let names = ["direct writes", "disk space", "disk speed"];
+        assert_eq!(complaints(&facts), names.map(|name| (name.to_owned(), Grade::Warning)));
+        let facts = DiskFacts { free: Ok(1 << 30), ..good() };
+        assert_eq!(complaints(&facts), [("disk space".to_owned(), Grade::Failed)]);
+        let facts = DiskFacts { direct: refusal(), fallocate: refusal(), ..good() };
+        assert_eq!(complaints(&facts), [("sessions directory".to_owned(), Grade::Failed)]);
+    }
+}

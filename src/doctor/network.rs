@@ -1,0 +1,254 @@
+//! The way to each camera: which interface, and whether that carries its packets. USB cameras have none.
+
+use super::{Check, Finding, Load};
+use crate::camera::CameraBackend;
+use crate::config::NodeConfig;
+use crate::ids::CameraId;
+use std::collections::BTreeMap;
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::Path;
+
+/// A network interface as the system describes it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Interface {
+    /// Its name.
+    pub name: String,
+    /// Largest IP packet, bytes.
+    pub mtu: Option<u32>,
+    /// Whether it has a link. The loopback's state is "unknown", which counts.
+    pub up: bool,
+    /// Mbit/s, where the driver knows.
+    pub speed_mbit: Option<u64>,
+}
+
+/// Where packets to an address leave this host.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Route {
+    /// Directly through an interface.
+    Direct(Interface),
+    /// To a router behind an interface: no camera network.
+    Gateway(String),
+    /// Nowhere.
+    None,
+}
+
+/// One Ethernet camera and the way to it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CameraPath {
+    /// Its name in the rig.
+    pub id: CameraId,
+    /// Its address.
+    pub address: IpAddr,
+    /// Bytes of its frames.
+    pub frame_bytes: u64,
+    /// The way.
+    pub route: Route,
+}
+
+/// Finds the way to every Ethernet camera. Cameras that are configured by an Aravis id are looked for by
+/// discovery; what is not found there is left to the device checks.
+pub fn gather(config: &NodeConfig, backend: Option<&mut (dyn CameraBackend + '_)>) -> Vec<CameraPath> {
+    let by_id = config.cameras.iter().any(|camera| camera.address.parse::<IpAddr>().is_err());
+    let listed = match backend {
+        Some(backend) if by_id => backend.list(),
+        _ => Vec::new(),
+    };
+    let table = std::fs::read_to_string("/proc/net/route").unwrap_or_default();
+    let path = |camera: &crate::config::CameraConfig| {
+        let found = || listed.iter().find(|l| l.id == camera.address && l.protocol != "USB3Vision");
+        let address = camera.address.parse().ok().or_else(|| found()?.address.parse().ok())?;
+        let frame = config.rig.cameras().find(|(_, known)| known.id == camera.id);
+        Some(CameraPath {
+            id: camera.id.clone(),
+            address,
+            frame_bytes: frame.map_or(0, |(_, c)| (c.device.width * c.device.height) as u64),
+            route: route(&table, address),
+        })
+    };
+    config.cameras.iter().filter_map(path).collect()
+}
+
+fn route(table: &str, address: IpAddr) -> Route {
+    // GigE Vision is IPv4 only.
+    let IpAddr::V4(address) = address else { return Route::None };
+    match find_route(table, address) {
+        Some((name, false)) => Route::Direct(describe(&name)),
+        Some((name, true)) => Route::Gateway(name),
+        None => Route::None,
+    }
+}
+
+/// The interface of the most specific route in the text of `/proc/net/route`, and whether it leads to a
+/// gateway. Loopback addresses are in another table.
+fn find_route(table: &str, address: Ipv4Addr) -> Option<(String, bool)> {
+    const UP: u32 = 1;
+    const GATEWAY: u32 = 2;
+    if address.is_loopback() {
+        return Some(("lo".to_owned(), false));
+    }
+    let rows = table.lines().skip(1).filter_map(|line| {
+        let fields: Vec<&str> = line.split_whitespace().collect();
+        // The kernel prints the bytes in network order as a number of this machine's order.
+        let hex = |i: usize| u32::from_str_radix(fields.get(i)?, 16).ok();
+        let bits = |i| Some(u32::from_be(hex(i)?));
+        let (target, mask, flags) = (bits(1)?, bits(7)?, hex(3)?);
+        let metric: u32 = fields.get(6)?.parse().ok()?;
+        let fits = flags & UP != 0 && address.to_bits() & mask == target;
+        fits.then(|| (mask, std::cmp::Reverse(metric), (*fields[0]).to_owned(), flags & GATEWAY != 0))
+    });
+    rows.max().map(|(_, _, name, gateway)| (name, gateway))
+}
+
+fn describe(name: &str) -> Interface {
+    let read = |file: &str| {
+        let path = Path::new("/sys/class/net").join(name).join(file);
+        std::fs::read_to_string(path).ok().map(|text| text.trim().to_owned())
+    };
+    Interface {
+        name: name.to_owned(),
+        mtu: read("mtu").and_then(|text| text.parse().ok()),
+        up: read("operstate").is_some_and(|state| state == "up" || state == "unknown"),
+        // -1 where the driver does not know.
+        speed_mbit: read("speed").and_then(|text| text.parse().ok()).filter(|&speed| speed > 0),
+    }
+}
+
+/// The verdicts: one per camera on the way to it, one per interface on what it carries.
+pub fn judge(paths: &[CameraPath], load: &Load) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let mut carried: BTreeMap<String, (Interface, f64, usize)> = BTreeMap::new();
+    for path in paths.iter() {
+        findings.push(judge_path(path, load));
+        if let Route::Direct(interface) = &path.route {
+            let entry = carried.entry(interface.name.clone());
+            let (_, bits, cameras) = entry.or_insert_with(|| (interface.clone(), 0.0, 0));
+            *bits += load.link_bits_per_s(path.frame_bytes);
+            *cameras += 1;
+        }
+    }
+    findings.extend(carried.into_values().map(|(interface, bits, n)| judge_interface(&interface, bits, n)));
+    findings
+}
+
+fn judge_path(path: &CameraPath, load: &Load) -> Finding {
+    let check = Check::host(format!("way to camera {}", path.id));
+    let packet = load.packet_bytes;
+    match &path.route {
+        Route::None => check.failed(
+            format!("no route to {}", path.address),
+            "an interface in the camera's network",
+            "give an interface of this host an address in that network",
+        ),
+        Route::Gateway(name) => check.failed(
+            format!("{} lies behind a router ({name})", path.address),
+            "an interface in the camera's network",
+            "give an interface of this host an address in that network, or correct the camera's address",
+        ),
+        Route::Direct(interface) => match interface.mtu {
+            Some(mtu) if mtu >= packet => {
+                check.ok(format!("{}, MTU {mtu} for packets of {packet}", interface.name))
+            }
+            Some(mtu) => check.failed(
+                format!("{} has an MTU of {mtu}", interface.name),
+                format!("at least {packet} (acquisition.packet_bytes)"),
+                format!("`ip link set {} mtu {packet}`, on the switch as well", interface.name),
+            ),
+            None => check.warning(
+                format!("the MTU of {} cannot be read", interface.name),
+                format!("at least {packet}"),
+                format!("look with `ip link show {}`", interface.name),
+            ),
+        },
+    }
+}
+
+fn judge_interface(interface: &Interface, bits_per_s: f64, cameras: usize) -> Finding {
+    let check = Check::host(format!("interface {}", interface.name));
+    let gigabits = bits_per_s / 1e9;
+    let load = format!("{gigabits:.2} Gbit/s of {cameras} cameras");
+    if !interface.up {
+        return check.failed("has no link", "a link", "check the cable, the switch and the camera's power");
+    }
+    match interface.speed_mbit {
+        None => check.ok(format!("up, speed not known, carries {load}")),
+        Some(speed) => {
+            let share = bits_per_s / (speed as f64 * 1e6);
+            let found = format!("{speed} Mbit/s for {load}");
+            match share {
+                s if s > 1.0 => {
+                    check.failed(found, "a faster link", "use 5GigE or 10GigE ports, or spread the cameras")
+                }
+                s if s > 0.95 => check.warning(
+                    found,
+                    "room for packets that are sent again",
+                    "spread the cameras over more ports",
+                ),
+                s => check.ok(format!("{found} ({:.0} %)", s * 100.0)),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CameraPath, Interface, Route, find_route, judge};
+    use crate::doctor::{Grade, Load};
+    use crate::ids::CameraId;
+    use std::net::Ipv4Addr;
+
+    const TABLE: &str = "Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT\n\
+        eth0\t00000000\t0101A8C0\t0003\t0\t0\t100\t00000000\t0\t0\t0\n\
+        cam1\t000AA8C0\t00000000\t0001\t0\t0\t200\t00FFFFFF\t0\t0\t0\n\
+        cam0\t000AA8C0\t00000000\t0001\t0\t0\t100\t00FFFFFF\t0\t0\t0\n\
+        cam2\t800AA8C0\t00000000\t0001\t0\t0\t500\t80FFFFFF\t0\t0\t0\n\
+        broken line\n";
+
+    #[test]
+    #[cfg(target_endian = "little")]
+    fn the_most_specific_route_wins_then_the_lowest_metric() {
+        let to = |last| find_route(TABLE, Ipv4Addr::new(192, 168, 10, last));
+        assert_eq!(to(2), Some(("cam0".to_owned(), false)));
+        assert_eq!(to(200), Some(("cam2".to_owned(), false)));
+        assert_eq!(find_route(TABLE, Ipv4Addr::new(10, 0, 0, 1)), Some(("eth0".to_owned(), true)));
+        assert_eq!(find_route(TABLE, Ipv4Addr::new(127, 9, 9, 9)), Some(("lo".to_owned(), false)));
+        assert_eq!(find_route("", Ipv4Addr::new(10, 0, 0, 1)), None);
+    }
+
+    fn paths(mtu: u32, speed_mbit: Option<u64>, up: bool, cameras: u8) -> Vec<CameraPath> {
+        let interface = Interface { name: "cam0".to_owned(), mtu: Some(mtu), up, speed_mbit };
+        let path = |n| CameraPath {
+            id: CameraId(format!("c{n}")),
+            address: [192, 168, 10, n].into(),
+            frame_bytes: 1920 * 1200,
+            route: Route::Direct(interface.clone()),
+        };
+        (0..cameras).map(path).collect()
+    }
+
+    fn grades(paths: Vec<CameraPath>) -> Vec<Grade> {
+        judge(&paths, &Load::reference()).iter().map(|finding| finding.grade).collect()
+    }
+
+    #[test]
+    fn packets_must_fit_and_links_must_carry_their_cameras() {
+        use Grade::{Failed, Ok, Warning};
+        assert_eq!(grades(paths(9000, Some(5000), true, 1)), [Ok, Ok]);
+        assert_eq!(grades(paths(1500, Some(5000), true, 1)), [Failed, Ok]);
+        assert_eq!(grades(paths(9000, Some(1000), true, 1)), [Ok, Failed]);
+        assert_eq!(grades(paths(9000, None, true, 1)), [Ok, Ok]);
+        assert_eq!(grades(paths(9000, None, false, 1)), [Ok, Failed]);
+        // Four cameras fill 89 % of a 10 GbE port, and more than 90 % of one of 9.
+        assert_eq!(grades(paths(9000, Some(10_000), true, 4)), [Ok, Ok, Ok, Ok, Ok]);
+        assert_eq!(grades(paths(9000, Some(9_100), true, 4)), [Ok, Ok, Ok, Ok, Warning]);
+        assert_eq!(grades(paths(9000, Some(5_000), true, 4)), [Ok, Ok, Ok, Ok, Failed]);
+    }
+
+    #[test]
+    fn a_camera_behind_a_router_is_told() {
+        let mut lost = paths(9000, None, true, 1);
+        lost[0].route = Route::Gateway("eth0".to_owned());
+        assert_eq!(grades(lost.clone()), [Grade::Failed]);
+        lost[0].route = Route::None;
+        assert_eq!(grades(lost), [Grade::Failed]);
+    }
+}
