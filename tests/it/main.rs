@@ -6,6 +6,8 @@ mod architecture;
 mod breaks;
 #[cfg(feature = "aravis")]
 mod chain;
+#[cfg(feature = "aravis")]
+mod doctor;
 mod hsu;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
