@@ -8,6 +8,7 @@ mod breaks;
 mod chain;
 #[cfg(feature = "aravis")]
 mod doctor;
+mod fuzz_corpora;
 mod hsu;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
