@@ -19,7 +19,7 @@ packages:
 
 # Third parties that the tests talk to; a test whose program is absent says so and is skipped.
 test-packages: packages
-	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv
+	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark
 	@scripts/make-venv.sh tests/.venv mcap==1.6.0 mcap-protobuf-support==0.5.3
 
 demo: packages

@@ -36,7 +36,10 @@ fn check_message(message: &[u8]) {
         // A timing that cannot be run is told apart when it is read; it has no bytes of its own.
         if !matches!(decoded.request, Request::Configure(Err(_))) {
             let length = decoded.encode(&mut bytes);
-            assert_eq!(&bytes[..length], message, "{decoded:?}");
+            // A greeting is read whatever version its first byte claims: two ends without a common version can
+            // still say so.
+            let skip = usize::from(matches!(decoded.request, Request::Hello(_)));
+            assert_eq!(&bytes[skip..length], &message[skip..], "{decoded:?}");
         }
     }
     if let Ok(decoded) = UnitToHost::decode(message) {

@@ -20,6 +20,9 @@ mod recording_damage;
 mod refusals;
 mod shared_scene;
 mod third_party_camera;
+mod third_party_loss;
 mod third_party_mcap;
 #[cfg(feature = "aravis")]
 mod third_party_node;
+#[cfg(feature = "aravis")]
+mod third_party_session;

@@ -7,8 +7,8 @@ use fourdbody_simulator::wire::TriggerEdge;
 use std::collections::HashMap;
 use std::net::Ipv4Addr;
 use std::process::{Command, Output};
-use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, PoisonError, RwLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -31,30 +31,50 @@ fn text(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
-fn options(address: [u8; 4]) -> CameraOptions {
+pub fn options(address: [u8; 4]) -> CameraOptions {
     let images = TestImages::new(320, 240, u32::from(address[3]), TestImages::DISTINCT);
     let serial = format!("IT-{}-{}", address[2], address[3]);
     CameraOptions::new(&serial, Ipv4Addr::from(address), Arc::new(images))
 }
 
-fn start(options: CameraOptions) -> SimulatedCamera {
+pub fn start(options: CameraOptions) -> SimulatedCamera {
     SimulatedCamera::start(options).expect("a camera")
 }
 
-/// Streams with `arv-camera-test-0.8` and gives what it printed, with its final counters.
-fn stream_counters(camera: &SimulatedCamera, arguments: &[&str]) -> Option<(String, HashMap<String, u64>)> {
-    let address = camera.address().to_string();
-    let mut all = vec!["-n", &address, "--duration", "2", "-j", "never"];
-    // Patience with a busy host: a packet counts as lost after 40 ms, a frame after 400 ms.
-    all.extend(["-a", "-m", "400", "-p", "40", "-q", "1.0"]);
-    all.extend(arguments);
-    let printed = text(&run(CAMERA_TEST, &all)?);
+/// Streams of this program, which a packet socket must not see while it is made.
+static STREAMS: RwLock<()> = RwLock::new(());
+
+/// What `arv-camera-test-0.8` printed, with its final counters.
+pub fn counters_of(arguments: &[&str]) -> Option<(String, HashMap<String, u64>)> {
+    let _others = STREAMS.read().unwrap_or_else(PoisonError::into_inner);
+    counters_alone(arguments)
+}
+
+fn counters_alone(arguments: &[&str]) -> Option<(String, HashMap<String, u64>)> {
+    let printed = text(&run(CAMERA_TEST, arguments)?);
     let counters = printed
         .lines()
         .filter_map(|line| line.split_once('='))
         .filter_map(|(name, value)| Some((name.trim().to_owned(), value.trim().parse().ok()?)))
         .collect();
     Some((printed, counters))
+}
+
+/// Two seconds of a camera, with patience with a busy host: a packet counts as lost after 40 ms, a frame after
+/// 400 ms.
+fn patient<'a>(address: &'a str, arguments: &[&'a str]) -> Vec<&'a str> {
+    let mut all = vec!["-n", address, "--duration", "2", "-j", "never"];
+    all.extend(["-a", "-m", "400", "-p", "40", "-q", "1.0"]);
+    all.extend(arguments);
+    all
+}
+
+/// The counters of two patient seconds.
+pub fn stream_counters(
+    camera: &SimulatedCamera,
+    arguments: &[&str],
+) -> Option<(String, HashMap<String, u64>)> {
+    counters_of(&patient(&camera.address().to_string(), arguments))
 }
 
 /// What the stream did wrong, if anything.
@@ -158,8 +178,10 @@ fn a_free_running_camera_streams() {
 fn a_camera_streams_to_a_packet_socket() {
     let mut seen = Vec::new();
     for attempt in 1..=4 {
+        let _alone = STREAMS.write().unwrap_or_else(PoisonError::into_inner);
         let camera = start(options([127, 21, 7, attempt]));
-        let Some((printed, counters)) = stream_counters(&camera, &["-f", "60"]) else { return };
+        let address = camera.address().to_string();
+        let Some((printed, counters)) = counters_alone(&patient(&address, &["-f", "60"])) else { return };
         seen = faults(&printed, &counters, camera.statistics().frames_sent.load(Relaxed));
         if seen.is_empty() {
             return;

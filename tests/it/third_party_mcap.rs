@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// A Python that can import `mcap`.
-fn python() -> Option<PathBuf> {
+pub fn python() -> Option<PathBuf> {
     let own = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/.venv/bin/python");
     let named = std::env::var_os("FOURDBODY_TEST_PYTHON").map(PathBuf::from);
     let candidates = [Some(own), named, Some(PathBuf::from("python3"))];
