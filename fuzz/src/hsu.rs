@@ -3,8 +3,8 @@
 use super::Script;
 use hsu_firmware_proto::frame::{self, Decoder};
 use hsu_firmware_proto::{
-    HeadTiming, HostToUnit, Identity, LINKS, LinkId, MAX_MESSAGE, NodeName, Request, TriggerRecord, Unit,
-    UnitOutputs, UnitToHost,
+    HeadTiming, HostToUnit, Identity, LINKS, LinkId, MAX_MESSAGE, NodeName, Refusal, Request, TriggerRecord,
+    Unit, UnitOutputs, UnitToHost,
 };
 
 /// Bytes of a serial line, and the same bytes as a bare message.
@@ -43,8 +43,11 @@ fn check_message(message: &[u8]) {
         }
     }
     if let Ok(decoded) = UnitToHost::decode(message) {
-        let length = decoded.encode(&mut bytes);
-        assert_eq!(UnitToHost::decode(&bytes[..length]), Ok(decoded));
+        // A refusal for a reason that this version does not know keeps its code only: it is never sent on.
+        if !matches!(decoded, UnitToHost::Refused(_, Refusal::Other { .. })) {
+            let length = decoded.encode(&mut bytes);
+            assert_eq!(UnitToHost::decode(&bytes[..length]), Ok(decoded));
+        }
     }
 }
 
