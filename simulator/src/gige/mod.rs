@@ -32,6 +32,7 @@ mod transmit;
 pub use clock::{CameraClock, ClockOptions};
 pub use device::{CameraOptions, SimulatedCamera};
 pub use net::process_cpu_time;
+pub use segmentation::loopback_cuts_before_receivers;
 pub use test_images::{TestImages, TestStamp};
 
 use std::net::SocketAddrV4;
