@@ -109,7 +109,7 @@ fn rig_text(path: &Path, args: &Args) -> Result<String, Failure> {
     }
     if let Some(node) = &args.node {
         keep_node(&mut table, node);
-        if !table.get("head").and_then(toml::Value::as_array).is_some_and(|heads| !heads.is_empty()) {
+        if table.get("head").and_then(toml::Value::as_array).is_none_or(Vec::is_empty) {
             return Err(wrong(&format_args!("no camera belongs to node {node}")));
         }
     }
@@ -150,4 +150,21 @@ fn images(args: &Args, rig_path: &Path, rig_text: &str) -> Result<Vec<Arc<dyn Im
         });
     }
     Ok(images)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_a_rig_is_a_rig() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/rig.toml");
+        let mut table: toml::Table = std::fs::read_to_string(path).expect("a file").parse().expect("TOML");
+        keep_node(&mut table, "b");
+        let rig = Rig::from_table(&table).expect("a valid rig");
+        let cameras: Vec<String> = rig.cameras().map(|(_, camera)| camera.id.to_string()).collect();
+        assert_eq!(cameras, ["h2_up", "h2_low", "h3_up", "h3_low"]);
+        keep_node(&mut table, "c");
+        assert!(table["head"].as_array().is_some_and(Vec::is_empty));
+    }
 }
