@@ -75,8 +75,12 @@ impl Drop for Tshark {
 fn dissect(capture: &Path, streams: &BTreeSet<String>, filter: &str, fields: &[&str]) -> Vec<Vec<String>> {
     let mut command = Command::new("tshark");
     command.arg("-r").arg(capture).args(["-Y", filter, "-T", "fields"]);
-    streams.iter().for_each(|port| drop(command.args(["-d", &format!("udp.port=={port},gvsp")])));
-    fields.iter().for_each(|field| drop(command.args(["-e", field])));
+    for port in streams {
+        command.args(["-d", &format!("udp.port=={port},gvsp")]);
+    }
+    for field in fields {
+        command.args(["-e", field]);
+    }
     let output = command.stdin(Stdio::null()).output().expect("tshark ran before");
     assert!(output.status.success(), "{}", text_of(&output));
     let rows = String::from_utf8_lossy(&output.stdout).into_owned();
