@@ -161,7 +161,9 @@ fn report(summary: &mut Map<String, Value>, suffix: &str, train: &Train) {
     add("frames_recorded", train.recorded.into());
     add("gaps", train.gaps().into());
     add("ring_high_water_frames", train.high_water.into());
-    add("write_p99_ms", train.write_p99_ms.clone());
+    for (key, milliseconds) in &train.latencies {
+        add(key, milliseconds.as_f64().map_or(Value::Null, rounded));
+    }
     let per_gb =
         |cores: f64| if train.gb_per_s > 0.0 { rounded(cores / train.gb_per_s) } else { Value::Null };
     add("node_cpu_cores", rounded(node.total_s()));
