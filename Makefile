@@ -3,12 +3,14 @@
 #   make demo      simulator, two nodes, one session, verified, reconstructed and scored
 #   make test      everything that can be tested on this machine
 #   make lint      formatting and lints, all fatal
+#   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
+#   make third-party   others' programs that take minutes to build
 
 SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint packages test-packages clean-out
+.PHONY: all demo test lint packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -35,3 +37,10 @@ lint: packages
 	$(CARGO) fmt --all -- --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
 	$(CARGO) clippy --no-default-features --all-targets -- -D warnings
+
+FUZZ_SECONDS ?= 180
+fuzz: packages
+	scripts/fuzz.sh $(FUZZ_SECONDS)
+
+third-party: packages
+	scripts/third-party.sh

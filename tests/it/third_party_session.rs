@@ -75,8 +75,8 @@ impl Drop for Tshark {
 fn dissect(capture: &Path, streams: &BTreeSet<String>, filter: &str, fields: &[&str]) -> Vec<Vec<String>> {
     let mut command = Command::new("tshark");
     command.arg("-r").arg(capture).args(["-Y", filter, "-T", "fields"]);
-    streams.iter().for_each(|port| drop(command.args(["-d", &format!("udp.port=={port},gvsp")])));
-    fields.iter().for_each(|field| drop(command.args(["-e", field])));
+    command.args(streams.iter().flat_map(|port| ["-d".to_owned(), format!("udp.port=={port},gvsp")]));
+    command.args(fields.iter().flat_map(|field| ["-e", field]));
     let output = command.stdin(Stdio::null()).output().expect("tshark ran before");
     assert!(output.status.success(), "{}", text_of(&output));
     let rows = String::from_utf8_lossy(&output.stdout).into_owned();
