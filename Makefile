@@ -3,6 +3,8 @@
 #   make demo      simulator, two nodes, one session, verified, reconstructed and scored
 #   make test      everything that can be tested on this machine
 #   make lint      formatting and lints, all fatal
+#   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
+#   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make third-party   others' programs that take minutes to build
 
@@ -10,7 +12,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint packages test-packages clean-out fuzz third-party
+.PHONY: all demo test lint bench-ingest packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -37,6 +39,13 @@ lint: packages
 	$(CARGO) fmt --all -- --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
 	$(CARGO) clippy --no-default-features --all-targets -- -D warnings
+
+# fio and arv-camera-test-0.8 are what the node is compared with; ethtool tells loopback to cut segmented sends.
+bench-ingest: packages
+	@scripts/install-packages.sh aravis-tools fio ethtool
+	$(CARGO) build --release --workspace
+	$(CARGO) build --release --example ingest_buffered
+	scripts/bench-ingest.sh
 
 FUZZ_SECONDS ?= 180
 fuzz: packages

@@ -23,6 +23,7 @@ enum Command {
     ConvertRig(cmds::convert_rig::Args),
     Cameras(cmds::cameras::Args),
     Summarize(cmds::summarize::Args),
+    BenchIngest(cmds::bench_ingest::Args),
 }
 
 fn main() -> ExitCode {
@@ -46,5 +47,6 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::ConvertRig(args) => cmds::convert_rig::run(args),
         Command::Cameras(args) => cmds::cameras::run(args),
         Command::Summarize(args) => cmds::summarize::run(args),
+        Command::BenchIngest(args) => cmds::bench_ingest::run(args),
     }
 }

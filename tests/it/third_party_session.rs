@@ -75,8 +75,12 @@ impl Drop for Tshark {
 fn dissect(capture: &Path, streams: &BTreeSet<String>, filter: &str, fields: &[&str]) -> Vec<Vec<String>> {
     let mut command = Command::new("tshark");
     command.arg("-r").arg(capture).args(["-Y", filter, "-T", "fields"]);
-    command.args(streams.iter().flat_map(|port| ["-d".to_owned(), format!("udp.port=={port},gvsp")]));
-    command.args(fields.iter().flat_map(|field| ["-e", field]));
+    for port in streams {
+        command.args(["-d", &format!("udp.port=={port},gvsp")]);
+    }
+    for field in fields {
+        command.args(["-e", field]);
+    }
     let output = command.stdin(Stdio::null()).output().expect("tshark ran before");
     assert!(output.status.success(), "{}", text_of(&output));
     let rows = String::from_utf8_lossy(&output.stdout).into_owned();

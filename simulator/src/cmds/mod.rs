@@ -1,5 +1,6 @@
 //! One file per command of `fourdbody-sim`.
 
+pub mod bench_ingest;
 pub mod cameras;
 pub mod convert_rig;
 pub mod export_png;

@@ -41,9 +41,15 @@ pub struct Args {
     /// Port of the first node's API; the others follow. 0: any free ports.
     #[arg(long, default_value_t = 7401)]
     first_port: u16,
+    /// Only the cameras of this node, with a rig of their heads: half a laboratory.
+    #[arg(long, value_name = "NODE", requires = "rig")]
+    node: Option<String>,
     /// Frame buffers per camera.
     #[arg(long, default_value_t = 32)]
     buffers: usize,
+    /// Size of the nodes' segments, MiB.
+    #[arg(long, value_name = "MIB")]
+    segment_mib: Option<u64>,
     /// Stop after so many seconds.
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
@@ -56,14 +62,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         (None, Some(rig)) => rig.clone(),
         (None, None) => return Err(Failure::new(Exit::Usage, "expected --frames or --rig")),
     };
-    let mut options = LaboratoryOptions::new(rig_text(&rig_path, args.rate_hz)?, &args.run_dir);
+    let mut options = LaboratoryOptions::new(rig_text(&rig_path, args)?, &args.run_dir);
     if let Some(sessions) = &args.sessions_dir {
         options.sessions_dir = sessions.clone();
     }
     options.first_address = args.first_address;
     options.first_port = args.first_port;
     options.buffers_per_camera = args.buffers;
-    let mut images = images(args, &rig_path)?;
+    options.segment_mib = args.segment_mib.unwrap_or(options.segment_mib);
+    let mut images = images(args, &rig_path, &options.rig_text)?;
     let laboratory =
         Laboratory::start(&options, |_| images.remove(0)).map_err(|e| Failure::new(Exit::Failure, e))?;
     let nodes: Vec<_> = laboratory
@@ -89,23 +96,49 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The rig file's text, with another trigger rate where one is asked for.
-fn rig_text(path: &Path, rate_hz: Option<f64>) -> Result<String, Failure> {
+/// The rig file's text, with another trigger rate or with the cameras of one node only, where asked for.
+fn rig_text(path: &Path, args: &Args) -> Result<String, Failure> {
     let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
-    let Some(rate_hz) = rate_hz else { return Ok(text) };
+    if args.rate_hz.is_none() && args.node.is_none() {
+        return Ok(text);
+    }
     let mut table: toml::Table = text.parse().map_err(|e| wrong(&e))?;
-    table.insert("trigger_rate_hz".to_owned(), rate_hz.into());
+    if let Some(rate_hz) = args.rate_hz {
+        table.insert("trigger_rate_hz".to_owned(), rate_hz.into());
+    }
+    if let Some(node) = &args.node {
+        keep_node(&mut table, node);
+        if table.get("head").and_then(toml::Value::as_array).is_none_or(Vec::is_empty) {
+            return Err(wrong(&format_args!("no camera belongs to node {node}")));
+        }
+    }
     toml::to_string(&table).map_err(|e| wrong(&e))
 }
 
+/// Takes the cameras of all other nodes out of a rig, and the heads that have none left.
+fn keep_node(rig: &mut toml::Table, node: &str) {
+    let Some(heads) = rig.get_mut("head").and_then(toml::Value::as_array_mut) else { return };
+    heads.retain_mut(|head| {
+        let cameras = head.get_mut("camera").and_then(toml::Value::as_array_mut);
+        cameras.is_some_and(|cameras| {
+            cameras.retain(|camera| camera.get("node").and_then(toml::Value::as_str) == Some(node));
+            !cameras.is_empty()
+        })
+    });
+}
+
 /// What each camera shows, in the rig's order.
-fn images(args: &Args, rig_path: &Path) -> Result<Vec<Arc<dyn ImageSource>>, Failure> {
-    let rig = Rig::load(rig_path)?;
+fn images(args: &Args, rig_path: &Path, rig_text: &str) -> Result<Vec<Arc<dyn ImageSource>>, Failure> {
+    let rig = match &args.node {
+        // A rig of its own, which is nowhere in a file; its problems are found and told when it is started.
+        Some(_) => rig_text.parse().ok().and_then(|table| Rig::from_table(&table).ok()),
+        None => Some(Rig::load(rig_path)?),
+    };
     let unusable = |e| Failure::new(Exit::Failure, e);
     let manifest = args.frames.as_deref().map(Manifest::load).transpose().map_err(unusable)?;
     let mut images: Vec<Arc<dyn ImageSource>> = Vec::new();
-    for (number, (_, camera)) in (0u32..).zip(rig.cameras()) {
+    for (number, (_, camera)) in (0u32..).zip(rig.iter().flat_map(Rig::cameras)) {
         images.push(match (&args.frames, &manifest) {
             (Some(frames), Some(manifest)) => {
                 Arc::new(CachedImages::open(frames, manifest, &camera.id).map_err(unusable)?)
@@ -117,4 +150,21 @@ fn images(args: &Args, rig_path: &Path) -> Result<Vec<Arc<dyn ImageSource>>, Fai
         });
     }
     Ok(images)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_a_rig_is_a_rig() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/rig.toml");
+        let mut table: toml::Table = std::fs::read_to_string(path).expect("a file").parse().expect("TOML");
+        keep_node(&mut table, "b");
+        let rig = Rig::from_table(&table).expect("a valid rig");
+        let cameras: Vec<String> = rig.cameras().map(|(_, camera)| camera.id.to_string()).collect();
+        assert_eq!(cameras, ["h2_up", "h2_low", "h3_up", "h3_low"]);
+        keep_node(&mut table, "c");
+        assert!(table["head"].as_array().is_some_and(Vec::is_empty));
+    }
 }

@@ -85,7 +85,7 @@ fn read(path: &Path) -> Result<Value, Failure> {
 }
 
 /// Processor and number of cores.
-fn machine() -> String {
+pub(super) fn machine() -> String {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let name = cpuinfo.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
     let name = name.map_or("unknown processor", |(_, name)| name.trim());

@@ -4,7 +4,7 @@
 //! datagram -> [device] control thread -> [gvcp] decode -> [control] who may do what -> [registers] [map]
 //!          -> answer, and orders to the stream thread
 //! trigger edge or free run -> [stream] -> [sensor] accepts or ignores -> [transmit] frame -> [gvsp] packets
-//!          -> [net] sendmmsg
+//!          -> [net] sendmmsg, by runs of packets where the host allows it ([segmentation])
 //! ```
 //!
 //! [`gvcp`], [`gvsp`], [`control`], [`registers`], [`sensor`] and [`genicam`] know no sockets and no threads.
@@ -22,6 +22,7 @@ pub mod gvsp;
 pub mod map;
 mod net;
 pub mod registers;
+mod segmentation;
 pub mod sensor;
 pub mod settings;
 mod stream;
@@ -31,6 +32,7 @@ mod transmit;
 pub use clock::{CameraClock, ClockOptions};
 pub use device::{CameraOptions, SimulatedCamera};
 pub use net::process_cpu_time;
+pub use segmentation::loopback_cuts_before_receivers;
 pub use test_images::{TestImages, TestStamp};
 
 use std::net::SocketAddrV4;

@@ -70,6 +70,20 @@ pub fn set_do_not_fragment(socket: &UdpSocket, set: bool) -> io::Result<()> {
     set_option(socket, libc::IPPROTO_IP, libc::IP_MTU_DISCOVER, mode)
 }
 
+/// Asks for 2 MiB pages under memory that is not touched yet: the kernel walks fewer page tables when it copies
+/// pixels out of it. A wish; where the system has no such pages nothing changes.
+pub fn prefer_huge_pages(memory: &mut [std::mem::MaybeUninit<u8>]) {
+    const PAGE: usize = 4096;
+    let range = memory.as_mut_ptr_range();
+    let (start, end) = (range.start as usize, range.end as usize);
+    let (first, last) = (start.next_multiple_of(PAGE), end - end % PAGE);
+    if first < last {
+        let at = range.start.wrapping_byte_add(first - start);
+        // SAFETY: the pages lie within `memory`; the advice changes no content.
+        unsafe { libc::madvise(at.cast(), last - first, libc::MADV_HUGEPAGE) };
+    }
+}
+
 /// Waits until a socket has something to read, at most so long. Appends the indices of those that have.
 pub fn poll_readable(sockets: &[&UdpSocket], timeout: Duration, ready: &mut Vec<usize>) -> io::Result<()> {
     let mut entries: Vec<libc::pollfd> = sockets
@@ -103,15 +117,22 @@ pub fn process_cpu_time() -> Duration {
 pub struct Batch<'a> {
     parts: [(&'a [u8], &'a [u8]); BATCH],
     length: usize,
+    segmented: bool,
 }
 
 impl Default for Batch<'_> {
     fn default() -> Self {
-        Self { parts: [(&[], &[]); BATCH], length: 0 }
+        Self { parts: [(&[], &[]); BATCH], length: 0, segmented: false }
     }
 }
 
 impl<'a> Batch<'a> {
+    /// An empty batch. Where `segmented`, runs of datagrams of one length go through the kernel as one, which
+    /// cuts them apart again (UDP_SEGMENT): see [`super::segmentation`] for when every receiver sees them cut.
+    pub fn new(segmented: bool) -> Self {
+        Self { segmented, ..Self::default() }
+    }
+
     /// Adds a datagram. The batch must not be full.
     pub fn push(&mut self, header: &'a [u8], body: &'a [u8]) {
         if let Some(place) = self.parts.get_mut(self.length) {
@@ -133,7 +154,7 @@ impl<'a> Batch<'a> {
     pub fn send(&mut self, socket: &UdpSocket) -> io::Result<usize> {
         let (mut sent, mut refused) = (0, false);
         while sent < self.length {
-            match send_many(socket, &self.parts[sent..self.length]) {
+            match send_many(socket, &self.parts[sent..self.length], self.segmented) {
                 Ok(count) => sent += count,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused && !refused => refused = true,
@@ -148,22 +169,68 @@ impl<'a> Batch<'a> {
     }
 }
 
-fn send_many(socket: &UdpSocket, parts: &[(&[u8], &[u8])]) -> io::Result<usize> {
+/// Most bytes of datagrams that one IP packet can carry through the kernel together.
+const MOST_TOGETHER: usize = 65_507;
+
+/// How many of the first datagrams can go as one: all as long as the first, but the last, which may be shorter.
+fn run_length(parts: &[(&[u8], &[u8])]) -> usize {
+    let length = |(header, body): &(&[u8], &[u8])| header.len() + body.len();
+    let Some(first) = parts.first().map(length).filter(|first| *first > 0) else { return parts.len().min(1) };
+    let most = (MOST_TOGETHER / first).max(1);
+    let same = parts.iter().take(most).take_while(|part| length(part) == first).count();
+    let shorter = parts.get(same).is_some_and(|part| same < most && (1..first).contains(&length(part)));
+    same + usize::from(shorter)
+}
+
+/// Room for the one control message that says how long each datagram of a run is. Aligned as `cmsghdr` wants.
+type Control = [u64; 3];
+
+/// Makes `message` a run of datagrams of `length` bytes each (the last one may be shorter).
+fn ask_to_cut(message: &mut libc::msghdr, control: &mut Control, length: u16) {
+    // SAFETY: computes sizes only.
+    let (space, used) = unsafe { (libc::CMSG_SPACE(2), libc::CMSG_LEN(2)) };
+    debug_assert!(space as usize <= size_of::<Control>(), "the control message fits");
+    message.msg_control = control.as_mut_ptr().cast();
+    message.msg_controllen = space as _;
+    // SAFETY: `control` is aligned, zeroed, and as long as `msg_controllen` says: there is a first header in it,
+    // with room for two bytes of data.
+    unsafe {
+        let header = libc::CMSG_FIRSTHDR(message);
+        (*header).cmsg_level = libc::SOL_UDP;
+        (*header).cmsg_type = libc::UDP_SEGMENT;
+        (*header).cmsg_len = used as _;
+        libc::CMSG_DATA(header).cast::<u16>().write_unaligned(length);
+    }
+}
+
+fn send_many(socket: &UdpSocket, parts: &[(&[u8], &[u8])], segmented: bool) -> io::Result<usize> {
     let empty = libc::iovec { iov_base: std::ptr::null_mut(), iov_len: 0 };
     let mut vectors = [[empty; 2]; BATCH];
+    let mut controls: [Control; BATCH] = [[0; 3]; BATCH];
+    let mut runs = [0; BATCH];
     // SAFETY: all-zero is a valid `mmsghdr`: null pointers with zero lengths.
     let mut messages: [libc::mmsghdr; BATCH] = unsafe { std::mem::zeroed() };
-    for ((pair, message), (header, body)) in vectors.iter_mut().zip(&mut messages).zip(parts) {
+    for (pair, (header, body)) in vectors.iter_mut().zip(parts) {
         *pair = [header, body]
             .map(|part| libc::iovec { iov_base: part.as_ptr().cast_mut().cast(), iov_len: part.len() });
-        message.msg_hdr.msg_iov = pair.as_mut_ptr();
-        message.msg_hdr.msg_iovlen = if body.is_empty() { 1 } else { 2 };
     }
-    let count = parts.len().min(BATCH) as libc::c_uint;
-    // SAFETY: the first `count` messages point to vectors that point to slices borrowed for this call; the
-    // kernel only reads through them (and writes the message lengths).
+    let (mut count, mut left, mut vectors) = (0, &parts[..parts.len().min(BATCH)], &mut vectors[..]);
+    for ((message, control), run) in messages.iter_mut().zip(&mut controls).zip(&mut runs) {
+        *run = if segmented { run_length(left) } else { left.len().min(1) };
+        let Some((header, body)) = left.first() else { break };
+        let (own, others) = std::mem::take(&mut vectors).split_at_mut(*run);
+        message.msg_hdr.msg_iov = own.as_mut_ptr().cast();
+        message.msg_hdr.msg_iovlen = 2 * *run;
+        if let (2.., Ok(length)) = (*run, u16::try_from(header.len() + body.len())) {
+            ask_to_cut(&mut message.msg_hdr, control, length);
+        }
+        (count, left, vectors) = (count + 1, &left[*run..], others);
+    }
+    // SAFETY: the first `count` messages point to vectors that point to slices borrowed for this call, and to
+    // control messages; the kernel only reads through them (and writes the message lengths).
     let sent = unsafe { libc::sendmmsg(socket.as_raw_fd(), messages.as_mut_ptr(), count, 0) };
-    usize::try_from(sent).map_err(|_| io::Error::last_os_error())
+    let sent = usize::try_from(sent).map_err(|_| io::Error::last_os_error())?;
+    Ok(runs.iter().take(sent).sum())
 }
 
 /// Addresses on which broadcast discoveries arrive on loopback.
@@ -181,17 +248,35 @@ mod tests {
         sender.connect(receiver.local_addr().expect("an address")).expect("a route");
         let headers: Vec<[u8; 2]> = (0..BATCH as u8).map(|i| [i, 0xff]).collect();
         let body = [7; 100];
-        let mut batch = Batch::default();
-        for (i, header) in headers.iter().enumerate() {
-            batch.push(header, &body[..i]);
+        // Equal lengths, rising and falling ones, nothing but headers.
+        let lengths: [fn(usize) -> usize; 4] = [|i| i, |_| 100, |i| 99 - i, |i| [100, 100, 100, 0, 3][i % 5]];
+        for (segmented, length_of) in [false, true].into_iter().flat_map(|s| lengths.map(|l| (s, l))) {
+            let mut batch = Batch::new(segmented);
+            for (i, header) in headers.iter().enumerate() {
+                batch.push(header, &body[..length_of(i)]);
+            }
+            assert!(batch.is_full());
+            assert_eq!(batch.send(&sender).expect("sent"), BATCH);
+            let mut buffer = [0; 200];
+            for (i, header) in headers.iter().enumerate() {
+                let length = receiver.recv(&mut buffer).expect("a datagram");
+                assert_eq!(buffer[..length], [&header[..], &body[..length_of(i)]].concat());
+            }
         }
-        assert!(batch.is_full());
-        assert_eq!(batch.send(&sender).expect("sent"), BATCH);
-        let mut buffer = [0; 200];
-        for (i, header) in headers.iter().enumerate() {
-            let length = receiver.recv(&mut buffer).expect("a datagram");
-            assert_eq!(buffer[..length], [&header[..], &body[..i]].concat());
-        }
+    }
+
+    #[test]
+    fn a_run_ends_where_the_kernel_would_cut_wrongly() {
+        let bytes = [0; 9000];
+        let run = |lengths: &[usize]| {
+            let parts: Vec<(&[u8], &[u8])> = lengths.iter().map(|l| (&bytes[..8], &bytes[8..*l])).collect();
+            run_length(&parts)
+        };
+        assert_eq!(run(&[]), 0);
+        assert_eq!(run(&[44, 8972, 8972]), 1, "a longer one cannot follow");
+        assert_eq!(run(&[8972, 8972, 500, 8972]), 3, "nothing after a shorter one");
+        assert_eq!(run(&[8972; 20]), 7, "an IP packet has 65535 bytes");
+        assert_eq!(run(&[8972, 8972, 8972, 8972, 8972, 8972, 8972, 500]), 7);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use super::Statistics;
 use super::clock::CameraClock;
 use super::control::StreamSettings;
 use super::net;
+use super::segmentation;
 use super::sensor::{Exposure, Sensor};
 use super::settings::{ExposureMode, TriggerSource};
 use super::transmit::{Frame, History, Transmitter};
@@ -121,6 +122,8 @@ impl Streamer {
         match order {
             Order::Start(number, started, stream) => {
                 self.history.clear();
+                let local = stream.destination.is_some_and(|to| to.ip().is_loopback());
+                self.transmitter.set_segmented(local && segmentation::loopback_cuts_before_receivers());
                 self.statistics.triggers_ignored_now.store(0, Relaxed);
                 self.connect(&stream, connected);
                 *acquisition = Some(Acquisition::new(number, started, stream, self.first_block_id));

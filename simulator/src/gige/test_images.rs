@@ -34,6 +34,7 @@ impl TestImages {
     pub fn new(width: usize, height: usize, camera: u32, distinct: usize) -> Self {
         let (width, height, distinct) = (width.max(STAMP), height.max(1), distinct.max(1));
         let mut scene = Vec::with_capacity(width * (height + distinct - 1));
+        super::net::prefer_huge_pages(scene.spare_capacity_mut());
         for row in 0..height + distinct - 1 {
             scene.extend(camera.to_be_bytes());
             scene.extend((row as u32).to_be_bytes());

@@ -127,6 +127,7 @@ pub struct Transmitter {
     lose: Option<PacketFilter>,
     headers: Option<(Layout, PayloadHeaders)>,
     cropped: Vec<u8>,
+    segmented: bool,
 }
 
 impl Transmitter {
@@ -138,7 +139,13 @@ impl Transmitter {
         statistics: Arc<Statistics>,
         lose: Option<PacketFilter>,
     ) -> Self {
-        Self { source, socket, history, statistics, lose, headers: None, cropped: Vec::new() }
+        let (headers, cropped, segmented) = (None, Vec::new(), false);
+        Self { source, socket, history, statistics, lose, headers, cropped, segmented }
+    }
+
+    /// From now on, hands runs of packets to the kernel as one, or does not (see [`super::segmentation`]).
+    pub fn set_segmented(&mut self, segmented: bool) {
+        self.segmented = segmented;
     }
 
     /// Sends one frame, `delay` between its packets (0: as fast as possible).
@@ -169,7 +176,7 @@ impl Transmitter {
             }
         };
         let mut pacer = Pacer { start: Instant::now(), delay };
-        let (mut batch, mut sent) = (Batch::default(), 0);
+        let (mut batch, mut sent) = (Batch::new(self.segmented), 0);
         for id in 0..=layout.trailer_id() {
             if batch.is_full() || pacer.must_wait(id) {
                 match batch.send(&self.socket) {
