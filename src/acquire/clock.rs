@@ -44,6 +44,8 @@ const SUB_WINDOW_NS: i64 = 500_000_000;
 /// No clock runs faster or slower than the host's by more: crystals stay within 100 ppm, a host whose clock is
 /// being slewed within 500.
 const SKEW_LIMIT: f64 = 500e-6;
+/// Skews are about this large.
+const LIKELY_SKEW: f64 = 100e-6;
 /// How fast a rate may change unseen: a bound is believed this much less for each ns of its age.
 const WANDER: f64 = 0.5e-6;
 /// Clocks are read with this error at least, ns.
@@ -66,6 +68,9 @@ struct SubWindow {
     number: i64,
     lower: Option<Bound>,
     upper: Option<Bound>,
+    /// How many the tightest was chosen from.
+    lowers: u32,
+    uppers: u32,
     round_trip: Option<f64>,
 }
 
@@ -208,16 +213,18 @@ impl ClockFit {
         }
         let place = self.windows.partition_point(|window| window.number < number);
         if self.windows.get(place).is_none_or(|window| window.number != number) {
-            let empty = SubWindow { number, lower: None, upper: None, round_trip: None };
+            let empty = SubWindow { number, lower: None, upper: None, lowers: 0, uppers: 0, round_trip: None };
             self.windows.insert(place, empty);
         }
         let window = &mut self.windows[place];
         let level = |bound: Bound| bound.y - skew * bound.x;
         if let Some(bound) = lower.map(|y| Bound { x, y }) {
             window.lower = Some(window.lower.filter(|held| level(*held) >= level(bound)).unwrap_or(bound));
+            window.lowers += 1;
         }
         if let Some(bound) = upper.map(|y| Bound { x, y }) {
             window.upper = Some(window.upper.filter(|held| level(*held) <= level(bound)).unwrap_or(bound));
+            window.uppers += 1;
         }
         if let Some((lower, upper)) = lower.zip(upper) {
             window.round_trip = Some(window.round_trip.unwrap_or(f64::INFINITY).min(upper - lower));
@@ -276,13 +283,37 @@ impl ClockFit {
         (least <= most).then_some((least, most))
     }
 
-    /// The middle line. A clock that was seen at one reading only may be standing still.
+    /// The skew by least squares over the tightest bounds, lower and upper ones each about their own mean. The
+    /// fastest of n delays varies as 1/n: weights are n squared. Skews are around 100 ppm before anything is known.
+    fn likely_skew(&self) -> f64 {
+        let sides = [
+            (|w: &SubWindow| w.lower.map(|b| (b, f64::from(w.lowers)))) as fn(&SubWindow) -> Option<(Bound, f64)>,
+            |w: &SubWindow| w.upper.map(|b| (b, f64::from(w.uppers))),
+        ];
+        let (mut covariance, mut variance) = (0.0, 0.0);
+        for side in sides {
+            let bounds = || self.windows.iter().filter_map(side).map(|(b, n)| (b, n * n));
+            let total: f64 = bounds().map(|(_, w)| w).sum();
+            if total == 0.0 {
+                continue;
+            }
+            let mean_x = bounds().map(|(b, w)| w * b.x).sum::<f64>() / total;
+            let mean_y = bounds().map(|(b, w)| w * b.y).sum::<f64>() / total;
+            covariance += bounds().map(|(b, w)| w * (b.x - mean_x) * (b.y - mean_y)).sum::<f64>();
+            variance += bounds().map(|(b, w)| w * (b.x - mean_x).powi(2)).sum::<f64>();
+        }
+        let trips = || self.windows.iter().filter_map(|window| window.round_trip);
+        let spread = trips().sum::<f64>() / trips().count().max(1) as f64;
+        covariance / (variance + (spread / LIKELY_SKEW).powi(2)).max(f64::MIN_POSITIVE)
+    }
+
+    /// The most likely line of those that keep all bounds, midway between them. A clock that was seen at one reading only may be standing still.
     fn between(&self, skew_min: f64, skew_max: f64) -> Option<Line> {
         let first = self.lowers().next()?;
         if self.lowers().chain(self.uppers()).all(|bound| bound.x == first.x) {
             return None;
         }
-        let skew = (skew_min + skew_max) / 2.0;
+        let skew = self.likely_skew().clamp(skew_min, skew_max);
         let least = self.lowers().map(|b| b.y - skew * b.x).fold(f64::NEG_INFINITY, f64::max);
         let most = self.uppers().map(|b| b.y - skew * b.x).fold(f64::INFINITY, f64::min);
         let bounded = least.is_finite() && most.is_finite();
