@@ -213,7 +213,8 @@ impl ClockFit {
         }
         let place = self.windows.partition_point(|window| window.number < number);
         if self.windows.get(place).is_none_or(|window| window.number != number) {
-            let empty = SubWindow { number, lower: None, upper: None, lowers: 0, uppers: 0, round_trip: None };
+            let empty =
+                SubWindow { number, lower: None, upper: None, lowers: 0, uppers: 0, round_trip: None };
             self.windows.insert(place, empty);
         }
         let window = &mut self.windows[place];
@@ -233,18 +234,18 @@ impl ClockFit {
 
     fn lowers(&self) -> impl Iterator<Item = Bound> + '_ {
         let newest = self.newest;
-        self.windows.iter().filter_map(|window| window.lower).map(move |b| Bound {
-            y: b.y - WANDER * (newest - b.x),
-            ..b
-        })
+        self.windows
+            .iter()
+            .filter_map(|window| window.lower)
+            .map(move |b| Bound { y: b.y - WANDER * (newest - b.x), ..b })
     }
 
     fn uppers(&self) -> impl Iterator<Item = Bound> + '_ {
         let newest = self.newest;
-        self.windows.iter().filter_map(|window| window.upper).map(move |b| Bound {
-            y: b.y + WANDER * (newest - b.x),
-            ..b
-        })
+        self.windows
+            .iter()
+            .filter_map(|window| window.upper)
+            .map(move |b| Bound { y: b.y + WANDER * (newest - b.x), ..b })
     }
 
     /// Draws the line anew; bounds that contradict each other lose their oldest. Returns whether none had to go.
@@ -287,7 +288,8 @@ impl ClockFit {
     /// fastest of n delays varies as 1/n: weights are n squared. Skews are around 100 ppm before anything is known.
     fn likely_skew(&self) -> f64 {
         let sides = [
-            (|w: &SubWindow| w.lower.map(|b| (b, f64::from(w.lowers)))) as fn(&SubWindow) -> Option<(Bound, f64)>,
+            (|w: &SubWindow| w.lower.map(|b| (b, f64::from(w.lowers))))
+                as fn(&SubWindow) -> Option<(Bound, f64)>,
             |w: &SubWindow| w.upper.map(|b| (b, f64::from(w.uppers))),
         ];
         let (mut covariance, mut variance) = (0.0, 0.0);
