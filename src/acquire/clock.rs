@@ -93,6 +93,8 @@ pub struct ClockFit {
     windows: VecDeque<SubWindow>,
     line: Option<Line>,
     newest: f64,
+    /// It was seen at two readings.
+    runs: bool,
     suspects: Vec<Exchange>,
     used: u64,
     left_out: u64,
@@ -202,6 +204,8 @@ impl ClockFit {
     /// Keeps what is tighter than what its sub-window has.
     fn enter(&mut self, x: f64, lower: Option<f64>, upper: Option<f64>) {
         self.newest = self.newest.max(x);
+        // The origin is the first reading.
+        self.runs |= x != 0.0;
         let skew = self.line.map_or(0.0, |line| line.skew);
         let number = (x / SUB_WINDOW_NS as f64).floor() as i64;
         let oldest = (self.newest / SUB_WINDOW_NS as f64).floor() as i64 - WINDOW_NS / SUB_WINDOW_NS;
@@ -311,8 +315,7 @@ impl ClockFit {
 
     /// The most likely line of those that keep all bounds, midway between them. A clock that was seen at one reading only may be standing still.
     fn between(&self, skew_min: f64, skew_max: f64) -> Option<Line> {
-        let first = self.lowers().next()?;
-        if self.lowers().chain(self.uppers()).all(|bound| bound.x == first.x) {
+        if !self.runs {
             return None;
         }
         let skew = self.likely_skew().clamp(skew_min, skew_max);

@@ -4,6 +4,7 @@ use super::{ClockRelation, Finding, Match, Matched, Matcher, Sighting};
 use crate::acquire::clock::{ClockFit, Exchange};
 use crate::acquire::trigger_table::TriggerTable;
 use crate::ids::BlockId;
+use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
 use std::collections::VecDeque;
 
 const PERIOD_NS: u64 = 8_333_333;
@@ -319,4 +320,115 @@ fn every_fault_is_told_apart() {
     println!("{faults} faults, {wrong} mistakes");
     assert!(faults >= 100_000, "{faults} faults are too few");
     assert_eq!(wrong, 0);
+}
+
+fn frame(id: u64, camera_ns: u64, host_ns: u64) -> Sighting {
+    Sighting { id: BlockId(id), camera_ns: Some(camera_ns), host_ns, complete: true }
+}
+
+fn number(answer: Match) -> i64 {
+    match answer {
+        Match::Trigger(matched) => matched.number,
+        other => panic!("expected a trigger, found {other:?}"),
+    }
+}
+
+fn full_table(triggers: i64) -> TriggerTable {
+    let mut table = TriggerTable::default();
+    (0..triggers).for_each(|k| table.insert(k, due(k)));
+    table
+}
+
+fn host(hsu_ns: u64) -> u64 {
+    HOST_NS + (hsu_ns - HSU_NS) + 3_000_000
+}
+
+fn sample(hsu_ns: u64, camera_ns: u64) -> Exchange {
+    let at = HOST_NS + (hsu_ns - HSU_NS);
+    Exchange { host_send_ns: at - 200_000, host_receive_ns: at + 200_000, device_ns: camera_ns }
+}
+
+#[test]
+fn a_camera_without_a_readable_clock_is_matched_by_arrival() {
+    let (hsu, table) = (hsu_clock(), full_table(10));
+    let mut matcher = Matcher::new(PERIOD_NS, ClockRelation::default());
+    let camera = |k: i64| due(k) + 500_000_000_000;
+    let early = frame(60, camera(-1), host(due(-1)));
+    assert_eq!(matcher.assign(&early, None, &TriggerTable::default(), &hsu, true), Match::BeforeTrain);
+    assert_eq!(matcher.assign(&early, None, &table, &hsu, false), Match::BeforeTrain);
+    for k in 0..10 {
+        let frame = frame(61 + k as u64, camera(k), host(due(k)));
+        assert_eq!(number(matcher.assign(&frame, None, &table, &hsu, false)), k);
+    }
+}
+
+#[test]
+fn a_frame_waits_for_its_report_and_then_its_id_must_do() {
+    let hsu = ClockFit::new();
+    let clocks = ClockRelation { camera_minus_hsu_ns: Some(0), hsu_minus_host_ns: None };
+    let mut matcher = Matcher::new(PERIOD_NS, clocks);
+    let first = frame(1, due(0), 0);
+    assert_eq!(matcher.assign(&first, None, &full_table(0), &hsu, false), Match::Wait);
+    assert_eq!(matcher.assign(&first, None, &full_table(0), &hsu, false), Match::Wait);
+    assert_eq!(number(matcher.assign(&first, None, &full_table(1), &hsu, false)), 0);
+    let second = frame(2, due(1), 0);
+    assert_eq!(matcher.assign(&second, None, &full_table(1), &hsu, false), Match::Wait);
+    assert_eq!(number(matcher.assign(&second, None, &full_table(1), &hsu, true)), 1);
+}
+
+/// A camera that comes back with new ids and a new clock, while a trigger's worth of everything was missed.
+#[test]
+fn a_camera_that_is_back_lands_on_the_right_trigger_by_its_new_clock() {
+    let (hsu, table) = (hsu_clock(), full_table(200));
+    let mut matcher = Matcher::new(PERIOD_NS, ClockRelation::default());
+    (0..20).for_each(|k| drop(matcher.clock_sample(&sample(due(k), due(k) + 9_000_000_000_000))));
+    for k in 0..20 {
+        let frame = frame(500 + k as u64, due(k) + 9_000_000_000_000, host(due(k)));
+        assert_eq!(number(matcher.assign(&frame, None, &table, &hsu, false)), k);
+    }
+    matcher.lost();
+    (100..110).for_each(|k| drop(matcher.clock_sample(&sample(due(k), due(k) - HSU_NS))));
+    matcher.restart();
+    for k in 120..140 {
+        // The first one is a straggler: its arrival says nothing.
+        let late = if k == 120 { 30_000_000 } else { 0 };
+        let frame = frame(k as u64 - 119, due(k) - HSU_NS, host(due(k)) + late);
+        assert_eq!(number(matcher.assign(&frame, None, &table, &hsu, false)), k);
+    }
+}
+
+/// Triggers ignored at the moment of a reset: the ids cannot know, the new fit from clock samples can.
+#[test]
+fn a_new_fit_corrects_what_ids_alone_could_not_know() {
+    let (hsu, table) = (hsu_clock(), full_table(300));
+    let clocks = ClockRelation { camera_minus_hsu_ns: Some(0), hsu_minus_host_ns: None };
+    let mut matcher = Matcher::new(PERIOD_NS, clocks);
+    for k in 0..40 {
+        let answer = matcher.assign(&frame(1 + k as u64, due(k), host(due(k))), None, &table, &hsu, false);
+        assert_eq!(number(answer), k);
+    }
+    // Triggers 40 and 41 are ignored, the clock starts at zero.
+    let zero = |k: i64| due(k) - due(30);
+    let carried = matcher.assign(&frame(41, zero(42), host(due(42))), None, &table, &hsu, false);
+    assert_eq!(number(carried), 40, "by its id alone");
+    (50..60).for_each(|k| drop(matcher.clock_sample(&sample(due(k), zero(k)))));
+    let Match::Trigger(found) =
+        matcher.assign(&frame(42, zero(60), host(due(60))), None, &table, &hsu, false)
+    else {
+        panic!("expected a trigger");
+    };
+    assert_eq!(found.number, 60, "by the new fit");
+    let next = matcher.assign(&frame(43, zero(61), host(due(61))), None, &table, &hsu, false);
+    assert_eq!(number(next), 61);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(16))]
+
+    /// The same law for seeds that nobody chose.
+    #[test]
+    fn faults_of_any_seed_are_told_apart(seed in 1_000u64..1 << 40, wide in any::<bool>()) {
+        let (_, wrong) = play(seed, wide, 2_000);
+        prop_assert!(wrong.is_empty(), "{}: {}", wrong.len(), wrong[0]);
+    }
 }
