@@ -381,13 +381,17 @@ fn a_frame_waits_for_its_report_and_then_its_id_must_do() {
 fn a_camera_that_is_back_lands_on_the_right_trigger_by_its_new_clock() {
     let (hsu, table) = (hsu_clock(), full_table(200));
     let mut matcher = Matcher::new(PERIOD_NS, ClockRelation::default());
-    (0..20).for_each(|k| drop(matcher.clock_sample(&sample(due(k), due(k) + 9_000_000_000_000))));
+    for k in 0..20 {
+        matcher.clock_sample(&sample(due(k), due(k) + 9_000_000_000_000));
+    }
     for k in 0..20 {
         let frame = frame(500 + k as u64, due(k) + 9_000_000_000_000, host(due(k)));
         assert_eq!(number(matcher.assign(&frame, None, &table, &hsu, false)), k);
     }
     matcher.lost();
-    (100..110).for_each(|k| drop(matcher.clock_sample(&sample(due(k), due(k) - HSU_NS))));
+    for k in 100..110 {
+        matcher.clock_sample(&sample(due(k), due(k) - HSU_NS));
+    }
     matcher.restart();
     for k in 120..140 {
         // The first one is a straggler: its arrival says nothing.
@@ -411,7 +415,9 @@ fn a_new_fit_corrects_what_ids_alone_could_not_know() {
     let zero = |k: i64| due(k) - due(30);
     let carried = matcher.assign(&frame(41, zero(42), host(due(42))), None, &table, &hsu, false);
     assert_eq!(number(carried), 40, "by its id alone");
-    (50..60).for_each(|k| drop(matcher.clock_sample(&sample(due(k), zero(k)))));
+    for k in 50..60 {
+        matcher.clock_sample(&sample(due(k), zero(k)));
+    }
     let Match::Trigger(found) =
         matcher.assign(&frame(42, zero(60), host(due(60))), None, &table, &hsu, false)
     else {
