@@ -5,7 +5,7 @@ use super::devices::{Devices, PreparedCamera, unique_id};
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
 use crate::acquire::matcher::{ClockRelation, Matcher};
 use crate::acquire::receiver::Arrival;
-use crate::acquire::recorder::{FromRecorder, LaneSetup, Recorder, ToRecorder};
+use crate::acquire::recorder::{FromRecorder, LaneSetup, Recorder, RecorderOptions, ToRecorder, WhenFull};
 use crate::api::dto::{NodeStatus, Outcome, SessionCommand};
 use crate::api::server::{Command, Reply, SharedStatus};
 use crate::camera::{AppliedSetting, CameraBackend};
@@ -368,8 +368,9 @@ impl Node {
         let thread_error =
             |e: std::io::Error| Fault::new(Exit::Failure, format!("cannot start the recorder: {e}"));
         let progress = Arc::clone(&session.progress);
-        let recorder =
-            Recorder::start(recording, lanes, progress, arrivals, commands, events).map_err(thread_error)?;
+        let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, WhenFull::DropFrameSet);
+        let recorder = Recorder::start(recording, lanes, options, progress, arrivals, commands, events)
+            .map_err(thread_error)?;
         session.recorder = Some(recorder);
         session.to_recorder = Some(to_recorder);
         session.from_recorder = from_recorder;
