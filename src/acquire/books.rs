@@ -121,12 +121,11 @@ impl Books {
                 self.ring.small(ToWriter::Trigger(record));
                 self.advance_all();
             }
-            ToRecorder::WarmUp { number, hsu_time_ns } => {
-                if number < 0 {
-                    self.table.insert(number, hsu_time_ns);
-                    self.advance_all();
-                }
+            ToRecorder::WarmUp { number, hsu_time_ns } if number < 0 => {
+                self.table.insert(number, hsu_time_ns);
+                self.advance_all();
             }
+            ToRecorder::WarmUp { .. } => {}
             ToRecorder::Clock(sample) => self.clock_sample(sample),
             ToRecorder::Event(event) => self.ring.small(ToWriter::Event(event)),
             ToRecorder::CameraLost(camera) if camera < self.lanes.len() => {
