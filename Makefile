@@ -5,12 +5,14 @@
 #   make lint      formatting and lints, all fatal
 #   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
+#   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
+#   make third-party   others' programs that take minutes to build
 
 SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint bench-ingest packages test-packages clean-out
+.PHONY: all demo test lint bench-ingest packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -44,3 +46,10 @@ bench-ingest: packages
 	$(CARGO) build --release --workspace
 	$(CARGO) build --release --example ingest_buffered
 	scripts/bench-ingest.sh
+
+FUZZ_SECONDS ?= 180
+fuzz: packages
+	scripts/fuzz.sh $(FUZZ_SECONDS)
+
+third-party: packages
+	scripts/third-party.sh

@@ -47,7 +47,7 @@ impl LaboratoryOptions {
             first_port: 7401,
             reserve_mib: 256,
             segment_mib: 16_384,
-            buffers_per_camera: 16,
+            buffers_per_camera: 32,
             socket: SocketMode::Auto,
         }
     }

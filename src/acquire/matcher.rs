@@ -1,372 +1,498 @@
 //! Which trigger a frame belongs to, by two witnesses: its block id and its timestamp.
 //!
 //! The block id counts frames that the camera made: a camera that ignored a trigger does not skip an id. The
-//! timestamp, brought to the HSU's clock, names the trigger by its time: it would be fooled only by half a
-//! trigger period. Where they disagree the timestamp wins, and the caller learns of it.
+//! timestamp, brought to the HSU's clock, names the trigger by its time. Where they disagree the timestamp wins as
+//! long as its clock is believed, and the caller learns what happened. The arrival on the host is a third witness
+//! that errs only towards late: it can refute a timestamp from the future, and bridge a clock that was reset.
 
-use crate::ids::{BlockId, TriggerIndex};
+use super::block_ids::BlockIds;
+use super::clock::{ClockFit, Exchange, Judged};
+use super::relation::{Latency, Tracker};
+use super::trigger_table::TriggerTable;
+use crate::ids::BlockId;
 
-/// Times of the triggers so far, HSU clock, by index.
-#[derive(Debug, Default)]
-pub struct TriggerTable {
-    times_ns: Vec<Option<u64>>,
-    latest_ns: Option<u64>,
-}
-
-/// Longest table: eleven days at 120 Hz. A wild index must not allocate without bound.
-const TRIGGERS_MAX: u64 = 120_000_000;
-
-impl TriggerTable {
-    /// Notes a trigger's time. Reports may come in any order and repeatedly; impossible indexes are ignored.
-    pub fn insert(&mut self, trigger: TriggerIndex, hsu_ns: u64) {
-        if trigger.0 >= TRIGGERS_MAX {
-            return;
-        }
-        let index = trigger.0 as usize;
-        if index >= self.times_ns.len() {
-            self.times_ns.resize(index + 1, None);
-        }
-        self.times_ns[index] = Some(hsu_ns);
-        self.latest_ns = self.latest_ns.max(Some(hsu_ns));
-    }
-
-    /// The time of a trigger.
-    pub fn time_ns(&self, trigger: TriggerIndex) -> Option<u64> {
-        self.times_ns.get(usize::try_from(trigger.0).ok()?).copied().flatten()
-    }
-
-    /// One more than the highest index reported.
-    pub fn len(&self) -> u64 {
-        self.times_ns.len() as u64
-    }
-
-    /// Whether nothing was reported yet.
-    pub fn is_empty(&self) -> bool {
-        self.times_ns.is_empty()
-    }
-
-    /// The first index below `len` that was never reported.
-    pub fn first_hole(&self) -> Option<TriggerIndex> {
-        self.times_ns.iter().position(Option::is_none).map(|i| TriggerIndex(i as u64))
-    }
-
-    /// The reported trigger nearest in time, and how far `hsu_ns` lies after it.
-    fn nearest(&self, hsu_ns: i128) -> Option<(TriggerIndex, i128)> {
-        // Times rise with the index; holes are stepped over, so search among what was reported.
-        let after = self.times_ns.partition_point(|t| t.is_none_or(|t| i128::from(t) < hsu_ns));
-        let around = after.saturating_sub(4)..(after + 4).min(self.times_ns.len());
-        around
-            .filter_map(|i| Some((TriggerIndex(i as u64), hsu_ns - i128::from(self.times_ns[i]?))))
-            .min_by_key(|(_, residual)| residual.abs())
-    }
-}
-
-/// Unwraps block ids: 16-bit ids count 1..=65535 and skip 0; wider ids do not wrap.
-#[derive(Debug, Default)]
-struct BlockIds {
-    last: Option<(u64, u64)>,
-}
-
-const ID16_CYCLE: u64 = 65_535;
-
-impl BlockIds {
-    /// A count that rises by one per block, whatever the width. A step back of a wide id gives `None`.
-    fn unwrap(&mut self, id: BlockId) -> Option<u64> {
-        let count = match self.last {
-            None => id.0,
-            Some((last, count)) if last <= ID16_CYCLE && id.0 <= ID16_CYCLE => {
-                let step = (id.0 + ID16_CYCLE - last) % ID16_CYCLE;
-                // Up to half a cycle ahead is ahead; the rest is a repeated or late block.
-                if step > ID16_CYCLE / 2 { count.checked_sub(ID16_CYCLE - step)? } else { count + step }
-            }
-            Some((last, count)) => (count + id.0).checked_sub(last)?,
-        };
-        if self.last.is_none_or(|(_, c)| count > c) {
-            self.last = Some((id.0, count));
-        }
-        Some(count)
-    }
+/// What the witnesses say of one frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Sighting {
+    /// GVSP block id.
+    pub id: BlockId,
+    /// Start of exposure, camera clock, ns; `None` where the leader that carries it was lost.
+    pub camera_ns: Option<u64>,
+    /// First packet seen, host clock, ns.
+    pub host_ns: u64,
+    /// Whether all of it arrived: the timestamp of a torn frame does not overrule its id.
+    pub complete: bool,
 }
 
 /// How sure the match is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Witness {
-    /// Block id and timestamp agree.
+    /// Block id and timestamp agree, or what they differ by is explained.
     Both,
-    /// There is no timestamp or trigger time to confirm the block id.
+    /// The timestamp alone: a stream's first frame.
+    TimeOnly,
+    /// The block id alone: no timestamp, no believed clock or no trigger time.
     BlockIdOnly,
-    /// The block id pointed at `expected`: between them the camera ignored triggers or made extra frames.
-    Corrected {
-        /// The trigger that the block id pointed at.
-        expected: TriggerIndex,
-    },
+}
+
+/// What else a frame's witnesses show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Finding {
+    /// The id jumped by so many more than frames were lost (negative: it fell back).
+    IdJump(i64),
+    /// The id is that of the frame before.
+    IdRepeated,
+    /// The camera's clock was set anew, by about so many ns.
+    ClockReset(i128),
+}
+
+/// A frame's place, and what happened since the frame before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Matched {
+    /// The trigger's number; negative in the warm-up.
+    pub number: i64,
+    /// How sure it is.
+    pub witness: Witness,
+    /// So many triggers before it gave frames that were lost on the way.
+    pub lost: u64,
+    /// So many triggers before it were ignored by the camera.
+    pub ignored: u64,
+    /// Anything else.
+    pub finding: Option<Finding>,
 }
 
 /// What a frame is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Match {
-    /// The frame of this trigger.
-    Trigger(TriggerIndex, Witness),
-    /// The trigger table does not reach that far yet: ask again.
+    /// The frame of a trigger.
+    Trigger(Matched),
+    /// Not known yet: ask again when there is a new report or frame.
     Wait,
-    /// No trigger is near its timestamp, this far from the nearest (ns).
+    /// No trigger explains it; it lies this far from the nearest (ns).
     Spurious(i64),
     /// It came before the first trigger.
     BeforeTrain,
-    /// A frame of this trigger, or of a later one, was matched already.
-    Repeated(TriggerIndex),
+    /// It was seen before: same id, same timestamp, or an earlier one.
+    Repeated,
 }
 
-/// What is known of a camera's clock before the first frame.
+/// What is known of a camera's clock before the first exchange.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ClockRelation {
     /// The camera's clock minus the HSU's, ns, where the camera's can be read.
     pub camera_minus_hsu_ns: Option<i128>,
-    /// The HSU's clock minus the host's (CLOCK_REALTIME), ns.
+    /// The HSU's clock minus the host's, ns.
     pub hsu_minus_host_ns: Option<i128>,
+}
+
+/// The last frame that got a trigger.
+#[derive(Debug, Clone, Copy)]
+struct Last {
+    number: i64,
+    camera_ns: Option<u64>,
+    host_ns: u64,
 }
 
 /// Matches the frames of one camera, in the order in which they arrive.
 #[derive(Debug)]
 pub struct Matcher {
     period_ns: u64,
-    /// Camera clock minus HSU clock, ns; refined by every frame that both witnesses agree on.
-    offset_ns: Option<i128>,
-    /// HSU clock minus host clock (CLOCK_REALTIME), ns: stands in for a camera clock that cannot be read.
-    hsu_minus_host_ns: Option<i128>,
-    refined: bool,
+    clocks: ClockRelation,
+    camera: ClockFit,
+    tracker: Option<Tracker>,
+    latency: Latency,
     ids: BlockIds,
-    /// A block's count and its trigger.
-    base: Option<(u64, u64)>,
-    last: Option<TriggerIndex>,
-    pending: Option<(BlockId, Option<u64>)>,
+    /// The trigger that the last id taken stands for.
+    base: Option<i64>,
+    /// Ids skipped before frames that were not recorded.
+    lost_before: u64,
+    last: Option<Last>,
 }
 
-/// Share of a residual by which the clock offset follows: fast enough for 100 ppm at any rate above 1 Hz.
-const FOLLOW_SHARE: i128 = 8;
+/// More than arrivals can be late or early against each other, ns: a timestamp that runs ahead by more was reset.
+const ARRIVAL_SLACK_NS: i128 = 500_000_000;
+/// So long a tracker is believed without a frame before the fits are asked, ns.
+const TRACKER_REACH_NS: i128 = 2_000_000_000;
+
+/// Where a timestamp points.
+enum ByTime {
+    /// At a trigger, this far after it.
+    Trigger(i64, i128),
+    /// Later than every trigger reported so far.
+    Beyond,
+    /// The clocks' relation is not known.
+    Unknown,
+}
 
 impl Matcher {
     /// With what is known of the clocks before the session.
     pub fn new(period_ns: u64, clocks: ClockRelation) -> Self {
         Self {
-            period_ns,
-            offset_ns: clocks.camera_minus_hsu_ns,
-            hsu_minus_host_ns: clocks.hsu_minus_host_ns,
-            refined: false,
+            period_ns: period_ns.max(1),
+            clocks,
+            camera: ClockFit::new(),
+            tracker: None,
+            latency: Latency::default(),
             ids: BlockIds::default(),
             base: None,
+            lost_before: 0,
             last: None,
-            pending: None,
         }
     }
 
-    /// Names the trigger of a frame by its block id, its timestamp on the camera's clock and its arrival on
-    /// the host's. While the answer is [`Match::Wait`], ask again with the same frame; with `last_call` the
-    /// block id has to do without the timestamp.
+    /// Takes an exchange with the camera's clock into account.
+    pub fn clock_sample(&mut self, exchange: &Exchange) -> Judged {
+        let judged = self.camera.exchange(exchange);
+        if let Judged::Reset { .. } = judged {
+            self.tracker = None;
+            self.clocks.camera_minus_hsu_ns = None;
+        }
+        judged
+    }
+
+    /// The camera's clock against the host's.
+    pub fn clock(&self) -> &ClockFit {
+        &self.camera
+    }
+
+    /// The camera is gone: what was known of its clock and ids ends here.
+    pub fn lost(&mut self) {
+        self.camera = ClockFit::new();
+        self.restart();
+    }
+
+    /// The camera is back with a fresh stream.
+    pub fn restart(&mut self) {
+        self.tracker = None;
+        self.latency = Latency::default();
+        self.clocks.camera_minus_hsu_ns = None;
+        self.ids = BlockIds::default();
+        (self.base, self.lost_before) = (None, 0);
+        self.last = self.last.map(|last| Last { camera_ns: None, ..last });
+    }
+
+    /// Names the trigger of `frame`. `next` is the next frame with a timestamp that has arrived already; `hsu` the
+    /// HSU's clock against the host's. While the answer is [`Match::Wait`] nothing has changed: ask again with the
+    /// same frame; with `last_call` there is always an answer.
     pub fn assign(
         &mut self,
-        id: BlockId,
-        camera_ns: u64,
-        host_ns: u64,
+        frame: &Sighting,
+        next: Option<&Sighting>,
         table: &TriggerTable,
+        hsu: &ClockFit,
         last_call: bool,
     ) -> Match {
-        if let (None, Some(hsu_minus_host)) = (self.offset_ns, self.hsu_minus_host_ns) {
-            self.offset_ns = Some(i128::from(camera_ns) - i128::from(host_ns) - hsu_minus_host);
+        let step = self.ids.step(frame.id);
+        if self.is_repeated(frame, step) {
+            return Match::Repeated;
         }
-        if last_call && table.is_empty() {
-            self.pending = None;
-            return Match::BeforeTrain;
+        if table.is_empty() {
+            return if last_call { Match::BeforeTrain } else { Match::Wait };
         }
-        // A frame that is asked about again must not be counted again.
-        let count = match self.pending.take() {
-            Some((pending, count)) if pending == id => count,
-            _ => self.ids.unwrap(id),
+        let by_id = self.base.zip(step).map(|(base, step)| base.saturating_add(step));
+        let arrival = self.by_arrival(frame.host_ns, table, hsu);
+        let Some(camera_ns) = frame.camera_ns else {
+            return self.by_id_alone(frame, by_id, arrival, table, last_call);
         };
-        let by_id =
-            self.base.zip(count).and_then(|((base, trigger), count)| (trigger + count).checked_sub(base));
-        let by_time = match self.by_time(camera_ns, table, by_id) {
-            ByTime::Beyond if !last_call => {
-                self.pending = Some((id, count));
-                return Match::Wait;
-            }
-            ByTime::Nothing(residual) => return Match::Spurious(residual),
-            ByTime::Beyond | ByTime::Unknown => None,
-            ByTime::Trigger(trigger) => Some(trigger),
-        };
-        // Without any witness the first frame after arming is the first trigger's.
-        let (trigger, witness) = match (by_id, by_time) {
-            (Some(id), Some(time)) if id == time.0 => (time, Witness::Both),
-            (Some(id), Some(time)) => (time, Witness::Corrected { expected: TriggerIndex(id) }),
-            (None, Some(time)) => (time, Witness::Both),
-            (id, None) => (TriggerIndex(id.unwrap_or(0)), Witness::BlockIdOnly),
-        };
-        if let Some(last) = self.last.filter(|last| trigger <= *last) {
-            return Match::Repeated(last);
+        if let Some(by_id) = by_id.filter(|_| step > Some(0) && self.is_certainly_reset(frame)) {
+            return self.reset(frame, camera_ns, by_id, arrival, table, hsu, last_call);
         }
-        self.last = Some(trigger);
-        if let Some(count) = count {
-            self.base = Some((count, trigger.0));
+        let (number, residual) = match self.by_time(camera_ns, frame.host_ns, table, hsu) {
+            ByTime::Trigger(number, residual) => (number, residual),
+            ByTime::Beyond => match (by_id, arrival) {
+                // The trigger of its id has been reported and its arrival confirms it: the time is wrong.
+                (Some(id), Some(arrival)) if id == arrival && table.time_ns(id).is_some() => {
+                    return self.reset(frame, camera_ns, id, Some(arrival), table, hsu, last_call);
+                }
+                _ if !last_call => return Match::Wait,
+                _ => return self.by_id_alone(frame, by_id, arrival, table, true),
+            },
+            ByTime::Unknown => return self.by_id_alone(frame, by_id, arrival, table, last_call),
+        };
+        if by_id == Some(number) && residual.abs() <= self.tolerance_ns() {
+            return self.accept(frame, number, Witness::Both, None, table, hsu);
         }
-        self.follow(trigger, camera_ns, table);
-        Match::Trigger(trigger, witness)
+        self.disagreement(frame, next, by_id, (number, residual), arrival, table, hsu, last_call)
     }
 
-    fn by_time(&self, camera_ns: u64, table: &TriggerTable, by_id: Option<u64>) -> ByTime {
-        let Some(offset_ns) = self.offset_ns else {
-            let expected = TriggerIndex(by_id.unwrap_or(0));
-            return if table.len() > expected.0 { ByTime::Unknown } else { ByTime::Beyond };
+    /// The timestamp does not point at the trigger that the id points at, or at none.
+    #[allow(clippy::too_many_arguments)]
+    fn disagreement(
+        &mut self,
+        frame: &Sighting,
+        next: Option<&Sighting>,
+        by_id: Option<i64>,
+        (number, residual): (i64, i128),
+        arrival: Option<i64>,
+        table: &TriggerTable,
+        hsu: &ClockFit,
+        last_call: bool,
+    ) -> Match {
+        let fits = residual.abs() <= self.tolerance_ns();
+        let fresh = self.last.is_none_or(|last| number > last.number);
+        let Some((id, camera_ns)) = by_id.zip(frame.camera_ns) else {
+            return match (fits, fresh) {
+                (true, true) => self.accept(frame, number, Witness::TimeOnly, None, table, hsu),
+                (true, false) => self.spurious(frame, residual),
+                (false, _) if table.time_ns(number - 1).is_none() && residual < 0 => Match::BeforeTrain,
+                (false, _) => self.spurious(frame, residual),
+            };
         };
-        let hsu_ns = i128::from(camera_ns) - offset_ns;
-        let half = i128::from(self.period_ns / 2);
-        if table.latest_ns.is_none_or(|latest| hsu_ns > i128::from(latest) + half) {
-            return ByTime::Beyond;
+        if !frame.complete {
+            return self.by_id_alone(frame, by_id, arrival, table, last_call);
         }
-        match table.nearest(hsu_ns) {
-            Some((trigger, residual)) if residual.abs() <= half => ByTime::Trigger(trigger),
-            Some((_, residual)) => ByTime::Nothing(i64::try_from(residual).unwrap_or(i64::MAX)),
+        // Nothing arrives before its trigger: such a timestamp was set ahead.
+        let early =
+            arrival.is_some_and(|arrival| arrival < number) || self.precedes(frame, number, table, hsu);
+        if fits && fresh && number > id && early {
+            return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
+        }
+        let unreported = |frame: &Sighting| !last_call && self.arrived_beyond(frame.host_ns, table, hsu);
+        if fits && fresh && number < id && unreported(frame) {
+            return Match::Wait;
+        }
+        if fits && fresh && number < id && arrival == Some(id) {
+            // A clock set back after lost frames, or ids that jumped and an arrival that is late by as much: a
+            // late arrival passes, a clock stays.
+            let Some(next) = next.filter(|_| !last_call) else {
+                if last_call {
+                    return self.accept(frame, number, Witness::Both, None, table, hsu);
+                }
+                return Match::Wait;
+            };
+            let next_id = id.saturating_add(self.ids.between(frame.id.0, next.id.0));
+            if unreported(next) {
+                return Match::Wait;
+            }
+            if self.by_arrival(next.host_ns, table, hsu) == Some(next_id) {
+                return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
+            }
+        }
+        if fits && fresh {
+            return self.accept(frame, number, Witness::Both, None, table, hsu);
+        }
+        // An extra frame, or the first one after the clock was set by little: the frame after it tells.
+        let Some((next, next_ns)) = next.and_then(|next| Some((next, next.camera_ns?))) else {
+            return if last_call { self.spurious(frame, residual) } else { Match::Wait };
+        };
+        let next_id = id.saturating_add(self.ids.between(frame.id.0, next.id.0));
+        let Some((due, next_due)) = table.time_ns(id).zip(table.time_ns(next_id)) else {
+            return if last_call { self.spurious(frame, residual) } else { Match::Wait };
+        };
+        let apart = i128::from(next_ns) - i128::from(camera_ns);
+        let expected = i128::from(next_due) - i128::from(due);
+        if next_id > id && (apart - expected).abs() <= self.tight_ns() {
+            return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
+        }
+        self.spurious(frame, residual)
+    }
+
+    fn is_repeated(&self, frame: &Sighting, step: Option<i64>) -> bool {
+        let Some((last, step)) = self.last.zip(step) else { return false };
+        match frame.camera_ns.zip(last.camera_ns) {
+            Some((now, before)) => (step == 0 && now == before) || (step < 0 && now < before),
+            None => step <= 0,
+        }
+    }
+
+    /// A clock that went back, or ran ahead of all arrivals, while the ids went on.
+    fn is_certainly_reset(&self, frame: &Sighting) -> bool {
+        let Some(last) = self.last else { return false };
+        let Some((now, before)) = frame.camera_ns.zip(last.camera_ns) else { return false };
+        let camera = i128::from(now) - i128::from(before);
+        camera <= 0 || camera - (i128::from(frame.host_ns) - i128::from(last.host_ns)) > ARRIVAL_SLACK_NS
+    }
+
+    /// A quarter of a period once frames have taught the clocks' relation, half a period before.
+    fn tolerance_ns(&self) -> i128 {
+        let settled = self.tracker.is_some_and(|tracker| tracker.is_settled());
+        i128::from(self.period_ns) / if settled { 4 } else { 2 }
+    }
+
+    fn tight_ns(&self) -> i128 {
+        let spread = self.tracker.map_or(0.0, |tracker| tracker.spread_ns);
+        (i128::from(self.period_ns) / 16).max((spread * 6.0) as i128).min(self.tolerance_ns())
+    }
+
+    fn by_time(&self, camera_ns: u64, host_ns: u64, table: &TriggerTable, hsu: &ClockFit) -> ByTime {
+        let Some(hsu_ns) = self.hsu_ns(camera_ns, host_ns, hsu) else { return ByTime::Unknown };
+        let half = i128::from(self.period_ns / 2);
+        match table.nearest(hsu_ns).zip(table.latest_ns()) {
+            Some((_, latest)) if hsu_ns > i128::from(latest) + half => ByTime::Beyond,
+            Some(((number, residual), _)) => ByTime::Trigger(number, residual),
             None => ByTime::Beyond,
         }
     }
 
-    /// Lets the offset follow the frame; the first one replaces the coarse measurement.
-    fn follow(&mut self, trigger: TriggerIndex, camera_ns: u64, table: &TriggerTable) {
-        let Some(hsu_ns) = table.time_ns(trigger) else { return };
-        let seen = i128::from(camera_ns) - i128::from(hsu_ns);
-        self.offset_ns = Some(match self.offset_ns {
-            Some(offset) if self.refined => offset + (seen - offset) / FOLLOW_SHARE,
-            _ => seen,
-        });
-        self.refined = true;
+    /// A frame's time on the HSU's clock: by the frames before it, else by the fits, else by what was measured
+    /// before the session, else by its arrival.
+    fn hsu_ns(&self, camera_ns: u64, host_ns: u64, hsu: &ClockFit) -> Option<i128> {
+        let fits = self.by_fits(camera_ns, hsu);
+        if let Some(tracker) = &self.tracker {
+            let tracked = tracker.hsu_ns(camera_ns);
+            let near = (tracked - tracker.last_hsu_ns()).abs() <= TRACKER_REACH_NS;
+            let contradicted = self.camera.used() >= 3
+                && fits.is_some_and(|fits| (fits - tracked).abs() > i128::from(self.period_ns) * 3 / 4);
+            if !contradicted && (near || fits.is_none()) {
+                return Some(tracked);
+            }
+        }
+        let measured = self.clocks.camera_minus_hsu_ns.map(|offset| i128::from(camera_ns) - offset);
+        let arrived = || Some(self.arrival_hsu_ns(host_ns, hsu)? - i128::from(self.period_ns / 4));
+        fits.or(measured).or_else(arrived)
     }
-}
 
-enum ByTime {
-    Trigger(TriggerIndex),
-    /// Too far from every trigger.
-    Nothing(i64),
-    /// Later than every trigger reported so far.
-    Beyond,
-    /// The clocks' relation is not known yet.
-    Unknown,
+    fn by_fits(&self, camera_ns: u64, hsu: &ClockFit) -> Option<i128> {
+        let host_ns = self.camera.host_from_device(camera_ns.into())?;
+        let hsu_ns = hsu.device_from_host(host_ns)?;
+        let unsure =
+            self.camera.uncertainty_ns(camera_ns.into())?.saturating_add(hsu.uncertainty_ns(hsu_ns)?);
+        (unsure < self.period_ns / 3).then_some(hsu_ns)
+    }
+
+    fn arrival_hsu_ns(&self, host_ns: u64, hsu: &ClockFit) -> Option<i128> {
+        let measured = || Some(i128::from(host_ns) + self.clocks.hsu_minus_host_ns?);
+        hsu.device_from_host(host_ns.into()).or_else(measured)
+    }
+
+    /// The trigger that its arrival points at, where arrivals are regular.
+    fn by_arrival(&self, host_ns: u64, table: &TriggerTable, hsu: &ClockFit) -> Option<i64> {
+        let hsu_ns = self.arrival_hsu_ns(host_ns, hsu)? - self.latency.usual_ns(self.period_ns)?;
+        let near = |(_, residual): &(i64, i128)| residual.abs() <= i128::from(self.period_ns / 2);
+        table.nearest(hsu_ns).filter(near).map(|(number, _)| number)
+    }
+
+    /// Whether the trigger that an arrival points at is not reported yet.
+    fn arrived_beyond(&self, host_ns: u64, table: &TriggerTable, hsu: &ClockFit) -> bool {
+        let usual = self.latency.usual_ns(self.period_ns);
+        let arrived = self.arrival_hsu_ns(host_ns, hsu).zip(usual).zip(table.latest_ns());
+        arrived.is_some_and(|((arrived, usual), latest)| {
+            arrived - usual > i128::from(latest) + i128::from(self.period_ns / 2)
+        })
+    }
+
+    /// Whether a frame arrived before a trigger was fired.
+    fn precedes(&self, frame: &Sighting, number: i64, table: &TriggerTable, hsu: &ClockFit) -> bool {
+        let arrived = self.arrival_hsu_ns(frame.host_ns, hsu).zip(table.time_ns(number));
+        arrived.is_some_and(|(arrived, due)| arrived + i128::from(self.period_ns / 8) < due.into())
+    }
+
+    /// A frame without a timestamp that can be used.
+    fn by_id_alone(
+        &mut self,
+        frame: &Sighting,
+        by_id: Option<i64>,
+        arrival: Option<i64>,
+        table: &TriggerTable,
+        last_call: bool,
+    ) -> Match {
+        if !last_call && by_id.is_none_or(|id| table.time_ns(id).is_none()) {
+            return Match::Wait;
+        }
+        // Without any witness a frame is the next one.
+        let next = self.last.map_or(0, |last| last.number + 1);
+        let id = by_id.or(arrival).unwrap_or(next);
+        // Nothing arrives before its trigger.
+        let number = arrival.filter(|arrival| *arrival < id).unwrap_or(id).max(next);
+        let matched = self.place(frame, number, Witness::BlockIdOnly, None);
+        Match::Trigger(matched)
+    }
+
+    /// The ids go on, the clock does not: the id names the trigger, and the frame teaches the clock's new relation.
+    #[allow(clippy::too_many_arguments)]
+    fn reset(
+        &mut self,
+        frame: &Sighting,
+        camera_ns: u64,
+        by_id: i64,
+        arrival: Option<i64>,
+        table: &TriggerTable,
+        hsu: &ClockFit,
+        last_call: bool,
+    ) -> Match {
+        let next = self.last.map_or(i64::MIN, |last| last.number.saturating_add(1));
+        let number = arrival.filter(|arrival| *arrival < by_id).unwrap_or(by_id).max(next);
+        let Some(due) = table.time_ns(number) else {
+            return if last_call {
+                self.by_id_alone(frame, Some(by_id), arrival, table, true)
+            } else {
+                Match::Wait
+            };
+        };
+        let was = self.hsu_ns(camera_ns, frame.host_ns, hsu).unwrap_or(due.into());
+        let step = was - i128::from(due);
+        self.camera = ClockFit::new();
+        self.clocks.camera_minus_hsu_ns = None;
+        self.tracker = Some(Tracker::new(due, camera_ns));
+        Match::Trigger(self.place(frame, number, Witness::BlockIdOnly, Some(Finding::ClockReset(step))))
+    }
+
+    fn accept(
+        &mut self,
+        frame: &Sighting,
+        number: i64,
+        witness: Witness,
+        finding: Option<Finding>,
+        table: &TriggerTable,
+        hsu: &ClockFit,
+    ) -> Match {
+        if let Some((due, camera_ns)) = table.time_ns(number).zip(frame.camera_ns) {
+            let near = |tracker: &Tracker| {
+                (tracker.hsu_ns(camera_ns) - i128::from(due)).abs() <= i128::from(self.period_ns / 2)
+            };
+            match self.tracker.as_mut().filter(|tracker| near(tracker)) {
+                Some(tracker) => tracker.follow(due, camera_ns),
+                None => self.tracker = Some(Tracker::new(due, camera_ns)),
+            }
+            if let Some(arrived) = self.arrival_hsu_ns(frame.host_ns, hsu) {
+                self.latency.follow(arrived - i128::from(due));
+            }
+        }
+        Match::Trigger(self.place(frame, number, witness, finding))
+    }
+
+    /// Enters a frame at a trigger, and explains the triggers before it that have none.
+    fn place(
+        &mut self,
+        frame: &Sighting,
+        number: i64,
+        witness: Witness,
+        finding: Option<Finding>,
+    ) -> Matched {
+        let step = self.ids.step(frame.id).zip(self.base);
+        let skipped = self.last.map_or(0, |last| (number - last.number - 1).max(0)) as u64;
+        let (mut lost, mut ignored, mut finding) = (skipped, 0, finding);
+        if let Some((step, base)) = step {
+            let ids = self.lost_before.saturating_add_signed(step.saturating_sub(1).max(0));
+            match base.saturating_add(step).saturating_sub(number) {
+                0 => {}
+                _ if step == 0 => finding = finding.or(Some(Finding::IdRepeated)),
+                ahead if ahead > 0 || step < 0 => finding = finding.or(Some(Finding::IdJump(ahead))),
+                _ => {
+                    lost = ids.min(skipped);
+                    ignored = skipped - lost;
+                }
+            }
+        }
+        self.ids.take(frame.id);
+        (self.base, self.lost_before) = (Some(number), 0);
+        let camera_ns = frame.camera_ns.or(self.last.and_then(|last| last.camera_ns));
+        self.last = Some(Last { number, camera_ns, host_ns: frame.host_ns });
+        Matched { number, witness, lost, ignored, finding }
+    }
+
+    /// A frame without a trigger has an id all the same: the next one follows on it.
+    fn spurious(&mut self, frame: &Sighting, residual: i128) -> Match {
+        if let Some((step, base)) = self.ids.step(frame.id).zip(self.base)
+            && step > 0
+        {
+            self.lost_before = self.lost_before.saturating_add_signed(step - 1);
+            self.base = Some(base.saturating_add(step - 1));
+            self.ids.take(frame.id);
+        }
+        Match::Spurious(i64::try_from(residual).unwrap_or(i64::MAX))
+    }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::{ClockRelation, Match, Matcher, TriggerTable, Witness};
-    use crate::ids::{BlockId, TriggerIndex};
-    use proptest::prelude::{ProptestConfig, any, prop_assert_eq, proptest};
-
-    const PERIOD_NS: u64 = 8_333_333;
-
-    fn table(count: u64) -> TriggerTable {
-        let mut table = TriggerTable::default();
-        (0..count).for_each(|k| table.insert(TriggerIndex(k), 1_000_000_000 + k * PERIOD_NS));
-        table
-    }
-
-    fn camera_clock(offset_ns: i128) -> ClockRelation {
-        ClockRelation { camera_minus_hsu_ns: Some(offset_ns), hsu_minus_host_ns: None }
-    }
-
-    fn id16(count: u64) -> BlockId {
-        BlockId((count - 1) % 65_535 + 1)
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(64))]
-        /// Ignored triggers, a drifting camera clock with jitter, and a 16-bit id that wraps: every frame
-        /// still finds its own trigger.
-        #[test]
-        fn every_frame_finds_its_trigger(
-            seed in any::<u64>(), first_id in 1u64..200_000, drift_ppm in -100i64..100, coarse_error_ns in -3_000_000i128..3_000_000,
-        ) {
-            let count = 2_000u64;
-            let table = table(count);
-            let offset = 5_000_000_000i64;
-            let mut matcher = Matcher::new(PERIOD_NS, camera_clock(i128::from(offset) + coarse_error_ns));
-            let mut state = seed | 1;
-            let mut next = || { state ^= state << 13; state ^= state >> 7; state ^= state << 17; state };
-            let mut id = first_id;
-            for k in 0..count {
-                if next() % 10 == 0 { continue; }
-                let hsu = (1_000_000_000 + k * PERIOD_NS) as i64;
-                let camera = hsu + offset + hsu * drift_ppm / 1_000_000 - 1_000 * drift_ppm + (next() % 400_000) as i64 - 200_000;
-                match matcher.assign(id16(id), camera as u64, 0, &table, false) {
-                    Match::Trigger(trigger, _) => prop_assert_eq!(trigger, TriggerIndex(k)),
-                    other => prop_assert_eq!(format!("{other:?}"), format!("trigger {k}")),
-                }
-                id += 1;
-            }
-        }
-    }
-
-    #[test]
-    fn an_ignored_trigger_is_told_from_a_lost_frame() {
-        let table = table(10);
-        let at = |k: u64| 1_000_000_000 + k * PERIOD_NS;
-        let mut matcher = Matcher::new(PERIOD_NS, camera_clock(0));
-        let first = matcher.assign(BlockId(1), at(0), 0, &table, false);
-        assert_eq!(first, Match::Trigger(TriggerIndex(0), Witness::Both));
-        // Frame lost on the way: the id skips with the time.
-        let lost = matcher.assign(BlockId(3), at(2), 0, &table, false);
-        assert_eq!(lost, Match::Trigger(TriggerIndex(2), Witness::Both));
-        // Trigger ignored: the id does not skip.
-        let ignored = matcher.assign(BlockId(4), at(4), 0, &table, false);
-        let expected = TriggerIndex(3);
-        assert_eq!(ignored, Match::Trigger(TriggerIndex(4), Witness::Corrected { expected }));
-        let again = matcher.assign(BlockId(5), at(5), 0, &table, false);
-        assert_eq!(again, Match::Trigger(TriggerIndex(5), Witness::Both));
-    }
-
-    #[test]
-    fn frames_wait_for_their_trigger_and_are_not_counted_twice() {
-        let mut matcher = Matcher::new(PERIOD_NS, camera_clock(0));
-        let at = |k: u64| 1_000_000_000 + k * PERIOD_NS;
-        assert_eq!(matcher.assign(BlockId(1), at(0), 0, &table(0), false), Match::Wait);
-        assert_eq!(matcher.assign(BlockId(1), at(0), 0, &table(0), false), Match::Wait);
-        let first = matcher.assign(BlockId(1), at(0), 0, &table(1), false);
-        assert_eq!(first, Match::Trigger(TriggerIndex(0), Witness::Both));
-        // The trigger's report is lost for good: the block id must do.
-        let second = matcher.assign(BlockId(2), at(1), 0, &table(1), true);
-        assert_eq!(second, Match::Trigger(TriggerIndex(1), Witness::BlockIdOnly));
-    }
-
-    #[test]
-    fn spurious_and_repeated_frames_are_refused() {
-        let table = table(10);
-        let mut matcher = Matcher::new(PERIOD_NS, camera_clock(0));
-        let at = |k: u64| 1_000_000_000 + k * PERIOD_NS;
-        assert!(matches!(
-            matcher.assign(BlockId(1), at(0) - 2 * PERIOD_NS, 0, &table, false),
-            Match::Spurious(_)
-        ));
-        assert!(matches!(matcher.assign(BlockId(2), at(3), 0, &table, false), Match::Trigger(..)));
-        let repeated = matcher.assign(BlockId(2), at(3), 0, &table, false);
-        assert_eq!(repeated, Match::Repeated(TriggerIndex(3)));
-    }
-
-    #[test]
-    fn a_camera_without_a_readable_clock_is_matched_by_arrival() {
-        // Host clock runs 7 s behind the HSU's; the frames arrive 2 ms after their triggers.
-        let clocks = ClockRelation { camera_minus_hsu_ns: None, hsu_minus_host_ns: Some(7_000_000_000) };
-        let mut matcher = Matcher::new(PERIOD_NS, clocks);
-        let hsu = |k: i64| (8_000_000_000 + k * PERIOD_NS as i64) as u64;
-        let host = |k: i64| hsu(k) - 7_000_000_000 + 2_000_000;
-        let camera = |k: i64| (500_000_000_000 + k * PERIOD_NS as i64) as u64;
-        // A free-running camera sends before the first trigger, while nothing is reported yet and after.
-        let empty = TriggerTable::default();
-        let early = matcher.assign(BlockId(1), camera(-60), host(-60), &empty, true);
-        assert_eq!(early, Match::BeforeTrain);
-        let mut table = TriggerTable::default();
-        (0..5).for_each(|k| table.insert(TriggerIndex(k), hsu(k as i64)));
-        assert!(matches!(
-            matcher.assign(BlockId(60), camera(-1), host(-1), &table, false),
-            Match::Spurious(_)
-        ));
-        for k in 0..5 {
-            let found = matcher.assign(BlockId(61 + k), camera(k as i64), host(k as i64), &table, false);
-            assert_eq!(found, Match::Trigger(TriggerIndex(k), Witness::Both));
-        }
-    }
-}
+mod tests;

@@ -1,6 +1,14 @@
-//! Frames from cameras to the writer: buffer pool, trigger matching, bounded hand-offs.
+//! Frames from cameras to the writer: clocks, trigger matching, frame sets, bounded hand-offs.
 
+pub mod assembler;
+pub mod block_ids;
+mod books;
+pub mod clock;
+pub mod latency;
 pub mod matcher;
 pub mod pool;
 pub mod receiver;
 pub mod recorder;
+mod relation;
+mod ring;
+pub mod trigger_table;

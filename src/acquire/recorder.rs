@@ -1,21 +1,22 @@
-//! The writer's thread: matches frames to triggers and writes them, with a gap record for whatever is missing.
+//! The recorder: what the node tells it, what it says, and the thread that keeps the books.
+//!
+//! One thread matches frames to triggers and accounts for them, and never waits for the disk; behind a bounded ring
+//! a second one owns the recording.
 
-use super::matcher::{Match, Matcher, TriggerTable, Witness};
+use super::books::Books;
+use super::latency::Latencies;
+use super::matcher::Matcher;
 use super::receiver::Arrival;
-use crate::camera::Transfer;
-use crate::cmds::Exit;
-use crate::ids::{CameraId, TriggerIndex};
-use crate::record::{
-    ClockSample, FrameMeta, GapCause, NodeEvent, RecordError, Recording, SessionEnd, TriggerRecord, Verdict,
-};
+use super::ring::{Ring, Sink};
+pub use crate::config::WhenFull;
+use crate::ids::CameraId;
+use crate::record::{ClockSample, NodeEvent, Recording, TriggerRecord, Verdict};
 use crate::session::state::Fault;
-use crate::time::host_time_ns;
 use crossbeam_channel::{Receiver, Sender, after, select};
-use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// What the node tells the recorder.
 #[derive(Debug)]
@@ -77,8 +78,14 @@ pub struct Progress {
     pub frames: Vec<AtomicU64>,
     /// Gap records written, per camera.
     pub gaps: Vec<AtomicU64>,
-    /// Most frames that were waiting at any time.
+    /// Most frames that were waiting at any time, in the ring or before it.
     pub high_water: AtomicU64,
+    /// Most frames that were in the ring at any time.
+    pub ring_high_water: AtomicU64,
+    /// Frames dropped because the ring was full.
+    pub dropped: AtomicU64,
+    /// How long frames took.
+    pub latencies: Latencies,
 }
 
 impl Progress {
@@ -92,44 +99,68 @@ impl Progress {
             frames: zeros(),
             gaps: zeros(),
             high_water: AtomicU64::new(0),
+            ring_high_water: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
+            latencies: Latencies::default(),
         }
     }
 }
 
-/// How long a frame waits for the report of its trigger before its block id must do.
-const REPORT_PATIENCE: Duration = Duration::from_millis(400);
-/// After the last trigger, how long no frame may arrive before the rest is given up.
-const DRAIN_PATIENCE: Duration = Duration::from_millis(1500);
-
-/// One camera, as the recorder sees it.
-struct Lane {
-    id: CameraId,
-    width: u32,
-    height: u32,
-    matcher: Matcher,
-    pending: VecDeque<Arrival>,
-    /// The first trigger without an outcome.
-    next: u64,
-    lost: bool,
-    /// Frames that no trigger explains.
-    spurious: u64,
+/// Bounds and times of a recorder.
+#[derive(Debug, Clone, Copy)]
+pub struct RecorderOptions {
+    /// Trigger period, ns.
+    pub period_ns: u64,
+    /// Blocks of each camera: what all bounds derive from.
+    pub buffers_per_camera: usize,
+    /// What happens when the ring is full.
+    pub when_full: WhenFull,
+    /// How long a frame waits for the report of its trigger before its block id must do.
+    pub report_patience: Duration,
+    /// How long a frame set waits for its last outcome.
+    pub set_patience: Duration,
+    /// After the last trigger, how long no frame may arrive before the rest is given up.
+    pub drain_patience: Duration,
 }
 
-/// The recorder's side of a session.
-pub struct Recorder {
-    recording: Recording,
-    lanes: Vec<Lane>,
-    triggers: TriggerTable,
-    progress: Arc<Progress>,
-    arrivals: Receiver<Arrival>,
-    commands: Receiver<ToRecorder>,
-    events: Sender<FromRecorder>,
-    draining: bool,
-    /// How many triggers there were, once the HSU said so.
-    emitted: Option<u64>,
-    /// When a frame last got its trigger.
-    last_settled: Instant,
-    failed: bool,
+/// Periods of [`RecorderOptions::report_patience`], and its floor.
+const REPORT_PERIODS: (u32, Duration) = (48, Duration::from_millis(400));
+/// Periods of [`RecorderOptions::set_patience`], and its floor.
+const SET_PERIODS: (u32, Duration) = (6, Duration::from_millis(50));
+/// Periods of [`RecorderOptions::drain_patience`], and its floor.
+const DRAIN_PERIODS: (u32, Duration) = (180, Duration::from_millis(1500));
+
+impl RecorderOptions {
+    /// The usual patience for a trigger period.
+    pub fn new(period_ns: u64, buffers_per_camera: usize, when_full: WhenFull) -> Self {
+        let patience = |(periods, floor): (u32, Duration)| {
+            Duration::from_nanos(period_ns.saturating_mul(periods.into())).max(floor)
+        };
+        Self {
+            period_ns,
+            buffers_per_camera,
+            when_full,
+            report_patience: patience(REPORT_PERIODS),
+            set_patience: patience(SET_PERIODS),
+            drain_patience: patience(DRAIN_PERIODS),
+        }
+    }
+
+    /// Frame sets that the ring holds: three eighths of the blocks. With the next two bounds and the writer's two
+    /// chunks this leaves Aravis a share at all times; see docs/design/acquisition.md.
+    pub fn ring_sets(&self) -> usize {
+        (self.buffers_per_camera * 3 / 8).max(1)
+    }
+
+    /// Frames of one camera that wait for reports: a quarter of the blocks.
+    pub fn waiting_frames(&self) -> usize {
+        (self.buffers_per_camera / 4).max(1)
+    }
+
+    /// Frame sets that are being assembled: a sixteenth of the blocks.
+    pub fn open_sets(&self) -> usize {
+        (self.buffers_per_camera / 16).max(2)
+    }
 }
 
 /// A camera's name, image size and matcher.
@@ -144,272 +175,71 @@ pub struct LaneSetup {
     pub matcher: Matcher,
 }
 
+/// The recorder's side of a session.
+pub struct Recorder {
+    books: Books,
+    arrivals: Receiver<Arrival>,
+    commands: Receiver<ToRecorder>,
+}
+
+/// Without news the thread looks at what waits this often.
+const TICK: Duration = Duration::from_millis(10);
+
 impl Recorder {
-    /// Starts the thread.
+    /// Starts the threads. The handle is that of the first one, which waits for the second.
     pub fn start(
         recording: Recording,
         lanes: Vec<LaneSetup>,
+        options: RecorderOptions,
         progress: Arc<Progress>,
         arrivals: Receiver<Arrival>,
         commands: Receiver<ToRecorder>,
         events: Sender<FromRecorder>,
     ) -> std::io::Result<JoinHandle<()>> {
-        let lane = |setup: LaneSetup| Lane {
-            id: setup.id,
-            width: setup.width,
-            height: setup.height,
-            matcher: setup.matcher,
-            pending: VecDeque::new(),
-            next: 0,
-            lost: false,
-            spurious: 0,
-        };
-        let recorder = Self {
-            recording,
-            lanes: lanes.into_iter().map(lane).collect(),
-            triggers: TriggerTable::default(),
-            progress,
-            arrivals,
-            commands,
-            events,
-            draining: false,
-            emitted: None,
-            last_settled: Instant::now(),
-            failed: false,
-        };
+        Self::start_with(Box::new(recording), lanes, options, progress, arrivals, commands, events)
+    }
+
+    pub(super) fn start_with(
+        sink: Box<dyn Sink>,
+        lanes: Vec<LaneSetup>,
+        options: RecorderOptions,
+        progress: Arc<Progress>,
+        arrivals: Receiver<Arrival>,
+        commands: Receiver<ToRecorder>,
+        events: Sender<FromRecorder>,
+    ) -> std::io::Result<JoinHandle<()>> {
+        let capacity = options.ring_sets() * lanes.len().max(1);
+        let ring = Ring::start(sink, capacity, Arc::clone(&progress), events.clone())?;
+        let books = Books::new(lanes, options, progress, ring, events);
+        let recorder = Self { books, arrivals, commands };
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || recorder.run())
     }
 
     fn run(mut self) {
         loop {
-            let (arrivals, commands) = (self.arrivals.clone(), self.commands.clone());
+            let waiting = self.arrivals.len();
             select! {
-                recv(arrivals) -> arrival => if let Ok(arrival) = arrival { self.take(arrival) },
-                recv(commands) -> command => match command {
-                    Ok(ToRecorder::Close { aborted }) => return self.close(aborted),
-                    Ok(ToRecorder::Discard) | Err(_) => return,
-                    Ok(command) => self.obey(command),
+                recv(self.arrivals) -> arrival => match arrival {
+                    Ok(arrival) => self.books.take(arrival, waiting),
+                    // The receivers are gone; their last words are commands.
+                    Err(_) => self.arrivals = crossbeam_channel::never(),
                 },
-                recv(after(Duration::from_millis(20))) -> _ => {
-                    (0..self.lanes.len()).for_each(|camera| self.advance(camera));
-                    self.attempt(Recording::tick);
-                }
+                recv(self.commands) -> command => match command {
+                    Ok(ToRecorder::Close { aborted }) => {
+                        while let Ok(arrival) = self.arrivals.try_recv() {
+                            self.books.take(arrival, 0);
+                        }
+                        return self.books.close(aborted);
+                    }
+                    Ok(ToRecorder::Discard) | Err(_) => return self.books.discard(),
+                    Ok(command) => self.books.obey(command),
+                },
+                recv(after(TICK)) -> _ => self.books.advance_all(),
             }
-            self.look_whether_drained();
+            self.books.look_whether_drained(self.arrivals.is_empty());
         }
-    }
-
-    fn take(&mut self, arrival: Arrival) {
-        let camera = arrival.camera;
-        self.lanes[camera].pending.push_back(arrival);
-        let waiting: usize =
-            self.lanes.iter().map(|lane| lane.pending.len()).sum::<usize>() + self.arrivals.len();
-        self.progress.high_water.fetch_max(waiting as u64, Ordering::Relaxed);
-        self.advance(camera);
-    }
-
-    fn obey(&mut self, command: ToRecorder) {
-        match command {
-            ToRecorder::Trigger(record) => {
-                self.triggers.insert(record.index, record.hsu_time_ns);
-                self.progress.triggers.store(self.triggers.len(), Ordering::Relaxed);
-                self.attempt(|recording| recording.trigger(&record));
-                (0..self.lanes.len()).for_each(|camera| self.advance(camera));
-            }
-            ToRecorder::Clock(sample) => self.attempt(|recording| recording.clock_sample(&sample)),
-            ToRecorder::Event(event) => self.attempt(|recording| recording.event(&event)),
-            ToRecorder::WarmUp { .. } => {}
-            ToRecorder::CameraLost(camera) => self.lanes[camera].lost = true,
-            ToRecorder::CameraBack(camera) => self.lanes[camera].lost = false,
-            ToRecorder::Drain { emitted } => {
-                self.draining = true;
-                self.emitted = emitted.or(self.emitted);
-                self.last_settled = Instant::now();
-            }
-            ToRecorder::Close { .. } | ToRecorder::Discard => {}
-        }
-    }
-
-    /// Writes what is decided of a camera's frames, in order.
-    fn advance(&mut self, camera: usize) {
-        while let Some(arrival) = self.lanes[camera].pending.pop_front() {
-            let last_call = arrival.taken.elapsed() > REPORT_PATIENCE;
-            let lane = &mut self.lanes[camera];
-            match lane.matcher.assign(
-                arrival.block_id,
-                arrival.camera_ns,
-                arrival.host_ns,
-                &self.triggers,
-                last_call,
-            ) {
-                Match::Wait => return lane.pending.push_front(arrival),
-                Match::Trigger(trigger, witness) => self.settle(trigger, witness, arrival),
-                Match::Spurious(residual_ns) => {
-                    self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
-                }
-                Match::BeforeTrain => self.spurious(&arrival, "came before the first trigger"),
-                Match::Repeated(last) => self.note(
-                    camera,
-                    "repeated_frame",
-                    Some(last),
-                    format!("block {} is not later than the frame before it; not recorded", arrival.block_id),
-                ),
-            }
-        }
-    }
-
-    /// Gives the trigger of `arrival`, and those before it that have none, an outcome.
-    fn settle(&mut self, trigger: TriggerIndex, witness: Witness, arrival: Arrival) {
-        if self.emitted.is_some_and(|emitted| trigger.0 >= emitted) {
-            return self.spurious(&arrival, "came after the last trigger");
-        }
-        let camera = arrival.camera;
-        self.last_settled = Instant::now();
-        let (mut skipped, mut cause) = (self.lanes[camera].next..trigger.0, GapCause::MissingPackets);
-        if let Witness::Corrected { expected } = witness {
-            cause = GapCause::NotTriggered;
-            let text = format!(
-                "block {} was expected at trigger {expected}, its timestamp says {trigger}",
-                arrival.block_id
-            );
-            self.note(camera, "identity_corrected", Some(trigger), text);
-            // Ids that did skip are frames lost on the way, whatever else happened.
-            if expected.0 > skipped.start && expected < trigger {
-                self.gaps(camera, skipped.start..expected.0, GapCause::MissingPackets);
-                skipped.start = expected.0;
-            }
-        }
-        self.gaps(camera, skipped, cause);
-        self.lanes[camera].next = trigger.0 + 1;
-        match gap_cause(arrival.transfer) {
-            Some(cause) => self.gap(camera, trigger, cause),
-            None => self.write(camera, trigger, arrival),
-        }
-    }
-
-    fn write(&mut self, camera: usize, trigger: TriggerIndex, arrival: Arrival) {
-        let lane = &self.lanes[camera];
-        let meta = FrameMeta {
-            trigger,
-            block: arrival.block_id,
-            camera_time_ns: arrival.camera_ns,
-            host_time_ns: arrival.host_ns,
-            width: lane.width,
-            height: lane.height,
-            pixels_crc: arrival.pixels_crc,
-        };
-        match self.recording.frame_in_place(camera, &meta, arrival.block) {
-            Ok(()) => drop(self.progress.frames[camera].fetch_add(1, Ordering::Relaxed)),
-            // The recording has accounted for the frame as dropped.
-            Err(error) => {
-                self.progress.gaps[camera].fetch_add(1, Ordering::Relaxed);
-                self.fail(&error.to_string());
-            }
-        }
-    }
-
-    /// A frame that no trigger explains: a free-running camera makes many, so only the first is an event.
-    fn spurious(&mut self, arrival: &Arrival, why: &str) {
-        let lane = &mut self.lanes[arrival.camera];
-        lane.spurious += 1;
-        if lane.spurious == 1 {
-            let text = format!("block {} {why}; not recorded (later ones are counted)", arrival.block_id);
-            self.note(arrival.camera, "spurious_frame", None, text);
-        }
-    }
-
-    fn gaps(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
-        triggers.for_each(|trigger| self.gap(camera, TriggerIndex(trigger), cause));
-    }
-
-    fn gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) {
-        self.progress.gaps[camera].fetch_add(1, Ordering::Relaxed);
-        self.attempt(|recording| recording.gap(camera, trigger, cause));
-    }
-
-    fn note(&mut self, camera: usize, kind: &str, trigger: Option<TriggerIndex>, message: String) {
-        let id = self.lanes[camera].id.clone();
-        tracing::warn!(camera = %id, kind, "{message}");
-        let event = NodeEvent {
-            host_time_ns: host_time_ns(),
-            kind: kind.to_owned(),
-            camera: Some(id),
-            trigger,
-            message,
-        };
-        self.attempt(|recording| recording.event(&event));
-    }
-
-    /// Writes a small record; the first failure is reported.
-    fn attempt(&mut self, write: impl FnOnce(&mut Recording) -> Result<(), RecordError>) {
-        if let Err(error) = write(&mut self.recording) {
-            self.fail(&error.to_string());
-        }
-    }
-
-    fn fail(&mut self, message: &str) {
-        if !std::mem::replace(&mut self.failed, true) {
-            tracing::error!("recording failed: {message}");
-            drop(self.events.send(FromRecorder::Failed(Fault::new(Exit::Failure, message))));
-        }
-    }
-
-    fn look_whether_drained(&mut self) {
-        if !self.draining {
-            return;
-        }
-        let all_in = self.emitted.is_some_and(|n| self.lanes.iter().all(|lane| lane.lost || lane.next >= n));
-        let quiet = self.last_settled.elapsed() > DRAIN_PATIENCE && self.arrivals.is_empty();
-        if all_in || quiet {
-            self.draining = false;
-            drop(self.events.send(FromRecorder::Drained));
-        }
-    }
-
-    /// Gap records for the frames of the last triggers, which nothing later can prove missing.
-    fn give_up_until(&mut self, triggers: u64) {
-        for camera in 0..self.lanes.len() {
-            let lane = &mut self.lanes[camera];
-            let cause = if lane.lost { GapCause::Unplugged } else { GapCause::Timeout };
-            let missing = lane.next..triggers;
-            lane.next = lane.next.max(triggers);
-            self.gaps(camera, missing, cause);
-        }
-    }
-
-    fn close(mut self, aborted: Option<String>) {
-        // Frames that still wait get their outcome by block id.
-        for camera in 0..self.lanes.len() {
-            self.lanes[camera].pending.iter_mut().for_each(|arrival| arrival.taken -= REPORT_PATIENCE * 2);
-            self.advance(camera);
-            let count = self.lanes[camera].spurious;
-            if count > 1 {
-                self.note(
-                    camera,
-                    "spurious_frames",
-                    None,
-                    format!("{count} frames that no trigger explains"),
-                );
-            }
-        }
-        self.give_up_until(self.emitted.unwrap_or(0).max(self.triggers.len()));
-        let end = SessionEnd {
-            triggers_emitted: self.emitted,
-            aborted,
-            absent: GapCause::Unknown,
-            host_time_ns: host_time_ns(),
-        };
-        let verdict = self.recording.finish(end).map_err(|e| Fault::new(Exit::DataLoss, e));
-        drop(self.events.send(FromRecorder::Closed(verdict)));
     }
 }
 
-fn gap_cause(transfer: Transfer) -> Option<GapCause> {
-    match transfer {
-        Transfer::Complete => None,
-        Transfer::MissingPackets | Transfer::Unwritten => Some(GapCause::MissingPackets),
-        Transfer::Timeout => Some(GapCause::Timeout),
-        Transfer::SizeMismatch => Some(GapCause::SizeMismatch),
-        Transfer::Aborted => Some(GapCause::Aborted),
-    }
-}
+#[cfg(test)]
+mod tests;

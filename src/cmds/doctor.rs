@@ -1,9 +1,11 @@
 //! `fourdbody doctor`: is this host fit for its cameras' rate?
 
+use super::progress::Progress;
 use super::{Exit, Failure};
 use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
 use crate::doctor::{Finding, Grade, examine, exit_of};
+use std::cell::RefCell;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -37,7 +39,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         Some(backend) => Some(backend.as_mut()),
         None => None,
     };
-    examine(config.as_ref(), backend, disk_time, |finding| {
+    // Begun by the test, and wiped away before the next verdict.
+    let progress: RefCell<Option<Progress>> = RefCell::default();
+    let at = |done: Duration, all: Duration| {
+        let mut progress = progress.borrow_mut();
+        let progress = progress.get_or_insert_with(|| Progress::of("testing the disk", "ms"));
+        progress.at(done.as_millis() as u64, all.as_millis() as u64);
+    };
+    examine(config.as_ref(), backend, disk_time, &at, |finding| {
+        drop(progress.take());
         // Each verdict at once: an absent camera takes seconds.
         if !args.json {
             println!("{finding}");

@@ -64,10 +64,11 @@ pub enum OnLoss {
 }
 
 /// What a full ring of frames means for a session.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WhenFull {
-    /// The newest whole frame set is dropped and accounted for.
+    /// The newest whole frame set is dropped, with a gap record for each of its frames.
+    #[default]
     DropFrameSet,
     /// The train is stopped on all nodes, and the session ends.
     Stop,

@@ -21,6 +21,9 @@ use std::time::{Duration, Instant};
 pub const SPEED_FACTOR: f64 = 1.3;
 /// Frames in memory during the test.
 const POOL_FRAMES: usize = 32;
+/// Names of what is written, each with the process's id behind it.
+const PROBE: &str = ".fourdbody-doctor-probe-";
+const SCRATCH: &str = ".fourdbody-doctor-recording-";
 /// A disk that takes nothing for so long is broken.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// A session's usual length; a disk that holds less is worth a warning.
@@ -58,11 +61,13 @@ pub struct DiskFacts {
 
 impl DiskFacts {
     /// Looks, and records noise for `test` (zero: not at all). Everything written is deleted.
-    pub fn gather(config: &NodeConfig, test: Duration) -> Self {
+    /// `progress` hears how much of the test is over, and how long it is.
+    pub fn gather(config: &NodeConfig, test: Duration, progress: &dyn Fn(Duration, Duration)) -> Self {
         let sessions_dir = std::path::absolute(&config.sessions_dir).unwrap_or(config.sessions_dir.clone());
         let examined = sessions_dir.ancestors().find(|dir| dir.is_dir()).unwrap_or(Path::new("/")).to_owned();
+        remove_leftovers(&examined);
         let free = free_bytes(&examined).map_err(|e| e.to_string());
-        let speed = (!test.is_zero()).then(|| record_noise(config, &examined, test));
+        let speed = (!test.is_zero()).then(|| record_noise(config, &examined, test, progress));
         Self {
             direct: probe(&examined, libc::O_DIRECT, |_| Ok(())).map_err(|e| e.to_string()),
             fallocate: probe(&examined, 0, reserve_space).map_err(|e| e.to_string()),
@@ -77,7 +82,7 @@ impl DiskFacts {
 
 /// Tries something on a new file, which is removed again.
 fn probe(dir: &Path, flags: i32, attempt: impl FnOnce(&File) -> io::Result<()>) -> io::Result<()> {
-    let path = dir.join(format!(".fourdbody-doctor-{}", std::process::id()));
+    let path = dir.join(format!("{PROBE}{}", std::process::id()));
     let opened = OpenOptions::new().write(true).create_new(true).custom_flags(flags).open(&path);
     let result = opened.and_then(|file| attempt(&file));
     // Some file systems create the file before they refuse a flag.
@@ -93,6 +98,19 @@ fn reserve_space(file: &File) -> io::Result<()> {
     }
 }
 
+/// Removes test recordings of processes that were killed: they may fill the disk.
+fn remove_leftovers(dir: &Path) {
+    let Ok(entries) = std::fs::read_dir(dir) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let id = name.strip_prefix(SCRATCH).and_then(|id| id.parse::<u32>().ok());
+        if id.is_some_and(|id| !Path::new(&format!("/proc/{id}")).exists()) {
+            // What cannot be removed shows in the free space.
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
+    }
+}
+
 /// Removes the test recording, whatever happened to it.
 struct Scratch(PathBuf);
 
@@ -103,7 +121,12 @@ impl Drop for Scratch {
 }
 
 /// A recording of noise by the product's own writer, as fast as it goes.
-fn record_noise(config: &NodeConfig, dir: &Path, test: Duration) -> Result<Speed, String> {
+fn record_noise(
+    config: &NodeConfig,
+    dir: &Path,
+    test: Duration,
+    progress: &dyn Fn(Duration, Duration),
+) -> Result<Speed, String> {
     let header = noise_header(config);
     let sizes: Vec<(u32, u32)> = header.cameras.iter().map(|c| (c.width, c.height)).collect();
     if sizes.is_empty() {
@@ -117,7 +140,7 @@ fn record_noise(config: &NodeConfig, dir: &Path, test: Duration) -> Result<Speed
         reserve_bytes: config.reserve_bytes,
         ..WriterOptions::default()
     };
-    let scratch = Scratch(dir.join(format!(".fourdbody-doctor-recording-{}", std::process::id())));
+    let scratch = Scratch(dir.join(format!("{SCRATCH}{}", std::process::id())));
     let mut recording = Recording::create(&scratch.0, header, options).map_err(|e| e.to_string())?;
     let pools = noise_pools(&sizes);
     let mut speed = Speed { bytes: 0, elapsed: Duration::ZERO, longest_wait: Duration::ZERO };
@@ -141,6 +164,7 @@ fn record_noise(config: &NodeConfig, dir: &Path, test: Duration) -> Result<Speed
             speed.bytes += u64::from(width) * u64::from(height);
         }
         trigger += 1;
+        progress(begun.elapsed(), test);
     }
     let end = SessionEnd {
         triggers_emitted: Some(trigger),
@@ -290,7 +314,13 @@ fn judge_speed(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
     );
     let advice = "free the disk of other work, or use a faster one (NVMe)";
     let speed = match &facts.speed {
-        None => return vec![check.warning("not measured", expected, "run with --disk-seconds 3")],
+        None => {
+            return vec![check.warning(
+                "not measured",
+                expected,
+                "run with --disk-seconds 3 while no node runs here",
+            )];
+        }
         Some(Err(error)) => {
             let found = format!("the test recording failed: {error}");
             return vec![check.failed(found, expected, "check the disk")];
@@ -322,7 +352,7 @@ fn judge_speed(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
 
 #[cfg(test)]
 mod tests {
-    use super::{DiskFacts, Speed, judge};
+    use super::{DiskFacts, SCRATCH, Speed, judge, remove_leftovers};
     use crate::doctor::{Grade, Load};
     use std::time::Duration;
 
@@ -359,6 +389,25 @@ mod tests {
         // 1106 MB/s, and 1438 with the margin.
         assert_eq!([at(1100), at(1110), at(1430)], [Grade::Failed, Grade::Warning, Grade::Warning].map(slow));
         assert_eq!(at(1440), []);
+    }
+
+    #[test]
+    fn leftovers_of_killed_processes_are_removed_and_nothing_else() {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        let make = |name: String| {
+            std::fs::create_dir(dir.path().join(&name)).expect("a directory");
+            dir.path().join(name)
+        };
+        // Process ids end at 2^22.
+        let dead = make(format!("{SCRATCH}4194305"));
+        std::fs::write(dead.join("segment-000.mcap"), b"noise").expect("a file");
+        let others = [
+            make(format!("{SCRATCH}{}", std::process::id())),
+            make("walk-01".to_owned()),
+            make(format!("{SCRATCH}x")),
+        ];
+        remove_leftovers(dir.path());
+        assert!(!dead.exists() && others.iter().all(|path| path.exists()));
     }
 
     #[test]

@@ -142,11 +142,12 @@ pub fn exit_of(findings: &[Finding]) -> Exit {
 }
 
 /// Examines the host, and with a configuration also the ways to its devices, the disk and the devices.
-/// `tell` gets every finding as soon as it is known. Without a `backend` cameras are not opened.
+/// `tell` gets every finding as soon as it is known, `disk_progress` how much of the disk's test is over. Without a `backend` cameras are not opened.
 pub fn examine(
     config: Option<&NodeConfig>,
     mut backend: Option<&mut dyn CameraBackend>,
     disk_time: Duration,
+    disk_progress: &dyn Fn(Duration, Duration),
     mut tell: impl FnMut(Finding),
 ) {
     let load = config.map_or_else(Load::reference, Load::of);
@@ -158,7 +159,7 @@ pub fn examine(
     let held = matches!(facts.api_port, Some(host::PortUse::Node(_)));
     // A test at full speed would take the disk from a session that may be running.
     let disk_time = if held { Duration::ZERO } else { disk_time };
-    let disk = disk::DiskFacts::gather(config, disk_time);
+    let disk = disk::DiskFacts::gather(config, disk_time, disk_progress);
     disk::judge(&disk, &load).into_iter().for_each(&mut tell);
     if let Some(host::PortUse::Node(status)) = &facts.api_port {
         return devices::judge_status(status).into_iter().for_each(tell);

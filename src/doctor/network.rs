@@ -237,7 +237,7 @@ mod tests {
         assert_eq!(grades(paths(9000, Some(1000), true, 1)), [Ok, Failed]);
         assert_eq!(grades(paths(9000, None, true, 1)), [Ok, Ok]);
         assert_eq!(grades(paths(9000, None, false, 1)), [Ok, Failed]);
-        // Four cameras fill 89 % of a 10 GbE port, and more than 90 % of one of 9.
+        // Four cameras fill 89 % of a 10 GbE port, and 98 % of one with 9.1 Gbit/s.
         assert_eq!(grades(paths(9000, Some(10_000), true, 4)), [Ok, Ok, Ok, Ok, Ok]);
         assert_eq!(grades(paths(9000, Some(9_100), true, 4)), [Ok, Ok, Ok, Ok, Warning]);
         assert_eq!(grades(paths(9000, Some(5_000), true, 4)), [Ok, Ok, Ok, Ok, Failed]);

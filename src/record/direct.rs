@@ -4,28 +4,39 @@
 //! `O_DIRECT` keeps the pace of the disk. It wants addresses, offsets and lengths in multiples of
 //! [`BLOCK`]. Where a file system refuses it, the same writes go through the page cache.
 
+use std::ffi::CString;
 use std::fs::{File, OpenOptions};
-use std::io;
+use std::io::{self, IoSlice};
 use std::os::fd::AsRawFd;
-use std::os::unix::fs::{FileExt, OpenOptionsExt};
-use std::path::Path;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
 
 /// Alignment of direct writes, bytes.
 pub const BLOCK: usize = 4096;
+/// Parts of one `pwritev` (`IOV_MAX` of Linux).
+const MAX_PARTS: usize = 1024;
 
-/// Where a segment's bytes go. Offsets and lengths are multiples of [`BLOCK`], and so is the address.
+/// Where a segment's bytes go. The offset and the address and length of every part are multiples of [`BLOCK`].
 pub trait Store: Send {
-    /// Writes all of `bytes` at `offset`.
-    fn write_at(&mut self, offset: u64, bytes: &[u8]) -> io::Result<()>;
-    /// Cuts the file to its true length.
+    /// Writes all of `parts`, one after the other, from `offset` on.
+    fn write_at(&mut self, offset: u64, parts: &mut [IoSlice<'_>]) -> io::Result<()>;
+    /// Cuts the file to its true length, and gives back what was set aside beyond it.
     fn set_len(&mut self, length: u64) -> io::Result<()>;
-    /// Returns when everything written is on the medium (`fdatasync`).
+    /// Returns when everything written, and the file's name, is on the medium (`fdatasync`).
     fn sync(&mut self) -> io::Result<()>;
+    /// Sets disk space aside, without a change to the file's length; returns how much.
+    fn preallocate(&mut self, bytes: u64) -> io::Result<u64> {
+        let _ = bytes;
+        Ok(0)
+    }
 }
 
 /// A new file, written directly where that is possible.
 pub struct DirectFile {
     file: File,
+    /// Whose entry for the file is not durable yet.
+    directory: Option<PathBuf>,
 }
 
 impl DirectFile {
@@ -33,8 +44,9 @@ impl DirectFile {
     pub fn create(path: &Path) -> io::Result<Self> {
         let mut options = OpenOptions::new();
         options.write(true).create_new(true).mode(0o640);
+        let directory = path.parent().map(Path::to_owned);
         match options.clone().custom_flags(libc::O_DIRECT).open(path) {
-            Ok(file) => Ok(Self { file }),
+            Ok(file) => Ok(Self { file, directory }),
             Err(error) if error.raw_os_error() == Some(libc::EINVAL) => {
                 // Some file systems have created the file by the time they refuse the flag.
                 let _ = std::fs::remove_file(path);
@@ -42,7 +54,7 @@ impl DirectFile {
                     path = %path.display(),
                     "the file system refuses O_DIRECT; writing through the page cache, which may stall at full rate"
                 );
-                Ok(Self { file: options.open(path)? })
+                Ok(Self { file: options.open(path)?, directory })
             }
             Err(error) => Err(error),
         }
@@ -50,8 +62,8 @@ impl DirectFile {
 }
 
 impl Store for DirectFile {
-    fn write_at(&mut self, offset: u64, bytes: &[u8]) -> io::Result<()> {
-        self.file.write_all_at(bytes, offset)
+    fn write_at(&mut self, offset: u64, parts: &mut [IoSlice<'_>]) -> io::Result<()> {
+        write_all_vectored_at(&self.file, offset, parts)
     }
 
     fn set_len(&mut self, length: u64) -> io::Result<()> {
@@ -59,8 +71,45 @@ impl Store for DirectFile {
     }
 
     fn sync(&mut self) -> io::Result<()> {
-        self.file.sync_data()
+        self.file.sync_data()?;
+        if let Some(directory) = &self.directory {
+            sync_directory(directory)?;
+            self.directory = None;
+        }
+        Ok(())
     }
+
+    fn preallocate(&mut self, bytes: u64) -> io::Result<u64> {
+        let length = libc::off_t::try_from(bytes).map_err(io::Error::other)?;
+        // SAFETY: the descriptor is open for the duration of the call; no memory is passed.
+        let code = unsafe { libc::fallocate(self.file.as_raw_fd(), libc::FALLOC_FL_KEEP_SIZE, 0, length) };
+        if code == 0 { Ok(bytes) } else { Err(io::Error::last_os_error()) }
+    }
+}
+
+/// `pwritev` until everything is written. After a short write it goes on at a whole block, as `O_DIRECT` wants.
+fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<'_>]) -> io::Result<()> {
+    while !parts.is_empty() {
+        let count = libc::c_int::try_from(parts.len().min(MAX_PARTS)).map_err(io::Error::other)?;
+        let at = libc::off_t::try_from(offset).map_err(io::Error::other)?;
+        // SAFETY: `IoSlice` has the layout of `iovec` on Unix; `count` of them, and the bytes that they point
+        // to, are borrowed for the duration of the call, which only reads them.
+        let written = unsafe { libc::pwritev(file.as_raw_fd(), parts.as_ptr().cast(), count, at) };
+        let Ok(written) = usize::try_from(written) else {
+            let error = io::Error::last_os_error();
+            if error.kind() == io::ErrorKind::Interrupted {
+                continue;
+            }
+            return Err(error);
+        };
+        let whole = written - written % BLOCK;
+        if whole == 0 {
+            return Err(io::Error::new(io::ErrorKind::WriteZero, "the file takes no whole block"));
+        }
+        IoSlice::advance_slices(&mut parts, whole);
+        offset += whole as u64;
+    }
+    Ok(())
 }
 
 /// Memory that starts at a multiple of [`BLOCK`]; it grows in whole blocks.
@@ -116,6 +165,17 @@ pub fn sync_directory(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
 }
 
+/// Gives a file its final name, which must not be taken.
+pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
+    let name = |path: &Path| CString::new(path.as_os_str().as_bytes()).map_err(io::Error::other);
+    let (old, new) = (name(from)?, name(to)?);
+    // SAFETY: both are C strings that live for the duration of the call.
+    let code = unsafe {
+        libc::renameat2(libc::AT_FDCWD, old.as_ptr(), libc::AT_FDCWD, new.as_ptr(), libc::RENAME_NOREPLACE)
+    };
+    if code == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}
+
 /// Maps a file for reading.
 pub fn map_file(path: &Path) -> io::Result<memmap2::Mmap> {
     let file = File::open(path)?;
@@ -129,6 +189,7 @@ pub fn map_file(path: &Path) -> io::Result<memmap2::Mmap> {
 #[cfg(test)]
 mod tests {
     use super::{AlignedBuffer, BLOCK, DirectFile, Store, free_bytes};
+    use std::io::IoSlice;
 
     #[test]
     fn buffers_are_aligned_and_keep_their_content() {
@@ -146,7 +207,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let path = dir.path().join("segment-000.mcap");
         let mut file = DirectFile::create(&path).expect("a new file");
-        file.write_at(0, AlignedBuffer::new(BLOCK).as_slice()).expect("one block");
+        file.write_at(0, &mut [IoSlice::new(AlignedBuffer::new(BLOCK).as_slice())]).expect("one block");
         file.set_len(100).expect("a true length");
         file.sync().expect("synced");
         assert!(DirectFile::create(&path).is_err());

@@ -21,6 +21,13 @@ const CAMERA_TIME: u32 = 1003;
 const HOST_TIME: u32 = 1004;
 const PIXELS_CRC: u32 = 1005;
 const ENVELOPE_CRC: u32 = 1006;
+const PADDING: u32 = 1007;
+
+/// Bytes of the padding field without its content: two of tag, two of length (a varint that is not shortened,
+/// so that the field can have any length from here on).
+const PADDING_OVERHEAD: usize = 4;
+/// The longest padded envelope: one page.
+const PADDED_MAX: usize = 4096;
 
 /// Identity of a frame and the checksum of its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -109,8 +116,60 @@ pub fn write_envelope(room: &mut [u8], camera: &CameraId, meta: &FrameMeta) -> R
     Ok(envelope.len())
 }
 
-/// No allocation, because it runs for every frame. With the longest name the envelope has 201 bytes.
+/// As [`write_envelope`], but the envelope becomes exactly `length` bytes long, by a field of zeros that every
+/// reader skips: so the pixels begin where the disk wants them. [`padded_lengths`] says what is possible.
+pub(super) fn write_padded_envelope(
+    room: &mut [u8],
+    camera: &CameraId,
+    meta: &FrameMeta,
+    length: usize,
+) -> Result<(), EnvelopeError> {
+    let fields = encode_fields(camera, meta)?;
+    let fields = fields.as_slice();
+    let bare = fields.len() + encode_end(meta, 0).as_slice().len();
+    let padding = length.checked_sub(bare + PADDING_OVERHEAD).filter(|_| length <= room.len());
+    let padding = padding.ok_or(EnvelopeError::Room { needed: length, room: room.len() })?;
+    let start = room.len() - length;
+    let (front, rest) = room[start..].split_at_mut(fields.len());
+    front.copy_from_slice(fields);
+    let (field, end) = rest.split_at_mut(PADDING_OVERHEAD + padding);
+    let tag = PADDING << 3 | 2;
+    field.fill(0);
+    field[0] = tag as u8 | 0x80;
+    field[1] = (tag >> 7) as u8;
+    field[2] = padding as u8 | 0x80;
+    field[3] = (padding >> 7) as u8;
+    let mut crc = crc32fast::Hasher::new();
+    crc.update(front);
+    crc.update(field);
+    end.copy_from_slice(encode_end(meta, crc.finalize()).as_slice());
+    Ok(())
+}
+
+/// The lengths that [`write_padded_envelope`] can give to this envelope.
+pub(super) fn padded_lengths(
+    camera: &CameraId,
+    meta: &FrameMeta,
+) -> Result<std::ops::RangeInclusive<usize>, EnvelopeError> {
+    let bare = encode_fields(camera, meta)?.as_slice().len() + encode_end(meta, 0).as_slice().len();
+    Ok(bare + PADDING_OVERHEAD..=PADDED_MAX)
+}
+
 fn encode(camera: &CameraId, meta: &FrameMeta) -> Result<Fixed<ENVELOPE_CAPACITY>, EnvelopeError> {
+    let mut envelope = encode_fields(camera, meta)?;
+    let crc = crc32fast::hash(envelope.as_slice());
+    envelope.append(encode_end(meta, crc).as_slice());
+    Ok(envelope)
+}
+
+/// What stands between the checked fields and the pixels.
+fn encode_end(meta: &FrameMeta, crc: u32) -> Fixed<24> {
+    let pixels = u64::from(meta.width) * u64::from(meta.height);
+    MessageWriter::default().fixed32(ENVELOPE_CRC, crc).bytes_header(6, pixels).into_bytes()
+}
+
+/// No allocation, because it runs for every frame. With the longest name the envelope has 201 bytes.
+fn encode_fields(camera: &CameraId, meta: &FrameMeta) -> Result<Fixed<ENVELOPE_CAPACITY>, EnvelopeError> {
     let name = camera.as_str().as_bytes();
     if name.len() > MAX_CAMERA_NAME {
         return Err(field_error(
@@ -135,9 +194,7 @@ fn encode(camera: &CameraId, meta: &FrameMeta) -> Result<Fixed<ENVELOPE_CAPACITY
         .fixed64(CAMERA_TIME, meta.camera_time_ns)
         .fixed64(HOST_TIME, meta.host_time_ns)
         .fixed32(PIXELS_CRC, meta.pixels_crc);
-    let crc = crc32fast::hash(checked.so_far());
-    let pixels = u64::from(meta.width) * u64::from(meta.height);
-    Ok(checked.fixed32(ENVELOPE_CRC, crc).bytes_header(6, pixels).into_bytes())
+    Ok(checked.into_bytes())
 }
 
 fn field_error(field: &'static str, found: impl Into<String>, expected: impl Into<String>) -> EnvelopeError {
@@ -270,6 +327,7 @@ pub fn schema() -> Vec<u8> {
             protobuf::field("host_time_ns", HOST_TIME, FieldType::Fixed64),
             protobuf::field("pixels_crc32", PIXELS_CRC, FieldType::Fixed32),
             protobuf::field("envelope_crc32", ENVELOPE_CRC, FieldType::Fixed32),
+            protobuf::field("padding", PADDING, FieldType::Bytes),
         ],
     );
     protobuf::file_set(&[timestamp, image])
@@ -353,6 +411,30 @@ mod tests {
         let name = CameraId("x".repeat(super::MAX_CAMERA_NAME));
         let length = write_envelope(&mut [0; ENVELOPE_CAPACITY], &name, &meta).expect("room enough");
         assert!(length < ENVELOPE_CAPACITY, "{length} bytes could have been cut");
+    }
+
+    #[test]
+    fn padded_to_any_length_it_reads_back_and_no_flip_is_missed() {
+        let (meta, pixels) = sample();
+        let camera = CameraId::from("h0_up");
+        let lengths = super::padded_lengths(&camera, &meta).expect("an envelope");
+        for length in lengths.clone().step_by(7).chain([*lengths.start() + 124, *lengths.end()]) {
+            let mut message = vec![0xEE; 4096];
+            super::write_padded_envelope(&mut message, &camera, &meta, length).expect("a possible length");
+            message.extend_from_slice(&pixels);
+            let mut message = message.split_off(4096 - length);
+            let found = parse_envelope(&message).expect("readable");
+            assert_eq!((found.meta, found.pixels), (meta, length..length + pixels.len()));
+            for at in (0..length).step_by(5) {
+                message[at] ^= 4;
+                assert!(parse_envelope(&message).is_err(), "byte {at} of {length}");
+                message[at] ^= 4;
+            }
+        }
+        for impossible in [*lengths.start() - 1, *lengths.end() + 1] {
+            let error = super::write_padded_envelope(&mut [0; 4096], &camera, &meta, impossible);
+            assert!(matches!(error, Err(EnvelopeError::Room { .. })), "{impossible}: {error:?}");
+        }
     }
 
     proptest! {

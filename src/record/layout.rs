@@ -18,7 +18,10 @@ pub const SEGMENT_METADATA: &str = "fourdbody.segment";
 /// Metadata record at the end of the last segment.
 pub const VERDICT_METADATA: &str = "fourdbody.verdict";
 
-/// Key of both metadata records: JSON of [`RecordingHeader`] without the rig; JSON of the verdict.
+/// Metadata record at the end of the last segment: how the disk kept up.
+pub const STATISTICS_METADATA: &str = "fourdbody.write_statistics";
+
+/// Key of these metadata records: JSON of [`RecordingHeader`] without the rig; of the verdict; of the statistics.
 pub const KEY_JSON: &str = "json";
 /// Key of the header metadata: the rig file, word for word.
 pub const KEY_RIG: &str = "rig";
@@ -62,6 +65,12 @@ pub fn image_topic(camera: &CameraId) -> String {
 /// File name of a segment.
 pub fn segment_name(number: u32) -> String {
     format!("segment-{number:03}.mcap")
+}
+
+/// Name of the file that becomes a segment when its time has come. No reader takes it for a segment; one that a
+/// crash has left behind is empty and may be deleted.
+pub fn next_segment_name(number: u32) -> String {
+    format!(".{}.next", segment_name(number))
 }
 
 /// The number in a segment's file name.
@@ -317,10 +326,12 @@ impl RecordingHeader {
         }
     }
 
-    /// Bytes of pixels that the session will bring, where that is known.
+    /// Bytes of frames that the session will bring at most, where that is known.
     pub fn expected_bytes(&self) -> Option<u64> {
+        // Envelope, headers, and the padding that aligns the pixels.
+        const PER_FRAME: u64 = 4096 + 512;
         let per_trigger: u64 =
-            self.cameras.iter().map(|c| u64::from(c.width) * u64::from(c.height) + 512).sum();
+            self.cameras.iter().map(|c| u64::from(c.width) * u64::from(c.height) + PER_FRAME).sum();
         self.expected_triggers.map(|n| n.saturating_mul(per_trigger))
     }
 }
@@ -342,7 +353,13 @@ mod tests {
         for number in [0, 7, 999, 1000, 123_456] {
             assert_eq!(segment_number(&segment_name(number)), Some(number));
         }
-        for other in ["segment-01.mcap", "segment-000.mcap.partial", "segment--01.mcap", "segment-+01.mcap"] {
+        for other in [
+            "segment-01.mcap",
+            "segment-000.mcap.partial",
+            "segment--01.mcap",
+            "segment-+01.mcap",
+            ".segment-003.mcap.next",
+        ] {
             assert_eq!(segment_number(other), None, "{other}");
         }
     }

@@ -4,6 +4,7 @@
 //! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
 
 mod direct;
+mod disk;
 pub mod envelope;
 pub mod layout;
 mod protobuf;
@@ -11,8 +12,10 @@ mod reader;
 mod scan;
 mod segment;
 mod session;
+mod statistics;
 mod verdict;
 pub mod verify;
+mod window;
 
 mod writer;
 
@@ -24,5 +27,6 @@ pub use layout::{
 };
 pub use reader::{ReadError, RecordedFrame, RecordingReader};
 pub use session::{SessionReader, node_dir};
+pub use statistics::{Latency, WriteStatistics};
 pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
-pub use writer::{RecordError, Recording, WriterOptions};
+pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

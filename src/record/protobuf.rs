@@ -109,11 +109,6 @@ impl<B: Buffer> MessageWriter<B> {
         self.raw_varint(length);
         self
     }
-
-    /// What has been encoded so far.
-    pub fn so_far(&self) -> &[u8] {
-        self.bytes.as_slice()
-    }
 }
 
 /// A field's value.

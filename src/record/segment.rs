@@ -1,223 +1,38 @@
 //! One segment: an MCAP file whose bytes on disk are a clean prefix at every instant.
 
-use super::direct::{AlignedBuffer, BLOCK, Store};
+use super::direct::{BLOCK, Store};
 use super::envelope::{self, FrameMeta};
 use super::layout::{
     FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC,
     KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG, KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA,
-    SegmentIndex, VERDICT_METADATA, VERSION, image_topic, index_schema, json_channels,
+    STATISTICS_METADATA, SegmentIndex, VERDICT_METADATA, VERSION, image_topic, index_schema, json_channels,
 };
+use super::statistics::WriteStatistics;
 use super::verdict::Verdict;
-use crossbeam_channel::{Receiver, Sender, bounded};
+use super::window::{CHUNK_HEADER, Handle, Milestone, Window, lock};
+use crate::acquire::pool::{Block, ROOM_BYTES};
+use crate::ids::CameraId;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata};
+use mcap::write::PrivateRecordOptions;
 use std::collections::BTreeMap;
-use std::io::{self, Seek, SeekFrom, Write};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard};
 
-/// What the disk thread of a segment is asked for.
-enum Command {
-    Write { buffer: AlignedBuffer, offset: u64, length: usize },
-    SetLength(u64),
-    Sync,
-}
+/// Opcode and length of a record.
+const PREAMBLE: usize = 9;
+/// A message without its payload: preamble, channel, sequence, two times.
+const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
+/// Opcode of the records of zeros that move a message to where its pixels can be aligned. Opcodes from 0x80 on
+/// are private, and readers skip them.
+const FILLER: u8 = 0x80;
+/// Staging memory: headers, envelopes and tails of the frames of a chunk, and room for small records.
+const STAGING_BYTES: usize = 256 << 10;
 
-/// The answer; a buffer comes back with it.
-type Reply = (io::Result<()>, Option<AlignedBuffer>);
-
-/// Writes on a thread of its own, so that the next chunk is copied while the disk takes the last one. One
-/// command is under way at a time.
-struct Disk {
-    commands: Sender<Command>,
-    replies: Receiver<Reply>,
-}
-
-impl Disk {
-    fn start(mut store: Box<dyn Store>) -> io::Result<Self> {
-        let (commands, orders) = bounded::<Command>(1);
-        let (answers, replies) = bounded::<Reply>(1);
-        // Ends when the segment drops its side of the channels.
-        std::thread::Builder::new().name("segment-disk".to_owned()).spawn(move || {
-            for command in orders {
-                let reply = match command {
-                    Command::Write { buffer, offset, length } => {
-                        (store.write_at(offset, &buffer.as_slice()[..length]), Some(buffer))
-                    }
-                    Command::SetLength(length) => (store.set_len(length), None),
-                    Command::Sync => (store.sync(), None),
-                };
-                if answers.send(reply).is_err() {
-                    break;
-                }
-            }
-        })?;
-        Ok(Self { commands, replies })
-    }
-
-    fn send(&self, command: Command) -> io::Result<()> {
-        self.commands.send(command).map_err(|_| io::Error::other("the disk thread is gone"))
-    }
-
-    fn receive(&self) -> Reply {
-        self.replies.recv().unwrap_or_else(|_| (Err(io::Error::other("the disk thread is gone")), None))
-    }
-
-    fn call(&self, command: Command) -> io::Result<()> {
-        self.send(command)?;
-        self.receive().0
-    }
-}
-
-/// Holds the open chunk; what was committed before has left for the disk, except the start of its last
-/// block, which is written again with what follows.
-struct Window {
-    disk: Disk,
-    buffer: AlignedBuffer,
-    spare: Option<AlignedBuffer>,
-    /// Offset in the file of the buffer's first byte; a multiple of [`BLOCK`].
-    base: u64,
-    /// Bytes of the buffer in use.
-    filled: usize,
-    cursor: usize,
-    /// True length of what the disk has.
-    committed: u64,
-    /// True length once the write under way is done.
-    under_way: Option<u64>,
-    failed: bool,
-    closed: bool,
-}
-
-impl Window {
-    fn new(store: Box<dyn Store>, bytes: usize) -> io::Result<Self> {
-        Ok(Self {
-            disk: Disk::start(store)?,
-            buffer: AlignedBuffer::new(bytes),
-            spare: None,
-            base: 0,
-            filled: 0,
-            cursor: 0,
-            committed: 0,
-            under_way: None,
-            failed: false,
-            closed: false,
-        })
-    }
-
-    fn position(&self) -> u64 {
-        self.base + self.cursor as u64
-    }
-
-    fn check(&self) -> io::Result<()> {
-        if self.failed { Err(io::Error::other("an earlier write to this segment failed")) } else { Ok(()) }
-    }
-
-    /// Waits for the write under way.
-    fn settle(&mut self) -> io::Result<()> {
-        self.check()?;
-        let Some(end) = self.under_way.take() else { return Ok(()) };
-        let (result, buffer) = self.disk.receive();
-        self.spare = buffer;
-        if result.is_err() {
-            self.failed = true;
-            // What was committed before must stay a clean prefix, and frames of this commit are reported
-            // lost: they must not reappear. If this fails as well, nothing more can be done.
-            let _ = self.disk.call(Command::SetLength(self.committed));
-        } else {
-            self.committed = end;
-        }
-        result
-    }
-
-    /// Hands everything to the disk, once it is done with the commit before; the last block is padded with
-    /// zeros.
-    fn commit(&mut self) -> io::Result<()> {
-        self.settle()?;
-        let end = self.base + self.filled as u64;
-        if end == self.committed {
-            return Ok(());
-        }
-        let length = self.filled.next_multiple_of(BLOCK);
-        let whole = self.filled - self.filled % BLOCK;
-        self.buffer.as_mut_slice()[self.filled..length].fill(0);
-        let capacity = self.buffer.as_slice().len();
-        let mut next = self.spare.take().unwrap_or_else(|| AlignedBuffer::new(capacity));
-        next.as_mut_slice()[..self.filled - whole]
-            .copy_from_slice(&self.buffer.as_slice()[whole..self.filled]);
-        let buffer = std::mem::replace(&mut self.buffer, next);
-        self.disk
-            .send(Command::Write { buffer, offset: self.base, length })
-            .inspect_err(|_| self.failed = true)?;
-        self.under_way = Some(end);
-        self.base += whole as u64;
-        self.filled -= whole;
-        self.cursor = self.filled;
-        Ok(())
-    }
-
-    fn sync(&mut self) -> io::Result<()> {
-        self.settle()?;
-        self.disk.call(Command::Sync).inspect_err(|_| self.failed = true)
-    }
-
-    fn close(&mut self) -> io::Result<()> {
-        self.commit()?;
-        self.settle()?;
-        self.closed = true;
-        self.disk.call(Command::SetLength(self.committed))?;
-        self.sync()
-    }
-}
-
-impl Drop for Window {
-    fn drop(&mut self) {
-        if !self.closed && !self.failed {
-            // Somebody gave up before `finish`: keep what there is. There is nobody left to tell.
-            let _ = self.close();
-        }
-    }
-}
-
-/// The window as the `mcap` writer holds it.
-struct Handle(Arc<Mutex<Window>>);
-
-impl Handle {
-    fn lock(&self) -> MutexGuard<'_, Window> {
-        // A panic in between leaves counts, not invariants, behind: the window stays usable.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Write for Handle {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let mut window = self.lock();
-        window.check()?;
-        let (cursor, end) = (window.cursor, window.cursor + bytes.len());
-        window.buffer.reserve(end + BLOCK);
-        window.buffer.as_mut_slice()[cursor..end].copy_from_slice(bytes);
-        window.cursor = end;
-        window.filled = window.filled.max(end);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.lock().commit()
-    }
-}
-
-impl Seek for Handle {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        let mut window = self.lock();
-        let end = window.base + window.filled as u64;
-        let target = match to {
-            SeekFrom::Start(offset) => Some(offset),
-            SeekFrom::Current(by) => window.position().checked_add_signed(by),
-            SeekFrom::End(by) => end.checked_add_signed(by),
-        };
-        let inside = target.filter(|target| (window.base..=end).contains(target));
-        let target = inside.ok_or_else(|| io::Error::other("seek to what has left the window"))?;
-        window.cursor = (target - window.base) as usize;
-        Ok(target)
-    }
+/// What the last segment says besides its own records.
+pub(super) struct Closing<'a> {
+    pub verdict: &'a Verdict,
+    pub statistics: &'a WriteStatistics,
 }
 
 /// Channels whose messages are JSON, in the order of [`json_channels`].
@@ -244,22 +59,25 @@ pub struct Segment {
     index_channel: u16,
     index: SegmentIndex,
     last_time_ns: u64,
+    chunk_open: bool,
 }
 
 impl Segment {
-    /// Starts a segment in an empty store; its header is committed.
+    /// Starts a segment in an empty store; its header is on its way to the disk.
     pub fn create(
         store: Box<dyn Store>,
-        window_bytes: usize,
         number: u32,
         first_trigger: u64,
         header: &RecordingHeader,
     ) -> io::Result<Self> {
-        let window = Arc::new(Mutex::new(Window::new(store, window_bytes)?));
-        // Chunks end where `commit` says; see docs/design/recording.md for why seeking is allowed.
+        let window = Arc::new(Mutex::new(Window::new(store, STAGING_BYTES)?));
+        // Chunks end where `commit` says; see docs/design/recording.md for why seeking is allowed, and the
+        // window for the checksums.
         let options = mcap::WriteOptions::new()
             .compression(None)
             .chunk_size(None)
+            .calculate_chunk_crcs(false)
+            .calculate_data_section_crc(false)
             .profile("")
             .library(concat!("fourdbody ", env!("CARGO_PKG_VERSION")));
         let mcap = options.create(Handle(Arc::clone(&window))).map_err(io_error)?;
@@ -273,10 +91,10 @@ impl Segment {
             index_channel: 0,
             index: SegmentIndex::default(),
             last_time_ns: header.created_ns,
+            chunk_open: false,
         };
         segment.begin(header).map_err(io_error)?;
         segment.commit()?;
-        segment.settle()?;
         Ok(segment)
     }
 
@@ -322,7 +140,7 @@ impl Segment {
     }
 
     fn lock(&self) -> MutexGuard<'_, Window> {
-        self.window.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.window)
     }
 
     /// Adds a frame to the open chunk.
@@ -332,6 +150,42 @@ impl Segment {
         let offset = self.bytes() - message.len() as u64;
         self.index.frames.push((camera as u32, meta.trigger.0, offset, message.len() as u64));
         Ok(())
+    }
+
+    /// Adds a frame to the open chunk from its own memory, of which the envelope takes the room.
+    pub fn frame_in_place(
+        &mut self,
+        camera: usize,
+        id: &CameraId,
+        meta: &FrameMeta,
+        mut block: Block,
+    ) -> io::Result<()> {
+        let length = self.align(id, meta)?;
+        envelope::write_padded_envelope(block.room_mut(), id, meta, length).map_err(io::Error::other)?;
+        self.lock().announce(block.pixels(), meta.pixels_crc);
+        let result = self.frame(camera, meta, &block.bytes()[ROOM_BYTES - length..]);
+        self.lock().deliver(block);
+        result
+    }
+
+    /// Length of the envelope that makes the next message's pixels begin at a whole block.
+    fn align(&mut self, id: &CameraId, meta: &FrameMeta) -> io::Result<usize> {
+        let possible = envelope::padded_lengths(id, meta).map_err(io::Error::other)?;
+        let room = |segment: &Self| {
+            let chunk = if segment.chunk_open { 0 } else { CHUNK_HEADER };
+            BLOCK - (segment.bytes() % BLOCK as u64) as usize + 2 * BLOCK - chunk - MESSAGE_HEADER
+        };
+        let length = |room: usize| if room.is_multiple_of(BLOCK) { BLOCK } else { room % BLOCK };
+        let left = length(room(self));
+        if possible.contains(&left) {
+            return Ok(left);
+        }
+        // Too little is left of this block: the message begins with the next one, or just behind its start.
+        let filler = vec![0; left.saturating_sub(PREAMBLE)];
+        let options = PrivateRecordOptions::IncludeInChunks.into();
+        self.mcap.write_private_record(FILLER, &filler, options).map_err(io_error)?;
+        self.chunk_open = true;
+        Ok(length(room(self)))
     }
 
     /// Adds a small record to the open chunk.
@@ -346,33 +200,53 @@ impl Segment {
         self.last_time_ns = self.last_time_ns.max(time_ns);
         let header =
             MessageHeader { channel_id, sequence: sequence as u32, log_time: time_ns, publish_time: time_ns };
+        self.chunk_open = true;
         self.mcap.write_to_known_channel(&header, data).map_err(io_error)
     }
 
-    /// Ends the open chunk and hands it to the disk, once the chunk before is written: that one survives the
-    /// process from here on. An error concerns one of the two.
-    pub fn commit(&mut self) -> io::Result<()> {
-        self.mcap.flush().map_err(io_error)
+    /// Ends the open chunk and hands it to the disk; returns the length of the file with it. An error concerns
+    /// this commit or an earlier one.
+    pub fn commit(&mut self) -> io::Result<u64> {
+        self.mcap.flush().map_err(io_error)?;
+        self.chunk_open = false;
+        Ok(self.bytes())
     }
 
-    /// Waits until the last commit is written.
+    /// Learns what the disk has done.
+    pub fn poll(&mut self) -> io::Result<()> {
+        self.lock().poll()
+    }
+
+    /// Waits until everything asked for is done.
     pub fn settle(&mut self) -> io::Result<()> {
         self.lock().settle()
     }
 
-    /// Commits, and returns when it survives a power cut.
-    pub fn sync(&mut self) -> io::Result<()> {
-        self.commit()?;
-        self.lock().sync()
+    /// Asks for an `fdatasync` of everything committed.
+    pub fn request_sync(&mut self) -> io::Result<()> {
+        self.lock().request_sync()
     }
 
-    /// Makes sure that nothing more is written: the open chunk's frames are accounted for elsewhere.
-    pub fn abandon(&mut self) {
-        self.lock().failed = true;
+    /// Makes sure that nothing more is written, and returns the length that stays: what is beyond is accounted
+    /// for elsewhere.
+    pub fn abandon(&mut self) -> u64 {
+        self.lock().abandon()
     }
 
-    /// Writes the index, the segment's range, the verdict if this is the last one, and the summary.
-    pub fn finish(mut self, end_trigger: Option<u64>, verdict: Option<&Verdict>) -> io::Result<()> {
+    /// What the disk has done since the last call.
+    pub fn milestones(&mut self) -> Vec<Milestone> {
+        self.lock().take_milestones().collect()
+    }
+
+    /// Blocks held at the same time, at most; frames that had to be copied.
+    pub fn blocks(&self) -> (usize, u64) {
+        let window = self.lock();
+        (window.blocks_high_water(), window.copied_frames())
+    }
+
+    /// Writes the index, the segment's range, and the summary; `closing` in the last one. The segment can only
+    /// be dropped afterwards.
+    pub fn finish(&mut self, end_trigger: Option<u64>, closing: Option<Closing<'_>>) -> io::Result<()> {
         let index = serde_json::to_vec(&self.index)?;
         self.write(self.index_channel, 0, self.last_time_ns, &index)?;
         let mut entries = vec![
@@ -384,10 +258,13 @@ impl Segment {
         ];
         entries.extend(end_trigger.map(|end| (KEY_END_TRIGGER, end.to_string())));
         self.mcap.write_metadata(&metadata(SEGMENT_METADATA, entries)).map_err(io_error)?;
-        if let Some(verdict) = verdict {
-            let entries = [(KEY_JSON, serde_json::to_string(verdict)?)];
+        if let Some(closing) = closing {
+            let entries = [(KEY_JSON, serde_json::to_string(closing.statistics)?)];
+            self.mcap.write_metadata(&metadata(STATISTICS_METADATA, entries)).map_err(io_error)?;
+            let entries = [(KEY_JSON, serde_json::to_string(closing.verdict)?)];
             self.mcap.write_metadata(&metadata(VERDICT_METADATA, entries)).map_err(io_error)?;
         }
+        self.lock().end_data();
         self.mcap.finish().map_err(io_error)?;
         self.lock().close()
     }

@@ -1,31 +1,40 @@
 //! Writes one node's recording: segments, accounting, durability, and the verdict at the end.
 //!
-//! One thread calls it. It blocks while the disk writes; frames wait in their pool meanwhile.
+//! One thread calls it. It waits for the disk only when the queue of chunks is full; frames wait in their pool
+//! meanwhile.
 
 use super::direct::{DirectFile, Store, free_bytes, sync_directory};
-use super::envelope::{FrameMeta, parse_envelope, write_envelope};
+use super::envelope::{FrameMeta, parse_envelope};
 use super::layout::{
     ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
 };
-use super::segment::{JsonChannel, Segment};
+use super::segment::{Closing, JsonChannel, Segment};
+use super::statistics::{Histogram, WriteStatistics};
 use super::verdict::{CameraTally, SessionEnd, Status, Verdict};
-use crate::acquire::pool::{Block, ROOM_BYTES};
+use super::window::QUEUE;
+use crate::acquire::pool::Block;
 use crate::ids::{CameraId, TriggerIndex};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use std::thread::JoinHandle;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 mod error;
+mod failure;
+mod segments;
 
 pub use error::RecordError;
+use segments::{ClosingSegment, NextSegment, OpenSegment, Unwritten, prepare};
 
 const MIB: u64 = 1 << 20;
-/// Frames of one chunk. A crash of the process costs at most two chunks: the open one, and the one under way.
-const FRAMES_PER_CHUNK: usize = 4;
+/// Frames of one chunk. A crash of the process costs at most three chunks: the open one, and those in the queue.
+const BLOCKS_PER_CHUNK: usize = 4;
+/// Blocks that the writer holds at most: the open chunk and the queue, of two segments around a split. A pool
+/// needs as many beyond those that the cameras fill.
+pub const BLOCKS_HELD: usize = 2 * (1 + QUEUE) * BLOCKS_PER_CHUNK;
 /// A chunk ends after this many bytes of small records, too.
 const CHUNK_BYTES: u64 = 1 << 20;
 /// What segments need beyond pixels (headers, indexes, gap records), for the space check.
@@ -47,6 +56,25 @@ pub struct WriterOptions {
     pub sync_bytes: u64,
     /// `fdatasync` after this time at the latest; at most a second.
     pub sync_interval: Duration,
+    /// Whether a segment's disk space is set aside before it is used.
+    pub preallocate: bool,
+}
+
+impl WriterOptions {
+    /// What would break a promise.
+    fn check(&self) -> Result<(), String> {
+        if self.sync_interval > Duration::from_secs(1) {
+            let found = self.sync_interval.as_millis();
+            return Err(format!(
+                "sync_interval is {found} ms, expected at most 1000: it bounds what a power cut costs"
+            ));
+        }
+        if self.sync_bytes == 0 || self.segment_bytes == 0 {
+            let (sync, segment) = (self.sync_bytes, self.segment_bytes);
+            return Err(format!("sync_bytes is {sync} and segment_bytes {segment}, expected at least 1"));
+        }
+        Ok(())
+    }
 }
 
 impl Default for WriterOptions {
@@ -56,25 +84,18 @@ impl Default for WriterOptions {
             reserve_bytes: 1 << 30,
             sync_bytes: 512 << 20,
             sync_interval: Duration::from_millis(500),
+            preallocate: true,
         }
     }
 }
 
-type OpenStore = Box<dyn Fn(&Path) -> io::Result<Box<dyn Store>> + Send>;
+type OpenStore = Arc<dyn Fn(&Path) -> io::Result<Box<dyn Store>> + Send + Sync>;
 
-/// A record that is not known to be on disk.
-enum Unwritten {
-    Frame { camera: usize, trigger: TriggerIndex },
-    Json { channel: JsonChannel, sequence: u64, time_ns: u64, bytes: Vec<u8> },
-}
-
-/// A segment, and what its open chunk and the one under way to the disk hold.
-struct OpenSegment {
-    segment: Segment,
-    under_way: Vec<Unwritten>,
-    open: Vec<Unwritten>,
-    open_frames: usize,
-    open_since: u64,
+/// From the handing over of frames until the disk had them.
+#[derive(Default)]
+struct Latencies {
+    written: Histogram,
+    durable: Histogram,
 }
 
 /// A recording being written.
@@ -86,7 +107,8 @@ pub struct Recording {
     tallies: Vec<CameraTally>,
     /// Oldest first; two while cameras are on both sides of a split, none after a failure.
     segments: VecDeque<OpenSegment>,
-    closing: Vec<JoinHandle<io::Result<()>>>,
+    closing: Vec<ClosingSegment>,
+    next: Option<NextSegment>,
     next_number: u32,
     unwritten: Vec<Unwritten>,
     stopped: Option<String>,
@@ -95,15 +117,16 @@ pub struct Recording {
     time_ns: u64,
     last_sync: Instant,
     unsynced: u64,
-    /// A segment was created whose name is not durable yet.
-    new_name: bool,
+    latencies: Latencies,
+    /// Counts of segments that are no longer open.
+    past: WriteStatistics,
 }
 
 impl Recording {
     /// Creates the directory `dir` with its first segment. The parent is created if needed.
     pub fn create(dir: &Path, header: RecordingHeader, options: WriterOptions) -> Result<Self, RecordError> {
         let open = |path: &Path| -> io::Result<Box<dyn Store>> { Ok(Box::new(DirectFile::create(path)?)) };
-        Self::create_with(dir, header, options, Box::new(open))
+        Self::create_with(dir, header, options, Arc::new(open))
     }
 
     fn create_with(
@@ -112,7 +135,7 @@ impl Recording {
         options: WriterOptions,
         open_store: OpenStore,
     ) -> Result<Self, RecordError> {
-        header.check().map_err(RecordError::Header)?;
+        header.check().and_then(|()| options.check()).map_err(RecordError::Header)?;
         let disk = |source| RecordError::Disk { path: dir.to_owned(), source };
         let parent = dir.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let builder = |recursive| {
@@ -135,6 +158,7 @@ impl Recording {
             open_store,
             segments: VecDeque::new(),
             closing: Vec::new(),
+            next: None,
             next_number: 0,
             unwritten: Vec::new(),
             stopped: None,
@@ -142,9 +166,12 @@ impl Recording {
             refused: 0,
             last_sync: Instant::now(),
             unsynced: 0,
-            new_name: false,
+            latencies: Latencies::default(),
+            past: WriteStatistics::default(),
         };
         recording.open_segment(0).map_err(disk)?;
+        recording.sync()?;
+        recording.settle_all()?;
         sync_directory(parent).map_err(disk)?;
         Ok(recording)
     }
@@ -162,6 +189,34 @@ impl Recording {
     /// `dropped_disk`: the caller adds nothing.
     pub fn frame(&mut self, camera: usize, meta: &FrameMeta, message: &[u8]) -> Result<(), RecordError> {
         self.check_frame(camera, meta, message)?;
+        self.place_frame(camera, meta, |segment, _| segment.frame(camera, meta, message))
+    }
+
+    /// Records a frame from the memory that the camera layer received it into: the envelope goes into the
+    /// block's room, the pixels go to the disk from where they are, and the block goes back to its pool once the
+    /// disk has it. Otherwise as [`Self::frame`]. `meta.pixels_crc` must be that of the pixels.
+    pub fn frame_in_place(
+        &mut self,
+        camera: usize,
+        meta: &FrameMeta,
+        block: Block,
+    ) -> Result<(), RecordError> {
+        self.check_size(camera, meta)?;
+        let expected = u64::from(meta.width) * u64::from(meta.height);
+        if block.pixels().len() as u64 != expected {
+            let found = block.pixels().len();
+            let reason = format!("the block has {found} bytes of pixels, expected {expected}");
+            return Err(RecordError::Frame { camera, reason });
+        }
+        self.place_frame(camera, meta, |segment, id| segment.frame_in_place(camera, id, meta, block))
+    }
+
+    fn place_frame(
+        &mut self,
+        camera: usize,
+        meta: &FrameMeta,
+        write: impl FnOnce(&mut Segment, &CameraId) -> io::Result<()>,
+    ) -> Result<(), RecordError> {
         if self.stopped.is_some() || self.segments.is_empty() {
             let reason = self.stopped.clone().unwrap_or_default();
             self.gap(camera, meta.trigger, GapCause::DroppedDisk)?;
@@ -171,28 +226,32 @@ impl Recording {
         if !self.accept(camera, meta.trigger, |tally| tally.frame(meta.trigger)) {
             return Ok(());
         }
+        self.past.frames += 1;
         let place = self.place(meta.trigger);
         let entry = &mut self.segments[place];
-        entry.open.push(Unwritten::Frame { camera, trigger: meta.trigger });
-        entry.open_frames += 1;
-        entry.segment.frame(camera, meta, message).or_else(|source| self.fail(source))?;
-        self.unsynced += message.len() as u64;
+        entry.frame(camera, meta.trigger);
+        let before = entry.segment.bytes();
+        let result = write(&mut entry.segment, &self.header.cameras[camera].id);
+        self.unsynced += entry.segment.bytes() - before;
+        result.or_else(|source| self.fail(source))?;
         self.after_record(place)?;
         self.split_if_due()
     }
 
-    /// Records a frame from the memory that the camera layer received it into: the envelope goes into the
-    /// block's room, and the block goes back to its pool once the disk has it. Otherwise as [`Self::frame`].
-    pub fn frame_in_place(
-        &mut self,
-        camera: usize,
-        meta: &FrameMeta,
-        mut block: Block,
-    ) -> Result<(), RecordError> {
-        let id = self.camera_id(camera).unwrap_or(CameraId(String::new()));
-        let length = write_envelope(block.room_mut(), &id, meta)
-            .map_err(|e| RecordError::Frame { camera, reason: e.to_string() })?;
-        self.frame(camera, meta, &block.bytes()[ROOM_BYTES - length..])
+    /// How the disk keeps up.
+    pub fn statistics(&self) -> WriteStatistics {
+        let mut statistics = self.past;
+        statistics.written = self.latencies.written.summary();
+        statistics.durable = self.latencies.durable.summary();
+        let mut held = 0;
+        for entry in &self.segments {
+            let (high_water, copied) = entry.segment.blocks();
+            held += high_water;
+            statistics.copied_frames += copied;
+            statistics.bytes += entry.segment.bytes();
+        }
+        statistics.blocks_high_water = statistics.blocks_high_water.max(held);
+        statistics
     }
 
     /// The message must be the frame that `meta` and the header describe: otherwise a reader would refuse it.
@@ -208,6 +267,14 @@ impl Recording {
                 envelope.camera, envelope.meta, described.id
             )));
         }
+        self.check_size(camera, meta)
+    }
+
+    fn check_size(&self, camera: usize, meta: &FrameMeta) -> Result<(), RecordError> {
+        let wrong = |reason: String| RecordError::Frame { camera, reason };
+        let Some(described) = self.header.cameras.get(camera) else {
+            return Err(wrong(format!("the recording has {} cameras", self.header.cameras.len())));
+        };
         if (meta.width, meta.height) != (described.width, described.height) {
             return Err(wrong(format!(
                 "the frame is {} x {}, the header says {} x {}",
@@ -271,10 +338,12 @@ impl Recording {
                 }
             }
         }
-        // Outcomes that were lost with a failed segment have become gaps in the tallies by now.
+        // Outcomes that are lost with a failing segment become gaps in the tallies now, not after the verdict.
+        let _ = self.sync();
         let _ = self.settle_all();
+        let closed = self.join_closing();
         let verdict = self.verdict(triggers, end);
-        let result = self.close(&verdict);
+        let result = closed.and(self.close(&verdict));
         result.map_err(|source| RecordError::Unfinished {
             path: self.dir.clone(),
             source,
@@ -302,20 +371,17 @@ impl Recording {
         if self.segments.is_empty() || !self.unwritten.is_empty() {
             self.rescue()?;
         }
+        self.next = None;
+        let statistics = self.statistics();
         let mut last = self.segments.pop_back();
         let mut result = Ok(());
-        while let Some(entry) = self.segments.pop_front() {
+        while let Some(mut entry) = self.segments.pop_front() {
             let end = last.as_ref().map(|last| last.segment.first_trigger());
             result = result.and(entry.segment.finish(end, None));
         }
-        for thread in self.closing.drain(..) {
-            let closed =
-                thread.join().unwrap_or_else(|_| Err(io::Error::other("closing a segment panicked")));
-            // After a failure the broken segments are known to be; their readable part is what counts.
-            result = result.and(if self.stopped.is_some() { Ok(()) } else { closed });
-        }
-        if let Some(last) = last.take() {
-            result = result.and(last.segment.finish(None, Some(verdict)));
+        if let Some(last) = &mut last {
+            let closing = Closing { verdict, statistics: &statistics };
+            result = result.and(last.segment.finish(None, Some(closing)));
         }
         result.and(sync_directory(&self.dir))
     }
@@ -383,11 +449,9 @@ impl Recording {
     /// Commits and syncs where it is due; closes the older segment when all cameras are past it.
     fn after_record(&mut self, place: usize) -> Result<(), RecordError> {
         let entry = &mut self.segments[place];
-        let open_bytes = entry.segment.bytes() - entry.open_since;
-        if entry.open_frames >= FRAMES_PER_CHUNK || (entry.open_frames == 0 && open_bytes >= CHUNK_BYTES) {
-            let result = entry.commit();
-            result.or_else(|source| self.fail(source))?;
-        }
+        let latencies = &mut self.latencies;
+        let result = if entry.is_due() { entry.commit(latencies) } else { entry.poll(latencies) };
+        result.or_else(|source| self.fail(source))?;
         let due = self.unsynced >= self.options.sync_bytes
             || self.last_sync.elapsed() >= self.options.sync_interval;
         if due {
@@ -400,21 +464,20 @@ impl Recording {
     }
 
     fn settle_all(&mut self) -> Result<(), RecordError> {
-        let result = self.segments.iter_mut().try_for_each(OpenSegment::settle);
+        let latencies = &mut self.latencies;
+        let result = self.segments.iter_mut().try_for_each(|entry| entry.settle(latencies));
         result.or_else(|source| self.fail(source))
     }
 
+    /// Asks for everything to be made durable, and looks at the space that is left.
     fn sync(&mut self) -> Result<(), RecordError> {
-        self.settle_all()?;
-        let mut result = self.segments.iter_mut().try_for_each(|entry| entry.segment.sync());
-        if self.new_name {
-            result = result.and_then(|()| sync_directory(&self.dir));
-        }
+        let latencies = &mut self.latencies;
+        let result = self.segments.iter_mut().try_for_each(|entry| entry.request_sync(latencies));
         result.or_else(|source| self.fail(source))?;
-        self.new_name = false;
         self.last_sync = Instant::now();
         self.unsynced = 0;
-        let free = free_bytes(&self.dir).unwrap_or(u64::MAX);
+        // What is set aside for us counts as free.
+        let free = free_bytes(&self.dir).unwrap_or(u64::MAX).saturating_add(self.set_aside());
         if free < self.options.reserve_bytes && self.stopped.is_none() {
             let (path, reserve_mib) = (self.dir.clone(), self.options.reserve_bytes / MIB);
             let error = RecordError::ReserveReached { path, free_mib: free / MIB, reserve_mib };
@@ -424,30 +487,50 @@ impl Recording {
         Ok(())
     }
 
+    /// Disk space set aside and not used yet.
+    fn set_aside(&self) -> u64 {
+        let next = self.next.as_ref().map_or(0, NextSegment::ahead);
+        self.segments.iter().map(OpenSegment::ahead).fold(next, u64::saturating_add)
+    }
+
+    /// Space to set aside for a segment that begins when the session has `written` bytes: never more than it
+    /// will need, and never of the reserve.
+    fn ahead(&self, written: u64) -> u64 {
+        if !self.options.preallocate || self.stopped.is_some() {
+            return 0;
+        }
+        let expected = self.header.expected_bytes().map_or(u64::MAX, |bytes| bytes.saturating_sub(written));
+        let kept = self.options.reserve_bytes.saturating_add(ACCOUNTING_BYTES);
+        let free = free_bytes(&self.dir).unwrap_or(0).saturating_sub(kept);
+        let most = expected.min(free / 2);
+        self.options.segment_bytes.saturating_add(self.options.segment_bytes / 64).min(most)
+    }
+
     fn open_segment(&mut self, first_trigger: u64) -> io::Result<()> {
-        let path = self.dir.join(segment_name(self.next_number));
-        let store = (self.open_store)(&path)?;
-        let largest = self.header.cameras.iter().map(|c| c.width as usize * c.height as usize).max();
-        let window = (largest.unwrap_or(0) + 4096) * FRAMES_PER_CHUNK + 2 * CHUNK_BYTES as usize;
-        let segment = Segment::create(store, window, self.next_number, first_trigger, &self.header)?;
-        self.new_name = true;
+        let (store, ahead) = match self.next.take() {
+            Some(next) => next.take()?,
+            None => {
+                let ahead = self.ahead(0);
+                prepare(&self.open_store, &self.dir.join(segment_name(self.next_number)), ahead)?
+            }
+        };
+        let segment = Segment::create(store, self.next_number, first_trigger, &self.header)?;
         self.next_number += 1;
-        let open_since = segment.bytes();
-        self.segments.push_back(OpenSegment {
-            segment,
-            under_way: Vec::new(),
-            open: Vec::new(),
-            open_frames: 0,
-            open_since,
-        });
+        self.segments.push_back(OpenSegment::new(segment, ahead));
         Ok(())
     }
 
-    /// Begins the next segment. It waits while the last split is not over, so that no frame is ever late
-    /// for its segment.
+    /// Begins the next segment, which was made ready when half of this one was written. It waits while the last
+    /// split is not over, so that no frame is ever late for its segment.
     fn split_if_due(&mut self) -> Result<(), RecordError> {
         let [entry] = self.segments.make_contiguous() else { return Ok(()) };
-        if entry.segment.bytes() < self.options.segment_bytes {
+        let bytes = entry.segment.bytes();
+        if self.next.is_none() && bytes >= self.options.segment_bytes / 2 {
+            let ahead = self.ahead(self.past.bytes + self.options.segment_bytes);
+            let open = Arc::clone(&self.open_store);
+            self.next = Some(NextSegment::prepare(open, &self.dir, self.next_number, ahead));
+        }
+        if bytes < self.options.segment_bytes {
             return Ok(());
         }
         let boundary = self.newest().0;
@@ -463,106 +546,16 @@ impl Recording {
         if !self.tallies.iter().all(|tally| tally.seen().covers(boundary)) {
             return Ok(());
         }
+        let statistics = self.statistics();
         let Some(mut older) = self.segments.pop_front() else { return Ok(()) };
-        if let Err(source) = older.settle() {
+        if let Err(source) = older.commit(&mut self.latencies) {
             self.segments.push_front(older);
             return self.fail(source);
         }
-        self.closing.push(std::thread::spawn(move || older.segment.finish(Some(boundary), None)));
-        Ok(())
-    }
-
-    /// After a failed write: nothing more goes to the open segments, frames of their open chunks become
-    /// gaps, and the books go on in a segment of their own.
-    fn fail(&mut self, source: io::Error) -> Result<(), RecordError> {
-        let error = RecordError::Disk { path: self.dir.clone(), source };
-        tracing::error!("{error}");
-        self.stopped.get_or_insert_with(|| error.to_string());
-        self.abandon_segments();
-        if let Err(error) = self.rescue() {
-            tracing::error!("{}: no segment for the accounting yet ({error})", self.dir.display());
-        }
-        Err(error)
-    }
-
-    /// Closes the open segments that still can be written; what the others lose waits for the rescue.
-    fn abandon_segments(&mut self) {
-        let mut lost = std::mem::take(&mut self.unwritten);
-        for mut entry in std::mem::take(&mut self.segments) {
-            if entry.settle().is_ok() {
-                self.closing.push(std::thread::spawn(move || entry.segment.finish(None, None)));
-            } else {
-                entry.segment.abandon();
-                lost.extend(entry.under_way);
-                lost.extend(entry.open);
-            }
-        }
-        for record in lost {
-            let record = self.account(record);
-            self.unwritten.extend(record);
-        }
-    }
-
-    /// A frame that did not reach the disk becomes a gap.
-    fn account(&mut self, record: Unwritten) -> Option<Unwritten> {
-        let Unwritten::Frame { camera, trigger } = record else { return Some(record) };
-        let tally = self.tallies.get_mut(camera)?;
-        tally.forget_frame(trigger);
-        tally.gap(trigger, GapCause::DroppedDisk);
-        let gap = GapRecord { camera: self.camera_id(camera)?, trigger, cause: GapCause::DroppedDisk };
-        let bytes = serde_json::to_vec(&gap).ok()?;
-        let (channel, time_ns) = (JsonChannel::Gaps, self.time_ns);
-        Some(Unwritten::Json { channel, sequence: trigger.0, time_ns, bytes })
-    }
-
-    /// Opens a segment for the accounting and moves there what waits for it.
-    fn rescue(&mut self) -> io::Result<()> {
-        if self.segments.is_empty() {
-            let opened = self.open_segment(self.newest().0);
-            if opened.is_err() {
-                // The name may be taken by half a file: the next attempt takes the next one.
-                self.next_number += 1;
-            }
-            opened?;
-        }
-        let Some(entry) = self.segments.back_mut() else { return Ok(()) };
-        let mut waiting = std::mem::take(&mut self.unwritten).into_iter();
-        let result = waiting.by_ref().try_for_each(|record| entry.write(record));
-        let result = result.and_then(|()| entry.settle()).and_then(|()| entry.segment.sync());
-        self.unwritten.extend(waiting);
-        if result.is_err() {
-            self.abandon_segments();
-        }
-        result
-    }
-}
-
-impl OpenSegment {
-    fn write(&mut self, record: Unwritten) -> io::Result<()> {
-        let result = match &record {
-            Unwritten::Json { channel, sequence, time_ns, bytes } => {
-                self.segment.json(*channel, *sequence, *time_ns, bytes)
-            }
-            Unwritten::Frame { .. } => Ok(()),
-        };
-        self.open.push(record);
-        result
-    }
-
-    fn commit(&mut self) -> io::Result<()> {
-        self.segment.commit()?;
-        self.under_way.clear();
-        std::mem::swap(&mut self.under_way, &mut self.open);
-        self.open_frames = 0;
-        self.open_since = self.segment.bytes();
-        Ok(())
-    }
-
-    /// Commits, and returns when nothing is under way any more.
-    fn settle(&mut self) -> io::Result<()> {
-        self.commit()?;
-        self.segment.settle()?;
-        self.under_way.clear();
+        self.past.blocks_high_water = statistics.blocks_high_water;
+        self.past.copied_frames += older.segment.blocks().1;
+        self.past.bytes += older.segment.bytes();
+        self.closing.push(older.close_aside(Some(boundary)));
         Ok(())
     }
 }
@@ -581,5 +574,7 @@ fn check_space(dir: &Path, header: &RecordingHeader, options: &WriterOptions) ->
     Ok(())
 }
 
+#[cfg(test)]
+mod block_tests;
 #[cfg(test)]
 mod tests;

@@ -7,7 +7,7 @@ use super::link::{LinkKeeper, LinkSetup};
 use super::state::Fault;
 use crate::acquire::matcher::{ClockRelation, Matcher};
 use crate::acquire::receiver::{Arrival, ReceiverSetup};
-use crate::acquire::recorder::{LaneSetup, Recorder, ToRecorder};
+use crate::acquire::recorder::{LaneSetup, Recorder, RecorderOptions, ToRecorder};
 use crate::camera::AppliedSetting;
 use crate::cmds::Exit;
 use crate::config::FeatureSetting;
@@ -98,8 +98,9 @@ impl Node {
         let thread_error =
             |e: std::io::Error| Fault::new(Exit::Failure, format!("cannot start a thread: {e}"));
         let progress = Arc::clone(&session.progress);
-        let recorder =
-            Recorder::start(recording, lanes, progress, arrivals, commands, events).map_err(thread_error)?;
+        let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
+        let recorder = Recorder::start(recording, lanes, options, progress, arrivals, commands, events)
+            .map_err(thread_error)?;
         session.recorder = Some(recorder);
         session.from_recorder = from_recorder;
         samples.into_iter().for_each(|sample| drop(to_recorder.send(ToRecorder::Clock(sample))));

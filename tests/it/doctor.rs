@@ -4,7 +4,9 @@
 
 use crate::lab::{NodeProcess, fourdbody, laboratory, text_of};
 use fourdbody_simulator::gige::SimulatedCamera;
+use fourdbody_simulator::hsu::{HsuOptions, SimulatedHsu};
 use fourdbody_simulator::laboratory::Laboratory;
+use hsu_firmware_proto::{Identity, NodeName};
 use serde_json::Value;
 use std::path::Path;
 
@@ -67,15 +69,30 @@ fn an_absent_camera_and_a_wrong_hsu_device_are_named() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let mut laboratory = laboratory(dir.path(), 131, 20.0);
     drop::<SimulatedCamera>(laboratory.cameras.remove(1));
-    // A device that exists and takes bytes, but is no HSU.
+    // Something that speaks the protocol and is another product, and something that is no serial port.
+    let identity =
+        Identity { name: NodeName::new("lamp-driver").expect("short"), ..HsuOptions::default().identity };
+    let link = dir.path().join("lamp");
+    let options = HsuOptions { links: vec![link.clone()], identity, ..HsuOptions::default() };
+    let _lamp = SimulatedHsu::start(options).expect("a pty");
+    let lamp = link.display().to_string();
     let config = &laboratory.nodes[0].path;
     let text = std::fs::read_to_string(config).expect("readable");
     let link = format!("{:?}", laboratory.hsu.link(0).display().to_string());
     assert!(text.contains(&link));
-    std::fs::write(config, text.replace(&link, "\"/dev/null\"")).expect("writable");
-    let (code, findings) = examine(&laboratory, &["--disk-seconds", "0"]);
-    assert_eq!(code, Some(5), "{findings:#?}");
-    assert_eq!(names(&findings, "device", "failed"), ["camera h0_low", "HSU"], "{findings:#?}");
+    let examine_with = |device: &str| {
+        std::fs::write(config, text.replace(&link, &format!("{device:?}"))).expect("writable");
+        let (code, findings) = examine(&laboratory, &["--disk-seconds", "0"]);
+        assert_eq!(code, Some(5), "{findings:#?}");
+        assert_eq!(names(&findings, "device", "failed"), ["camera h0_low", "HSU"], "{findings:#?}");
+        findings
+    };
+    let findings = examine_with(&lamp);
+    assert!(
+        finding(&findings, "HSU")["found"].as_str().expect("text").contains("lamp-driver"),
+        "{findings:#?}"
+    );
+    let findings = examine_with("/dev/null");
     let absent = finding(&findings, "camera h0_low");
     assert!(absent["found"].as_str().expect("text").contains("127.0.131.12"), "{absent}");
     assert!(absent["advice"].as_str().expect("text").contains("cable"), "{absent}");

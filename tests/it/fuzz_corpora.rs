@@ -222,6 +222,11 @@ fn hsu_seeds() {
     stopped.wait(400);
     stopped.write("until_stopped");
 
+    // Ticks that come late and then early: the schedule moves, and the next trigger keeps its distance.
+    let mut uneven = Talk::running(Sync::Timer, 12, 0);
+    (0..8).for_each(|i| uneven.wait(if i % 3 == 0 { 240 } else { 130 }));
+    uneven.write("uneven_ticks");
+
     let mut silent = Talk::armed(Sync::Timer, 100, 0);
     silent.wait(41_000);
     silent.write("silent_before_start");

@@ -67,6 +67,8 @@ fn only_the_controller_writes() {
     assert_eq!(second.write(Id::Width, 800).0, DENIED);
     assert_eq!(second.read(Id::Width), 640, "control access lets others read");
     assert_eq!(second.read(Id::Privilege), CONTROL);
+    let holder = (second.read(Id::ControllerAddress), second.read(Id::ControllerPort));
+    assert_eq!(holder, (Ipv4Addr::LOCALHOST.to_bits(), 1000));
     let mut first = Client { control: &mut control, from: host(1000), now };
     assert_eq!(first.write(Id::Privilege, EXCLUSIVE).0, OK);
     let mut second = Client { control: &mut control, from: host(1001), now };

@@ -1,0 +1,132 @@
+//! Frame sets: what belongs to one trigger is passed on together, in the order of triggers.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// Assembles sets of frames `F`.
+#[derive(Debug)]
+pub struct Assembler<F> {
+    /// Cameras whose outcome is waited for, one bit each.
+    expected: u64,
+    open: VecDeque<Open<F>>,
+    /// Triggers below this have been passed on.
+    passed: u64,
+    patience: Duration,
+    most_open: usize,
+    spare: Vec<Vec<F>>,
+}
+
+#[derive(Debug)]
+struct Open<F> {
+    trigger: u64,
+    outcomes: u64,
+    frames: Vec<F>,
+    since: Instant,
+}
+
+/// The frames of one trigger, or those that came after the others were passed on.
+#[derive(Debug)]
+pub struct FrameSet<F> {
+    /// The trigger's index.
+    pub trigger: u64,
+    /// The frames, in the order in which they came.
+    pub frames: Vec<F>,
+}
+
+impl<F> Assembler<F> {
+    /// For so many cameras (at most 64). A set waits for its last outcome at most for `patience`, and only while
+    /// there are at most `most_open` sets.
+    pub fn new(cameras: usize, patience: Duration, most_open: usize) -> Self {
+        let expected = if cameras >= 64 { u64::MAX } else { (1 << cameras) - 1 };
+        Self { expected, open: VecDeque::new(), passed: 0, patience, most_open, spare: Vec::new() }
+    }
+
+    /// Whether a camera's outcomes are waited for.
+    pub fn expect(&mut self, camera: usize, expected: bool) {
+        let bit = 1u64.checked_shl(camera as u32).unwrap_or(0);
+        if expected { self.expected |= bit } else { self.expected &= !bit }
+    }
+
+    /// Enters a camera's outcome for a trigger: its frame, or that there is none.
+    pub fn outcome(&mut self, camera: usize, trigger: u64, frame: Option<F>, now: Instant) {
+        if frame.is_none() && trigger < self.passed {
+            return;
+        }
+        let place = self.open.partition_point(|open| open.trigger < trigger);
+        if self.open.get(place).is_none_or(|open| open.trigger != trigger) {
+            let frames = self.spare.pop().unwrap_or_default();
+            self.open.insert(place, Open { trigger, outcomes: 0, frames, since: now });
+        }
+        let open = &mut self.open[place];
+        open.outcomes |= 1u64.checked_shl(camera as u32).unwrap_or(0);
+        open.frames.extend(frame);
+    }
+
+    /// The next set that is complete or has waited long enough; sets leave in order. `all`: whatever there is.
+    pub fn next(&mut self, now: Instant, all: bool) -> Option<FrameSet<F>> {
+        let first = self.open.front()?;
+        let complete = first.outcomes & self.expected == self.expected || first.trigger < self.passed;
+        let late = now.saturating_duration_since(first.since) >= self.patience;
+        if !(all || complete || late || self.open.len() > self.most_open) {
+            return None;
+        }
+        let open = self.open.pop_front()?;
+        self.passed = self.passed.max(open.trigger + 1);
+        Some(FrameSet { trigger: open.trigger, frames: open.frames })
+    }
+
+    /// Takes an emptied set's memory back.
+    pub fn recycle(&mut self, mut frames: Vec<F>) {
+        frames.clear();
+        self.spare.push(frames);
+    }
+
+    /// Frames that wait in sets.
+    pub fn waiting(&self) -> usize {
+        self.open.iter().map(|open| open.frames.len()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Assembler;
+    use std::time::{Duration, Instant};
+
+    const PATIENCE: Duration = Duration::from_millis(50);
+
+    #[test]
+    fn a_set_leaves_when_every_camera_has_an_outcome() {
+        let (now, mut sets) = (Instant::now(), Assembler::new(3, PATIENCE, 8));
+        sets.outcome(0, 5, Some("a5"), now);
+        sets.outcome(1, 5, Some("b5"), now);
+        sets.outcome(0, 6, Some("a6"), now);
+        assert!(sets.next(now, false).is_none());
+        sets.outcome(2, 5, None, now);
+        let set = sets.next(now, false).expect("complete");
+        assert_eq!((set.trigger, set.frames), (5, vec!["a5", "b5"]));
+        assert!(sets.next(now, false).is_none());
+    }
+
+    #[test]
+    fn a_late_frame_follows_alone() {
+        let (now, mut sets) = (Instant::now(), Assembler::new(2, PATIENCE, 8));
+        sets.outcome(0, 0, Some("a0"), now);
+        sets.outcome(0, 1, Some("a1"), now);
+        let later = now + PATIENCE;
+        let numbers: Vec<u64> =
+            std::iter::from_fn(|| sets.next(later, false)).map(|set| set.trigger).collect();
+        assert_eq!(numbers, [0, 1]);
+        sets.outcome(1, 0, Some("b0"), later);
+        let set = sets.next(later, false).expect("it follows at once");
+        assert_eq!((set.trigger, set.frames), (0, vec!["b0"]));
+    }
+
+    #[test]
+    fn open_sets_are_bounded_and_lost_cameras_not_waited_for() {
+        let (now, mut sets) = (Instant::now(), Assembler::new(2, PATIENCE, 2));
+        (0..5).for_each(|trigger| sets.outcome(0, trigger, Some(trigger), now));
+        assert_eq!(std::iter::from_fn(|| sets.next(now, false)).count(), 3);
+        sets.expect(1, false);
+        assert_eq!(std::iter::from_fn(|| sets.next(now, false)).count(), 2);
+    }
+}

@@ -1,0 +1,473 @@
+//! Keeps the books of a session: gives every frame its trigger and every trigger of every camera its outcome.
+
+use super::assembler::Assembler;
+use super::clock::{ClockFit, Exchange, Judged};
+use super::matcher::{Finding, Match, Matched, Matcher, Sighting, Witness};
+use super::receiver::Arrival;
+use super::recorder::{FromRecorder, LaneSetup, Progress, RecorderOptions, ToRecorder, WhenFull};
+use super::ring::{ReadyFrame, Ring, ToWriter};
+use super::trigger_table::TriggerTable;
+use crate::camera::Transfer;
+use crate::ids::{CameraId, TriggerIndex};
+use crate::record::{ClockSample, FrameMeta, GapCause, NodeEvent, SessionEnd};
+use crate::time::host_time_ns;
+use crossbeam_channel::Sender;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// One camera.
+struct Lane {
+    id: CameraId,
+    width: u32,
+    height: u32,
+    matcher: Matcher,
+    pending: VecDeque<Arrival>,
+    /// The first trigger without an outcome.
+    next: u64,
+    lost: bool,
+    /// It was lost, and no frame has come since it is back.
+    back: bool,
+    /// Frames that no trigger explains.
+    spurious: u64,
+    /// Frames recorded on their block id alone.
+    unconfirmed: u64,
+}
+
+/// A row of sets that found no room in the ring.
+struct Full {
+    first: u64,
+    last: u64,
+    frames: u64,
+}
+
+/// The matching thread's state.
+pub(super) struct Books {
+    lanes: Vec<Lane>,
+    table: TriggerTable,
+    hsu: ClockFit,
+    sets: Assembler<ReadyFrame>,
+    ring: Ring,
+    full: Option<Full>,
+    full_reported: bool,
+    options: RecorderOptions,
+    progress: Arc<Progress>,
+    events: Sender<FromRecorder>,
+    draining: bool,
+    /// How many triggers there were, once the HSU said so.
+    emitted: Option<u64>,
+    /// When a frame last got its trigger.
+    last_settled: Instant,
+}
+
+impl Books {
+    pub(super) fn new(
+        lanes: Vec<LaneSetup>,
+        options: RecorderOptions,
+        progress: Arc<Progress>,
+        ring: Ring,
+        events: Sender<FromRecorder>,
+    ) -> Self {
+        let lane = |setup: LaneSetup| Lane {
+            id: setup.id,
+            width: setup.width,
+            height: setup.height,
+            matcher: setup.matcher,
+            pending: VecDeque::new(),
+            next: 0,
+            lost: false,
+            back: false,
+            spurious: 0,
+            unconfirmed: 0,
+        };
+        Self {
+            sets: Assembler::new(lanes.len(), options.set_patience, options.open_sets()),
+            lanes: lanes.into_iter().map(lane).collect(),
+            table: TriggerTable::default(),
+            hsu: ClockFit::new(),
+            ring,
+            full: None,
+            full_reported: false,
+            options,
+            progress,
+            events,
+            draining: false,
+            emitted: None,
+            last_settled: Instant::now(),
+        }
+    }
+
+    /// A frame arrived; `behind` more are on their way to this thread.
+    pub(super) fn take(&mut self, arrival: Arrival, behind: usize) {
+        let camera = arrival.camera;
+        let Some(lane) = self.lanes.get_mut(camera) else { return };
+        lane.pending.push_back(arrival);
+        let pending: usize = self.lanes.iter().map(|lane| lane.pending.len()).sum();
+        let waiting = pending + behind + self.sets.waiting() + self.ring.len();
+        self.progress.high_water.fetch_max(waiting as u64, Ordering::Relaxed);
+        self.advance(camera, false);
+        self.pass_sets_on(false);
+    }
+
+    pub(super) fn obey(&mut self, command: ToRecorder) {
+        match command {
+            ToRecorder::Trigger(record) => {
+                if let Ok(number) = i64::try_from(record.index.0) {
+                    self.table.insert(number, record.hsu_time_ns);
+                    self.hsu.heard(record.hsu_time_ns, record.host_time_ns);
+                }
+                self.progress.triggers.store(self.table.len(), Ordering::Relaxed);
+                self.ring.small(ToWriter::Trigger(record));
+                self.advance_all();
+            }
+            ToRecorder::WarmUp { number, hsu_time_ns } if number < 0 => {
+                self.table.insert(number, hsu_time_ns);
+                self.advance_all();
+            }
+            ToRecorder::WarmUp { .. } => {}
+            ToRecorder::Clock(sample) => self.clock_sample(sample),
+            ToRecorder::Event(event) => self.ring.small(ToWriter::Event(event)),
+            ToRecorder::CameraLost(camera) if camera < self.lanes.len() => {
+                self.advance(camera, true);
+                let lane = &mut self.lanes[camera];
+                lane.lost = true;
+                lane.matcher.lost();
+                self.sets.expect(camera, false);
+            }
+            ToRecorder::CameraBack(camera) if camera < self.lanes.len() => {
+                self.advance(camera, true);
+                let lane = &mut self.lanes[camera];
+                (lane.lost, lane.back) = (false, true);
+                lane.matcher.restart();
+                self.sets.expect(camera, true);
+            }
+            ToRecorder::Drain { emitted } => {
+                self.draining = true;
+                self.emitted = emitted.or(self.emitted);
+                self.last_settled = Instant::now();
+            }
+            _ => {}
+        }
+    }
+
+    fn clock_sample(&mut self, sample: ClockSample) {
+        let exchange = Exchange {
+            host_send_ns: sample.host_send_ns,
+            host_receive_ns: sample.host_receive_ns,
+            device_ns: sample.device_time_ns,
+        };
+        let lane = |id: &CameraId| self.lanes.iter().position(|lane| lane.id == *id);
+        match sample.camera.as_ref().map(lane) {
+            None => {
+                if let Judged::Reset { step_ns } = self.hsu.exchange(&exchange) {
+                    let message = format!("the HSU's clock was set anew, by {step_ns} ns");
+                    self.event("hsu_clock_reset", None, None, message);
+                }
+            }
+            Some(Some(camera)) => {
+                if let Judged::Reset { step_ns } = self.lanes[camera].matcher.clock_sample(&exchange) {
+                    let message = format!("its clock was set anew, by {step_ns} ns (from clock samples)");
+                    self.note(camera, "camera_clock_reset", None, message);
+                }
+            }
+            Some(None) => {}
+        }
+        self.ring.small(ToWriter::Clock(sample));
+    }
+
+    pub(super) fn advance_all(&mut self) {
+        (0..self.lanes.len()).for_each(|camera| self.advance(camera, false));
+        self.pass_sets_on(false);
+    }
+
+    /// Settles what can be decided of a camera's frames, in order; with `now`, all of them.
+    fn advance(&mut self, camera: usize, now: bool) {
+        while let Some(arrival) = self.lanes[camera].pending.pop_front() {
+            let lane = &mut self.lanes[camera];
+            let last_call = now
+                || lane.pending.len() >= self.options.waiting_frames()
+                || arrival.taken.elapsed() > self.options.report_patience;
+            let next = lane.pending.iter().map(sighting).find(|next| next.camera_ns.is_some());
+            let seen = sighting(&arrival);
+            match lane.matcher.assign(&seen, next.as_ref(), &self.table, &self.hsu, last_call) {
+                Match::Wait => return lane.pending.push_front(arrival),
+                Match::Trigger(matched) => self.settle(matched, arrival),
+                Match::Spurious(residual_ns) => {
+                    self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
+                }
+                Match::BeforeTrain => self.spurious(&arrival, "came before the first trigger"),
+                Match::Repeated => {
+                    let text = format!("block {} was seen before; not recorded", arrival.block_id);
+                    self.note(camera, "repeated_frame", None, text);
+                }
+            }
+        }
+    }
+
+    /// Gives a frame's trigger, and those before it that have none, an outcome.
+    fn settle(&mut self, matched: Matched, arrival: Arrival) {
+        let camera = arrival.camera;
+        self.progress.latencies.matched.record(arrival.taken.elapsed());
+        self.report(camera, &matched, &arrival);
+        let Ok(trigger) = u64::try_from(matched.number) else { return };
+        if self.emitted.is_some_and(|emitted| trigger >= emitted) {
+            return self.spurious(&arrival, "came after the last trigger");
+        }
+        let lane = &mut self.lanes[camera];
+        if trigger < lane.next {
+            let text =
+                format!("block {} is of a trigger that has an outcome; not recorded", arrival.block_id);
+            return self.note(camera, "repeated_frame", Some(trigger), text);
+        }
+        self.last_settled = Instant::now();
+        lane.unconfirmed += u64::from(matched.witness == Witness::BlockIdOnly);
+        let start = std::mem::replace(&mut lane.next, trigger + 1);
+        let back = std::mem::take(&mut lane.back);
+        // Frames lost on the way first: in which order the two happened is not to be known.
+        let ignored_from = if back { trigger } else { trigger.saturating_sub(matched.ignored).max(start) };
+        let cause = if back { GapCause::Unplugged } else { GapCause::MissingPackets };
+        self.gaps(camera, start..ignored_from, cause);
+        self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
+        match gap_cause(arrival.transfer) {
+            Some(cause) => self.gaps(camera, trigger..trigger + 1, cause),
+            None => self.ready(camera, trigger, arrival),
+        }
+    }
+
+    /// Says what happened before a frame, and with it.
+    fn report(&mut self, camera: usize, matched: &Matched, arrival: &Arrival) {
+        let (number, block) = (matched.number, arrival.block_id);
+        let at = |number: i64| u64::try_from(number).ok();
+        let back = self.lanes[camera].back;
+        if matched.lost > 0 && !back {
+            let first = number - (matched.lost + matched.ignored) as i64;
+            let text = format!(
+                "{} frames before trigger {number} (block {block}) were lost on the way",
+                matched.lost
+            );
+            self.note(camera, "frames_lost", at(first), text);
+        }
+        if matched.ignored > 0 && !back {
+            let first = number - matched.ignored as i64;
+            let text = format!(
+                "the camera ignored {} triggers before trigger {number} (block {block})",
+                matched.ignored
+            );
+            self.note(camera, "trigger_ignored", at(first), text);
+        }
+        let (kind, text) = match matched.finding {
+            None => return,
+            Some(Finding::IdJump(by)) => {
+                ("id_jump", format!("block ids jumped by {by} to {block} without loss"))
+            }
+            Some(Finding::IdRepeated) => {
+                ("id_repeated", format!("block id {block} came twice; its timestamp is new"))
+            }
+            Some(Finding::ClockReset(step)) => (
+                "camera_clock_reset",
+                format!("its clock was set anew, by {step} ns; block {block} by its id alone"),
+            ),
+        };
+        self.note(camera, kind, at(number), text);
+    }
+
+    fn ready(&mut self, camera: usize, trigger: u64, arrival: Arrival) {
+        let lane = &self.lanes[camera];
+        let meta = FrameMeta {
+            trigger: TriggerIndex(trigger),
+            block: arrival.block_id,
+            camera_time_ns: arrival.camera_ns,
+            host_time_ns: arrival.host_ns,
+            width: lane.width,
+            height: lane.height,
+            pixels_crc: arrival.pixels_crc,
+        };
+        let now = Instant::now();
+        let frame = ReadyFrame { camera, meta, block: arrival.block, taken: arrival.taken, since: now };
+        self.sets.outcome(camera, trigger, Some(frame), now);
+    }
+
+    /// Passes finished sets to the ring, or drops them where it has no room.
+    fn pass_sets_on(&mut self, all: bool) {
+        while let Some(mut set) = self.sets.next(Instant::now(), all) {
+            // At the end no more frames come, and there are no more of them than blocks.
+            let dropped_before = self.full.as_ref().is_some_and(|full| full.last == set.trigger);
+            if !all && (dropped_before || !self.ring.has_room_for(set.frames.len())) {
+                self.drop_set(set.trigger, &mut set.frames);
+            } else if !set.frames.is_empty() {
+                self.end_of_full();
+                for mut frame in set.frames.drain(..) {
+                    self.progress.latencies.assembled.record(frame.since.elapsed());
+                    frame.since = Instant::now();
+                    self.ring.frame(frame);
+                }
+                self.progress.ring_high_water.fetch_max(self.ring.len() as u64, Ordering::Relaxed);
+            }
+            self.sets.recycle(set.frames);
+        }
+    }
+
+    fn drop_set(&mut self, trigger: u64, frames: &mut Vec<ReadyFrame>) {
+        let count = frames.len() as u64;
+        for frame in frames.drain(..) {
+            self.count_gap(frame.camera, TriggerIndex(trigger), GapCause::DroppedRingFull);
+        }
+        self.progress.dropped.fetch_add(count, Ordering::Relaxed);
+        let full = self.full.get_or_insert(Full { first: trigger, last: trigger, frames: 0 });
+        (full.last, full.frames) = (full.last.max(trigger), full.frames + count);
+        if self.options.when_full == WhenFull::Stop && !std::mem::replace(&mut self.full_reported, true) {
+            drop(self.events.send(FromRecorder::RingFull));
+        }
+    }
+
+    /// One event for a row of dropped sets, when it is over.
+    fn end_of_full(&mut self) {
+        if let Some(Full { first, last, frames }) = self.full.take() {
+            let message = format!(
+                "the disk did not keep up: {frames} frames of triggers {first} to {last} were dropped, set by set"
+            );
+            tracing::warn!(kind = "ring_full", "{message}");
+            self.event("ring_full", None, Some(first), message);
+        }
+    }
+
+    /// A frame that no trigger explains: a free-running camera makes many, so only the first is an event.
+    fn spurious(&mut self, arrival: &Arrival, why: &str) {
+        let lane = &mut self.lanes[arrival.camera];
+        lane.spurious += 1;
+        if lane.spurious == 1 {
+            let text = format!("block {} {why}; not recorded (later ones are counted)", arrival.block_id);
+            self.note(arrival.camera, "spurious_frame", None, text);
+        }
+    }
+
+    fn gaps(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
+        let now = Instant::now();
+        for trigger in triggers {
+            self.count_gap(camera, TriggerIndex(trigger), cause);
+            self.sets.outcome(camera, trigger, None, now);
+            // A long absence must not pile up sets that nobody waits for.
+            self.pass_sets_on(false);
+        }
+    }
+
+    fn count_gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) {
+        self.progress.gaps[camera].fetch_add(1, Ordering::Relaxed);
+        self.ring.small(ToWriter::Gap(camera, trigger, cause));
+    }
+
+    fn note(&mut self, camera: usize, kind: &str, trigger: Option<u64>, message: String) {
+        let id = self.lanes[camera].id.clone();
+        tracing::warn!(camera = %id, kind, "{message}");
+        self.event(kind, Some(id), trigger, message);
+    }
+
+    fn event(&mut self, kind: &str, camera: Option<CameraId>, trigger: Option<u64>, message: String) {
+        let (host_time_ns, kind, trigger) = (host_time_ns(), kind.to_owned(), trigger.map(TriggerIndex));
+        self.ring.small(ToWriter::Event(NodeEvent { host_time_ns, kind, camera, trigger, message }));
+    }
+
+    pub(super) fn look_whether_drained(&mut self, all_taken: bool) {
+        if !self.draining {
+            return;
+        }
+        let all_in = self.emitted.is_some_and(|n| self.lanes.iter().all(|lane| lane.lost || lane.next >= n));
+        let quiet = self.last_settled.elapsed() > self.options.drain_patience && all_taken;
+        if all_in || quiet {
+            self.draining = false;
+            drop(self.events.send(FromRecorder::Drained));
+        }
+    }
+
+    /// Gap records for the frames of the last triggers, which nothing later can prove missing.
+    fn give_up_until(&mut self, triggers: u64) {
+        for camera in 0..self.lanes.len() {
+            let lane = &mut self.lanes[camera];
+            let cause = if lane.lost || lane.back { GapCause::Unplugged } else { GapCause::Timeout };
+            let missing = lane.next..triggers;
+            lane.next = lane.next.max(triggers);
+            self.gaps(camera, missing, cause);
+        }
+    }
+
+    /// How the clocks ran and how long frames took, for the record.
+    fn sum_up(&mut self) {
+        self.clock_event(None);
+        for camera in 0..self.lanes.len() {
+            self.clock_event(Some(camera));
+            let Lane { spurious, unconfirmed, .. } = self.lanes[camera];
+            if spurious > 1 {
+                self.note(
+                    camera,
+                    "spurious_frames",
+                    None,
+                    format!("{spurious} frames that no trigger explains"),
+                );
+            }
+            if unconfirmed > 0 {
+                let text = format!("{unconfirmed} frames have their trigger by block id alone");
+                self.note(camera, "identity_unconfirmed", None, text);
+            }
+        }
+        if self.ring.refused > 0 {
+            let text = format!("{} small records found no room on the way to the disk", self.ring.refused);
+            self.event("records_lost", None, None, text);
+        }
+    }
+
+    fn clock_event(&mut self, camera: Option<usize>) {
+        let fit = camera.map_or(&self.hsu, |camera| self.lanes[camera].matcher.clock());
+        let Some(drift) = fit.drift_ppm() else { return };
+        let message = format!(
+            "drift {drift:.2} ppm against the host; {} exchanges used, {} left out, {} resets",
+            fit.used(),
+            fit.left_out(),
+            fit.resets()
+        );
+        let id = camera.map(|camera| self.lanes[camera].id.clone());
+        self.event("clock_fit", id, None, message);
+    }
+
+    pub(super) fn close(mut self, aborted: Option<String>) {
+        // Frames that still wait get their outcome by what is known.
+        (0..self.lanes.len()).for_each(|camera| self.advance(camera, true));
+        self.pass_sets_on(true);
+        self.end_of_full();
+        self.give_up_until(self.emitted.unwrap_or(0).max(self.table.len()));
+        self.pass_sets_on(true);
+        self.sum_up();
+        let latencies = self.progress.latencies.to_string();
+        self.event("latency", None, None, latencies);
+        self.ring.close(Some(SessionEnd {
+            triggers_emitted: self.emitted,
+            aborted,
+            absent: GapCause::Unknown,
+            host_time_ns: host_time_ns(),
+        }));
+    }
+
+    pub(super) fn discard(self) {
+        self.ring.close(None);
+    }
+}
+
+fn sighting(arrival: &Arrival) -> Sighting {
+    Sighting {
+        id: arrival.block_id,
+        // A frame whose leader was lost has no timestamp.
+        camera_ns: Some(arrival.camera_ns).filter(|ns| *ns != 0),
+        host_ns: arrival.host_ns,
+        complete: matches!(arrival.transfer, Transfer::Complete | Transfer::Unwritten),
+    }
+}
+
+fn gap_cause(transfer: Transfer) -> Option<GapCause> {
+    match transfer {
+        Transfer::Complete => None,
+        Transfer::MissingPackets | Transfer::Unwritten => Some(GapCause::MissingPackets),
+        Transfer::Timeout => Some(GapCause::Timeout),
+        Transfer::SizeMismatch => Some(GapCause::SizeMismatch),
+        Transfer::Aborted => Some(GapCause::Aborted),
+    }
+}

@@ -1,0 +1,440 @@
+//! Seeded fault sequences against a reference that knows what happened.
+
+use super::{ClockRelation, Finding, Match, Matched, Matcher, Sighting};
+use crate::acquire::clock::{ClockFit, Exchange};
+use crate::acquire::trigger_table::TriggerTable;
+use crate::ids::BlockId;
+use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
+use std::collections::VecDeque;
+
+const PERIOD_NS: u64 = 8_333_333;
+const HSU_NS: u64 = 3_000_000_000;
+const HOST_NS: u64 = 1_790_000_000_000_000_000;
+
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        self.0.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 16
+    }
+
+    fn below(&mut self, bound: u64) -> u64 {
+        self.next() % bound.max(1)
+    }
+
+    /// Once in `n`.
+    fn one_in(&mut self, n: u64) -> bool {
+        self.below(n) == 0
+    }
+}
+
+/// What became of a trigger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Truth {
+    Frame,
+    Lost,
+    Ignored,
+}
+
+/// What a delivered frame is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Is {
+    Of(i64),
+    Extra,
+    Duplicate,
+}
+
+struct Camera {
+    random: Random,
+    wide: bool,
+    count: u64,
+    clock_ns: i128,
+    ppm: f64,
+    delivered: Vec<(Sighting, Is, Option<Finding>)>,
+    truth: Vec<Truth>,
+    /// Triggers of which two explanations are the same to any observer.
+    ambiguous: Vec<bool>,
+    faults: u64,
+}
+
+fn due(number: i64) -> u64 {
+    HSU_NS.saturating_add_signed((number * PERIOD_NS as i64) + 1_000_000_000)
+}
+
+impl Camera {
+    fn id(&self) -> BlockId {
+        BlockId(if self.wide { 70_000 + self.count } else { (self.count - 1) % 65_535 + 1 })
+    }
+
+    fn timestamp(&mut self, hsu_ns: u64) -> u64 {
+        let jitter = self.random.below(40_000) as i128 - 20_000;
+        let drift = ((hsu_ns - HSU_NS) as f64 * self.ppm * 1e-6) as i128;
+        (i128::from(hsu_ns) + self.clock_ns + drift + jitter) as u64
+    }
+
+    fn deliver(&mut self, hsu_ns: u64, is: Is, complete: bool, leader: bool, finding: Option<Finding>) {
+        let straggler = if self.random.one_in(200) { self.random.below(20_000_000) } else { 0 };
+        let host_ns = HOST_NS + (hsu_ns - HSU_NS) + 3_000_000 + self.random.below(300_000) + straggler;
+        let host_ns = self.delivered.last().map_or(host_ns, |(last, ..)| host_ns.max(last.host_ns));
+        let camera_ns = leader.then(|| self.timestamp(hsu_ns));
+        self.delivered.push((Sighting { id: self.id(), camera_ns, host_ns, complete }, is, finding));
+    }
+
+    /// A session with all faults mixed.
+    fn run(seed: u64, wide: bool, triggers: i64) -> Self {
+        let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+        let count = 1 + random.below(65_534);
+        let ppm = random.below(200) as f64 - 100.0;
+        let mut camera = Self {
+            random,
+            wide,
+            count,
+            ppm,
+            clock_ns: 77_000_000_000_000,
+            delivered: Vec::new(),
+            truth: Vec::new(),
+            ambiguous: Vec::new(),
+            faults: 0,
+        };
+        let mut calm = 40;
+        let mut number = -32;
+        while number < triggers {
+            // Two faults of the same moment are drawn as one; others keep a frame between them.
+            let fault = if calm > 0 { 99 } else { camera.random.below(40) };
+            calm -= 1;
+            let before = camera.truth.len();
+            number += camera.fault(fault, number, triggers, &mut calm);
+            if camera.truth.len() != before || fault < 10 {
+                camera.faults += 1;
+            }
+            if number >= triggers {
+                break;
+            }
+            camera.plain(number);
+            number += 1;
+        }
+        camera
+    }
+
+    fn plain(&mut self, number: i64) {
+        self.count += 1;
+        self.deliver(due(number), Is::Of(number), true, true, None);
+        self.outcome(number, Truth::Frame, false);
+    }
+
+    fn outcome(&mut self, number: i64, truth: Truth, ambiguous: bool) {
+        if number >= 0 {
+            self.truth.push(truth);
+            self.ambiguous.push(ambiguous);
+        }
+    }
+
+    fn miss(&mut self, first: i64, lost: i64, ignored: i64, triggers: i64) -> i64 {
+        let total = (lost + ignored).min(triggers - first).max(0);
+        for k in 0..total {
+            let gone = k < lost;
+            self.count += u64::from(gone);
+            self.outcome(first + k, if gone { Truth::Lost } else { Truth::Ignored }, lost > 0 && ignored > 0);
+        }
+        total
+    }
+
+    /// Draws a fault before trigger `number`; returns how many triggers it took.
+    fn fault(&mut self, fault: u64, number: i64, triggers: i64, calm: &mut i64) -> i64 {
+        let few = 1 + self.random.below(4) as i64;
+        match fault {
+            0 => self.miss(number, few, 0, triggers),
+            1 => self.miss(number, 0, few, triggers),
+            2 => self.miss(number, few, 1 + few % 2, triggers),
+            3 => {
+                let jump = 1 + self.random.below(1000) as i64;
+                self.count += jump as u64;
+                self.count += 1;
+                self.deliver(due(number), Is::Of(number), true, true, Some(Finding::IdJump(jump)));
+                self.outcome(number, Truth::Frame, false);
+                1
+            }
+            4 => {
+                self.deliver(due(number), Is::Of(number), true, true, Some(Finding::IdRepeated));
+                self.outcome(number, Truth::Frame, false);
+                1
+            }
+            5 => {
+                self.count += 1;
+                let phase = PERIOD_NS / 5 + self.random.below(PERIOD_NS / 2);
+                self.deliver(due(number - 1) + phase, Is::Extra, true, true, None);
+                0
+            }
+            6 => {
+                if let Some((last, ..)) = self.delivered.last().copied() {
+                    self.delivered.push((last, Is::Duplicate, None));
+                }
+                0
+            }
+            7 => {
+                // Torn, with or without its leader.
+                self.count += 1;
+                let leader = self.random.one_in(2);
+                self.deliver(due(number), Is::Of(number), false, leader, None);
+                self.outcome(number, Truth::Frame, false);
+                1
+            }
+            8 | 9 => self.clock_reset(number, triggers, calm),
+            _ => 0,
+        }
+    }
+
+    /// To zero, back or ahead by little or much; now and then with frames lost at the same moment.
+    fn clock_reset(&mut self, number: i64, triggers: i64, calm: &mut i64) -> i64 {
+        *calm = 24;
+        let lost = if self.random.one_in(3) { self.miss(number, 2, 0, triggers) } else { 0 };
+        let number = number + lost;
+        if number >= triggers {
+            return lost;
+        }
+        let by = match self.random.below(4) {
+            0 => -i128::from(self.random.below(70_000_000_000_000)),
+            1 => i128::from(self.random.below(70_000_000_000_000)),
+            2 => i128::from(self.random.below(400_000_000)) + 9_000_000,
+            _ => -(i128::from(self.random.below(1_000_000_000)) + 9_000_000),
+        };
+        if self.clock_ns + by < 1_000_000_000 {
+            return lost;
+        }
+        self.clock_ns += by;
+        self.count += 1;
+        self.deliver(due(number), Is::Of(number), true, true, Some(Finding::ClockReset(by)));
+        self.outcome(number, Truth::Frame, false);
+        lost + 1
+    }
+}
+
+fn hsu_clock() -> ClockFit {
+    let mut fit = ClockFit::new();
+    for k in 0..40u64 {
+        let host_send_ns = HOST_NS + k * 20_000_000;
+        let device_ns = HSU_NS + k * 20_000_000 + 100_000;
+        fit.exchange(&Exchange { host_send_ns, host_receive_ns: host_send_ns + 200_000, device_ns });
+    }
+    fit
+}
+
+/// What was found out: outcomes by trigger, and what was wrong with single frames.
+struct Found {
+    outcomes: Vec<Option<Truth>>,
+    wrong: Vec<String>,
+}
+
+impl Found {
+    fn frame(&mut self, is: Is, finding: Option<Finding>, answer: Match, next: &mut i64) {
+        let Match::Trigger(Matched { number, lost, ignored, finding: found, .. }) = answer else {
+            if matches!(is, Is::Of(_)) {
+                self.wrong.push(format!("{is:?} was taken for {answer:?}"));
+            }
+            return;
+        };
+        if is != Is::Of(number) {
+            self.wrong.push(format!("{is:?} was taken for {number}"));
+        }
+        let same = match (finding, found) {
+            (Some(Finding::ClockReset(_)), Some(Finding::ClockReset(_))) => true,
+            (truth, found) => truth == found,
+        };
+        if !same {
+            self.wrong.push(format!("{is:?}: {finding:?} was taken for {found:?}"));
+        }
+        let skipped = (number - *next).max(0);
+        if *next >= -31 && skipped as u64 != lost + ignored {
+            self.wrong.push(format!("{is:?}: {lost} lost and {ignored} ignored are not {skipped}"));
+        }
+        for k in 0..skipped {
+            let truth = if (k as u64) < lost { Truth::Lost } else { Truth::Ignored };
+            self.set(*next + k, truth);
+        }
+        self.set(number, Truth::Frame);
+        *next = number + 1;
+    }
+
+    fn set(&mut self, number: i64, truth: Truth) {
+        if let Some(outcome) = usize::try_from(number).ok().and_then(|n| self.outcomes.get_mut(n)) {
+            *outcome = Some(truth);
+        }
+    }
+}
+
+/// Delivers the frames with reports that lag behind; returns faults and complaints.
+fn play(seed: u64, wide: bool, triggers: i64) -> (u64, Vec<String>) {
+    let mut camera = Camera::run(seed, wide, triggers);
+    let hsu = hsu_clock();
+    let coarse = camera.random.below(4_000_000) as i128 - 2_000_000;
+    let clocks =
+        ClockRelation { camera_minus_hsu_ns: Some(77_000_000_000_000 + coarse), hsu_minus_host_ns: None };
+    let mut matcher = Matcher::new(PERIOD_NS, clocks);
+    let mut table = TriggerTable::default();
+    let mut found = Found { outcomes: vec![None; triggers as usize], wrong: Vec::new() };
+    let mut waiting: VecDeque<(Sighting, Is, Option<Finding>)> = VecDeque::new();
+    let (mut reported, mut next) = (-32, -32);
+    let frames = std::mem::take(&mut camera.delivered);
+    for (k, frame) in frames.iter().enumerate() {
+        waiting.push_back(*frame);
+        let lag_ns = if camera.random.one_in(50) { 60_000_000 } else { camera.random.below(6_000_000) };
+        let end = k + 1 == frames.len();
+        while reported < triggers && (end || HOST_NS + (due(reported) - HSU_NS) + lag_ns < frame.0.host_ns) {
+            table.insert(reported, due(reported));
+            reported += 1;
+        }
+        while let Some((sighting, is, finding)) = waiting.front().copied() {
+            let ahead =
+                waiting.iter().skip(1).map(|(next, ..)| next).find(|next| next.camera_ns.is_some()).copied();
+            match matcher.assign(&sighting, ahead.as_ref(), &table, &hsu, end) {
+                Match::Wait => break,
+                answer => found.frame(is, finding, answer, &mut next),
+            }
+            waiting.pop_front();
+        }
+    }
+    let mut wrong = found.wrong;
+    for (k, truth) in camera.truth.iter().enumerate().take(next.max(0) as usize) {
+        if found.outcomes[k] != Some(*truth) && !camera.ambiguous[k] {
+            wrong.push(format!("trigger {k}: {truth:?} was taken for {:?}", found.outcomes[k]));
+        }
+    }
+    (camera.faults, wrong)
+}
+
+/// The law of the matcher: more than 10^5 faults, each with the right trigger and cause.
+#[test]
+fn every_fault_is_told_apart() {
+    let (mut faults, mut wrong) = (0, 0);
+    for seed in 0..400 {
+        let (count, complaints) = play(seed, seed % 2 == 0, 3_000);
+        faults += count;
+        wrong += complaints.len();
+        for complaint in complaints.iter().take(1) {
+            println!("seed {seed}: {complaint}");
+        }
+    }
+    println!("{faults} faults, {wrong} mistakes");
+    assert!(faults >= 100_000, "{faults} faults are too few");
+    assert_eq!(wrong, 0);
+}
+
+fn frame(id: u64, camera_ns: u64, host_ns: u64) -> Sighting {
+    Sighting { id: BlockId(id), camera_ns: Some(camera_ns), host_ns, complete: true }
+}
+
+fn number(answer: Match) -> i64 {
+    match answer {
+        Match::Trigger(matched) => matched.number,
+        other => panic!("expected a trigger, found {other:?}"),
+    }
+}
+
+fn full_table(triggers: i64) -> TriggerTable {
+    let mut table = TriggerTable::default();
+    (0..triggers).for_each(|k| table.insert(k, due(k)));
+    table
+}
+
+fn host(hsu_ns: u64) -> u64 {
+    HOST_NS + (hsu_ns - HSU_NS) + 3_000_000
+}
+
+fn sample(hsu_ns: u64, camera_ns: u64) -> Exchange {
+    let at = HOST_NS + (hsu_ns - HSU_NS);
+    Exchange { host_send_ns: at - 200_000, host_receive_ns: at + 200_000, device_ns: camera_ns }
+}
+
+#[test]
+fn a_camera_without_a_readable_clock_is_matched_by_arrival() {
+    let (hsu, table) = (hsu_clock(), full_table(10));
+    let mut matcher = Matcher::new(PERIOD_NS, ClockRelation::default());
+    let camera = |k: i64| due(k) + 500_000_000_000;
+    let early = frame(60, camera(-1), host(due(-1)));
+    assert_eq!(matcher.assign(&early, None, &TriggerTable::default(), &hsu, true), Match::BeforeTrain);
+    assert_eq!(matcher.assign(&early, None, &table, &hsu, false), Match::BeforeTrain);
+    for k in 0..10 {
+        let frame = frame(61 + k as u64, camera(k), host(due(k)));
+        assert_eq!(number(matcher.assign(&frame, None, &table, &hsu, false)), k);
+    }
+}
+
+#[test]
+fn a_frame_waits_for_its_report_and_then_its_id_must_do() {
+    let hsu = ClockFit::new();
+    let clocks = ClockRelation { camera_minus_hsu_ns: Some(0), hsu_minus_host_ns: None };
+    let mut matcher = Matcher::new(PERIOD_NS, clocks);
+    let first = frame(1, due(0), 0);
+    assert_eq!(matcher.assign(&first, None, &full_table(0), &hsu, false), Match::Wait);
+    assert_eq!(matcher.assign(&first, None, &full_table(0), &hsu, false), Match::Wait);
+    assert_eq!(number(matcher.assign(&first, None, &full_table(1), &hsu, false)), 0);
+    let second = frame(2, due(1), 0);
+    assert_eq!(matcher.assign(&second, None, &full_table(1), &hsu, false), Match::Wait);
+    assert_eq!(number(matcher.assign(&second, None, &full_table(1), &hsu, true)), 1);
+}
+
+/// A camera that comes back with new ids and a new clock, while a trigger's worth of everything was missed.
+#[test]
+fn a_camera_that_is_back_lands_on_the_right_trigger_by_its_new_clock() {
+    let (hsu, table) = (hsu_clock(), full_table(200));
+    let mut matcher = Matcher::new(PERIOD_NS, ClockRelation::default());
+    for k in 0..20 {
+        matcher.clock_sample(&sample(due(k), due(k) + 9_000_000_000_000));
+    }
+    for k in 0..20 {
+        let frame = frame(500 + k as u64, due(k) + 9_000_000_000_000, host(due(k)));
+        assert_eq!(number(matcher.assign(&frame, None, &table, &hsu, false)), k);
+    }
+    matcher.lost();
+    for k in 100..110 {
+        matcher.clock_sample(&sample(due(k), due(k) - HSU_NS));
+    }
+    matcher.restart();
+    for k in 120..140 {
+        // The first one is a straggler: its arrival says nothing.
+        let late = if k == 120 { 30_000_000 } else { 0 };
+        let frame = frame(k as u64 - 119, due(k) - HSU_NS, host(due(k)) + late);
+        assert_eq!(number(matcher.assign(&frame, None, &table, &hsu, false)), k);
+    }
+}
+
+/// Triggers ignored at the moment of a reset: the ids cannot know, the new fit from clock samples can.
+#[test]
+fn a_new_fit_corrects_what_ids_alone_could_not_know() {
+    let (hsu, table) = (hsu_clock(), full_table(300));
+    let clocks = ClockRelation { camera_minus_hsu_ns: Some(0), hsu_minus_host_ns: None };
+    let mut matcher = Matcher::new(PERIOD_NS, clocks);
+    for k in 0..40 {
+        let answer = matcher.assign(&frame(1 + k as u64, due(k), host(due(k))), None, &table, &hsu, false);
+        assert_eq!(number(answer), k);
+    }
+    // Triggers 40 and 41 are ignored, the clock starts at zero.
+    let zero = |k: i64| due(k) - due(30);
+    let carried = matcher.assign(&frame(41, zero(42), host(due(42))), None, &table, &hsu, false);
+    assert_eq!(number(carried), 40, "by its id alone");
+    for k in 50..60 {
+        matcher.clock_sample(&sample(due(k), zero(k)));
+    }
+    let Match::Trigger(found) =
+        matcher.assign(&frame(42, zero(60), host(due(60))), None, &table, &hsu, false)
+    else {
+        panic!("expected a trigger");
+    };
+    assert_eq!(found.number, 60, "by the new fit");
+    let next = matcher.assign(&frame(43, zero(61), host(due(61))), None, &table, &hsu, false);
+    assert_eq!(number(next), 61);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(16))]
+
+    /// The same law for seeds that nobody chose.
+    #[test]
+    fn faults_of_any_seed_are_told_apart(seed in 1_000u64..1 << 40, wide in any::<bool>()) {
+        let (_, wrong) = play(seed, wide, 2_000);
+        prop_assert!(wrong.is_empty(), "{}: {}", wrong.len(), wrong[0]);
+    }
+}

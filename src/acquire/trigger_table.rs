@@ -1,0 +1,125 @@
+//! Times of the triggers so far, warm-up included: number to HSU time and back.
+
+use std::collections::VecDeque;
+
+/// One trigger's time; interpolated where its report is missing and both neighbours are known.
+#[derive(Debug, Clone, Copy)]
+struct Row {
+    hsu_ns: u64,
+    reported: bool,
+}
+
+/// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers.
+#[derive(Debug, Default)]
+pub struct TriggerTable {
+    first: i64,
+    rows: VecDeque<Row>,
+}
+
+/// Longest table: eleven days at 120 Hz. A wild number must not allocate without bound.
+const TRIGGERS_MAX: i64 = 120_000_000;
+/// Most warm-up triggers.
+const WARM_UP_MAX: i64 = 1_000_000;
+/// Most reports that may be missing in a row.
+const HOLE_MAX: i64 = 1_000_000;
+
+impl TriggerTable {
+    /// Notes a trigger's time. Reports may be repeated, and missing ones may come later. What cannot be is ignored:
+    /// a number out of all bounds, a time that is not between those of its neighbours.
+    pub fn insert(&mut self, number: i64, hsu_ns: u64) {
+        if !(-WARM_UP_MAX..TRIGGERS_MAX).contains(&number) {
+            return;
+        }
+        let Some(last) = self.rows.back().copied() else {
+            self.first = number;
+            return self.rows.push_back(Row { hsu_ns, reported: true });
+        };
+        let ahead = number - self.end() + 1;
+        if ahead > HOLE_MAX || number < self.first || (ahead > 0 && hsu_ns <= last.hsu_ns) {
+            return;
+        }
+        if ahead > 0 {
+            let span = u128::from(hsu_ns - last.hsu_ns);
+            for k in 1..ahead {
+                let between = (span * k as u128 / ahead as u128) as u64;
+                self.rows.push_back(Row { hsu_ns: last.hsu_ns + between, reported: false });
+            }
+            return self.rows.push_back(Row { hsu_ns, reported: true });
+        }
+        let place = (number - self.first) as usize;
+        let before = place.checked_sub(1).map_or(0, |i| self.rows[i].hsu_ns);
+        let after = self.rows.get(place + 1).map_or(u64::MAX, |row| row.hsu_ns);
+        if (before..after).contains(&hsu_ns) {
+            self.rows[place] = Row { hsu_ns, reported: true };
+        }
+    }
+
+    /// The time of a trigger.
+    pub fn time_ns(&self, number: i64) -> Option<u64> {
+        let place = usize::try_from(number.checked_sub(self.first)?).ok()?;
+        Some(self.rows.get(place)?.hsu_ns)
+    }
+
+    /// One more than the highest number reported; 0 before the first.
+    pub fn end(&self) -> i64 {
+        if self.rows.is_empty() { 0 } else { self.first + self.rows.len() as i64 }
+    }
+
+    /// How many triggers of the session itself there are, warm-up not counted.
+    pub fn len(&self) -> u64 {
+        self.end().max(0) as u64
+    }
+
+    /// Whether nothing was reported yet.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// Triggers up to the last whose report is missing.
+    pub fn missing(&self) -> usize {
+        self.rows.iter().filter(|row| !row.reported).count()
+    }
+
+    /// The time of the latest trigger.
+    pub fn latest_ns(&self) -> Option<u64> {
+        self.rows.back().map(|row| row.hsu_ns)
+    }
+
+    /// The trigger nearest in time, and how far `hsu_ns` lies after it.
+    pub fn nearest(&self, hsu_ns: i128) -> Option<(i64, i128)> {
+        let after = self.rows.partition_point(|row| i128::from(row.hsu_ns) < hsu_ns);
+        let around = after.saturating_sub(1)..(after + 1).min(self.rows.len());
+        let residual = |i: usize| (self.first + i as i64, hsu_ns - i128::from(self.rows[i].hsu_ns));
+        around.map(residual).min_by_key(|(_, residual)| residual.abs())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TriggerTable;
+
+    #[test]
+    fn missing_reports_are_bridged_and_late_ones_taken() {
+        let mut table = TriggerTable::default();
+        table.insert(-2, 1_000);
+        table.insert(2, 5_000);
+        assert_eq!((table.missing(), table.len(), table.end()), (3, 3, 3));
+        assert_eq!(table.time_ns(0), Some(3_000));
+        table.insert(0, 3_100);
+        assert_eq!((table.missing(), table.time_ns(0)), (2, Some(3_100)));
+        assert_eq!(table.nearest(3_300), Some((0, 200)));
+        assert_eq!(table.nearest(-50), Some((-2, -1_050)));
+        assert_eq!(table.nearest(9_000), Some((2, 4_000)));
+    }
+
+    #[test]
+    fn what_cannot_be_is_ignored() {
+        let mut table = TriggerTable::default();
+        table.insert(0, 1_000);
+        table.insert(1, 900);
+        table.insert(i64::MAX, 5_000);
+        table.insert(i64::MIN, 5_000);
+        table.insert(5_000_000, 6_000);
+        assert_eq!((table.end(), table.latest_ns()), (1, Some(1_000)));
+    }
+}
