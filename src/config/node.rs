@@ -8,6 +8,7 @@ use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// A GenICam feature's value as written in the configuration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -99,6 +100,8 @@ pub struct NodeConfig {
     pub packet_bytes: u32,
     /// How packets are received.
     pub socket: SocketMode,
+    /// Before arming no camera may send for this long; zero lets free-running cameras pass.
+    pub silence_gate: Duration,
     /// When frames come faster than the disk takes them.
     pub when_full: WhenFull,
     /// When a camera stops answering.
@@ -131,6 +134,7 @@ struct Acquisition {
     buffers_per_camera: usize,
     packet_bytes: u32,
     socket: SocketMode,
+    silence_gate: Duration,
     when_full: WhenFull,
     on_camera_lost: OnLoss,
     on_link_lost: OnLoss,
@@ -144,6 +148,7 @@ fn read_acquisition(section: Section<'_>) -> Acquisition {
         packet_bytes: section.integer_or("packet_bytes", 576..=65_000, 9000) as u32,
         socket: section
             .choice_or_first("socket", &[("auto", SocketMode::Auto), ("standard", SocketMode::Standard)]),
+        silence_gate: Duration::from_millis(section.integer_or("silence_gate_ms", 0..=60_000, 250)),
         when_full: section.choice_or_first(
             "when_full",
             &[("drop_frame_set", WhenFull::DropFrameSet), ("stop", WhenFull::Stop)],
@@ -208,6 +213,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         buffers_per_camera: acquisition.buffers_per_camera,
         packet_bytes: acquisition.packet_bytes,
         socket: acquisition.socket,
+        silence_gate: acquisition.silence_gate,
         when_full: acquisition.when_full,
         on_camera_lost: acquisition.on_camera_lost,
         on_link_lost: acquisition.on_link_lost,

@@ -112,7 +112,7 @@ impl Node {
                     Err(_) => self.recorder_gone(),
                 },
                 recv(reports) -> report => if let Ok(report) = report { self.attendant_reports(report) },
-                recv(links) -> hsu => if let Ok(hsu) = hsu { self.link_back(Some(hsu)) },
+                recv(links) -> hsu => if let Ok(hsu) = hsu { self.link_back(hsu) },
                 recv(stopped) -> _ => {
                     stopping = true;
                     self.take(Event::Abort("the node was told to shut down".to_owned()));

@@ -8,7 +8,7 @@ use crate::acquire::recorder::{FromRecorder, ToRecorder};
 use crate::api::dto::Outcome;
 use crate::cmds::Exit;
 use crate::config::OnLoss;
-use crate::hsu::{Hsu, HsuEvent, LinkLoss, trigger_index};
+use crate::hsu::{Fault as HsuFault, Hsu, HsuEvent, LinkLoss, trigger_index};
 use crate::ids::TriggerIndex;
 use crate::record::{NodeEvent, TriggerRecord};
 use crossbeam_channel::never;
@@ -52,13 +52,18 @@ impl Node {
             HsuEvent::Fault { session, fault } if Some(session) == ours => {
                 let message = format!("the HSU reports: {fault}");
                 self.note("hsu_fault", None, &message);
+                // The other node looks for its link; the train goes on, and so do we.
+                let other_link = matches!(fault, HsuFault::LinkSilent { .. });
+                let running = self.machine.phase() == Phase::Running;
+                if other_link && running && self.config.on_link_lost == OnLoss::Continue {
+                    return;
+                }
                 self.take(Event::Failed(Fault::new(Exit::Device, message)));
             }
             HsuEvent::LinkLost(LinkLoss::Restarted) => self.hsu_gone("it was restarted".to_owned()),
-            // The link comes back by itself, and asks for what it missed.
-            HsuEvent::LinkLost(LinkLoss::Silent) => self.link_lost("it does not answer".to_owned(), false),
-            HsuEvent::LinkLost(LinkLoss::Broken(cause)) => self.link_lost(cause, true),
-            HsuEvent::LinkBack => self.link_back(None),
+            // A cable that was pulled looks like a unit that is silent; both take a new connection.
+            HsuEvent::LinkLost(LinkLoss::Silent) => self.link_lost("it does not answer".to_owned()),
+            HsuEvent::LinkLost(LinkLoss::Broken(cause)) => self.link_lost(cause),
             _ => {}
         }
     }
@@ -72,29 +77,25 @@ impl Node {
     }
 
     /// The link is lost, not the HSU: as configured the session goes on, and the link is looked for.
-    pub(super) fn link_lost(&mut self, reason: String, reconnect: bool) {
+    pub(super) fn link_lost(&mut self, reason: String) {
         let goes_on = self.machine.phase() == Phase::Running && self.config.on_link_lost == OnLoss::Continue;
         if !goes_on {
             return self.hsu_gone(reason);
         }
         let message = lost_link_text(&reason);
         self.note("hsu_link_lost", None, &message);
-        if reconnect {
-            self.devices.drop_hsu(message);
-            self.in_session(|session| {
-                if let Some(keeper) = &session.link_keeper {
-                    keeper.reconnect(session.next_trigger);
-                }
-            });
-        }
+        self.devices.drop_hsu(message);
+        self.in_session(|session| {
+            if let Some(keeper) = &session.link_keeper {
+                keeper.reconnect(session.next_trigger);
+            }
+        });
         self.take(Event::LinkLost);
     }
 
-    /// The link is back, with a new connection where the old one was broken.
-    pub(super) fn link_back(&mut self, hsu: Option<Arc<Hsu>>) {
-        if let Some(hsu) = hsu {
-            self.devices.take_hsu(hsu);
-        }
+    /// The link is back, with a new connection.
+    pub(super) fn link_back(&mut self, hsu: Arc<Hsu>) {
+        self.devices.take_hsu(hsu);
         self.note("hsu_link_back", None, "the HSU answers again; triggers fired meanwhile are asked for");
         self.take(Event::LinkBack);
     }

@@ -21,10 +21,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// Trigger periods of silence before arming.
+/// Trigger periods of silence before arming, at least.
 const GATE_PERIODS: u32 = 10;
-/// At least so long: a camera that runs by itself may be slower than the triggers.
-const GATE_AT_LEAST: Duration = Duration::from_millis(250);
+/// Slow triggers do not make the gate longer than this.
 const GATE_AT_MOST: Duration = Duration::from_secs(2);
 
 impl Node {
@@ -133,12 +132,13 @@ impl Node {
 
     /// No camera may send while there is no trigger: its frames could be taken for those of the first triggers.
     pub(super) fn silence_gate(&mut self) -> Result<(), Fault> {
-        let Some(session) = &self.session else { return Ok(()) };
+        let gate = self.config.silence_gate;
+        let Some(session) = self.session.as_ref().filter(|_| !gate.is_zero()) else { return Ok(()) };
         let counts =
             || -> Vec<u64> { session.progress.heard.iter().map(|n| n.load(Ordering::Relaxed)).collect() };
         let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
         let before = counts();
-        std::thread::sleep((period * GATE_PERIODS).clamp(GATE_AT_LEAST, GATE_AT_MOST));
+        std::thread::sleep(gate.max(period * GATE_PERIODS).min(GATE_AT_MOST.max(gate)));
         let loud =
             before.iter().zip(counts()).zip(&session.cameras).filter(|((before, after), _)| *before != after);
         let names: Vec<&str> = loud.map(|(_, camera)| camera.id.as_str()).collect();
