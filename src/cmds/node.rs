@@ -3,6 +3,7 @@
 use super::{Exit, Failure};
 use crate::api::server;
 use crate::config::NodeConfig;
+use crate::record::recover::interrupted;
 use crate::session::driver::Driver;
 use std::path::PathBuf;
 
@@ -29,6 +30,14 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         let message = format!("cannot listen on {listen} (api.listen): {e}; is another node running?");
         Failure::new(Exit::Usage, message)
     })?;
+    for found in interrupted(&config.sessions_dir, config.node.as_str()) {
+        let session = found.path.parent().unwrap_or(&found.path).display();
+        tracing::warn!(
+            "the recording {} was interrupted ({}); what is in it can be made whole with: fourdbody recover {session} --out {session}-recovered",
+            found.path.display(),
+            found.reason
+        );
+    }
     let driver = Driver::start(config, backend).map_err(|e| Failure::new(Exit::Failure, e))?;
     let (commands, status) = (driver.commands(), driver.status());
     tracing::info!(%listen, "node is up");

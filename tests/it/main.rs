@@ -17,6 +17,7 @@ mod recording;
 mod recording_commands;
 mod recording_damage;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
+mod recover;
 mod refusals;
 #[cfg(feature = "aravis")]
 mod session_faults;
