@@ -1,5 +1,15 @@
-//! Calibrations: the versioned file (and, later, its computation from images).
+//! Calibrations: the versioned file, and its computation from photographs of a board (paper, section 4.2).
+//!
+//! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which.
 
+mod board;
+mod ellipse;
 mod file;
+mod lattice;
+mod spots;
 
+pub use board::{Board, Circle};
+pub use ellipse::{Ellipse, image_of_circle};
 pub use file::{CalibratedCamera, CalibratedHead, Calibration, CalibrationError};
+pub use lattice::{NotIdentified, Sighting, identify};
+pub use spots::{Spot, find_spots};

@@ -15,6 +15,7 @@ mod recording_commands;
 mod recording_damage;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
+mod shared_calibration;
 mod shared_scene;
 mod third_party_camera;
 mod third_party_mcap;
