@@ -71,7 +71,7 @@ pub fn identify(spots: &[Spot], board: &Board) -> Result<Vec<Sighting>, NotIdent
     };
     let rivals: Vec<&Fit> = fits.iter().filter(|fit| fit.wrong <= best + MISJUDGED).collect();
     match rivals.as_slice() {
-        [one] if one.turn < 4 => Err(NotIdentified::Mirrored),
+        [one] if one.turn >= 4 => Err(NotIdentified::Mirrored),
         [one] => Ok(places
             .iter()
             .filter_map(|(place, &spot)| {
