@@ -3,12 +3,14 @@
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which.
 
 mod board;
+mod bundle;
 mod ellipse;
 mod file;
 mod lattice;
 mod spots;
 
 pub use board::{Board, Circle};
+pub use bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
 pub use ellipse::{Ellipse, image_of_circle};
 pub use file::{CalibratedCamera, CalibratedHead, Calibration, CalibrationError};
 pub use lattice::{NotIdentified, Sighting, identify};
