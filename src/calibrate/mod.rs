@@ -8,6 +8,9 @@ mod ellipse;
 mod file;
 mod lattice;
 mod spots;
+pub mod stages;
+mod start;
+pub mod views;
 
 pub use board::{Board, Circle};
 pub use bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
