@@ -103,15 +103,16 @@ impl Ellipse {
 /// The eigenvector of a real 3 x 3 matrix that is an ellipse (4ac - b² > 0).
 fn ellipse_vector(matrix: &Matrix3<f64>) -> Option<Vector3<f64>> {
     let eigenvalues = matrix.complex_eigenvalues();
-    let candidates = eigenvalues.iter().filter(|e| e.im.abs() < 1e-9 * (1.0 + e.re.abs())).filter_map(|e| {
-        let shifted = matrix - Matrix3::identity() * e.re;
-        // The null space: the cross product of two rows that are furthest from parallel.
-        let row = |i: usize| Vector3::new(shifted[(i, 0)], shifted[(i, 1)], shifted[(i, 2)]);
-        let crosses = [row(0).cross(&row(1)), row(1).cross(&row(2)), row(2).cross(&row(0))];
-        let best = crosses.into_iter().max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()))?;
-        best.try_normalize(1e-300)
-    });
-    candidates.filter(|v| 4.0 * v[0] * v[2] - v[1] * v[1] > 0.0).next()
+    let mut candidates =
+        eigenvalues.iter().filter(|e| e.im.abs() < 1e-9 * (1.0 + e.re.abs())).filter_map(|e| {
+            let shifted = matrix - Matrix3::identity() * e.re;
+            // The null space: the cross product of two rows that are furthest from parallel.
+            let row = |i: usize| Vector3::new(shifted[(i, 0)], shifted[(i, 1)], shifted[(i, 2)]);
+            let crosses = [row(0).cross(&row(1)), row(1).cross(&row(2)), row(2).cross(&row(0))];
+            let best = crosses.into_iter().max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared()))?;
+            best.try_normalize(1e-300)
+        });
+    candidates.find(|v| 4.0 * v[0] * v[2] - v[1] * v[1] > 0.0)
 }
 
 /// The image of a circle on a board: `columns` are the board's x axis, y axis and the circle's centre in

@@ -1,12 +1,14 @@
 //! Calibrations: the versioned file, and its computation from photographs of a board (paper, section 4.2).
 //!
-//! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which.
+//! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` sorts
+//! the photographs, `bundle` adjusts lenses and poses, `stages` are the paper's three, `run` is all of it.
 
 mod board;
 mod bundle;
 mod ellipse;
 mod file;
 mod lattice;
+pub mod run;
 mod spots;
 pub mod stages;
 mod start;
@@ -15,6 +17,9 @@ pub mod views;
 pub use board::{Board, Circle};
 pub use bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
 pub use ellipse::{Ellipse, image_of_circle};
-pub use file::{CalibratedCamera, CalibratedHead, Calibration, CalibrationError};
+pub use file::{
+    CalibratedCamera, CalibratedHead, Calibration, CalibrationError, CameraResiduals, DeviceUncertainty,
+    HeadLink, Quality,
+};
 pub use lattice::{NotIdentified, Sighting, identify};
 pub use spots::{Spot, find_spots};

@@ -243,12 +243,12 @@ fn accumulate(
         };
         let places: [Option<usize>; BLOCK] = std::array::from_fn(place);
         for row in 0..if o.columns_only { 1 } else { 2 } {
-            for i in 0..BLOCK {
-                let Some(a) = places[i] else { continue };
+            for (i, place) in places.iter().enumerate() {
+                let Some(a) = *place else { continue };
                 let ji = scale * linear.jacobian[(row, i)];
                 gradient[a] += ji * linear.residual[row];
-                for k in 0..BLOCK {
-                    if let Some(b) = places[k] {
+                for (k, place) in places.iter().enumerate() {
+                    if let Some(b) = *place {
                         matrix[(a, b)] += ji * linear.jacobian[(row, k)];
                     }
                 }
