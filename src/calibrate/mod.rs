@@ -3,6 +3,7 @@
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` sorts
 //! the photographs, `bundle` adjusts lenses and poses, `stages` are the paper's three, `run` is all of it.
 
+pub mod artwork;
 mod board;
 mod bundle;
 mod ellipse;
