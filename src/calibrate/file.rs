@@ -53,6 +53,64 @@ pub struct Calibration {
     pub volume_max_m: [f64; 3],
     /// The heads, in the rig's order.
     pub heads: Vec<CalibratedHead>,
+    /// How well it agrees with the photographs it was made from; `None` for one that was not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quality: Option<Quality>,
+}
+
+/// Residuals and uncertainties of a calibration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Quality {
+    /// The board's name.
+    pub board: String,
+    /// Per camera.
+    pub cameras: Vec<CameraResiduals>,
+    /// Per head: RMS distance between the panel column that the phase names and the one that the geometry names, px.
+    pub projector_rms_px: Vec<(HeadId, f64)>,
+    /// Pairs of heads that saw the board together.
+    pub links: Vec<HeadLink>,
+    /// Around a closed loop of heads, mm.
+    pub loop_error_mm: Option<f64>,
+    /// Standard deviations of the estimates.
+    pub uncertainties: Vec<DeviceUncertainty>,
+}
+
+/// How well one camera's circles are explained.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraResiduals {
+    /// The camera.
+    pub camera: CameraId,
+    /// Positions of the board that it saw.
+    pub positions: usize,
+    /// Circles in them.
+    pub circles: usize,
+    /// RMS distance along one axis, px.
+    pub circles_rms_px: f64,
+}
+
+/// How well two heads agree on the positions that both saw.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HeadLink {
+    /// Their places in the rig.
+    pub heads: [usize; 2],
+    /// Positions that both saw.
+    pub positions: usize,
+    /// RMS distance of the board's corners, mm.
+    pub rms_mm: f64,
+}
+
+/// Standard deviations of one device's parameters: pixels for the lens, radians and metres for the pose; 0 where
+/// a parameter was held.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeviceUncertainty {
+    /// The camera, or the projector of a head.
+    pub device: String,
+    /// By name of the parameter.
+    pub sigma: std::collections::BTreeMap<String, f64>,
 }
 
 /// Why a calibration could not be used.
@@ -91,6 +149,7 @@ impl Calibration {
             volume_min_m: rig.volume_min_m,
             volume_max_m: rig.volume_max_m,
             heads,
+            quality: None,
         }
     }
 

@@ -7,6 +7,8 @@ use crate::config::ConfigError;
 use std::fmt;
 use std::process::ExitCode;
 
+pub mod board;
+pub mod calibrate;
 pub mod cameras;
 pub mod capture;
 pub mod check_config;

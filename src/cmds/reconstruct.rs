@@ -66,7 +66,7 @@ enum MethodName {
 }
 
 /// Opens a session: a directory of recordings, or of images.
-fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn FrameSource>, String> {
+pub(super) fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn FrameSource>, String> {
     if cameras.iter().any(|camera| path.join(camera.as_str()).is_dir()) {
         return Ok(Box::new(PngSource::open(path, cameras)?));
     }

@@ -57,7 +57,7 @@ impl fmt::Display for ConfigError {
 impl std::error::Error for ConfigError {}
 
 /// Reads a TOML file into a table.
-fn read_table(path: &Path) -> Result<toml::Table, ConfigError> {
+pub(crate) fn read_table(path: &Path) -> Result<toml::Table, ConfigError> {
     let whole = |message: String| ConfigError {
         path: path.to_owned(),
         problems: vec![Problem { key: String::new(), message }],

@@ -54,7 +54,8 @@ impl Lens {
         ((xd - tx).abs().max((yd - ty).abs()) < 1e-10).then_some([x, y])
     }
 
-    fn distorted(&self, x: f64, y: f64) -> [f64; 2] {
+    /// Distorted normalized coordinates, whatever the model means there.
+    pub(crate) fn distorted(&self, x: f64, y: f64) -> [f64; 2] {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
@@ -64,8 +65,8 @@ impl Lens {
         ]
     }
 
-    /// d(distorted)/d(x, y).
-    fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 2] {
+    /// d(distorted)/d(x, y), rows first.
+    pub(crate) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 2] {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));

@@ -21,6 +21,7 @@ mod recover;
 mod refusals;
 #[cfg(feature = "aravis")]
 mod session_faults;
+mod shared_calibration;
 mod shared_scene;
 mod third_party_camera;
 mod third_party_loss;

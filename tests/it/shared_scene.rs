@@ -190,3 +190,13 @@ fn a_batch_gives_the_same_bytes_for_any_threads_and_resumes() {
     let text = |summary| serde_json::to_string(summary).expect("JSON");
     assert_eq!(text(&again), text(&three));
 }
+
+/// The true geometry of a camera of the shared rig.
+pub fn device_of(scene: &Path, camera: &str) -> Device {
+    let rig: Value =
+        serde_json::from_slice(&std::fs::read(scene.join("rig.json")).expect("readable")).expect("JSON");
+    let heads = rig["heads"].as_array().expect("heads");
+    let all = heads.iter().flat_map(|head| head["cameras"].as_array().expect("cameras"));
+    let found = all.into_iter().find(|c| c["id"] == camera || c["name"] == camera);
+    device(found.unwrap_or_else(|| panic!("{camera} is not in the shared rig")))
+}

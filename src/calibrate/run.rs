@@ -1,0 +1,175 @@
+//! A whole calibration: looks through the photographs, runs the three stages, and says how well it went.
+
+use super::Calibration;
+use super::board::Board;
+use super::bundle::{Adjusted, DEVICE_PARAMETER_NAMES, Observation};
+use super::file::{CameraResiduals, DeviceUncertainty, HeadLink, Quality};
+use super::stages::{HeadResult, Rigging, StageError, Together, bring_together, calibration};
+use super::views::{Finding, Position, look};
+use crate::reconstruct::FrameSource;
+
+/// A calibration and how it came to be.
+#[derive(Debug)]
+pub struct Outcome {
+    /// The result.
+    pub calibration: Calibration,
+    /// What was left out, and why.
+    pub findings: Vec<Finding>,
+    /// The positions of the board.
+    pub positions: Vec<Position>,
+    /// Stages 1 and 2, per head.
+    pub heads: Vec<HeadResult>,
+    /// Stage 3.
+    pub together: Together,
+}
+
+/// Why there is no calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrateError {
+    /// The photographs cannot be read.
+    #[error("{0}")]
+    Source(String),
+    /// A stage failed; with everything that was left out before.
+    #[error("{error}{}", list(.findings))]
+    Stage {
+        /// What failed.
+        error: StageError,
+        /// What was left out.
+        findings: Vec<Finding>,
+    },
+}
+
+fn list(findings: &[Finding]) -> String {
+    findings.iter().map(|f| format!("\n  {} trigger {}: {}", f.camera, f.trigger, f.message)).collect()
+}
+
+/// Calibrates all heads of `nominal`; with `partial`, those that can be.
+pub fn calibrate(
+    source: &dyn FrameSource,
+    nominal: &Calibration,
+    board: &Board,
+    partial: bool,
+) -> Result<Outcome, CalibrateError> {
+    let (positions, findings) = look(source, nominal, board).map_err(CalibrateError::Source)?;
+    let all = Rigging { nominal, board, positions: &positions };
+    let mut heads = Vec::new();
+    for head in 0..nominal.heads.len() {
+        match all.calibrate_head(head) {
+            Ok(result) => heads.push(result),
+            Err(StageError::Positions { found: 0, .. }) if partial => {}
+            Err(error) => return Err(CalibrateError::Stage { error, findings }),
+        }
+    }
+    let stage = |error, findings| CalibrateError::Stage { error, findings };
+    let used: Vec<usize> = heads.iter().map(|h| h.head).collect();
+    if used.is_empty() {
+        let head = nominal.heads.first().map_or(String::new(), |h| h.id.to_string());
+        return Err(stage(StageError::Positions { head, found: 0 }, findings));
+    }
+    let together = match bring_together(&all, &heads) {
+        Ok(together) => together,
+        Err(error) => return Err(stage(error, findings)),
+    };
+    let mut kept = nominal.clone();
+    let mut place = 0..;
+    kept.heads.retain(|_| place.next().is_some_and(|p| used.contains(&p)));
+    let origin = format!("photographs of board {}", board.name);
+    let mut result = calibration(&kept, origin, &together.all.model);
+    result.quality = Some(quality(&kept, board, &together));
+    Ok(Outcome { calibration: result, findings, positions, heads, together })
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, n) = values.fold((0.0, 0.0), |(sum, n), x| (sum + x * x, n + 1.0));
+    (n > 0.0).then(|| (sum / n).sqrt())
+}
+
+fn quality(kept: &Calibration, board: &Board, together: &Together) -> Quality {
+    let mut device = 0;
+    let (mut cameras, mut uncertainties) = (Vec::new(), Vec::new());
+    for head in &kept.heads {
+        let projector = device + head.cameras.len();
+        for camera in &head.cameras {
+            cameras.push(CameraResiduals {
+                camera: camera.id.clone(),
+                positions: seen_positions(&together.observations, device),
+                circles: together.observations.iter().filter(|o| o.device == device).count(),
+                circles_rms_px: device_rms(&together.all, &together.observations, device).unwrap_or(0.0),
+            });
+            uncertainties.push(uncertainty(camera.id.to_string(), &together.all, device));
+            device += 1;
+        }
+        uncertainties.push(uncertainty(format!("projector of {}", head.id), &together.all, projector));
+        device += 1;
+    }
+    let mut device = 0;
+    let projectors = kept.heads.iter().map(|head| {
+        device += head.cameras.len() + 1;
+        (head.id.clone(), device_rms(&together.all, &together.observations, device - 1).unwrap_or(0.0))
+    });
+    Quality {
+        board: board.name.clone(),
+        cameras,
+        projector_rms_px: projectors.collect(),
+        links: together
+            .links
+            .iter()
+            .map(|link| HeadLink { heads: link.heads, positions: link.positions, rms_mm: link.rms_m * 1e3 })
+            .collect(),
+        loop_error_mm: together.loop_error_m.map(|m| m * 1e3),
+        uncertainties,
+    }
+}
+
+fn seen_positions(observations: &[Observation], device: usize) -> usize {
+    let mut boards: Vec<usize> =
+        observations.iter().filter(|o| o.device == device).map(|o| o.board).collect();
+    boards.sort_unstable();
+    boards.dedup();
+    boards.len()
+}
+
+/// RMS of a device's residuals per coordinate, px, without what was left out.
+fn device_rms(adjusted: &Adjusted, observations: &[Observation], device: usize) -> Option<f64> {
+    let kept = adjusted.residuals.iter().zip(observations).zip(&adjusted.outliers);
+    let mine = kept.filter(|((_, o), out)| o.device == device && !**out);
+    rms(mine.flat_map(|((r, o), _)| if o.columns_only { vec![r[0]] } else { r.to_vec() }))
+}
+
+fn uncertainty(device: String, adjusted: &Adjusted, number: usize) -> DeviceUncertainty {
+    let values = DEVICE_PARAMETER_NAMES.iter().zip(adjusted.device_sigma[number]);
+    DeviceUncertainty { device, sigma: values.map(|(name, sigma)| ((*name).to_owned(), sigma)).collect() }
+}
+
+impl Outcome {
+    /// For people.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = vec![format!("{} positions of the board", self.positions.len())];
+        let Some(quality) = &self.calibration.quality else { return lines };
+        lines.extend(quality.cameras.iter().map(|c| {
+            format!(
+                "  {}: {} circles in {} positions, {:.4} px rms",
+                c.camera, c.circles, c.positions, c.circles_rms_px
+            )
+        }));
+        lines.extend(
+            quality
+                .projector_rms_px
+                .iter()
+                .map(|(head, rms)| format!("  projector of {head}: {rms:.4} panel px rms")),
+        );
+        lines.extend(quality.links.iter().map(|link| {
+            format!(
+                "  heads {} and {}: {} common positions, {:.3} mm rms",
+                link.heads[0], link.heads[1], link.positions, link.rms_mm
+            )
+        }));
+        lines.extend(quality.loop_error_mm.map(|mm| format!("  around all heads: {mm:.3} mm")));
+        lines.extend(
+            self.findings
+                .iter()
+                .map(|f| format!("  left out: {} trigger {}: {}", f.camera, f.trigger, f.message)),
+        );
+        lines
+    }
+}
