@@ -32,6 +32,8 @@ pub struct LaboratoryOptions {
     pub segment_mib: u64,
     /// Frame buffers per camera.
     pub buffers_per_camera: usize,
+    /// Block id of the first frame of every acquisition: 1, unless a test wants the ids to wrap early.
+    pub first_block_id: u64,
     /// How the nodes receive packets.
     pub socket: SocketMode,
 }
@@ -48,6 +50,7 @@ impl LaboratoryOptions {
             reserve_mib: 256,
             segment_mib: 16_384,
             buffers_per_camera: 32,
+            first_block_id: 1,
             socket: SocketMode::Auto,
         }
     }
@@ -127,6 +130,7 @@ impl Laboratory {
             let mut setup = CameraOptions::new(&format!("SIM{number:04}"), address, images(&camera.id));
             setup.user_name = camera.id.to_string();
             setup.triggers = triggers;
+            setup.first_block_id = options.first_block_id;
             // Every clock of its own, as in the laboratory.
             setup.clock = ClockOptions {
                 offset_ns: 1_000_000_000 * (1 + u64::from(number)),

@@ -19,12 +19,17 @@ pub const SIZE: (usize, usize) = (320, 200);
 
 /// The shipped rig with small sensors and this trigger rate.
 pub fn small_rig(rate_hz: f64) -> String {
+    rig_of(rate_hz, SIZE)
+}
+
+/// The shipped rig with sensors of this size.
+pub fn rig_of(rate_hz: f64, (width, height): (usize, usize)) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let text = std::fs::read_to_string(path).expect("config/rig.toml is in the repository");
     text.replace("trigger_rate_hz = 120.0", &format!("trigger_rate_hz = {rate_hz:?}"))
-        .replace("width = 1920", &format!("width = {}", SIZE.0))
-        .replace("height = 1200", &format!("height = {}", SIZE.1))
-        .replace("focal_px = 2048.0", "focal_px = 341.0")
+        .replace("width = 1920", &format!("width = {width}"))
+        .replace("height = 1200", &format!("height = {height}"))
+        .replace("focal_px = 2048.0", &format!("focal_px = {:?}", (2048 * width / 1920) as f64))
 }
 
 /// A laboratory whose cameras send [`TestImages`]; every test takes its own `subnet` of 127.0.0.0/16.
@@ -36,14 +41,34 @@ pub fn laboratory(dir: &Path, subnet: u8, rate_hz: f64) -> Laboratory {
     start_laboratory(&options)
 }
 
+/// A laboratory with sensors of this size, whose block ids begin at `first_block_id`.
+pub fn laboratory_of(
+    dir: &Path,
+    subnet: u8,
+    rate_hz: f64,
+    size: (usize, usize),
+    first_block_id: u64,
+) -> Laboratory {
+    let mut options = LaboratoryOptions::new(rig_of(rate_hz, size), dir);
+    options.first_address = Ipv4Addr::new(127, 0, subnet, 11);
+    options.first_port = 0;
+    options.reserve_mib = 1;
+    options.first_block_id = first_block_id;
+    start(&options, size)
+}
+
 /// Starts a laboratory with options of the test's own.
 pub fn start_laboratory(options: &LaboratoryOptions) -> Laboratory {
+    start(options, SIZE)
+}
+
+fn start(options: &LaboratoryOptions, size: (usize, usize)) -> Laboratory {
     // A packet socket sees the traffic of other tests on this host for a moment after it is made.
     let options = &LaboratoryOptions { socket: SocketMode::Standard, ..options.clone() };
     let mut number = 0;
     let images = |_: &_| {
         number += 1;
-        Arc::new(TestImages::new(SIZE.0, SIZE.1, number, TestImages::DISTINCT)) as _
+        Arc::new(TestImages::new(size.0, size.1, number, TestImages::DISTINCT)) as _
     };
     Laboratory::start(options, images).expect("the laboratory starts")
 }

@@ -1,0 +1,87 @@
+//! Many sessions in one process, and one session that is long: nothing grows, ids wrap unnoticed.
+
+use crate::lab::{fourdbody, laboratory_of, start_nodes, text_of};
+use fourdbody::ids::TriggerIndex;
+use fourdbody::reconstruct::FrameSource;
+use fourdbody::record::SessionReader;
+use fourdbody_simulator::gige::TestImages;
+use std::path::Path;
+
+fn asked(variable: &str, otherwise: u64) -> u64 {
+    std::env::var(variable).ok().and_then(|n| n.parse().ok()).unwrap_or(otherwise)
+}
+
+/// Resident memory (KiB), threads and open descriptors of a process.
+fn usage(pid: u32) -> [u64; 3] {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("a process");
+    let field = |name: &str| {
+        let line = status.lines().find(|line| line.starts_with(name)).expect("a field");
+        line.split_whitespace().nth(1).and_then(|n| n.parse().ok()).expect("a number")
+    };
+    let descriptors = std::fs::read_dir(format!("/proc/{pid}/fd")).expect("a process").count() as u64;
+    [field("VmRSS:"), field("Threads:"), descriptors]
+}
+
+/// `FOURDBODY_CYCLES` sessions of three triggers in the same two node processes.
+#[test]
+fn sessions_in_a_row_leave_nothing_behind() {
+    let cycles = asked("FOURDBODY_CYCLES", 20);
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory_of(dir.path(), 145, 100.0, (64, 48), 1);
+    let mut nodes = start_nodes(&laboratory);
+    let mut seen = Vec::new();
+    for cycle in 0..cycles {
+        let name = format!("cycle-{cycle}");
+        let output = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "3", "--name", &name]);
+        assert_eq!(output.status.code(), Some(0), "cycle {cycle}: {}", text_of(&output));
+        nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+        std::fs::remove_dir_all(dir.path().join("sessions").join(&name)).expect("recorded");
+        if cycle + 1 == cycles / 4 || cycle + 1 == cycles {
+            seen.push(usage(nodes[0].pid()));
+        }
+    }
+    println!("{cycles} cycles: KiB, threads and descriptors after a quarter {:?}, at the end {:?}", seen[0], seen[1]);
+    let [[before, threads, descriptors], [after, threads_after, descriptors_after]] = [seen[0], seen[1]];
+    assert_eq!((threads_after, descriptors_after), (threads, descriptors));
+    assert!(after < before + before / 5 + 4096, "{before} KiB after a quarter, {after} KiB at the end");
+}
+
+/// `FOURDBODY_TRIGGERS` triggers; the ids begin shortly before their wrap, so that a short run wraps as well.
+#[test]
+fn block_ids_wrap_within_a_session() {
+    let triggers = asked("FOURDBODY_TRIGGERS", 600);
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory_of(dir.path(), 146, 200.0, (64, 48), 65_300);
+    let _nodes = start_nodes(&laboratory);
+    let count = triggers.to_string();
+    let output = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", &count, "--name", "long"]);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", text_of(&output));
+    let session = dir.path().join("sessions/long");
+    let verified = fourdbody(&["verify", &session.display().to_string()]);
+    assert_eq!(verified.status.code(), output.status.code(), "{}", text_of(&verified));
+    let (frames, wrapped) = right_frames(&session, triggers);
+    println!("{triggers} triggers: {frames} frames of {}, {wrapped} cameras whose ids wrapped", 8 * triggers);
+    assert_eq!(wrapped, 8);
+    assert!(frames * 100 >= 8 * triggers * 99, "a busy machine may lose a few: {frames}");
+}
+
+/// Frames, each checked against its image; and the cameras whose block ids fell once.
+fn right_frames(session: &Path, triggers: u64) -> (u64, usize) {
+    let reader = SessionReader::open(session).expect("readable");
+    assert_eq!(reader.triggers(), 0..triggers);
+    let (mut frames, mut wrapped) = (0, 0);
+    for (number, camera) in (1..).zip(reader.cameras()) {
+        let (mut last, mut falls) = (0, 0);
+        for trigger in reader.triggers() {
+            let Ok(frame) = reader.recorded_frame(camera, TriggerIndex(trigger)).expect("intact") else { continue };
+            let stamp = TestImages::identify(frame.image.as_slice(), frame.image.width()).expect("a test image");
+            let shown = (stamp.camera, u64::from(stamp.instant) % TestImages::DISTINCT as u64);
+            assert_eq!(shown, (number, trigger % TestImages::DISTINCT as u64), "{camera} {trigger}");
+            falls += usize::from(frame.meta.block.0 < last);
+            last = frame.meta.block.0;
+            frames += 1;
+        }
+        wrapped += usize::from(falls > 0);
+    }
+    (frames, wrapped)
+}
