@@ -6,13 +6,15 @@
 //! * Late blocks of a reused stream are thrown away silently: every arm makes a fresh stream.
 //! * Automatic packet size may exceed the MTU: the size is explicit, adjustment is off.
 //! * An incomplete frame holds back later ones for `frame-retention`: it is set to a few trigger periods.
+//! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`].
 //! * The receive thread is Aravis' own; blocks travel to it and back through its queues.
 
+use super::canary::Canaries;
 use super::{
     AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing,
     FrameStream, Received, StreamOptions, Transfer, matches,
 };
-use crate::acquire::pool::Block;
+use crate::acquire::pool::{Block, ROOM_BYTES};
 use crate::config::{FeatureSetting, FeatureValue, SocketMode};
 use crate::ids::BlockId;
 use crate::time::monotonic_ns;
@@ -246,7 +248,15 @@ impl Camera for AravisCamera {
         if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
             tune(gv, options.period_ns);
         }
-        Ok(Box::new(AravisStream::new(stream, blocks)))
+        let canaries = match (self.device.downcast_ref::<aravis::GvDevice>(), blocks.first()) {
+            // The size that the camera made of the one asked for: packets have their places by it.
+            (Some(gv), Some(block)) => {
+                let bytes = gv.packet_size().map_err(link_error("reading the packet size"))?;
+                Some(Canaries::new(block.pixels().len(), usize::try_from(bytes).unwrap_or(0)))
+            }
+            _ => None,
+        };
+        Ok(Box::new(AravisStream::new(stream, blocks, canaries)))
     }
 
     fn start(&mut self) -> Result<(), CameraError> {
@@ -276,13 +286,16 @@ struct AravisStream {
     parked: Vec<Option<aravis::Buffer>>,
     home: Sender<Block>,
     returns: Receiver<Block>,
+    /// What a whole frame overwrites; other transports have no packets that could be cut.
+    canaries: Option<Canaries>,
 }
 
 impl AravisStream {
-    fn new(stream: aravis::Stream, blocks: Vec<Block>) -> Self {
+    fn new(stream: aravis::Stream, blocks: Vec<Block>, canaries: Option<Canaries>) -> Self {
         let (home, returns) = bounded(blocks.len().max(1));
         let (mut lent, mut parked) = (Vec::new(), Vec::new());
         for mut block in blocks {
+            plant(canaries.as_ref(), &mut block);
             let (pointer, length) = (block.pixel_pointer(), block.pixels().len());
             // SAFETY: the block's memory stays allocated while Aravis holds the buffer: it waits untouched in
             // `lent`, and `drop` ends the stream before the blocks are freed.
@@ -291,12 +304,13 @@ impl AravisStream {
             lent.push(Some(block));
             parked.push(None);
         }
-        Self { stream, lent, parked, home, returns }
+        Self { stream, lent, parked, home, returns, canaries }
     }
 
     /// Lends blocks that came back to Aravis again.
     fn recycle(&mut self) {
         for mut block in self.returns.try_iter() {
+            plant(self.canaries.as_ref(), &mut block);
             let pointer = block.pixel_pointer();
             // The buffer that wraps this memory.
             let slot = self.parked.iter().position(|b| b.as_ref().is_some_and(|b| b.data().0 == pointer));
@@ -307,6 +321,13 @@ impl AravisStream {
                 }
             }
         }
+    }
+}
+
+/// Marks a block's pixels before it is lent.
+fn plant(canaries: Option<&Canaries>, block: &mut Block) {
+    if let Some(canaries) = canaries {
+        canaries.plant(&mut block.bytes_mut()[ROOM_BYTES..]);
     }
 }
 
@@ -324,7 +345,9 @@ impl FrameStream for AravisStream {
             aravis::BufferStatus::Success => {
                 let (_, _, width, height) = buffer.image_region();
                 let pixels = i64::from(width) * i64::from(height);
+                let cut = || self.canaries.as_ref().and_then(|canaries| canaries.survivor(block.pixels()));
                 match usize::try_from(pixels) == Ok(block.pixels().len()) {
+                    true if cut().is_some() => Transfer::Unwritten,
                     true => Transfer::Complete,
                     false => Transfer::SizeMismatch,
                 }
