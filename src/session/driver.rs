@@ -79,10 +79,20 @@ impl Driver {
         Arc::clone(&self.status)
     }
 
+    /// Asks for the end: a session in progress is ended with its verdict, then the thread. Does not wait.
+    pub fn request_stop(&self) {
+        // One request is enough, and a thread that is gone already needs no telling.
+        let _ = self.stop.try_send(());
+    }
+
+    /// Whether the thread has ended, and the published status is its last.
+    pub fn has_ended(&self) -> bool {
+        self.thread.is_finished()
+    }
+
     /// Ends a session in progress with its verdict, then the thread.
     pub fn shut_down(self) {
-        // A thread that is gone already needs no telling.
-        let _ = self.stop.send(());
+        self.request_stop();
         if self.thread.join().is_err() {
             tracing::error!("the node's thread panicked");
         }
