@@ -3,6 +3,7 @@
 //! The checksum is computed here, so that it covers the way through the recorder and is spread over cores.
 
 use super::pool::Block;
+use super::realtime;
 use crate::camera::{FrameStream, Transfer};
 use crate::ids::BlockId;
 use crate::record::envelope::pixels_crc;
@@ -53,6 +54,7 @@ impl Receiver {
         let stop = Arc::new(AtomicBool::new(false));
         let stopping = Arc::clone(&stop);
         let thread = std::thread::Builder::new().name(format!("receive-{camera}")).spawn(move || {
+            realtime::enter_configured("receiver");
             while !stopping.load(Ordering::Acquire) {
                 let Some(frame) = stream.next(PATIENCE) else { continue };
                 let complete = frame.transfer == Transfer::Complete;

@@ -23,6 +23,9 @@ pub struct NodeStatus {
     pub cameras: Vec<CameraStatus>,
     /// Its link to the HSU.
     pub hsu: HsuStatus,
+    /// What was asked of the system and refused (real-time priority, locked memory): the node works without.
+    #[serde(default)]
+    pub warnings: Vec<String>,
     /// Where sessions are recorded.
     pub sessions_dir: PathBuf,
     /// Free space there, bytes.

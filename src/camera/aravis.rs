@@ -15,13 +15,15 @@ use super::{
     FrameStream, Received, StreamOptions, Transfer, matches,
 };
 use crate::acquire::pool::{Block, ROOM_BYTES};
+use crate::acquire::realtime;
 use crate::config::{FeatureSetting, FeatureValue, SocketMode};
 use crate::ids::BlockId;
 use crate::time::monotonic_ns;
 use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};
-use std::ffi::CStr;
+use glib::translate::{ToGlibPtr, from_glib_full};
+use std::ffi::{CStr, c_void};
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -244,7 +246,7 @@ impl Camera for AravisCamera {
             };
             self.camera.gv_set_stream_options(socket);
         }
-        let stream = self.camera.create_stream().map_err(link_error("creating the stream"))?;
+        let stream = new_stream(&self.camera).map_err(link_error("creating the stream"))?;
         if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
             tune(gv, options.period_ns);
         }
@@ -265,6 +267,40 @@ impl Camera for AravisCamera {
 
     fn stop(&mut self) -> Result<(), CameraError> {
         self.camera.stop_acquisition().map_err(link_error("stopping the acquisition"))
+    }
+}
+
+/// Creates a stream whose thread, Aravis' own, asks for its priority and cores when it starts.
+fn new_stream(camera: &aravis::Camera) -> Result<aravis::Stream, glib::Error> {
+    let mut error = std::ptr::null_mut();
+    // SAFETY: the camera lives during the call; the callback uses no data and lives for ever; `error` is null, as
+    // GLib asks. The result is a new reference, or null with `error` set, which is ours then.
+    unsafe {
+        let stream = aravis_sys::arv_camera_create_stream(
+            camera.to_glib_none().0,
+            Some(on_stream_thread),
+            std::ptr::null_mut(),
+            &mut error,
+        );
+        match (error.is_null(), stream.is_null()) {
+            (true, false) => Ok(from_glib_full(stream)),
+            (true, true) => Err(glib::Error::new(aravis::DeviceError::Unknown, "Aravis gave no stream")),
+            (false, _) => Err(from_glib_full(error)),
+        }
+    }
+}
+
+/// Called by Aravis in the stream's thread.
+///
+/// # Safety
+/// Takes anything: it looks at the kind alone.
+unsafe extern "C" fn on_stream_thread(
+    _: *mut c_void,
+    kind: aravis_sys::ArvStreamCallbackType,
+    _: *mut aravis_sys::ArvBuffer,
+) {
+    if kind == aravis_sys::ARV_STREAM_CALLBACK_TYPE_INIT {
+        realtime::enter_configured("stream");
     }
 }
 

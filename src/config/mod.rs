@@ -8,7 +8,7 @@ mod node;
 mod rig;
 mod section;
 
-pub use node::{CameraConfig, FeatureSetting, FeatureValue, NodeConfig, SocketMode};
+pub use node::{CameraConfig, FeatureSetting, FeatureValue, NodeConfig, Realtime, SocketMode};
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
 

@@ -2,10 +2,12 @@
 
 use super::devices::PreparedCamera;
 use super::state::SessionRequest;
+use crate::acquire::realtime;
 use crate::acquire::receiver::Receiver as StreamReceiver;
 use crate::acquire::recorder::{FromRecorder, Progress, ToRecorder};
 use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
-use crate::record::Recording;
+use crate::record::{NodeEvent, Recording};
+use crate::time::host_time_ns;
 use crossbeam_channel::{Receiver, Sender, never};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -25,6 +27,8 @@ pub(super) struct Session {
     pub(super) receivers: Vec<StreamReceiver>,
     pub(super) outcome: Option<Outcome>,
     pub(super) lost_reported: bool,
+    /// How many of the process's warnings are in the recording.
+    warnings_told: usize,
 }
 
 impl Session {
@@ -41,6 +45,7 @@ impl Session {
             receivers: Vec::new(),
             outcome: None,
             lost_reported: false,
+            warnings_told: 0,
         }
     }
 
@@ -49,6 +54,24 @@ impl Session {
             // A recorder that is gone is noticed by its event channel.
             drop(recorder.send(message));
         }
+    }
+
+    /// Puts what the system refused into the recording, once each.
+    pub(super) fn tell_warnings(&mut self) {
+        if self.to_recorder.is_none() {
+            return;
+        }
+        let warnings = realtime::warnings();
+        for warning in warnings.iter().skip(self.warnings_told) {
+            self.tell(ToRecorder::Event(NodeEvent {
+                host_time_ns: host_time_ns(),
+                kind: warning.kind.to_owned(),
+                camera: None,
+                trigger: None,
+                message: warning.message.clone(),
+            }));
+        }
+        self.warnings_told = warnings.len();
     }
 
     /// Ends the recorder's thread, if it has not ended by itself.

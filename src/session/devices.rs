@@ -2,7 +2,7 @@
 
 use super::state::Fault;
 use crate::acquire::matcher::ClockRelation;
-use crate::acquire::pool::Block;
+use crate::acquire::pool::{Pool, block_bytes};
 use crate::acquire::receiver::{Arrival, Receiver};
 use crate::api::dto::{CameraStatus, HsuStatus};
 use crate::camera::{
@@ -56,6 +56,8 @@ const CLOCK_SAMPLES: usize = 8;
 pub struct Devices {
     backend: Box<dyn CameraBackend>,
     slots: Vec<Slot>,
+    /// Frame memory, kept between sessions.
+    pool: Pool,
     hsu: Option<Hsu>,
     hsu_problem: Option<String>,
     config: NodeConfig,
@@ -77,8 +79,12 @@ impl Devices {
                 .find(|(_, known)| known.id == camera.id)
                 .map_or((0, 0), |(_, known)| (known.device.width, known.device.height)),
         };
+        let slots: Vec<Slot> = config.cameras.iter().map(slot).collect();
+        let blocks = |slot: &Slot| config.buffers_per_camera * block_bytes(slot.size.0 * slot.size.1);
+        let needed: usize = slots.iter().map(blocks).sum();
         Self {
-            slots: config.cameras.iter().map(slot).collect(),
+            pool: Pool::new(config.realtime.lock_memory, needed as u64),
+            slots,
             backend,
             hsu: None,
             hsu_problem: not_yet(),
@@ -266,8 +272,8 @@ impl Devices {
         let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
         let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
         let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
-        let blocks = (0..self.config.buffers_per_camera).map(|_| Block::allocate(pixel_bytes));
-        let stream = camera.create_stream(blocks.collect(), &options).map_err(|e| fault(e.to_string()))?;
+        let blocks = self.pool.take(pixel_bytes, self.config.buffers_per_camera);
+        let stream = camera.create_stream(blocks, &options).map_err(|e| fault(e.to_string()))?;
         Receiver::start(i, stream, recorder).map_err(|e| fault(format!("cannot start its thread: {e}")))
     }
 

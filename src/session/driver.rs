@@ -4,6 +4,7 @@ use super::current::Session;
 use super::devices::{Devices, PreparedCamera, unique_id};
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
 use crate::acquire::matcher::{ClockRelation, Matcher};
+use crate::acquire::realtime;
 use crate::acquire::receiver::Arrival;
 use crate::acquire::recorder::{FromRecorder, LaneSetup, Recorder, RecorderOptions, ToRecorder, WhenFull};
 use crate::api::dto::{NodeStatus, Outcome, SessionCommand};
@@ -39,6 +40,7 @@ const TICK: Duration = Duration::from_millis(100);
 impl Driver {
     /// Starts the node's thread.
     pub fn start(config: NodeConfig, backend: Box<dyn CameraBackend>) -> std::io::Result<Self> {
+        realtime::configure(&config.realtime);
         let devices = Devices::new(&config, backend);
         let (commands, inbox) = bounded(16);
         let (stop, stopped) = bounded(1);
@@ -50,6 +52,7 @@ impl Driver {
             phase: Phase::Idle,
             cameras: devices.camera_statuses(),
             hsu: devices.hsu_status(),
+            warnings: Vec::new(),
             sessions_dir: config.sessions_dir.clone(),
             free_bytes: 0,
             session: None,
@@ -146,6 +149,7 @@ impl Node {
             Phase::Ready | Phase::Running => self.notice_lost_cameras(),
             _ => {}
         }
+        self.in_session(Session::tell_warnings);
         self.publish();
     }
 
@@ -525,6 +529,7 @@ impl Node {
         status.phase = self.machine.phase();
         status.cameras = cameras;
         status.hsu = hsu;
+        status.warnings = realtime::warnings().into_iter().map(|warning| warning.message).collect();
         status.free_bytes = free;
         status.session = session;
     }
