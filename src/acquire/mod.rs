@@ -7,6 +7,7 @@ pub mod clock;
 pub mod latency;
 pub mod matcher;
 pub mod pool;
+pub mod realtime;
 pub mod receiver;
 pub mod recorder;
 mod relation;

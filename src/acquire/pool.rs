@@ -1,38 +1,193 @@
-//! Frame memory: page-aligned blocks, allocated and touched before a session, returned by dropping.
+//! Frame memory: page-aligned blocks, mapped, locked and touched before a session, returned by dropping.
 //!
 //! A block holds room for the message envelope, then the pixels, so that a frame is written to disk from
-//! where the camera layer received it. Its pixels start on a page boundary.
+//! where the camera layer received it. Its pixels start on a page boundary. The node's [`Pool`] cuts blocks out of
+//! few large mappings, on huge pages where the kernel gives them, and keeps them from session to session: blocks of
+//! an ended stream go to its shelf, those that are still out with frames when they are dropped.
 
+use super::realtime::{limit_text, soft_limit, warn};
 use crossbeam_channel::Sender;
 use std::alloc::{Layout, alloc_zeroed, dealloc, handle_alloc_error};
 use std::fmt;
 use std::ptr::NonNull;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 /// Bytes kept before the pixels: one page, of which the envelope uses the end.
 pub const ROOM_BYTES: usize = 4096;
 
+/// Size and alignment of a huge page on x86-64 and on arm64 with 4 KiB pages.
+const HUGE_PAGE: usize = 2 << 20;
+
+/// Memory of one or several blocks, freed with the last of them.
+#[derive(Debug)]
+struct Region {
+    memory: NonNull<u8>,
+    source: Source,
+}
+
+#[derive(Debug)]
+enum Source {
+    /// An anonymous mapping: where it starts, before alignment, and its length.
+    Mapped { start: NonNull<u8>, length: usize },
+    /// The allocator.
+    Allocated(Layout),
+}
+
+// SAFETY: a region's memory is reached through its blocks only, each of which has bytes of its own.
+unsafe impl Send for Region {}
+// SAFETY: as above; the region itself gives no access.
+unsafe impl Sync for Region {}
+
+impl Region {
+    fn allocate(bytes: usize) -> Self {
+        let layout = Layout::from_size_align(bytes, ROOM_BYTES)
+            .expect("invariant: a node's frames fit in half the address space");
+        // SAFETY: the layout's size is at least ROOM_BYTES, hence not zero.
+        let memory = unsafe { alloc_zeroed(layout) };
+        let Some(memory) = NonNull::new(memory) else { handle_alloc_error(layout) };
+        Self { memory, source: Source::Allocated(layout) }
+    }
+
+    /// Maps memory that starts on a huge page's boundary; `None` where the system has none.
+    fn map(bytes: usize) -> Option<Self> {
+        let whole = bytes.checked_next_multiple_of(HUGE_PAGE)?;
+        let length = whole.checked_add(HUGE_PAGE)?;
+        let protection = libc::PROT_READ | libc::PROT_WRITE;
+        let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS;
+        // SAFETY: a fresh anonymous mapping at an address of the kernel's choice touches nothing that exists.
+        let start = unsafe { libc::mmap(std::ptr::null_mut(), length, protection, flags, -1, 0) };
+        if start == libc::MAP_FAILED {
+            return None;
+        }
+        let start = NonNull::new(start.cast::<u8>())?;
+        let offset = start.as_ptr().align_offset(HUGE_PAGE);
+        // SAFETY: the offset is less than a huge page, and the mapping is one huge page longer than `whole`.
+        let memory = unsafe { start.add(offset) };
+        // SAFETY: the range lies in the mapping just made; the advice changes how it is backed, not what it holds.
+        // A kernel without huge pages refuses it, and ordinary pages serve.
+        unsafe { libc::madvise(memory.as_ptr().cast(), whole, libc::MADV_HUGEPAGE) };
+        Some(Self { memory, source: Source::Mapped { start, length } })
+    }
+
+    /// Keeps the pages in memory, whatever happens.
+    fn lock(&self, bytes: usize) -> std::io::Result<()> {
+        // SAFETY: the range lies in the region; locking changes nothing that it holds.
+        match unsafe { libc::mlock(self.memory.as_ptr().cast(), bytes) } {
+            0 => Ok(()),
+            _ => Err(std::io::Error::last_os_error()),
+        }
+    }
+}
+
+impl Drop for Region {
+    fn drop(&mut self) {
+        match self.source {
+            // SAFETY: mapped in `map` with this start and length, and no block is left. It also unlocks.
+            Source::Mapped { start, length } => drop(unsafe { libc::munmap(start.as_ptr().cast(), length) }),
+            // SAFETY: allocated in `allocate` with this layout, and no block is left.
+            Source::Allocated(layout) => unsafe { dealloc(self.memory.as_ptr(), layout) },
+        }
+    }
+}
+
+/// Blocks that no stream has.
+type Shelf = Mutex<Vec<Block>>;
+
+fn open(shelf: &Shelf) -> MutexGuard<'_, Vec<Block>> {
+    // Only whole blocks are pushed and taken under the lock: what a panic left is whole.
+    shelf.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A node's frame blocks, in use and not.
+#[derive(Debug)]
+pub struct Pool {
+    shelf: Arc<Shelf>,
+    lock: bool,
+    /// Bytes that the node needs in all, for the warning.
+    needed: u64,
+}
+
+impl Pool {
+    /// An empty pool. With `lock`, memory is locked where the system permits; `needed_bytes` is what the whole node will
+    /// take ([`block_bytes`] for each block), for the warning where it does not.
+    pub fn new(lock: bool, needed_bytes: u64) -> Self {
+        Self { shelf: Arc::default(), lock, needed: needed_bytes }
+    }
+
+    /// `count` blocks for `pixel_bytes` of pixels each: those of earlier sessions first, then fresh ones, all touched.
+    /// Kept blocks of another size are freed.
+    pub fn take(&self, pixel_bytes: usize, count: usize) -> Vec<Block> {
+        let (mut blocks, others): (Vec<Block>, Vec<Block>) = {
+            let mut shelf = open(&self.shelf);
+            shelf.drain(..).partition(|block| block.size == ROOM_BYTES + pixel_bytes)
+        };
+        drop(others);
+        let surplus = blocks.split_off(count.min(blocks.len()));
+        open(&self.shelf).extend(surplus);
+        let missing = count - blocks.len();
+        if missing > 0 {
+            blocks.extend(self.make(pixel_bytes, missing));
+        }
+        for block in &mut blocks {
+            block.shelf = Some(Arc::downgrade(&self.shelf));
+        }
+        blocks
+    }
+
+    /// Blocks in the pool that no stream has.
+    pub fn idle(&self) -> usize {
+        open(&self.shelf).len()
+    }
+
+    fn make(&self, pixel_bytes: usize, count: usize) -> Vec<Block> {
+        let bytes = block_bytes(pixel_bytes) * count;
+        let region = Arc::new(Region::map(bytes).unwrap_or_else(|| Region::allocate(bytes)));
+        if self.lock
+            && let Err(error) = region.lock(bytes)
+        {
+            let limit = limit_text(soft_limit(libc::RLIMIT_MEMLOCK));
+            let message = format!(
+                "frame memory is not locked ({error}): RLIMIT_MEMLOCK is {limit} bytes, needed {}; set LimitMEMLOCK, or lock_memory = false",
+                self.needed
+            );
+            warn("memory_not_locked", message);
+        }
+        (0..count).map(|i| Block::cut(&region, i * block_bytes(pixel_bytes), pixel_bytes)).collect()
+    }
+}
+
+/// Bytes that a block takes of the memory: whole pages, so that all pixels start on one.
+pub fn block_bytes(pixel_bytes: usize) -> usize {
+    (ROOM_BYTES + pixel_bytes).next_multiple_of(ROOM_BYTES)
+}
+
 /// One frame's memory: `ROOM_BYTES` of room, then the pixels.
 pub struct Block {
     memory: NonNull<u8>,
-    layout: Layout,
+    size: usize,
+    region: Arc<Region>,
     home: Option<Sender<Block>>,
+    shelf: Option<Weak<Shelf>>,
 }
 
-// SAFETY: a block is the only owner of its memory; nothing in it is tied to a thread.
+// SAFETY: a block is the only owner of its bytes; nothing in it is tied to a thread.
 unsafe impl Send for Block {}
 // SAFETY: a shared block gives only shared slices.
 unsafe impl Sync for Block {}
 
 impl Block {
-    /// Allocates a block for `pixel_bytes` of pixels and touches every page.
+    /// Allocates a block of its own for `pixel_bytes` of pixels and touches every page.
     pub fn allocate(pixel_bytes: usize) -> Self {
+        Self::cut(&Arc::new(Region::allocate(block_bytes(pixel_bytes))), 0, pixel_bytes)
+    }
+
+    /// The block at `offset` of a region that is long enough. No two blocks share bytes: offsets are multiples of
+    /// [`block_bytes`].
+    fn cut(region: &Arc<Region>, offset: usize, pixel_bytes: usize) -> Self {
+        // SAFETY: the callers made the region at least `offset + block_bytes(pixel_bytes)` long.
+        let memory = unsafe { region.memory.add(offset) };
         let size = ROOM_BYTES + pixel_bytes;
-        let layout = Layout::from_size_align(size, ROOM_BYTES)
-            .expect("invariant: a frame fits in half the address space");
-        // SAFETY: the layout's size is at least ROOM_BYTES, hence not zero.
-        let memory = unsafe { alloc_zeroed(layout) };
-        let Some(memory) = NonNull::new(memory) else { handle_alloc_error(layout) };
-        let mut block = Self { memory, layout, home: None };
+        let mut block = Self { memory, size, region: Arc::clone(region), home: None, shelf: None };
         // Zeroed memory may be lazily mapped: writing once per page makes it resident before frame 0.
         block.bytes_mut().iter_mut().step_by(4096).for_each(|byte| *byte = 0);
         block
@@ -45,14 +200,14 @@ impl Block {
 
     /// Room and pixels.
     pub fn bytes(&self) -> &[u8] {
-        // SAFETY: the memory is initialized, `layout.size()` long and borrowed with self.
-        unsafe { std::slice::from_raw_parts(self.memory.as_ptr(), self.layout.size()) }
+        // SAFETY: the memory is initialized (both sources give zeros), `size` long and borrowed with self.
+        unsafe { std::slice::from_raw_parts(self.memory.as_ptr(), self.size) }
     }
 
     /// Room and pixels.
     pub fn bytes_mut(&mut self) -> &mut [u8] {
         // SAFETY: as in `bytes`, and self is borrowed uniquely.
-        unsafe { std::slice::from_raw_parts_mut(self.memory.as_ptr(), self.layout.size()) }
+        unsafe { std::slice::from_raw_parts_mut(self.memory.as_ptr(), self.size) }
     }
 
     /// The pixels.
@@ -69,30 +224,37 @@ impl Block {
     pub fn pixel_pointer(&mut self) -> *mut u8 {
         self.bytes_mut()[ROOM_BYTES..].as_mut_ptr()
     }
+
+    /// The same memory in a new value, for the way back; self must not be used afterwards.
+    fn taken(&mut self, shelf: Option<Weak<Shelf>>) -> Self {
+        Self { memory: self.memory, size: self.size, region: Arc::clone(&self.region), home: None, shelf }
+    }
 }
 
 impl Drop for Block {
     fn drop(&mut self) {
         if let Some(home) = self.home.take() {
-            let back = Self { memory: self.memory, layout: self.layout, home: None };
-            // Without its stream the block comes back in the error and is freed: it has no home then.
+            let shelf = self.shelf.take();
+            let back = self.taken(shelf);
+            // Without its stream the block comes back in the error, and has no home then: it goes to the shelf.
             drop(home.send(back));
-            return;
+        } else if let Some(shelf) = self.shelf.take().and_then(|shelf| shelf.upgrade()) {
+            let back = self.taken(None);
+            open(&shelf).push(back);
         }
-        // SAFETY: allocated in `allocate` with this layout, and owned by nobody else.
-        unsafe { dealloc(self.memory.as_ptr(), self.layout) };
     }
 }
 
 impl fmt::Debug for Block {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Block of {} bytes", self.layout.size())
+        write!(f, "Block of {} bytes", self.size)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Block, ROOM_BYTES};
+    use super::{Block, HUGE_PAGE, Pool, ROOM_BYTES, Region};
+    use std::collections::BTreeSet;
 
     #[test]
     fn dropped_blocks_come_home_with_their_bytes() {
@@ -113,5 +275,56 @@ mod tests {
         block.set_home(home);
         drop(returns);
         drop(block);
+    }
+
+    fn places(blocks: &[Block]) -> BTreeSet<usize> {
+        blocks.iter().map(|block| block.pixels().as_ptr() as usize).collect()
+    }
+
+    #[test]
+    fn a_thousand_sessions_use_the_same_memory() {
+        let pool = Pool::new(false, 0);
+        let first = places(&pool.take(10_000, 5));
+        assert!(first.len() == 5 && first.iter().all(|place| place % 4096 == 0));
+        for _ in 0..1000 {
+            let (home, returns) = crossbeam_channel::bounded(5);
+            let mut blocks = pool.take(10_000, 5);
+            assert_eq!(places(&blocks), first);
+            // One is out with a frame when its stream ends, one is on its way back to it, the rest are lent.
+            blocks.iter_mut().take(2).for_each(|block| block.set_home(home.clone()));
+            let out = blocks.remove(0);
+            drop(blocks.remove(0));
+            drop((blocks, returns));
+            assert_eq!(pool.idle(), 4);
+            drop(out);
+            assert_eq!(pool.idle(), 5);
+        }
+    }
+
+    #[test]
+    fn blocks_of_a_session_do_not_overlap_and_other_sizes_make_room() {
+        let pool = Pool::new(true, 0);
+        let mut blocks = pool.take(5000, 3);
+        blocks.extend(pool.take(5000, 2));
+        for (i, block) in blocks.iter_mut().enumerate() {
+            block.bytes_mut().fill(i as u8 + 1);
+        }
+        for (i, block) in blocks.iter().enumerate() {
+            assert!(block.bytes().iter().all(|&byte| byte == i as u8 + 1));
+        }
+        drop(blocks);
+        assert_eq!(pool.idle(), 5);
+        let other = pool.take(6000, 1);
+        assert_eq!((pool.idle(), other[0].pixels().len()), (0, 6000));
+        drop(pool);
+        // The pool is gone: its blocks are freed where they are dropped.
+        drop(other);
+    }
+
+    #[test]
+    fn mappings_start_on_a_huge_page() {
+        let region = Region::map(3 * HUGE_PAGE + 1).expect("memory");
+        assert_eq!(region.memory.as_ptr() as usize % HUGE_PAGE, 0);
+        assert!(Region::map(usize::MAX - 1).is_none());
     }
 }

@@ -3,6 +3,7 @@
 //! The checksum is computed here, so that it covers the way through the recorder and is spread over cores.
 
 use super::pool::Block;
+use super::realtime;
 use super::recorder::Progress;
 use crate::camera::{FrameStream, Transfer};
 use crate::ids::BlockId;
@@ -66,6 +67,7 @@ impl Receiver {
         let stop = Arc::new(AtomicBool::new(false));
         let stopping = Arc::clone(&stop);
         let thread = std::thread::Builder::new().name(format!("receive-{camera}")).spawn(move || {
+            realtime::enter_configured("receiver");
             while !stopping.load(Ordering::Acquire) {
                 let frame = stream.next(patience);
                 progress.heard[camera].store(before + stream.heard(), Ordering::Relaxed);

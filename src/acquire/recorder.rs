@@ -212,7 +212,10 @@ impl Recorder {
         let ring = Ring::start(sink, capacity, Arc::clone(&progress), events.clone())?;
         let books = Books::new(lanes, options, progress, ring, events);
         let recorder = Self { books, arrivals, commands };
-        std::thread::Builder::new().name("recorder".to_owned()).spawn(move || recorder.run())
+        std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
+            super::realtime::enter_configured("recorder");
+            recorder.run()
+        })
     }
 
     fn run(mut self) {

@@ -96,7 +96,10 @@ impl Ring {
         let (items, inbox) = bounded(capacity + SMALL_RECORDS);
         let frames = Arc::new(AtomicUsize::new(0));
         let writer = Writer { sink, inbox, frames: Arc::clone(&frames), progress, events, failed: false };
-        let thread = std::thread::Builder::new().name("writer".to_owned()).spawn(move || writer.run())?;
+        let thread = std::thread::Builder::new().name("writer".to_owned()).spawn(move || {
+            super::realtime::enter_configured("writer");
+            writer.run()
+        })?;
         Ok(Self { items: Some(items), frames, capacity, refused: 0, writer: Some(thread) })
     }
 

@@ -1,5 +1,6 @@
 //! What goes over the API.
 
+use crate::acquire::latency::Histogram;
 use crate::camera::CameraIdentity;
 use crate::ids::{CameraId, NodeId};
 use crate::session::state::{Fault, Phase};
@@ -23,6 +24,9 @@ pub struct NodeStatus {
     pub cameras: Vec<CameraStatus>,
     /// Its link to the HSU.
     pub hsu: HsuStatus,
+    /// What was asked of the system and refused (real-time priority, locked memory): the node works without.
+    #[serde(default)]
+    pub warnings: Vec<String>,
     /// Where sessions are recorded.
     pub sessions_dir: PathBuf,
     /// Free space there, bytes.
@@ -72,6 +76,12 @@ pub struct SessionStatus {
     pub cameras: Vec<CameraProgress>,
     /// Most frames that waited for the writer at any time.
     pub ring_high_water_frames: u64,
+    /// From the ring until the writer had taken the frame.
+    #[serde(default)]
+    pub written: Latency,
+    /// From the stream until the writer had taken the frame.
+    #[serde(default)]
+    pub total: Latency,
     /// Set when the session has ended on this node.
     pub outcome: Option<Outcome>,
 }
@@ -120,4 +130,27 @@ pub mod path {
     pub const STOP: &str = "/api/v1/session/stop";
     /// POST [`super::SessionCommand`].
     pub const ABORT: &str = "/api/v1/session/abort";
+}
+
+/// How long something took, microseconds.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Latency {
+    /// Half of them took at most so long.
+    pub p50_us: u64,
+    /// Ninety-nine of a hundred.
+    pub p99_us: u64,
+    /// The longest.
+    pub max_us: u64,
+}
+
+impl Latency {
+    /// What a histogram holds.
+    pub fn of(histogram: &Histogram) -> Self {
+        let us = |ms: f64| (ms * 1e3) as u64;
+        Self {
+            p50_us: us(histogram.quantile_ms(0.5)),
+            p99_us: us(histogram.quantile_ms(0.99)),
+            max_us: us(histogram.max_ms()),
+        }
+    }
 }

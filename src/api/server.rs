@@ -9,6 +9,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
 use crossbeam_channel::{Sender, TrySendError};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, RwLock};
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -32,19 +33,25 @@ pub enum Command {
 /// The node's status as last published by its thread.
 pub type SharedStatus = Arc<RwLock<NodeStatus>>;
 
+/// Id of the session whose outcome a client last fetched.
+pub type OutcomeRead = Arc<AtomicU64>;
+
 #[derive(Clone)]
 struct Node {
     commands: Sender<Command>,
     status: SharedStatus,
+    read: OutcomeRead,
 }
 
 const BODY_BYTES_MAX: usize = 64 << 10;
 
-/// Serves until `shutdown` resolves.
+/// Serves until `shutdown` resolves; answers that are under way are finished. Notes in `read` whose outcome was
+/// fetched.
 pub async fn serve(
     listener: TcpListener,
     commands: Sender<Command>,
     status: SharedStatus,
+    read: OutcomeRead,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
     let router = Router::new()
@@ -54,7 +61,7 @@ pub async fn serve(
         .route(path::STOP, post(stop))
         .route(path::ABORT, post(abort))
         .layer(DefaultBodyLimit::max(BODY_BYTES_MAX))
-        .with_state(Node { commands, status });
+        .with_state(Node { commands, status, read });
     axum::serve(listener, router).with_graceful_shutdown(shutdown).await
 }
 
@@ -64,6 +71,9 @@ async fn get_status(State(node): State<Node>) -> Json<NodeStatus> {
         // The writer only assigns: what it left is whole.
         Err(poisoned) => poisoned.into_inner().clone(),
     };
+    if let Some(session) = status.session.as_ref().filter(|session| session.outcome.is_some()) {
+        node.read.store(session.session_id, Ordering::Release);
+    }
     Json(status)
 }
 

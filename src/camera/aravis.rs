@@ -6,20 +6,24 @@
 //! * Late blocks of a reused stream are thrown away silently: every arm makes a fresh stream.
 //! * Automatic packet size may exceed the MTU: the size is explicit, adjustment is off.
 //! * An incomplete frame holds back later ones for `frame-retention`: it is set to a few trigger periods.
+//! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`].
 //! * The receive thread is Aravis' own; blocks travel to it and back through its queues.
 
+use super::canary::Canaries;
 use super::{
     AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing,
     FrameStream, Received, StreamOptions, Transfer, matches,
 };
-use crate::acquire::pool::Block;
+use crate::acquire::pool::{Block, ROOM_BYTES};
+use crate::acquire::realtime;
 use crate::config::{FeatureSetting, FeatureValue, SocketMode};
 use crate::ids::BlockId;
 use crate::time::monotonic_ns;
 use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};
-use std::ffi::CStr;
+use glib::translate::{ToGlibPtr, from_glib_full};
+use std::ffi::{CStr, c_void};
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -242,11 +246,19 @@ impl Camera for AravisCamera {
             };
             self.camera.gv_set_stream_options(socket);
         }
-        let stream = self.camera.create_stream().map_err(link_error("creating the stream"))?;
+        let stream = new_stream(&self.camera).map_err(link_error("creating the stream"))?;
         if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
             tune(gv, options.period_ns);
         }
-        Ok(Box::new(AravisStream::new(stream, blocks)))
+        let canaries = match (self.device.downcast_ref::<aravis::GvDevice>(), blocks.first()) {
+            // The size that the camera made of the one asked for: packets have their places by it.
+            (Some(gv), Some(block)) => {
+                let bytes = gv.packet_size().map_err(link_error("reading the packet size"))?;
+                Some(Canaries::new(block.pixels().len(), usize::try_from(bytes).unwrap_or(0)))
+            }
+            _ => None,
+        };
+        Ok(Box::new(AravisStream::new(stream, blocks, canaries)))
     }
 
     fn start(&mut self) -> Result<(), CameraError> {
@@ -255,6 +267,40 @@ impl Camera for AravisCamera {
 
     fn stop(&mut self) -> Result<(), CameraError> {
         self.camera.stop_acquisition().map_err(link_error("stopping the acquisition"))
+    }
+}
+
+/// Creates a stream whose thread, Aravis' own, asks for its priority and cores when it starts.
+fn new_stream(camera: &aravis::Camera) -> Result<aravis::Stream, glib::Error> {
+    let mut error = std::ptr::null_mut();
+    // SAFETY: the camera lives during the call; the callback uses no data and lives for ever; `error` is null, as
+    // GLib asks. The result is a new reference, or null with `error` set, which is ours then.
+    unsafe {
+        let stream = aravis_sys::arv_camera_create_stream(
+            camera.to_glib_none().0,
+            Some(on_stream_thread),
+            std::ptr::null_mut(),
+            &mut error,
+        );
+        match (error.is_null(), stream.is_null()) {
+            (true, false) => Ok(from_glib_full(stream)),
+            (true, true) => Err(glib::Error::new(aravis::DeviceError::Unknown, "Aravis gave no stream")),
+            (false, _) => Err(from_glib_full(error)),
+        }
+    }
+}
+
+/// Called by Aravis in the stream's thread.
+///
+/// # Safety
+/// Takes anything: it looks at the kind alone.
+unsafe extern "C" fn on_stream_thread(
+    _: *mut c_void,
+    kind: aravis_sys::ArvStreamCallbackType,
+    _: *mut aravis_sys::ArvBuffer,
+) {
+    if kind == aravis_sys::ARV_STREAM_CALLBACK_TYPE_INIT {
+        realtime::enter_configured("stream");
     }
 }
 
@@ -276,13 +322,16 @@ struct AravisStream {
     parked: Vec<Option<aravis::Buffer>>,
     home: Sender<Block>,
     returns: Receiver<Block>,
+    /// What a whole frame overwrites; other transports have no packets that could be cut.
+    canaries: Option<Canaries>,
 }
 
 impl AravisStream {
-    fn new(stream: aravis::Stream, blocks: Vec<Block>) -> Self {
+    fn new(stream: aravis::Stream, blocks: Vec<Block>, canaries: Option<Canaries>) -> Self {
         let (home, returns) = bounded(blocks.len().max(1));
         let (mut lent, mut parked) = (Vec::new(), Vec::new());
         for mut block in blocks {
+            plant(canaries.as_ref(), &mut block);
             let (pointer, length) = (block.pixel_pointer(), block.pixels().len());
             // SAFETY: the block's memory stays allocated while Aravis holds the buffer: it waits untouched in
             // `lent`, and `drop` ends the stream before the blocks are freed.
@@ -291,12 +340,13 @@ impl AravisStream {
             lent.push(Some(block));
             parked.push(None);
         }
-        Self { stream, lent, parked, home, returns }
+        Self { stream, lent, parked, home, returns, canaries }
     }
 
     /// Lends blocks that came back to Aravis again.
     fn recycle(&mut self) {
         for mut block in self.returns.try_iter() {
+            plant(self.canaries.as_ref(), &mut block);
             let pointer = block.pixel_pointer();
             // The buffer that wraps this memory.
             let slot = self.parked.iter().position(|b| b.as_ref().is_some_and(|b| b.data().0 == pointer));
@@ -307,6 +357,13 @@ impl AravisStream {
                 }
             }
         }
+    }
+}
+
+/// Marks a block's pixels before it is lent.
+fn plant(canaries: Option<&Canaries>, block: &mut Block) {
+    if let Some(canaries) = canaries {
+        canaries.plant(&mut block.bytes_mut()[ROOM_BYTES..]);
     }
 }
 
@@ -324,7 +381,9 @@ impl FrameStream for AravisStream {
             aravis::BufferStatus::Success => {
                 let (_, _, width, height) = buffer.image_region();
                 let pixels = i64::from(width) * i64::from(height);
+                let cut = || self.canaries.as_ref().and_then(|canaries| canaries.survivor(block.pixels()));
                 match usize::try_from(pixels) == Ok(block.pixels().len()) {
+                    true if cut().is_some() => Transfer::Unwritten,
                     true => Transfer::Complete,
                     false => Transfer::SizeMismatch,
                 }

@@ -5,6 +5,8 @@
 
 #[cfg(feature = "aravis")]
 mod aravis;
+#[cfg(feature = "aravis")]
+mod canary;
 mod settings;
 
 #[cfg(feature = "aravis")]

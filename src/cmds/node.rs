@@ -6,6 +6,10 @@ use crate::config::NodeConfig;
 use crate::record::recover::interrupted;
 use crate::session::driver::Driver;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Run the daemon of one acquisition PC: cameras, HSU link, recordings, control API.
 #[derive(clap::Args)]
@@ -16,7 +20,12 @@ pub struct Args {
     config: PathBuf,
 }
 
-/// Runs the command until SIGTERM or SIGINT.
+/// How long the API answers after the end for whoever has not fetched the verdict yet: a capture asks ten times a
+/// second.
+const READ_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Runs the command until SIGTERM or SIGINT. A session in progress is ended and gets its verdict, and the API answers
+/// until that was fetched; a second signal ends the process at once.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let config = NodeConfig::load(&args.config)?;
     let backend = backend()?;
@@ -38,32 +47,95 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             found.reason
         );
     }
+    let mut signals = runtime
+        .block_on(async { StopSignals::watch() })
+        .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
     let driver = Driver::start(config, backend).map_err(|e| Failure::new(Exit::Failure, e))?;
-    let (commands, status) = (driver.commands(), driver.status());
     tracing::info!(%listen, "node is up");
-    let served = runtime.block_on(async {
-        let signals =
-            stop_signal().map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
-        server::serve(listener, commands, status, signals)
-            .await
-            .map_err(|e| Failure::new(Exit::Failure, format!("the control API failed: {e}")))
-    });
-    // A session in progress is finished first: its recording gets its verdict.
-    driver.shut_down();
-    served.map(|()| Exit::Done)
+    match runtime.block_on(serve(listener, &driver, &mut signals)) {
+        Ended::Orderly(served) => {
+            driver.shut_down();
+            let failed = |e| Failure::new(Exit::Failure, format!("the control API failed: {e}"));
+            served.map(|()| Exit::Done).map_err(failed)
+        }
+        // The driver is not waited for: its recording is left as by a crash.
+        Ended::Forced => Err(Failure::new(
+            Exit::Failure,
+            "ended by a second signal; a session in progress is unfinished, see `fourdbody verify`",
+        )),
+    }
 }
 
-/// Resolves at the first SIGTERM or SIGINT.
-fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
-    Ok(async move {
+/// How serving ended.
+enum Ended {
+    /// After the first signal, or by a failure of the API.
+    Orderly(std::io::Result<()>),
+    /// By a second signal.
+    Forced,
+}
+
+async fn serve(listener: tokio::net::TcpListener, driver: &Driver, signals: &mut StopSignals) -> Ended {
+    let read = server::OutcomeRead::default();
+    let (end, ended) = tokio::sync::oneshot::channel::<()>();
+    let until_end = async move { drop(ended.await) };
+    let api = server::serve(listener, driver.commands(), driver.status(), Arc::clone(&read), until_end);
+    let mut api = tokio::spawn(api);
+    let joined =
+        |joined: Result<std::io::Result<()>, _>| joined.unwrap_or_else(|e| Err(std::io::Error::other(e)));
+    tokio::select! {
+        failed = &mut api => return Ended::Orderly(joined(failed)),
+        () = signals.next() => {}
+    }
+    tracing::info!("stopping; a second signal ends at once");
+    driver.request_stop();
+    let orderly = async {
+        until_fetched(driver, &read).await;
+        drop(end);
+        joined(api.await)
+    };
+    tokio::select! {
+        served = orderly => Ended::Orderly(served),
+        () = signals.next() => Ended::Forced,
+    }
+}
+
+/// Waits until the driver has ended and the outcome of its last session was fetched, or nobody seems to want it.
+async fn until_fetched(driver: &Driver, read: &server::OutcomeRead) {
+    const POLL: Duration = Duration::from_millis(20);
+    while !driver.has_ended() {
+        tokio::time::sleep(POLL).await;
+    }
+    let status = driver.status();
+    let last = match status.read() {
+        Ok(status) => status.session.as_ref().map(|session| session.session_id),
+        Err(poisoned) => poisoned.into_inner().session.as_ref().map(|session| session.session_id),
+    };
+    let Some(last) = last else { return };
+    let begin = Instant::now();
+    while read.load(Ordering::Acquire) != last && begin.elapsed() < READ_PATIENCE {
+        tokio::time::sleep(POLL).await;
+    }
+}
+
+/// SIGTERM and SIGINT.
+struct StopSignals {
+    terminate: Signal,
+    interrupt: Signal,
+}
+
+impl StopSignals {
+    /// From here on neither ends the process by itself. Needs a runtime.
+    fn watch() -> std::io::Result<Self> {
+        let (terminate, interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+        Ok(Self { terminate, interrupt })
+    }
+
+    async fn next(&mut self) {
         tokio::select! {
-            _ = terminate.recv() => {}
-            _ = interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
         }
-        tracing::info!("stopping");
-    })
+    }
 }
 
 #[cfg(feature = "aravis")]

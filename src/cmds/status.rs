@@ -70,6 +70,9 @@ fn print(status: &NodeStatus) {
     for problem in problems(status) {
         println!("  problem: {problem}");
     }
+    for warning in &status.warnings {
+        println!("  warning: {warning}");
+    }
     if let Some(session) = &status.session {
         let frames: u64 = session.cameras.iter().map(|c| c.frames).sum();
         let gaps: u64 = session.cameras.iter().map(|c| c.gaps).sum();

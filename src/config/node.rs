@@ -75,6 +75,23 @@ pub enum WhenFull {
     Stop,
 }
 
+/// What the threads of the pixel path ask of the system (`[realtime]`); what it refuses is a warning.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Realtime {
+    /// Priority under SCHED_FIFO, 1 to 99; 0: an ordinary thread.
+    pub priority: u8,
+    /// The cores to run on; none: all.
+    pub cpus: Vec<usize>,
+    /// Whether frame memory is locked.
+    pub lock_memory: bool,
+}
+
+impl Default for Realtime {
+    fn default() -> Self {
+        Self { priority: 0, cpus: Vec::new(), lock_memory: true }
+    }
+}
+
 /// The node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeConfig {
@@ -108,6 +125,8 @@ pub struct NodeConfig {
     pub on_camera_lost: OnLoss,
     /// When the link to the HSU breaks during a train.
     pub on_link_lost: OnLoss,
+    /// Priority, cores and locked memory.
+    pub realtime: Realtime,
     /// The cameras, in the rig's order.
     pub cameras: Vec<CameraConfig>,
 }
@@ -181,6 +200,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         values
     });
     let acquisition = root.section("acquisition").map(read_acquisition);
+    let realtime = root.optional_section("realtime").map_or_else(Realtime::default, read_realtime);
     let common = acquisition.as_ref().map_or(&[][..], |acquisition| &acquisition.settings);
     let cameras: Vec<CameraConfig> =
         root.sections("camera").into_iter().map(|s| read_camera(s, common)).collect();
@@ -217,9 +237,25 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         when_full: acquisition.when_full,
         on_camera_lost: acquisition.on_camera_lost,
         on_link_lost: acquisition.on_link_lost,
+        realtime,
         cameras,
         rig,
     })
+}
+
+fn read_realtime(section: Section<'_>) -> Realtime {
+    let mut cpus = Vec::new();
+    for (i, value) in section.list("cpus").iter().enumerate() {
+        match value.as_integer().and_then(|cpu| usize::try_from(cpu).ok()).filter(|cpu| *cpu < 1024) {
+            Some(cpu) => cpus.push(cpu),
+            None => section
+                .problem(&format!("cpus[{i}]"), format!("expected a core's number from 0, found {value}")),
+        }
+    }
+    let priority = section.integer_or("priority", 0..=99, 0);
+    let lock_memory = section.flag_or("lock_memory", true);
+    section.finish();
+    Realtime { priority: u8::try_from(priority).unwrap_or(0), cpus, lock_memory }
 }
 
 /// Without authentication the API must not be reachable from a network.

@@ -78,6 +78,7 @@ impl Disk {
         let (answers, replies) = unbounded::<Reply>();
         let mut worker = Worker { store, written: 0, durable: 0, kept: None };
         std::thread::Builder::new().name("segment-disk".to_owned()).spawn(move || {
+            crate::acquire::realtime::enter_configured("disk");
             for command in orders {
                 if answers.send(worker.carry_out(command)).is_err() {
                     break;

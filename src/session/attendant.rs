@@ -2,13 +2,14 @@
 //! back when it was lost. So nothing that a camera does or does not do makes the node's own thread wait.
 
 use super::devices::{OpenCamera, SharedBackend};
-use crate::acquire::pool::Block;
+use crate::acquire::pool::Pool;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::ToRecorder;
 use crate::camera::{CameraError, StreamOptions};
 use crate::record::{ClockSample, NodeEvent};
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -48,6 +49,8 @@ pub struct AttendantSetup {
     pub options: StreamOptions,
     /// Its receiver's setup, for another one.
     pub receiver: ReceiverSetup,
+    /// Where they come from.
+    pub pool: Arc<Pool>,
     /// Buffers of a stream.
     pub blocks: usize,
     /// Pixels of a frame, bytes.
@@ -211,7 +214,7 @@ impl Work {
         if size != self.setup.camera.size {
             return Err(format!("its images are {size:?}, expected {:?}", self.setup.camera.size));
         }
-        let blocks = (0..self.setup.blocks).map(|_| Block::allocate(self.setup.pixel_bytes)).collect();
+        let blocks = self.setup.pool.take(self.setup.pixel_bytes, self.setup.blocks);
         let mut stream = camera.create_stream(blocks, &self.setup.options).map_err(text)?;
         // A packet socket takes packets of other cameras for its own until its filter is set.
         let settled = Instant::now() + SETTLE;

@@ -5,10 +5,11 @@ use super::devices::PreparedCamera;
 use super::link::LinkKeeper;
 use super::silence::SilenceWatch;
 use super::state::SessionRequest;
+use crate::acquire::realtime;
 use crate::acquire::recorder::{FromRecorder, Progress, ToRecorder};
-use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
+use crate::api::dto::{CameraProgress, Latency, Outcome, SessionStatus};
 use crate::hsu::Hsu;
-use crate::record::Recording;
+use crate::record::{NodeEvent, Recording};
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver, Sender, never, unbounded};
 use std::path::PathBuf;
@@ -39,6 +40,8 @@ pub(super) struct Session {
     pub(super) next_trigger: i64,
     pub(super) silence: SilenceWatch,
     pub(super) outcome: Option<Outcome>,
+    /// How many of the process's warnings are in the recording.
+    warnings_told: usize,
 }
 
 impl Session {
@@ -65,6 +68,7 @@ impl Session {
             next_trigger: 0,
             silence: SilenceWatch::new(cameras),
             outcome: None,
+            warnings_told: 0,
         }
     }
 
@@ -78,6 +82,24 @@ impl Session {
             // A recorder that is gone is noticed by its event channel.
             drop(recorder.send(message));
         }
+    }
+
+    /// Puts what the system refused into the recording, once each.
+    pub(super) fn tell_warnings(&mut self) {
+        if self.to_recorder.is_none() {
+            return;
+        }
+        let warnings = realtime::warnings();
+        for warning in warnings.iter().skip(self.warnings_told) {
+            self.tell(ToRecorder::Event(NodeEvent {
+                host_time_ns: self.clock.now(),
+                kind: warning.kind.to_owned(),
+                camera: None,
+                trigger: None,
+                message: warning.message.clone(),
+            }));
+        }
+        self.warnings_told = warnings.len();
     }
 
     /// Ends the recorder's thread, if it has not ended by itself.
@@ -107,6 +129,8 @@ impl Session {
             triggers: load(&self.progress.triggers),
             cameras: cameras.collect(),
             ring_high_water_frames: load(&self.progress.high_water),
+            written: Latency::of(&self.progress.latencies.written),
+            total: Latency::of(&self.progress.latencies.total),
             outcome: self.outcome.clone(),
         }
     }

@@ -3,7 +3,7 @@
 use super::attendant::{Attendant, AttendantSetup, CLOCK_BURST, Report, camera_sample};
 use super::link::hsu_sample;
 use super::state::Fault;
-use crate::acquire::pool::Block;
+use crate::acquire::pool::{Pool, block_bytes};
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::ToRecorder;
 use crate::api::dto::{CameraStatus, HsuStatus};
@@ -85,6 +85,8 @@ const HSU_RETRY_INTERVAL: Duration = Duration::from_secs(3);
 pub struct Devices {
     backend: SharedBackend,
     slots: Vec<OpenCamera>,
+    /// Frame memory, kept between sessions.
+    pool: Arc<Pool>,
     hsu: Option<Arc<Hsu>>,
     hsu_problem: Option<String>,
     config: NodeConfig,
@@ -107,8 +109,12 @@ impl Devices {
                 .find(|(_, known)| known.id == camera.id)
                 .map_or((0, 0), |(_, known)| (known.device.width, known.device.height)),
         };
+        let slots: Vec<OpenCamera> = config.cameras.iter().map(slot).collect();
+        let blocks = |slot: &OpenCamera| config.buffers_per_camera * block_bytes(slot.size.0 * slot.size.1);
+        let needed: usize = slots.iter().map(blocks).sum();
         Self {
-            slots: config.cameras.iter().map(slot).collect(),
+            pool: Arc::new(Pool::new(config.realtime.lock_memory, needed as u64)),
+            slots,
             backend: SharedBackend(Arc::new(Mutex::new(backend))),
             hsu: None,
             hsu_problem: not_yet(),
@@ -310,6 +316,7 @@ impl Devices {
                 options: stream_options(&self.config),
                 receiver: setup.clone(),
                 blocks: self.config.buffers_per_camera,
+                pool: Arc::clone(&self.pool),
                 to_recorder: to_recorder.clone(),
                 reports: reports.clone(),
             };
@@ -333,8 +340,8 @@ impl Devices {
         let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
         let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
         let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
-        let blocks = (0..self.config.buffers_per_camera).map(|_| Block::allocate(pixel_bytes));
-        let stream = camera.create_stream(blocks.collect(), &options).map_err(|e| fault(e.to_string()))?;
+        let blocks = self.pool.take(pixel_bytes, self.config.buffers_per_camera);
+        let stream = camera.create_stream(blocks, &options).map_err(|e| fault(e.to_string()))?;
         Receiver::start(stream, setup.clone()).map_err(|e| fault(format!("cannot start its thread: {e}")))
     }
 

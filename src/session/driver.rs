@@ -3,6 +3,7 @@
 use super::current::Session;
 use super::devices::Devices;
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
+use crate::acquire::realtime;
 use crate::acquire::recorder::ToRecorder;
 use crate::api::dto::{NodeStatus, Outcome, SessionCommand};
 use crate::api::server::{Command, Reply, SharedStatus};
@@ -32,6 +33,7 @@ const TICK: Duration = Duration::from_millis(100);
 impl Driver {
     /// Starts the node's thread.
     pub fn start(config: NodeConfig, backend: Box<dyn CameraBackend>) -> std::io::Result<Self> {
+        realtime::configure(&config.realtime);
         let devices = Devices::new(&config, backend);
         let (commands, inbox) = bounded(16);
         let (stop, stopped) = bounded(1);
@@ -43,6 +45,7 @@ impl Driver {
             phase: Phase::Idle,
             cameras: devices.camera_statuses(),
             hsu: devices.hsu_status(),
+            warnings: Vec::new(),
             sessions_dir: config.sessions_dir.clone(),
             free_bytes: 0,
             session: None,
@@ -72,10 +75,20 @@ impl Driver {
         Arc::clone(&self.status)
     }
 
+    /// Asks for the end: a session in progress is ended with its verdict, then the thread. Does not wait.
+    pub fn request_stop(&self) {
+        // One request is enough, and a thread that is gone already needs no telling.
+        let _ = self.stop.try_send(());
+    }
+
+    /// Whether the thread has ended, and the published status is its last.
+    pub fn has_ended(&self) -> bool {
+        self.thread.is_finished()
+    }
+
     /// Ends a session in progress with its verdict, then the thread.
     pub fn shut_down(self) {
-        // A thread that is gone already needs no telling.
-        let _ = self.stop.send(());
+        self.request_stop();
         if self.thread.join().is_err() {
             tracing::error!("the node's thread panicked");
         }
@@ -131,6 +144,7 @@ impl Node {
         if self.machine.phase() == Phase::Idle {
             self.devices.look_after();
         }
+        self.in_session(Session::tell_warnings);
         self.publish();
     }
 
@@ -313,6 +327,7 @@ impl Node {
         status.phase = self.machine.phase();
         status.cameras = cameras;
         status.hsu = hsu;
+        status.warnings = realtime::warnings().into_iter().map(|warning| warning.message).collect();
         status.free_bytes = free;
         status.session = session;
     }

@@ -74,3 +74,21 @@ fn a_node_that_is_killed_loses_at_most_its_last_chunks_and_the_other_ends_accoun
     });
     assert!(intact.count() >= 4, "some of the first frames must have reached the disk");
 }
+
+#[test]
+fn a_node_that_is_told_to_shut_down_answers_until_its_verdict_was_read() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 150, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, &mut nodes, "terminated");
+    signal("-TERM", nodes[0].pid());
+    let output = capture.wait_with_output().expect("it ends");
+    let text = text_of(&output);
+    assert!(text.contains("the node was told to shut down"), "{text}");
+    assert!(!text.contains("does not answer"), "the verdict of node a was not read: {text}");
+    assert!(!output.status.success(), "{text}");
+    nodes[0].wait_exit();
+    nodes[1].wait_idle();
+    let verified = verify(dir.path(), "terminated");
+    assert!(matches!(verified.status.code(), Some(0 | 3)), "{}", text_of(&verified));
+}

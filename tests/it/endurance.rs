@@ -32,7 +32,8 @@ fn sessions_in_a_row_leave_nothing_behind() {
     let mut seen = Vec::new();
     for cycle in 0..cycles {
         let name = format!("cycle-{cycle}");
-        let output = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "3", "--name", &name]);
+        let output =
+            fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "3", "--name", &name]);
         assert_eq!(output.status.code(), Some(0), "cycle {cycle}: {}", text_of(&output));
         nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
         std::fs::remove_dir_all(dir.path().join("sessions").join(&name)).expect("recorded");
@@ -40,7 +41,10 @@ fn sessions_in_a_row_leave_nothing_behind() {
             seen.push(usage(nodes[0].pid()));
         }
     }
-    println!("{cycles} cycles: KiB, threads and descriptors after a quarter {:?}, at the end {:?}", seen[0], seen[1]);
+    println!(
+        "{cycles} cycles: KiB, threads and descriptors after a quarter {:?}, at the end {:?}",
+        seen[0], seen[1]
+    );
     let [[before, threads, descriptors], [after, threads_after, descriptors_after]] = [seen[0], seen[1]];
     assert_eq!((threads_after, descriptors_after), (threads, descriptors));
     assert!(after < before + before / 5 + 4096, "{before} KiB after a quarter, {after} KiB at the end");
@@ -54,7 +58,8 @@ fn block_ids_wrap_within_a_session() {
     let laboratory = laboratory_of(dir.path(), 146, 200.0, (64, 48), 65_300);
     let _nodes = start_nodes(&laboratory);
     let count = triggers.to_string();
-    let output = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", &count, "--name", "long"]);
+    let output =
+        fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", &count, "--name", "long"]);
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", text_of(&output));
     let session = dir.path().join("sessions/long");
     let verified = fourdbody(&["verify", &session.display().to_string()]);
@@ -73,8 +78,11 @@ fn right_frames(session: &Path, triggers: u64) -> (u64, usize) {
     for (number, camera) in (1..).zip(reader.cameras()) {
         let (mut last, mut falls) = (0, 0);
         for trigger in reader.triggers() {
-            let Ok(frame) = reader.recorded_frame(camera, TriggerIndex(trigger)).expect("intact") else { continue };
-            let stamp = TestImages::identify(frame.image.as_slice(), frame.image.width()).expect("a test image");
+            let Ok(frame) = reader.recorded_frame(camera, TriggerIndex(trigger)).expect("intact") else {
+                continue;
+            };
+            let stamp =
+                TestImages::identify(frame.image.as_slice(), frame.image.width()).expect("a test image");
             let shown = (stamp.camera, u64::from(stamp.instant) % TestImages::DISTINCT as u64);
             assert_eq!(shown, (number, trigger % TestImages::DISTINCT as u64), "{camera} {trigger}");
             falls += usize::from(frame.meta.block.0 < last);

@@ -138,6 +138,19 @@ impl NodeProcess {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
+    /// Waits until the process has ended by itself, orderly.
+    pub fn wait_exit(&mut self) {
+        let deadline = Instant::now() + Duration::from_secs(30);
+        loop {
+            if let Some(status) = self.child.try_wait().expect("a child") {
+                let log = std::fs::read_to_string(&self.log).unwrap_or_default();
+                return assert!(status.success(), "{status}; log:\n{log}");
+            }
+            assert!(Instant::now() < deadline, "the node did not end");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
     /// The process's id.
     pub fn pid(&self) -> u32 {
         self.child.id()
