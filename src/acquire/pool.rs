@@ -294,7 +294,11 @@ mod tests {
             blocks.iter_mut().take(2).for_each(|block| block.set_home(home.clone()));
             let out = blocks.remove(0);
             drop(blocks.remove(0));
-            drop((blocks, returns));
+            drop(home);
+            drop(blocks);
+            // As the stream does when it ends.
+            returns.try_iter().for_each(drop);
+            drop(returns);
             assert_eq!(pool.idle(), 4);
             drop(out);
             assert_eq!(pool.idle(), 5);

@@ -432,5 +432,7 @@ impl Drop for AravisStream {
         // Buffers wrap the blocks without owning them: forget them first.
         self.parked.clear();
         self.lent.clear();
+        // Those on their way back would otherwise wait in the channel for the last frame that is still out.
+        self.returns.try_iter().for_each(drop);
     }
 }

@@ -92,3 +92,32 @@ fn a_node_that_is_told_to_shut_down_answers_until_its_verdict_was_read() {
     let verified = verify(dir.path(), "terminated");
     assert!(matches!(verified.status.code(), Some(0 | 3)), "{}", text_of(&verified));
 }
+
+#[test]
+fn what_the_system_refuses_is_told_by_status_and_recording() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 151, 20.0);
+    for node in &laboratory.nodes {
+        let text = std::fs::read_to_string(&node.path).expect("the node file");
+        // No kernel that this runs on has so many cores.
+        std::fs::write(&node.path, format!("{text}\n[realtime]\ncpus = [1023]\n")).expect("written");
+    }
+    let mut nodes = start_nodes(&laboratory);
+    let urls = laboratory.urls();
+    let output = fourdbody(&["capture", "--nodes", &urls, "--triggers", "10", "--name", "refused"]);
+    assert!(text_of(&output).contains("session refused"), "{}", text_of(&output));
+    let status = nodes[0].wait_idle();
+    let refused: Vec<_> = status.warnings.iter().filter(|text| text.contains("1023")).collect();
+    assert_eq!(refused.len(), 1, "one warning for all threads: {:?}", status.warnings);
+    assert!(text_of(&fourdbody(&["status", "--nodes", &urls])).contains("warning: cores [1023] refused"));
+
+    let scan = |node: &str| {
+        let segments =
+            std::fs::read_dir(dir.path().join("sessions/refused").join(node)).expect("a recording");
+        let files = segments.map(|entry| std::fs::read(entry.expect("an entry").path()).unwrap_or_default());
+        let count =
+            |bytes: Vec<u8>| bytes.windows(16).filter(|window| *window == b"realtime_refused").count();
+        files.map(count).sum::<usize>()
+    };
+    assert_eq!((scan("node-a"), scan("node-b")), (1, 1), "one event in each recording");
+}
