@@ -1,3 +1,5 @@
+//! The fit against clocks whose truth is known.
+
 use super::{ClockFit, Exchange, Judged};
 use proptest::prelude::{ProptestConfig, any, prop_assert, prop_assert_eq, proptest};
 
