@@ -117,8 +117,7 @@ fn what_the_system_refuses_is_told_by_status_and_recording() {
         let segments =
             std::fs::read_dir(dir.path().join("sessions/refused").join(node)).expect("a recording");
         let files = segments.map(|entry| std::fs::read(entry.expect("an entry").path()).unwrap_or_default());
-        let count =
-            |bytes: Vec<u8>| bytes.windows(16).filter(|window| *window == b"realtime_refused").count();
+        let count = |bytes: Vec<u8>| bytes.windows(kind.len()).filter(|w| *w == kind.as_bytes()).count();
         files.map(count).sum::<usize>()
     };
     for node in ["node-a", "node-b"] {
