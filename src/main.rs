@@ -28,6 +28,7 @@ enum Command {
     Verify(cmds::verify::Args),
     Pattern(cmds::pattern::Args),
     Reconstruct(cmds::reconstruct::Args),
+    Recover(cmds::recover::Args),
     Validate(cmds::validate::Args),
     View(cmds::view::Args),
 }
@@ -59,6 +60,7 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::Verify(args) => cmds::verify::run(args),
         Command::Pattern(args) => cmds::pattern::run(args),
         Command::Reconstruct(args) => cmds::reconstruct::run(args),
+        Command::Recover(args) => cmds::recover::run(args),
         Command::Validate(args) => cmds::validate::run(args),
         Command::View(args) => cmds::view::run(args),
     }

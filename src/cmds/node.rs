@@ -3,6 +3,7 @@
 use super::{Exit, Failure};
 use crate::api::server;
 use crate::config::NodeConfig;
+use crate::record::recover::interrupted;
 use crate::session::driver::Driver;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -41,6 +42,14 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut signals = runtime
         .block_on(async { StopSignals::watch() })
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
+    for found in interrupted(&config.sessions_dir, config.node.as_str()) {
+        let session = found.path.parent().unwrap_or(&found.path).display();
+        tracing::warn!(
+            "the recording {} was interrupted ({}); what is in it can be made whole with: fourdbody recover {session} --out {session}-recovered",
+            found.path.display(),
+            found.reason
+        );
+    }
     let driver = Driver::start(config, backend).map_err(|e| Failure::new(Exit::Failure, e))?;
     tracing::info!(%listen, "node is up");
     match runtime.block_on(serve(listener, &driver, &mut signals)) {

@@ -8,7 +8,9 @@ mod node;
 mod rig;
 mod section;
 
-pub use node::{CameraConfig, FeatureSetting, FeatureValue, NodeConfig, Realtime, SocketMode};
+pub use node::{
+    CameraConfig, FeatureSetting, FeatureValue, NodeConfig, OnLoss, Realtime, SocketMode, WhenFull,
+};
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
 

@@ -61,7 +61,7 @@ impl SegmentReader {
     }
 
     /// A message's bytes, which the system is told to fetch in one go.
-    fn message(&self, offset: usize, length: usize) -> Option<&[u8]> {
+    pub(super) fn message(&self, offset: usize, length: usize) -> Option<&[u8]> {
         let message = self.bytes().get(offset..offset.checked_add(length)?)?;
         // Advice is only advice.
         let _ = self.map.as_ref()?.advise_range(Advice::WillNeed, offset, length);
@@ -76,6 +76,8 @@ pub(super) enum Extent {
     Everything,
     /// Outcomes and verdict, by way of the indexes.
     Outcomes,
+    /// All small records, also behind damage.
+    Salvage,
 }
 
 /// What a camera has at a trigger.
@@ -191,8 +193,8 @@ impl RecordingReader {
             let _ = map.advise(Advice::Random);
         }
         let bytes = map.as_deref().unwrap_or_default();
-        if what == Extent::Everything || !self.take_index(&mut segment, bytes) {
-            self.walk(&mut segment, bytes);
+        if what != Extent::Outcomes || !self.take_index(&mut segment, bytes) {
+            self.walk(&mut segment, bytes, what);
         }
         if let Some(map) = &map {
             let _ = map.advise(Advice::Normal);
@@ -201,31 +203,38 @@ impl RecordingReader {
         self.segments.push(segment);
     }
 
-    fn walk(&mut self, segment: &mut SegmentReader, bytes: &[u8]) {
+    fn walk(&mut self, segment: &mut SegmentReader, bytes: &[u8], what: Extent) {
         let (place, number) = (self.segments.len(), segment.number);
         let topics: Vec<String> = self.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
         let mut channels: BTreeMap<u16, Topic> = BTreeMap::new();
         let mut walker = Walker::new(bytes);
-        for event in walker.by_ref() {
-            match event {
-                Event::Channel { id, topic } => {
-                    channels.insert(id, Topic::of(topic, &topics));
-                }
-                Event::Message { channel, sequence, data } => {
-                    let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
-                    if let Topic::Image(camera) = topic {
-                        let outcome =
-                            Outcome::Frame { segment: place, offset: data.start, length: data.len() };
-                        self.outcome(number, camera, u64::from(sequence), outcome);
-                    } else {
-                        self.small_record(number, topic, &bytes[data]);
+        let mut end = None;
+        loop {
+            for event in walker.by_ref() {
+                match event {
+                    Event::Channel { id, topic } => {
+                        channels.insert(id, Topic::of(topic, &topics));
                     }
+                    Event::Message { channel, sequence, data } => {
+                        let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
+                        if let Topic::Image(camera) = topic {
+                            let outcome =
+                                Outcome::Frame { segment: place, offset: data.start, length: data.len() };
+                            self.outcome(number, camera, u64::from(sequence), outcome);
+                        } else {
+                            self.small_record(number, topic, &bytes[data]);
+                        }
+                    }
+                    Event::Metadata { name, entries } => self.metadata(segment, name, &entries),
+                    Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
                 }
-                Event::Metadata { name, entries } => self.metadata(segment, name, &entries),
-                Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
+            }
+            end.get_or_insert(walker.end());
+            if what != Extent::Salvage || !walker.resume() {
+                break;
             }
         }
-        segment.end = walker.end();
+        segment.end = end.unwrap_or(End::Cut { at: 0 });
     }
 
     /// The outcomes of a closed segment from its index; `false` when there is none to rely on.

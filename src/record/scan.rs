@@ -110,6 +110,24 @@ impl<'a> Walker<'a> {
         self.end.clone().unwrap_or(End::Cut { at: self.position })
     }
 
+    /// After a break, goes on behind the damaged chunk, or at the next record that can only be a chunk; `false` where
+    /// there is none. How the walk ended the first time is forgotten: the caller has asked before.
+    pub fn resume(&mut self) -> bool {
+        let from = match (&self.end, self.chunk_end) {
+            (None | Some(End::Closed), _) => return false,
+            (_, Some(chunk_end)) if chunk_end <= self.bytes.len() => chunk_end,
+            _ => self.position.saturating_add(1),
+        };
+        let rest = self.bytes.get(from..).unwrap_or_default();
+        let Some(next) = (0..rest.len()).find(|&at| rest[at] == op::CHUNK && is_chunk(&rest[at..])) else {
+            return false;
+        };
+        self.position = from + next;
+        self.chunk_end = None;
+        self.end = None;
+        true
+    }
+
     fn damaged(&mut self, at: usize, reason: impl Into<String>) {
         self.end.get_or_insert(End::Damaged { at, reason: reason.into() });
     }
@@ -281,6 +299,25 @@ impl<'a> Iterator for Walker<'a> {
     fn next(&mut self) -> Option<Event<'a>> {
         self.step()
     }
+}
+
+/// Whether `bytes` begin with a chunk as recordings have them: three lengths that agree, and no compression.
+fn is_chunk(bytes: &[u8]) -> bool {
+    const HEADER: u64 = 40;
+    let Some((op::CHUNK, length)) = preamble(bytes) else { return false };
+    let mut fields = Fields { bytes: &bytes[PREAMBLE..], position: 0 };
+    let lengths = (|| {
+        fields.u64()?;
+        fields.u64()?;
+        let uncompressed = fields.u64()?;
+        fields.u32()?;
+        let compression = fields.u32()?;
+        Some((uncompressed, compression, fields.u64()?))
+    })();
+    let rest = length.checked_sub(HEADER);
+    lengths.is_some_and(|(uncompressed, compression, compressed)| {
+        compression == 0 && uncompressed == compressed && Some(uncompressed) == rest && uncompressed > 0
+    })
 }
 
 /// The metadata records of a closed file, by way of its summary and without a walk; `None` when the file is

@@ -107,12 +107,22 @@ impl NodeProcess {
         let deadline = Instant::now() + Duration::from_secs(30);
         loop {
             if let Some(status) = self.child.try_wait().expect("a child") {
-                let log = std::fs::read_to_string(&self.log).unwrap_or_default();
-                return assert!(status.success(), "{status}; log:\n{log}");
+                return assert!(status.success(), "{status}; log:\n{}", self.log());
             }
             assert!(Instant::now() < deadline, "the node did not end");
             std::thread::sleep(Duration::from_millis(50));
         }
+    }
+
+    /// Kills it at once, as a crash would.
+    pub fn kill(&mut self) {
+        self.child.kill().expect("a child");
+        self.child.wait().expect("a child");
+    }
+
+    /// What it has logged so far.
+    pub fn log(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
     /// The process's id.

@@ -17,7 +17,10 @@ mod recording;
 mod recording_commands;
 mod recording_damage;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
+mod recover;
 mod refusals;
+#[cfg(feature = "aravis")]
+mod session_faults;
 mod shared_scene;
 mod third_party_camera;
 mod third_party_loss;
