@@ -1,14 +1,15 @@
 //! How fast this machine records: frames of a node's four cameras, from memory to disk, nothing else running.
 //!
-//! `cargo run --release --no-default-features --example record_rate -- DIR [FRAMES] [--buffered-mcap] [--no-preallocation] [--copy]`
+//! `cargo run --release --no-default-features --example record_rate -- DIR [FRAMES] [--buffered-mcap] [--no-preallocation] [--copy] [--small-pages]`
 //!
 //! Prints the rate, the time of the call that hands a frame over, write latencies, and the processor time of the
 //! whole process per GB recorded, the checksum of the pixels included. A node needs 480 frames/s, 1.106 GB/s.
 //! `--buffered-mcap` writes the same frames with the `mcap` crate over a plain buffered file, `--copy` with
-//! `Recording::frame`, which copies them. The files are deleted at the end.
+//! `Recording::frame`, which copies them, `--small-pages` takes each block from the allocator, as before the node had a
+//! pool on huge pages. The files are deleted at the end.
 
 use crossbeam_channel::{Receiver, unbounded};
-use fourdbody::acquire::pool::{Block, ROOM_BYTES};
+use fourdbody::acquire::pool::{Block, Pool, ROOM_BYTES, block_bytes};
 use fourdbody::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use fourdbody::record::envelope::{pixels_crc, schema};
 use fourdbody::record::{
@@ -133,10 +134,13 @@ impl Sink {
 }
 
 /// Blocks that come back when the disk has them.
-fn pool() -> Receiver<Block> {
+fn pool(small_pages: bool) -> Receiver<Block> {
     let (home, returns) = unbounded();
-    for i in 0..POOL {
-        let mut block = Block::allocate(PIXELS);
+    let blocks: Vec<Block> = match small_pages {
+        true => (0..POOL).map(|_| Block::allocate(PIXELS)).collect(),
+        false => Pool::new(true, (POOL * block_bytes(PIXELS)) as u64).take(PIXELS, POOL),
+    };
+    for (i, mut block) in blocks.into_iter().enumerate() {
         block.bytes_mut().iter_mut().enumerate().for_each(|(p, byte)| *byte = (p * 31 + i) as u8);
         block.set_home(home.clone());
         drop(block);
@@ -152,7 +156,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (flags, args): (Vec<_>, Vec<_>) = std::env::args().skip(1).partition(|arg| arg.starts_with("--"));
     let dir: PathBuf = args.first().ok_or("usage: record_rate DIR [FRAMES] [--buffered-mcap] ...")?.into();
     let frames: u64 = args.get(1).map_or(Ok(2400), |text| text.parse())?;
-    let blocks = pool();
+    let blocks = pool(flags.iter().any(|flag| flag == "--small-pages"));
     let mut sink = Sink::create(&dir, &flags)?;
     let (mut calls, mut waited) = (Vec::new(), Duration::ZERO);
     let (started, processor_before) = (Instant::now(), processor_time()?);

@@ -98,8 +98,8 @@ fn open(shelf: &Shelf) -> MutexGuard<'_, Vec<Block>> {
     shelf.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A node's frame blocks, in use and not.
-#[derive(Debug)]
+/// A node's frame blocks, in use and not. Clones share them.
+#[derive(Debug, Clone)]
 pub struct Pool {
     shelf: Arc<Shelf>,
     lock: bool,

@@ -53,6 +53,8 @@ pub struct AttendantSetup {
     pub pool: Arc<Pool>,
     /// Buffers of a stream.
     pub blocks: usize,
+    /// Where they come from.
+    pub pool: Pool,
     /// Pixels of a frame, bytes.
     pub pixel_bytes: usize,
     /// The recorder.
