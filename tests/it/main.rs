@@ -8,6 +8,8 @@ mod breaks;
 mod chain;
 #[cfg(feature = "aravis")]
 mod doctor;
+#[cfg(feature = "aravis")]
+mod faults;
 mod fuzz_corpora;
 mod hsu;
 // Without live cameras only some of its parts are used.

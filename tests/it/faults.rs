@@ -1,0 +1,44 @@
+//! Real nodes while cameras and network misbehave by a plan: every injected fault must be accounted for, at its
+//! trigger and by its cause, and nothing else may be missing.
+
+use crate::lab::{fourdbody, small_rig, start_laboratory, start_nodes, text_of};
+use fourdbody_simulator::faults::{FaultPlan, Kind, check, read_truth};
+use fourdbody_simulator::laboratory::{LaboratoryOptions, TRUTH_FILE};
+use std::net::Ipv4Addr;
+
+const TRIGGERS: usize = 300;
+
+#[test]
+fn every_injected_fault_is_accounted_for_and_nothing_else_is_missing() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let mut options = LaboratoryOptions::new(small_rig(40.0), dir.path());
+    options.first_address = Ipv4Addr::new(127, 0, 120, 11);
+    options.first_port = 0;
+    options.reserve_mib = 1;
+    options.buffers_per_camera = 64;
+    options.faults = Some(FaultPlan::mixed(2026, 0.008));
+    let laboratory = start_laboratory(&options);
+    let mut nodes = start_nodes(&laboratory);
+    let triggers = TRIGGERS.to_string();
+    let urls = laboratory.urls();
+    let captured = fourdbody(&["capture", "--nodes", &urls, "--triggers", &triggers, "--name", "faulty"]);
+    assert_eq!(captured.status.code(), Some(3), "losses, all accounted for: {}", text_of(&captured));
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    drop(nodes);
+
+    let truth = read_truth(&dir.path().join(TRUTH_FILE)).expect("the truth");
+    let session = dir.path().join("sessions/faulty");
+    let accounting = check(&truth, &[&session]).expect("a session");
+    println!("{}", serde_json::json!(accounting));
+    assert_eq!(accounting.mismatches, 0, "{:#?}", accounting.listed);
+    assert_eq!(accounting.outcomes, 8 * TRIGGERS as u64);
+    assert_eq!(accounting.total.injected, truth.len() as u64);
+    assert_eq!(accounting.kinds.len(), Kind::all().len(), "every kind: {:?}", accounting.kinds.keys());
+
+    // The check itself must notice a fault that nobody injected, and one that left no trace.
+    let loss = truth.iter().position(|fault| fault.kind == "frame_lost").expect("a lost frame");
+    let mut wrong = truth.clone();
+    wrong[loss].trigger += 1;
+    let accounting = check(&wrong, &[&session]).expect("a session");
+    assert_eq!(accounting.mismatches, 2, "{:#?}", accounting.listed);
+}
