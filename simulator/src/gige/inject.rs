@@ -79,10 +79,12 @@ pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<
     let one = 1 + (fault.chance % payload) as usize;
     match fault.kind {
         Kind::FrameLost | Kind::Stall => packets.clear(),
-        Kind::Lost(part, _) => {
+        Kind::Lost(part, resend) => {
             let trailer = packets.len().saturating_sub(1);
             let lost = match part {
                 Part::Packet => one..one + 1,
+                // Aravis asks for a quarter of a frame's packets at most.
+                Part::Burst if resend == Resend::Answered => one..(one + 2).min(trailer),
                 Part::Burst => one..(one + 3).min(trailer),
                 Part::Leader => 0..1,
                 Part::Trailer => trailer..trailer + 1,
@@ -120,7 +122,8 @@ pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<
 fn malformed(packets: &[Vec<u8>], fault: Fault, header: usize) -> Vec<Vec<u8>> {
     let Some(model) = packets.get(1) else { return Vec::new() };
     let noise = |length: u64| (0..length).map(|k| hash(fault.chance, &[k]) as u8);
-    let short: Vec<u8> = noise(fault.number(0, 7)).collect();
+    // No longer than the status: Aravis reads an id from any datagram, and follows it (docs/design/faults.md).
+    let short = vec![0; fault.number(0, 2) as usize];
     let mut unknown: Vec<u8> = model.iter().copied().take(header).chain(noise(64)).collect();
     if let Some(format) = unknown.get_mut(4) {
         *format = *format & 0x80 | 0x0f;
