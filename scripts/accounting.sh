@@ -37,7 +37,7 @@ number() { grep -o "\"$1\":[0-9]*" "$2" | tail -1 | cut -d: -f2; }
 rm -rf "$out"
 mkdir -p "$out"
 # Eight payload packets a frame: a burst must not be more than what Aravis asks for again.
-sed -e 's/^width = .*/width = 64/; s/^height = .*/height = 64/; s/^focal_px = .*/focal_px = 68.0/' \
+sed -e 's/^width = 1920/width = 64/; s/^height = 1200/height = 64/; s/^focal_px = 2048.0/focal_px = 68.0/' \
     -e 's/exposure_us = .*/exposure_us = 300.0/' config/rig.toml >"$out/rig.toml"
 
 total=0 wrong=0 started=$(date +%s)
