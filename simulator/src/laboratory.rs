@@ -1,6 +1,7 @@
 //! The laboratory in one process: all cameras of a rig on loopback addresses, the HSU on ptys, and the
 //! configuration files with which real nodes drive them.
 
+use crate::faults::{CameraFaults, FaultPlan, TruthLog};
 use crate::gige::{CameraError, CameraOptions, ClockOptions, SimulatedCamera};
 use crate::hsu::{HsuOptions, SimulatedHsu};
 use crate::images::ImageSource;
@@ -36,6 +37,10 @@ pub struct LaboratoryOptions {
     pub first_block_id: u64,
     /// How the nodes receive packets.
     pub socket: SocketMode,
+    /// Bytes of the cameras' packets, with all headers.
+    pub packet_bytes: u32,
+    /// Faults of the cameras; what was injected is written to `faults.jsonl` in the run directory.
+    pub faults: Option<FaultPlan>,
 }
 
 impl LaboratoryOptions {
@@ -52,6 +57,8 @@ impl LaboratoryOptions {
             buffers_per_camera: 32,
             first_block_id: 1,
             socket: SocketMode::Auto,
+            packet_bytes: 9000,
+            faults: None,
         }
     }
 }
@@ -123,6 +130,7 @@ impl Laboratory {
         std::fs::write(&rig_path, &options.rig_text).map_err(io_error(&rig_path))?;
 
         let (mut cameras, mut setups) = (Vec::new(), Vec::new());
+        let faults = open_faults(options)?;
         let mut wires = Vec::new();
         for (number, (head, camera)) in (0u32..).zip(rig.cameras()) {
             let address = camera_address(options, number);
@@ -136,6 +144,15 @@ impl Laboratory {
                 offset_ns: 1_000_000_000 * (1 + u64::from(number)),
                 drift_ppm: f64::from(number) * 10.0 - 35.0,
             };
+            setup.faults = faults.as_ref().map(|(plan, truth)| CameraFaults {
+                plan: Arc::clone(plan),
+                camera: camera.id.to_string(),
+                truth: Arc::clone(truth),
+            });
+            if setup.faults.is_some() {
+                // Refused is what the plan refuses: a camera's memory must hold what is asked for late.
+                setup.resend_frames = FAULTY_RESEND_FRAMES;
+            }
             setups.push(setup.clone());
             let started = SimulatedCamera::start(setup);
             cameras
@@ -171,6 +188,21 @@ impl Laboratory {
             self.nodes.iter().map(|node| format!("http://127.0.0.1:{}", node.port)).collect();
         urls.join(",")
     }
+}
+
+/// Frames that cameras with injected faults keep for resend requests.
+const FAULTY_RESEND_FRAMES: usize = 256;
+/// Where what was injected is written down, in the run directory.
+pub const TRUTH_FILE: &str = "faults.jsonl";
+
+type OpenFaults = (Arc<FaultPlan>, Arc<TruthLog>);
+
+fn open_faults(options: &LaboratoryOptions) -> Result<Option<OpenFaults>, LaboratoryError> {
+    let Some(plan) = &options.faults else { return Ok(None) };
+    let path = options.run_dir.join(TRUTH_FILE);
+    let what = path.display().to_string();
+    let truth = TruthLog::create(&path).map_err(|source| LaboratoryError::Io { what, source })?;
+    Ok(Some((Arc::new(plan.clone()), Arc::new(truth))))
 }
 
 fn camera_address(options: &LaboratoryOptions, number: u32) -> Ipv4Addr {
@@ -212,12 +244,13 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, node: &NodeId, port: u16) -
          [api]\nlisten = \"127.0.0.1:{port}\"\n\n\
          [hsu]\ndevice = {}\n\n\
          [storage]\nsessions_dir = {}\nreserve_mib = {}\nsegment_mib = {}\n\n\
-         [acquisition]\nbuffers_per_camera = {}\npacket_bytes = 9000\nsocket = \"{}\"\n",
+         [acquisition]\nbuffers_per_camera = {}\npacket_bytes = {}\nsocket = \"{}\"\n",
         quoted(&absolute(&hsu_link(options, node))),
         quoted(&absolute(&options.sessions_dir)),
         options.reserve_mib,
         options.segment_mib,
         options.buffers_per_camera,
+        options.packet_bytes,
         match options.socket {
             SocketMode::Auto => "auto",
             SocketMode::Standard => "standard",

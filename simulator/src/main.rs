@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 /// Simulated light, cameras and HSU for fourdbody: real protocols, simulated photons.
 ///
-/// Exit codes: 0 done; 1 any other failure; 2 usage or configuration.
+/// Exit codes: 0 done; 1 any other failure; 2 usage or configuration; 4 a check failed.
 #[derive(Parser)]
 #[command(version, propagate_version = true)]
 struct Cli {
@@ -24,6 +24,7 @@ enum Command {
     Cameras(cmds::cameras::Args),
     Summarize(cmds::summarize::Args),
     BenchIngest(cmds::bench_ingest::Args),
+    CheckAccounting(cmds::check_accounting::Args),
 }
 
 fn main() -> ExitCode {
@@ -48,5 +49,6 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::Cameras(args) => cmds::cameras::run(args),
         Command::Summarize(args) => cmds::summarize::run(args),
         Command::BenchIngest(args) => cmds::bench_ingest::run(args),
+        Command::CheckAccounting(args) => cmds::check_accounting::run(args),
     }
 }

@@ -233,7 +233,6 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         buffers_per_camera: acquisition.buffers_per_camera,
         packet_bytes: acquisition.packet_bytes,
         socket: acquisition.socket,
-        realtime,
         silence_gate: acquisition.silence_gate,
         when_full: acquisition.when_full,
         on_camera_lost: acquisition.on_camera_lost,

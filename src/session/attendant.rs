@@ -9,7 +9,6 @@ use crate::camera::{CameraError, StreamOptions};
 use crate::record::{ClockSample, NodeEvent};
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
-use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -49,8 +48,6 @@ pub struct AttendantSetup {
     pub options: StreamOptions,
     /// Its receiver's setup, for another one.
     pub receiver: ReceiverSetup,
-    /// Where they come from.
-    pub pool: Arc<Pool>,
     /// Buffers of a stream.
     pub blocks: usize,
     /// Where they come from.

@@ -86,7 +86,7 @@ pub struct Devices {
     backend: SharedBackend,
     slots: Vec<OpenCamera>,
     /// Frame memory, kept between sessions.
-    pool: Arc<Pool>,
+    pool: Pool,
     hsu: Option<Arc<Hsu>>,
     hsu_problem: Option<String>,
     config: NodeConfig,
@@ -113,7 +113,7 @@ impl Devices {
         let blocks = |slot: &OpenCamera| config.buffers_per_camera * block_bytes(slot.size.0 * slot.size.1);
         let needed: usize = slots.iter().map(blocks).sum();
         Self {
-            pool: Arc::new(Pool::new(config.realtime.lock_memory, needed as u64)),
+            pool: Pool::new(config.realtime.lock_memory, needed as u64),
             slots,
             backend: SharedBackend(Arc::new(Mutex::new(backend))),
             hsu: None,
@@ -316,7 +316,7 @@ impl Devices {
                 options: stream_options(&self.config),
                 receiver: setup.clone(),
                 blocks: self.config.buffers_per_camera,
-                pool: Arc::clone(&self.pool),
+                pool: self.pool.clone(),
                 to_recorder: to_recorder.clone(),
                 reports: reports.clone(),
             };

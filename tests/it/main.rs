@@ -10,6 +10,8 @@ mod chain;
 mod doctor;
 #[cfg(feature = "aravis")]
 mod endurance;
+#[cfg(feature = "aravis")]
+mod faults;
 mod fuzz_corpora;
 mod hsu;
 // Without live cameras only some of its parts are used.

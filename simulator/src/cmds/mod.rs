@@ -2,6 +2,7 @@
 
 pub mod bench_ingest;
 pub mod cameras;
+pub mod check_accounting;
 pub mod convert_rig;
 pub mod export_png;
 pub mod render;

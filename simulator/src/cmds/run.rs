@@ -1,6 +1,7 @@
 //! `fourdbody-sim run`: the whole laboratory on the wire, for real nodes.
 
 use crate::cache::{CachedImages, Manifest};
+use crate::faults::FaultPlan;
 use crate::gige::TestImages;
 use crate::images::ImageSource;
 use crate::laboratory::{Laboratory, LaboratoryOptions};
@@ -50,6 +51,16 @@ pub struct Args {
     /// Size of the nodes' segments, MiB.
     #[arg(long, value_name = "MIB")]
     segment_mib: Option<u64>,
+    /// Faults to inject: a TOML file with a table [faults]. What was injected goes to faults.jsonl in the run
+    /// directory.
+    #[arg(long, value_name = "FILE")]
+    faults: Option<PathBuf>,
+    /// Seed of the faults, instead of the file's.
+    #[arg(long, value_name = "N", requires = "faults")]
+    fault_seed: Option<u64>,
+    /// Bytes of the cameras' packets.
+    #[arg(long, value_name = "BYTES", default_value_t = 9000, value_parser = clap::value_parser!(u32).range(576..=65532))]
+    packet_bytes: u32,
     /// Stop after so many seconds.
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
@@ -70,6 +81,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.first_port = args.first_port;
     options.buffers_per_camera = args.buffers;
     options.segment_mib = args.segment_mib.unwrap_or(options.segment_mib);
+    options.packet_bytes = args.packet_bytes;
+    options.faults = fault_plan(args)?;
     let mut images = images(args, &rig_path, &options.rig_text)?;
     let laboratory =
         Laboratory::start(&options, |_| images.remove(0)).map_err(|e| Failure::new(Exit::Failure, e))?;
@@ -94,6 +107,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         },
     }
     Ok(Exit::Done)
+}
+
+fn fault_plan(args: &Args) -> Result<Option<FaultPlan>, Failure> {
+    let Some(path) = &args.faults else { return Ok(None) };
+    let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
+    let mut plan = FaultPlan::parse(&text).map_err(|e| wrong(&e))?;
+    plan.seed = args.fault_seed.unwrap_or(plan.seed);
+    Ok(Some(plan))
 }
 
 /// The rig file's text, with another trigger rate or with the cameras of one node only, where asked for.

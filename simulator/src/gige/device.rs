@@ -2,10 +2,12 @@
 
 use super::clock::{CameraClock, ClockOptions};
 use super::control::{Action, Control, Outcome};
+use super::inject::Injector;
 use super::registers::{Identity, Registers};
 use super::stream::{Order, Streamer};
-use super::transmit::{History, Transmitter, resend};
+use super::transmit::{History, Transmitter, refuse, resend};
 use super::{CameraError, PacketFilter, Statistics, discovery, gvcp, gvsp, net};
+use crate::faults::{CameraFaults, Resend};
 use crate::images::ImageSource;
 use crate::wire::TriggerEdge;
 use crossbeam_channel::{Receiver, Sender, never, unbounded};
@@ -45,6 +47,8 @@ pub struct CameraOptions {
     pub first_block_id: u64,
     /// First transmissions that get lost on the way, by block and packet id.
     pub lose: Option<PacketFilter>,
+    /// Faults to inject at triggers of the wire; none by default.
+    pub faults: Option<CameraFaults>,
 }
 
 impl CameraOptions {
@@ -61,6 +65,7 @@ impl CameraOptions {
             resend_frames: 8,
             first_block_id: 1,
             lose: None,
+            faults: None,
         }
     }
 }
@@ -126,6 +131,7 @@ impl SimulatedCamera {
             statistics: Arc::clone(&statistics),
             running: Arc::clone(&running),
             first_block_id: options.first_block_id,
+            injector: options.faults.clone().map(Injector::new),
         };
         let controller = Controller {
             control: Control::new(registers),
@@ -138,6 +144,7 @@ impl SimulatedCamera {
             orders: orders.clone(),
             running,
             acquisitions: 0,
+            late: options.faults.as_ref().map_or(Duration::ZERO, |faults| faults.plan.late),
             stop: Arc::clone(&stop),
         };
         let spawn = |part: &str, work: Box<dyn FnOnce() + Send>| {
@@ -217,6 +224,8 @@ struct Controller {
     orders: Sender<Order>,
     running: Arc<AtomicU64>,
     acquisitions: u64,
+    /// How late answers are to resend requests that shall be answered late.
+    late: Duration,
     stop: Arc<AtomicBool>,
 }
 
@@ -264,6 +273,27 @@ impl Controller {
         }
     }
 
+    fn resend(&self, request: &gvcp::ResendRequest) {
+        match self.history.policy(request.block_id) {
+            Resend::Answered => {
+                resend(request, &self.history, &*self.images, &self.stream_socket, &self.statistics);
+            }
+            Resend::Refused => refuse(request, &self.stream_socket, &self.statistics),
+            Resend::Ignored => {}
+            Resend::Late => {
+                let (history, images) = (Arc::clone(&self.history), Arc::clone(&self.images));
+                let (socket, statistics) = (Arc::clone(&self.stream_socket), Arc::clone(&self.statistics));
+                let (request, late) = (*request, self.late);
+                let answer = move || {
+                    std::thread::sleep(late);
+                    resend(&request, &history, &*images, &socket, &statistics);
+                };
+                // The control channel must go on meanwhile; a few threads that sleep cost nothing.
+                let _ = std::thread::Builder::new().name("late-resend".to_owned()).spawn(answer);
+            }
+        }
+    }
+
     fn carry_out(&mut self, outcome: Outcome, from: Option<SocketAddrV4>) {
         for action in outcome.actions {
             match action {
@@ -288,7 +318,7 @@ impl Controller {
                     let _ = self.stream_socket.send_to(&gvsp::test_packet(packet_size), destination);
                 }
                 Action::Resend(request) => {
-                    resend(&request, &self.history, &*self.images, &self.stream_socket, &self.statistics);
+                    self.resend(&request);
                 }
             }
         }

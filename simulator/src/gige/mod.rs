@@ -19,6 +19,7 @@ mod discovery;
 pub mod genicam;
 pub mod gvcp;
 pub mod gvsp;
+mod inject;
 pub mod map;
 mod net;
 pub mod registers;

@@ -4,11 +4,13 @@
 use super::Statistics;
 use super::clock::CameraClock;
 use super::control::StreamSettings;
+use super::inject::Injector;
 use super::net;
 use super::segmentation;
 use super::sensor::{Exposure, Sensor};
 use super::settings::{ExposureMode, TriggerSource};
 use super::transmit::{Frame, History, Transmitter};
+use crate::faults::{Fault, Kind};
 use crate::wire::TriggerEdge;
 use crossbeam_channel::{Receiver, never, select};
 use std::collections::VecDeque;
@@ -35,14 +37,27 @@ pub enum Order {
 
 /// Longest sleep of an idle streaming thread.
 const IDLE: Duration = Duration::from_secs(1);
+/// So long before a trigger an injected reset of the clock happens: a timestamp of 0 means that there is none.
+const RESET_LEAD: Duration = Duration::from_micros(200);
+
+/// An exposure on its way to become a frame.
+struct Shot {
+    exposure: Exposure,
+    /// Camera clock at its start, ns.
+    timestamp: u64,
+    /// The light it sees.
+    instant: i64,
+    /// What goes wrong with it.
+    fault: Option<Fault>,
+}
 
 struct Acquisition {
     number: u64,
     started: Instant,
     stream: StreamSettings,
     sensor: Sensor,
-    /// Exposures that are not sent yet, with the light they see.
-    exposures: VecDeque<(Exposure, i64)>,
+    /// Exposures that are not sent yet.
+    exposures: VecDeque<Shot>,
     next_block_id: u64,
     /// Instant of the simulated world for exposures that no wire triggers.
     next_instant: i64,
@@ -71,6 +86,8 @@ pub struct Streamer {
     pub running: Arc<AtomicU64>,
     /// Block id of the first frame of each acquisition.
     pub first_block_id: u64,
+    /// Faults to inject.
+    pub injector: Option<Injector>,
 }
 
 impl Streamer {
@@ -139,7 +156,7 @@ impl Streamer {
                 if let Some(running) = acquisition {
                     let instant = running.take_instant();
                     let exposure = running.stream.settings.exposure();
-                    self.trigger(running, time, exposure, instant);
+                    self.trigger(running, time, exposure, instant, None);
                 }
             }
             Order::Quit => return false,
@@ -160,7 +177,7 @@ impl Streamer {
         }
     }
 
-    fn on_edge(&self, acquisition: Option<&mut Acquisition>, edge: TriggerEdge) {
+    fn on_edge(&mut self, acquisition: Option<&mut Acquisition>, edge: TriggerEdge) {
         let listening = acquisition.filter(|a| {
             let settings = &a.stream.settings;
             settings.triggered && settings.source == TriggerSource::Line0 && edge.time >= a.started
@@ -173,13 +190,36 @@ impl Streamer {
             ExposureMode::Timed => running.stream.settings.exposure(),
             ExposureMode::TriggerWidth => Duration::from_nanos(edge.width_ns),
         };
-        self.trigger(running, edge.time, exposure, edge.instant);
+        let fault = self.injector.as_mut().and_then(|injector| injector.on_edge(&edge));
+        match fault.map(|fault| fault.kind) {
+            Some(Kind::TriggerIgnored) => return,
+            // Between two triggers: the frame of this one is the first of the new time.
+            Some(Kind::ClockReset) => self.clock.reset(edge.time - RESET_LEAD),
+            _ => {}
+        }
+        self.trigger(running, edge.time, exposure, edge.instant, fault);
     }
 
-    fn trigger(&self, running: &mut Acquisition, time: Instant, exposure: Duration, instant: i64) {
+    fn trigger(
+        &self,
+        running: &mut Acquisition,
+        time: Instant,
+        exposure: Duration,
+        instant: i64,
+        fault: Option<Fault>,
+    ) {
         let rows = running.stream.layout.height;
         match running.sensor.trigger(time, exposure, rows) {
-            Some(exposure) => running.exposures.push_back((exposure, instant)),
+            Some(exposure) => {
+                let timestamp = self.clock.at(exposure.start);
+                running.exposures.push_back(Shot { exposure, timestamp, instant, fault });
+                let period = self.injector.as_ref().and_then(Injector::period);
+                if let (Some(Kind::ExtraFrame), Some(period)) = (fault.map(|fault| fault.kind), period) {
+                    let (start, end) = (exposure.start + period / 3, exposure.end + period / 3);
+                    let (exposure, timestamp) = (Exposure { start, end }, self.clock.at(start));
+                    running.exposures.push_back(Shot { exposure, timestamp, instant, fault: None });
+                }
+            }
             None => {
                 self.statistics.triggers_ignored.fetch_add(1, Relaxed);
                 self.statistics.triggers_ignored_now.fetch_add(1, Relaxed);
@@ -190,24 +230,33 @@ impl Streamer {
     /// Starts free-running exposures that are due, and sends at most one frame whose exposure has ended.
     fn advance(&mut self, running: &mut Acquisition) {
         let now = Instant::now();
-        running.free_run(now);
-        let due = running.exposures.front().is_some_and(|(exposure, _)| exposure.end <= now);
+        running.free_run(now, &self.clock);
+        let due = running.exposures.front().is_some_and(|shot| shot.exposure.end <= now);
         if !due {
             return;
         }
-        let Some((exposure, instant)) = running.exposures.pop_front() else { return };
-        let frame = Frame {
-            block_id: running.next_block_id,
-            timestamp: self.clock.at(exposure.start),
-            instant,
-            layout: running.stream.layout,
+        let Some(Shot { exposure, timestamp, instant, fault }) = running.exposures.pop_front() else {
+            return;
         };
+        if let Some(fault) = fault.filter(|fault| fault.kind == Kind::IdJump) {
+            for _ in 0..self.injector.as_ref().map_or(0, |injector| injector.ids_skipped(fault)) {
+                running.next_block_id = running.stream.layout.ids.next_block_id(running.next_block_id);
+            }
+        }
+        let frame =
+            Frame { block_id: running.next_block_id, timestamp, instant, layout: running.stream.layout };
         running.next_block_id = frame.layout.ids.next_block_id(frame.block_id);
         running.frames_left = running.frames_left.map(|left| left.saturating_sub(1));
         let lag = now.saturating_duration_since(exposure.end).as_nanos();
         self.statistics.worst_lag_ns.fetch_max(u64::try_from(lag).unwrap_or(u64::MAX), Relaxed);
         if running.stream.destination.is_some() {
-            self.transmitter.send(&frame, running.stream.packet_delay);
+            match fault {
+                None => self.transmitter.send(&frame, running.stream.packet_delay),
+                Some(fault) => self.transmitter.send_with(&frame, fault),
+            }
+        }
+        if let (Some(injector), Some(fault)) = (&self.injector, fault) {
+            injector.sent(instant, frame.block_id, fault);
         }
     }
 }
@@ -233,7 +282,7 @@ impl Acquisition {
         instant
     }
 
-    fn free_run(&mut self, now: Instant) {
+    fn free_run(&mut self, now: Instant, clock: &CameraClock) {
         let Some(start) = self.next_free_run.filter(|start| *start <= now && self.exposures.is_empty())
         else {
             return;
@@ -245,13 +294,13 @@ impl Acquisition {
         self.next_free_run = Some(start + period);
         let instant = self.take_instant();
         let exposure = Exposure { start, end: start + exposure };
-        self.exposures.push_back((exposure, instant));
+        self.exposures.push_back(Shot { exposure, timestamp: clock.at(start), instant, fault: None });
     }
 
     /// How long the thread may sleep.
     fn next_deadline(&mut self) -> Duration {
         let next = match self.exposures.front() {
-            Some((exposure, _)) => Some(exposure.end),
+            Some(shot) => Some(shot.exposure.end),
             None => self.next_free_run,
         };
         next.map_or(IDLE, |at| at.saturating_duration_since(Instant::now()).min(IDLE))

@@ -1,9 +1,11 @@
 //! Frames to packets to the socket, and packets sent again from the frames kept.
 
 use super::gvcp::ResendRequest;
-use super::gvsp::{self, Layout, PayloadHeaders, Status};
+use super::gvsp::{self, IdMode, Layout, PayloadHeaders, Status};
+use super::inject;
 use super::net::Batch;
 use super::{PacketFilter, Statistics};
+use crate::faults::{Fault, Resend};
 use crate::images::ImageSource;
 use std::collections::VecDeque;
 use std::net::UdpSocket;
@@ -51,7 +53,7 @@ fn crop(
 /// The last frames sent, for resend requests. No pixels are kept: the source still has them.
 #[derive(Debug)]
 pub struct History {
-    frames: Mutex<VecDeque<Frame>>,
+    frames: Mutex<VecDeque<(Frame, Resend)>>,
     capacity: usize,
 }
 
@@ -61,13 +63,13 @@ impl History {
         Self { frames: Mutex::new(VecDeque::with_capacity(capacity + 1)), capacity }
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, VecDeque<Frame>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, VecDeque<(Frame, Resend)>> {
         self.frames.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn push(&self, frame: Frame) {
+    fn push(&self, frame: Frame, resend: Resend) {
         let mut frames = self.lock();
-        frames.push_back(frame);
+        frames.push_back((frame, resend));
         while frames.len() > self.capacity {
             frames.pop_front();
         }
@@ -79,8 +81,28 @@ impl History {
     }
 
     fn find(&self, block_id: u64) -> Option<Frame> {
-        self.lock().iter().rev().find(|f| f.block_id == block_id).copied()
+        self.lock().iter().rev().find(|(f, _)| f.block_id == block_id).map(|(frame, _)| *frame)
     }
+
+    /// What becomes of requests for this block's packets: answered, unless a fault says otherwise.
+    pub fn policy(&self, block_id: u64) -> Resend {
+        let frames = self.lock();
+        frames
+            .iter()
+            .rev()
+            .find(|(f, _)| f.block_id == block_id)
+            .map_or(Resend::Answered, |(_, resend)| *resend)
+    }
+}
+
+fn request_ids(request: &ResendRequest) -> IdMode {
+    if request.extended { IdMode::Extended } else { IdMode::Standard }
+}
+
+/// Answers a resend request with "not available".
+pub fn refuse(request: &ResendRequest, socket: &UdpSocket, statistics: &Statistics) {
+    let _ = socket.send(&gvsp::unavailable(request_ids(request), request.block_id, request.first));
+    statistics.resends_unavailable.fetch_add(1, Relaxed);
 }
 
 /// Answers a resend request on the stream's socket.
@@ -91,14 +113,11 @@ pub fn resend(
     socket: &UdpSocket,
     statistics: &Statistics,
 ) {
-    use super::gvsp::IdMode;
-    let ids = if request.extended { IdMode::Extended } else { IdMode::Standard };
+    let ids = request_ids(request);
     let frame = history.find(request.block_id).filter(|f| f.layout.ids == ids);
     let valid = |frame: &Frame| request.first <= request.last && request.first <= frame.layout.trailer_id();
     let Some(frame) = frame.filter(valid) else {
-        let _ = socket.send(&gvsp::unavailable(ids, request.block_id, request.first));
-        statistics.resends_unavailable.fetch_add(1, Relaxed);
-        return;
+        return refuse(request, socket, statistics);
     };
     let mut pixels = Vec::with_capacity(frame.layout.chunk);
     for id in request.first..=request.last.min(frame.layout.trailer_id()) {
@@ -148,9 +167,31 @@ impl Transmitter {
         self.segmented = segmented;
     }
 
+    /// Sends one frame with a fault, packet by packet.
+    pub fn send_with(&mut self, frame: &Frame, fault: Fault) {
+        self.history.push(*frame, inject::resend_policy(fault));
+        let layout = &frame.layout;
+        let mut headers = PayloadHeaders::new(layout);
+        headers.stamp(frame.block_id);
+        let mut packets = Vec::with_capacity(layout.trailer_id() as usize + 1);
+        packets.push(gvsp::leader(layout, Status::Ok, frame.block_id, frame.timestamp));
+        for id in 1..=layout.payload_packets() {
+            let mut packet = headers.get(id).to_vec();
+            crop(&*self.source, frame.instant, layout, layout.range(id), &mut packet);
+            packets.push(packet);
+        }
+        packets.push(gvsp::trailer(layout, Status::Ok, frame.block_id));
+        for packet in inject::datagrams(packets, fault, layout.ids.header_size()) {
+            match self.socket.send(&packet) {
+                Ok(_) => self.statistics.packets_sent.fetch_add(1, Relaxed),
+                Err(_) => self.statistics.send_errors.fetch_add(1, Relaxed),
+            };
+        }
+    }
+
     /// Sends one frame, `delay` between its packets (0: as fast as possible).
     pub fn send(&mut self, frame: &Frame, delay: Duration) {
-        self.history.push(*frame);
+        self.history.push(*frame, Resend::Answered);
         let layout = &frame.layout;
         if self.headers.as_ref().is_none_or(|(built, _)| built != layout) {
             self.headers = Some((*layout, PayloadHeaders::new(layout)));

@@ -1,0 +1,181 @@
+//! Compares recordings with what was injected.
+
+use super::truth::{FRAME, Injected};
+use fourdbody::ids::TriggerIndex;
+use fourdbody::record::{RecordingReader, SessionReader};
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Mismatches beyond this many are counted, not listed.
+const LISTED: usize = 200;
+
+/// Faults of one kind.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Tally {
+    /// Injected into the sessions.
+    pub injected: u64,
+    /// With an outcome and events as expected.
+    pub right: u64,
+    /// With others.
+    pub wrong: u64,
+}
+
+/// How recordings compare with the truth.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Accounting {
+    /// Per kind of fault.
+    pub kinds: BTreeMap<String, Tally>,
+    /// Faults of all kinds.
+    pub total: Tally,
+    /// Outcomes looked at: one per camera and trigger.
+    pub outcomes: u64,
+    /// Everything that is not as it should be, faults and others.
+    pub mismatches: u64,
+    /// The first of them, in words.
+    pub listed: Vec<String>,
+}
+
+impl Accounting {
+    fn mismatch(&mut self, message: String) {
+        self.mismatches += 1;
+        if self.listed.len() < LISTED {
+            self.listed.push(message);
+        }
+    }
+}
+
+/// Compares sessions with the truth: the n-th session is the n-th train of every camera in it.
+///
+/// # Errors
+/// A session that cannot be opened.
+pub fn check(truth: &[Injected], sessions: &[impl AsRef<Path>]) -> Result<Accounting, String> {
+    let mut accounting = Accounting::default();
+    for (train, path) in (1u64..).zip(sessions) {
+        let session = SessionReader::open(path.as_ref()).map_err(|e| e.to_string())?;
+        for recording in session.recordings() {
+            check_recording(truth, train, recording, &mut accounting);
+        }
+    }
+    Ok(accounting)
+}
+
+fn check_recording(truth: &[Injected], train: u64, recording: &RecordingReader, into: &mut Accounting) {
+    for problem in &recording.problems {
+        into.mismatch(format!("{}: {}", recording.path.display(), problem.message));
+    }
+    if recording.verdict.is_none() {
+        into.mismatch(format!("{}: the recording has no verdict", recording.path.display()));
+    }
+    let events: BTreeSet<(&str, &str, Option<u64>)> = recording
+        .events
+        .iter()
+        .filter_map(|e| Some((e.camera.as_ref()?.as_str(), e.kind.as_str(), e.trigger.map(|t| t.0))))
+        .collect();
+    let end = recording.triggers_end();
+    for (number, camera) in recording.header.cameras.iter().enumerate() {
+        let mut injected: BTreeMap<u64, &Injected> = BTreeMap::new();
+        for fault in truth.iter().filter(|f| f.train == train && f.camera == camera.id.as_str()) {
+            if injected.insert(fault.trigger, fault).is_some() {
+                into.mismatch(format!("{} trigger {}: two faults in the truth", camera.id, fault.trigger));
+            }
+        }
+        for (trigger, fault) in injected.range(end..) {
+            into.mismatch(format!("{} trigger {trigger}: {} after the last trigger", camera.id, fault.kind));
+        }
+        let outcomes: Vec<String> = (0..end).map(|t| outcome(recording, number, t)).collect();
+        // Nothing after it proves what a camera's last frames were lost by.
+        let last_frame = outcomes.iter().rposition(|outcome| outcome == FRAME).map_or(0, |at| at as u64);
+        for (trigger, found) in (0u64..).zip(&outcomes) {
+            into.outcomes += 1;
+            let at_end = trigger > last_frame;
+            let place = || format!("train {train} {} trigger {trigger}", camera.id);
+            match injected.get(&trigger) {
+                None if found == FRAME => {}
+                None => into.mismatch(format!("{}: {found}, nothing was injected", place())),
+                Some(fault) => {
+                    let wrong = judge(fault, found, at_end, &events);
+                    let right = wrong.is_none();
+                    let kind = into.kinds.entry(fault.kind.clone()).or_default();
+                    for tally in [kind, &mut into.total] {
+                        tally.injected += 1;
+                        tally.right += u64::from(right);
+                        tally.wrong += u64::from(!right);
+                    }
+                    if let Some(wrong) = wrong {
+                        into.mismatch(format!(
+                            "{}: {} (block {:?}): {wrong}",
+                            place(),
+                            fault.kind,
+                            fault.block
+                        ));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// `frame`, the cause of a gap, or what is wrong with the recording there.
+fn outcome(recording: &RecordingReader, camera: usize, trigger: u64) -> String {
+    match recording.frame(camera, TriggerIndex(trigger)) {
+        Ok(Ok(_)) => FRAME.to_owned(),
+        Ok(Err(cause)) => cause.to_string(),
+        Err(problem) => problem,
+    }
+}
+
+/// What is wrong with the outcome of a fault.
+fn judge(
+    fault: &Injected,
+    found: &str,
+    at_end: bool,
+    events: &BTreeSet<(&str, &str, Option<u64>)>,
+) -> Option<String> {
+    let loss = !fault.expected.iter().any(|outcome| outcome == FRAME);
+    let given_up = at_end && loss && found == "timeout";
+    if !given_up && !fault.expected.iter().any(|outcome| outcome == found) {
+        return Some(format!("found {found}, expected {}", fault.expected.join(" or ")));
+    }
+    if given_up {
+        return None;
+    }
+    let missing = fault.events.iter().find(|kind| {
+        let of_camera =
+            |trigger: Option<u64>| events.contains(&(fault.camera.as_str(), kind.as_str(), trigger));
+        // An event without a trigger stands for several; a stall has one event, at its first trigger.
+        let first_of_row = |reach: u64| (0..=reach).any(|k| of_camera(fault.trigger.checked_sub(k)));
+        !(of_camera(None) || first_of_row(if fault.kind == "stall" { 1000 } else { 0 }))
+    });
+    missing.map(|kind| format!("outcome {found} is right, but there is no event {kind}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fault(expected: &str, events: &[&str]) -> Injected {
+        Injected {
+            train: 1,
+            camera: "c".to_owned(),
+            trigger: 5,
+            block: None,
+            kind: "k".to_owned(),
+            expected: vec![expected.to_owned()],
+            events: events.iter().map(|e| (*e).to_owned()).collect(),
+        }
+    }
+
+    #[test]
+    fn outcome_and_events_must_fit() {
+        let events = BTreeSet::from([("c", "frames_lost", Some(5))]);
+        let lost = fault("missing_packets", &["frames_lost"]);
+        assert_eq!(judge(&lost, "missing_packets", false, &events), None);
+        assert!(judge(&lost, "missing_packets", false, &BTreeSet::new()).is_some());
+        assert!(judge(&lost, "not_triggered", false, &events).is_some());
+        assert!(judge(&lost, "timeout", false, &events).is_some());
+        assert_eq!(judge(&lost, "timeout", true, &BTreeSet::new()), None);
+        assert!(judge(&lost, FRAME, true, &events).is_some());
+        assert!(judge(&fault(FRAME, &[]), "timeout", true, &events).is_some());
+    }
+}

@@ -1,0 +1,29 @@
+//! Faults on purpose: what is injected, where, and what a recording must say of it afterwards.
+//!
+//! ```text
+//! [plan] seed, camera, trigger -> fault -> gige: sends it so -> [truth] one JSON line per fault
+//!                                       recordings + truth   -> [check] counts per kind, mismatches
+//! ```
+//!
+//! `docs/design/faults.md` has the table of faults and the reasons for what is expected.
+
+pub mod check;
+pub mod plan;
+pub mod truth;
+
+pub use check::{Accounting, Tally, check};
+pub use plan::{CameraPlan, Fault, FaultPlan, Kind, Part, PlanError, Resend};
+pub use truth::{Injected, TruthLog, read_truth};
+
+use std::sync::Arc;
+
+/// What one camera needs to inject faults.
+#[derive(Debug, Clone)]
+pub struct CameraFaults {
+    /// What to inject; the same for all cameras.
+    pub plan: Arc<FaultPlan>,
+    /// The camera's name in the rig: seeds its faults, and names it in the truth.
+    pub camera: String,
+    /// Where what was injected is written down.
+    pub truth: Arc<TruthLog>,
+}

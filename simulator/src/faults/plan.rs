@@ -1,0 +1,347 @@
+//! Which fault happens at which trigger of which camera: a function of seed, camera and trigger index.
+
+use crate::random::{hash, text_number};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::Duration;
+
+/// What becomes of a request to send a lost packet again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum Resend {
+    /// It is answered with the packet.
+    #[default]
+    Answered,
+    /// It is answered with "not available".
+    Refused,
+    /// It is not answered.
+    Ignored,
+    /// It is answered when the receiver has given the frame up.
+    Late,
+}
+
+/// What of a frame gets lost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Part {
+    /// One payload packet.
+    Packet,
+    /// Several payload packets in a row.
+    Burst,
+    /// The leader, which carries the timestamp.
+    Leader,
+    /// The trailer.
+    Trailer,
+}
+
+/// A kind of fault.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Kind {
+    /// No packet of the frame arrives.
+    FrameLost,
+    /// A part of it is lost on its first way.
+    Lost(Part, Resend),
+    /// All packets arrive, in another order.
+    Reordered,
+    /// Every packet arrives twice.
+    Duplicated,
+    /// A payload packet arrives cut short.
+    Truncated,
+    /// Datagrams that are no packets of the frame arrive among its packets.
+    Malformed,
+    /// The camera does not expose; the block id does not skip.
+    TriggerIgnored,
+    /// A frame without a trigger follows, a third of a period off, with a block id of its own.
+    ExtraFrame,
+    /// The block ids skip some without a lost frame.
+    IdJump,
+    /// The whole frame is sent again with the same id.
+    RepeatedFrame,
+    /// The camera's clock starts anew.
+    ClockReset,
+    /// Several frames in a row are exposed and never sent.
+    Stall,
+}
+
+const RESENDS: [Resend; 4] = [Resend::Answered, Resend::Refused, Resend::Ignored, Resend::Late];
+const PARTS: [Part; 4] = [Part::Packet, Part::Burst, Part::Leader, Part::Trailer];
+
+impl Kind {
+    /// All kinds.
+    pub fn all() -> Vec<Kind> {
+        let mut kinds = vec![Kind::FrameLost];
+        kinds.extend(PARTS.iter().flat_map(|part| RESENDS.iter().map(|resend| Kind::Lost(*part, *resend))));
+        kinds.extend([
+            Kind::Reordered,
+            Kind::Duplicated,
+            Kind::Truncated,
+            Kind::Malformed,
+            Kind::TriggerIgnored,
+            Kind::ExtraFrame,
+            Kind::IdJump,
+            Kind::RepeatedFrame,
+            Kind::ClockReset,
+            Kind::Stall,
+        ]);
+        kinds
+    }
+
+    /// The kind of this name.
+    pub fn parse(name: &str) -> Option<Kind> {
+        Kind::all().into_iter().find(|kind| kind.to_string() == name)
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = match self {
+            Kind::Lost(part, resend) => {
+                let part = match part {
+                    Part::Packet => "packet",
+                    Part::Burst => "burst",
+                    Part::Leader => "leader",
+                    Part::Trailer => "trailer",
+                };
+                let resend = match resend {
+                    Resend::Answered => "answered",
+                    Resend::Refused => "refused",
+                    Resend::Ignored => "ignored",
+                    Resend::Late => "late",
+                };
+                return write!(f, "{part}_lost_{resend}");
+            }
+            Kind::FrameLost => "frame_lost",
+            Kind::Reordered => "reordered",
+            Kind::Duplicated => "duplicated",
+            Kind::Truncated => "truncated",
+            Kind::Malformed => "malformed",
+            Kind::TriggerIgnored => "trigger_ignored",
+            Kind::ExtraFrame => "extra_frame",
+            Kind::IdJump => "id_jump",
+            Kind::RepeatedFrame => "repeated_frame",
+            Kind::ClockReset => "clock_reset",
+            Kind::Stall => "stall",
+        };
+        f.write_str(name)
+    }
+}
+
+/// Why a plan cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("[faults] {0}")]
+pub struct PlanError(pub String);
+
+/// What to inject.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FaultPlan {
+    /// Decides everything that is left to chance.
+    pub seed: u64,
+    /// Probability per frame, by kind; kinds that are not named do not happen.
+    pub probability: BTreeMap<Kind, f64>,
+    /// No fault before this trigger.
+    pub first_trigger: i64,
+    /// At least so many triggers without a fault after each fault of a camera: what several faults in one row
+    /// look like from outside cannot always be told apart (`docs/design/acquisition.md`).
+    pub clear_triggers: i64,
+    /// The same after a reset of the clock, which costs the receiver its idea of it.
+    pub clear_after_reset: i64,
+    /// Most triggers that a stall lasts, and most ids that a jump skips; at least 2.
+    pub longest: u64,
+    /// How late a late answer is.
+    pub late: Duration,
+}
+
+impl Default for FaultPlan {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            probability: BTreeMap::new(),
+            first_trigger: 8,
+            clear_triggers: 3,
+            clear_after_reset: 24,
+            longest: 5,
+            late: Duration::from_millis(250),
+        }
+    }
+}
+
+impl FaultPlan {
+    /// Every kind with the same probability per frame.
+    pub fn mixed(seed: u64, probability: f64) -> Self {
+        let probability = Kind::all().into_iter().map(|kind| (kind, probability)).collect();
+        Self { seed, probability, ..Self::default() }
+    }
+
+    /// Reads the table `[faults]` of a TOML text.
+    ///
+    /// # Errors
+    /// Text that is no TOML, an unknown key, a number out of range.
+    pub fn parse(text: &str) -> Result<Self, PlanError> {
+        let file: PlanFile = toml::from_str(text).map_err(|e| PlanError(e.to_string()))?;
+        let table = file.faults;
+        let defaults = Self::default();
+        let mut plan = Self {
+            seed: table.seed,
+            probability: BTreeMap::new(),
+            first_trigger: table.first_trigger.unwrap_or(defaults.first_trigger),
+            clear_triggers: table.clear_triggers.unwrap_or(defaults.clear_triggers),
+            clear_after_reset: table.clear_after_reset.unwrap_or(defaults.clear_after_reset),
+            longest: table.longest.unwrap_or(defaults.longest),
+            late: table.late_ms.map_or(defaults.late, Duration::from_millis),
+        };
+        let limits = [plan.first_trigger, plan.clear_triggers, plan.clear_after_reset];
+        if limits.iter().any(|limit| !(0..=1_000_000).contains(limit)) || !(2..=1000).contains(&plan.longest)
+        {
+            let message = "expected first_trigger and clear_* within 0..=1000000, longest within 2..=1000";
+            return Err(PlanError(message.to_owned()));
+        }
+        for (name, probability) in &table.probability {
+            let kinds = match name.as_str() {
+                "all" => Kind::all(),
+                name => vec![Kind::parse(name).ok_or_else(|| unknown(name))?],
+            };
+            for kind in kinds {
+                // A kind that is named has its own probability, whatever "all" says.
+                if name != "all" || !table.probability.contains_key(&kind.to_string()) {
+                    plan.probability.insert(kind, *probability);
+                }
+            }
+        }
+        let sum: f64 = plan.probability.values().sum();
+        if plan.probability.values().any(|p| !(0.0..=1.0).contains(p)) || sum > 1.0 {
+            return Err(PlanError(format!(
+                "probabilities must be 0 to 1 and their sum at most 1, found {sum}"
+            )));
+        }
+        Ok(plan)
+    }
+
+    /// What chance says for one trigger of one camera, whatever happened before.
+    fn draw(&self, camera: u64, trigger: i64) -> Option<(Kind, u64)> {
+        let bits = hash(self.seed, &[camera, trigger as u64, 1]);
+        let mut uniform = (bits >> 11) as f64 / (1u64 << 53) as f64;
+        for (kind, probability) in &self.probability {
+            if uniform < *probability {
+                return Some((*kind, hash(self.seed, &[camera, trigger as u64, 2])));
+            }
+            uniform -= probability;
+        }
+        None
+    }
+}
+
+fn unknown(name: &str) -> PlanError {
+    let known: Vec<String> = Kind::all().iter().map(Kind::to_string).collect();
+    PlanError(format!("probability of {name:?}: expected \"all\" or one of {}", known.join(", ")))
+}
+
+#[derive(serde::Deserialize)]
+struct PlanFile {
+    faults: PlanTable,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlanTable {
+    seed: u64,
+    probability: BTreeMap<String, f64>,
+    first_trigger: Option<i64>,
+    clear_triggers: Option<i64>,
+    clear_after_reset: Option<i64>,
+    longest: Option<u64>,
+    late_ms: Option<u64>,
+}
+
+/// One fault at one trigger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Fault {
+    /// What happens.
+    pub kind: Kind,
+    /// Decides the details: which packet, how many.
+    pub chance: u64,
+}
+
+impl Fault {
+    /// A number within `from..=to`.
+    pub fn number(&self, from: u64, to: u64) -> u64 {
+        from + self.chance % (to.saturating_sub(from) + 1)
+    }
+}
+
+/// The plan of one camera during one train; asked for every trigger in order.
+#[derive(Debug, Clone)]
+pub struct CameraPlan {
+    camera: u64,
+    /// No new fault before this trigger.
+    clear_until: i64,
+    /// Before this trigger the stall lasts.
+    stalled_until: i64,
+}
+
+impl CameraPlan {
+    /// Of the camera of this name.
+    pub fn new(camera: &str) -> Self {
+        Self { camera: text_number(camera), clear_until: 0, stalled_until: 0 }
+    }
+
+    /// The fault at this trigger. Triggers below 0 are warm-up and have none.
+    pub fn fault(&mut self, plan: &FaultPlan, trigger: i64) -> Option<Fault> {
+        if (0..self.stalled_until).contains(&trigger) {
+            return Some(Fault { kind: Kind::Stall, chance: 0 });
+        }
+        if trigger < 0 || trigger < plan.first_trigger || trigger < self.clear_until {
+            return None;
+        }
+        let (kind, chance) = plan.draw(self.camera, trigger)?;
+        let fault = Fault { kind, chance };
+        let (lasts, clear) = match kind {
+            Kind::Stall => (fault.number(2, plan.longest) as i64, plan.clear_triggers),
+            Kind::ClockReset => (1, plan.clear_after_reset),
+            _ => (1, plan.clear_triggers),
+        };
+        if kind == Kind::Stall {
+            self.stalled_until = trigger.saturating_add(lasts);
+        }
+        self.clear_until = trigger.saturating_add(lasts).saturating_add(clear);
+        Some(fault)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn train(plan: &FaultPlan, camera: &str) -> Vec<(i64, Fault)> {
+        let mut state = CameraPlan::new(camera);
+        (-50..5000).filter_map(|t| state.fault(plan, t).map(|fault| (t, fault))).collect()
+    }
+
+    #[test]
+    fn faults_depend_on_seed_and_camera_and_keep_their_distance() {
+        let plan = FaultPlan::mixed(7, 0.02);
+        let faults = train(&plan, "h0_up");
+        assert_eq!(faults, train(&plan, "h0_up"));
+        assert_ne!(faults, train(&plan, "h0_low"));
+        assert_ne!(faults, train(&FaultPlan::mixed(8, 0.02), "h0_up"));
+        assert!(faults[0].0 >= plan.first_trigger);
+        for pair in faults.windows(2) {
+            let stalled = (pair[0].1.kind, pair[1].1.kind) == (Kind::Stall, Kind::Stall);
+            assert!(pair[1].0 - pair[0].0 > plan.clear_triggers || stalled, "{pair:?}");
+        }
+        let kinds: std::collections::BTreeSet<Kind> = faults.iter().map(|(_, fault)| fault.kind).collect();
+        assert_eq!(kinds.len(), Kind::all().len(), "5000 triggers show every kind");
+    }
+
+    #[test]
+    fn names_are_names_and_wrong_plans_are_refused() {
+        assert!(Kind::all().iter().all(|kind| Kind::parse(&kind.to_string()) == Some(*kind)));
+        let plan = FaultPlan::parse("[faults]\nseed = 3\n[faults.probability]\nall = 0.01\nstall = 0.0\n");
+        let plan = plan.expect("a valid plan");
+        assert_eq!((plan.probability[&Kind::Stall], plan.probability[&Kind::FrameLost]), (0.0, 0.01));
+        for wrong in ["all = 0.5", "no_such = 0.1", "stall = -0.1", "stall = nan"] {
+            let text = format!("[faults]\nseed = 3\n[faults.probability]\n{wrong}\n");
+            assert!(FaultPlan::parse(&text).is_err(), "{wrong}");
+        }
+        assert!(FaultPlan::parse("[faults]\nseed = 1\nlongest = 1\n[faults.probability]\n").is_err());
+        let shipped = include_str!("../../../config/scenarios/faults.toml");
+        assert_eq!(FaultPlan::parse(shipped).expect("shipped").probability.len(), Kind::all().len());
+    }
+}

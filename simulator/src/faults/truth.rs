@@ -1,0 +1,95 @@
+//! What was injected, one JSON line per fault, and what a recording has to say of it.
+
+use super::plan::{Kind, Part, Resend};
+use fourdbody::record::GapCause;
+use serde::{Deserialize, Serialize};
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+/// One injected fault.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Injected {
+    /// Which train of triggers of this camera it was, from 1 on.
+    pub train: u64,
+    /// The camera's name in the rig.
+    pub camera: String,
+    /// The trigger.
+    pub trigger: u64,
+    /// The frame's block id, where there is a frame.
+    pub block: Option<u64>,
+    /// Name of the kind.
+    pub kind: String,
+    /// Accepted outcomes of this trigger: `frame`, or causes of a gap.
+    pub expected: Vec<String>,
+    /// Kinds of the events that must be in the recording.
+    pub events: Vec<String>,
+}
+
+/// `frame`, as an outcome.
+pub const FRAME: &str = "frame";
+
+/// Outcomes that are right for this kind, and events that must be there.
+pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
+    let missing = GapCause::MissingPackets.to_string();
+    let timeout = GapCause::Timeout.to_string();
+    let (outcomes, event) = match kind {
+        Kind::FrameLost | Kind::Stall => (vec![missing], Some("frames_lost")),
+        Kind::Lost(_, Resend::Answered) => (vec![FRAME.to_owned()], None),
+        // The trailer carries no pixels, but a frame without it is not known to be complete.
+        Kind::Lost(Part::Packet | Part::Burst | Part::Leader | Part::Trailer, _) => {
+            (vec![missing, timeout], None)
+        }
+        Kind::Truncated => (vec![missing], None),
+        Kind::TriggerIgnored => (vec![GapCause::NotTriggered.to_string()], Some("trigger_ignored")),
+        Kind::ExtraFrame => (vec![FRAME.to_owned()], Some("spurious_frame")),
+        Kind::IdJump => (vec![FRAME.to_owned()], Some("id_jump")),
+        Kind::ClockReset => (vec![FRAME.to_owned()], Some("camera_clock_reset")),
+        Kind::Reordered | Kind::Duplicated | Kind::Malformed | Kind::RepeatedFrame => {
+            (vec![FRAME.to_owned()], None)
+        }
+    };
+    (outcomes, event.map(str::to_owned).into_iter().collect())
+}
+
+/// The file in which all cameras write down what they injected.
+#[derive(Debug)]
+pub struct TruthLog(Mutex<File>);
+
+impl TruthLog {
+    /// A new file.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        Ok(Self(Mutex::new(File::create(path)?)))
+    }
+
+    /// Writes one fault down, at once: the simulator may be killed at any time.
+    pub fn record(&self, train: u64, camera: &str, trigger: u64, block: Option<u64>, kind: Kind) {
+        let (expected, events) = expectation(kind);
+        let (camera, kind) = (camera.to_owned(), kind.to_string());
+        let injected = Injected { train, camera, trigger, block, kind, expected, events };
+        let line = serde_json::to_string(&injected).map(|line| line + "\n").map_err(io::Error::from);
+        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Err(error) = line.and_then(|line| file.write_all(line.as_bytes())) {
+            tracing::error!(%error, "an injected fault could not be written down");
+        }
+    }
+}
+
+/// Reads a file of [`TruthLog`].
+///
+/// # Errors
+/// A file that cannot be read, or a line that is none of a truth file, with its number.
+pub fn read_truth(path: &Path) -> Result<Vec<Injected>, String> {
+    let text = std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.is_empty());
+    lines
+        .map(|(number, line)| {
+            let wrong = |e| format!("{} line {}: {e}", path.display(), number + 1);
+            serde_json::from_str(line).map_err(wrong)
+        })
+        .collect()
+}
