@@ -40,13 +40,17 @@ mkdir -p "$out"
 sed -e 's/^width = 1920/width = 64/; s/^height = 1200/height = 64/; s/^focal_px = 2048.0/focal_px = 68.0/' \
     -e 's/exposure_us = .*/exposure_us = 300.0/' config/rig.toml >"$out/rig.toml"
 
+# A late answer must miss the frame (given up after 40 ms at this rate), but not come 100 frames late: then Aravis
+# takes its id for a new stream and throws good frames away (docs/design/faults.md).
+sed -e 's/^late_ms = .*/late_ms = 100/' "$plan" >"$out/plan.toml"
+
 total=0 wrong=0 started=$(date +%s)
 while [ "$total" -lt "$wanted" ]; do
     run=$out/seed-$seed
     mkdir -p "$run"
     $bin/fourdbody-sim run --rig "$out/rig.toml" --run-dir "$run/lab" --rate-hz "$rate_hz" --buffers 128 \
         --first-port 0 --first-address "$address" --packet-bytes 576 --segment-mib 256 \
-        --faults "$plan" --fault-seed "$seed" >"$run/lab.json" 2>"$run/lab.log" &
+        --faults "$out/plan.toml" --fault-seed "$seed" >"$run/lab.json" 2>"$run/lab.log" &
     children+=($!)
     wait_for 30 grep -q '"ready":true' "$run/lab.json"
     urls=$(grep -o '"urls":"[^"]*"' "$run/lab.json" | cut -d'"' -f4)
