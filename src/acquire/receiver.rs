@@ -74,6 +74,10 @@ impl Receiver {
                 let Some(frame) = frame else { continue };
                 progress.received[camera].fetch_add(1, Ordering::Relaxed);
                 let complete = frame.transfer == Transfer::Complete;
+                // A frame that lost its leader has no identity: the frames around it tell that it is missing.
+                if !complete && frame.block_id == BlockId(0) && frame.camera_ns == 0 {
+                    continue;
+                }
                 let arrival = Arrival {
                     camera,
                     transfer: frame.transfer,

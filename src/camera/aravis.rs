@@ -353,6 +353,9 @@ impl AravisStream {
             if let Some(slot) = slot {
                 self.lent[slot] = Some(block);
                 if let Some(buffer) = self.parked[slot].take() {
+                    // Both are set when a frame's leader comes: without one they would be those of another frame.
+                    buffer.set_frame_id(0);
+                    buffer.set_timestamp(0);
                     self.stream.push_buffer(buffer);
                 }
             }
