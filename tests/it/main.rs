@@ -20,8 +20,8 @@ mod lab;
 mod recording;
 mod recording_commands;
 mod recording_damage;
-#[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod recover;
+#[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
 #[cfg(feature = "aravis")]
 mod session_faults;
