@@ -58,6 +58,11 @@ impl Program {
         Ok((text, status))
     }
 
+    /// What Ctrl-C does (SIGINT).
+    pub fn interrupt(&self) {
+        let _ = Command::new("kill").arg("-INT").arg(self.child.id().to_string()).status();
+    }
+
     /// Asks it to end (SIGTERM), and gives it ten seconds.
     pub fn stop(mut self) {
         let _ = Command::new("kill").arg(self.child.id().to_string()).status();
