@@ -12,7 +12,7 @@ long=${LONG:-}
 # A train of 20 s at full rate is 22 GB; with dropped segments a few of 2 GiB are on disk at a time.
 mkdir -p "$out"
 seconds=$duration
-[ -z "$long" ] || seconds=15
+[ -z "$long" ] || seconds=40
 need_gb=$(awk "BEGIN { printf \"%d\", 4 * 2.304e-3 * $rate_hz * $seconds * 1.03 + 2 }")
 free_gb=$(($(df --output=avail -B1000000000 "$out" | tail -1)))
 if [ "$free_gb" -lt "$need_gb" ]; then

@@ -526,6 +526,9 @@ impl Recording {
     /// Begins the next segment, which was made ready when half of this one was written. It waits while the last
     /// split is not over, so that no frame is ever late for its segment.
     fn split_if_due(&mut self) -> Result<(), RecordError> {
+        if !self.closing.is_empty() {
+            self.reap_closed()?;
+        }
         let [entry] = self.segments.make_contiguous() else { return Ok(()) };
         let bytes = entry.segment.bytes();
         if self.next.is_none() && bytes >= self.options.segment_bytes / 2 {

@@ -1,5 +1,6 @@
 //! Compares recordings with what was injected.
 
+use super::pixels;
 use super::truth::{FRAME, Injected};
 use fourdbody::ids::TriggerIndex;
 use fourdbody::record::{RecordingReader, SessionReader};
@@ -45,22 +46,41 @@ impl Accounting {
     }
 }
 
+/// What the cameras showed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shown {
+    /// Test images, numbered from 1 in the order of the rig's cameras: every frame's pixels are compared.
+    TestImages,
+    /// Anything: pixels are not looked at.
+    Scene,
+}
+
 /// Compares sessions with the truth: the n-th session is the n-th train of every camera in it.
 ///
 /// # Errors
 /// A session that cannot be opened.
-pub fn check(truth: &[Injected], sessions: &[impl AsRef<Path>]) -> Result<Accounting, String> {
+pub fn check(truth: &[Injected], sessions: &[impl AsRef<Path>], shown: Shown) -> Result<Accounting, String> {
     let mut accounting = Accounting::default();
     for (train, path) in (1u64..).zip(sessions) {
         let session = SessionReader::open(path.as_ref()).map_err(|e| e.to_string())?;
+        let mut first_stamp = 1;
         for recording in session.recordings() {
-            check_recording(truth, train, recording, &mut accounting);
+            let stamp = (shown == Shown::TestImages).then_some(first_stamp);
+            check_recording(truth, train, recording, stamp, &mut accounting);
+            first_stamp += recording.header.cameras.len() as u32;
         }
     }
     Ok(accounting)
 }
 
-fn check_recording(truth: &[Injected], train: u64, recording: &RecordingReader, into: &mut Accounting) {
+/// `first_stamp`: what the test images of its first camera are stamped with.
+fn check_recording(
+    truth: &[Injected],
+    train: u64,
+    recording: &RecordingReader,
+    first_stamp: Option<u32>,
+    into: &mut Accounting,
+) {
     for problem in &recording.problems {
         into.mismatch(format!("{}: {}", recording.path.display(), problem.message));
     }
@@ -90,6 +110,11 @@ fn check_recording(truth: &[Injected], train: u64, recording: &RecordingReader, 
             into.outcomes += 1;
             let at_end = trigger > last_frame;
             let place = || format!("train {train} {} trigger {trigger}", camera.id);
+            let wrong =
+                first_stamp.and_then(|s| pixels::wrong(recording, number, trigger, s + number as u32));
+            if let Some(wrong) = wrong {
+                into.mismatch(format!("{}: {wrong}", place()));
+            }
             match injected.get(&trigger) {
                 None if found == FRAME => {}
                 None => into.mismatch(format!("{}: {found}, nothing was injected", place())),

@@ -8,10 +8,11 @@
 //! `docs/design/faults.md` has the table of faults and the reasons for what is expected.
 
 pub mod check;
+mod pixels;
 pub mod plan;
 pub mod truth;
 
-pub use check::{Accounting, Tally, check};
+pub use check::{Accounting, Shown, Tally, check};
 pub use plan::{CameraPlan, Fault, FaultPlan, Kind, Part, PlanError, Resend};
 pub use truth::{Injected, TruthLog, read_truth};
 

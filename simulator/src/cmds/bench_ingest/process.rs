@@ -58,9 +58,9 @@ impl Program {
         Ok((text, status))
     }
 
-    /// What Ctrl-C does (SIGINT).
-    pub fn interrupt(&self) {
-        let _ = Command::new("kill").arg("-INT").arg(self.child.id().to_string()).status();
+    /// Sends a signal by its name without `SIG`.
+    pub fn signal(&self, name: &str) {
+        let _ = Command::new("kill").arg(format!("-{name}")).arg(self.child.id().to_string()).status();
     }
 
     /// Asks it to end (SIGTERM), and gives it ten seconds.

@@ -134,7 +134,7 @@ pub fn with_node(
         };
         if stop_at.is_some_and(|enough| session.triggers >= enough) {
             stop_at = None;
-            capture.interrupt();
+            capture.signal("INT");
         }
         let reading =
             (Reading::of(&processes), session.cameras.iter().map(|camera| camera.frames).sum::<u64>());
