@@ -17,6 +17,7 @@ pub mod node;
 pub mod pattern;
 mod progress;
 pub mod reconstruct;
+pub mod recover;
 pub mod status;
 pub mod validate;
 pub mod verify;

@@ -9,6 +9,7 @@ pub mod envelope;
 pub mod layout;
 mod protobuf;
 mod reader;
+pub mod recover;
 mod scan;
 mod segment;
 mod session;

@@ -426,7 +426,7 @@ pub(crate) fn stated_index(bytes: &[u8], metadata: &[(&str, BTreeMap<&str, &str>
     own.find_map(|(_, entries)| parse_index(bytes, entries))
 }
 
-fn parse_index(bytes: &[u8], entries: &BTreeMap<&str, &str>) -> Option<SegmentIndex> {
+pub(super) fn parse_index(bytes: &[u8], entries: &BTreeMap<&str, &str>) -> Option<SegmentIndex> {
     let number = |key: &str| entries.get(key)?.parse::<usize>().ok();
     let (offset, length) = (number(KEY_INDEX_OFFSET)?, number(KEY_INDEX_LENGTH)?);
     let index = bytes.get(offset..offset.checked_add(length)?)?;
@@ -448,7 +448,7 @@ fn read_header(bytes: &[u8]) -> Result<(RecordingHeader, u32), String> {
     }
 }
 
-fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<(RecordingHeader, u32), String> {
+pub(super) fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<(RecordingHeader, u32), String> {
     let get = |key: &str| entries.get(key).copied().ok_or_else(|| format!("the header has no {key:?}"));
     let (format, version) = (get("format")?, get("version")?);
     if format != FORMAT || version.parse::<u32>().is_ok_and(|v| v > VERSION) {

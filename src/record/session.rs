@@ -23,7 +23,7 @@ pub struct RecordingFiles {
 }
 
 /// Finds the recordings at `path`: a session's directory, a recording's, or a single segment.
-fn find(path: &Path) -> Result<Vec<RecordingFiles>, String> {
+pub(super) fn find(path: &Path) -> Result<Vec<RecordingFiles>, String> {
     let shown = path.display();
     let expected =
         "expected a session (node-*/segment-*.mcap), a recording (segment-*.mcap) or an .mcap file";

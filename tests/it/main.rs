@@ -16,6 +16,7 @@ mod lab;
 mod recording;
 mod recording_commands;
 mod recording_damage;
+mod recover;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
 mod shared_scene;

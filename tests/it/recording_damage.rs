@@ -11,7 +11,7 @@ const TRIGGERS: u64 = 9;
 const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
 
 /// A finished recording of one segment, as bytes.
-fn one_segment(triggers: u64) -> Vec<u8> {
+pub fn one_segment(triggers: u64) -> Vec<u8> {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let path = dir.path().join("node-a");
     let mut header = header("a", &CAMERAS, Some(triggers));
@@ -30,7 +30,7 @@ fn one_segment(triggers: u64) -> Vec<u8> {
 }
 
 /// A recording's directory with these bytes as its only segment.
-fn as_recording(dir: &Path, bytes: &[u8]) -> PathBuf {
+pub fn as_recording(dir: &Path, bytes: &[u8]) -> PathBuf {
     let path = dir.join("node-a");
     std::fs::create_dir_all(&path).expect("a directory");
     let segment = path.join("segment-000.mcap");
@@ -42,7 +42,7 @@ fn as_recording(dir: &Path, bytes: &[u8]) -> PathBuf {
 
 /// Ends of all records, those inside chunks included; and the ends of the frames among them. Walks as the
 /// specification says, on a file known to be good.
-fn record_ends(bytes: &[u8]) -> (Vec<usize>, Vec<usize>) {
+pub fn record_ends(bytes: &[u8]) -> (Vec<usize>, Vec<usize>) {
     const MESSAGE: u8 = 5;
     const CHUNK: u8 = 6;
     let (mut ends, mut frames, mut position) = (vec![8], Vec::new(), 8);
