@@ -3,6 +3,7 @@
 //! `docs/design/recording.md`, "Recovery", states what this keeps true (R1 to R8). The source is read twice: once to
 //! find and check everything ([`salvage`]), once to copy.
 
+mod header;
 mod merge;
 mod rewrite;
 mod salvage;
@@ -178,14 +179,17 @@ pub fn recover(
         let nothing = RecoverError::Unusable { path: path.to_owned(), reason: "no segments".to_owned() };
         return Err(unusable.into_iter().next().unwrap_or(nothing));
     }
+    adopt_headers(&mut salvaged);
     let is_session = files.iter().all(|files| files.path != path);
     let extent = extent_of(&salvaged, path, is_session);
     let partial = partial_path(out);
     let write = || -> Result<Vec<RecoveredRecording>, RecoverError> {
         let mut recordings = Vec::new();
         for source in &salvaged {
-            let place = |dir: &Path| if is_session { node_dir(dir, &source.header.node) } else { dir.to_owned() };
-            let mut recovered = rewrite::write(source, &place(&partial), extent, &advance).map_err(|e| output(out, e))?;
+            let place =
+                |dir: &Path| if is_session { node_dir(dir, &source.header.node) } else { dir.to_owned() };
+            let mut recovered =
+                rewrite::write(source, &place(&partial), extent, &advance).map_err(|e| output(out, e))?;
             recovered.out = place(out);
             recordings.push(recovered);
         }
@@ -198,6 +202,14 @@ pub fn recover(
     })?;
     let unusable = unusable.iter().map(ToString::to_string).collect();
     Ok(Recovery { source: path.to_owned(), out: out.to_owned(), recordings, unusable })
+}
+
+/// A header that had to be made anew learns from one of the same session that is readable.
+fn adopt_headers(salvaged: &mut [Salvage]) {
+    let Some(readable) = salvaged.iter().find(|one| !one.rebuilt).map(|one| one.header.clone()) else {
+        return;
+    };
+    salvaged.iter_mut().filter(|one| one.rebuilt).for_each(|one| header::adopt(&mut one.header, &readable));
 }
 
 fn output(out: &Path, error: impl fmt::Display) -> RecoverError {

@@ -338,7 +338,9 @@ pub fn find_record(bytes: &[u8], from: usize, is_payload: impl Fn(&[u8]) -> bool
                 let mut fields = Fields { bytes: bytes.get(at + PREAMBLE..)?, position: 16 };
                 let (uncompressed, _) = (fields.u64()?, fields.u32()?);
                 let (compression, compressed) = (fields.u32()?, fields.u64()?);
-                compression == 0 && uncompressed == compressed && compressed.checked_add(CHUNK_FIELDS) == Some(length)
+                compression == 0
+                    && uncompressed == compressed
+                    && compressed.checked_add(CHUNK_FIELDS) == Some(length)
             }
             op::METADATA if length <= MAX_SMALL_RECORD as u64 => {
                 let (_, body, _) = record_at(bytes, at)?;

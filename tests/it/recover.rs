@@ -15,6 +15,11 @@ use std::process::Command;
 const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
 const TRIGGERS: u64 = 9;
 
+/// Memory, where the system has such a place: hundreds of recordings that are synced take their time on a disk.
+fn quick_dir() -> tempfile::TempDir {
+    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).expect("a temporary directory")
+}
+
 fn run(path: &Path, out: &Path) -> Result<Recovery, RecoverError> {
     recover(path, out, &|_, _| ())
 }
@@ -39,9 +44,12 @@ fn checked(path: &Path, out: &Path) -> Option<(Recovery, Vec<Vec<u64>>)> {
 
 fn frames_of(recording: &RecordingReader) -> Vec<Vec<u64>> {
     let of_camera = |camera: usize| {
+        let id = recording.header.cameras[camera].id.as_str();
+        // A header that was made anew may have them in another order.
+        let number = CAMERAS.iter().position(|known| *known == id).unwrap_or(camera);
         let whole = |index: &u64| match recording.frame(camera, TriggerIndex(*index)).expect("an outcome") {
             Ok(frame) => {
-                assert_eq!(frame.image.as_slice(), pixels(camera, *index), "camera {camera} trigger {index}");
+                assert_eq!(frame.image.as_slice(), pixels(number, *index), "camera {camera} trigger {index}");
                 true
             }
             Err(_) => false,
@@ -86,10 +94,18 @@ fn bytes_below(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 fn a_good_session_gives_an_equal_one_and_is_not_touched() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let (session, out) = (dir.path().join("walk-01"), dir.path().join("copies/walk-01"));
-    record(&node_dir(&session, &NodeId::from("b")), header("b", &["h2_up"], Some(40)), 40, &[(0, 3), (0, 39)]);
-    let mut recording =
-        Recording::create(&node_dir(&session, &NodeId::from("a")), header("a", &CAMERAS, Some(40)), options(60_000))
-            .expect("created");
+    record(
+        &node_dir(&session, &NodeId::from("b")),
+        header("b", &["h2_up"], Some(40)),
+        40,
+        &[(0, 3), (0, 39)],
+    );
+    let mut recording = Recording::create(
+        &node_dir(&session, &NodeId::from("a")),
+        header("a", &CAMERAS, Some(40)),
+        options(60_000),
+    )
+    .expect("created");
     for index in 0..40 {
         recording.trigger(&trigger(index)).expect("recorded");
         recording.clock_sample(&sample(index)).expect("recorded");
@@ -109,18 +125,21 @@ fn a_good_session_gives_an_equal_one_and_is_not_touched() {
     let (recovery, _) = checked(&session, &out).expect("recovered");
     assert!(recovery.lossless(), "{recovery:#?}");
     assert!(bytes_below(&session) == before, "the source was touched");
-    let (source, copy) = (SessionReader::open(&session).expect("good"), SessionReader::open(&out).expect("good"));
+    let (source, copy) =
+        (SessionReader::open(&session).expect("good"), SessionReader::open(&out).expect("good"));
     for (source, copy) in source.recordings().iter().zip(copy.recordings()) {
         assert_eq!(source.header, copy.header);
         assert_eq!(source.verdict, copy.verdict);
         assert_eq!(source.triggers, copy.triggers);
         assert_eq!(source.clock_samples, copy.clock_samples);
-        let (marks, events): (Vec<_>, Vec<_>) = copy.events.iter().cloned().partition(|e| e.kind == "recovered");
+        let (marks, events): (Vec<_>, Vec<_>) =
+            copy.events.iter().cloned().partition(|e| e.kind == "recovered");
         assert_eq!((source.events.clone(), marks.len()), (events, 1));
         assert!(marks[0].message.contains(&source.path.display().to_string()), "{}", marks[0].message);
         for camera in 0..source.header.cameras.len() {
             for index in (0..40).map(TriggerIndex) {
-                let meta = |r: &RecordingReader| r.frame(camera, index).expect("an outcome").map(|frame| frame.meta);
+                let meta =
+                    |r: &RecordingReader| r.frame(camera, index).expect("an outcome").map(|frame| frame.meta);
                 assert_eq!(meta(source), meta(copy));
             }
         }
@@ -179,8 +198,10 @@ fn an_interrupted_node_learns_the_end_of_the_session_from_the_other() {
     record(&a, header("a", &["h0_up", "h0_low", "h1_up", "h1_low"], Some(60)), 60, &[]);
     record(&b, header("b", &["h2_up"], Some(60)), 60, &[]);
     let segments = std::fs::read_dir(&a).expect("a directory").count();
-    assert!(segments > 2, "{segments} segments");
-    std::fs::remove_file(a.join(format!("segment-{:03}.mcap", segments - 1))).expect("there");
+    assert!(segments > 3, "{segments} segments");
+    for number in [segments - 2, segments - 1] {
+        std::fs::remove_file(a.join(format!("segment-{number:03}.mcap"))).expect("there");
+    }
     let (recovery, frames) = checked(&session, &whole).expect("recovered");
     assert!(frames[0].len() < 60 && frames[4].len() == 60);
     assert!(recovery.recordings.iter().all(|r| r.verdict.triggers == 60));
@@ -213,7 +234,7 @@ fn a_missing_segment_in_the_middle_is_damage_and_a_lone_one_a_fragment() {
 fn cut_anywhere_all_frames_before_the_cut_are_saved() {
     let bytes = one_segment(TRIGGERS);
     let (ends, frames) = record_ends(&bytes);
-    let dir = tempfile::tempdir().expect("a temporary directory");
+    let dir = quick_dir();
     let near = ends.iter().flat_map(|&end| [end - 1, end, end + 1]);
     for (n, cut) in near.chain((0..bytes.len()).step_by(977)).filter(|cut| *cut < bytes.len()).enumerate() {
         let zeros = [0, 1500][n % 2];
@@ -235,11 +256,11 @@ fn cut_anywhere_all_frames_before_the_cut_are_saved() {
 fn a_flip_anywhere_costs_one_frame_at_most() {
     let bytes = one_segment(TRIGGERS);
     let (_, frames) = record_ends(&bytes);
-    let dir = tempfile::tempdir().expect("a temporary directory");
+    let dir = quick_dir();
     let all = (TRIGGERS * CAMERAS.len() as u64) as usize;
     let structure = (0..bytes.len()).filter(|at| !frames.iter().any(|end| (end - 1100..*end).contains(at)));
     let some_pixels = (0..bytes.len()).step_by(397);
-    for (n, position) in structure.chain(some_pixels).enumerate().filter(|(n, _)| n % 7 == 0) {
+    for (n, position) in structure.chain(some_pixels).enumerate().filter(|(n, _)| n % 11 == 0) {
         let mut flipped = bytes.clone();
         flipped[position] ^= 1 << (position * 5 % 8);
         let path = as_recording(dir.path(), &flipped);
@@ -258,7 +279,8 @@ fn a_flip_anywhere_costs_one_frame_at_most() {
 fn the_command_exits_by_what_it_saved() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let fourdbody = |args: &[&str]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_fourdbody")).args(args).output().expect("the program runs");
+        let output =
+            Command::new(env!("CARGO_BIN_EXE_fourdbody")).args(args).output().expect("the program runs");
         (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned())
     };
     let text = |path: &Path| path.display().to_string();
@@ -311,7 +333,7 @@ proptest! {
         if let Some(cut) = cut {
             bytes.truncate(cut.index(bytes.len()));
         }
-        let dir = tempfile::tempdir().expect("a temporary directory");
+        let dir = quick_dir();
         let path = as_recording(dir.path(), &bytes);
         checked(&path, &dir.path().join("out"));
     }

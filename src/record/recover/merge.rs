@@ -2,8 +2,8 @@
 //! the session ended.
 
 use super::salvage::{SegmentScan, scan};
-use super::{Damage, RecoverError};
-use crate::ids::{CameraId, TriggerIndex};
+use super::{Damage, RecoverError, header};
+use crate::ids::TriggerIndex;
 use crate::record::direct::map_file;
 use crate::record::layout::{
     ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
@@ -22,6 +22,8 @@ pub struct Salvage {
     pub path: PathBuf,
     /// What it says about itself.
     pub header: RecordingHeader,
+    /// Whether the header was not readable and had to be made anew.
+    pub rebuilt: bool,
     /// The segments' bytes, in order; an empty file cannot be mapped.
     pub maps: Vec<Option<Mmap>>,
     /// Per camera of the header.
@@ -60,20 +62,28 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         let _ = map.as_ref().map(|map| map.advise(Advice::Sequential));
         maps.push(map);
     }
-    let numbered: Vec<(u32, &[u8])> =
-        files.segments.iter().zip(&maps).map(|((n, _), map)| (*n, map.as_deref().unwrap_or_default())).collect();
+    let numbered: Vec<(u32, &[u8])> = files
+        .segments
+        .iter()
+        .zip(&maps)
+        .map(|((n, _), map)| (*n, map.as_deref().unwrap_or_default()))
+        .collect();
     let scans: Vec<SegmentScan> =
         numbered.par_iter().map(|(number, bytes)| scan(*number, bytes, advance)).collect();
-    let header = header_of(&scans).ok_or_else(|| RecoverError::Unusable {
-        path: files.path.clone(),
-        reason: "no segment has a readable header".to_owned(),
-    })?;
+    let stated = header::readable(&scans);
+    let rebuilt = stated.is_none();
+    let header =
+        stated.or_else(|| header::rebuilt(&files.path, &scans)).ok_or_else(|| RecoverError::Unusable {
+            path: files.path.clone(),
+            reason: "no segment has a readable header or a whole frame".to_owned(),
+        })?;
     let single = files.path.is_file();
     let mut salvage = Salvage {
         path: files.path.clone(),
         outcomes: vec![BTreeMap::new(); header.cameras.len()],
         damaged: vec![BTreeSet::new(); header.cameras.len()],
         header,
+        rebuilt,
         triggers: BTreeMap::new(),
         clock_samples: Vec::new(),
         events: Vec::new(),
@@ -84,6 +94,9 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         records_lost: 0,
         maps,
     };
+    if rebuilt {
+        salvage.note(0, "no segment has a readable header: made anew from the frames");
+    }
     salvage.note_missing_segments(files, single);
     let numbers: Vec<u32> = files.segments.iter().map(|(number, _)| *number).collect();
     let closed: Vec<bool> = scans.iter().map(|scan| scan.closed).collect();
@@ -92,37 +105,6 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
     }
     salvage.note_cut_segments(&numbers, &closed);
     Ok(salvage)
-}
-
-/// The header that is proven by a data section's checksum, else the one that most segments have.
-fn header_of(scans: &[SegmentScan]) -> Option<RecordingHeader> {
-    let proven = scans.iter().filter(|scan| scan.proven).find_map(|scan| scan.header.as_ref());
-    let count = |header: &RecordingHeader| scans.iter().filter(|s| s.header.as_ref() == Some(header)).count();
-    let most = || scans.iter().filter_map(|scan| scan.header.as_ref()).rev().max_by_key(|header| count(header));
-    if let Some(header) = proven {
-        return Some(header.clone());
-    }
-    most().map(|header| corrected(header.clone(), scans))
-}
-
-/// A header without proof, corrected by what the frames' envelopes prove: their names and sizes.
-fn corrected(mut header: RecordingHeader, scans: &[SegmentScan]) -> RecordingHeader {
-    let seen: BTreeSet<&(String, u32, u32)> = scans.iter().flat_map(|scan| &scan.cameras).collect();
-    let mut unknown: Vec<_> =
-        seen.iter().filter(|seen| !header.cameras.iter().any(|c| c.id.as_str() == seen.0)).collect();
-    for camera in &mut header.cameras {
-        let mut own = seen.iter().filter(|seen| seen.0 == camera.id.as_str());
-        match (own.next(), own.next()) {
-            (Some((_, width, height)), None) => (camera.width, camera.height) = (*width, *height),
-            (None, None) if unknown.len() == 1 => {
-                if let Some((name, width, height)) = unknown.pop() {
-                    (camera.id, camera.width, camera.height) = (CameraId(name.clone()), *width, *height);
-                }
-            }
-            _ => {}
-        }
-    }
-    header
 }
 
 impl Salvage {
@@ -169,7 +151,9 @@ impl Salvage {
             })
             .collect();
         for frame in scan.frames {
-            let Some(camera) = camera_of[frame.camera].filter(|_| frame.trigger < MAX_TRIGGERS) else { continue };
+            let Some(camera) = camera_of[frame.camera].filter(|_| frame.trigger < MAX_TRIGGERS) else {
+                continue;
+            };
             let (offset, length) = (frame.message.start, frame.message.len());
             let outcome = Outcome::Frame { segment: place, offset, length };
             let known = self.outcomes[camera].entry(frame.trigger).or_insert(outcome);
@@ -208,7 +192,7 @@ impl Salvage {
             && verdict.triggers <= MAX_TRIGGERS
             && verdict.triggers >= self.known_end()
             && verdict.cameras.iter().all(|camera| whole(camera.frames, camera.gaps.values()))
-            && verdict.triggers_expected == self.header.expected_triggers
+            && (self.rebuilt || verdict.triggers_expected == self.header.expected_triggers)
             && verdict.status == verdict.judge()
     }
 

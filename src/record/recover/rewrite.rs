@@ -71,7 +71,12 @@ impl Copy<'_> {
     }
 
     /// A frame as it is in the source, if it still is what was found.
-    fn frame(&mut self, camera: usize, trigger: TriggerIndex, place: (usize, usize, usize)) -> WriteResult<()> {
+    fn frame(
+        &mut self,
+        camera: usize,
+        trigger: TriggerIndex,
+        place: (usize, usize, usize),
+    ) -> WriteResult<()> {
         let (segment, offset, length) = place;
         let message = self.source.message(segment, offset, length).unwrap_or_default();
         match check_frame(message, camera, trigger, &self.source.header) {
@@ -123,7 +128,8 @@ impl Copy<'_> {
         let emitted = if extent.triggers.is_some() { extent.emitted } else { source.emitted() };
         let verdict: Verdict = self.recording.finish(SessionEnd {
             triggers_emitted: emitted.filter(|emitted| *emitted >= triggers),
-            aborted: stored.map_or_else(|| Some(why_aborted(source, triggers)), |verdict| verdict.aborted.clone()),
+            aborted: stored
+                .map_or_else(|| Some(why_aborted(source, triggers)), |verdict| verdict.aborted.clone()),
             absent: GapCause::Aborted,
             host_time_ns: 0,
         })?;
@@ -141,7 +147,8 @@ impl Copy<'_> {
 
     fn description(&self, triggers: u64) -> String {
         let from = self.source.path.display();
-        let frames: usize = self.source.outcomes.iter().flat_map(|o| o.values()).filter(|o| is_frame(o)).count();
+        let frames: usize =
+            self.source.outcomes.iter().flat_map(|o| o.values()).filter(|o| is_frame(o)).count();
         let mut text = format!(
             "recovered from {from} by fourdbody {}: {triggers} triggers, {frames} frames",
             env!("CARGO_PKG_VERSION")
@@ -171,7 +178,9 @@ fn why_aborted(source: &Salvage, triggers: u64) -> String {
         return format!("a single segment of a longer recording, recovered from {from}");
     }
     match triggers.checked_sub(1) {
-        Some(last) => format!("interrupted: no verdict was written, the last trigger known is {last}; recovered from {from}"),
+        Some(last) => format!(
+            "interrupted: no verdict was written, the last trigger known is {last}; recovered from {from}"
+        ),
         None => format!("interrupted before the first trigger; recovered from {from}"),
     }
 }

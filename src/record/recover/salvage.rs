@@ -36,6 +36,8 @@ pub struct FoundFrame {
 pub struct SegmentScan {
     /// Its header, if readable.
     pub header: Option<RecordingHeader>,
+    /// Entries of a header that is not readable as a whole.
+    pub header_entries: BTreeMap<String, String>,
     /// No frame of an earlier trigger belongs to it.
     pub first_trigger: Option<u64>,
     /// No frame from this trigger on belongs to it; not known in the last one.
@@ -176,7 +178,9 @@ impl<'a> Scanner<'a> {
                 None
             }
             // Zeros up to the end are what a sync leaves.
-            End::Cut { at } | End::Damaged { at, .. } if self.bytes[at..].iter().all(|byte| *byte == 0) => None,
+            End::Cut { at } | End::Damaged { at, .. } if self.bytes[at..].iter().all(|byte| *byte == 0) => {
+                None
+            }
             End::Cut { at } => Some(Break { at, reason: None }),
             End::Damaged { at, reason } => Some(Break { at, reason: Some(reason) }),
         }
@@ -255,7 +259,11 @@ impl<'a> Scanner<'a> {
                 self.found.first_trigger = number(KEY_FIRST_TRIGGER);
                 match parse_header(entries) {
                     Ok((header, _)) => self.found.header = Some(header),
-                    Err(reason) => self.damage(0..0, reason),
+                    Err(reason) => {
+                        self.damage(0..0, reason);
+                        let owned = |(key, text): (&&str, &&str)| ((*key).to_owned(), (*text).to_owned());
+                        self.found.header_entries = entries.iter().map(owned).collect();
+                    }
                 }
             }
             SEGMENT_METADATA => {
@@ -276,8 +284,12 @@ impl<'a> Scanner<'a> {
         let known: std::collections::BTreeSet<usize> =
             self.found.frames.iter().map(|frame| frame.message.start).collect();
         for (_, _, offset, length) in index.frames {
-            let (Ok(offset), Ok(length)) = (usize::try_from(offset), usize::try_from(length)) else { continue };
-            let Some(end) = offset.checked_add(length).filter(|end| *end <= self.bytes.len()) else { continue };
+            let (Ok(offset), Ok(length)) = (usize::try_from(offset), usize::try_from(length)) else {
+                continue;
+            };
+            let Some(end) = offset.checked_add(length).filter(|end| *end <= self.bytes.len()) else {
+                continue;
+            };
             if !known.contains(&offset) {
                 // What is wrong with it has been noted on the way, if it is not whole.
                 let _ = self.frame(offset..end);
