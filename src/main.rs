@@ -26,9 +26,9 @@ enum Command {
     Import(cmds::import::Args),
     Info(cmds::info::Args),
     Verify(cmds::verify::Args),
-    Recover(cmds::recover::Args),
     Pattern(cmds::pattern::Args),
     Reconstruct(cmds::reconstruct::Args),
+    Recover(cmds::recover::Args),
     Validate(cmds::validate::Args),
     View(cmds::view::Args),
 }
@@ -58,9 +58,9 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::Import(args) => cmds::import::run(args),
         Command::Info(args) => cmds::info::run(args),
         Command::Verify(args) => cmds::verify::run(args),
-        Command::Recover(args) => cmds::recover::run(args),
         Command::Pattern(args) => cmds::pattern::run(args),
         Command::Reconstruct(args) => cmds::reconstruct::run(args),
+        Command::Recover(args) => cmds::recover::run(args),
         Command::Validate(args) => cmds::validate::run(args),
         Command::View(args) => cmds::view::run(args),
     }

@@ -9,6 +9,41 @@ pub fn host_time_ns() -> u64 {
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
 
+/// The host's clock of one session: CLOCK_REALTIME asked once, CLOCK_MONOTONIC since. A step of the wall clock
+/// during the session does not reach it.
+#[derive(Debug, Clone, Copy)]
+pub struct HostClock {
+    realtime_minus_monotonic_ns: i128,
+}
+
+impl HostClock {
+    /// Asks for the time of day.
+    pub fn start() -> Self {
+        let now = i128::from(monotonic_ns(Instant::now()));
+        Self { realtime_minus_monotonic_ns: i128::from(host_time_ns()) - now }
+    }
+
+    /// The host time of an instant, ns.
+    pub fn at(&self, instant: Instant) -> u64 {
+        self.from_monotonic(monotonic_ns(instant))
+    }
+
+    /// The host time now, ns.
+    pub fn now(&self) -> u64 {
+        self.at(Instant::now())
+    }
+
+    /// The host time of a reading of [`monotonic_ns`], ns.
+    pub fn from_monotonic(&self, ns: u64) -> u64 {
+        u64::try_from(i128::from(ns) + self.realtime_minus_monotonic_ns).unwrap_or(0)
+    }
+
+    /// The host time of a reading of CLOCK_REALTIME that was made a moment ago, ns: only its age counts.
+    pub fn from_recent_realtime(&self, ns: u64) -> u64 {
+        self.now().saturating_sub(host_time_ns().saturating_sub(ns))
+    }
+}
+
 /// An instant on CLOCK_MONOTONIC since an arbitrary origin that is the same for the whole process, ns.
 pub fn monotonic_ns(instant: Instant) -> u64 {
     static ORIGIN: OnceLock<Instant> = OnceLock::new();

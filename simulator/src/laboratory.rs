@@ -47,7 +47,7 @@ impl LaboratoryOptions {
             first_port: 7401,
             reserve_mib: 256,
             segment_mib: 16_384,
-            buffers_per_camera: 16,
+            buffers_per_camera: 32,
             socket: SocketMode::Auto,
         }
     }
@@ -94,6 +94,7 @@ pub struct Laboratory {
     pub rig: Rig,
     /// In the rig's order.
     pub cameras: Vec<SimulatedCamera>,
+    setups: Vec<CameraOptions>,
     /// With one link per node, in the order of the nodes' names.
     pub hsu: SimulatedHsu,
     /// One per node, in the order of their names.
@@ -118,7 +119,7 @@ impl Laboratory {
         let rig_path = options.run_dir.join("rig.toml");
         std::fs::write(&rig_path, &options.rig_text).map_err(io_error(&rig_path))?;
 
-        let mut cameras = Vec::new();
+        let (mut cameras, mut setups) = (Vec::new(), Vec::new());
         let mut wires = Vec::new();
         for (number, (head, camera)) in (0u32..).zip(rig.cameras()) {
             let address = camera_address(options, number);
@@ -131,6 +132,7 @@ impl Laboratory {
                 offset_ns: 1_000_000_000 * (1 + u64::from(number)),
                 drift_ppm: f64::from(number) * 10.0 - 35.0,
             };
+            setups.push(setup.clone());
             let started = SimulatedCamera::start(setup);
             cameras
                 .push(started.map_err(|source| LaboratoryError::Camera { id: camera.id.clone(), source })?);
@@ -142,7 +144,21 @@ impl Laboratory {
         let setup = HsuOptions { links, cameras: wires, ..HsuOptions::default() };
         let hsu = SimulatedHsu::start(setup)
             .map_err(|source| LaboratoryError::Io { what: "the HSU's ptys".to_owned(), source })?;
-        Ok(Self { rig, cameras, hsu, nodes })
+        Ok(Self { rig, cameras, setups, hsu, nodes })
+    }
+
+    /// Unplugs a camera: no packet comes from it any more.
+    pub fn unplug(&mut self, camera: usize) {
+        self.cameras[camera].switch_off();
+    }
+
+    /// Plugs a camera in again: power-on settings, block ids and clock from the beginning.
+    pub fn plug(&mut self, camera: usize) -> Result<(), CameraError> {
+        let setup = self.setups[camera].clone();
+        // Triggers that came while nobody was there.
+        setup.triggers.try_iter().for_each(drop);
+        self.cameras[camera] = SimulatedCamera::start(setup)?;
+        Ok(())
     }
 
     /// The nodes' URLs, separated by commas, as `fourdbody capture --nodes` takes them.

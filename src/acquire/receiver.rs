@@ -3,9 +3,11 @@
 //! The checksum is computed here, so that it covers the way through the recorder and is spread over cores.
 
 use super::pool::Block;
+use super::recorder::Progress;
 use crate::camera::{FrameStream, Transfer};
 use crate::ids::BlockId;
 use crate::record::envelope::pixels_crc;
+use crate::time::HostClock;
 use crossbeam_channel::Sender;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,7 +25,7 @@ pub struct Arrival {
     pub block_id: BlockId,
     /// Start of exposure, camera clock, ns.
     pub camera_ns: u64,
-    /// First packet seen, host clock (CLOCK_REALTIME), ns.
+    /// First packet seen, the session's host clock, ns.
     pub host_ns: u64,
     /// CRC-32 of the pixels, when the transfer is complete.
     pub pixels_crc: u32,
@@ -40,28 +42,42 @@ pub struct Receiver {
     thread: JoinHandle<Vec<(String, u64)>>,
 }
 
-/// How long a receiver waits for a frame before it looks whether it shall stop.
-const PATIENCE: Duration = Duration::from_millis(20);
+/// What a receiver needs beside its stream.
+#[derive(Debug, Clone)]
+pub struct ReceiverSetup {
+    /// The camera's place in the node's list.
+    pub camera: usize,
+    /// Where frames go.
+    pub recorder: Sender<Arrival>,
+    /// Where it is counted what is heard.
+    pub progress: Arc<Progress>,
+    /// The session's clock.
+    pub clock: HostClock,
+    /// How long to wait for a frame before the packets are counted anew: a trigger period.
+    pub patience: Duration,
+}
 
 impl Receiver {
-    /// Starts the thread of camera number `camera`. It ends with `stop`, or when the recorder is gone.
-    pub fn start(
-        camera: usize,
-        mut stream: Box<dyn FrameStream>,
-        recorder: Sender<Arrival>,
-    ) -> std::io::Result<Self> {
+    /// Starts the thread. It ends with `stop`, or when the recorder is gone.
+    pub fn start(mut stream: Box<dyn FrameStream>, setup: ReceiverSetup) -> std::io::Result<Self> {
+        let ReceiverSetup { camera, recorder, progress, clock, patience } = setup;
+        // Of an earlier stream of the same session.
+        let before = progress.heard[camera].load(Ordering::Relaxed);
         let stop = Arc::new(AtomicBool::new(false));
         let stopping = Arc::clone(&stop);
         let thread = std::thread::Builder::new().name(format!("receive-{camera}")).spawn(move || {
             while !stopping.load(Ordering::Acquire) {
-                let Some(frame) = stream.next(PATIENCE) else { continue };
+                let frame = stream.next(patience);
+                progress.heard[camera].store(before + stream.heard(), Ordering::Relaxed);
+                let Some(frame) = frame else { continue };
+                progress.received[camera].fetch_add(1, Ordering::Relaxed);
                 let complete = frame.transfer == Transfer::Complete;
                 let arrival = Arrival {
                     camera,
                     transfer: frame.transfer,
                     block_id: frame.block_id,
                     camera_ns: frame.camera_ns,
-                    host_ns: frame.host_ns,
+                    host_ns: clock.from_recent_realtime(frame.host_ns),
                     pixels_crc: if complete { pixels_crc(frame.block.pixels()) } else { 0 },
                     taken: Instant::now(),
                     block: frame.block,

@@ -8,6 +8,7 @@ use super::latency::Latencies;
 use super::matcher::Matcher;
 use super::receiver::Arrival;
 use super::ring::{Ring, Sink};
+pub use crate::config::WhenFull;
 use crate::ids::CameraId;
 use crate::record::{ClockSample, NodeEvent, Recording, TriggerRecord, Verdict};
 use crate::session::state::Fault;
@@ -103,16 +104,6 @@ impl Progress {
             latencies: Latencies::default(),
         }
     }
-}
-
-/// What happens when the ring has no room for a frame set.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum WhenFull {
-    /// The newest whole set is dropped, with a gap record for each of its frames.
-    #[default]
-    DropFrameSet,
-    /// As well, and the node is told to stop the session.
-    Stop,
 }
 
 /// Bounds and times of a recorder.

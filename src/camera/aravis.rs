@@ -345,6 +345,12 @@ impl FrameStream for AravisStream {
         Some(received)
     }
 
+    fn heard(&self) -> u64 {
+        let packets = self.stream.info_uint64_by_name("n_received_packets");
+        // USB3 Vision has no packets.
+        if packets > 0 { packets } else { self.stream.info_uint64_by_name("n_completed_buffers") }
+    }
+
     fn counters(&self) -> Vec<(String, u64)> {
         const NAMES: [&str; 8] = [
             "n_completed_buffers",

@@ -197,6 +197,10 @@ pub trait FrameStream: Send {
     /// The next frame, complete or not; `None` after `timeout` without any.
     fn next(&mut self, timeout: Duration) -> Option<Received>;
 
+    /// How much has been heard of the camera on this stream, whatever became of it: packets, or frames where the
+    /// transport has no packets to count. It grows while the camera sends.
+    fn heard(&self) -> u64;
+
     /// Counters by Aravis' names.
     fn counters(&self) -> Vec<(String, u64)>;
 }

@@ -3,8 +3,10 @@
 use super::{Exit, Failure};
 use crate::api::server;
 use crate::config::NodeConfig;
+use crate::record::{Interrupted, interrupted};
 use crate::session::driver::Driver;
 use std::path::PathBuf;
+use std::sync::PoisonError;
 
 /// Run the daemon of one acquisition PC: cameras, HSU link, recordings, control API.
 #[derive(clap::Args)]
@@ -29,8 +31,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         let message = format!("cannot listen on {listen} (api.listen): {e}; is another node running?");
         Failure::new(Exit::Usage, message)
     })?;
+    let mut unfinished = interrupted(&config.sessions_dir);
+    unfinished.retain(|found| found.node == config.node);
     let driver = Driver::start(config, backend).map_err(|e| Failure::new(Exit::Failure, e))?;
     let (commands, status) = (driver.commands(), driver.status());
+    unfinished.iter().for_each(warn_of);
+    status.write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
     tracing::info!(%listen, "node is up");
     let served = runtime.block_on(async {
         let signals =
@@ -42,6 +48,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     // A session in progress is finished first: its recording gets its verdict.
     driver.shut_down();
     served.map(|()| Exit::Done)
+}
+
+/// Nothing is recovered unasked: it takes disk space and time, and the operator may want to look first.
+fn warn_of(found: &Interrupted) {
+    let (path, reason, frames, command) =
+        (found.path.display(), &found.reason, found.frames, found.command());
+    tracing::warn!(
+        "the recording {path} was interrupted ({reason}); it has {frames} frames; save them with: {command}"
+    );
 }
 
 /// Resolves at the first SIGTERM or SIGINT.

@@ -8,7 +8,7 @@ mod node;
 mod rig;
 mod section;
 
-pub use node::{CameraConfig, FeatureSetting, FeatureValue, NodeConfig, SocketMode};
+pub use node::{CameraConfig, FeatureSetting, FeatureValue, NodeConfig, OnLoss, SocketMode, WhenFull};
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
 

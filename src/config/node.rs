@@ -8,6 +8,7 @@ use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// A GenICam feature's value as written in the configuration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -53,6 +54,27 @@ pub enum SocketMode {
     Standard,
 }
 
+/// What the loss of a device means for a session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnLoss {
+    /// The session goes on; what is missing becomes gap records.
+    Continue,
+    /// The train is stopped on all nodes, and the session ends.
+    Abort,
+}
+
+/// What a full ring of frames means for a session.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WhenFull {
+    /// The newest whole frame set is dropped, with a gap record for each of its frames.
+    #[default]
+    DropFrameSet,
+    /// The train is stopped on all nodes, and the session ends.
+    Stop,
+}
+
 /// The node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeConfig {
@@ -78,6 +100,14 @@ pub struct NodeConfig {
     pub packet_bytes: u32,
     /// How packets are received.
     pub socket: SocketMode,
+    /// Before arming no camera may send for this long; zero lets free-running cameras pass.
+    pub silence_gate: Duration,
+    /// When frames come faster than the disk takes them.
+    pub when_full: WhenFull,
+    /// When a camera stops answering.
+    pub on_camera_lost: OnLoss,
+    /// When the link to the HSU breaks during a train.
+    pub on_link_lost: OnLoss,
     /// The cameras, in the rig's order.
     pub cameras: Vec<CameraConfig>,
 }
@@ -99,6 +129,38 @@ impl NodeConfig {
 const FORMAT: u64 = 1;
 const MIB: u64 = 1 << 20;
 
+/// `[acquisition]`.
+struct Acquisition {
+    buffers_per_camera: usize,
+    packet_bytes: u32,
+    socket: SocketMode,
+    silence_gate: Duration,
+    when_full: WhenFull,
+    on_camera_lost: OnLoss,
+    on_link_lost: OnLoss,
+    settings: Vec<FeatureSetting>,
+}
+
+fn read_acquisition(section: Section<'_>) -> Acquisition {
+    const ON_LOSS: [(&str, OnLoss); 2] = [("continue", OnLoss::Continue), ("abort", OnLoss::Abort)];
+    let acquisition = Acquisition {
+        buffers_per_camera: section.integer_or("buffers_per_camera", 16..=4096, 64) as usize,
+        packet_bytes: section.integer_or("packet_bytes", 576..=65_000, 9000) as u32,
+        socket: section
+            .choice_or_first("socket", &[("auto", SocketMode::Auto), ("standard", SocketMode::Standard)]),
+        silence_gate: Duration::from_millis(section.integer_or("silence_gate_ms", 0..=60_000, 250)),
+        when_full: section.choice_or_first(
+            "when_full",
+            &[("drop_frame_set", WhenFull::DropFrameSet), ("stop", WhenFull::Stop)],
+        ),
+        on_camera_lost: section.choice_or_first("on_camera_lost", &ON_LOSS),
+        on_link_lost: section.choice_or_first("on_link_lost", &ON_LOSS),
+        settings: read_settings(&section),
+    };
+    section.finish();
+    acquisition
+}
+
 fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
     root.integer("format", FORMAT..=FORMAT);
     let node = NodeId(root.text("node"));
@@ -118,18 +180,8 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         section.finish();
         values
     });
-    let acquisition = root.section("acquisition").map(|section| {
-        let values = (
-            section.integer_or("buffers_per_camera", 4..=4096, 32) as usize,
-            section.integer_or("packet_bytes", 576..=65_000, 9000) as u32,
-            section
-                .choice_or_first("socket", &[("auto", SocketMode::Auto), ("standard", SocketMode::Standard)]),
-            read_settings(&section),
-        );
-        section.finish();
-        values
-    });
-    let common = acquisition.as_ref().map_or(&[][..], |(.., settings)| settings);
+    let acquisition = root.section("acquisition").map(read_acquisition);
+    let common = acquisition.as_ref().map_or(&[][..], |acquisition| &acquisition.settings);
     let cameras: Vec<CameraConfig> =
         root.sections("camera").into_iter().map(|s| read_camera(s, common)).collect();
     let rig = match Rig::load(&rig_path) {
@@ -145,7 +197,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
     }
     root.finish();
     let (sessions_dir, reserve_bytes, segment_bytes) = storage?;
-    let (buffers_per_camera, packet_bytes, socket, _) = acquisition?;
+    let acquisition = acquisition?;
     let rig = rig?;
     let place = |id: &CameraId| rig.cameras().position(|(_, camera)| camera.id == *id);
     let mut cameras = cameras;
@@ -158,9 +210,13 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         sessions_dir,
         reserve_bytes,
         segment_bytes,
-        buffers_per_camera,
-        packet_bytes,
-        socket,
+        buffers_per_camera: acquisition.buffers_per_camera,
+        packet_bytes: acquisition.packet_bytes,
+        socket: acquisition.socket,
+        silence_gate: acquisition.silence_gate,
+        when_full: acquisition.when_full,
+        on_camera_lost: acquisition.on_camera_lost,
+        on_link_lost: acquisition.on_link_lost,
         cameras,
         rig,
     })

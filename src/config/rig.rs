@@ -79,6 +79,8 @@ pub struct Rig {
     pub name: String,
     /// Triggers per second.
     pub trigger_rate_hz: f64,
+    /// Triggers before trigger 0 of every session, for cameras that need some to wake up; their frames are not recorded.
+    pub warm_up_triggers: u32,
     /// Lower corner of the working volume, world, m.
     pub volume_min_m: [f64; 3],
     /// Upper corner of the working volume, world, m.
@@ -128,6 +130,7 @@ fn read_rig(root: Section<'_>) -> Rig {
     root.integer("format", FORMAT..=FORMAT);
     let name = root.text("name");
     let trigger_rate_hz = root.number("trigger_rate_hz", 0.1..=1000.0);
+    let warm_up_triggers = root.integer_or("warm_up_triggers", 0..=1000, 8) as u32;
     let (volume_min_m, volume_max_m) = root.section("volume").map_or(([0.0; 3], [0.0; 3]), read_volume);
     let pattern = root.section("pattern").map_or_else(placeholder_pattern, read_pattern);
     let board = root.section("board").map_or_else(placeholder_board, read_board);
@@ -136,7 +139,7 @@ fn read_rig(root: Section<'_>) -> Rig {
     check_channels(&root, &heads);
     check_marker_on_panel(&root, &pattern, &heads);
     root.finish();
-    Rig { name, trigger_rate_hz, volume_min_m, volume_max_m, pattern, board, heads }
+    Rig { name, trigger_rate_hz, warm_up_triggers, volume_min_m, volume_max_m, pattern, board, heads }
 }
 
 fn read_volume(section: Section<'_>) -> ([f64; 3], [f64; 3]) {

@@ -165,6 +165,12 @@ impl Hsu {
         self.command("arming", Request::Arm(wire))
     }
 
+    /// Takes up the triggers of a session that another connection has armed, from number `next` on: those fired
+    /// meanwhile are asked for.
+    pub fn resume(&self, session: SessionId, next: i64) {
+        self.conversation.feed().begin(session, next);
+    }
+
     /// Waits until all nodes have armed the session (or it has gone on from there).
     pub fn wait_armed(&self, session: SessionId, patience: Duration) -> Result<Status, HsuError> {
         let begun = Instant::now();

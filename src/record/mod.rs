@@ -6,6 +6,7 @@
 mod direct;
 mod disk;
 pub mod envelope;
+mod interrupted;
 pub mod layout;
 mod protobuf;
 mod reader;
@@ -22,6 +23,7 @@ mod writer;
 
 pub use direct::free_bytes;
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
+pub use interrupted::{Interrupted, interrupted};
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NodeEvent, RecordingHeader,
     TriggerRecord,

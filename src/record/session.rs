@@ -1,7 +1,9 @@
 //! A session: a directory with the recordings of all its nodes, read as one source of frames.
 
-use super::layout::{GapCause, segment_number};
+use super::direct::map_file;
+use super::layout::{GapCause, VERDICT_METADATA, segment_number};
 use super::reader::{Extent, ReadError, RecordedFrame, RecordingReader};
+use super::scan::metadata_by_index;
 use crate::config::Rig;
 use crate::ids::{CameraId, NodeId, TriggerIndex};
 use crate::reconstruct::{Frame, FrameSource};
@@ -67,6 +69,23 @@ fn entries(dir: &Path) -> Result<Vec<(String, PathBuf)>, String> {
     }
     found.sort();
     Ok(found)
+}
+
+/// Why the recording in `dir` is thought to be unfinished: its last segment is not closed, or states no verdict. `None`
+/// for a finished one, and where there is no recording.
+pub(super) fn unfinished(dir: &Path) -> Option<String> {
+    let (_, last) = segments(dir).ok()?.pop()?;
+    let name = last.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let file = match map_file(&last) {
+        Ok(file) => file,
+        // An empty file cannot be mapped: the node died before its first byte.
+        Err(_) => return Some(format!("{name} is empty")),
+    };
+    match metadata_by_index(&file) {
+        None => Some(format!("{name} was not closed")),
+        Some(metadata) if metadata.iter().any(|(name, _)| *name == VERDICT_METADATA) => None,
+        Some(_) => Some(format!("{name} has no verdict")),
+    }
 }
 
 /// A session: the recordings of all its nodes.

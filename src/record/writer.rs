@@ -39,6 +39,8 @@ pub const BLOCKS_HELD: usize = 2 * (1 + QUEUE) * BLOCKS_PER_CHUNK;
 const CHUNK_BYTES: u64 = 1 << 20;
 /// What segments need beyond pixels (headers, indexes, gap records), for the space check.
 const ACCOUNTING_BYTES: u64 = 16 << 20;
+/// Disk space that is set aside for a segment at most.
+const MOST_AHEAD: u64 = 4 << 30;
 /// Records kept for the rescue segment when there is no segment to write them to.
 const MAX_UNWRITTEN: usize = 1 << 20;
 
@@ -514,7 +516,8 @@ impl Recording {
         let expected = self.header.expected_bytes().map_or(u64::MAX, |bytes| bytes.saturating_sub(written));
         let kept = self.options.reserve_bytes.saturating_add(ACCOUNTING_BYTES);
         let free = free_bytes(&self.dir).unwrap_or(0).saturating_sub(kept);
-        let most = expected.min(free / 2);
+        // Other recorders on the same disk must not find it full because of what is only set aside.
+        let most = expected.min(free / 8).min(MOST_AHEAD);
         self.options.segment_bytes.saturating_add(self.options.segment_bytes / 64).min(most)
     }
 

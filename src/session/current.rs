@@ -1,12 +1,16 @@
 //! What a node holds while it is in a session: the request, the threads that record it, and its outcome.
 
+use super::attendant::{Attendant, Report};
 use super::devices::PreparedCamera;
+use super::link::LinkKeeper;
+use super::silence::SilenceWatch;
 use super::state::SessionRequest;
-use crate::acquire::receiver::Receiver as StreamReceiver;
 use crate::acquire::recorder::{FromRecorder, Progress, ToRecorder};
 use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
+use crate::hsu::Hsu;
 use crate::record::Recording;
-use crossbeam_channel::{Receiver, Sender, never};
+use crate::time::HostClock;
+use crossbeam_channel::{Receiver, Sender, never, unbounded};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -22,13 +26,26 @@ pub(super) struct Session {
     pub(super) to_recorder: Option<Sender<ToRecorder>>,
     pub(super) from_recorder: Receiver<FromRecorder>,
     pub(super) recorder: Option<JoinHandle<()>>,
-    pub(super) receivers: Vec<StreamReceiver>,
+    /// The host's clock of this session.
+    pub(super) clock: HostClock,
+    /// One per camera while streams run.
+    pub(super) attendants: Vec<Attendant>,
+    pub(super) reports: Receiver<Report>,
+    pub(super) reports_in: Sender<Report>,
+    pub(super) link_keeper: Option<LinkKeeper>,
+    pub(super) links: Receiver<Arc<Hsu>>,
+    pub(super) links_in: Sender<Arc<Hsu>>,
+    /// Number of the next trigger that the HSU will report.
+    pub(super) next_trigger: i64,
+    pub(super) silence: SilenceWatch,
     pub(super) outcome: Option<Outcome>,
-    pub(super) lost_reported: bool,
 }
 
 impl Session {
     pub(super) fn new(request: SessionRequest, dir: PathBuf, cameras: usize) -> Self {
+        // At most one report a camera and a second; whoever has no session any more drops them.
+        let (reports_in, reports) = unbounded();
+        let (links_in, links) = unbounded();
         Self {
             request,
             dir,
@@ -38,10 +55,22 @@ impl Session {
             to_recorder: None,
             from_recorder: never(),
             recorder: None,
-            receivers: Vec::new(),
+            clock: HostClock::start(),
+            attendants: Vec::new(),
+            reports,
+            reports_in,
+            link_keeper: None,
+            links,
+            links_in,
+            next_trigger: 0,
+            silence: SilenceWatch::new(cameras),
             outcome: None,
-            lost_reported: false,
         }
+    }
+
+    pub(super) fn has_cameras(&mut self, cameras: Vec<PreparedCamera>) {
+        self.silence = SilenceWatch::new(cameras.len());
+        self.cameras = cameras;
     }
 
     pub(super) fn tell(&self, message: ToRecorder) {

@@ -1,34 +1,65 @@
 //! The node's devices: its cameras and its link to the HSU, kept open between sessions.
 
+use super::attendant::{Attendant, AttendantSetup, CLOCK_BURST, Report, camera_sample};
+use super::link::hsu_sample;
 use super::state::Fault;
-use crate::acquire::matcher::ClockRelation;
 use crate::acquire::pool::Block;
-use crate::acquire::receiver::{Arrival, Receiver};
+use crate::acquire::receiver::{Receiver, ReceiverSetup};
+use crate::acquire::recorder::ToRecorder;
 use crate::api::dto::{CameraStatus, HsuStatus};
 use crate::camera::{
-    AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraIdentity, StreamOptions,
+    AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, StreamOptions,
 };
 use crate::cmds::Exit;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::hsu::{Hsu, HsuTimeouts, HsuTiming};
 use crate::ids::CameraId;
-use crate::time::{host_time_ns, monotonic_ns};
+use crate::record::ClockSample;
+use crate::time::HostClock;
 use crossbeam_channel::Sender;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// One configured camera, open or not.
-struct Slot {
-    config: CameraConfig,
-    camera: Option<Box<dyn Camera>>,
-    problem: Option<String>,
+pub struct OpenCamera {
+    /// Its part of the node file.
+    pub config: CameraConfig,
+    /// The camera, while it is open and not in the hands of an attendant.
+    pub camera: Option<Box<dyn Camera>>,
+    /// Who it said it was when it was last opened.
+    pub identity: Option<CameraIdentity>,
+    /// Why it cannot be used now.
+    pub problem: Option<String>,
     /// Columns and rows that the rig has for it.
-    size: (usize, usize),
+    pub size: (usize, usize),
 }
 
-impl Slot {
+impl OpenCamera {
     fn start(&mut self) -> Result<(), Fault> {
         let Some(camera) = &mut self.camera else { return Ok(()) };
         camera.start().map_err(|e| Fault::new(Exit::Device, format!("camera {}: {e}", self.config.id)))
+    }
+
+    /// Everything but the open camera, which moves to the copy.
+    fn hand_over(&mut self) -> Self {
+        Self {
+            config: self.config.clone(),
+            camera: self.camera.take(),
+            identity: self.identity.clone(),
+            problem: None,
+            size: self.size,
+        }
+    }
+}
+
+/// The backend, shared by the threads that may have to open a camera.
+#[derive(Clone)]
+pub struct SharedBackend(Arc<Mutex<Box<dyn CameraBackend>>>);
+
+impl SharedBackend {
+    /// Opens a camera; one at a time.
+    pub fn open(&self, address: &str) -> Result<Box<dyn Camera>, CameraError> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).open(address)
     }
 }
 
@@ -49,14 +80,12 @@ pub struct PreparedCamera {
 const RETRY_INTERVAL: Duration = Duration::from_secs(15);
 /// The HSU answers at once, or its absence is noticed in a second.
 const HSU_RETRY_INTERVAL: Duration = Duration::from_secs(3);
-/// Clock exchanges per device before a session; the one with the shortest round trip counts.
-const CLOCK_SAMPLES: usize = 8;
 
 /// All devices of the node.
 pub struct Devices {
-    backend: Box<dyn CameraBackend>,
-    slots: Vec<Slot>,
-    hsu: Option<Hsu>,
+    backend: SharedBackend,
+    slots: Vec<OpenCamera>,
+    hsu: Option<Arc<Hsu>>,
     hsu_problem: Option<String>,
     config: NodeConfig,
     next_retry: Instant,
@@ -67,9 +96,10 @@ impl Devices {
     /// The devices of a node, none open yet.
     pub fn new(config: &NodeConfig, backend: Box<dyn CameraBackend>) -> Self {
         let not_yet = || Some("not opened yet".to_owned());
-        let slot = |camera: &CameraConfig| Slot {
+        let slot = |camera: &CameraConfig| OpenCamera {
             config: camera.clone(),
             camera: None,
+            identity: None,
             problem: not_yet(),
             size: config
                 .rig
@@ -79,7 +109,7 @@ impl Devices {
         };
         Self {
             slots: config.cameras.iter().map(slot).collect(),
-            backend,
+            backend: SharedBackend(Arc::new(Mutex::new(backend))),
             hsu: None,
             hsu_problem: not_yet(),
             config: config.clone(),
@@ -89,8 +119,21 @@ impl Devices {
     }
 
     /// The link to the HSU, when it is up.
-    pub fn hsu(&self) -> Option<&Hsu> {
+    pub fn hsu(&self) -> Option<&Arc<Hsu>> {
         self.hsu.as_ref()
+    }
+
+    /// A link that was made anew.
+    pub fn take_hsu(&mut self, hsu: Arc<Hsu>) {
+        self.hsu = Some(hsu);
+        self.hsu_problem = None;
+    }
+
+    /// A camera's state for the status, while it is in the hands of its attendant.
+    pub fn set_problem(&mut self, camera: usize, problem: Option<String>) {
+        if let Some(slot) = self.slots.get_mut(camera) {
+            slot.problem = problem;
+        }
     }
 
     /// Forgets a link that failed.
@@ -116,8 +159,8 @@ impl Devices {
         if Instant::now() < self.next_retry {
             return;
         }
-        let fresh = |slot: &Slot| slot.problem.as_deref() == Some("not opened yet");
-        let missing = |slot: &Slot| slot.camera.is_none();
+        let fresh = |slot: &OpenCamera| slot.problem.as_deref() == Some("not opened yet");
+        let missing = |slot: &OpenCamera| slot.camera.is_none();
         let next = self.slots.iter().position(fresh).or_else(|| self.slots.iter().position(missing));
         if let Some(i) = next {
             drop(self.open(i));
@@ -136,6 +179,7 @@ impl Devices {
             Ok(camera) => {
                 let identity = camera.identity();
                 tracing::info!(camera = %slot.config.id, address = slot.config.address, model = identity.model, serial = identity.serial, "opened");
+                slot.identity = Some(identity.clone());
                 slot.camera = Some(camera);
                 slot.problem = None;
                 Ok(())
@@ -151,7 +195,7 @@ impl Devices {
         match Hsu::connect(&self.config.hsu_device, &self.config.node, &HsuTimeouts::default()) {
             Ok(hsu) => {
                 tracing::info!(device = %self.config.hsu_device.display(), identity = identity_text(&hsu), "HSU connected");
-                self.hsu = Some(hsu);
+                self.hsu = Some(Arc::new(hsu));
                 self.hsu_problem = None;
                 Ok(())
             }
@@ -214,87 +258,108 @@ impl Devices {
         Ok(PreparedCamera { id: id.clone(), size, identity: camera.identity().clone(), settings })
     }
 
-    /// How each camera's clock relates to the HSU's; accurate to half a round trip.
-    pub fn clock_relations(&mut self) -> Vec<ClockRelation> {
-        let hsu = self.hsu.as_ref().and_then(|hsu| {
-            let samples = (0..CLOCK_SAMPLES).filter_map(|_| hsu.query_clock().ok());
-            let best = samples.min_by_key(|s| s.received - s.sent)?;
-            Some(i128::from(best.time_ns) - middle(monotonic_ns(best.sent), monotonic_ns(best.received)))
-        });
-        let realtime = i128::from(host_time_ns()) - i128::from(monotonic_ns(Instant::now()));
-        let camera = |slot: &mut Slot| {
-            let camera = slot.camera.as_mut()?;
-            let samples = (0..CLOCK_SAMPLES).filter_map(|_| camera.sample_clock().ok().flatten());
-            let samples: Vec<CameraClockSample> = samples.collect();
+    /// A burst of clock readings of the HSU and of every camera, for the fits and for the record.
+    pub fn clock_burst(&mut self, clock: &HostClock) -> Vec<ClockSample> {
+        let mut all = Vec::new();
+        if let Some(hsu) = &self.hsu {
+            let samples = (0..CLOCK_BURST).filter_map(|_| hsu.query_clock().ok());
+            all.extend(samples.map(|sample| hsu_sample(&sample, clock)));
+        }
+        for slot in &mut self.slots {
+            let Some(camera) = slot.camera.as_mut() else { continue };
+            let samples: Vec<CameraClockSample> =
+                (0..CLOCK_BURST).filter_map(|_| camera.sample_clock().ok().flatten()).collect();
             // A latch that does nothing leaves the value as it is.
-            let runs = samples.iter().any(|s| s.camera_ns != samples[0].camera_ns);
-            let best = samples.iter().min_by_key(|s| s.host_after_ns - s.host_before_ns).filter(|_| runs)?;
-            Some(i128::from(best.camera_ns) - middle(best.host_before_ns, best.host_after_ns))
-        };
-        let relation = |slot: &mut Slot| ClockRelation {
-            camera_minus_hsu_ns: camera(slot).zip(hsu).map(|(camera, hsu)| camera - hsu),
-            hsu_minus_host_ns: hsu.map(|hsu| hsu - realtime),
-        };
-        self.slots.iter_mut().map(relation).collect()
-    }
-
-    /// Creates a fresh stream with a receiver on every camera, then starts every acquisition; on failure none
-    /// is left running.
-    pub fn start_streams(&mut self, recorder: &Sender<Arrival>) -> Result<Vec<Receiver>, Fault> {
-        let mut receivers = Vec::new();
-        let created = (0..self.slots.len()).try_for_each(|i| {
-            receivers.push(self.create_stream(i, recorder.clone())?);
-            Ok(())
-        });
-        let started = created.and_then(|()| self.slots.iter_mut().try_for_each(Slot::start));
-        match started {
-            Ok(()) => Ok(receivers),
-            Err(fault) => {
-                self.stop_streams(receivers);
-                Err(fault)
+            if samples.iter().any(|s| s.camera_ns != samples[0].camera_ns) {
+                let id = &slot.config.id;
+                all.extend(samples.into_iter().map(|sample| camera_sample(id.clone(), sample, clock)));
             }
         }
+        all
     }
 
-    fn create_stream(&mut self, i: usize, recorder: Sender<Arrival>) -> Result<Receiver, Fault> {
-        let options = StreamOptions {
-            packet_bytes: self.config.packet_bytes,
-            socket: self.config.socket,
-            period_ns: (1e9 / self.config.rig.trigger_rate_hz) as u64,
-        };
-        let slot = &mut self.slots[i];
+    /// Creates a fresh stream with a receiver on every camera, starts every acquisition, and puts every camera into
+    /// the hands of an attendant; on failure none is left running.
+    pub fn start_streams(
+        &mut self,
+        receivers: &[ReceiverSetup],
+        to_recorder: &Sender<ToRecorder>,
+        reports: &Sender<Report>,
+    ) -> Result<Vec<Attendant>, Fault> {
+        let mut running = Vec::new();
+        let created = receivers.iter().try_for_each(|setup| {
+            running.push(self.create_stream(setup)?);
+            Ok(())
+        });
+        let started = created.and_then(|()| self.slots.iter_mut().try_for_each(OpenCamera::start));
+        if let Err(fault) = started {
+            self.slots
+                .iter_mut()
+                .filter_map(|slot| slot.camera.as_mut())
+                .for_each(|camera| drop(camera.stop()));
+            running.into_iter().for_each(|receiver| drop(receiver.stop()));
+            return Err(fault);
+        }
+        let mut attendants = Vec::new();
+        for (receiver, setup) in running.into_iter().zip(receivers) {
+            let slot = &mut self.slots[setup.camera];
+            let setup = AttendantSetup {
+                pixel_bytes: slot.size.0 * slot.size.1,
+                camera: slot.hand_over(),
+                backend: self.backend.clone(),
+                options: stream_options(&self.config),
+                receiver: setup.clone(),
+                blocks: self.config.buffers_per_camera,
+                to_recorder: to_recorder.clone(),
+                reports: reports.clone(),
+            };
+            match Attendant::start(setup, receiver) {
+                Ok(attendant) => attendants.push(attendant),
+                Err(error) => {
+                    self.stop_streams(attendants);
+                    return Err(Fault::new(
+                        Exit::Failure,
+                        format!("cannot start a camera's thread: {error}"),
+                    ));
+                }
+            }
+        }
+        Ok(attendants)
+    }
+
+    fn create_stream(&mut self, setup: &ReceiverSetup) -> Result<Receiver, Fault> {
+        let options = stream_options(&self.config);
+        let slot = &mut self.slots[setup.camera];
         let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
         let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
         let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
         let blocks = (0..self.config.buffers_per_camera).map(|_| Block::allocate(pixel_bytes));
         let stream = camera.create_stream(blocks.collect(), &options).map_err(|e| fault(e.to_string()))?;
-        Receiver::start(i, stream, recorder).map_err(|e| fault(format!("cannot start its thread: {e}")))
+        Receiver::start(stream, setup.clone()).map_err(|e| fault(format!("cannot start its thread: {e}")))
     }
 
-    /// Stops acquisition and receivers; returns each camera's stream counters.
-    pub fn stop_streams(&mut self, receivers: Vec<Receiver>) -> Vec<Vec<(String, u64)>> {
-        for slot in self.slots.iter_mut().take(receivers.len()) {
-            if let Some(camera) = &mut slot.camera
-                && let Err(error) = camera.stop()
-            {
-                tracing::warn!(camera = %slot.config.id, "{error}");
-            }
+    /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters.
+    pub fn stop_streams(&mut self, attendants: Vec<Attendant>) -> Vec<Vec<(String, u64)>> {
+        attendants.iter().for_each(Attendant::stop);
+        let mut counters = Vec::new();
+        for (slot, attendant) in self.slots.iter_mut().zip(attendants) {
+            let Some((camera, counted)) = attendant.join() else { continue };
+            slot.problem = match camera.camera {
+                Some(_) => None,
+                None => Some("the camera stopped answering; check its power and cable".to_owned()),
+            };
+            slot.camera = camera.camera;
+            counters.push(counted);
         }
-        receivers.into_iter().map(Receiver::stop).collect()
-    }
-
-    /// The first camera that is gone, with its place.
-    pub fn lost_camera(&self) -> Option<(usize, CameraId)> {
-        let lost = |slot: &Slot| slot.camera.as_ref().is_some_and(|camera| !camera.is_alive());
-        self.slots.iter().position(lost).map(|i| (i, self.slots[i].config.id.clone()))
+        counters
     }
 
     /// For the status.
     pub fn camera_statuses(&self) -> Vec<CameraStatus> {
-        let status = |slot: &Slot| CameraStatus {
+        let status = |slot: &OpenCamera| CameraStatus {
             id: slot.config.id.clone(),
             address: slot.config.address.clone(),
-            identity: slot.camera.as_ref().map(|camera| camera.identity().clone()),
+            identity: slot.identity.clone().filter(|_| slot.problem.is_none()),
             problem: slot.problem.clone(),
         };
         self.slots.iter().map(status).collect()
@@ -304,7 +369,7 @@ impl Devices {
     pub fn hsu_status(&self) -> HsuStatus {
         HsuStatus {
             device: self.config.hsu_device.clone(),
-            identity: self.hsu.as_ref().map(identity_text),
+            identity: self.hsu.as_deref().map(identity_text),
             problem: self.hsu_problem.clone(),
         }
     }
@@ -326,6 +391,10 @@ pub fn unique_id(hsu: &Hsu) -> String {
     }
 }
 
-fn middle(a: u64, b: u64) -> i128 {
-    (i128::from(a) + i128::from(b)) / 2
+fn stream_options(config: &NodeConfig) -> StreamOptions {
+    StreamOptions {
+        packet_bytes: config.packet_bytes,
+        socket: config.socket,
+        period_ns: (1e9 / config.rig.trigger_rate_hz) as u64,
+    }
 }

@@ -1,26 +1,19 @@
 //! The node's thread: carries out what the state machine says, and feeds it what happens.
 
 use super::current::Session;
-use super::devices::{Devices, PreparedCamera, unique_id};
+use super::devices::Devices;
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
-use crate::acquire::matcher::{ClockRelation, Matcher};
-use crate::acquire::receiver::Arrival;
-use crate::acquire::recorder::{FromRecorder, LaneSetup, Recorder, RecorderOptions, ToRecorder, WhenFull};
+use crate::acquire::recorder::ToRecorder;
 use crate::api::dto::{NodeStatus, Outcome, SessionCommand};
 use crate::api::server::{Command, Reply, SharedStatus};
-use crate::camera::{AppliedSetting, CameraBackend};
+use crate::camera::CameraBackend;
 use crate::cmds::Exit;
-use crate::config::{FeatureSetting, NodeConfig};
-use crate::hsu::{ArmRequest, Hsu, HsuError, HsuEvent, LinkLoss, SessionId, trigger_index};
-use crate::ids::SessionName;
-use crate::record::{
-    CameraHeader, HsuIdentity, NodeEvent, RecordError, Recording, RecordingHeader, TriggerRecord,
-    WriterOptions, free_bytes,
-};
-use crate::time::host_time_ns;
-use crossbeam_channel::{Receiver, Sender, bounded, never, select, unbounded};
+use crate::config::NodeConfig;
+use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId};
+use crate::ids::{CameraId, SessionName};
+use crate::record::{NodeEvent, free_bytes};
+use crossbeam_channel::{Receiver, Sender, bounded, never, select};
 use std::collections::VecDeque;
-use std::path::Path;
 use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -52,6 +45,7 @@ impl Driver {
             hsu: devices.hsu_status(),
             sessions_dir: config.sessions_dir.clone(),
             free_bytes: 0,
+            interrupted: Vec::new(),
             session: None,
         }));
         let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);
@@ -89,11 +83,11 @@ impl Driver {
     }
 }
 
-struct Node {
-    config: NodeConfig,
-    devices: Devices,
-    machine: Machine,
-    session: Option<Session>,
+pub(super) struct Node {
+    pub(super) config: NodeConfig,
+    pub(super) devices: Devices,
+    pub(super) machine: Machine,
+    pub(super) session: Option<Session>,
     /// Whoever waits for the preparation.
     pending: Option<Reply>,
     status: SharedStatus,
@@ -106,6 +100,8 @@ impl Node {
         loop {
             let hsu = self.devices.hsu().map_or_else(never, |hsu| hsu.events().clone());
             let recorder = self.session.as_ref().map_or_else(never, |s| s.from_recorder.clone());
+            let reports = self.session.as_ref().map_or_else(never, |s| s.reports.clone());
+            let links = self.session.as_ref().map_or_else(never, |s| s.links.clone());
             select! {
                 recv(commands) -> command => if let Ok(command) = command { self.command(command) },
                 recv(hsu) -> event => match event {
@@ -116,6 +112,8 @@ impl Node {
                     Ok(event) => self.recorder_event(event),
                     Err(_) => self.recorder_gone(),
                 },
+                recv(reports) -> report => if let Ok(report) = report { self.attendant_reports(report) },
+                recv(links) -> hsu => if let Ok(hsu) = hsu { self.link_back(hsu) },
                 recv(stopped) -> _ => {
                     stopping = true;
                     self.take(Event::Abort("the node was told to shut down".to_owned()));
@@ -131,22 +129,10 @@ impl Node {
 
     fn tick(&mut self) {
         self.take(Event::Tick);
-        match self.machine.phase() {
-            Phase::Idle => self.devices.look_after(),
-            Phase::Ready | Phase::Running => self.notice_lost_cameras(),
-            _ => {}
+        if self.machine.phase() == Phase::Idle {
+            self.devices.look_after();
         }
         self.publish();
-    }
-
-    fn notice_lost_cameras(&mut self) {
-        let Some((camera, id)) = self.devices.lost_camera() else { return };
-        let Some(session) = self.session.as_mut().filter(|session| !session.lost_reported) else { return };
-        session.lost_reported = true;
-        session.tell(ToRecorder::CameraLost(camera));
-        let message = format!("camera {id} stopped answering; check its power and cable");
-        self.note("camera_lost", &message);
-        self.take(Event::Failed(Fault::new(Exit::Device, message)));
     }
 
     fn command(&mut self, command: Command) {
@@ -212,7 +198,7 @@ impl Node {
     }
 
     /// Steps the machine, and carries out what it says until it says nothing more.
-    fn take(&mut self, event: Event) {
+    pub(super) fn take(&mut self, event: Event) {
         let mut events = VecDeque::from([event]);
         while let Some(event) = events.pop_front() {
             let preparing = self.machine.phase() == Phase::Preparing || matches!(event, Event::Prepare(_));
@@ -235,11 +221,12 @@ impl Node {
         match action {
             Action::PrepareDevices => {
                 let cameras = self.devices.prepare()?;
-                self.in_session(|session| session.cameras = cameras);
+                self.in_session(|session| session.has_cameras(cameras));
                 Ok(())
             }
             Action::CreateRecording => self.create_recording(),
             Action::StartStreams => self.start_streams(),
+            Action::SilenceGate => self.silence_gate(),
             Action::ArmHsu => {
                 let Some(session) = &self.session else { return Ok(()) };
                 let request = session.request.clone();
@@ -247,10 +234,12 @@ impl Node {
                 let arm = ArmRequest {
                     session: hsu_session(request.session_id),
                     triggers: (request.triggers > 0).then_some(request.triggers),
-                    warm_up: 0,
+                    warm_up: self.config.rig.warm_up_triggers,
                     nodes: request.nodes,
                 };
-                hsu.arm(&arm).map_err(hsu_fault)
+                hsu.arm(&arm).map_err(hsu_fault)?;
+                self.in_session(|session| session.next_trigger = -i64::from(arm.warm_up));
+                Ok(())
             }
             Action::ReportReady => {
                 self.answer(Ok(()));
@@ -281,7 +270,7 @@ impl Node {
         }
     }
 
-    fn in_session(&mut self, change: impl FnOnce(&mut Session)) {
+    pub(super) fn in_session(&mut self, change: impl FnOnce(&mut Session)) {
         if let Some(session) = &mut self.session {
             change(session);
         }
@@ -299,207 +288,17 @@ impl Node {
         }
     }
 
-    fn create_recording(&mut self) -> Result<(), Fault> {
-        let Some(session) = &mut self.session else { return Ok(()) };
-        let read_back = |setting: &AppliedSetting| FeatureSetting {
-            feature: setting.feature.clone(),
-            value: setting.actual.clone(),
-        };
-        let camera = |camera: &PreparedCamera| CameraHeader {
-            id: camera.id.clone(),
-            width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
-            height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
-            device: format!(
-                "{} {} {}",
-                camera.identity.vendor, camera.identity.model, camera.identity.serial
-            ),
-            settings: camera.settings.iter().map(read_back).collect(),
-        };
-        let request = &session.request;
-        let header = RecordingHeader {
-            session: SessionName(request.name.clone()),
-            session_id: format!("{:016x}", request.session_id),
-            node: self.config.node.clone(),
-            rig_text: self.config.rig_text.clone(),
-            cameras: session.cameras.iter().map(camera).collect(),
-            hsu: self.devices.hsu().map(|hsu| HsuIdentity {
-                uid: unique_id(hsu),
-                firmware: hsu.identity().firmware.map(|n| n.to_string()).join("."),
-                protocol: u32::from(hsu.welcome().agreed),
-            }),
-            expected_triggers: (request.triggers > 0).then_some(request.triggers),
-            trigger_rate_hz: self.config.rig.trigger_rate_hz,
-            host_clock: "CLOCK_REALTIME".to_owned(),
-            created_ns: host_time_ns(),
-            software: concat!("fourdbody ", env!("CARGO_PKG_VERSION")).to_owned(),
-            subject: request.subject.clone(),
-            note: request.note.clone(),
-        };
-        let options = WriterOptions {
-            segment_bytes: self.config.segment_bytes,
-            reserve_bytes: self.config.reserve_bytes,
-            ..WriterOptions::default()
-        };
-        let recording = Recording::create(&session.dir, header, options).map_err(|error| {
-            remove_if_empty(&session.dir);
-            let exit = if matches!(error, RecordError::Exists { .. }) { Exit::Usage } else { Exit::Failure };
-            Fault::new(exit, error)
-        })?;
-        session.recording = Some(recording);
-        Ok(())
-    }
-
-    /// Relates the clocks, starts the recorder, then the streams.
-    fn start_streams(&mut self) -> Result<(), Fault> {
-        let clocks = self.devices.clock_relations();
-        let Some(session) = &mut self.session else { return Ok(()) };
-        let Some(recording) = session.recording.take() else { return Ok(()) };
-        let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
-        let lane = |(camera, clocks): (&PreparedCamera, ClockRelation)| LaneSetup {
-            id: camera.id.clone(),
-            width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
-            height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
-            matcher: Matcher::new(period_ns, clocks),
-        };
-        let lanes: Vec<LaneSetup> = session.cameras.iter().zip(clocks).map(lane).collect();
-        let (arrivals_in, arrivals) = bounded::<Arrival>(self.config.buffers_per_camera * lanes.len().max(1));
-        let (to_recorder, commands) = unbounded();
-        let (events, from_recorder) = unbounded();
-        let thread_error =
-            |e: std::io::Error| Fault::new(Exit::Failure, format!("cannot start the recorder: {e}"));
-        let progress = Arc::clone(&session.progress);
-        let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, WhenFull::DropFrameSet);
-        let recorder = Recorder::start(recording, lanes, options, progress, arrivals, commands, events)
-            .map_err(thread_error)?;
-        session.recorder = Some(recorder);
-        session.to_recorder = Some(to_recorder);
-        session.from_recorder = from_recorder;
-        match self.devices.start_streams(&arrivals_in) {
-            Ok(receivers) => session.receivers = receivers,
-            Err(fault) => {
-                session.end_recorder();
-                return Err(fault);
-            }
-        }
-        Ok(())
-    }
-
-    fn stop_streams(&mut self) {
-        let Some(session) = &mut self.session else { return };
-        let receivers = std::mem::take(&mut session.receivers);
-        let counters = self.devices.stop_streams(receivers);
-        for (camera, counters) in session.cameras.iter().zip(counters) {
-            let text: Vec<String> = counters.iter().map(|(name, count)| format!("{name} {count}")).collect();
-            let event = NodeEvent {
-                host_time_ns: host_time_ns(),
-                kind: "stream_counters".to_owned(),
-                camera: Some(camera.id.clone()),
-                trigger: None,
-                message: text.join(", "),
-            };
-            session.tell(ToRecorder::Event(event));
-        }
-    }
-
-    /// Removes what `create_recording` made: this session's own files, without a single trigger in them.
-    fn discard_recording(&mut self) -> Result<(), Fault> {
-        let Some(session) = &mut self.session else { return Ok(()) };
-        session.end_recorder();
-        session.recording = None;
-        let removed = std::fs::remove_dir_all(&session.dir);
-        remove_if_empty(&session.dir);
-        removed.map_err(|e| {
-            Fault::new(Exit::Failure, format!("{}: cannot be removed: {e}", session.dir.display()))
-        })
-    }
-
-    fn hsu_event(&mut self, event: HsuEvent) {
-        let ours = self.machine.request().map(|request| hsu_session(request.session_id));
-        match event {
-            HsuEvent::Trigger { session, trigger } if Some(session) == ours => {
-                let Some(index) = trigger_index(&trigger) else { return };
-                let record = TriggerRecord {
-                    index,
-                    hsu_time_ns: trigger.time_ns,
-                    flags: u32::from(trigger.flags.0),
-                    host_time_ns: host_time_ns(),
-                };
-                self.in_session(|session| session.tell(ToRecorder::Trigger(record)));
-                self.take(Event::Trigger);
-            }
-            HsuEvent::TriggersMissing { session, first, count } if Some(session) == ours => {
-                self.note(
-                    "triggers_missing",
-                    &format!("the times of {count} triggers from {first} on are lost"),
-                );
-            }
-            HsuEvent::Done { session, emitted, .. } if Some(session) == ours => {
-                self.take(Event::TrainDone { emitted })
-            }
-            HsuEvent::Fault { session, fault } if Some(session) == ours => {
-                let message = format!("the HSU reports: {fault}");
-                self.note("hsu_fault", &message);
-                self.take(Event::Failed(Fault::new(Exit::Device, message)));
-            }
-            HsuEvent::LinkLost(LinkLoss::Silent) => self.hsu_gone("it does not answer".to_owned()),
-            HsuEvent::LinkLost(LinkLoss::Restarted) => self.hsu_gone("it was restarted".to_owned()),
-            HsuEvent::LinkLost(LinkLoss::Broken(cause)) => self.hsu_gone(cause),
-            _ => {}
-        }
-    }
-
-    fn hsu_gone(&mut self, reason: String) {
-        let message =
-            format!("the link to the HSU is lost ({reason}); check the serial cable and the HSU's power");
-        self.devices.drop_hsu(message.clone());
-        self.note("hsu_lost", &message);
-        self.take(Event::Failed(Fault::new(Exit::Device, message)));
-    }
-
-    fn recorder_event(&mut self, event: FromRecorder) {
-        match event {
-            FromRecorder::Drained => self.take(Event::Drained),
-            FromRecorder::RingFull => {}
-            FromRecorder::Failed(fault) => self.take(Event::Failed(fault)),
-            FromRecorder::Closed(verdict) => {
-                self.in_session(|session| {
-                    session.outcome = Some(match verdict {
-                        Ok(verdict) => {
-                            tracing::info!("session {}: {verdict}", session.request.name);
-                            Outcome::Recorded(serde_json::to_value(&verdict).unwrap_or_default())
-                        }
-                        Err(fault) => Outcome::Failed(fault),
-                    });
-                    session.end_recorder();
-                });
-                self.take(Event::Closed);
-            }
-        }
-    }
-
-    /// The recorder's thread ended without saying so: it panicked. The session cannot be finished.
-    fn recorder_gone(&mut self) {
-        self.in_session(|session| {
-            session.from_recorder = never();
-            let message =
-                "the recorder stopped unexpectedly; what was written can be read with `fourdbody verify`";
-            session.outcome.get_or_insert(Outcome::Failed(Fault::new(Exit::Failure, message)));
-        });
-        self.take(Event::Failed(Fault::new(Exit::Failure, "the recorder stopped unexpectedly")));
-        self.take(Event::Drained);
-        self.take(Event::Closed);
-    }
-
-    fn note(&mut self, kind: &str, message: &str) {
+    pub(super) fn note(&mut self, kind: &str, camera: Option<CameraId>, message: &str) {
         tracing::warn!(kind, "{message}");
+        let Some(session) = &self.session else { return };
         let event = NodeEvent {
-            host_time_ns: host_time_ns(),
+            host_time_ns: session.clock.now(),
             kind: kind.to_owned(),
-            camera: None,
+            camera,
             trigger: None,
             message: message.to_owned(),
         };
-        self.in_session(|session| session.tell(ToRecorder::Event(event)));
+        session.tell(ToRecorder::Event(event));
     }
 
     fn publish(&mut self) {
@@ -520,14 +319,6 @@ impl Node {
     }
 }
 
-/// Removes a session's directory, unless the other node has recorded into it.
-fn remove_if_empty(recording: &Path) {
-    if let Some(session) = recording.parent() {
-        // Not empty, or not there: both are as they should be.
-        drop(std::fs::remove_dir(session));
-    }
-}
-
 fn hsu_missing() -> Fault {
     Fault::new(
         Exit::Device,
@@ -536,7 +327,7 @@ fn hsu_missing() -> Fault {
 }
 
 /// The session's id as the HSU's links compare it.
-fn hsu_session(id: u64) -> SessionId {
+pub(super) fn hsu_session(id: u64) -> SessionId {
     let mut bytes = [0; 16];
     bytes[..8].copy_from_slice(&id.to_le_bytes());
     SessionId(bytes)

@@ -86,6 +86,10 @@ pub enum Event {
         /// How many triggers it emitted.
         emitted: u64,
     },
+    /// The link to the HSU is lost, and is looked for: the train goes on meanwhile.
+    LinkLost,
+    /// It is back.
+    LinkBack,
     /// Every camera has an outcome for every trigger, or will not get one any more.
     Drained,
     /// The recording is closed (with a verdict, which the driver keeps) or discarded.
@@ -107,6 +111,8 @@ pub enum Action {
     CreateRecording,
     /// Start fresh streams on all cameras.
     StartStreams,
+    /// Make sure that no camera sends without a trigger.
+    SilenceGate,
     /// Configure and arm this node's link of the HSU.
     ArmHsu,
     /// Tell the operator that the node is ready.
@@ -139,6 +145,8 @@ pub enum Action {
 pub const READY_TIMEOUT: Duration = Duration::from_secs(120);
 /// A train that stays silent this long (or 20 periods, if longer) has failed.
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(3);
+/// A link to the HSU that was lost during a train is waited for this long.
+pub const LINK_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The state of one node's session.
 #[derive(Debug, Clone)]
@@ -149,13 +157,15 @@ pub struct Machine {
     aborted: Option<String>,
     last_activity: Duration,
     silence_timeout: Duration,
+    link_lost: bool,
 }
 
 /// The steps of preparation, in order, each with what undoes it.
-const STEPS: [(Action, Option<Action>); 4] = [
+const STEPS: [(Action, Option<Action>); 5] = [
     (Action::PrepareDevices, None),
     (Action::CreateRecording, Some(Action::DiscardRecording)),
     (Action::StartStreams, Some(Action::StopStreams)),
+    (Action::SilenceGate, None),
     (Action::ArmHsu, Some(Action::DisarmHsu)),
 ];
 
@@ -169,6 +179,7 @@ impl Machine {
             aborted: None,
             last_activity: Duration::ZERO,
             silence_timeout: SILENCE_TIMEOUT.max(period * 20),
+            link_lost: false,
         }
     }
 
@@ -220,14 +231,21 @@ impl Machine {
                 vec![Action::Drain { emitted: Some(emitted) }]
             }
             (Phase::Running, Event::Stop) => vec![Action::StopTrain],
+            (Phase::Ready, Event::LinkLost) => self.give_up("the link to the HSU was lost".to_owned()),
+            (Phase::Running, Event::LinkLost) => {
+                self.link_lost = true;
+                Vec::new()
+            }
+            (_, Event::LinkBack) => {
+                self.link_lost = false;
+                Vec::new()
+            }
             (Phase::Running, Event::Failed(fault)) => self.break_off(fault.message),
             (Phase::Running, Event::Abort(reason)) => self.break_off(reason),
-            (Phase::Running, Event::Tick) if self.idle_for(now) > self.silence_timeout => {
-                self.break_off(format!(
-                    "the HSU reported no trigger for {:.1} s; check its serial link",
-                    self.idle_for(now).as_secs_f64()
-                ))
-            }
+            (Phase::Running, Event::Tick) if self.idle_for(now) > self.patience() => self.break_off(format!(
+                "the HSU reported no trigger for {:.1} s; check its serial link",
+                self.idle_for(now).as_secs_f64()
+            )),
             (Phase::Draining, Event::Drained) => {
                 self.phase = Phase::Closing;
                 let aborted = self.aborted.take();
@@ -244,6 +262,11 @@ impl Machine {
             }
             _ => Vec::new(),
         }
+    }
+
+    /// How long a train may stay silent.
+    fn patience(&self) -> Duration {
+        if self.link_lost { self.silence_timeout.max(LINK_TIMEOUT) } else { self.silence_timeout }
     }
 
     fn idle_for(&self, now: Duration) -> Duration {
@@ -284,6 +307,7 @@ impl Machine {
     fn reset(&mut self) {
         self.phase = Phase::Idle;
         self.done.clear();
+        self.link_lost = false;
         self.request = None;
     }
 }
@@ -320,7 +344,7 @@ mod tests {
     fn ready() -> Machine {
         let mut machine = machine();
         machine.step(Event::Prepare(request()), Duration::ZERO);
-        (0..4).for_each(|_| drop(machine.step(Event::StepDone, Duration::ZERO)));
+        (0..5).for_each(|_| drop(machine.step(Event::StepDone, Duration::ZERO)));
         assert_eq!(machine.phase(), Phase::Ready);
         machine
     }
@@ -332,6 +356,7 @@ mod tests {
         assert_eq!(m.step(Event::Prepare(request()), t), [Action::PrepareDevices]);
         assert_eq!(m.step(Event::StepDone, t), [Action::CreateRecording]);
         assert_eq!(m.step(Event::StepDone, t), [Action::StartStreams]);
+        assert_eq!(m.step(Event::StepDone, t), [Action::SilenceGate]);
         assert_eq!(m.step(Event::StepDone, t), [Action::ArmHsu]);
         assert_eq!(m.step(Event::StepDone, t), [Action::ReportReady]);
         assert_eq!(m.step(Event::Start, t), [Action::StartTrain]);
@@ -380,6 +405,8 @@ mod tests {
             Just(Event::StepDone),
             Just(Event::StepDone),
             Just(Event::Failed(fault())),
+            Just(Event::LinkLost),
+            Just(Event::LinkBack),
             Just(Event::Start),
             Just(Event::Trigger),
             Just(Event::Trigger),
@@ -414,7 +441,7 @@ mod tests {
                     match action {
                         Action::StopStreams => streams -= 1,
                         Action::DiscardRecording | Action::CloseRecording { .. } => recordings -= 1,
-                        Action::PrepareDevices | Action::CreateRecording | Action::StartStreams | Action::ArmHsu => acting = Some(action),
+                        Action::PrepareDevices | Action::CreateRecording | Action::StartStreams | Action::SilenceGate | Action::ArmHsu => acting = Some(action),
                         _ => {}
                     }
                 }

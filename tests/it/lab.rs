@@ -102,6 +102,17 @@ impl NodeProcess {
         self.wait_until("idle", |status| status.phase == fourdbody::session::state::Phase::Idle)
     }
 
+    /// Kills it at once, as a crash would.
+    pub fn kill(&mut self) {
+        self.child.kill().expect("a child");
+        self.child.wait().expect("a child");
+    }
+
+    /// What it has logged so far.
+    pub fn log(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
     /// The process's id.
     pub fn pid(&self) -> u32 {
         self.child.id()

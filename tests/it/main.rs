@@ -6,6 +6,7 @@ mod architecture;
 mod breaks;
 #[cfg(feature = "aravis")]
 mod chain;
+mod crash;
 #[cfg(feature = "aravis")]
 mod doctor;
 mod fuzz_corpora;
@@ -19,6 +20,8 @@ mod recording_damage;
 mod recover;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
+#[cfg(feature = "aravis")]
+mod session_faults;
 mod shared_scene;
 mod third_party_camera;
 mod third_party_loss;

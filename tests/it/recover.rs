@@ -6,7 +6,8 @@ use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::record::recover::{RecoverError, Recovery, recover};
 use fourdbody::record::verify::{Severity, verify};
 use fourdbody::record::{
-    ClockSample, GapCause, NodeEvent, Recording, RecordingReader, SessionReader, Status, node_dir,
+    ClockSample, GapCause, NodeEvent, Recording, RecordingReader, SessionReader, Status, interrupted,
+    node_dir,
 };
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
@@ -260,7 +261,7 @@ fn a_flip_anywhere_costs_one_frame_at_most() {
     let all = (TRIGGERS * CAMERAS.len() as u64) as usize;
     let structure = (0..bytes.len()).filter(|at| !frames.iter().any(|end| (end - 1100..*end).contains(at)));
     let some_pixels = (0..bytes.len()).step_by(397);
-    for (n, position) in structure.chain(some_pixels).enumerate().filter(|(n, _)| n % 11 == 0) {
+    for (n, position) in structure.chain(some_pixels).enumerate().filter(|(n, _)| n % 3 == 0) {
         let mut flipped = bytes.clone();
         flipped[position] ^= 1 << (position * 5 % 8);
         let path = as_recording(dir.path(), &flipped);
@@ -337,4 +338,34 @@ proptest! {
         let path = as_recording(dir.path(), &bytes);
         checked(&path, &dir.path().join("out"));
     }
+}
+
+#[test]
+fn unfinished_recordings_are_found_until_a_finished_copy_is_there() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let sessions = dir.path().join("my sessions");
+    let path = node_dir(&sessions.join("walk-01"), &NodeId::from("a"));
+    record(&path, header("a", &CAMERAS, Some(20)), 20, &[]);
+    record(&node_dir(&sessions.join("walk-02"), &NodeId::from("a")), header("a", &CAMERAS, Some(9)), 9, &[]);
+    assert_eq!(interrupted(&sessions), []);
+    assert_eq!(interrupted(&dir.path().join("nothing")), []);
+
+    // What a crash leaves: no verdict, and a file that was made ready for the next segment.
+    let segment = std::fs::read_dir(&path).expect("a directory").count() - 1;
+    let last = path.join(format!("segment-{segment:03}.mcap"));
+    let bytes = std::fs::read(&last).expect("readable");
+    std::fs::write(&last, &bytes[..bytes.len() - 100]).expect("writable");
+    std::fs::write(path.join(format!(".segment-{:03}.mcap.next", segment + 1)), b"").expect("writable");
+    // The other session has another id in reality.
+    std::fs::remove_dir_all(sessions.join("walk-02")).expect("there");
+    let found = interrupted(&sessions);
+    let [one] = found.as_slice() else { panic!("{found:?}") };
+    assert_eq!((&one.path, one.frames, one.last_trigger), (&path, 40, Some(19)));
+    assert!(one.reason.contains("was not closed"), "{}", one.reason);
+    let command = one.command();
+    let shown = sessions.display();
+    assert_eq!(command, format!("fourdbody recover '{shown}/walk-01' --out '{shown}/walk-01-recovered'"));
+
+    checked(&sessions.join("walk-01"), &sessions.join("walk-01-recovered")).expect("recovered");
+    assert_eq!(interrupted(&sessions), []);
 }

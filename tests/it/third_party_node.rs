@@ -57,7 +57,7 @@ fn our_node_records_from_aravis_own_fake_camera() {
     let node = format!(
         "format = 1\nnode = \"a\"\nrig = \"rig.toml\"\n[api]\nlisten = \"127.0.0.1:{port}\"\n\
          [hsu]\ndevice = \"{}\"\n[storage]\nsessions_dir = \"sessions\"\nreserve_mib = 1\n\
-         [acquisition]\nbuffers_per_camera = 32\npacket_bytes = 1400\nsocket = \"standard\"\nsettings = [\n\
+         [acquisition]\nbuffers_per_camera = 32\npacket_bytes = 1400\nsocket = \"standard\"\nsilence_gate_ms = 0\nsettings = [\n\
          [\"PixelFormat\", \"Mono8\"], [\"Width\", 512], [\"Height\", 512], [\"TriggerMode\", \"Off\"],\n\
          [\"ExposureTimeAbs\", 10000.0]]\n[[camera]]\nid = \"h0_up\"\naddress = \"127.0.0.1\"\n",
         hsu.link(0).display()

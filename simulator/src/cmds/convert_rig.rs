@@ -125,6 +125,7 @@ fn convert(bytes: &[u8]) -> Result<(Rig, Calibration), String> {
     let rig = Rig {
         name: "scene".to_owned(),
         trigger_rate_hz: 120.0,
+        warm_up_triggers: 8,
         volume_min_m: [-0.75, -0.75, 0.0],
         volume_max_m: [0.75, 0.75, 2.0],
         pattern,

@@ -169,13 +169,20 @@ impl SimulatedCamera {
     }
 }
 
-impl Drop for SimulatedCamera {
-    fn drop(&mut self) {
+impl SimulatedCamera {
+    /// Takes the power away: it answers nothing more, and its address is free.
+    pub fn switch_off(&mut self) {
         self.stop.store(true, Relaxed);
         let _ = self.orders.send(Order::Quit);
         for thread in self.threads.drain(..) {
             let _ = thread.join();
         }
+    }
+}
+
+impl Drop for SimulatedCamera {
+    fn drop(&mut self) {
+        self.switch_off();
     }
 }
 

@@ -93,6 +93,12 @@ impl Engine {
                 self.unit = Unit::new(self.identity);
                 self.world.edges.clear();
             }
+            for (line, unplugged) in self.world.lines.iter_mut().zip(&self.world.control.unplugged) {
+                let plugged = !unplugged.load(Ordering::Relaxed);
+                if plugged != (line.fd() >= 0) {
+                    line.set_plugged(plugged);
+                }
+            }
             let hangs = self.world.control.unresponsive.load(Ordering::Relaxed);
             if !hangs {
                 self.keep_time();

@@ -13,9 +13,9 @@ const TRANSMIT_BYTES: usize = 16 * 1024;
 /// The unit's end of a line.
 #[derive(Debug)]
 pub(super) struct Line {
-    master: OwnedFd,
-    /// Held open, so that a host may close and reopen the device without the master seeing a hangup.
-    slave: TTYPort,
+    /// The master, and the slave: held open, so that a host may close and reopen the device without the master seeing
+    /// a hangup. `None` while the cable is out.
+    ends: Option<(OwnedFd, TTYPort)>,
     link: PathBuf,
     transmit: VecDeque<u8>,
     noise: Option<Noise>,
@@ -23,25 +23,37 @@ pub(super) struct Line {
 
 impl Line {
     pub(super) fn open(link: &Path, noise: Option<(SerialNoise, u64)>) -> io::Result<Self> {
-        let (master, slave) = TTYPort::pair()?;
-        let name = slave.name().ok_or_else(|| io::Error::other("the pty has no name"))?;
-        // SAFETY: `into_raw_fd` gives the descriptor up, so this is its only owner.
-        let master = unsafe { OwnedFd::from_raw_fd(master.into_raw_fd()) };
-        set_nonblocking(master.as_raw_fd())?;
-        if let Ok(found) = link.symlink_metadata() {
-            if !found.is_symlink() {
-                let message = format!("{}: expected nothing or a link, found a file", link.display());
-                return Err(io::Error::new(io::ErrorKind::AlreadyExists, message));
-            }
-            std::fs::remove_file(link)?;
-        }
-        std::os::unix::fs::symlink(name, link)?;
+        let ends = Some(pair(link)?);
         let noise = noise.map(|(noise, line)| Noise::new(noise, line));
-        Ok(Self { master, slave, link: link.to_owned(), transmit: VecDeque::new(), noise })
+        Ok(Self { ends, link: link.to_owned(), transmit: VecDeque::new(), noise })
     }
 
+    /// Pulls the cable, or puts it in again: the host's device vanishes, and comes back under the same name.
+    pub(super) fn set_plugged(&mut self, plugged: bool) {
+        if !plugged {
+            self.remove_link();
+            self.ends = None;
+            self.transmit.clear();
+        } else if self.ends.is_none() {
+            match pair(&self.link) {
+                Ok(ends) => self.ends = Some(ends),
+                Err(error) => tracing::error!(%error, "the line cannot be plugged in again"),
+            }
+        }
+    }
+
+    /// -1 while the cable is out, which `poll` passes over.
     pub(super) fn fd(&self) -> RawFd {
-        self.master.as_raw_fd()
+        self.ends.as_ref().map_or(-1, |(master, _)| master.as_raw_fd())
+    }
+
+    fn remove_link(&self) {
+        let ours = std::fs::read_link(&self.link).ok();
+        let name = self.ends.as_ref().and_then(|(_, slave)| slave.name()).map(PathBuf::from);
+        if ours.is_some() && ours == name {
+            // Whoever removed the directory before us is welcome.
+            let _ = std::fs::remove_file(&self.link);
+        }
     }
 
     pub(super) fn has_output(&self) -> bool {
@@ -88,19 +100,34 @@ impl Line {
     /// A real driver lifts exclusive use when the last host closes the device. Here the slave stays open, so
     /// that a host which died would lock its successor out.
     pub(super) fn lift_exclusive_use(&self) {
+        let Some((_, slave)) = &self.ends else { return };
         // SAFETY: an ioctl without argument on an open descriptor.
-        unsafe { libc::ioctl(self.slave.as_raw_fd(), libc::TIOCNXCL) };
+        unsafe { libc::ioctl(slave.as_raw_fd(), libc::TIOCNXCL) };
     }
 }
 
 impl Drop for Line {
     fn drop(&mut self) {
-        let ours = std::fs::read_link(&self.link).ok();
-        if ours.is_some() && ours == self.slave.name().map(PathBuf::from) {
-            // Whoever removed the directory before us is welcome.
-            let _ = std::fs::remove_file(&self.link);
-        }
+        self.remove_link();
     }
+}
+
+/// A pty whose slave has a link.
+fn pair(link: &Path) -> io::Result<(OwnedFd, TTYPort)> {
+    let (master, slave) = TTYPort::pair()?;
+    let name = slave.name().ok_or_else(|| io::Error::other("the pty has no name"))?;
+    // SAFETY: `into_raw_fd` gives the descriptor up, so this is its only owner.
+    let master = unsafe { OwnedFd::from_raw_fd(master.into_raw_fd()) };
+    set_nonblocking(master.as_raw_fd())?;
+    if let Ok(found) = link.symlink_metadata() {
+        if !found.is_symlink() {
+            let message = format!("{}: expected nothing or a link, found a file", link.display());
+            return Err(io::Error::new(io::ErrorKind::AlreadyExists, message));
+        }
+        std::fs::remove_file(link)?;
+    }
+    std::os::unix::fs::symlink(name, link)?;
+    Ok((master, slave))
 }
 
 fn set_nonblocking(fd: RawFd) -> io::Result<()> {

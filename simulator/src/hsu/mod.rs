@@ -104,6 +104,7 @@ struct Control {
     stop: AtomicBool,
     unresponsive: AtomicBool,
     power_cycle: AtomicBool,
+    unplugged: [AtomicBool; LINKS],
     fired: AtomicU64,
     late: AtomicU64,
     lost_edges: AtomicU64,
@@ -157,6 +158,14 @@ impl SimulatedHsu {
     /// Takes the power away for a moment: the unit forgets everything but its clock.
     pub fn power_cycle(&self) {
         self.control.power_cycle.store(true, Ordering::Relaxed);
+    }
+
+    /// Pulls the serial cable of a socket, or puts it in again.
+    ///
+    /// # Panics
+    /// If a unit has no such socket.
+    pub fn set_plugged(&self, index: usize, plugged: bool) {
+        self.control.unplugged[index].store(!plugged, Ordering::Relaxed);
     }
 
     /// Triggers fired since the start, warm-up included.

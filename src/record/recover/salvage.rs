@@ -154,7 +154,7 @@ impl<'a> Scanner<'a> {
 
     /// Takes what the records say, up to the first that is not as it should be.
     fn walk(&mut self, walker: &mut Walker<'a>) -> Option<Break> {
-        while let Some(event) = walker.next() {
+        for event in walker.by_ref() {
             match event {
                 Event::Chunk { records, crc, whole } => self.enter_chunk(records, crc, whole),
                 Event::Message { data, .. } => {

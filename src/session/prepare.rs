@@ -1,0 +1,212 @@
+//! The steps of preparation that touch devices and disk, and what undoes them.
+
+use super::attendant::counters_text;
+use super::devices::{PreparedCamera, unique_id};
+use super::driver::{Node, hsu_session};
+use super::link::{LinkKeeper, LinkSetup};
+use super::state::Fault;
+use crate::acquire::matcher::{ClockRelation, Matcher};
+use crate::acquire::receiver::{Arrival, ReceiverSetup};
+use crate::acquire::recorder::{LaneSetup, Recorder, RecorderOptions, ToRecorder};
+use crate::camera::AppliedSetting;
+use crate::cmds::Exit;
+use crate::config::FeatureSetting;
+use crate::ids::{CameraId, SessionName};
+use crate::record::{
+    CameraHeader, ClockSample, HsuIdentity, NodeEvent, RecordError, Recording, RecordingHeader, WriterOptions,
+};
+use crossbeam_channel::{bounded, unbounded};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// Trigger periods of silence before arming, at least.
+const GATE_PERIODS: u32 = 10;
+/// Slow triggers do not make the gate longer than this.
+const GATE_AT_MOST: Duration = Duration::from_secs(2);
+
+impl Node {
+    pub(super) fn create_recording(&mut self) -> Result<(), Fault> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        let read_back = |setting: &AppliedSetting| FeatureSetting {
+            feature: setting.feature.clone(),
+            value: setting.actual.clone(),
+        };
+        let camera = |camera: &PreparedCamera| CameraHeader {
+            id: camera.id.clone(),
+            width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
+            height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
+            device: format!(
+                "{} {} {}",
+                camera.identity.vendor, camera.identity.model, camera.identity.serial
+            ),
+            settings: camera.settings.iter().map(read_back).collect(),
+        };
+        let request = &session.request;
+        let header = RecordingHeader {
+            session: SessionName(request.name.clone()),
+            session_id: format!("{:016x}", request.session_id),
+            node: self.config.node.clone(),
+            rig_text: self.config.rig_text.clone(),
+            cameras: session.cameras.iter().map(camera).collect(),
+            hsu: self.devices.hsu().map(|hsu| HsuIdentity {
+                uid: unique_id(hsu),
+                firmware: hsu.identity().firmware.map(|n| n.to_string()).join("."),
+                protocol: u32::from(hsu.welcome().agreed),
+            }),
+            expected_triggers: (request.triggers > 0).then_some(request.triggers),
+            trigger_rate_hz: self.config.rig.trigger_rate_hz,
+            host_clock: "CLOCK_REALTIME".to_owned(),
+            created_ns: session.clock.now(),
+            software: concat!("fourdbody ", env!("CARGO_PKG_VERSION")).to_owned(),
+            subject: request.subject.clone(),
+            note: request.note.clone(),
+        };
+        let options = WriterOptions {
+            segment_bytes: self.config.segment_bytes,
+            reserve_bytes: self.config.reserve_bytes,
+            ..WriterOptions::default()
+        };
+        let recording = Recording::create(&session.dir, header, options).map_err(|error| {
+            remove_if_empty(&session.dir);
+            let exit = if matches!(error, RecordError::Exists { .. }) { Exit::Usage } else { Exit::Failure };
+            Fault::new(exit, error)
+        })?;
+        session.recording = Some(recording);
+        Ok(())
+    }
+
+    /// Relates the clocks, starts the recorder, then the streams and the attendants.
+    pub(super) fn start_streams(&mut self) -> Result<(), Fault> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        let Some(recording) = session.recording.take() else { return Ok(()) };
+        let samples = self.devices.clock_burst(&session.clock);
+        let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
+        let lane = |camera: &PreparedCamera| LaneSetup {
+            id: camera.id.clone(),
+            width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
+            height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
+            matcher: Matcher::new(period_ns, relation(&samples, &camera.id)),
+        };
+        let lanes: Vec<LaneSetup> = session.cameras.iter().map(lane).collect();
+        let cameras = lanes.len();
+        let (arrivals_in, arrivals) = bounded::<Arrival>(self.config.buffers_per_camera * cameras.max(1));
+        let (to_recorder, commands) = unbounded();
+        let (events, from_recorder) = unbounded();
+        let thread_error =
+            |e: std::io::Error| Fault::new(Exit::Failure, format!("cannot start a thread: {e}"));
+        let progress = Arc::clone(&session.progress);
+        let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
+        let recorder = Recorder::start(recording, lanes, options, progress, arrivals, commands, events)
+            .map_err(thread_error)?;
+        session.recorder = Some(recorder);
+        session.from_recorder = from_recorder;
+        samples.into_iter().for_each(|sample| drop(to_recorder.send(ToRecorder::Clock(sample))));
+        session.to_recorder = Some(to_recorder.clone());
+        let receivers: Vec<ReceiverSetup> = (0..cameras)
+            .map(|camera| ReceiverSetup {
+                camera,
+                recorder: arrivals_in.clone(),
+                progress: Arc::clone(&session.progress),
+                clock: session.clock,
+                patience: Duration::from_nanos(period_ns).max(Duration::from_millis(1)),
+            })
+            .collect();
+        let started = self.devices.start_streams(&receivers, &to_recorder, &session.reports_in);
+        session.attendants = started.inspect_err(|_| session.end_recorder())?;
+        if let Some(hsu) = self.devices.hsu() {
+            let setup = LinkSetup {
+                hsu: Arc::clone(hsu),
+                device: self.config.hsu_device.clone(),
+                node: self.config.node.clone(),
+                session: hsu_session(session.request.session_id),
+                clock: session.clock,
+                to_recorder,
+                back: session.links_in.clone(),
+            };
+            session.link_keeper = LinkKeeper::start(setup).map(Some).map_err(thread_error)?;
+        }
+        Ok(())
+    }
+
+    /// No camera may send while there is no trigger: its frames could be taken for those of the first triggers.
+    pub(super) fn silence_gate(&mut self) -> Result<(), Fault> {
+        let gate = self.config.silence_gate;
+        let Some(session) = self.session.as_ref().filter(|_| !gate.is_zero()) else { return Ok(()) };
+        let counts =
+            || -> Vec<u64> { session.progress.heard.iter().map(|n| n.load(Ordering::Relaxed)).collect() };
+        let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
+        let before = counts();
+        std::thread::sleep(gate.max(period * GATE_PERIODS).min(GATE_AT_MOST.max(gate)));
+        let loud =
+            before.iter().zip(counts()).zip(&session.cameras).filter(|((before, after), _)| *before != after);
+        let names: Vec<&str> = loud.map(|(_, camera)| camera.id.as_str()).collect();
+        if names.is_empty() {
+            return Ok(());
+        }
+        Err(Fault::new(
+            Exit::Device,
+            format!(
+                "{} sent frames although nothing was triggered; expected silence before the start: check TriggerMode and \
+                 TriggerSource in the node file, and that nothing else drives the trigger line",
+                names.join(", ")
+            ),
+        ))
+    }
+
+    pub(super) fn stop_streams(&mut self) {
+        let Some(session) = &mut self.session else { return };
+        if let Some(keeper) = session.link_keeper.take() {
+            keeper.stop();
+        }
+        let attendants = std::mem::take(&mut session.attendants);
+        let counters = self.devices.stop_streams(attendants);
+        for (camera, counters) in session.cameras.iter().zip(counters) {
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: "stream_counters".to_owned(),
+                camera: Some(camera.id.clone()),
+                trigger: None,
+                message: counters_text(&counters),
+            };
+            session.tell(ToRecorder::Event(event));
+        }
+    }
+
+    /// Removes what `create_recording` made: this session's own files, without a single trigger in them.
+    pub(super) fn discard_recording(&mut self) -> Result<(), Fault> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        session.end_recorder();
+        session.recording = None;
+        let removed = std::fs::remove_dir_all(&session.dir);
+        remove_if_empty(&session.dir);
+        removed.map_err(|e| {
+            Fault::new(Exit::Failure, format!("{}: cannot be removed: {e}", session.dir.display()))
+        })
+    }
+}
+
+/// How a camera's clock relates to the HSU's, by the exchanges with the shortest round trips.
+fn relation(samples: &[ClockSample], camera: &CameraId) -> ClockRelation {
+    let best = |of: Option<&CameraId>| {
+        let mine = samples.iter().filter(|sample| sample.camera.as_ref() == of);
+        mine.min_by_key(|sample| sample.host_receive_ns.saturating_sub(sample.host_send_ns))
+    };
+    let minus_host = |s: &ClockSample| {
+        i128::from(s.device_time_ns) - (i128::from(s.host_send_ns) + i128::from(s.host_receive_ns)) / 2
+    };
+    let hsu = best(None).map(minus_host);
+    ClockRelation {
+        camera_minus_hsu_ns: best(Some(camera)).map(minus_host).zip(hsu).map(|(camera, hsu)| camera - hsu),
+        hsu_minus_host_ns: hsu,
+    }
+}
+
+/// Removes a session's directory, unless the other node has recorded into it.
+fn remove_if_empty(recording: &Path) {
+    if let Some(session) = recording.parent() {
+        // Not empty, or not there: both are as they should be.
+        drop(std::fs::remove_dir(session));
+    }
+}

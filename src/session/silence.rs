@@ -1,0 +1,104 @@
+//! Notices, from trigger to trigger, which cameras have stopped sending. Pure.
+
+/// Triggers that go by without anything heard before a camera counts as silent.
+pub const SILENT_TRIGGERS: u64 = 3;
+
+/// A change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Notice {
+    /// Nothing was heard of the camera for [`SILENT_TRIGGERS`] triggers.
+    Silent {
+        /// Its place.
+        camera: usize,
+        /// The first of these triggers.
+        since: u64,
+    },
+    /// It is heard again.
+    HeardAgain {
+        /// Its place.
+        camera: usize,
+        /// The trigger at which that was noticed.
+        at: u64,
+    },
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Ear {
+    heard: u64,
+    /// The first trigger after which nothing was heard.
+    quiet_since: u64,
+    silent: bool,
+}
+
+/// All cameras of a node.
+#[derive(Debug)]
+pub struct SilenceWatch {
+    ears: Vec<Ear>,
+}
+
+impl SilenceWatch {
+    /// Nothing heard yet.
+    pub fn new(cameras: usize) -> Self {
+        Self { ears: vec![Ear::default(); cameras] }
+    }
+
+    /// Whether a camera is silent now.
+    pub fn is_silent(&self, camera: usize) -> bool {
+        self.ears.get(camera).is_some_and(|ear| ear.silent)
+    }
+
+    /// Trigger `index` was reported; `heard` grows with everything that comes from each camera.
+    pub fn on_trigger(&mut self, index: u64, heard: impl IntoIterator<Item = u64>) -> Vec<Notice> {
+        let mut notices = Vec::new();
+        for (camera, (ear, heard)) in self.ears.iter_mut().zip(heard).enumerate() {
+            if heard != ear.heard {
+                // What was heard up to now may be the frame of an earlier trigger: this one is yet to come.
+                (ear.heard, ear.quiet_since) = (heard, index);
+                if std::mem::take(&mut ear.silent) {
+                    notices.push(Notice::HeardAgain { camera, at: index });
+                }
+            } else if !ear.silent && index >= ear.quiet_since + SILENT_TRIGGERS {
+                ear.silent = true;
+                notices.push(Notice::Silent { camera, since: ear.quiet_since });
+            }
+        }
+        notices
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Notice, SILENT_TRIGGERS, SilenceWatch};
+    use proptest::prelude::{prop_assert, prop_assert_eq, proptest};
+
+    proptest! {
+        #[test]
+        fn silence_is_noticed_in_three_triggers_and_once(start in 1u64..500, length in 1u64..60) {
+            let mut watch = SilenceWatch::new(2);
+            let (mut heard, mut notices) = (0, Vec::new());
+            for trigger in 0..start + length + 20 {
+                notices.extend(watch.on_trigger(trigger, [heard, trigger]));
+                if !(start..start + length).contains(&trigger) {
+                    heard += 17;
+                }
+            }
+            let silent: Vec<Notice> = notices.iter().copied().filter(|n| matches!(n, Notice::Silent { .. })).collect();
+            let of = |n: &Notice| match n { Notice::Silent { camera, .. } | Notice::HeardAgain { camera, .. } => *camera };
+            prop_assert_eq!(notices.iter().filter(|n| of(n) != 0).count(), 0, "the other camera never fell silent");
+            if length >= SILENT_TRIGGERS {
+                prop_assert_eq!(silent, [Notice::Silent { camera: 0, since: start }]);
+                prop_assert_eq!(notices.len(), 2, "and it was heard again");
+            } else {
+                prop_assert!(notices.is_empty());
+            }
+        }
+    }
+
+    #[test]
+    fn a_camera_that_never_sends_is_noticed() {
+        let mut watch = SilenceWatch::new(1);
+        let notices: Vec<Notice> = (0..10).flat_map(|k| watch.on_trigger(k, [0])).collect();
+        assert_eq!(notices, [Notice::Silent { camera: 0, since: 0 }]);
+        assert!(watch.is_silent(0));
+    }
+}

@@ -1,0 +1,201 @@
+//! Devices that fail in the middle of a session: what is lost is accounted for, the rest is right, and what comes back
+//! goes on at the right trigger.
+
+use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+use fourdbody::ids::TriggerIndex;
+use fourdbody::reconstruct::FrameSource;
+use fourdbody::record::{GapCause, SessionReader};
+use fourdbody_simulator::gige::TestImages;
+use fourdbody_simulator::laboratory::Laboratory;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+/// A capture that runs until it is stopped.
+fn start_capture(laboratory: &Laboratory, name: &str) -> Child {
+    Command::new(FOURDBODY)
+        .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "0", "--name", name])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary starts")
+}
+
+/// Waits until `more` triggers have been reported to this node.
+fn wait_triggers(node: &mut NodeProcess, more: u64) {
+    let now = node.client.status().ok().and_then(|s| s.session).map_or(0, |s| s.triggers);
+    node.wait_until("more triggers", |status| {
+        status.session.as_ref().is_some_and(|s| s.triggers >= now + more && s.outcome.is_none())
+    });
+}
+
+fn stop(capture: Child) -> Output {
+    let sent =
+        Command::new("kill").args(["-INT", &capture.id().to_string()]).status().expect("kill is installed");
+    assert!(sent.success());
+    capture.wait_with_output().expect("it ends")
+}
+
+fn verify(session: &Path) -> Output {
+    fourdbody(&["verify", &session.display().to_string()])
+}
+
+/// Every recorded frame shows the camera and the trigger that it is recorded under; gaps per camera, by trigger.
+fn check_frames(session: &Path) -> Vec<Vec<(u64, GapCause)>> {
+    let reader = SessionReader::open(session).expect("readable");
+    let mut gaps = Vec::new();
+    for (number, camera) in (1..).zip(reader.cameras()) {
+        let mut missing = Vec::new();
+        for trigger in reader.triggers() {
+            match reader.recorded_frame(camera, TriggerIndex(trigger)).expect("intact") {
+                Err(cause) => missing.push((trigger, cause)),
+                Ok(frame) => {
+                    let stamp = TestImages::identify(frame.image.as_slice(), frame.image.width());
+                    let stamp = stamp.expect("a test image");
+                    assert_eq!(
+                        (stamp.camera, u64::from(stamp.instant)),
+                        (number, trigger),
+                        "{camera} {trigger}"
+                    );
+                }
+            }
+        }
+        gaps.push(missing);
+    }
+    gaps
+}
+
+fn events(session: &Path, kind: &str) -> usize {
+    let reader = SessionReader::open(session).expect("readable");
+    reader.recordings().iter().flat_map(|r| &r.events).filter(|event| event.kind == kind).count()
+}
+
+#[test]
+fn cameras_that_are_unplugged_come_back_into_the_session() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let mut laboratory = laboratory(dir.path(), 140, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "unplugged");
+    wait_triggers(&mut nodes[0], 10);
+    // One camera of node a, two of node b.
+    for camera in [1, 4, 6] {
+        laboratory.unplug(camera);
+    }
+    nodes[0].wait_until("one lost", |s| s.cameras.iter().filter(|c| c.problem.is_some()).count() == 1);
+    nodes[1].wait_until("two lost", |s| s.cameras.iter().filter(|c| c.problem.is_some()).count() == 2);
+    for camera in [1, 4, 6] {
+        laboratory.plug(camera).expect("its address is free");
+    }
+    for node in &mut nodes {
+        node.wait_until("all back", |s| s.cameras.iter().all(|c| c.problem.is_none()));
+        wait_triggers(node, 20);
+    }
+    let output = stop(capture);
+    assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
+
+    let session = dir.path().join("sessions/unplugged");
+    let verified = verify(&session);
+    assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+    let gaps = check_frames(&session);
+    for (camera, gaps) in gaps.iter().enumerate() {
+        if ![1, 4, 6].contains(&camera) {
+            assert_eq!(gaps, &[], "camera {camera}");
+            continue;
+        }
+        let (first, last) = (gaps.first().expect("a gap").0, gaps.last().expect("a gap").0);
+        assert!(first >= 9, "camera {camera} was there at the beginning: {gaps:?}");
+        assert_eq!(gaps.len() as u64, last - first + 1, "camera {camera}: one hole: {gaps:?}");
+        let unplugged = gaps.iter().filter(|(_, cause)| *cause == GapCause::Unplugged).count();
+        assert!(unplugged + 2 >= gaps.len(), "camera {camera}: but for a frame that was under way: {gaps:?}");
+    }
+    assert_eq!((events(&session, "camera_lost"), events(&session, "camera_back")), (3, 3));
+    assert!(events(&session, "camera_silent") >= 3);
+}
+
+#[test]
+fn a_lost_camera_ends_the_session_where_that_is_configured() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let mut laboratory = laboratory(dir.path(), 141, 20.0);
+    for node in &laboratory.nodes {
+        let text = std::fs::read_to_string(&node.path).expect("written by the laboratory");
+        let text = text.replace("[acquisition]\n", "[acquisition]\non_camera_lost = \"abort\"\n");
+        std::fs::write(&node.path, text).expect("writable");
+    }
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "aborted");
+    wait_triggers(&mut nodes[0], 10);
+    laboratory.unplug(2);
+    let output = capture.wait_with_output().expect("it ends by itself");
+    assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
+    assert!(text_of(&output).contains("h1_up"), "the culprit is named: {}", text_of(&output));
+    let session = dir.path().join("sessions/aborted");
+    let verified = verify(&session);
+    assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+    let gaps = check_frames(&session);
+    let whole = |gaps: &[(u64, GapCause)]| gaps.is_empty();
+    assert!(gaps.iter().enumerate().all(|(camera, gaps)| (camera == 2) != whole(gaps)), "{gaps:?}");
+}
+
+#[test]
+fn a_link_that_is_lost_on_one_node_is_taken_up_again() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 142, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "relinked");
+    wait_triggers(&mut nodes[0], 10);
+    laboratory.hsu.set_plugged(1, false);
+    nodes[1].wait_until("link lost", |s| s.hsu.problem.is_some());
+    wait_triggers(&mut nodes[0], 10);
+    laboratory.hsu.set_plugged(1, true);
+    nodes[1].wait_until("link back", |s| s.hsu.problem.is_none());
+    wait_triggers(&mut nodes[1], 20);
+    let output = stop(capture);
+    assert_eq!(output.status.code(), Some(0), "{}", text_of(&output));
+    let session = dir.path().join("sessions/relinked");
+    let verified = verify(&session);
+    assert_eq!(verified.status.code(), Some(0), "{}", text_of(&verified));
+    assert!(check_frames(&session).iter().all(Vec::is_empty));
+    let reader = SessionReader::open(&session).expect("readable");
+    for recording in reader.recordings() {
+        let triggers = recording.triggers.len() as u64;
+        assert_eq!(triggers, reader.triggers().end, "every trigger's time was asked for");
+    }
+    assert_eq!((events(&session, "hsu_link_lost"), events(&session, "hsu_link_back")), (1, 1));
+}
+
+#[test]
+fn an_hsu_that_restarts_ends_the_session_with_what_was_recorded() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 143, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "restarted");
+    wait_triggers(&mut nodes[0], 10);
+    laboratory.hsu.power_cycle();
+    let output = capture.wait_with_output().expect("it ends by itself");
+    assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
+    let session = dir.path().join("sessions/restarted");
+    let verified = verify(&session);
+    assert!(matches!(verified.status.code(), Some(0 | 3)), "{}", text_of(&verified));
+    assert!(check_frames(&session).iter().all(|gaps| gaps.len() <= 2));
+    // The next session works.
+    nodes.iter_mut().for_each(|node| drop(node.wait_ready()));
+    let next = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "5", "--name", "next"]);
+    assert_eq!(next.status.code(), Some(0), "{}", text_of(&next));
+}
+
+#[test]
+fn a_camera_that_runs_by_itself_is_refused() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 144, 20.0);
+    let path = &laboratory.nodes[0].path;
+    let text = std::fs::read_to_string(path).expect("written by the laboratory");
+    // The first camera of the file.
+    std::fs::write(path, text.replacen("[\"TriggerMode\", \"On\"]", "[\"TriggerMode\", \"Off\"]", 1))
+        .expect("writable");
+    let _nodes = start_nodes(&laboratory);
+    let output = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "5", "--name", "free"]);
+    assert_eq!(output.status.code(), Some(5), "{}", text_of(&output));
+    let text = text_of(&output);
+    assert!(text.contains("h0_up") && text.contains("TriggerMode"), "{text}");
+    assert!(!dir.path().join("sessions/free").exists(), "no trigger, no file");
+}
