@@ -28,7 +28,7 @@ pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NodeEvent, RecordingHeader,
     TriggerRecord,
 };
-pub use reader::{ReadError, RecordedFrame, RecordingReader};
+pub use reader::{ReadError, RecordedFrame, RecordingReader, SegmentReader};
 pub use session::{SessionReader, node_dir};
 pub use statistics::{Latency, WriteStatistics};
 pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};

@@ -3,14 +3,15 @@
 use super::direct::map_file;
 use super::envelope::{FrameMeta, parse_envelope, pixels_crc};
 use super::layout::{
-    CLOCK_TOPIC, ClockSample, EVENTS_TOPIC, FORMAT, GAPS_TOPIC, GapCause, GapRecord, HEADER_METADATA,
-    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG,
-    KEY_SEGMENT, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA, SegmentIndex, TRIGGERS_TOPIC,
-    TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
+    CLOCK_TOPIC, CameraHeader, ClockSample, EVENTS_TOPIC, FORMAT, GAPS_TOPIC, GapCause, GapRecord,
+    HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET,
+    KEY_JSON, KEY_RIG, KEY_SEGMENT, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA,
+    STATISTICS_METADATA, SegmentIndex, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
 };
 use super::scan::{End, Event, Walker, metadata_by_index};
 use super::session::RecordingFiles;
-use super::verdict::Verdict;
+use super::statistics::WriteStatistics;
+use super::verdict::{CameraVerdict, Verdict};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
 use memmap2::{Advice, Mmap};
@@ -54,6 +55,11 @@ pub struct SegmentReader {
 }
 
 impl SegmentReader {
+    /// Whether it ends as a segment does that was closed.
+    pub fn is_closed(&self) -> bool {
+        self.end == End::Closed
+    }
+
     /// All bytes.
     pub(crate) fn bytes(&self) -> &[u8] {
         // An empty file cannot be mapped.
@@ -103,6 +109,8 @@ pub struct RecordingReader {
     pub events: Vec<NodeEvent>,
     /// The verdict as stored; `None` when the recording was not finished.
     pub verdict: Option<Verdict>,
+    /// How the disk kept up, if the recording was finished.
+    pub statistics: Option<WriteStatistics>,
     /// What was found wrong when opening.
     pub problems: Vec<Problem>,
     /// Per camera of the header.
@@ -160,6 +168,7 @@ impl RecordingReader {
             clock_samples: Vec::new(),
             events: Vec::new(),
             verdict: None,
+            statistics: None,
             problems: Vec::new(),
         }
     }
@@ -310,6 +319,11 @@ impl RecordingReader {
                 Err(message) => self.problem(segment.number, None, None, message),
             },
             SEGMENT_METADATA => segment.end_trigger = number(KEY_END_TRIGGER),
+            // Of a kind that is nice to have: one that is not readable is no problem.
+            STATISTICS_METADATA => {
+                let json = entries.get(KEY_JSON).copied().unwrap_or_default();
+                self.statistics = serde_json::from_str(json).ok();
+            }
             VERDICT_METADATA => {
                 let json = entries.get(KEY_JSON).copied().unwrap_or_default();
                 match serde_json::from_str(json) {
@@ -347,6 +361,21 @@ impl RecordingReader {
                     .map_err(|reason| format!("{}: {reason}; run `fourdbody verify`", place()))
             }
         }
+    }
+
+    /// Outcomes of each camera, counted from the records.
+    pub fn counted(&self) -> Vec<CameraVerdict> {
+        let count = |(camera, outcomes): (&CameraHeader, &BTreeMap<u64, Outcome>)| {
+            let mut counted = CameraVerdict { camera: camera.id.clone(), frames: 0, gaps: BTreeMap::new() };
+            for outcome in outcomes.values() {
+                match outcome {
+                    Outcome::Frame { .. } => counted.frames += 1,
+                    Outcome::Gap(cause) => *counted.gaps.entry(*cause).or_default() += 1,
+                }
+            }
+            counted
+        };
+        self.header.cameras.iter().zip(&self.outcomes).map(count).collect()
     }
 
     /// One more than the highest trigger in the records.
