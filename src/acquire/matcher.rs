@@ -8,7 +8,7 @@
 use super::block_ids::BlockIds;
 use super::clock::{ClockFit, Exchange, Judged};
 use super::relation::{Latency, Tracker};
-use super::trigger_table::TriggerTable;
+use super::trigger_table::{Schedule, TriggerTable};
 use crate::ids::BlockId;
 
 /// What the witnesses say of one frame.
@@ -202,6 +202,9 @@ impl Matcher {
         if self.is_repeated(frame, step) {
             return Match::Repeated;
         }
+        // Nothing that arrives was triggered later: so far the train is known even where its reports are held up.
+        let now_ns = self.arrival_hsu_ns(frame.host_ns, hsu).filter(|_| last_call);
+        let table = &now_ns.map_or(table.reported(), |now| table.expected_until(now, self.period_ns));
         if table.is_empty() {
             return if last_call { Match::BeforeTrain } else { Match::Wait };
         }
@@ -224,11 +227,18 @@ impl Matcher {
                     return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
                 }
                 _ if !last_call => return Match::Wait,
-                _ => return self.by_id_alone(frame, by_id, arrival, table, true),
+                _ if now_ns.is_none() => return self.by_id_alone(frame, by_id, arrival, table, true),
+                // Later than all triggers that can have been: of none of them.
+                _ => return self.spurious(frame, i128::from(self.period_ns)),
             },
             ByTime::Unknown => return self.by_id_alone(frame, by_id, arrival, table, last_call),
         };
         if by_id == Some(number) && residual.abs() <= self.tolerance_ns() {
+            // Nothing arrives before its trigger: both witnesses go back to a frame that was late, and stood wrong.
+            if self.precedes(frame, number, table, hsu) {
+                let arrival = arrival.or_else(|| self.fired_before(frame, table, hsu));
+                return self.reset(frame, camera_ns, number, arrival, table, hsu, last_call);
+            }
             return self.accept(frame, number, Witness::Both, None, table, hsu);
         }
         self.disagreement(frame, next, by_id, (number, residual), arrival, table, hsu, last_call)
@@ -243,7 +253,7 @@ impl Matcher {
         by_id: Option<i64>,
         (number, residual): (i64, i128),
         arrival: Option<i64>,
-        table: &TriggerTable,
+        table: &Schedule<'_>,
         hsu: &ClockFit,
         last_call: bool,
     ) -> Match {
@@ -293,7 +303,7 @@ impl Matcher {
         claim: &Claim,
         frame: &Sighting,
         next: Option<&Sighting>,
-        table: &TriggerTable,
+        table: &Schedule<'_>,
         hsu: &ClockFit,
     ) -> Ruling {
         let half = i128::from(self.period_ns / 2);
@@ -358,7 +368,7 @@ impl Matcher {
         (i128::from(self.period_ns) / 16).max((spread * 6.0) as i128).min(self.tolerance_ns())
     }
 
-    fn by_time(&self, camera_ns: u64, host_ns: u64, table: &TriggerTable, hsu: &ClockFit) -> ByTime {
+    fn by_time(&self, camera_ns: u64, host_ns: u64, table: &Schedule<'_>, hsu: &ClockFit) -> ByTime {
         let Some(hsu_ns) = self.hsu_ns(camera_ns, host_ns, hsu) else { return ByTime::Unknown };
         let half = i128::from(self.period_ns / 2);
         match table.nearest(hsu_ns).zip(table.latest_ns()) {
@@ -400,7 +410,7 @@ impl Matcher {
     }
 
     /// The trigger that its arrival points at, where arrivals are regular.
-    fn by_arrival(&self, host_ns: u64, table: &TriggerTable, hsu: &ClockFit) -> Option<i64> {
+    fn by_arrival(&self, host_ns: u64, table: &Schedule<'_>, hsu: &ClockFit) -> Option<i64> {
         let hsu_ns = self.usual_arrival(host_ns, hsu)?;
         let near = |(_, residual): &(i64, i128)| residual.abs() <= i128::from(self.period_ns / 2);
         table.nearest(hsu_ns).filter(near).map(|(number, _)| number)
@@ -419,9 +429,15 @@ impl Matcher {
     }
 
     /// Whether a frame arrived before a trigger was fired.
-    fn precedes(&self, frame: &Sighting, number: i64, table: &TriggerTable, hsu: &ClockFit) -> bool {
+    fn precedes(&self, frame: &Sighting, number: i64, table: &Schedule<'_>, hsu: &ClockFit) -> bool {
         let arrived = self.arrival_hsu_ns(frame.host_ns, hsu).zip(table.time_ns(number));
         arrived.is_some_and(|(arrived, due)| arrived + i128::from(self.period_ns / 8) < due.into())
+    }
+
+    /// The latest trigger that was fired before a frame arrived.
+    fn fired_before(&self, frame: &Sighting, table: &Schedule<'_>, hsu: &ClockFit) -> Option<i64> {
+        let (number, residual) = table.nearest(self.arrival_hsu_ns(frame.host_ns, hsu)?)?;
+        Some(if residual < 0 { number - 1 } else { number })
     }
 
     /// A frame without a timestamp that can be used.
@@ -430,15 +446,15 @@ impl Matcher {
         frame: &Sighting,
         by_id: Option<i64>,
         arrival: Option<i64>,
-        table: &TriggerTable,
+        table: &Schedule<'_>,
         last_call: bool,
     ) -> Match {
         if !last_call && by_id.is_none_or(|id| table.time_ns(id).is_none()) {
             return Match::Wait;
         }
-        // Without any witness a frame is the next one.
-        let next = self.last.map_or(0, |last| last.number + 1);
-        let id = by_id.or(arrival).unwrap_or(next);
+        // Without any witness it could be any trigger's.
+        let Some(id) = by_id.or(arrival) else { return Match::Spurious(0) };
+        let next = self.last.map_or(i64::MIN, |last| last.number.saturating_add(1));
         // Nothing arrives before its trigger.
         let number = arrival.filter(|arrival| *arrival < id).unwrap_or(id).max(next);
         let matched = self.place(frame, number, Witness::BlockIdOnly, None);
@@ -453,12 +469,11 @@ impl Matcher {
         camera_ns: u64,
         by_id: i64,
         arrival: Option<i64>,
-        table: &TriggerTable,
+        table: &Schedule<'_>,
         hsu: &ClockFit,
         last_call: bool,
     ) -> Match {
-        let next = self.last.map_or(i64::MIN, |last| last.number.saturating_add(1));
-        let number = arrival.filter(|arrival| *arrival < by_id).unwrap_or(by_id).max(next);
+        let number = arrival.filter(|arrival| *arrival < by_id).unwrap_or(by_id);
         let Some(due) = table.time_ns(number) else {
             return if last_call {
                 self.by_id_alone(frame, Some(by_id), arrival, table, true)
@@ -471,6 +486,14 @@ impl Matcher {
         self.camera = ClockFit::new();
         self.clocks.camera_minus_hsu_ns = None;
         self.tracker = Some(Tracker::new(due, camera_ns));
+        if self.last.is_some_and(|last| number <= last.number) {
+            // A frame before it stood too far on and took this one's place: it is given up, the next ones stand right.
+            let camera_ns = Some(camera_ns);
+            self.last = self.last.map(|last| Last { camera_ns, host_ns: frame.host_ns, ..last });
+            self.ids.take(frame.id);
+            (self.base, self.lost_before) = (Some(number), 0);
+            return Match::Spurious(i64::try_from(step).unwrap_or(i64::MAX));
+        }
         Match::Trigger(self.place(frame, number, Witness::BlockIdOnly, Some(Finding::ClockReset(step))))
     }
 
@@ -480,7 +503,7 @@ impl Matcher {
         number: i64,
         witness: Witness,
         finding: Option<Finding>,
-        table: &TriggerTable,
+        table: &Schedule<'_>,
         hsu: &ClockFit,
     ) -> Match {
         if let Some((due, camera_ns)) = table.time_ns(number).zip(frame.camera_ns) {
@@ -491,8 +514,9 @@ impl Matcher {
                 Some(tracker) => tracker.follow(due, camera_ns),
                 None => self.tracker = Some(Tracker::new(due, camera_ns)),
             }
-            if let Some(arrived) = self.arrival_hsu_ns(frame.host_ns, hsu) {
-                self.latency.follow(arrived - i128::from(due));
+            let latency = self.arrival_hsu_ns(frame.host_ns, hsu).map(|arrived| arrived - i128::from(due));
+            if let Some(latency) = latency.filter(|latency| *latency >= 0) {
+                self.latency.follow(latency);
             }
         }
         Match::Trigger(self.place(frame, number, witness, finding))

@@ -94,9 +94,87 @@ impl TriggerTable {
     }
 }
 
+/// Triggers that were reported, and those that are due by now although their reports are held up.
+#[derive(Debug, Clone, Copy)]
+pub struct Schedule<'a> {
+    table: &'a TriggerTable,
+    /// How many triggers beyond the table are due, a period apart.
+    due: i64,
+    period_ns: u64,
+}
+
+impl TriggerTable {
+    /// What was reported, and nothing else.
+    pub fn reported(&self) -> Schedule<'_> {
+        Schedule { table: self, due: 0, period_ns: 1 }
+    }
+
+    /// With the triggers that a train of this period has fired by `now_ns` (HSU clock), reported or not.
+    pub fn expected_until(&self, now_ns: i128, period_ns: u64) -> Schedule<'_> {
+        let since = self.latest_ns().map_or(0, |latest| now_ns - i128::from(latest));
+        let due = (since / i128::from(period_ns.max(1))).clamp(0, HOLE_MAX.into()) as i64;
+        Schedule { table: self, due, period_ns: period_ns.max(1) }
+    }
+}
+
+impl Schedule<'_> {
+    /// Whether nothing was reported yet: then nothing can be expected either.
+    pub fn is_empty(&self) -> bool {
+        self.table.is_empty()
+    }
+
+    /// The time of a trigger.
+    pub fn time_ns(&self, number: i64) -> Option<u64> {
+        let ahead = number.checked_sub(self.table.end() - 1)?;
+        if !(1..=self.due).contains(&ahead) {
+            return self.table.time_ns(number);
+        }
+        self.table.latest_ns()?.checked_add(self.period_ns.checked_mul(ahead as u64)?)
+    }
+
+    /// The time of the latest trigger.
+    pub fn latest_ns(&self) -> Option<u64> {
+        self.time_ns(self.table.end() - 1 + self.due)
+    }
+
+    /// The trigger nearest in time, and how far `hsu_ns` lies after it.
+    pub fn nearest(&self, hsu_ns: i128) -> Option<(i64, i128)> {
+        let ahead = hsu_ns - i128::from(self.table.latest_ns()?);
+        if self.due == 0 || ahead <= 0 {
+            return self.table.nearest(hsu_ns);
+        }
+        let period = i128::from(self.period_ns);
+        let steps = ((ahead + period / 2) / period).min(self.due.into());
+        Some((self.table.end() - 1 + steps as i64, ahead - steps * period))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::TriggerTable;
+
+    #[test]
+    fn triggers_are_expected_up_to_now_and_no_further() {
+        let mut table = TriggerTable::default();
+        assert!(table.expected_until(5_000, 100).nearest(4_000).is_none(), "nothing to count from");
+        table.insert(7, 1_000);
+        let schedule = table.expected_until(1_350, 100);
+        assert_eq!(
+            [7, 8, 10, 11, 6].map(|n| schedule.time_ns(n)),
+            [Some(1_000), Some(1_100), Some(1_300), None, None]
+        );
+        assert_eq!(schedule.latest_ns(), Some(1_300));
+        assert_eq!(
+            [990, 1_149, 1_151, 1_390].map(|t| schedule.nearest(t)),
+            [(7, -10), (8, 49), (9, -49), (10, 90)].map(Some)
+        );
+        let reported = table.reported();
+        assert_eq!(
+            (reported.time_ns(8), reported.nearest(1_149), reported.latest_ns()),
+            (None, Some((7, 149)), Some(1_000))
+        );
+        assert_eq!(table.expected_until(i128::MAX, 0).nearest(1_100), Some((107, 0)));
+    }
 
     #[test]
     fn missing_reports_are_bridged_and_late_ones_taken() {

@@ -83,6 +83,17 @@ impl Camera {
         self.delivered.push((Sighting { id: self.id(), camera_ns, host_ns, complete }, is, finding));
     }
 
+    /// Holds frames up: all of a stall arrive at its end.
+    fn hold_up(&mut self) {
+        let mut until = 0;
+        for k in 0..self.delivered.len() {
+            if self.random.one_in(400) {
+                until = self.delivered[k].0.host_ns + self.random.below(30 * PERIOD_NS);
+            }
+            self.delivered[k].0.host_ns = self.delivered[k].0.host_ns.max(until);
+        }
+    }
+
     /// A session with all faults mixed.
     fn run(seed: u64, wide: bool, triggers: i64) -> Self {
         let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
@@ -267,7 +278,20 @@ impl Found {
 
 /// Delivers the frames with reports that lag behind; returns faults and complaints.
 fn play(seed: u64, wide: bool, triggers: i64) -> (u64, Vec<String>) {
+    let (faults, _, complaints) = play_with(seed, wide, triggers, false);
+    (faults, complaints)
+}
+
+/// Frames that may wait for a report when reports are held up.
+const WAITING: usize = 16;
+
+/// As [`play`]; with `stalls` the reports are held up now and then for longer than frames may wait, and frames for
+/// as long. Returns faults, frames with a wrong trigger, and complaints.
+fn play_with(seed: u64, wide: bool, triggers: i64, stalls: bool) -> (u64, Vec<String>, Vec<String>) {
     let mut camera = Camera::run(seed, wide, triggers);
+    if stalls {
+        camera.hold_up();
+    }
     let hsu = hsu_clock();
     let coarse = camera.random.below(4_000_000) as i128 - 2_000_000;
     let clocks =
@@ -276,22 +300,38 @@ fn play(seed: u64, wide: bool, triggers: i64) -> (u64, Vec<String>) {
     let mut table = TriggerTable::default();
     let mut found = Found { outcomes: vec![None; triggers as usize], wrong: Vec::new() };
     let mut waiting: VecDeque<(Sighting, Is, Option<Finding>)> = VecDeque::new();
-    let (mut reported, mut next) = (-32, -32);
+    let (mut reported, mut next, mut misplaced) = (-32, -32, Vec::new());
+    let (mut hold_until, mut first_hold) = (0, stalls && camera.random.one_in(2));
     let frames = std::mem::take(&mut camera.delivered);
     for (k, frame) in frames.iter().enumerate() {
         waiting.push_back(*frame);
         let lag_ns = if camera.random.one_in(50) { 60_000_000 } else { camera.random.below(6_000_000) };
         let end = k + 1 == frames.len();
-        while reported < triggers && (end || HOST_NS + (due(reported) - HSU_NS) + lag_ns < frame.0.host_ns) {
+        if stalls && (camera.random.one_in(300) || std::mem::take(&mut first_hold)) {
+            hold_until = frame.0.host_ns + camera.random.below(40 * PERIOD_NS);
+        }
+        while (end || frame.0.host_ns >= hold_until)
+            && reported < triggers
+            && (end || HOST_NS + (due(reported) - HSU_NS) + lag_ns < frame.0.host_ns)
+        {
             table.insert(reported, due(reported));
             reported += 1;
         }
         while let Some((sighting, is, finding)) = waiting.front().copied() {
             let ahead =
                 waiting.iter().skip(1).map(|(next, ..)| next).find(|next| next.camera_ns.is_some()).copied();
-            match matcher.assign(&sighting, ahead.as_ref(), &table, &hsu, end) {
+            let last_call = end || (stalls && waiting.len() > WAITING);
+            match matcher.assign(&sighting, ahead.as_ref(), &table, &hsu, last_call) {
                 Match::Wait => break,
-                answer => found.frame(is, finding, answer, &mut next),
+                answer => {
+                    if let Match::Trigger(matched) = answer {
+                        if is != Is::Of(matched.number) && matched.number >= 0 {
+                            misplaced
+                                .push(format!("{is:?} stands at {}, block {}", matched.number, sighting.id));
+                        }
+                    }
+                    found.frame(is, finding, answer, &mut next);
+                }
             }
             waiting.pop_front();
         }
@@ -302,7 +342,7 @@ fn play(seed: u64, wide: bool, triggers: i64) -> (u64, Vec<String>) {
             wrong.push(format!("trigger {k}: {truth:?} was taken for {:?}", found.outcomes[k]));
         }
     }
-    (camera.faults, wrong)
+    (camera.faults, misplaced, wrong)
 }
 
 /// The law of the matcher: more than 10^5 faults, each with the right trigger and cause.
@@ -320,6 +360,27 @@ fn every_fault_is_told_apart() {
     println!("{faults} faults, {wrong} mistakes");
     assert!(faults >= 100_000, "{faults} faults are too few");
     assert_eq!(wrong, 0);
+}
+
+/// Where reports and frames are held up for longer than frames may wait, and clocks are set at that very moment, what
+/// happened is not always to be known. It must stay rare, and it must not go on.
+#[test]
+fn stalls_misplace_few_frames_and_only_for_a_moment() {
+    let (mut faults, mut misplaced, mut sessions, mut long) = (0, 0, 0, 0);
+    for seed in 0..400 {
+        let (count, wrong, _) = play_with(seed, seed % 2 == 0, 3_000, true);
+        faults += count;
+        misplaced += wrong.len();
+        long += usize::from(wrong.len() > 100);
+        if let Some(first) = wrong.first() {
+            sessions += 1;
+            println!("seed {seed}: {} misplaced, first: {first}", wrong.len());
+        }
+    }
+    println!(
+        "{faults} faults, {misplaced} frames misplaced in {sessions} of 400 sessions, in {long} of them for long"
+    );
+    assert!(misplaced <= 3_000 && sessions <= 40 && long <= 4);
 }
 
 fn frame(id: u64, camera_ns: u64, host_ns: u64) -> Sighting {
