@@ -93,6 +93,7 @@ pub fn scan(number: u32, bytes: &[u8], advance: &dyn Fn(u64)) -> SegmentScan {
         found: SegmentScan::default(),
         chunk: 0..0,
         trusted: false,
+        checked: false,
         data: Hasher::new(),
         hashed: 0,
     };
@@ -117,6 +118,8 @@ struct Scanner<'a> {
     /// Records of the chunk that the walk is in, and whether they may be believed.
     chunk: Range<usize>,
     trusted: bool,
+    /// Whether a checksum proves everything in the chunk but pixels; a chunk that is cut has none.
+    checked: bool,
     /// Of the data section so far.
     data: Hasher,
     hashed: usize,
@@ -208,7 +211,7 @@ impl<'a> Scanner<'a> {
         self.report(records.start);
         self.chunk = records.start..end;
         // One that the end of the file cuts cannot be checked: what is whole before the cut is used.
-        self.trusted = true;
+        (self.trusted, self.checked) = (true, false);
         let Some(before) = self.bytes.get(self.hashed..records.start).filter(|_| whole) else { return };
         let mut of_chunk = Hasher::new();
         of_chunk.update(&self.bytes[records.clone()]);
@@ -223,6 +226,7 @@ impl<'a> Scanner<'a> {
             }
             self.damage(records, "the chunk fails its checksum".to_owned());
         }
+        self.checked = self.trusted;
         self.data.combine(&of_chunk);
         self.hashed = end;
     }
@@ -271,15 +275,21 @@ impl<'a> Scanner<'a> {
         let camera = self.camera(&envelope);
         let (trigger, stated) = (envelope.meta.trigger.0, envelope.meta.pixels_crc);
         let found = pixels_crc(&payload[envelope.pixels]);
-        if found != stated {
-            self.found.damaged_frames.push((camera, trigger));
-            let name = &self.found.cameras[camera].0;
-            return Err(format!(
-                "frame of camera {name} trigger {trigger}: checksum of the pixels is {found:#010x}, expected {stated:#010x}"
-            ));
+        if found == stated {
+            self.found.frames.push(FoundFrame { camera, trigger, message: data });
+            return Ok(());
         }
-        self.found.frames.push(FoundFrame { camera, trigger, message: data });
-        Ok(())
+        self.found.damaged_frames.push((camera, trigger));
+        let name = &self.found.cameras[camera].0;
+        let reason = format!(
+            "frame of camera {name} trigger {trigger}: checksum of the pixels is {found:#010x}, expected {stated:#010x}"
+        );
+        if self.checked && self.chunk.contains(&data.start) {
+            // The records around it are proven: the walk goes on behind it.
+            self.damage(data, reason);
+            return Ok(());
+        }
+        Err(reason)
     }
 
     fn camera(&mut self, envelope: &Envelope<'_>) -> usize {
@@ -342,6 +352,7 @@ impl<'a> Scanner<'a> {
             };
             if !known.contains(&offset) {
                 // What is wrong with it has been noted on the way, if it is not whole.
+                self.checked = false;
                 let _ = self.frame(offset..end);
             }
         }
