@@ -213,6 +213,14 @@ fn quick_dir() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).expect("a temporary directory")
 }
 
+/// What was made of a damaged recording.
+struct Saved {
+    recovery: Recovery,
+    frames: BTreeSet<(usize, u64)>,
+    reader: SessionReader,
+    _dir: tempfile::TempDir,
+}
+
 /// The good recording with damage done to it.
 struct Damaged {
     segments: Vec<Option<Vec<u8>>>,
@@ -271,10 +279,7 @@ impl Damaged {
     }
 
     /// Verifies, recovers, and checks what has to hold whatever was damaged. Returns what was recovered and its frames.
-    fn check(
-        &self,
-        what: &str,
-    ) -> Option<(Recovery, BTreeSet<(usize, u64)>, SessionReader, tempfile::TempDir)> {
+    fn check(&self, what: &str) -> Option<Saved> {
         let dir = quick_dir();
         let path = self.write(dir.path());
         let found = match verify(&path, &|_, _| ()) {
@@ -302,7 +307,7 @@ impl Damaged {
             unfaithful.len() <= self.touched.iter().map(Vec::len).sum(),
             "{what}: frames that were touched, but are as they were: {unfaithful:?}"
         );
-        Some((recovery, saved, reader, dir))
+        Some(Saved { recovery, frames: saved, reader, _dir: dir })
     }
 }
 
@@ -344,7 +349,7 @@ fn a_flipped_bit_in_any_region_is_found_and_costs_only_what_it_hits() {
                 let what = format!("segment {number} byte {at} bit {bit}, {region:?}");
                 let mut damaged = Damaged::new();
                 damaged.flip(number, at, bit);
-                let (recovery, saved, reader, _dir) = damaged.check(&what).expect("usable");
+                let Saved { recovery, frames: saved, reader, _dir } = damaged.check(&what).expect("usable");
                 let recovered = &recovery.recordings[0];
                 let lost = ALL - saved.len();
                 let in_frame = [Region::Envelope, Region::Padding, Region::Pixels].contains(region);
@@ -428,7 +433,7 @@ fn lengths_that_are_huge_cost_nothing_but_themselves() {
                 let mut damaged = Damaged::new();
                 damaged.overwrite(number, range.start + 1, &length.to_le_bytes());
                 let what = format!("segment {number} {region:?} at {} of {length} bytes", range.start);
-                let (_, saved, ..) = damaged.check(&what).expect("usable");
+                let Saved { frames: saved, .. } = damaged.check(&what).expect("usable");
                 assert_eq!(saved.len(), ALL, "{what}");
             }
         }
@@ -446,7 +451,7 @@ fn empty_and_missing_segments_cost_only_their_own_frames() {
                 damaged.cut(number, 0);
             }
             let what = format!("segment {number} {}", if missing { "missing" } else { "empty" });
-            let (recovery, saved, ..) = damaged.check(&what).expect("usable");
+            let Saved { recovery, frames: saved, .. } = damaged.check(&what).expect("usable");
             let own = good()[number].frames.len();
             assert_eq!(saved.len(), ALL - own, "{what}");
             let last = number + 1 == good().len();
@@ -486,7 +491,7 @@ fn segments_of_another_recording_are_told_apart_and_left_out() {
                 *damaged.bytes(number) = foreign;
                 let what = format!("segment {number} is of session {session_id} node {node}, cut: {cut}");
                 // Every frame that is passed on is compared with the original's pixels.
-                let (recovery, saved, ..) = damaged.check(&what).expect("usable");
+                let Saved { recovery, frames: saved, .. } = damaged.check(&what).expect("usable");
                 assert_eq!(saved.len(), ALL - good()[number].frames.len(), "{what}");
                 let named = recovery.recordings[0].damage.iter().any(|damage| {
                     damage.segment == number as u32 && damage.reason.contains("belongs to session")
