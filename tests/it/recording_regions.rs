@@ -121,15 +121,18 @@ const REGIONS: [Region; 16] = [
 struct Anatomy {
     bytes: Vec<u8>,
     regions: BTreeMap<Region, Vec<Range<usize>>>,
-    /// Ends of chunks and of the records outside of them.
-    boundaries: Vec<usize>,
+    /// Starts and ends of chunks.
+    chunks: Vec<usize>,
+    /// Ends of all records.
+    ends: Vec<usize>,
     /// Camera, trigger, and where the message is.
     frames: Vec<(usize, u64, Range<usize>)>,
 }
 
 impl Anatomy {
     fn of(bytes: Vec<u8>) -> Self {
-        let mut own = Self { bytes, regions: BTreeMap::new(), boundaries: vec![8], frames: Vec::new() };
+        let mut own =
+            Self { bytes, regions: BTreeMap::new(), chunks: Vec::new(), ends: vec![8], frames: Vec::new() };
         let length = own.bytes.len();
         own.add(Region::Magic, 0..8);
         own.add(Region::Magic, length - 8..length);
@@ -147,7 +150,7 @@ impl Anatomy {
                 0x05 => own.message(start, body + 22, end),
                 0x06 => {
                     own.add(Region::ChunkHeader, start..body + 40);
-                    own.boundaries.push(end);
+                    own.chunks.extend([start, end]);
                     // Goes on inside.
                     position = body + 40;
                     continue;
@@ -164,7 +167,7 @@ impl Anatomy {
                 0x80.. => own.add(Region::PrivateRecord, start..end),
                 other => panic!("opcode {other:#x} at {start}"),
             }
-            own.boundaries.push(end);
+            own.ends.push(end);
         }
         own
     }
@@ -373,10 +376,12 @@ fn a_flipped_bit_in_any_region_is_found_and_costs_only_what_it_hits() {
 fn cut_at_every_chunk_boundary_and_at_random_bytes() {
     let mut random = Random(crate::crash::number("FOURDBODY_SEED", 1).wrapping_add(1));
     for (number, segment) in good().iter().enumerate() {
-        let near = segment.boundaries.iter().flat_map(|at| [at - 1, *at, at + 1]);
+        let near = segment.chunks.iter().flat_map(|at| [at - 1, *at, at + 1]);
         let length = segment.bytes.len();
         let anywhere: Vec<usize> = (0..25).map(|_| random.below(length as u64) as usize).collect();
-        for at in near.chain(anywhere).chain([0]).filter(|at| *at < length) {
+        for at in
+            near.chain(segment.ends.iter().copied()).chain(anywhere).chain([0]).filter(|at| *at < length)
+        {
             let mut damaged = Damaged::new();
             damaged.cut(number, at);
             damaged.check(&format!("segment {number} cut at {at} of {length}")).expect("usable");
