@@ -445,6 +445,23 @@ fn lengths_that_are_huge_cost_nothing_but_themselves() {
     }
 }
 
+/// No index leads to them: the segment was never closed.
+#[test]
+fn frames_without_a_record_around_them_are_found_by_their_own_bytes() {
+    const BEFORE_PAYLOAD: usize = 31;
+    for (number, segment) in good().iter().enumerate() {
+        let last = segment.frames.last().expect("frames").2.end;
+        for (camera, index, message) in &segment.frames {
+            let mut damaged = Damaged::new();
+            damaged.cut(number, last);
+            damaged.overwrite(number, message.start - BEFORE_PAYLOAD, &[0xff; BEFORE_PAYLOAD]);
+            let what = format!("segment {number}, no record around camera {camera} trigger {index}");
+            let Saved { frames: saved, .. } = damaged.check(&what).expect("usable");
+            assert_eq!(saved.len(), ALL, "{what}");
+        }
+    }
+}
+
 #[test]
 fn empty_and_missing_segments_cost_only_their_own_frames() {
     for number in 0..good().len() {
