@@ -98,24 +98,8 @@ enum Region {
     Footer,
 }
 
-const REGIONS: [Region; 16] = [
-    Region::Magic,
-    Region::FileHeader,
-    Region::HeaderMetadata,
-    Region::Metadata,
-    Region::SchemaOrChannel,
-    Region::ChunkHeader,
-    Region::MessageHeader,
-    Region::Envelope,
-    Region::Padding,
-    Region::Pixels,
-    Region::SmallRecord,
-    Region::PrivateRecord,
-    Region::MessageIndex,
-    Region::DataEnd,
-    Region::Summary,
-    Region::Footer,
-];
+/// How many there are.
+const REGIONS: usize = 16;
 
 /// A good segment, taken apart as the MCAP specification says.
 struct Anatomy {
@@ -369,7 +353,7 @@ fn a_flipped_bit_in_any_region_is_found_and_costs_only_what_it_hits() {
             }
         }
     }
-    assert_eq!(seen.into_iter().collect::<Vec<_>>(), REGIONS, "the recording has all regions");
+    assert_eq!(seen.len(), REGIONS, "the recording has all regions: {seen:?}");
 }
 
 #[test]
