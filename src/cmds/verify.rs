@@ -2,7 +2,7 @@
 
 use super::progress::Progress;
 use super::{Exit, Failure};
-use crate::record::verify::{Report, Severity, verify};
+use crate::record::verify::{Report, Severity, compare, verify};
 use std::path::PathBuf;
 
 /// Check every invariant of recordings: checksums, exactly one outcome per camera and trigger, verdicts.
@@ -11,8 +11,11 @@ use std::path::PathBuf;
 Prints one line per finding, then a line per node. Exit code 0: every frame is there and good; 3: frames are
 missing, and the recording says which and why; 4: damaged, or missing without a word.
 
-Example:
-  fourdbody verify /var/lib/fourdbody/sessions/walk-01")]
+The nodes of a session are compared with each other: in one session's directory, or as a path each.
+
+Examples:
+  fourdbody verify /var/lib/fourdbody/sessions/walk-01
+  fourdbody verify /mnt/pc-a/walk-01/node-a /mnt/pc-b/walk-01/node-b")]
 pub struct Args {
     /// Sessions, recordings of one node, or single segments (of which only the integrity is checked).
     #[arg(required = true)]
@@ -49,8 +52,18 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             }
         }
     }
+    let (compared, findings) = if args.paths.len() > 1 { compare(&args.paths) } else { Default::default() };
+    if findings.iter().any(|finding| finding.severity == Severity::Corrupt) {
+        exit = worse(exit, Exit::Corrupt);
+    }
     if args.json {
-        println!("{}", serde_json::json!({"exit": exit as u8, "reports": reports}));
+        let value = serde_json::json!({
+            "exit": exit as u8, "reports": reports, "compared": compared, "findings": findings,
+        });
+        println!("{value}");
+    } else {
+        findings.iter().for_each(|finding| println!("{finding}"));
+        compared.iter().for_each(|comparison| println!("{comparison}"));
     }
     Ok(exit)
 }
@@ -64,6 +77,9 @@ fn print(report: &Report) {
     }
     for recording in &report.recordings {
         println!("node {}: {}", recording.node, recording.verdict);
+    }
+    for comparison in &report.compared {
+        println!("{comparison}");
     }
     let word = match report.worst {
         None | Some(Severity::Note) => "good: every checksum and every count is right",

@@ -4,6 +4,7 @@
 //! `O_DIRECT` keeps the pace of the disk. It wants addresses, offsets and lengths in multiples of
 //! [`BLOCK`]. Where a file system refuses it, the same writes go through the page cache.
 
+use super::statistics::DiskAccess;
 use std::ffi::CString;
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice};
@@ -30,6 +31,10 @@ pub trait Store: Send {
         let _ = bytes;
         Ok(0)
     }
+    /// How writes reach the disk.
+    fn access(&self) -> DiskAccess {
+        DiskAccess::Direct
+    }
 }
 
 /// A new file, written directly where that is possible.
@@ -37,6 +42,7 @@ pub struct DirectFile {
     file: File,
     /// Whose entry for the file is not durable yet.
     directory: Option<PathBuf>,
+    access: DiskAccess,
 }
 
 impl DirectFile {
@@ -46,7 +52,7 @@ impl DirectFile {
         options.write(true).create_new(true).mode(0o640);
         let directory = path.parent().map(Path::to_owned);
         match options.clone().custom_flags(libc::O_DIRECT).open(path) {
-            Ok(file) => Ok(Self { file, directory }),
+            Ok(file) => Ok(Self { file, directory, access: DiskAccess::Direct }),
             Err(error) if error.raw_os_error() == Some(libc::EINVAL) => {
                 // Some file systems have created the file by the time they refuse the flag.
                 let _ = std::fs::remove_file(path);
@@ -54,7 +60,7 @@ impl DirectFile {
                     path = %path.display(),
                     "the file system refuses O_DIRECT; writing through the page cache, which may stall at full rate"
                 );
-                Ok(Self { file: options.open(path)?, directory })
+                Ok(Self { file: options.open(path)?, directory, access: DiskAccess::PageCache })
             }
             Err(error) => Err(error),
         }
@@ -84,6 +90,10 @@ impl Store for DirectFile {
         // SAFETY: the descriptor is open for the duration of the call; no memory is passed.
         let code = unsafe { libc::fallocate(self.file.as_raw_fd(), libc::FALLOC_FL_KEEP_SIZE, 0, length) };
         if code == 0 { Ok(bytes) } else { Err(io::Error::last_os_error()) }
+    }
+
+    fn access(&self) -> DiskAccess {
+        self.access
     }
 }
 

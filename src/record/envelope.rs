@@ -220,6 +220,25 @@ struct Fields<'a> {
 /// Finds identity, checksum and pixels in a frame's message, and checks the envelope's own checksum. The
 /// pixels' checksum is left to the caller, because it costs a pass over all of them.
 pub fn parse_envelope(message: &[u8]) -> Result<Envelope<'_>, EnvelopeError> {
+    let (envelope, length) = parse_envelope_of(message)?;
+    if length != message.len() {
+        let extra = message.len() - length;
+        return Err(field_error("data", format!("followed by {extra} bytes"), "the last field"));
+    }
+    Ok(envelope)
+}
+
+/// Whether bytes begin as every frame's message does: with the time stamp (field 1), then the width (field 2).
+pub(super) fn begins_like_envelope(bytes: &[u8]) -> bool {
+    const TIMESTAMP: u8 = 1 << 3 | 2;
+    const WIDTH: u8 = 2 << 3 | 5;
+    let [TIMESTAMP, length, rest @ ..] = bytes else { return false };
+    // Two varints with their tags.
+    *length <= 22 && rest.get(usize::from(*length)) == Some(&WIDTH)
+}
+
+/// As [`parse_envelope`], of bytes that a frame's message begins; returns the message's length as well.
+pub(super) fn parse_envelope_of(message: &[u8]) -> Result<(Envelope<'_>, usize), EnvelopeError> {
     let mut reader = MessageReader::new(message);
     let mut fields = Fields::default();
     let pixels = loop {
@@ -231,12 +250,8 @@ pub fn parse_envelope(message: &[u8]) -> Result<Envelope<'_>, EnvelopeError> {
             Some((number, value)) => note(&mut fields, number, value, start),
         }
     };
-    if reader.position() != message.len() {
-        let extra = message.len() - reader.position();
-        return Err(field_error("data", format!("followed by {extra} bytes"), "the last field"));
-    }
-    let range = message.len() - pixels.len()..message.len();
-    finish(&fields, message, range)
+    let end = reader.position();
+    finish(&fields, message, end - pixels.len()..end).map(|envelope| (envelope, end))
 }
 
 fn note<'a>(fields: &mut Fields<'a>, number: u64, value: Value<'a>, start: usize) {

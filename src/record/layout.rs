@@ -23,6 +23,9 @@ pub const STATISTICS_METADATA: &str = "fourdbody.write_statistics";
 
 /// Key of these metadata records: JSON of [`RecordingHeader`] without the rig; of the verdict; of the statistics.
 pub const KEY_JSON: &str = "json";
+/// Key of all these metadata records: CRC-32 of the other entries, in the order of their keys, each as key, zero, value,
+/// zero. It vouches for them while the segment is open and the data section's checksum is still to come.
+pub const KEY_CRC: &str = "crc32";
 /// Key of the header metadata: the rig file, word for word.
 pub const KEY_RIG: &str = "rig";
 /// Key of header and segment metadata: the segment's number, from 0.

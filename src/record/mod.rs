@@ -3,11 +3,13 @@
 //! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and
 //! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
 
+pub mod describe;
 mod direct;
 mod disk;
 pub mod envelope;
 mod interrupted;
 pub mod layout;
+mod metadata;
 mod protobuf;
 mod reader;
 pub mod recover;
@@ -29,7 +31,7 @@ pub use layout::{
     TriggerRecord,
 };
 pub use reader::{ReadError, RecordedFrame, RecordingReader, SegmentReader};
-pub use session::{SessionReader, node_dir};
-pub use statistics::{Latency, WriteStatistics};
+pub use session::{SessionReader, Unreadable, node_dir, open_each};
+pub use statistics::{DiskAccess, Latency, WriteStatistics};
 pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

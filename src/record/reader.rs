@@ -3,10 +3,12 @@
 use super::direct::map_file;
 use super::envelope::{FrameMeta, parse_envelope, pixels_crc};
 use super::layout::{
-    CLOCK_TOPIC, CameraHeader, ClockSample, EVENTS_TOPIC, FORMAT, GAPS_TOPIC, GapCause, GapRecord,
-    HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET,
-    KEY_JSON, KEY_RIG, KEY_SEGMENT, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA,
-    STATISTICS_METADATA, SegmentIndex, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
+    CLOCK_TOPIC, CameraHeader, ClockSample, EVENTS_TOPIC, GAPS_TOPIC, GapCause, GapRecord, HEADER_METADATA,
+    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA,
+    STATISTICS_METADATA, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, image_topic,
+};
+use super::metadata::{
+    StatedHeader, foreign_reason, is_sound, of_most, parse_header, read_header, stated_index,
 };
 use super::scan::{End, Event, Walker, metadata_by_index};
 use super::session::RecordingFiles;
@@ -130,7 +132,7 @@ impl RecordingReader {
     /// Maps the segments and walks their records.
     pub(super) fn open(files: &RecordingFiles, what: Extent) -> Result<Self, ReadError> {
         let error = |message: String| ReadError(format!("{}: {message}", files.path.display()));
-        let mut recording: Option<Self> = None;
+        let mut segments = Vec::new();
         for (number, path) in &files.segments {
             let length = std::fs::metadata(path).map_err(|e| error(e.to_string()))?.len();
             let map = (length > 0).then(|| map_file(path)).transpose().map_err(|e| error(e.to_string()))?;
@@ -142,20 +144,31 @@ impl RecordingReader {
                 end: End::Cut { at: 0 },
                 map,
             };
-            let header = read_header(segment.bytes());
-            match (&mut recording, header) {
-                (None, Ok((header, _))) => recording = Some(Self::empty(files.path.clone(), header)),
-                (None, Err(reason)) if files.segments.len() == 1 => return Err(error(reason)),
-                // A segment that was cut before its header holds nothing; the others speak for it.
-                (None, Err(_)) => continue,
-                _ => {}
-            }
-            if let Some(recording) = &mut recording {
-                recording.add(segment, what);
+            let stated = read_header(segment.bytes());
+            segments.push((segment, stated));
+        }
+        let readable: Vec<&StatedHeader> =
+            segments.iter().filter_map(|(_, stated)| stated.as_ref().ok()).collect();
+        let Some(header) = of_most(&readable) else {
+            return Err(error(match segments.first() {
+                Some((_, Err(reason))) => {
+                    format!(
+                        "no segment has a readable header ({reason}); `fourdbody recover` saves what is whole"
+                    )
+                }
+                _ => "no segments: nothing was recorded".to_owned(),
+            }));
+        };
+        let mut recording = Self::empty(files.path.clone(), header);
+        for (segment, stated) in segments {
+            match stated {
+                Ok(stated) if stated.is_foreign(&recording.header) => {
+                    recording.problem(segment.number, None, None, foreign_reason(&stated.header));
+                }
+                _ => recording.add(segment, what),
             }
         }
-        recording
-            .ok_or_else(|| error("no segment has a readable header; nothing can be recovered".to_owned()))
+        Ok(recording)
     }
 
     fn empty(path: PathBuf, header: RecordingHeader) -> Self {
@@ -303,16 +316,24 @@ impl RecordingReader {
 
     fn metadata(&mut self, segment: &mut SegmentReader, name: &str, entries: &BTreeMap<&str, &str>) {
         let number = |key| entries.get(key).and_then(|text: &&str| text.parse::<u64>().ok());
+        if is_sound(entries) == Some(false) {
+            self.problem(
+                segment.number,
+                None,
+                None,
+                format!("its metadata record {name} fails its checksum"),
+            );
+        }
         match name {
             HEADER_METADATA => match parse_header(entries) {
-                Ok((header, stated)) => {
+                Ok(stated) => {
                     segment.first_trigger = number(KEY_FIRST_TRIGGER).unwrap_or(0);
-                    if stated != segment.number {
-                        let message = format!("the file says that it is segment {stated}");
+                    if stated.number != segment.number {
+                        let message = format!("the file says that it is segment {}", stated.number);
                         self.problem(segment.number, None, None, message);
                     }
-                    if header != self.header {
-                        let message = "its header differs from that of the first segment";
+                    if stated.header != self.header {
+                        let message = "its header differs from that of the other segments";
                         self.problem(segment.number, None, None, message);
                     }
                 }
@@ -447,49 +468,4 @@ impl Topic {
             _ => images.iter().position(|image| image == topic).map_or(Self::Other, Self::Image),
         }
     }
-}
-
-/// The index that a closed segment states, if it is intact.
-pub(crate) fn stated_index(bytes: &[u8], metadata: &[(&str, BTreeMap<&str, &str>)]) -> Option<SegmentIndex> {
-    let mut own = metadata.iter().filter(|(name, _)| *name == SEGMENT_METADATA);
-    own.find_map(|(_, entries)| parse_index(bytes, entries))
-}
-
-pub(super) fn parse_index(bytes: &[u8], entries: &BTreeMap<&str, &str>) -> Option<SegmentIndex> {
-    let number = |key: &str| entries.get(key)?.parse::<usize>().ok();
-    let (offset, length) = (number(KEY_INDEX_OFFSET)?, number(KEY_INDEX_LENGTH)?);
-    let index = bytes.get(offset..offset.checked_add(length)?)?;
-    let intact = number(KEY_INDEX_CRC)? == crc32fast::hash(index) as usize;
-    intact.then(|| serde_json::from_slice(index).ok()).flatten()
-}
-
-/// The header of a segment and the segment's own number, from the first metadata record.
-fn read_header(bytes: &[u8]) -> Result<(RecordingHeader, u32), String> {
-    let mut walker = Walker::new(bytes);
-    for event in walker.by_ref().take(8) {
-        if let Event::Metadata { name: HEADER_METADATA, entries } = event {
-            return parse_header(&entries);
-        }
-    }
-    match walker.end() {
-        End::Damaged { at, reason } => Err(format!("not a recording: at byte {at}: {reason}")),
-        _ => Err(format!("not a recording: no metadata record {HEADER_METADATA:?} at its start")),
-    }
-}
-
-pub(super) fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<(RecordingHeader, u32), String> {
-    let get = |key: &str| entries.get(key).copied().ok_or_else(|| format!("the header has no {key:?}"));
-    let (format, version) = (get("format")?, get("version")?);
-    if format != FORMAT || version.parse::<u32>().is_ok_and(|v| v > VERSION) {
-        return Err(format!(
-            "format {format:?} version {version}, this program reads {FORMAT:?} up to version {VERSION}"
-        ));
-    }
-    let mut header: RecordingHeader =
-        serde_json::from_str(get(KEY_JSON)?).map_err(|e| format!("the header is not readable: {e}"))?;
-    header.rig_text = get(KEY_RIG)?.to_owned();
-    header.check()?;
-    let segment = get(KEY_SEGMENT)?;
-    let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
-    Ok((header, number))
 }

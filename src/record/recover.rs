@@ -180,6 +180,7 @@ pub fn recover(
         return Err(unusable.into_iter().next().unwrap_or(nothing));
     }
     adopt_headers(&mut salvaged);
+    leave_out_other_sessions(&mut salvaged, &mut unusable);
     let is_session = files.iter().all(|files| files.path != path);
     let extent = extent_of(&salvaged, path, is_session);
     let partial = partial_path(out);
@@ -204,12 +205,35 @@ pub fn recover(
     Ok(Recovery { source: path.to_owned(), out: out.to_owned(), recordings, unusable })
 }
 
-/// A header that had to be made anew learns from one of the same session that is readable.
+/// A header that had to be made anew, or that no checksum proves, learns from a better one of the same session.
 fn adopt_headers(salvaged: &mut [Salvage]) {
-    let Some(readable) = salvaged.iter().find(|one| !one.rebuilt).map(|one| one.header.clone()) else {
-        return;
-    };
-    salvaged.iter_mut().filter(|one| one.rebuilt).for_each(|one| header::adopt(&mut one.header, &readable));
+    let proven = salvaged.iter().find(|one| one.proven).map(|one| one.header.clone());
+    if let Some(proven) = &proven {
+        salvaged.iter_mut().filter(|one| !one.proven).for_each(|one| header::adopt(&mut one.header, proven));
+    } else if let Some(readable) = salvaged.iter().find(|one| !one.rebuilt).map(|one| one.header.clone()) {
+        let anew = salvaged.iter_mut().filter(|one| one.rebuilt);
+        anew.for_each(|one| header::adopt(&mut one.header, &readable));
+    }
+}
+
+/// A session has one id. Of several, the one that most recordings have stays, then one that a checksum proves; the
+/// others can be recovered alone.
+fn leave_out_other_sessions(salvaged: &mut Vec<Salvage>, unusable: &mut Vec<RecoverError>) {
+    let alike = |id: &str| salvaged.iter().filter(|one| one.header.session_id == id).count();
+    let chosen = salvaged.iter().rev().max_by_key(|one| (alike(&one.header.session_id), one.proven));
+    let Some(own) = chosen.map(|one| one.header.clone()) else { return };
+    let (stay, others) = std::mem::take(salvaged).into_iter().partition(|one: &Salvage| {
+        one.header.session_id == own.session_id || one.header.session_id.is_empty()
+    });
+    *salvaged = stay;
+    unusable.extend(others.into_iter().map(|one: Salvage| {
+        let (session, id) = (&one.header.session, &one.header.session_id);
+        let reason = format!(
+            "it is of session {session} ({id}), the others are of {} ({}): recover it by itself",
+            own.session, own.session_id
+        );
+        RecoverError::Unusable { path: one.path, reason }
+    }));
 }
 
 fn output(out: &Path, error: impl fmt::Display) -> RecoverError {

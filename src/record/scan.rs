@@ -4,10 +4,14 @@
 //! length found in the file, no record is trusted to fit, pixels are not touched.
 //! Record layouts: <https://mcap.dev/spec>.
 
+mod find;
+
 use mcap::MAGIC;
 use mcap::records::op;
 use std::collections::BTreeMap;
 use std::ops::Range;
+
+pub use find::{Found, find};
 
 /// Metadata records, schemas and channels larger than this are refused: ours are far below.
 const MAX_SMALL_RECORD: usize = 16 << 20;
@@ -15,8 +19,6 @@ const MAX_SMALL_RECORD: usize = 16 << 20;
 const PREAMBLE: usize = 9;
 /// A message's record without its payload: preamble, channel, sequence, two times.
 pub const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
-/// A chunk's fields before its records: two times, size, checksum, empty compression, size.
-const CHUNK_FIELDS: u64 = 8 + 8 + 8 + 4 + 4 + 8;
 
 /// Something found in the file, in file order.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -321,40 +323,6 @@ pub fn metadata_by_index(bytes: &[u8]) -> Option<Vec<(&str, BTreeMap<&str, &str>
         }
         position = next;
     }
-}
-
-/// The next place from `from` on where a record of ours begins without doubt, for going on behind damage: a chunk
-/// whose three lengths agree, a metadata record with one of our names, or a message that `is_payload` knows.
-pub fn find_record(bytes: &[u8], from: usize, is_payload: impl Fn(&[u8]) -> bool) -> Option<usize> {
-    let candidates = bytes.get(from..)?.iter().enumerate();
-    let mut candidates =
-        candidates.filter(|(_, byte)| matches!(**byte, op::MESSAGE | op::CHUNK | op::METADATA));
-    candidates.find_map(|(at, _)| {
-        let at = from + at;
-        let (opcode, length) = preamble(&bytes[at..])?;
-        let found = match opcode {
-            // It may reach beyond the end of a file that was cut.
-            op::CHUNK => {
-                let mut fields = Fields { bytes: bytes.get(at + PREAMBLE..)?, position: 16 };
-                let (uncompressed, _) = (fields.u64()?, fields.u32()?);
-                let (compression, compressed) = (fields.u32()?, fields.u64()?);
-                compression == 0
-                    && uncompressed == compressed
-                    && compressed.checked_add(CHUNK_FIELDS) == Some(length)
-            }
-            op::METADATA if length <= MAX_SMALL_RECORD as u64 => {
-                let (_, body, _) = record_at(bytes, at)?;
-                let mut fields = Fields { bytes: body, position: 0 };
-                fields.text()?.starts_with("fourdbody.") && fields.text_map().is_some() && fields.used_up()
-            }
-            op::MESSAGE => {
-                let (_, body, _) = record_at(bytes, at)?;
-                is_payload(body.get(MESSAGE_HEADER - PREAMBLE..)?)
-            }
-            _ => false,
-        };
-        found.then_some(at)
-    })
 }
 
 /// Opcode and body of the record at `position`, and where the next one begins.

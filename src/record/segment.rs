@@ -3,10 +3,11 @@
 use super::direct::{BLOCK, Store};
 use super::envelope::{self, FrameMeta};
 use super::layout::{
-    FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC,
+    FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_CRC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC,
     KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG, KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA,
     STATISTICS_METADATA, SegmentIndex, VERDICT_METADATA, VERSION, image_topic, index_schema, json_channels,
 };
+use super::metadata::checksum;
 use super::statistics::WriteStatistics;
 use super::verdict::Verdict;
 use super::window::{CHUNK_HEADER, Handle, Milestone, Window, lock};
@@ -32,7 +33,8 @@ const STAGING_BYTES: usize = 256 << 10;
 /// What the last segment says besides its own records.
 pub(super) struct Closing<'a> {
     pub verdict: &'a Verdict,
-    pub statistics: &'a WriteStatistics,
+    /// `None` where it is not known how the disk kept up.
+    pub statistics: Option<&'a WriteStatistics>,
 }
 
 /// Channels whose messages are JSON, in the order of [`json_channels`].
@@ -259,8 +261,10 @@ impl Segment {
         entries.extend(end_trigger.map(|end| (KEY_END_TRIGGER, end.to_string())));
         self.mcap.write_metadata(&metadata(SEGMENT_METADATA, entries)).map_err(io_error)?;
         if let Some(closing) = closing {
-            let entries = [(KEY_JSON, serde_json::to_string(closing.statistics)?)];
-            self.mcap.write_metadata(&metadata(STATISTICS_METADATA, entries)).map_err(io_error)?;
+            if let Some(statistics) = closing.statistics {
+                let entries = [(KEY_JSON, serde_json::to_string(statistics)?)];
+                self.mcap.write_metadata(&metadata(STATISTICS_METADATA, entries)).map_err(io_error)?;
+            }
             let entries = [(KEY_JSON, serde_json::to_string(closing.verdict)?)];
             self.mcap.write_metadata(&metadata(VERDICT_METADATA, entries)).map_err(io_error)?;
         }
@@ -271,7 +275,10 @@ impl Segment {
 }
 
 fn metadata<'a>(name: &str, entries: impl IntoIterator<Item = (&'a str, String)>) -> Metadata {
-    let metadata = entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+    let mut metadata: BTreeMap<String, String> =
+        entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+    let crc = checksum(metadata.iter().map(|(key, value)| (key.as_str(), value.as_str())));
+    metadata.insert(KEY_CRC.to_owned(), crc.to_string());
     Metadata { name: name.to_owned(), metadata }
 }
 

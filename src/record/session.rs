@@ -7,6 +7,7 @@ use super::scan::metadata_by_index;
 use crate::config::Rig;
 use crate::ids::{CameraId, NodeId, TriggerIndex};
 use crate::reconstruct::{Frame, FrameSource};
+use serde::Serialize;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -86,6 +87,38 @@ pub(super) fn unfinished(dir: &Path) -> Option<String> {
         Some(metadata) if metadata.iter().any(|(name, _)| *name == VERDICT_METADATA) => None,
         Some(_) => Some(format!("{name} has no verdict")),
     }
+}
+
+/// A recording of which nothing can be read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Unreadable {
+    /// Its directory, or the single segment.
+    pub path: PathBuf,
+    /// The node, by the directory's name; empty where that says nothing.
+    pub node: String,
+    /// What was expected and found.
+    pub reason: String,
+}
+
+/// The recordings at `path` (a session, a recording or a segment) that can be read, with all small records; and those that
+/// cannot, which do not hide the others.
+pub fn open_each(path: &Path) -> Result<(Vec<RecordingReader>, Vec<Unreadable>), ReadError> {
+    let (mut readable, mut unreadable) = (Vec::new(), Vec::new());
+    for files in find(path).map_err(ReadError)? {
+        match RecordingReader::open(&files, Extent::Everything) {
+            Ok(recording) => readable.push(recording),
+            Err(ReadError(reason)) => {
+                let node = node_of_dir(&files.path).unwrap_or_default();
+                unreadable.push(Unreadable { path: files.path, node, reason });
+            }
+        }
+    }
+    Ok((readable, unreadable))
+}
+
+/// The node that a recording's directory is named after.
+pub(super) fn node_of_dir(path: &Path) -> Option<String> {
+    Some(path.file_name()?.to_str()?.strip_prefix("node-")?.to_owned())
 }
 
 /// A session: the recordings of all its nodes.

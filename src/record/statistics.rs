@@ -1,6 +1,7 @@
 //! How the disk kept up: latencies in logarithmic classes, cheap enough for every frame.
 
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::time::Duration;
 
 /// Classes per doubling: a percentile is at most an eighth too high.
@@ -75,6 +76,25 @@ pub struct Latency {
     pub max_us: u64,
 }
 
+/// How bytes go to the disk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DiskAccess {
+    /// Past the page cache (`O_DIRECT`).
+    Direct,
+    /// Through the page cache: the file system refuses `O_DIRECT`.
+    PageCache,
+}
+
+impl fmt::Display for DiskAccess {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Direct => "past the page cache (O_DIRECT)",
+            Self::PageCache => "through the page cache (the file system refuses O_DIRECT)",
+        })
+    }
+}
+
 /// How the disk kept up with a recording.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WriteStatistics {
@@ -90,6 +110,9 @@ pub struct WriteStatistics {
     pub blocks_high_water: usize,
     /// Frames in blocks that were copied, because they were not where the disk can take them.
     pub copied_frames: u64,
+    /// How the segments were written, the last one to be opened; not known of older recordings.
+    #[serde(default)]
+    pub access: Option<DiskAccess>,
 }
 
 #[cfg(test)]

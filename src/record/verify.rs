@@ -4,13 +4,15 @@
 //! stored verdict has to be what comes out, and the nodes of a session have to agree.
 
 mod accounting;
+mod agreement;
 mod instants;
 mod segment;
 
 use super::reader::{ReadError, RecordingReader};
-use super::session::{SessionReader, parse_rig};
+use super::session::{node_of_dir, open_each};
 use super::verdict::Verdict;
 use crate::ids::CameraId;
+pub use agreement::{Comparison, compare};
 use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -96,6 +98,8 @@ pub struct Report {
     pub worst: Option<Severity>,
     /// Per node.
     pub recordings: Vec<RecordingReport>,
+    /// The nodes against each other.
+    pub compared: Vec<Comparison>,
     /// In the order of node, segment, trigger.
     pub findings: Vec<Finding>,
     /// Findings that are not listed, because there are too many.
@@ -146,23 +150,35 @@ impl Notes {
 ///
 /// `progress` is called from several threads with the bytes done and the bytes in all.
 pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Report, ReadError> {
-    let session = SessionReader::open(path)?;
+    let (readers, unreadable) = open_each(path)?;
+    if readers.is_empty() {
+        let nothing = || format!("{}: nothing recorded here", path.display());
+        return Err(ReadError(unreadable.into_iter().next().map_or_else(nothing, |one| one.reason)));
+    }
     let single_segment = path.is_file();
     let length = |recording: &RecordingReader| -> u64 {
         recording.segments.iter().map(|segment| segment.bytes().len() as u64).sum()
     };
-    let total = session.recordings().iter().map(length).sum();
+    let total = readers.iter().map(length).sum();
     let done = AtomicU64::new(0);
     let advance = |bytes: u64| progress(done.fetch_add(bytes, Ordering::Relaxed) + bytes, total);
     let mut notes = Notes::new("");
     let mut recordings = Vec::new();
-    for recording in session.recordings() {
+    for one in &unreadable {
+        notes.node.clone_from(&one.node);
+        notes.add(Severity::Corrupt, None, None, None, &one.reason);
+    }
+    for recording in &readers {
         let node = recording.header.node.as_str();
         let mut own = Notes::new(node);
         for problem in &recording.problems {
             let trigger = problem.trigger.map(|t| (t.0, t.0));
             let segment = Some(problem.segment);
             own.add(Severity::Corrupt, segment, problem.camera.as_ref(), trigger, &problem.message);
+        }
+        if let Some(named) = node_of_dir(&recording.path).filter(|named| named != node) {
+            let message = format!("its recording lies in the directory of node {named}");
+            own.add(Severity::Corrupt, None, None, None, message);
         }
         segment::check(recording, &mut own, &advance);
         let verdict = accounting::recount(recording);
@@ -175,60 +191,17 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
         let (path, bytes) = (recording.path.clone(), length(recording));
         recordings.push(RecordingReport { node: node.to_owned(), path, bytes, verdict });
     }
-    check_agreement(&session, &recordings, &mut notes);
+    let here: Vec<&RecordingReader> = readers.iter().collect();
+    let verdicts: Vec<&Verdict> = recordings.iter().map(|report| &report.verdict).collect();
+    let compared = agreement::check(&here, &verdicts, &mut notes);
+    let unreadable: Vec<&str> = unreadable.iter().map(|one| one.node.as_str()).collect();
+    agreement::note_absent(&here, &unreadable, &mut notes);
     Ok(Report {
         path: path.to_owned(),
         worst: notes.worst,
         recordings,
+        compared,
         findings: notes.findings,
         findings_omitted: notes.omitted,
     })
-}
-
-/// The nodes of one session must tell the same story.
-fn check_agreement(session: &SessionReader, reports: &[RecordingReport], notes: &mut Notes) {
-    let Some((first, others)) = session.recordings().split_first() else { return };
-    for (recording, report) in others.iter().zip(reports.iter().skip(1)) {
-        notes.node = recording.header.node.to_string();
-        let (a, b) = (&first.header, &recording.header);
-        let mut differs = |what: &str, found: String, expected: String| {
-            if found != expected {
-                let message = format!("{what} is {found}, but {expected} on node {}", a.node);
-                notes.add(Severity::Corrupt, None, None, None, message);
-            }
-        };
-        differs("the session's id", b.session_id.clone(), a.session_id.clone());
-        differs("the session's name", b.session.to_string(), a.session.to_string());
-        differs("the trigger rate", b.trigger_rate_hz.to_string(), a.trigger_rate_hz.to_string());
-        let asked = |n: Option<u64>| n.map_or("until stop".to_owned(), |n| n.to_string());
-        differs("the number of triggers asked for", asked(b.expected_triggers), asked(a.expected_triggers));
-        let emitted = |v: &Verdict| v.triggers_emitted.map_or("missing".to_owned(), |n| n.to_string());
-        let counts = [report.verdict.triggers_emitted, reports[0].verdict.triggers_emitted];
-        // One that is missing has been found to be loss.
-        if counts.iter().all(Option::is_some) {
-            differs("the HSU's trigger count", emitted(&report.verdict), emitted(&reports[0].verdict));
-        }
-        differs(
-            "the number of triggers",
-            report.verdict.triggers.to_string(),
-            reports[0].verdict.triggers.to_string(),
-        );
-        if a.rig_text != b.rig_text {
-            let message = format!("its rig file differs from that of node {}", a.node);
-            notes.add(Severity::Corrupt, None, None, None, message);
-        }
-        instants::check_tables(first, recording, notes);
-        for camera in &b.cameras {
-            if a.cameras.iter().any(|other| other.id == camera.id) {
-                let message = format!("is recorded on node {} as well", a.node);
-                notes.add(Severity::Corrupt, None, Some(&camera.id), None, message);
-            }
-        }
-    }
-    let Ok(rig) = parse_rig(&first.header.rig_text) else { return };
-    let here = |node: &str| session.recordings().iter().any(|r| r.header.node.as_str() == node);
-    for node in rig.nodes().iter().filter(|node| !here(node.as_str())) {
-        notes.node = node.to_string();
-        notes.add(Severity::Note, None, None, None, "its recording is not here; agreement was not checked");
-    }
 }

@@ -20,13 +20,15 @@ use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 mod error;
 mod failure;
+mod options;
 mod segments;
 
 pub use error::RecordError;
+pub use options::WriterOptions;
 use segments::{ClosingSegment, NextSegment, OpenSegment, Unwritten, prepare};
 
 const MIB: u64 = 1 << 20;
@@ -46,50 +48,6 @@ const MAX_UNWRITTEN: usize = 1 << 20;
 
 /// Kind of the events that stand for refused outcomes; `verify` counts them.
 pub(crate) const REFUSED: &str = "refused";
-
-/// Sizes and intervals.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct WriterOptions {
-    /// A segment is closed at the first trigger after this many bytes.
-    pub segment_bytes: u64,
-    /// Frames are no longer accepted when less than this is free; gap records and verdict still are.
-    pub reserve_bytes: u64,
-    /// `fdatasync` after this many bytes at the latest.
-    pub sync_bytes: u64,
-    /// `fdatasync` after this time at the latest; at most a second.
-    pub sync_interval: Duration,
-    /// Whether a segment's disk space is set aside before it is used.
-    pub preallocate: bool,
-}
-
-impl WriterOptions {
-    /// What would break a promise.
-    fn check(&self) -> Result<(), String> {
-        if self.sync_interval > Duration::from_secs(1) {
-            let found = self.sync_interval.as_millis();
-            return Err(format!(
-                "sync_interval is {found} ms, expected at most 1000: it bounds what a power cut costs"
-            ));
-        }
-        if self.sync_bytes == 0 || self.segment_bytes == 0 {
-            let (sync, segment) = (self.sync_bytes, self.segment_bytes);
-            return Err(format!("sync_bytes is {sync} and segment_bytes {segment}, expected at least 1"));
-        }
-        Ok(())
-    }
-}
-
-impl Default for WriterOptions {
-    fn default() -> Self {
-        Self {
-            segment_bytes: 16 << 30,
-            reserve_bytes: 1 << 30,
-            sync_bytes: 512 << 20,
-            sync_interval: Duration::from_millis(500),
-            preallocate: true,
-        }
-    }
-}
 
 type OpenStore = Arc<dyn Fn(&Path) -> io::Result<Box<dyn Store>> + Send + Sync>;
 
@@ -122,6 +80,8 @@ pub struct Recording {
     latencies: Latencies,
     /// Counts of segments that are no longer open.
     past: WriteStatistics,
+    /// What the recording says instead of its own statistics.
+    told: Option<Option<WriteStatistics>>,
 }
 
 impl Recording {
@@ -182,6 +142,7 @@ impl Recording {
             unsynced: 0,
             latencies: Latencies::default(),
             past: WriteStatistics::default(),
+            told: None,
         };
         recording.open_segment(0).map_err(disk)?;
         recording.sync()?;
@@ -331,6 +292,11 @@ impl Recording {
         self.json(JsonChannel::Events, self.newest(), event.host_time_ns, event)
     }
 
+    /// Lets the recording state these statistics, or none, instead of its own: a copy says how the original was made.
+    pub(super) fn state_statistics(&mut self, statistics: Option<WriteStatistics>) {
+        self.told = Some(statistics);
+    }
+
     /// Keeps the promise on durability while nothing is recorded: call it at least every sync interval.
     pub fn tick(&mut self) -> Result<(), RecordError> {
         if self.last_sync.elapsed() >= self.options.sync_interval && !self.segments.is_empty() {
@@ -387,7 +353,9 @@ impl Recording {
             self.rescue()?;
         }
         self.next = None;
-        let statistics = self.statistics();
+        let own = self.statistics();
+        let told = self.told;
+        let statistics = told.as_ref().map_or(Some(&own), Option::as_ref);
         let mut last = self.segments.pop_back();
         let mut result = Ok(());
         while let Some(mut entry) = self.segments.pop_front() {
@@ -395,7 +363,7 @@ impl Recording {
             result = result.and(entry.segment.finish(end, None));
         }
         if let Some(last) = &mut last {
-            let closing = Closing { verdict, statistics: &statistics };
+            let closing = Closing { verdict, statistics };
             result = result.and(last.segment.finish(None, Some(closing)));
         }
         result.and(sync_directory(&self.dir))
@@ -529,6 +497,7 @@ impl Recording {
                 prepare(&self.open_store, &self.dir.join(segment_name(self.next_number)), ahead)?
             }
         };
+        self.past.access = Some(store.access());
         let segment = Segment::create(store, self.next_number, first_trigger, &self.header)?;
         self.next_number += 1;
         self.segments.push_back(OpenSegment::new(segment, ahead));

@@ -400,6 +400,10 @@ mod node {
             assert_eq!(!status.interrupted.is_empty(), *unfinished, "{:?}", status.interrupted);
             assert_eq!(nodes[place].log().contains("fourdbody recover"), *unfinished);
         }
+        if unfinished.contains(&true) {
+            let printed = text_of(&fourdbody(&["status", "--nodes", &laboratory.urls()]));
+            assert!(printed.contains("interrupted: session"), "{printed}");
+        }
     }
 
     #[test]

@@ -21,6 +21,9 @@ mod lab;
 mod recording;
 mod recording_commands;
 mod recording_damage;
+mod recording_info;
+mod recording_pairs;
+mod recording_regions;
 mod recover;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;

@@ -6,19 +6,24 @@
 use super::salvage::SegmentScan;
 use crate::ids::{CameraId, NodeId, SessionName};
 use crate::record::layout::{CameraHeader, HsuIdentity, KEY_RIG, MAX_CAMERAS, RecordingHeader};
+use crate::record::metadata::{StatedHeader, of_most};
 use crate::record::session::parse_rig;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// The header that is proven by a data section's checksum, else the one that most segments have.
-pub fn readable(scans: &[SegmentScan]) -> Option<RecordingHeader> {
-    let proven = scans.iter().filter(|scan| scan.proven).find_map(|scan| scan.header.as_ref());
-    if let Some(header) = proven {
-        return Some(header.clone());
+/// The recording's header and whether a checksum proves it: of the segments that belong together, the one that is
+/// proven, else the one that most have.
+pub fn readable(scans: &[SegmentScan]) -> Option<(RecordingHeader, bool)> {
+    let stated: Vec<&StatedHeader> = scans.iter().filter_map(|scan| scan.header.as_ref()).collect();
+    let most = of_most(&stated)?;
+    let own: Vec<&StatedHeader> = stated.into_iter().filter(|one| !one.is_foreign(&most)).collect();
+    if let Some(proven) = own.iter().find(|one| one.proven) {
+        return Some((proven.header.clone(), true));
     }
-    let count = |header: &RecordingHeader| scans.iter().filter(|s| s.header.as_ref() == Some(header)).count();
-    let stated = scans.iter().filter_map(|scan| scan.header.as_ref());
-    stated.rev().max_by_key(|header| count(header)).map(|header| corrected(header.clone(), scans))
+    let count = |one: &StatedHeader| own.iter().filter(|other| other.header == one.header).count();
+    // `max_by_key` takes the last one of equals.
+    let chosen = own.iter().rev().max_by_key(|one| count(one))?;
+    Some((corrected(chosen.header.clone(), scans), false))
 }
 
 /// Name and size of all cameras that frames are of, in the order in which they appear.
@@ -112,9 +117,11 @@ fn rate(rig_text: &str, scans: &[SegmentScan]) -> f64 {
     if periods == 0 || ns == 0 { 0.0 } else { periods as f64 * 1e9 / ns as f64 }
 }
 
-/// Takes over from another node's recording of the session what a rebuilt header cannot know.
+/// Takes over from another node's recording of the session what a header that was made anew cannot know, and one that is
+/// not proven may have wrong. Either the id or the name of the session has to agree.
 pub fn adopt(rebuilt: &mut RecordingHeader, other: &RecordingHeader) {
-    if !rebuilt.session_id.is_empty() && rebuilt.session_id != other.session_id {
+    let known = !rebuilt.session_id.is_empty();
+    if known && rebuilt.session_id != other.session_id && rebuilt.session != other.session {
         return;
     }
     rebuilt.session_id.clone_from(&other.session_id);

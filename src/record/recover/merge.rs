@@ -8,8 +8,10 @@ use crate::record::direct::map_file;
 use crate::record::layout::{
     ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
 };
+use crate::record::metadata::foreign_reason;
 use crate::record::reader::Outcome;
 use crate::record::session::RecordingFiles;
+use crate::record::statistics::WriteStatistics;
 use crate::record::verdict::Verdict;
 use memmap2::{Advice, Mmap};
 use rayon::prelude::*;
@@ -24,6 +26,8 @@ pub struct Salvage {
     pub header: RecordingHeader,
     /// Whether the header was not readable and had to be made anew.
     pub rebuilt: bool,
+    /// Whether a checksum proves the header.
+    pub proven: bool,
     /// The segments' bytes, in order; an empty file cannot be mapped.
     pub maps: Vec<Option<Mmap>>,
     /// Per camera of the header.
@@ -38,6 +42,8 @@ pub struct Salvage {
     pub events: Vec<NodeEvent>,
     /// The stored verdict, if it may be believed.
     pub verdict: Option<Verdict>,
+    /// How the disk kept up with the original.
+    pub statistics: Option<WriteStatistics>,
     /// First trigger of a single segment, 0 for a recording.
     pub first_trigger: u64,
     /// Whether this is one segment of a recording that had more.
@@ -72,8 +78,9 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         numbered.par_iter().map(|(number, bytes)| scan(*number, bytes, advance)).collect();
     let stated = header::readable(&scans);
     let rebuilt = stated.is_none();
-    let header =
-        stated.or_else(|| header::rebuilt(&files.path, &scans)).ok_or_else(|| RecoverError::Unusable {
+    let (header, proven) = stated
+        .or_else(|| header::rebuilt(&files.path, &scans).map(|header| (header, false)))
+        .ok_or_else(|| RecoverError::Unusable {
             path: files.path.clone(),
             reason: "no segment has a readable header or a whole frame".to_owned(),
         })?;
@@ -84,10 +91,12 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         damaged: vec![BTreeSet::new(); header.cameras.len()],
         header,
         rebuilt,
+        proven,
         triggers: BTreeMap::new(),
         clock_samples: Vec::new(),
         events: Vec::new(),
         verdict: None,
+        statistics: None,
         first_trigger: scans.first().and_then(|scan| scan.first_trigger).filter(|_| single).unwrap_or(0),
         fragment: single && scans.first().is_some_and(|scan| scan.end_trigger.is_some()),
         damage: Vec::new(),
@@ -101,7 +110,11 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
     let numbers: Vec<u32> = files.segments.iter().map(|(number, _)| *number).collect();
     let closed: Vec<bool> = scans.iter().map(|scan| scan.closed).collect();
     for (place, scan) in scans.into_iter().enumerate() {
-        salvage.take(place, scan);
+        let foreign = scan.header.as_ref().filter(|stated| stated.is_foreign(&salvage.header));
+        match foreign.map(|stated| foreign_reason(&stated.header)) {
+            Some(reason) => salvage.note(numbers[place], reason),
+            None => salvage.take(place, scan),
+        }
     }
     salvage.note_cut_segments(&numbers, &closed);
     Ok(salvage)
@@ -177,9 +190,12 @@ impl Salvage {
         }
         self.clock_samples.extend(scan.clock_samples);
         self.events.extend(scan.events);
-        if let Some(verdict) = scan.verdict.filter(|verdict| scan.proven || self.agrees(verdict)) {
+        if let Some(verdict) =
+            scan.verdict.filter(|verdict| scan.proven || scan.verdict_proven || self.agrees(verdict))
+        {
             self.verdict = Some(verdict);
         }
+        self.statistics = scan.statistics.or(self.statistics);
     }
 
     /// Whether a verdict that no checksum proves agrees with itself and with the header.

@@ -24,7 +24,8 @@ pub fn write(
 ) -> WriteResult<RecoveredRecording> {
     let options =
         WriterOptions { reserve_bytes: RESERVE_BYTES, preallocate: false, ..WriterOptions::default() };
-    let recording = Recording::create_for(dir, source.header.clone(), options, source.frame_bytes())?;
+    let mut recording = Recording::create_for(dir, source.header.clone(), options, source.frame_bytes())?;
+    recording.state_statistics(source.statistics);
     let mut copy = Copy {
         source,
         recording,

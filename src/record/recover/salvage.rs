@@ -8,10 +8,11 @@ use super::Damage;
 use crate::record::envelope::{Envelope, parse_envelope, pixels_crc};
 use crate::record::layout::{
     ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, NodeEvent,
-    RecordingHeader, SEGMENT_METADATA, TriggerRecord, VERDICT_METADATA,
+    SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
 };
-use crate::record::reader::{parse_header, parse_index};
-use crate::record::scan::{End, Event, MESSAGE_HEADER, Walker, find_record};
+use crate::record::metadata::{StatedHeader, is_sound, parse_header, parse_index};
+use crate::record::scan::{End, Event, Found, MESSAGE_HEADER, Walker, find};
+use crate::record::statistics::WriteStatistics;
 use crate::record::verdict::Verdict;
 use crc32fast::Hasher;
 use serde::Deserialize;
@@ -35,7 +36,7 @@ pub struct FoundFrame {
 #[derive(Default)]
 pub struct SegmentScan {
     /// Its header, if readable.
-    pub header: Option<RecordingHeader>,
+    pub header: Option<StatedHeader>,
     /// Entries of a header that is not readable as a whole.
     pub header_entries: BTreeMap<String, String>,
     /// No frame of an earlier trigger belongs to it.
@@ -62,6 +63,10 @@ pub struct SegmentScan {
     pub events: Vec<NodeEvent>,
     /// As stored.
     pub verdict: Option<Verdict>,
+    /// Whether the verdict's own checksum is right.
+    pub verdict_proven: bool,
+    /// As stored, if its own checksum is right.
+    pub statistics: Option<WriteStatistics>,
     /// In the order of the file.
     pub damage: Vec<Damage>,
     /// Small records that were there, but under no checksum that is right.
@@ -88,6 +93,7 @@ pub fn scan(number: u32, bytes: &[u8], advance: &dyn Fn(u64)) -> SegmentScan {
         found: SegmentScan::default(),
         chunk: 0..0,
         trusted: false,
+        checked: false,
         data: Hasher::new(),
         hashed: 0,
     };
@@ -112,6 +118,8 @@ struct Scanner<'a> {
     /// Records of the chunk that the walk is in, and whether they may be believed.
     chunk: Range<usize>,
     trusted: bool,
+    /// Whether a checksum proves everything in the chunk but pixels; a chunk that is cut has none.
+    checked: bool,
     /// Of the data section so far.
     data: Hasher,
     hashed: usize,
@@ -122,17 +130,26 @@ impl<'a> Scanner<'a> {
         let mut walker = Walker::new(self.bytes);
         while let Some(stop) = self.walk(&mut walker) {
             self.report(stop.at);
-            let next = find_record(self.bytes, stop.at + 1, is_payload);
-            let end = next.unwrap_or(self.bytes.len());
-            match (stop.reason, next) {
+            let next = find(self.bytes, stop.at + 1, is_payload);
+            let end = next.as_ref().map_or(self.bytes.len(), Found::start);
+            match (stop.reason, &next) {
                 (Some(reason), _) => self.damage(stop.at..end, reason),
                 (None, Some(_)) => self.damage(stop.at..end, "no record begins here".to_owned()),
                 // Cut: what is left is the beginning of a record.
                 (None, None) => {}
             }
-            let Some(next) = next else { break };
-            walker = Walker::resume(self.bytes, next);
             self.chunk = 0..0;
+            let goes_on = match next {
+                None => break,
+                Some(Found::Record(at)) => at,
+                Some(Found::Frame(message)) => {
+                    let end = message.end;
+                    // Both checksums were right a moment ago; if not any more, nothing is taken.
+                    let _ = self.frame(message);
+                    end
+                }
+            };
+            walker = Walker::resume(self.bytes, goes_on);
         }
     }
 
@@ -167,6 +184,9 @@ impl<'a> Scanner<'a> {
                     if let Some(rest) = self.bytes.get(self.hashed..offset) {
                         self.data.update(rest);
                         self.found.proven = self.data.clone().finalize() == crc;
+                        if let Some(header) = self.found.header.as_mut().filter(|_| self.found.proven) {
+                            header.proven = true;
+                        }
                     }
                 }
                 Event::Channel { .. } | Event::Footer { .. } => {}
@@ -191,17 +211,41 @@ impl<'a> Scanner<'a> {
         self.report(records.start);
         self.chunk = records.start..end;
         // One that the end of the file cuts cannot be checked: what is whole before the cut is used.
-        self.trusted = true;
+        (self.trusted, self.checked) = (true, false);
         let Some(before) = self.bytes.get(self.hashed..records.start).filter(|_| whole) else { return };
         let mut of_chunk = Hasher::new();
         of_chunk.update(&self.bytes[records.clone()]);
         self.data.update(before);
-        self.data.combine(&of_chunk);
-        self.hashed = end;
-        self.trusted = of_chunk.finalize() == crc;
+        self.trusted = of_chunk.clone().finalize() == crc;
         if !self.trusted {
+            let as_written = self.but_for_pixels(&records);
+            self.trusted = as_written.clone().finalize() == crc;
+            if self.trusted {
+                // What is outside of the pixels is proven, and so may be what is outside of the chunk.
+                of_chunk = as_written;
+            }
             self.damage(records, "the chunk fails its checksum".to_owned());
         }
+        self.checked = self.trusted;
+        self.data.combine(&of_chunk);
+        self.hashed = end;
+    }
+
+    /// The checksum that a chunk's records would have with the pixels that their envelopes state. Nearly all bytes are
+    /// pixels: if it is right, only pixels are damaged, and the small records between them may be believed.
+    fn but_for_pixels(&self, records: &Range<usize>) -> Hasher {
+        let (mut whole, mut done) = (Hasher::new(), records.start);
+        for event in Walker::resume(&self.bytes[..records.end], records.start) {
+            let Event::Message { data, .. } = event else { continue };
+            let Ok(envelope) = parse_envelope(&self.bytes[data.clone()]) else { continue };
+            let first = data.start + envelope.pixels.start;
+            whole.update(&self.bytes[done..first]);
+            let length = envelope.pixels.len() as u64;
+            whole.combine(&Hasher::new_with_initial_len(envelope.meta.pixels_crc, length));
+            done = data.end;
+        }
+        whole.update(&self.bytes[done..records.end]);
+        whole
     }
 
     fn message(&mut self, data: Range<usize>) -> Result<(), String> {
@@ -231,15 +275,21 @@ impl<'a> Scanner<'a> {
         let camera = self.camera(&envelope);
         let (trigger, stated) = (envelope.meta.trigger.0, envelope.meta.pixels_crc);
         let found = pixels_crc(&payload[envelope.pixels]);
-        if found != stated {
-            self.found.damaged_frames.push((camera, trigger));
-            let name = &self.found.cameras[camera].0;
-            return Err(format!(
-                "frame of camera {name} trigger {trigger}: checksum of the pixels is {found:#010x}, expected {stated:#010x}"
-            ));
+        if found == stated {
+            self.found.frames.push(FoundFrame { camera, trigger, message: data });
+            return Ok(());
         }
-        self.found.frames.push(FoundFrame { camera, trigger, message: data });
-        Ok(())
+        self.found.damaged_frames.push((camera, trigger));
+        let name = &self.found.cameras[camera].0;
+        let reason = format!(
+            "frame of camera {name} trigger {trigger}: checksum of the pixels is {found:#010x}, expected {stated:#010x}"
+        );
+        if self.checked && self.chunk.contains(&data.start) {
+            // The records around it are proven: the walk goes on behind it.
+            self.damage(data, reason);
+            return Ok(());
+        }
+        Err(reason)
     }
 
     fn camera(&mut self, envelope: &Envelope<'_>) -> usize {
@@ -258,7 +308,12 @@ impl<'a> Scanner<'a> {
             HEADER_METADATA => {
                 self.found.first_trigger = number(KEY_FIRST_TRIGGER);
                 match parse_header(entries) {
-                    Ok((header, _)) => self.found.header = Some(header),
+                    Ok(stated) => {
+                        if is_sound(entries) == Some(false) {
+                            self.damage(0..0, "the header fails its checksum".to_owned());
+                        }
+                        self.found.header = Some(stated);
+                    }
                     Err(reason) => {
                         self.damage(0..0, reason);
                         let owned = |(key, text): (&&str, &&str)| ((*key).to_owned(), (*text).to_owned());
@@ -273,6 +328,11 @@ impl<'a> Scanner<'a> {
             VERDICT_METADATA => {
                 let json = entries.get(KEY_JSON).copied().unwrap_or_default();
                 self.found.verdict = serde_json::from_str(json).ok();
+                self.found.verdict_proven = is_sound(entries) == Some(true);
+            }
+            STATISTICS_METADATA if is_sound(entries) == Some(true) => {
+                let json = entries.get(KEY_JSON).copied().unwrap_or_default();
+                self.found.statistics = serde_json::from_str(json).ok();
             }
             _ => {}
         }
@@ -292,6 +352,7 @@ impl<'a> Scanner<'a> {
             };
             if !known.contains(&offset) {
                 // What is wrong with it has been noted on the way, if it is not whole.
+                self.checked = false;
                 let _ = self.frame(offset..end);
             }
         }

@@ -4,7 +4,7 @@
 use super::{Notes, Severity};
 use crate::acquire::clock::{ClockFit, Exchange};
 use crate::ids::{CameraId, TriggerIndex};
-use crate::record::layout::GapCause;
+use crate::record::layout::{GapCause, TriggerRecord};
 use crate::record::reader::{Outcome, RecordingReader};
 use std::collections::BTreeMap;
 
@@ -124,18 +124,27 @@ pub fn check_offset(recording: &RecordingReader, camera: usize, times: &Times, n
     }
 }
 
-/// Both nodes hear the same HSU: a trigger has one time.
-pub fn check_tables(first: &RecordingReader, other: &RecordingReader, notes: &mut Notes) {
-    let differ = other.triggers.iter().filter_map(|(index, row)| {
-        let expected = first.triggers.get(index)?;
-        (expected.hsu_time_ns != row.hsu_time_ns).then_some((index.0, row.hsu_time_ns, expected.hsu_time_ns))
-    });
-    let differ: Vec<_> = differ.collect();
+/// Both nodes hear the same HSU: a trigger has one time, and one set of flags. Returns how many triggers both tables have,
+/// and in how many the rows differ.
+pub fn check_tables(first: &RecordingReader, other: &RecordingReader, notes: &mut Notes) -> (u64, u64) {
+    let both =
+        other.triggers.iter().filter_map(|(index, row)| Some((index.0, row, first.triggers.get(index)?)));
+    let (mut rows, mut differ) = (0, Vec::new());
+    for (index, found, expected) in both {
+        rows += 1;
+        if (found.hsu_time_ns, found.flags) != (expected.hsu_time_ns, expected.flags) {
+            differ.push((index, found, expected));
+        }
+    }
     if let (Some((index, found, expected)), Some((last, ..))) = (differ.first(), differ.last()) {
         let (count, node) = (differ.len(), &first.header.node);
+        let told = |row: &TriggerRecord| format!("{} ns with flags {:#x}", row.hsu_time_ns, row.flags);
         let message = format!(
-            "{count} triggers have another HSU time than on node {node}; trigger {index}: {found} ns, there {expected} ns"
+            "{count} triggers have another HSU time than on node {node}; trigger {index}: {}, there {}",
+            told(found),
+            told(expected)
         );
         notes.add(Severity::Corrupt, None, None, Some((*index, *last)), message);
     }
+    (rows, differ.len() as u64)
 }

@@ -1,0 +1,115 @@
+//! The metadata records of a segment: their checksum, the header that they state, and the index that they lead to.
+
+use super::layout::{
+    FORMAT, HEADER_METADATA, KEY_CRC, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG,
+    KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA, SegmentIndex, VERSION,
+};
+use super::scan::{End, Event, Walker};
+use std::collections::BTreeMap;
+
+/// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left out.
+pub(super) fn checksum<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> u32 {
+    let mut crc = crc32fast::Hasher::new();
+    for (key, value) in entries.into_iter().filter(|(key, _)| *key != KEY_CRC) {
+        for part in [key, value] {
+            crc.update(part.as_bytes());
+            crc.update(&[0]);
+        }
+    }
+    crc.finalize()
+}
+
+/// Whether the entries are those that were written; `None` where no checksum is stated, as in older recordings.
+pub(super) fn is_sound(entries: &BTreeMap<&str, &str>) -> Option<bool> {
+    let stated = entries.get(KEY_CRC)?;
+    let found = checksum(entries.iter().map(|(key, value)| (*key, *value)));
+    Some(stated.parse() == Ok(found))
+}
+
+/// A segment's header, as it states it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct StatedHeader {
+    /// What it says.
+    pub header: RecordingHeader,
+    /// The segment's number.
+    pub number: u32,
+    /// Whether its own checksum is right.
+    pub proven: bool,
+}
+
+impl StatedHeader {
+    /// Whether it is of another recording than `own`. All segments of a recording were created with the same header;
+    /// one that no checksum proves has to differ twice, because one difference may be damage.
+    pub fn is_foreign(&self, own: &RecordingHeader) -> bool {
+        is_foreign(&self.header, self.proven, own)
+    }
+}
+
+/// See [`StatedHeader::is_foreign`].
+pub(super) fn is_foreign(header: &RecordingHeader, proven: bool, own: &RecordingHeader) -> bool {
+    let differs = header.session_id != own.session_id || header.node != own.node;
+    differs && (proven || header.created_ns != own.created_ns)
+}
+
+/// What to call a segment of another recording.
+pub(super) fn foreign_reason(header: &RecordingHeader) -> String {
+    format!(
+        "it belongs to session {} ({}) of node {}, not to this recording: it is left out",
+        header.session, header.session_id, header.node
+    )
+}
+
+/// The header of most segments, the first one of equals: what the others are measured by.
+pub(super) fn of_most(headers: &[&StatedHeader]) -> Option<RecordingHeader> {
+    let alike = |one: &StatedHeader| headers.iter().filter(|other| !other.is_foreign(&one.header)).count();
+    // `max_by_key` takes the last one of equals.
+    let chosen = headers.iter().rev().max_by_key(|one| (alike(one), one.proven))?;
+    Some(chosen.header.clone())
+}
+
+/// The header of a segment, from the first metadata record.
+pub(super) fn read_header(bytes: &[u8]) -> Result<StatedHeader, String> {
+    let mut walker = Walker::new(bytes);
+    for event in walker.by_ref().take(8) {
+        if let Event::Metadata { name: HEADER_METADATA, entries } = event {
+            return parse_header(&entries);
+        }
+    }
+    match walker.end() {
+        End::Damaged { at, reason } => Err(format!("not a recording: at byte {at}: {reason}")),
+        _ => Err(format!("not a recording: no metadata record {HEADER_METADATA:?} at its start")),
+    }
+}
+
+/// Parses the entries of the header's metadata record.
+pub(super) fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<StatedHeader, String> {
+    let get = |key: &str| entries.get(key).copied().ok_or_else(|| format!("the header has no {key:?}"));
+    let (format, version) = (get("format")?, get("version")?);
+    if format != FORMAT || version.parse::<u32>().is_ok_and(|v| v > VERSION) {
+        return Err(format!(
+            "format {format:?} version {version}, this program reads {FORMAT:?} up to version {VERSION}"
+        ));
+    }
+    let mut header: RecordingHeader =
+        serde_json::from_str(get(KEY_JSON)?).map_err(|e| format!("the header is not readable: {e}"))?;
+    header.rig_text = get(KEY_RIG)?.to_owned();
+    header.check()?;
+    let segment = get(KEY_SEGMENT)?;
+    let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
+    Ok(StatedHeader { header, number, proven: is_sound(entries) == Some(true) })
+}
+
+/// The index that a closed segment states, if it is intact.
+pub(super) fn stated_index(bytes: &[u8], metadata: &[(&str, BTreeMap<&str, &str>)]) -> Option<SegmentIndex> {
+    let mut own = metadata.iter().filter(|(name, _)| *name == SEGMENT_METADATA);
+    own.find_map(|(_, entries)| parse_index(bytes, entries))
+}
+
+/// The index that the entries of the segment's metadata record lead to, if it is intact.
+pub(super) fn parse_index(bytes: &[u8], entries: &BTreeMap<&str, &str>) -> Option<SegmentIndex> {
+    let number = |key: &str| entries.get(key)?.parse::<usize>().ok();
+    let (offset, length) = (number(KEY_INDEX_OFFSET)?, number(KEY_INDEX_LENGTH)?);
+    let index = bytes.get(offset..offset.checked_add(length)?)?;
+    let intact = number(KEY_INDEX_CRC)? == crc32fast::hash(index) as usize;
+    intact.then(|| serde_json::from_slice(index).ok()).flatten()
+}
