@@ -1,13 +1,13 @@
 //! `fourdbody-sim check-accounting`: do recordings say what was injected?
 
-use crate::faults::{check, read_truth};
+use crate::faults::{check_with_disks, read_disk_truth, read_truth};
 use fourdbody::cmds::{Exit, Failure};
 use std::path::PathBuf;
 
 /// Compare sessions with the faults that the simulator injected into them.
 ///
-/// Every injected loss must have an accepted cause at exactly its trigger, and nothing else may be missing. Prints
-/// counts per kind as JSON. Exit code 4 on any mismatch.
+/// Every injected loss must have an accepted cause at exactly its trigger, and nothing else may be missing, unless
+/// a simulated disk explains it. Prints counts per kind as JSON. Exit code 4 on any mismatch.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody-sim check-accounting --truth target/lab/faults.jsonl target/lab/sessions/first"
@@ -24,7 +24,9 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let truth = read_truth(&args.truth).map_err(|e| Failure::new(Exit::Failure, e))?;
-    let accounting = check(&truth, &args.sessions).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let disks = read_disk_truth(&args.truth).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let accounting =
+        check_with_disks(&truth, &disks, &args.sessions).map_err(|e| Failure::new(Exit::Failure, e))?;
     println!("{}", serde_json::json!(accounting));
     for mismatch in &accounting.listed {
         eprintln!("mismatch: {mismatch}");

@@ -1,6 +1,7 @@
 //! `fourdbody-sim run`: the whole laboratory on the wire, for real nodes.
 
 use crate::cache::{CachedImages, Manifest};
+use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::FaultPlan;
 use crate::gige::TestImages;
 use crate::images::ImageSource;
@@ -51,8 +52,8 @@ pub struct Args {
     /// Size of the nodes' segments, MiB.
     #[arg(long, value_name = "MIB")]
     segment_mib: Option<u64>,
-    /// Faults to inject: a TOML file with a table [faults]. What was injected goes to faults.jsonl in the run
-    /// directory.
+    /// Faults to inject: a TOML file with a table [faults] (cameras), [disk] (the nodes' disks; needs FUSE), or both.
+    /// What was injected goes to faults.jsonl in the run directory.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     /// Seed of the faults, instead of the file's.
@@ -82,7 +83,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.buffers_per_camera = args.buffers;
     options.segment_mib = args.segment_mib.unwrap_or(options.segment_mib);
     options.packet_bytes = args.packet_bytes;
-    options.faults = fault_plan(args)?;
+    (options.faults, options.disk) = fault_plans(args)?;
     let mut images = images(args, &rig_path, &options.rig_text)?;
     let laboratory =
         Laboratory::start(&options, |_| images.remove(0)).map_err(|e| Failure::new(Exit::Failure, e))?;
@@ -109,13 +110,26 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-fn fault_plan(args: &Args) -> Result<Option<FaultPlan>, Failure> {
-    let Some(path) = &args.faults else { return Ok(None) };
+/// What the cameras and what the disks do wrong.
+type Plans = (Option<FaultPlan>, Option<DiskPlan>);
+
+fn fault_plans(args: &Args) -> Result<Plans, Failure> {
+    let Some(path) = &args.faults else { return Ok((None, None)) };
     let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
-    let mut plan = FaultPlan::parse(&text).map_err(|e| wrong(&e))?;
-    plan.seed = args.fault_seed.unwrap_or(plan.seed);
-    Ok(Some(plan))
+    let mut disk = DiskPlan::parse(&text).map_err(|e| wrong(&e))?;
+    // A file without [faults] is no mistake where it has [disk].
+    let table: toml::Table = text.parse().map_err(|e| wrong(&e))?;
+    let wanted = disk.is_none() || table.contains_key("faults");
+    let mut cameras = wanted.then(|| FaultPlan::parse(&text)).transpose().map_err(|e| wrong(&e))?;
+    if let Some(seed) = args.fault_seed {
+        disk.iter_mut().for_each(|plan| plan.seed = seed);
+        cameras.iter_mut().for_each(|plan| plan.seed = seed);
+    }
+    if let Some(reason) = disk.as_ref().and_then(|_| SimulatedDisk::unavailable()) {
+        return Err(wrong(&format_args!("[disk]: no disk can be simulated here: {reason}")));
+    }
+    Ok((cameras, disk))
 }
 
 /// The rig file's text, with another trigger rate or with the cameras of one node only, where asked for.
