@@ -7,6 +7,8 @@ mod breaks;
 #[cfg(feature = "aravis")]
 mod chain;
 #[cfg(feature = "aravis")]
+mod disk_faults;
+#[cfg(feature = "aravis")]
 mod doctor;
 #[cfg(feature = "aravis")]
 mod endurance;

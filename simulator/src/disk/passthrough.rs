@@ -205,6 +205,7 @@ impl Shared {
         }
         match outcome.errno {
             Some(libc::EIO) => {
+                self.lose_if_gone();
                 self.note(&path, DiskFault::IoError, "write", details);
                 Err(Errno::EIO)
             }
@@ -225,8 +226,24 @@ impl Shared {
         let lost = unsynced.lose(&file)?;
         let path = state.nodes.path(node).map(Path::to_owned).unwrap_or_default();
         drop(state);
+        self.lose_if_gone();
         self.note(&path, DiskFault::IoError, "sync", |event| (event.number, event.lost) = (number, lost));
         Err(Errno::EIO)
+    }
+
+    /// With the disk goes what was only in its cache.
+    fn lose_if_gone(&self) {
+        let mut state = self.lock();
+        if !state.medium.is_gone() {
+            return;
+        }
+        let state = &mut *state;
+        for open in state.files.values() {
+            let lost = state.unsynced.get_mut(&open.node).map_or(Ok(0), |unsynced| unsynced.lose(&open.file));
+            if let Err(error) = lost {
+                tracing::error!(%error, "the backing file of a simulated disk cannot be written");
+            }
+        }
     }
 
     fn set_length(&self, node: INodeNo, handle: Option<FileHandle>, length: u64) -> Answer<()> {
