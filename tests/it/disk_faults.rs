@@ -1,7 +1,7 @@
 //! Real nodes that record onto disks that are slow, full or fail: what is lost is accounted for, what is counted as
 //! recorded can be read, and the other node is none the worse.
 
-use crate::lab::{fourdbody, small_rig, start_laboratory, start_nodes, text_of};
+use crate::lab::{NodeProcess, fourdbody, small_rig, start_laboratory, start_nodes, text_of};
 use crate::session_faults::check_frames;
 use fourdbody::record::{GapCause, SessionReader, Status};
 use fourdbody_simulator::disk::{DiskPlan, SimulatedDisk};
@@ -43,13 +43,11 @@ struct Recorded {
 }
 
 impl Recorded {
-    /// Captures with all nodes of the laboratory, and ends them.
-    fn capture(dir: &Path, laboratory: &Laboratory, triggers: &str) -> Self {
-        let mut nodes = start_nodes(laboratory);
+    /// Captures with all nodes of the laboratory.
+    fn capture(dir: &Path, laboratory: &Laboratory, nodes: &mut [NodeProcess], triggers: &str) -> Self {
         let urls = laboratory.urls();
         let output = fourdbody(&["capture", "--nodes", &urls, "--triggers", triggers, "--name", "disk"]);
         nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
-        drop(nodes);
         let disks = read_disk_truth(&dir.join(TRUTH_FILE)).expect("the truth");
         Self { output, session: dir.join("sessions/disk"), disks }
     }
@@ -113,7 +111,8 @@ fn a_slow_disk_costs_whole_frame_sets_that_are_named() {
         "[disk]\nseed = 1\nnodes = [\"a\"]\n[disk.slow]\nbytes_per_s = {rate:.0}\nfrom_byte = 1_000_000\n"
     );
     let Some(laboratory) = laboratory_on(dir.path(), 180, &plan, |_| {}) else { return };
-    let recorded = Recorded::capture(dir.path(), &laboratory, "80");
+    let mut nodes = start_nodes(&laboratory);
+    let recorded = Recorded::capture(dir.path(), &laboratory, &mut nodes, "80");
     recorded.assert_exit(3);
     recorded.assert_verified("", 3);
     recorded.assert_accounted();
@@ -139,7 +138,8 @@ fn a_slow_disk_ends_the_session_where_that_is_configured() {
         let text = text.replace("[acquisition]\n", "[acquisition]\nwhen_full = \"stop\"\n");
         std::fs::write(&node.path, text).expect("writable");
     }
-    let recorded = Recorded::capture(dir.path(), &laboratory, "0");
+    let mut nodes = start_nodes(&laboratory);
+    let recorded = Recorded::capture(dir.path(), &laboratory, &mut nodes, "0");
     recorded.assert_exit(3);
     assert!(recorded.text().contains("the ring is full"), "{}", recorded.text());
     recorded.assert_verified("", 3);
@@ -156,7 +156,8 @@ fn a_slow_disk_costs_nothing_while_the_ring_suffices() {
     let Some(laboratory) = laboratory_on(dir.path(), 182, plan, |o| o.buffers_per_camera = 128) else {
         return;
     };
-    let recorded = Recorded::capture(dir.path(), &laboratory, "60");
+    let mut nodes = start_nodes(&laboratory);
+    let recorded = Recorded::capture(dir.path(), &laboratory, &mut nodes, "60");
     recorded.assert_exit(0);
     recorded.assert_verified("", 0);
     recorded.assert_accounted();
@@ -172,14 +173,15 @@ fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
     let capacity = 30 << 20;
     let plan = format!("[disk]\nseed = 1\nnodes = [\"a\"]\n[disk.full]\ncapacity_bytes = {capacity}\n");
     let Some(laboratory) = laboratory_on(dir.path(), 183, &plan, |o| o.reserve_mib = 8) else { return };
-    let refused = Recorded::capture(dir.path(), &laboratory, "100");
+    let mut nodes = start_nodes(&laboratory);
+    let refused = Recorded::capture(dir.path(), &laboratory, &mut nodes, "100");
     refused.assert_exit(1);
     for word in ["node a", "MiB are free", "delete or move sessions"] {
         assert!(refused.text().contains(word), "{word}: {}", refused.text());
     }
     assert!(!refused.session.exists() && refused.disks.is_empty(), "{}", refused.text());
 
-    let recorded = Recorded::capture(dir.path(), &laboratory, "0");
+    let recorded = Recorded::capture(dir.path(), &laboratory, &mut nodes, "0");
     recorded.assert_exit(3);
     assert!(recorded.text().contains("the reserve is 8 MiB"), "{}", recorded.text());
     assert!(recorded.happened(DiskFault::Limited));
@@ -202,7 +204,8 @@ fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
 fn recorded_on_a_failing_disk(dir: &Path, subnet: u8, seed: u64, plan: &str) -> Option<(Recorded, bool)> {
     let plan = format!("[disk]\nseed = {seed}\nnodes = [\"b\"]\n{plan}");
     let laboratory = laboratory_on(dir, subnet, &plan, |_| {})?;
-    let recorded = Recorded::capture(dir, &laboratory, "200");
+    let mut nodes = start_nodes(&laboratory);
+    let recorded = Recorded::capture(dir, &laboratory, &mut nodes, "200");
     recorded.assert_exit(3);
     let failed = recorded.happened(DiskFault::Full) || recorded.happened(DiskFault::IoError);
     assert!(failed, "the disk failed: {}", recorded.text());
@@ -232,20 +235,27 @@ fn recorded_on_a_failing_disk(dir: &Path, subnet: u8, seed: u64, plan: &str) -> 
     Some((recorded, stored.is_some()))
 }
 
-/// A recording without books: `recover` passes on as many frames as the node said that it had recorded.
+/// A recording without books: `recover` passes on as many frames as the node said that it had recorded, and what is
+/// missing against the other node's recording gets its gap records.
 fn check_recovered(dir: &Path, recorded: &Recorded) {
     let text = text_of(&recorded.output);
     let said = text.split("it is: ").nth(1).and_then(|rest| rest.split(" frames").next());
     let said = said.and_then(|words| words.rsplit(' ').next()).and_then(|n| n.parse::<u64>().ok());
     let said = said.unwrap_or_else(|| panic!("the node says what it could not write: {text}"));
-    let (source, out) = (recorded.session.join("node-b"), dir.join("recovered"));
-    let output = fourdbody(&["recover", &source.display().to_string(), "--out", &out.display().to_string()]);
+    let out = dir.join("recovered");
+    let (source, target) = (recorded.session.display().to_string(), out.display().to_string());
+    let output = fourdbody(&["recover", &source, "--out", &target]);
     assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
-    let verified = fourdbody(&["verify", &out.display().to_string()]);
+    let verified = fourdbody(&["verify", &target]);
     assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
     let reader = SessionReader::open(&out).expect("readable");
-    let verdict = reader.recordings()[0].verdict.as_ref().expect("finished");
-    assert_eq!(verdict.frames(), said, "{}{text}", text_of(&output));
+    let frames = |node: &str| {
+        let recording = reader.recordings().iter().find(|r| r.header.node.as_str() == node);
+        recording.and_then(|r| r.verdict.as_ref()).map(|verdict| (verdict.frames(), verdict.triggers))
+    };
+    let (whole, failed) = (frames("a").expect("finished"), frames("b").expect("finished"));
+    assert_eq!((failed.0, failed.1), (said, whole.1), "{}{text}", text_of(&output));
+    assert_eq!(whole.0, 4 * whole.1, "the other node lost nothing");
 }
 
 /// Seeds of every test of failing disks: `FOURDBODY_DISK_SEEDS`, or few.
@@ -307,12 +317,13 @@ fn a_disk_that_fails_before_the_session_refuses_it_and_keeps_nothing() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan = format!("[disk]\nseed = 1\nnodes = [\"b\"]\n[[disk.error]]\non = \"{on}\"\nnth = 1\n");
         let Some(laboratory) = laboratory_on(dir.path(), 188, &plan, |_| {}) else { return };
-        let refused = Recorded::capture(dir.path(), &laboratory, "10");
+        let mut nodes = start_nodes(&laboratory);
+        let refused = Recorded::capture(dir.path(), &laboratory, &mut nodes, "10");
         refused.assert_exit(1);
         assert!(refused.text().contains("node b") && refused.text().contains("cannot be written"));
         assert!(!refused.session.exists(), "{}", refused.text());
         // The next session is as good as any.
-        let recorded = Recorded::capture(dir.path(), &laboratory, "10");
+        let recorded = Recorded::capture(dir.path(), &laboratory, &mut nodes, "10");
         recorded.assert_exit(0);
         recorded.assert_verified("", 0);
     }
