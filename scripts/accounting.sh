@@ -66,7 +66,7 @@ while [ "$total" -lt "$wanted" ]; do
     [ $code -eq 0 ] || [ $code -eq 3 ] || { cat "$run/capture.log" >&2; exit $code; }
     cleanup
     code=0
-    $bin/fourdbody-sim check-accounting --truth "$run/lab/faults.jsonl" "$run/lab/sessions/train" \
+    $bin/fourdbody-sim check-accounting --pixels --truth "$run/lab/faults.jsonl" "$run/lab/sessions/train" \
         >"$run/accounting.json" 2>"$run/mismatches.log" || code=$?
     [ $code -eq 0 ] || [ $code -eq 4 ] || { cat "$run/mismatches.log" >&2; exit $code; }
     injected=$(wc -l <"$run/lab/faults.jsonl")

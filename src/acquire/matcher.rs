@@ -124,6 +124,22 @@ enum ByTime {
     Unknown,
 }
 
+/// What id and time say of a frame, where they differ.
+struct Claim {
+    id: i64,
+    number: i64,
+    /// Its timestamp on the HSU's clock.
+    hsu_ns: i128,
+}
+
+/// Which of the two is right.
+enum Ruling {
+    Time,
+    Id,
+    /// What arrives next will tell.
+    Later,
+}
+
 impl Matcher {
     /// With what is known of the clocks before the session.
     pub fn new(period_ns: u64, clocks: ClockRelation) -> Self {
@@ -204,6 +220,9 @@ impl Matcher {
                 (Some(id), Some(arrival)) if id == arrival && table.time_ns(id).is_some() => {
                     return self.reset(frame, camera_ns, id, Some(arrival), table, hsu, last_call);
                 }
+                (Some(id), _) if table.time_ns(id).is_some() && self.is_ahead(camera_ns, frame, hsu) => {
+                    return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
+                }
                 _ if !last_call => return Match::Wait,
                 _ => return self.by_id_alone(frame, by_id, arrival, table, true),
             },
@@ -241,35 +260,14 @@ impl Matcher {
         if !frame.complete {
             return self.by_id_alone(frame, by_id, arrival, table, last_call);
         }
-        // Nothing arrives before its trigger: such a timestamp was set ahead.
-        let early =
-            arrival.is_some_and(|arrival| arrival < number) || self.precedes(frame, number, table, hsu);
-        if fits && fresh && number > id && early {
-            return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
-        }
-        let unreported = |frame: &Sighting| !last_call && self.arrived_beyond(frame.host_ns, table, hsu);
-        if fits && fresh && number < id && unreported(frame) {
-            return Match::Wait;
-        }
-        if fits && fresh && number < id && arrival == Some(id) {
-            // A clock set back after lost frames, or ids that jumped and an arrival that is late by as much: a
-            // late arrival passes, a clock stays.
-            let Some(next) = next.filter(|_| !last_call) else {
-                if last_call {
-                    return self.accept(frame, number, Witness::Both, None, table, hsu);
-                }
-                return Match::Wait;
-            };
-            let next_id = id.saturating_add(self.ids.between(frame.id.0, next.id.0));
-            if unreported(next) {
-                return Match::Wait;
-            }
-            if self.by_arrival(next.host_ns, table, hsu) == Some(next_id) {
-                return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
-            }
-        }
         if fits && fresh {
-            return self.accept(frame, number, Witness::Both, None, table, hsu);
+            let claim =
+                Claim { id, number, hsu_ns: i128::from(table.time_ns(number).unwrap_or(0)) + residual };
+            return match self.rule(&claim, frame, next, table, hsu) {
+                Ruling::Id => self.reset(frame, camera_ns, id, arrival, table, hsu, last_call),
+                Ruling::Later if !last_call => Match::Wait,
+                Ruling::Time | Ruling::Later => self.accept(frame, number, Witness::Both, None, table, hsu),
+            };
         }
         // An extra frame, or the first one after the clock was set by little: the frame after it tells.
         let Some((next, next_ns)) = next.and_then(|next| Some((next, next.camera_ns?))) else {
@@ -285,6 +283,52 @@ impl Matcher {
             return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
         }
         self.spurious(frame, residual)
+    }
+
+    /// Id and time name two different triggers, both of them possible. A frame may arrive late, and never early: a
+    /// trigger that a frame would have preceded is refuted. A frame that is late by just so much that it fits the
+    /// wrong trigger is not followed by another one that is: a late arrival passes, a clock that was set stays.
+    fn rule(
+        &self,
+        claim: &Claim,
+        frame: &Sighting,
+        next: Option<&Sighting>,
+        table: &TriggerTable,
+        hsu: &ClockFit,
+    ) -> Ruling {
+        let half = i128::from(self.period_ns / 2);
+        let ahead = claim.number > claim.id;
+        let Some(arrived) = self.usual_arrival(frame.host_ns, hsu) else {
+            let early = ahead && self.precedes(frame, claim.number, table, hsu);
+            return if early { Ruling::Id } else { Ruling::Time };
+        };
+        if ahead && arrived + half < claim.hsu_ns {
+            return Ruling::Id;
+        }
+        let due = match table.time_ns(claim.id) {
+            Some(due) if ahead || arrived + half >= due.into() => i128::from(due),
+            // Its arrival may still turn out to be as late as the id says.
+            None if table.latest_ns().is_some_and(|latest| arrived > i128::from(latest) + half) => {
+                return Ruling::Later;
+            }
+            _ => return Ruling::Time,
+        };
+        let Some((next, next_ns)) = next.and_then(|next| Some((next, next.camera_ns?))) else {
+            return Ruling::Later;
+        };
+        let next_due = self.hsu_ns(next_ns, next.host_ns, hsu);
+        let Some((by_time, arrived)) = next_due.zip(self.usual_arrival(next.host_ns, hsu)) else {
+            return Ruling::Time;
+        };
+        // It is a witness only if its clock goes on from this frame's.
+        let steps = i128::from(self.ids.between(frame.id.0, next.id.0));
+        if (by_time - claim.hsu_ns - steps * i128::from(self.period_ns)).abs() > self.tight_ns() {
+            return Ruling::Time;
+        }
+        // Were the id right, the clock was set, and the next frame's time is off by as much.
+        let by_id = by_time - (claim.hsu_ns - due);
+        let refuted = |due: i128| arrived + half < due;
+        if !refuted(by_id) && (refuted(by_time) || !ahead) { Ruling::Id } else { Ruling::Time }
     }
 
     fn is_repeated(&self, frame: &Sighting, step: Option<i64>) -> bool {
@@ -357,18 +401,21 @@ impl Matcher {
 
     /// The trigger that its arrival points at, where arrivals are regular.
     fn by_arrival(&self, host_ns: u64, table: &TriggerTable, hsu: &ClockFit) -> Option<i64> {
-        let hsu_ns = self.arrival_hsu_ns(host_ns, hsu)? - self.latency.usual_ns(self.period_ns)?;
+        let hsu_ns = self.usual_arrival(host_ns, hsu)?;
         let near = |(_, residual): &(i64, i128)| residual.abs() <= i128::from(self.period_ns / 2);
         table.nearest(hsu_ns).filter(near).map(|(number, _)| number)
     }
 
-    /// Whether the trigger that an arrival points at is not reported yet.
-    fn arrived_beyond(&self, host_ns: u64, table: &TriggerTable, hsu: &ClockFit) -> bool {
-        let usual = self.latency.usual_ns(self.period_ns);
-        let arrived = self.arrival_hsu_ns(host_ns, hsu).zip(usual).zip(table.latest_ns());
-        arrived.is_some_and(|((arrived, usual), latest)| {
-            arrived - usual > i128::from(latest) + i128::from(self.period_ns / 2)
-        })
+    /// When a frame's trigger was fired if it took the usual time to arrive, HSU time, where arrivals are regular.
+    fn usual_arrival(&self, host_ns: u64, hsu: &ClockFit) -> Option<i128> {
+        Some(self.arrival_hsu_ns(host_ns, hsu)? - self.latency.usual_ns(self.period_ns)?)
+    }
+
+    /// Whether a timestamp says that the frame was exposed after it arrived.
+    fn is_ahead(&self, camera_ns: u64, frame: &Sighting, hsu: &ClockFit) -> bool {
+        let arrived = self.arrival_hsu_ns(frame.host_ns, hsu);
+        let exposed = self.tracker.map(|tracker| tracker.hsu_ns(camera_ns));
+        arrived.zip(exposed).is_some_and(|(arrived, exposed)| exposed > arrived + i128::from(self.period_ns))
     }
 
     /// Whether a frame arrived before a trigger was fired.

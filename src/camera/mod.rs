@@ -7,10 +7,12 @@
 mod aravis;
 #[cfg(feature = "aravis")]
 mod canary;
+mod quiet;
 mod settings;
 
 #[cfg(feature = "aravis")]
 pub use self::aravis::AravisCameras;
+pub use quiet::quiet_stream;
 pub use settings::{AppliedSetting, matches};
 
 use crate::acquire::pool::Block;

@@ -126,14 +126,26 @@ pub struct Recording {
 impl Recording {
     /// Creates the directory `dir` with its first segment. The parent is created if needed.
     pub fn create(dir: &Path, header: RecordingHeader, options: WriterOptions) -> Result<Self, RecordError> {
-        let open = |path: &Path| -> io::Result<Box<dyn Store>> { Ok(Box::new(DirectFile::create(path)?)) };
-        Self::create_with(dir, header, options, Arc::new(open))
+        let bytes = header.expected_bytes().unwrap_or(0);
+        Self::create_for(dir, header, options, bytes)
     }
 
-    fn create_with(
+    /// As [`Self::create`], but for this many bytes, whatever the header expects.
+    pub(super) fn create_for(
         dir: &Path,
         header: RecordingHeader,
         options: WriterOptions,
+        bytes: u64,
+    ) -> Result<Self, RecordError> {
+        let open = |path: &Path| -> io::Result<Box<dyn Store>> { Ok(Box::new(DirectFile::create(path)?)) };
+        Self::create_sized(dir, header, options, bytes, Arc::new(open))
+    }
+
+    fn create_sized(
+        dir: &Path,
+        header: RecordingHeader,
+        options: WriterOptions,
+        bytes: u64,
         open_store: OpenStore,
     ) -> Result<Self, RecordError> {
         header.check().and_then(|()| options.check()).map_err(RecordError::Header)?;
@@ -145,7 +157,7 @@ impl Recording {
             builder
         };
         builder(true).create(parent).map_err(disk)?;
-        check_space(parent, &header, &options)?;
+        check_space(parent, bytes, &options)?;
         builder(false).create(dir).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => RecordError::Exists { path: dir.to_owned() },
             _ => disk(source),
@@ -323,8 +335,9 @@ impl Recording {
         self.json(JsonChannel::Clock, self.newest(), sample.host_receive_ns, sample)
     }
 
-    /// Records an event.
+    /// Records an event. One of kind `refused` (recovery repeats those of its source) counts as in the verdict.
     pub fn event(&mut self, event: &NodeEvent) -> Result<(), RecordError> {
+        self.refused += u64::from(event.kind == REFUSED);
         self.json(JsonChannel::Events, self.newest(), event.host_time_ns, event)
     }
 
@@ -416,7 +429,6 @@ impl Recording {
         if enter(&mut self.tallies[camera]) {
             return true;
         }
-        self.refused += 1;
         let message = if trigger.0 >= MAX_TRIGGERS {
             format!("trigger {trigger} lies beyond the {MAX_TRIGGERS} that a session can have")
         } else {
@@ -510,6 +522,9 @@ impl Recording {
     /// Begins the next segment, which was made ready when half of this one was written. It waits while the last
     /// split is not over, so that no frame is ever late for its segment.
     fn split_if_due(&mut self) -> Result<(), RecordError> {
+        if !self.closing.is_empty() {
+            self.reap_closed()?;
+        }
         let [entry] = self.segments.make_contiguous() else { return Ok(()) };
         let bytes = entry.segment.bytes();
         if self.next.is_none() && bytes >= self.options.segment_bytes / 2 {

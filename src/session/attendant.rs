@@ -5,7 +5,7 @@ use super::devices::{OpenCamera, SharedBackend};
 use crate::acquire::pool::Pool;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::ToRecorder;
-use crate::camera::{CameraError, StreamOptions};
+use crate::camera::{CameraError, StreamOptions, quiet_stream};
 use crate::record::{ClockSample, NodeEvent};
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
@@ -213,12 +213,15 @@ impl Work {
         if size != self.setup.camera.size {
             return Err(format!("its images are {size:?}, expected {:?}", self.setup.camera.size));
         }
-        let blocks = self.setup.pool.take(self.setup.pixel_bytes, self.setup.blocks);
-        let mut stream = camera.create_stream(blocks, &self.setup.options).map_err(text)?;
-        // A packet socket takes packets of other cameras for its own until its filter is set.
-        let settled = Instant::now() + SETTLE;
-        while Instant::now() < settled {
-            drop(stream.next(Duration::from_millis(20)));
+        let (pool, pixel_bytes, count) = (&self.setup.pool, self.setup.pixel_bytes, self.setup.blocks);
+        let blocks = || pool.take(pixel_bytes, count);
+        let (mut stream, quiet) = quiet_stream(camera.as_mut(), blocks, &self.setup.options).map_err(text)?;
+        if !quiet {
+            // The other cameras are sending: whatever its socket caught of them must have passed.
+            let settled = Instant::now() + SETTLE;
+            while Instant::now() < settled {
+                drop(stream.next(Duration::from_millis(20)));
+            }
         }
         let place = self.setup.receiver.camera;
         drop(self.setup.to_recorder.send(ToRecorder::CameraBack(place)));

@@ -9,6 +9,7 @@ use crate::acquire::recorder::ToRecorder;
 use crate::api::dto::{CameraStatus, HsuStatus};
 use crate::camera::{
     AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, StreamOptions,
+    quiet_stream,
 };
 use crate::cmds::Exit;
 use crate::config::{CameraConfig, NodeConfig};
@@ -340,8 +341,15 @@ impl Devices {
         let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
         let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
         let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
-        let blocks = self.pool.take(pixel_bytes, self.config.buffers_per_camera);
-        let stream = camera.create_stream(blocks, &options).map_err(|e| fault(e.to_string()))?;
+        let (pool, count) = (&self.pool, self.config.buffers_per_camera);
+        let (stream, quiet) = quiet_stream(camera.as_mut(), || pool.take(pixel_bytes, count), &options)
+            .map_err(|e| fault(e.to_string()))?;
+        if !quiet {
+            return Err(fault(
+                "packets arrive on its stream before it was told to send; expected silence: is another program, or a                  camera with the same address, streaming to this host?"
+                    .to_owned(),
+            ));
+        }
         Receiver::start(stream, setup.clone()).map_err(|e| fault(format!("cannot start its thread: {e}")))
     }
 

@@ -2,7 +2,7 @@
 //! trigger and by its cause, and nothing else may be missing.
 
 use crate::lab::{fourdbody, small_rig, start_laboratory, start_nodes, text_of};
-use fourdbody_simulator::faults::{FaultPlan, Injected, Kind, check, read_truth};
+use fourdbody_simulator::faults::{FaultPlan, Injected, Kind, Shown, check, read_truth};
 use fourdbody_simulator::laboratory::{LaboratoryOptions, TRUTH_FILE};
 use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
@@ -37,7 +37,7 @@ fn a_packet_cut_short_is_a_loss() {
     let probability = BTreeMap::from([(Kind::Truncated, 0.02)]);
     let plan = FaultPlan { seed: 1, probability, ..FaultPlan::default() };
     let (truth, session) = recorded(dir.path(), 121, plan);
-    let accounting = check(&truth, &[&session]).expect("a session");
+    let accounting = check(&truth, &[&session], Shown::TestImages).expect("a session");
     assert_eq!(accounting.mismatches, 0, "{:#?}", accounting.listed);
 }
 
@@ -48,7 +48,7 @@ fn every_injected_fault_is_accounted_for_and_nothing_else_is_missing() {
     // In a test of its own.
     plan.probability.remove(&Kind::Truncated);
     let (truth, session) = recorded(dir.path(), 120, plan);
-    let accounting = check(&truth, &[&session]).expect("a session");
+    let accounting = check(&truth, &[&session], Shown::TestImages).expect("a session");
     println!("{}", serde_json::json!(accounting));
     assert_eq!(accounting.mismatches, 0, "{:#?}", accounting.listed);
     assert_eq!(accounting.outcomes, 8 * TRIGGERS as u64);
@@ -59,6 +59,6 @@ fn every_injected_fault_is_accounted_for_and_nothing_else_is_missing() {
     let loss = truth.iter().position(|fault| fault.kind == "frame_lost").expect("a lost frame");
     let mut wrong = truth.clone();
     wrong[loss].trigger += 1;
-    let accounting = check(&wrong, &[&session]).expect("a session");
+    let accounting = check(&wrong, &[&session], Shown::TestImages).expect("a session");
     assert_eq!(accounting.mismatches, 2, "{:#?}", accounting.listed);
 }

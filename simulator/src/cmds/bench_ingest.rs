@@ -11,7 +11,7 @@ use process::failed;
 use serde_json::{Map, Value};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use train::{Laboratory, Train, remove};
+use train::{End, Laboratory, Train, remove};
 
 /// Cameras of one node.
 const CAMERAS: usize = 4;
@@ -118,7 +118,7 @@ fn all(args: &Args, summary: &mut Map<String, Value>) -> Result<(), Failure> {
 fn node_train(args: &Args, rate_hz: f64) -> Result<Train, Failure> {
     println!("node: {} s at {rate_hz} Hz", args.duration);
     let laboratory = Laboratory::start(args, rate_hz, 16 << 10)?;
-    let train = train::with_node(args, &laboratory, rate_hz, args.duration)?;
+    let train = train::with_node(args, &laboratory, rate_hz, args.duration, End::Counted)?;
     remove(&args.out.join("sessions"))?;
     Ok(train)
 }
@@ -143,7 +143,7 @@ fn long(args: &Args, seconds: f64, summary: &mut Map<String, Value>) -> Result<(
     let stop = AtomicBool::new(false);
     let (train, dropped) = std::thread::scope(|scope| {
         let dropping = scope.spawn(|| dropping::drop_segments(args, &laboratory.sessions, &stop));
-        let train = train::with_node(args, &laboratory, args.rate_hz, seconds);
+        let train = train::with_node(args, &laboratory, args.rate_hz, seconds, End::Stopped);
         stop.store(true, Ordering::Release);
         (train, dropping.join())
     });

@@ -1,6 +1,7 @@
 //! Compares recordings with what was injected.
 
 use super::disk::{DiskEvent, Excuse, judge_dropped_sets};
+use super::pixels;
 use super::truth::{FRAME, Injected};
 use fourdbody::ids::TriggerIndex;
 use fourdbody::record::{RecordingReader, SessionReader};
@@ -46,12 +47,21 @@ impl Accounting {
     }
 }
 
+/// What the cameras showed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shown {
+    /// Test images, numbered from 1 in the order of the rig's cameras: every frame's pixels are compared.
+    TestImages,
+    /// Anything: pixels are not looked at.
+    Scene,
+}
+
 /// Compares sessions with the truth: the n-th session is the n-th train of every camera in it.
 ///
 /// # Errors
 /// A session that cannot be opened.
-pub fn check(truth: &[Injected], sessions: &[impl AsRef<Path>]) -> Result<Accounting, String> {
-    check_with_disks(truth, &[], sessions)
+pub fn check(truth: &[Injected], sessions: &[impl AsRef<Path>], shown: Shown) -> Result<Accounting, String> {
+    check_with_disks(truth, &[], sessions, shown)
 }
 
 /// The same where disks failed as well: their events explain outcomes of the session that they name.
@@ -62,23 +72,29 @@ pub fn check_with_disks(
     truth: &[Injected],
     disks: &[DiskEvent],
     sessions: &[impl AsRef<Path>],
+    shown: Shown,
 ) -> Result<Accounting, String> {
     let mut accounting = Accounting::default();
     for (train, path) in (1u64..).zip(sessions) {
         let session = SessionReader::open(path.as_ref()).map_err(|e| e.to_string())?;
+        let mut first_stamp = 1;
         for recording in session.recordings() {
             let excuse = Excuse::of(disks, recording);
-            check_recording(truth, train, recording, excuse, &mut accounting);
+            let stamp = (shown == Shown::TestImages).then_some(first_stamp);
+            check_recording(truth, train, recording, excuse, stamp, &mut accounting);
+            first_stamp += recording.header.cameras.len() as u32;
         }
     }
     Ok(accounting)
 }
 
+/// `first_stamp`: what the test images of its first camera are stamped with.
 fn check_recording(
     truth: &[Injected],
     train: u64,
     recording: &RecordingReader,
     excuse: Excuse,
+    first_stamp: Option<u32>,
     into: &mut Accounting,
 ) {
     for problem in &recording.problems {
@@ -116,6 +132,11 @@ fn check_recording(
             into.outcomes += 1;
             let at_end = trigger > last_frame;
             let place = || format!("train {train} {} trigger {trigger}", camera.id);
+            let wrong =
+                first_stamp.and_then(|s| pixels::wrong(recording, number, trigger, s + number as u32));
+            if let Some(wrong) = wrong {
+                into.mismatch(format!("{}: {wrong}", place()));
+            }
             match injected.get(&trigger) {
                 None if found == FRAME => {}
                 _ if excuse.covers(found) => {}

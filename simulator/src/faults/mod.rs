@@ -10,10 +10,11 @@
 
 pub mod check;
 pub mod disk;
+mod pixels;
 pub mod plan;
 pub mod truth;
 
-pub use check::{Accounting, Tally, check, check_with_disks};
+pub use check::{Accounting, Shown, Tally, check, check_with_disks};
 pub use disk::{DiskEvent, DiskFault};
 pub use plan::{CameraPlan, Fault, FaultPlan, Kind, Part, PlanError, Resend};
 pub use truth::{Injected, TruthLog, read_disk_truth, read_truth};

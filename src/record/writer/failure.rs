@@ -1,7 +1,7 @@
 //! When the disk fails: what is in the file stays readable, what is not becomes gaps, and the books go on in a
 //! segment of their own.
 
-use super::segments::Unwritten;
+use super::segments::{ClosingSegment, Unwritten};
 use super::{RecordError, Recording};
 use crate::record::layout::{GapCause, GapRecord};
 use crate::record::segment::JsonChannel;
@@ -43,10 +43,25 @@ impl Recording {
         }
     }
 
+    /// Lets go of segments that have been closed: until then each holds its file and a thread. One that could not be
+    /// closed is a failed disk like any other.
+    pub(super) fn reap_closed(&mut self) -> Result<(), RecordError> {
+        let (done, under_way) =
+            std::mem::take(&mut self.closing).into_iter().partition(ClosingSegment::is_done);
+        self.closing = under_way;
+        let closed = self.join(done);
+        closed.or_else(|source| self.fail(source))
+    }
+
     /// Waits for the segments that are being closed; what one of them could not keep waits for the rescue.
     pub(super) fn join_closing(&mut self) -> io::Result<()> {
+        let closing = std::mem::take(&mut self.closing);
+        self.join(closing)
+    }
+
+    fn join(&mut self, segments: Vec<ClosingSegment>) -> io::Result<()> {
         let mut result = Ok(());
-        for closing in std::mem::take(&mut self.closing) {
+        for closing in segments {
             if let Err((error, lost)) = closing.join(&mut self.latencies) {
                 self.lose(lost);
                 // After an earlier failure broken segments are expected; their readable part is what counts.

@@ -146,6 +146,11 @@ impl OpenSegment {
 pub(super) struct ClosingSegment(JoinHandle<(OpenSegment, io::Result<()>)>);
 
 impl ClosingSegment {
+    /// Whether [`Self::join`] would return at once.
+    pub fn is_done(&self) -> bool {
+        self.0.is_finished()
+    }
+
     /// Waits for it. What it lost comes with the error.
     pub fn join(self, latencies: &mut Latencies) -> Result<(), (io::Error, Vec<Unwritten>)> {
         let Ok((mut segment, result)) = self.0.join() else {

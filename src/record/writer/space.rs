@@ -3,7 +3,6 @@
 use super::segments::{NextSegment, OpenSegment};
 use super::{RecordError, Recording, WriterOptions};
 use crate::record::direct::free_bytes;
-use crate::record::layout::RecordingHeader;
 use std::path::Path;
 
 const MIB: u64 = 1 << 20;
@@ -55,14 +54,10 @@ impl Recording {
     }
 }
 
-/// Refuses a session that would not fit.
-pub(super) fn check_space(
-    dir: &Path,
-    header: &RecordingHeader,
-    options: &WriterOptions,
-) -> Result<(), RecordError> {
+/// Refuses a session of so many bytes of frames if it would not fit.
+pub(super) fn check_space(dir: &Path, bytes: u64, options: &WriterOptions) -> Result<(), RecordError> {
     let free = free_bytes(dir).map_err(|source| RecordError::Disk { path: dir.to_owned(), source })?;
-    let needed = header.expected_bytes().unwrap_or(0).saturating_add(ACCOUNTING_BYTES);
+    let needed = bytes.saturating_add(ACCOUNTING_BYTES);
     if needed.saturating_add(options.reserve_bytes) > free {
         return Err(RecordError::NoSpace {
             path: dir.to_owned(),

@@ -1,6 +1,6 @@
 //! The writer against disks that fail and frames that come in any order.
 
-use super::{Recording, Store, WriterOptions};
+use super::{OpenStore, Recording, Store, WriterOptions};
 use crate::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::record::envelope::pixels_crc;
 use crate::record::{
@@ -41,6 +41,18 @@ pub(super) fn header(expected_triggers: Option<u64>) -> RecordingHeader {
         software: "test".to_owned(),
         subject: None,
         note: None,
+    }
+}
+
+impl Recording {
+    pub(super) fn create_with(
+        dir: &Path,
+        header: RecordingHeader,
+        options: WriterOptions,
+        open_store: OpenStore,
+    ) -> Result<Self, RecordError> {
+        let bytes = header.expected_bytes().unwrap_or(0);
+        Self::create_sized(dir, header, options, bytes, open_store)
     }
 }
 
@@ -426,5 +438,32 @@ fn the_reserve_stops_frames_and_nothing_else() {
     let verdict = recording.finish(end(2)).expect("finished");
     assert_eq!(verdict.cameras[0].frames, 1, "the frame that met the reserve is on disk");
     assert_eq!(verdict.cameras[0].gaps.get(&GapCause::DroppedDisk), Some(&1));
+    check_books(&path, &verdict);
+}
+
+/// A session of a whole day has a thousand segments.
+#[test]
+fn closed_segments_are_let_go() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let path = dir.path().join("node-a");
+    let mut recording = Recording::create(&path, header(None), options(20_000)).expect("created");
+    let open_files = || {
+        let files = std::fs::read_dir("/proc/self/fd").expect("this process");
+        let targets = files.flatten().filter_map(|file| std::fs::read_link(file.path()).ok());
+        targets.filter(|target| target.starts_with(&path)).count()
+    };
+    for trigger in 0..100 {
+        for camera in 0..CAMERAS.len() {
+            while !recording.closing.iter().all(super::ClosingSegment::is_done) {
+                std::thread::yield_now();
+            }
+            let (meta, message) = frame(camera, trigger);
+            recording.frame(camera, &meta, &message).expect("recorded");
+            // The open one, the one made ready, an older one that a camera still needs, and one just closed.
+            assert!(open_files() <= 4, "{} at trigger {trigger}", open_files());
+        }
+    }
+    let verdict = recording.finish(end(100)).expect("finished");
+    assert!(std::fs::read_dir(&path).expect("listed").count() > 10, "many segments");
     check_books(&path, &verdict);
 }

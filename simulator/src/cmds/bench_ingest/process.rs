@@ -58,6 +58,11 @@ impl Program {
         Ok((text, status))
     }
 
+    /// Sends a signal by its name without `SIG`.
+    pub fn signal(&self, name: &str) {
+        let _ = Command::new("kill").arg(format!("-{name}")).arg(self.child.id().to_string()).status();
+    }
+
     /// Asks it to end (SIGTERM), and gives it ten seconds.
     pub fn stop(mut self) {
         let _ = Command::new("kill").arg(self.child.id().to_string()).status();

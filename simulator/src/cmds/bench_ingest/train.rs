@@ -89,12 +89,22 @@ pub fn remove(path: &Path) -> Result<(), Failure> {
     }
 }
 
+/// How a session ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// After the number of triggers asked for: the node refuses when the disk cannot hold them.
+    Counted,
+    /// By its operator, who stops it once there were enough: for more than the disk can hold at a time.
+    Stopped,
+}
+
 /// Records a train with a real node. What it recorded stays until the next one, or until the caller removes it.
 pub fn with_node(
     args: &Args,
     laboratory: &Laboratory,
     rate_hz: f64,
     duration_s: f64,
+    end: End,
 ) -> Result<Train, Failure> {
     let mut command = Command::new(program(args, "fourdbody"));
     let node =
@@ -106,11 +116,15 @@ pub fn with_node(
     let load_average = load_average();
     let mut command = Command::new(program(args, "fourdbody"));
     command.args(["capture", "--json", "--name", "bench", "--nodes", &laboratory.url]);
-    let mut capture =
-        Program::start("capture", command.arg("--duration").arg(duration_s.to_string()), &args.out)?;
+    match end {
+        End::Counted => command.arg("--duration").arg(duration_s.to_string()),
+        End::Stopped => command.args(["--triggers", "0"]),
+    };
+    let mut capture = Program::start("capture", &mut command, &args.out)?;
 
     let processes = [&node, &laboratory.program];
     let (mut first, mut last) = (None, None);
+    let mut stop_at = (end == End::Stopped).then_some((duration_s * rate_hz) as u64);
     while !capture.ended() {
         std::thread::sleep(Duration::from_millis(50));
         let Ok(status) = client.status() else { continue };
@@ -118,6 +132,10 @@ pub fn with_node(
         else {
             continue;
         };
+        if stop_at.is_some_and(|enough| session.triggers >= enough) {
+            stop_at = None;
+            capture.signal("INT");
+        }
         let reading =
             (Reading::of(&processes), session.cameras.iter().map(|camera| camera.frames).sum::<u64>());
         if first.is_none() {
