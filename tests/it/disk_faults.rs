@@ -171,10 +171,13 @@ fn a_slow_disk_costs_nothing_while_the_ring_suffices() {
 #[test]
 fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    // 16 MiB for the books, 8 MiB of reserve, and a little more.
-    let capacity = 30 << 20;
+    // 16 MiB for the books, 2 MiB of reserve (less than what comes between two syncs), and a little more.
+    let capacity = 24 << 20;
     let plan = format!("[disk]\nseed = 1\nnodes = [\"a\"]\n[disk.full]\ncapacity_bytes = {capacity}\n");
-    let Some(laboratory) = laboratory_on(dir.path(), 183, &plan, |o| o.reserve_mib = 8) else { return };
+    let change = |options: &mut LaboratoryOptions| {
+        (options.reserve_mib, options.rig_text) = (2, small_rig(2.0 * RATE_HZ));
+    };
+    let Some(laboratory) = laboratory_on(dir.path(), 183, &plan, change) else { return };
     let mut nodes = start_nodes(&laboratory);
     let refused = Recorded::capture(dir.path(), &laboratory, &mut nodes, "100");
     refused.assert_exit(1);
@@ -185,7 +188,7 @@ fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
 
     let recorded = Recorded::capture(dir.path(), &laboratory, &mut nodes, "0");
     recorded.assert_exit(3);
-    assert!(recorded.text().contains("the reserve is 8 MiB"), "{}", recorded.text());
+    assert!(recorded.text().contains("the reserve is 2 MiB"), "{}", recorded.text());
     assert!(recorded.happened(DiskFault::Limited));
     assert!(!recorded.happened(DiskFault::Full), "it stopped before that: {}", recorded.text());
     recorded.assert_verified("", 3);
@@ -201,21 +204,41 @@ fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
     assert!(used > 18 << 20, "all but the reserve was used: {used}");
 }
 
-/// A session of node b's disk failing by this plan (without seed), and everything that must hold whatever the moment
-/// of the failure. Returns it, and whether the books were closed.
-fn recorded_on_a_failing_disk(dir: &Path, subnet: u8, seed: u64, plan: &str) -> Option<(Recorded, bool)> {
-    let plan = format!("[disk]\nseed = {seed}\nnodes = [\"b\"]\n{plan}");
+/// What became of the books of a recording whose disk failed.
+#[derive(Debug, PartialEq, Eq)]
+enum Books {
+    /// The disk failed before the first trigger: the session was given up.
+    NeverOpened,
+    /// With a verdict.
+    Closed,
+    /// They could not be written any more.
+    Missing,
+}
+
+/// A session during which one node's disk fails by this plan (without seed and nodes), and everything that must hold
+/// whatever the moment of the failure.
+fn recorded_on_a_failing_disk(dir: &Path, subnet: u8, seed: u64, plan: &str) -> Option<(Recorded, Books)> {
+    let (failing, other) = if seed % 2 == 1 { ("b", "a") } else { ("a", "b") };
+    let plan = format!("[disk]\nseed = {seed}\nnodes = [\"{failing}\"]\n{plan}");
     let laboratory = laboratory_on(dir, subnet, &plan, |_| {})?;
     let mut nodes = start_nodes(&laboratory);
     let recorded = Recorded::capture(dir, &laboratory, &mut nodes, "200");
-    recorded.assert_exit(3);
     let failed = recorded.happened(DiskFault::Full) || recorded.happened(DiskFault::IoError);
     assert!(failed, "the disk failed: {}", recorded.text());
+    if recorded.output.status.code() == Some(1) {
+        let named = recorded.text().contains(&format!("node {failing}: "));
+        assert!(named && recorded.text().contains("cannot be written"), "{}", recorded.text());
+        let gone = recorded.disks.iter().any(|event| event.for_good);
+        assert!(gone || !recorded.session.exists(), "nothing is left behind: {}", recorded.text());
+        return Some((recorded, Books::NeverOpened));
+    }
+    recorded.assert_exit(3);
     // The other node has every frame of every trigger that there was.
-    recorded.assert_verified("node-a", 3);
-    assert_eq!(gaps(&recorded.session, "node-a"), [], "{}", recorded.text());
+    recorded.assert_verified(&format!("node-{other}"), 3);
+    assert_eq!(gaps(&recorded.session, &format!("node-{other}")), [], "{}", recorded.text());
 
-    let reader = SessionReader::open(&recorded.session.join("node-b")).expect("readable to where it came");
+    let reader = SessionReader::open(&recorded.session.join(format!("node-{failing}")))
+        .expect("readable to where it came");
     let stored = reader.recordings()[0].verdict.clone();
     match &stored {
         Some(verdict) => {
@@ -223,23 +246,23 @@ fn recorded_on_a_failing_disk(dir: &Path, subnet: u8, seed: u64, plan: &str) -> 
             let words = recorded.assert_verified("", 3);
             assert!(words.contains("dropped_disk"), "{words}");
             let gaps = check_frames(&recorded.session);
-            let lost = gaps[4..].iter().flatten();
+            let lost = gaps.iter().flatten();
             assert!(lost.clone().all(|(_, cause)| *cause == GapCause::DroppedDisk), "{gaps:?}");
             assert_eq!(lost.count() as u64, verdict.gaps());
         }
         None => {
             let words = recorded.assert_verified("", 4);
             assert!(words.contains("the recording was not finished"), "{words}");
-            check_recovered(dir, &recorded);
+            check_recovered(dir, &recorded, failing, other);
         }
     }
     recorded.assert_accounted();
-    Some((recorded, stored.is_some()))
+    Some((recorded, if stored.is_some() { Books::Closed } else { Books::Missing }))
 }
 
 /// A recording without books: `recover` passes on as many frames as the node said that it had recorded, and what is
 /// missing against the other node's recording gets its gap records.
-fn check_recovered(dir: &Path, recorded: &Recorded) {
+fn check_recovered(dir: &Path, recorded: &Recorded, failing: &str, other: &str) {
     let text = text_of(&recorded.output);
     let said = text.split("it is: ").nth(1).and_then(|rest| rest.split(" frames").next());
     let said = said.and_then(|words| words.rsplit(' ').next()).and_then(|n| n.parse::<u64>().ok());
@@ -255,7 +278,7 @@ fn check_recovered(dir: &Path, recorded: &Recorded) {
         let recording = reader.recordings().iter().find(|r| r.header.node.as_str() == node);
         recording.and_then(|r| r.verdict.as_ref()).map(|verdict| (verdict.frames(), verdict.triggers))
     };
-    let (whole, failed) = (frames("a").expect("finished"), frames("b").expect("finished"));
+    let (whole, failed) = (frames(other).expect("finished"), frames(failing).expect("finished"));
     assert_eq!((failed.0, failed.1), (said, whole.1), "{}{text}", text_of(&output));
     assert_eq!(whole.0, 4 * whole.1, "the other node lost nothing");
 }
@@ -281,10 +304,10 @@ fn a_write_that_fails_once_costs_what_was_under_way_and_the_books_are_closed() {
     for seed in seeds() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan = "[[disk.error]]\non = \"write\"\nat_byte = [500_000, 10_000_000]\n";
-        let Some((recorded, closed)) = recorded_on_a_failing_disk(dir.path(), 185, seed, plan) else {
+        let Some((recorded, books)) = recorded_on_a_failing_disk(dir.path(), 185, seed, plan) else {
             return;
         };
-        assert!(closed, "there is room for the books: {}", recorded.text());
+        assert!(books != Books::Missing, "there is room for the books: {}", recorded.text());
     }
 }
 
@@ -293,10 +316,10 @@ fn a_failed_fdatasync_costs_what_it_should_have_made_durable() {
     for seed in seeds() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan = "[[disk.error]]\non = \"sync\"\nnth = [2, 6]\n";
-        let Some((recorded, closed)) = recorded_on_a_failing_disk(dir.path(), 186, seed, plan) else {
+        let Some((recorded, books)) = recorded_on_a_failing_disk(dir.path(), 186, seed, plan) else {
             return;
         };
-        assert!(closed, "there is room for the books: {}", recorded.text());
+        assert!(books != Books::Missing, "there is room for the books: {}", recorded.text());
     }
 }
 
@@ -306,10 +329,10 @@ fn a_disk_that_is_gone_leaves_what_was_durable() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let nth = if on == "sync" { "[3, 6]" } else { "[20, 60]" };
         let plan = format!("[[disk.error]]\non = \"{on}\"\nnth = {nth}\nfor_good = true\n");
-        let Some((recorded, closed)) = recorded_on_a_failing_disk(dir.path(), 187, seed, &plan) else {
+        let Some((recorded, books)) = recorded_on_a_failing_disk(dir.path(), 187, seed, &plan) else {
             return;
         };
-        assert!(!closed, "nothing can be written any more: {}", recorded.text());
+        assert!(books != Books::Closed, "nothing can be written any more: {}", recorded.text());
     }
 }
 
