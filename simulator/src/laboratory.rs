@@ -1,6 +1,7 @@
 //! The laboratory in one process: all cameras of a rig on loopback addresses, the HSU on ptys, and the
 //! configuration files with which real nodes drive them.
 
+use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::{CameraFaults, FaultPlan, TruthLog};
 use crate::gige::{CameraError, CameraOptions, ClockOptions, SimulatedCamera};
 use crate::hsu::{HsuOptions, SimulatedHsu};
@@ -41,6 +42,9 @@ pub struct LaboratoryOptions {
     pub packet_bytes: u32,
     /// Faults of the cameras; what was injected is written to `faults.jsonl` in the run directory.
     pub faults: Option<FaultPlan>,
+    /// Disks that misbehave, one for each node that it names; what they did is written to `faults.jsonl` as well. Needs
+    /// FUSE, see [`SimulatedDisk::unavailable`]. What was recorded lies in `sessions_dir` all the same.
+    pub disk: Option<DiskPlan>,
 }
 
 impl LaboratoryOptions {
@@ -59,6 +63,7 @@ impl LaboratoryOptions {
             socket: SocketMode::Auto,
             packet_bytes: 9000,
             faults: None,
+            disk: None,
         }
     }
 }
@@ -109,6 +114,8 @@ pub struct Laboratory {
     pub hsu: SimulatedHsu,
     /// One per node, in the order of their names.
     pub nodes: Vec<NodeFile>,
+    /// Of the nodes that have one, in the same order.
+    pub disks: Vec<SimulatedDisk>,
 }
 
 impl Laboratory {
@@ -130,7 +137,9 @@ impl Laboratory {
         std::fs::write(&rig_path, &options.rig_text).map_err(io_error(&rig_path))?;
 
         let (mut cameras, mut setups) = (Vec::new(), Vec::new());
-        let faults = open_faults(options)?;
+        let truth = open_truth(options)?;
+        let plan = options.faults.as_ref().map(|plan| Arc::new(plan.clone()));
+        let faults = plan.zip(truth.clone());
         let mut wires = Vec::new();
         for (number, (head, camera)) in (0u32..).zip(rig.cameras()) {
             let address = camera_address(options, number);
@@ -160,12 +169,13 @@ impl Laboratory {
             let place = rig.heads.iter().position(|other| other.id == head.id);
             wires.extend(place.map(|place| (place, wire)));
         }
+        let disks = mount_disks(options, &rig, truth)?;
         let nodes = write_node_files(options, &rig)?;
         let links = nodes.iter().map(|node| hsu_link(options, &node.node)).collect();
         let setup = HsuOptions { links, cameras: wires, ..HsuOptions::default() };
         let hsu = SimulatedHsu::start(setup)
             .map_err(|source| LaboratoryError::Io { what: "the HSU's ptys".to_owned(), source })?;
-        Ok(Self { rig, cameras, setups, hsu, nodes })
+        Ok(Self { rig, cameras, setups, hsu, nodes, disks })
     }
 
     /// Unplugs a camera: no packet comes from it any more.
@@ -195,14 +205,46 @@ const FAULTY_RESEND_FRAMES: usize = 256;
 /// Where what was injected is written down, in the run directory.
 pub const TRUTH_FILE: &str = "faults.jsonl";
 
-type OpenFaults = (Arc<FaultPlan>, Arc<TruthLog>);
-
-fn open_faults(options: &LaboratoryOptions) -> Result<Option<OpenFaults>, LaboratoryError> {
-    let Some(plan) = &options.faults else { return Ok(None) };
+fn open_truth(options: &LaboratoryOptions) -> Result<Option<Arc<TruthLog>>, LaboratoryError> {
+    if options.faults.is_none() && options.disk.is_none() {
+        return Ok(None);
+    }
     let path = options.run_dir.join(TRUTH_FILE);
     let what = path.display().to_string();
     let truth = TruthLog::create(&path).map_err(|source| LaboratoryError::Io { what, source })?;
-    Ok(Some((Arc::new(plan.clone()), Arc::new(truth))))
+    Ok(Some(Arc::new(truth)))
+}
+
+fn mount_disks(
+    options: &LaboratoryOptions,
+    rig: &Rig,
+    truth: Option<Arc<TruthLog>>,
+) -> Result<Vec<SimulatedDisk>, LaboratoryError> {
+    let mut disks = Vec::new();
+    let nodes = rig.nodes();
+    for (plan, node) in options.disk.iter().flat_map(|plan| nodes.iter().map(move |node| (plan, node))) {
+        if plan.concerns(node.as_str()) {
+            let at = disk_dir(options, node);
+            let what = format!("a simulated disk at {}", at.display());
+            let mounted =
+                SimulatedDisk::mount(plan, node.as_str(), &options.sessions_dir, &at, truth.clone());
+            disks.push(mounted.map_err(|source| LaboratoryError::Io { what, source })?);
+        }
+    }
+    Ok(disks)
+}
+
+/// Where the disk of a node is mounted.
+fn disk_dir(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
+    options.run_dir.join(format!("disk-{node}"))
+}
+
+/// Where a node records.
+fn sessions_dir(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
+    match &options.disk {
+        Some(plan) if plan.concerns(node.as_str()) => disk_dir(options, node),
+        _ => options.sessions_dir.clone(),
+    }
 }
 
 fn camera_address(options: &LaboratoryOptions, number: u32) -> Ipv4Addr {
@@ -246,7 +288,7 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, node: &NodeId, port: u16) -
          [storage]\nsessions_dir = {}\nreserve_mib = {}\nsegment_mib = {}\n\n\
          [acquisition]\nbuffers_per_camera = {}\npacket_bytes = {}\nsocket = \"{}\"\n",
         quoted(&absolute(&hsu_link(options, node))),
-        quoted(&absolute(&options.sessions_dir)),
+        quoted(&absolute(&sessions_dir(options, node))),
         options.reserve_mib,
         options.segment_mib,
         options.buffers_per_camera,

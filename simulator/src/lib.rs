@@ -7,6 +7,7 @@
 pub mod cache;
 /// One file per command of the command line.
 pub mod cmds;
+pub mod disk;
 /// Injected faults, and how recordings account for them.
 pub mod faults;
 pub mod gige;

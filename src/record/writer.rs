@@ -3,7 +3,7 @@
 //! One thread calls it. It waits for the disk only when the queue of chunks is full; frames wait in their pool
 //! meanwhile.
 
-use super::direct::{DirectFile, Store, free_bytes, sync_directory};
+use super::direct::{DirectFile, Store, sync_directory};
 use super::envelope::{FrameMeta, parse_envelope};
 use super::layout::{
     ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
@@ -26,12 +26,13 @@ mod error;
 mod failure;
 mod options;
 mod segments;
+mod space;
 
 pub use error::RecordError;
 pub use options::WriterOptions;
 use segments::{ClosingSegment, NextSegment, OpenSegment, Unwritten, prepare};
+use space::check_space;
 
-const MIB: u64 = 1 << 20;
 /// Frames of one chunk. A crash of the process costs at most three chunks: the open one, and those in the queue.
 const BLOCKS_PER_CHUNK: usize = 4;
 /// Blocks that the writer holds at most: the open chunk and the queue, of two segments around a split. A pool
@@ -39,10 +40,6 @@ const BLOCKS_PER_CHUNK: usize = 4;
 pub const BLOCKS_HELD: usize = 2 * (1 + QUEUE) * BLOCKS_PER_CHUNK;
 /// A chunk ends after this many bytes of small records, too.
 const CHUNK_BYTES: u64 = 1 << 20;
-/// What segments need beyond pixels (headers, indexes, gap records), for the space check.
-const ACCOUNTING_BYTES: u64 = 16 << 20;
-/// Disk space that is set aside for a segment at most.
-const MOST_AHEAD: u64 = 4 << 30;
 /// Records kept for the rescue segment when there is no segment to write them to.
 const MAX_UNWRITTEN: usize = 1 << 20;
 
@@ -77,6 +74,8 @@ pub struct Recording {
     time_ns: u64,
     last_sync: Instant,
     unsynced: u64,
+    /// Bytes since the free space was looked at.
+    unlooked: u64,
     latencies: Latencies,
     /// Counts of segments that are no longer open.
     past: WriteStatistics,
@@ -140,15 +139,24 @@ impl Recording {
             refused: 0,
             last_sync: Instant::now(),
             unsynced: 0,
+            unlooked: 0,
             latencies: Latencies::default(),
             past: WriteStatistics::default(),
             told: None,
         };
-        recording.open_segment(0).map_err(disk)?;
-        recording.sync()?;
-        recording.settle_all()?;
-        sync_directory(parent).map_err(disk)?;
-        Ok(recording)
+        let begun = recording.open_segment(0).map_err(disk).and_then(|()| recording.sync());
+        let begun = begun.and_then(|()| recording.settle_all());
+        match begun.and_then(|()| sync_directory(parent).map_err(disk)) {
+            Ok(()) => Ok(recording),
+            Err(error) => {
+                drop(recording);
+                // Nothing but what was just made is in it; a session that did not begin leaves nothing.
+                if let Err(error) = std::fs::remove_dir_all(dir) {
+                    tracing::warn!("{}: cannot be removed: {error}", dir.display());
+                }
+                Err(error)
+            }
+        }
     }
 
     /// The recording's directory.
@@ -207,7 +215,9 @@ impl Recording {
         entry.frame(camera, meta.trigger);
         let before = entry.segment.bytes();
         let result = write(&mut entry.segment, &self.header.cameras[camera].id);
-        self.unsynced += entry.segment.bytes() - before;
+        let more = entry.segment.bytes() - before;
+        self.unsynced += more;
+        self.unlooked += more;
         result.or_else(|source| self.fail(source))?;
         self.after_record(place)?;
         self.split_if_due()
@@ -438,6 +448,8 @@ impl Recording {
             || self.last_sync.elapsed() >= self.options.sync_interval;
         if due {
             self.sync()?;
+        } else if self.is_look_due() {
+            self.look_at_space()?;
         }
         if self.segments.len() > 1 {
             self.close_older()?;
@@ -458,35 +470,7 @@ impl Recording {
         result.or_else(|source| self.fail(source))?;
         self.last_sync = Instant::now();
         self.unsynced = 0;
-        // What is set aside for us counts as free.
-        let free = free_bytes(&self.dir).unwrap_or(u64::MAX).saturating_add(self.set_aside());
-        if free < self.options.reserve_bytes && self.stopped.is_none() {
-            let (path, reserve_mib) = (self.dir.clone(), self.options.reserve_bytes / MIB);
-            let error = RecordError::ReserveReached { path, free_mib: free / MIB, reserve_mib };
-            self.stopped = Some(error.to_string());
-            return Err(error);
-        }
-        Ok(())
-    }
-
-    /// Disk space set aside and not used yet.
-    fn set_aside(&self) -> u64 {
-        let next = self.next.as_ref().map_or(0, NextSegment::ahead);
-        self.segments.iter().map(OpenSegment::ahead).fold(next, u64::saturating_add)
-    }
-
-    /// Space to set aside for a segment that begins when the session has `written` bytes: never more than it
-    /// will need, and never of the reserve.
-    fn ahead(&self, written: u64) -> u64 {
-        if !self.options.preallocate || self.stopped.is_some() {
-            return 0;
-        }
-        let expected = self.header.expected_bytes().map_or(u64::MAX, |bytes| bytes.saturating_sub(written));
-        let kept = self.options.reserve_bytes.saturating_add(ACCOUNTING_BYTES);
-        let free = free_bytes(&self.dir).unwrap_or(0).saturating_sub(kept);
-        // Other recorders on the same disk must not find it full because of what is only set aside.
-        let most = expected.min(free / 8).min(MOST_AHEAD);
-        self.options.segment_bytes.saturating_add(self.options.segment_bytes / 64).min(most)
+        self.look_at_space()
     }
 
     fn open_segment(&mut self, first_trigger: u64) -> io::Result<()> {
@@ -545,20 +529,6 @@ impl Recording {
         self.closing.push(older.close_aside(Some(boundary)));
         Ok(())
     }
-}
-
-fn check_space(dir: &Path, bytes: u64, options: &WriterOptions) -> Result<(), RecordError> {
-    let free = free_bytes(dir).map_err(|source| RecordError::Disk { path: dir.to_owned(), source })?;
-    let needed = bytes.saturating_add(ACCOUNTING_BYTES);
-    if needed.saturating_add(options.reserve_bytes) > free {
-        return Err(RecordError::NoSpace {
-            path: dir.to_owned(),
-            needed_mib: needed.div_ceil(MIB),
-            reserve_mib: options.reserve_bytes / MIB,
-            free_mib: free / MIB,
-        });
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -138,20 +138,25 @@ pub fn capture(options: &CaptureOptions, mut progress: impl FnMut(&str)) -> Resu
     let sessions = follow(&nodes, &request, &stop, &mut progress)?;
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
     let captured = Captured { name: request.name, nodes: named.collect() };
-    // A session that recorded nothing anywhere is a failure, not a verdict.
-    let failures = captured.nodes.iter().map(|(node, session)| match &session.outcome {
-        Some(Outcome::Failed(fault)) => {
-            Some(Fault { exit: fault.exit, message: format!("node {node}: {}", fault.message) })
-        }
-        _ => None,
-    });
-    match failures.collect::<Option<Vec<_>>>() {
-        Some(faults) if !faults.is_empty() => Err(faults
-            .into_iter()
-            .next()
-            .unwrap_or_else(|| Fault::new(Exit::Failure, "the session failed on every node"))),
-        _ => Ok(captured),
+    match failure_of_all(&captured.nodes) {
+        Some(fault) => Err(fault),
+        None => Ok(captured),
     }
+}
+
+/// A session that recorded nothing anywhere is a failure, not a verdict. Every node's reason is told: one of them may
+/// only know that the train was empty, which is what the failure of another looks like from there.
+fn failure_of_all(nodes: &[(String, SessionStatus)]) -> Option<Fault> {
+    let failure = |(node, session): &(String, SessionStatus)| match &session.outcome {
+        Some(Outcome::Failed(fault)) => Some((fault.exit, format!("node {node}: {}", fault.message))),
+        _ => None,
+    };
+    let (exits, messages): (Vec<u8>, Vec<String>) =
+        nodes.iter().map(failure).collect::<Option<Vec<_>>>()?.into_iter().unzip();
+    let device = Exit::Device as u8;
+    let first = exits.first().copied()?;
+    let exit = exits.into_iter().find(|exit| *exit != device).unwrap_or(first);
+    Some(Fault { exit, message: messages.join("; ") })
 }
 
 fn request(options: &CaptureOptions, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault> {

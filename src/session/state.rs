@@ -216,7 +216,7 @@ impl Machine {
                 self.phase = Phase::Running;
                 Vec::new()
             }
-            (Phase::Ready, Event::Failed(fault)) => self.give_up(fault.message),
+            (Phase::Ready, Event::Failed(fault)) => self.undo(Some(Action::ReportFailed(fault))),
             (Phase::Ready, Event::Abort(reason)) => self.give_up(reason),
             // It may have been started from another node, or the first report is on its way: the HSU knows, and
             // answers with the end of a train that may be empty.
@@ -377,6 +377,13 @@ mod tests {
         let actions = m.step(Event::Failed(fault()), Duration::ZERO);
         assert_eq!(actions, [Action::DiscardRecording, Action::ReportFailed(fault())]);
         assert_eq!(m.phase(), Phase::Idle);
+    }
+
+    #[test]
+    fn what_fails_before_the_start_is_told_as_it_is() {
+        let fault = Fault::new(Exit::Failure, "the disk cannot be written");
+        let actions = ready().step(Event::Failed(fault.clone()), Duration::ZERO);
+        assert_eq!(actions.last(), Some(&Action::ReportFailed(fault)));
     }
 
     #[test]

@@ -8,6 +8,8 @@ mod breaks;
 mod chain;
 mod crash;
 #[cfg(feature = "aravis")]
+mod disk_faults;
+#[cfg(feature = "aravis")]
 mod doctor;
 #[cfg(feature = "aravis")]
 mod endurance;

@@ -41,7 +41,7 @@ fn verify(session: &Path) -> Output {
 }
 
 /// Every recorded frame shows the camera and the trigger that it is recorded under; gaps per camera, by trigger.
-fn check_frames(session: &Path) -> Vec<Vec<(u64, GapCause)>> {
+pub(crate) fn check_frames(session: &Path) -> Vec<Vec<(u64, GapCause)>> {
     let reader = SessionReader::open(session).expect("readable");
     let mut gaps = Vec::new();
     for (number, camera) in (1..).zip(reader.cameras()) {

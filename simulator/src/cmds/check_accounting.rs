@@ -1,13 +1,14 @@
 //! `fourdbody-sim check-accounting`: do recordings say what was injected?
 
-use crate::faults::{Shown, check, read_truth};
+use crate::faults::{Shown, check_with_disks, read_disk_truth, read_truth};
 use fourdbody::cmds::{Exit, Failure};
 use std::path::PathBuf;
 
 /// Compare sessions with the faults that the simulator injected into them.
 ///
-/// Every injected loss must have an accepted cause at exactly its trigger, and nothing else may be missing, nor any pixel be another camera's or instant's. Prints
-/// counts per kind as JSON. Exit code 4 on any mismatch.
+/// Every injected loss must have an accepted cause at exactly its trigger, and nothing else may be missing (unless
+/// a simulated disk explains it), nor any pixel be another camera's or instant's. Prints counts per kind as JSON. Exit
+/// code 4 on any mismatch.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody-sim check-accounting --pixels --truth target/lab/faults.jsonl target/lab/sessions/first"
@@ -28,7 +29,9 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let shown = if args.pixels { Shown::TestImages } else { Shown::Scene };
     let truth = read_truth(&args.truth).map_err(|e| Failure::new(Exit::Failure, e))?;
-    let accounting = check(&truth, &args.sessions, shown).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let disks = read_disk_truth(&args.truth).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let accounting = check_with_disks(&truth, &disks, &args.sessions, shown)
+        .map_err(|e| Failure::new(Exit::Failure, e))?;
     println!("{}", serde_json::json!(accounting));
     for mismatch in &accounting.listed {
         eprintln!("mismatch: {mismatch}");

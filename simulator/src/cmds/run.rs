@@ -1,6 +1,7 @@
 //! `fourdbody-sim run`: the whole laboratory on the wire, for real nodes.
 
 use crate::cache::{CachedImages, Manifest};
+use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::FaultPlan;
 use crate::gige::TestImages;
 use crate::images::ImageSource;
@@ -51,8 +52,8 @@ pub struct Args {
     /// Size of the nodes' segments, MiB.
     #[arg(long, value_name = "MIB")]
     segment_mib: Option<u64>,
-    /// Faults to inject: a TOML file with a table [faults]. What was injected goes to faults.jsonl in the run
-    /// directory.
+    /// Faults to inject: a TOML file with a table [faults] (cameras), [disk] (the nodes' disks; needs FUSE), or both.
+    /// What was injected goes to faults.jsonl in the run directory.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     /// Seed of the faults, instead of the file's.
@@ -82,7 +83,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.buffers_per_camera = args.buffers;
     options.segment_mib = args.segment_mib.unwrap_or(options.segment_mib);
     options.packet_bytes = args.packet_bytes;
-    options.faults = fault_plan(args)?;
+    (options.faults, options.disk) = fault_plans(args)?;
+    // A mount outlives its process: a laboratory with disks must end in good order.
+    let signals = options.disk.as_ref().map(|_| EndSignals::block());
     let mut images = images(args, &rig_path, &options.rig_text)?;
     let laboratory =
         Laboratory::start(&options, |_| images.remove(0)).map_err(|e| Failure::new(Exit::Failure, e))?;
@@ -92,30 +95,83 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .map(|node| serde_json::json!({ "node": node.node, "config": node.path, "port": node.port }))
         .collect();
     println!("{}", serde_json::json!({ "ready": true, "urls": laboratory.urls(), "nodes": nodes }));
-    match args.duration {
-        Some(seconds) if seconds > 0.0 && seconds < 1e9 => {
-            std::thread::sleep(Duration::from_secs_f64(seconds))
-        }
+    let patience = match args.duration {
+        Some(seconds) if seconds > 0.0 && seconds < 1e9 => Some(Duration::from_secs_f64(seconds)),
         Some(seconds) => {
-            return Err(Failure::new(
-                Exit::Usage,
-                format!("--duration is {seconds}, expected seconds above 0"),
-            ));
+            let message = format!("--duration is {seconds}, expected seconds above 0");
+            return Err(Failure::new(Exit::Usage, message));
         }
-        None => loop {
+        None => None,
+    };
+    match (signals, patience) {
+        (Some(signals), patience) => signals.wait(patience),
+        (None, Some(patience)) => std::thread::sleep(patience),
+        (None, None) => loop {
             std::thread::park();
         },
     }
     Ok(Exit::Done)
 }
 
-fn fault_plan(args: &Args) -> Result<Option<FaultPlan>, Failure> {
-    let Some(path) = &args.faults else { return Ok(None) };
+/// The signals that end a program, kept from doing so at once.
+struct EndSignals(libc::sigset_t);
+
+impl EndSignals {
+    /// Blocks them in this thread and all that it will start.
+    fn block() -> Self {
+        // SAFETY: a sigset_t is a plain C struct for which all-zero bytes are a valid value; the calls get pointers to
+        // it that are valid for their duration.
+        unsafe {
+            let mut set: libc::sigset_t = std::mem::zeroed();
+            libc::sigemptyset(&mut set);
+            for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+                libc::sigaddset(&mut set, signal);
+            }
+            libc::pthread_sigmask(libc::SIG_BLOCK, &set, std::ptr::null_mut());
+            Self(set)
+        }
+    }
+
+    /// Returns when one of them came, or the time is over.
+    fn wait(&self, patience: Option<Duration>) {
+        let end = patience.map(|patience| std::time::Instant::now() + patience);
+        loop {
+            let left = end.map_or(Duration::from_secs(3600), |end| {
+                end.saturating_duration_since(std::time::Instant::now())
+            });
+            let time = libc::timespec {
+                tv_sec: libc::time_t::try_from(left.as_secs()).unwrap_or(3600),
+                tv_nsec: libc::c_long::from(left.subsec_nanos()),
+            };
+            // SAFETY: both pointers are valid for the duration of the call; no information on the signal is asked for.
+            let signal = unsafe { libc::sigtimedwait(&self.0, std::ptr::null_mut(), &time) };
+            if signal > 0 || (end.is_some() && left.is_zero()) {
+                return;
+            }
+        }
+    }
+}
+
+/// What the cameras and what the disks do wrong.
+type Plans = (Option<FaultPlan>, Option<DiskPlan>);
+
+fn fault_plans(args: &Args) -> Result<Plans, Failure> {
+    let Some(path) = &args.faults else { return Ok((None, None)) };
     let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
-    let mut plan = FaultPlan::parse(&text).map_err(|e| wrong(&e))?;
-    plan.seed = args.fault_seed.unwrap_or(plan.seed);
-    Ok(Some(plan))
+    let mut disk = DiskPlan::parse(&text).map_err(|e| wrong(&e))?;
+    // A file without [faults] is no mistake where it has [disk].
+    let table: toml::Table = text.parse().map_err(|e| wrong(&e))?;
+    let wanted = disk.is_none() || table.contains_key("faults");
+    let mut cameras = wanted.then(|| FaultPlan::parse(&text)).transpose().map_err(|e| wrong(&e))?;
+    if let Some(seed) = args.fault_seed {
+        disk.iter_mut().for_each(|plan| plan.seed = seed);
+        cameras.iter_mut().for_each(|plan| plan.seed = seed);
+    }
+    if let Some(reason) = disk.as_ref().and_then(|_| SimulatedDisk::unavailable()) {
+        return Err(wrong(&format_args!("[disk]: no disk can be simulated here: {reason}")));
+    }
+    Ok((cameras, disk))
 }
 
 /// The rig file's text, with another trigger rate or with the cameras of one node only, where asked for.

@@ -2,19 +2,22 @@
 //!
 //! ```text
 //! [plan] seed, camera, trigger -> fault -> gige: sends it so -> [truth] one JSON line per fault
+//! crate::disk: slow, full, failing disks ------------------------^  ([disk])
 //!                                       recordings + truth   -> [check] counts per kind, mismatches
 //! ```
 //!
 //! `docs/design/faults.md` has the table of faults and the reasons for what is expected.
 
 pub mod check;
+pub mod disk;
 mod pixels;
 pub mod plan;
 pub mod truth;
 
-pub use check::{Accounting, Shown, Tally, check};
+pub use check::{Accounting, Shown, Tally, check, check_with_disks};
+pub use disk::{DiskEvent, DiskFault};
 pub use plan::{CameraPlan, Fault, FaultPlan, Kind, Part, PlanError, Resend};
-pub use truth::{Injected, TruthLog, read_truth};
+pub use truth::{Injected, TruthLog, read_disk_truth, read_truth};
 
 use std::sync::Arc;
 

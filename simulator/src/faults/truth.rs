@@ -1,5 +1,6 @@
 //! What was injected, one JSON line per fault, and what a recording has to say of it.
 
+use super::disk::DiskEvent;
 use super::plan::{Kind, Part, Resend};
 use fourdbody::record::GapCause;
 use serde::{Deserialize, Serialize};
@@ -70,8 +71,12 @@ impl TruthLog {
     pub fn record(&self, train: u64, camera: &str, trigger: u64, block: Option<u64>, kind: Kind) {
         let (expected, events) = expectation(kind);
         let (camera, kind) = (camera.to_owned(), kind.to_string());
-        let injected = Injected { train, camera, trigger, block, kind, expected, events };
-        let line = serde_json::to_string(&injected).map(|line| line + "\n").map_err(io::Error::from);
+        self.write_down(&Injected { train, camera, trigger, block, kind, expected, events });
+    }
+
+    /// Writes a line down.
+    pub fn write_down(&self, what: &impl Serialize) {
+        let line = serde_json::to_string(what).map(|line| line + "\n").map_err(io::Error::from);
         let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Err(error) = line.and_then(|line| file.write_all(line.as_bytes())) {
             tracing::error!(%error, "an injected fault could not be written down");
@@ -79,11 +84,33 @@ impl TruthLog {
     }
 }
 
-/// Reads a file of [`TruthLog`].
+/// A line of the file.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Line {
+    Camera(Injected),
+    Disk(DiskEvent),
+}
+
+/// Reads a file of [`TruthLog`]: what was injected into the cameras' frames.
 ///
 /// # Errors
 /// A file that cannot be read, or a line that is none of a truth file, with its number.
 pub fn read_truth(path: &Path) -> Result<Vec<Injected>, String> {
+    let camera = |line| if let Line::Camera(injected) = line { Some(injected) } else { None };
+    Ok(read_lines(path)?.into_iter().filter_map(camera).collect())
+}
+
+/// Reads a file of [`TruthLog`]: what the disks did.
+///
+/// # Errors
+/// As [`read_truth`].
+pub fn read_disk_truth(path: &Path) -> Result<Vec<DiskEvent>, String> {
+    let disk = |line| if let Line::Disk(event) = line { Some(event) } else { None };
+    Ok(read_lines(path)?.into_iter().filter_map(disk).collect())
+}
+
+fn read_lines(path: &Path) -> Result<Vec<Line>, String> {
     let text = std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;
     let lines = text.lines().enumerate().filter(|(_, line)| !line.is_empty());
     lines
