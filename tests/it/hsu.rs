@@ -11,7 +11,7 @@ use fourdbody::hsu::{
     State, TriggerFlags, session_id,
 };
 use fourdbody::ids::{NodeId, SessionName};
-use fourdbody_simulator::hsu::{HsuClock, HsuOptions, SerialNoise, SimulatedHsu};
+use fourdbody_simulator::hsu::{HsuClock, HsuOptions, LineFaults, SimulatedHsu};
 use fourdbody_simulator::wire::TriggerEdge;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -33,7 +33,7 @@ struct Bench {
 }
 
 /// A unit with two links and a camera on each of the rig's four heads.
-fn bench_with(noise: Option<SerialNoise>) -> Bench {
+fn bench_with(line: Option<LineFaults>) -> Bench {
     let dir = TempDir::new().expect("a temporary directory");
     let links = vec![dir.path().join("hsu-a"), dir.path().join("hsu-b")];
     let (cameras, wires) = (0..4)
@@ -43,7 +43,7 @@ fn bench_with(noise: Option<SerialNoise>) -> Bench {
         })
         .unzip();
     let clock = HsuClock { offset_ns: 5_000_000_000, drift_ppm: 30.0 };
-    let options = HsuOptions { links, cameras, clock, noise, ..HsuOptions::default() };
+    let options = HsuOptions { links, cameras, clock, line, ..HsuOptions::default() };
     Bench { hsu: SimulatedHsu::start(options).expect("ptys"), wires, _dir: dir }
 }
 

@@ -14,6 +14,7 @@ mod endurance;
 mod faults;
 mod fuzz_corpora;
 mod hsu;
+mod hsu_clock;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;

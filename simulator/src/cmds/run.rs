@@ -114,7 +114,7 @@ fn fault_plan(args: &Args) -> Result<Option<FaultPlan>, Failure> {
     let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
     let mut plan = FaultPlan::parse(&text).map_err(|e| wrong(&e))?;
-    plan.seed = args.fault_seed.unwrap_or(plan.seed);
+    plan.set_seed(args.fault_seed.unwrap_or(plan.seed));
     Ok(Some(plan))
 }
 

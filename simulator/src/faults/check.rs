@@ -1,5 +1,6 @@
 //! Compares recordings with what was injected.
 
+use super::check_links::Links;
 use super::pixels;
 use super::truth::{FRAME, Injected};
 use fourdbody::ids::TriggerIndex;
@@ -38,7 +39,17 @@ pub struct Accounting {
 }
 
 impl Accounting {
-    fn mismatch(&mut self, message: String) {
+    /// Counts a fault as right or wrong.
+    pub(super) fn count(&mut self, kind: &str, right: bool) {
+        let kind = self.kinds.entry(kind.to_owned()).or_default();
+        for tally in [kind, &mut self.total] {
+            tally.injected += 1;
+            tally.right += u64::from(right);
+            tally.wrong += u64::from(!right);
+        }
+    }
+
+    pub(super) fn mismatch(&mut self, message: String) {
         self.mismatches += 1;
         if self.listed.len() < LISTED {
             self.listed.push(message);
@@ -93,6 +104,8 @@ fn check_recording(
         .filter_map(|e| Some((e.camera.as_ref()?.as_str(), e.kind.as_str(), e.trigger.map(|t| t.0))))
         .collect();
     let end = recording.triggers_end();
+    let links = Links::of(truth, train, recording);
+    links.judge(recording, into);
     for (number, camera) in recording.header.cameras.iter().enumerate() {
         let mut injected: BTreeMap<u64, &Injected> = BTreeMap::new();
         for fault in truth.iter().filter(|f| f.train == train && f.camera == camera.id.as_str()) {
@@ -100,7 +113,7 @@ fn check_recording(
                 into.mismatch(format!("{} trigger {}: two faults in the truth", camera.id, fault.trigger));
             }
         }
-        for (trigger, fault) in injected.range(end..) {
+        for (trigger, fault) in injected.range(end..).filter(|_| links.ends_whole()) {
             into.mismatch(format!("{} trigger {trigger}: {} after the last trigger", camera.id, fault.kind));
         }
         let outcomes: Vec<String> = (0..end).map(|t| outcome(recording, number, t)).collect();
@@ -116,17 +129,13 @@ fn check_recording(
                 into.mismatch(format!("{}: {wrong}", place()));
             }
             match injected.get(&trigger) {
+                _ if links.is_cut_off(trigger) => {}
                 None if found == FRAME => {}
                 None => into.mismatch(format!("{}: {found}, nothing was injected", place())),
                 Some(fault) => {
                     let wrong = judge(fault, found, at_end, &events);
                     let right = wrong.is_none();
-                    let kind = into.kinds.entry(fault.kind.clone()).or_default();
-                    for tally in [kind, &mut into.total] {
-                        tally.injected += 1;
-                        tally.right += u64::from(right);
-                        tally.wrong += u64::from(!right);
-                    }
+                    into.count(&fault.kind, right);
                     if let Some(wrong) = wrong {
                         into.mismatch(format!(
                             "{}: {} (block {:?}): {wrong}",
@@ -181,13 +190,10 @@ mod tests {
 
     fn fault(expected: &str, events: &[&str]) -> Injected {
         Injected {
-            train: 1,
             camera: "c".to_owned(),
-            trigger: 5,
-            block: None,
-            kind: "k".to_owned(),
             expected: vec![expected.to_owned()],
             events: events.iter().map(|e| (*e).to_owned()).collect(),
+            ..Injected::at(1, 5, "k")
         }
     }
 

@@ -8,11 +8,14 @@
 //! `docs/design/faults.md` has the table of faults and the reasons for what is expected.
 
 pub mod check;
+mod check_links;
+pub mod hsu_plan;
 mod pixels;
 pub mod plan;
 pub mod truth;
 
 pub use check::{Accounting, Shown, Tally, check};
+pub use hsu_plan::{HsuFault, HsuKind, HsuPlan};
 pub use plan::{CameraPlan, Fault, FaultPlan, Kind, Part, PlanError, Resend};
 pub use truth::{Injected, TruthLog, read_truth};
 
@@ -25,6 +28,17 @@ pub struct CameraFaults {
     pub plan: Arc<FaultPlan>,
     /// The camera's name in the rig: seeds its faults, and names it in the truth.
     pub camera: String,
+    /// Where what was injected is written down.
+    pub truth: Arc<TruthLog>,
+}
+
+/// What the HSU needs to inject faults.
+#[derive(Debug, Clone)]
+pub struct HsuFaults {
+    /// What to inject.
+    pub plan: Arc<FaultPlan>,
+    /// The node at the other end of each line.
+    pub nodes: Vec<String>,
     /// Where what was injected is written down.
     pub truth: Arc<TruthLog>,
 }

@@ -1,5 +1,6 @@
 //! Which fault happens at which trigger of which camera: a function of seed, camera and trigger index.
 
+use super::hsu_plan::{HsuPlan, HsuTable};
 use crate::random::{hash, text_number};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -147,6 +148,8 @@ pub struct FaultPlan {
     pub longest: u64,
     /// How late a late answer is.
     pub late: Duration,
+    /// Faults of the HSU and its lines.
+    pub hsu: HsuPlan,
 }
 
 impl Default for FaultPlan {
@@ -159,6 +162,7 @@ impl Default for FaultPlan {
             clear_after_reset: 24,
             longest: 5,
             late: Duration::from_millis(250),
+            hsu: HsuPlan::default(),
         }
     }
 }
@@ -170,7 +174,7 @@ impl FaultPlan {
         Self { seed, probability, ..Self::default() }
     }
 
-    /// Reads the table `[faults]` of a TOML text.
+    /// Reads the tables `[faults]` and `[hsu]` of a TOML text.
     ///
     /// # Errors
     /// Text that is no TOML, an unknown key, a number out of range.
@@ -186,6 +190,7 @@ impl FaultPlan {
             clear_after_reset: table.clear_after_reset.unwrap_or(defaults.clear_after_reset),
             longest: table.longest.unwrap_or(defaults.longest),
             late: table.late_ms.map_or(defaults.late, Duration::from_millis),
+            hsu: HsuPlan::of_table(&file.hsu, table.seed)?,
         };
         let limits = [plan.first_trigger, plan.clear_triggers, plan.clear_after_reset];
         if limits.iter().any(|limit| !(0..=1_000_000).contains(limit)) || !(2..=1000).contains(&plan.longest)
@@ -214,6 +219,11 @@ impl FaultPlan {
         Ok(plan)
     }
 
+    /// Sets the seed of everything.
+    pub fn set_seed(&mut self, seed: u64) {
+        (self.seed, self.hsu.line.seed) = (seed, seed);
+    }
+
     /// What chance says for one trigger of one camera, whatever happened before.
     fn draw(&self, camera: u64, trigger: i64) -> Option<(Kind, u64)> {
         let bits = hash(self.seed, &[camera, trigger as u64, 1]);
@@ -236,12 +246,15 @@ fn unknown(name: &str) -> PlanError {
 #[derive(serde::Deserialize)]
 struct PlanFile {
     faults: PlanTable,
+    #[serde(default)]
+    hsu: HsuTable,
 }
 
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlanTable {
     seed: u64,
+    #[serde(default)]
     probability: BTreeMap<String, f64>,
     first_trigger: Option<i64>,
     clear_triggers: Option<i64>,

@@ -9,12 +9,16 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 /// One injected fault.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Injected {
     /// Which train of triggers of this camera it was, from 1 on.
     pub train: u64,
-    /// The camera's name in the rig.
+    /// The camera's name in the rig; empty where it was none.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub camera: String,
+    /// The node whose link it was; without camera and node it was the HSU itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub node: Option<String>,
     /// The trigger.
     pub trigger: u64,
     /// The frame's block id, where there is a frame.
@@ -25,6 +29,16 @@ pub struct Injected {
     pub expected: Vec<String>,
     /// Kinds of the events that must be in the recording.
     pub events: Vec<String>,
+    /// How many triggers from this one on may have these outcomes, where it is more than one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lasts: Option<u64>,
+}
+
+impl Injected {
+    /// A fault of no camera, without any effect.
+    pub fn at(train: u64, trigger: u64, kind: &str) -> Self {
+        Self { train, trigger, kind: kind.to_owned(), ..Self::default() }
+    }
 }
 
 /// `frame`, as an outcome.
@@ -70,8 +84,12 @@ impl TruthLog {
     pub fn record(&self, train: u64, camera: &str, trigger: u64, block: Option<u64>, kind: Kind) {
         let (expected, events) = expectation(kind);
         let (camera, kind) = (camera.to_owned(), kind.to_string());
-        let injected = Injected { train, camera, trigger, block, kind, expected, events };
-        let line = serde_json::to_string(&injected).map(|line| line + "\n").map_err(io::Error::from);
+        self.write(&Injected { camera, block, expected, events, ..Injected::at(train, trigger, &kind) });
+    }
+
+    /// Writes any fault down.
+    pub fn write(&self, injected: &Injected) {
+        let line = serde_json::to_string(injected).map(|line| line + "\n").map_err(io::Error::from);
         let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Err(error) = line.and_then(|line| file.write_all(line.as_bytes())) {
             tracing::error!(%error, "an injected fault could not be written down");
