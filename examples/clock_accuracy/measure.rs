@@ -88,7 +88,7 @@ pub fn measure(train: &Train, device: &Path) -> Result<Found, Box<dyn std::error
             let found = fit.host_from_device(i128::from(trigger.time_ns)).ok_or("no fit")?;
             known.insert(trigger.number, found);
             if trigger.number.unsigned_abs() % train.triggers_per_exchange == 0 {
-                drop(questions.try_send(()));
+                let _ = questions.try_send(());
             }
             answers.try_iter().flatten().for_each(|sample| enter(&sample, &mut fit));
         }

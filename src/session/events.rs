@@ -139,12 +139,12 @@ impl Node {
     pub(super) fn attendant_reports(&mut self, report: Report) {
         let Some(session) = &mut self.session else { return };
         let camera = match report {
-            Report::Lost { camera, .. } | Report::Back { camera } => camera,
+            Report::Lost { camera, .. } | Report::Owned { camera, .. } | Report::Back { camera } => camera,
         };
         let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
         match report {
             Report::Lost { reason, .. } => {
-                let message = format!("camera {id} stopped answering ({reason}); check its power and cable");
+                let message = format!("camera {id} is lost: {reason}");
                 self.devices.set_problem(camera, Some(message.clone()));
                 self.note("camera_lost", Some(id), &message);
                 let fatal = match self.machine.phase() {
@@ -155,6 +155,10 @@ impl Node {
                 if fatal {
                     self.take(Event::Failed(Fault::new(Exit::Device, message)));
                 }
+            }
+            Report::Owned { reason, .. } => {
+                tracing::warn!(camera = %id, "{reason}");
+                self.devices.set_problem(camera, Some(format!("camera {id}: {reason}")));
             }
             Report::Back { .. } => {
                 tracing::warn!(camera = %id, "the camera is back");

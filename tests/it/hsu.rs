@@ -294,7 +294,7 @@ fn a_host_that_comes_back_during_a_train_can_fetch_what_it_missed() {
 #[test]
 fn noise_on_the_line_costs_nothing() {
     let _alone = alone();
-    let bench = bench_with(Some(SerialNoise { flips_per_million: 1000, seed: 3 }));
+    let bench = bench_with(Some(LineFaults { flips_per_million: 1000, seed: 3, ..LineFaults::default() }));
     let patience = Patience { answer: Duration::from_millis(100), attempts: 20 };
     let timeouts = HsuTimeouts { patience, ..HsuTimeouts::default() };
     let connect = |link, role| Hsu::connect(bench.hsu.link(link), &node(role), &timeouts).expect("connected");

@@ -18,6 +18,8 @@ mod hsu_clock;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
+#[cfg(feature = "aravis")]
+mod plan_faults;
 mod recording;
 mod recording_commands;
 mod recording_damage;

@@ -1,6 +1,7 @@
 //! Compares recordings with what was injected.
 
 use super::check_links::Links;
+use super::check_rows::Rows;
 use super::pixels;
 use super::truth::{FRAME, Injected};
 use fourdbody::ids::TriggerIndex;
@@ -108,7 +109,8 @@ fn check_recording(
     links.judge(recording, into);
     for (number, camera) in recording.header.cameras.iter().enumerate() {
         let mut injected: BTreeMap<u64, &Injected> = BTreeMap::new();
-        for fault in truth.iter().filter(|f| f.train == train && f.camera == camera.id.as_str()) {
+        let mine = || truth.iter().filter(|f| f.train == train && f.camera == camera.id.as_str());
+        for fault in mine().filter(|fault| fault.lasts.is_none()) {
             if injected.insert(fault.trigger, fault).is_some() {
                 into.mismatch(format!("{} trigger {}: two faults in the truth", camera.id, fault.trigger));
             }
@@ -117,6 +119,8 @@ fn check_recording(
             into.mismatch(format!("{} trigger {trigger}: {} after the last trigger", camera.id, fault.kind));
         }
         let outcomes: Vec<String> = (0..end).map(|t| outcome(recording, number, t)).collect();
+        let rows = Rows::of(mine(), &outcomes);
+        rows.judge(recording, &outcomes, into);
         // Nothing after it proves what a camera's last frames were lost by.
         let last_frame = outcomes.iter().rposition(|outcome| outcome == FRAME).map_or(0, |at| at as u64);
         for (trigger, found) in (0u64..).zip(&outcomes) {
@@ -129,7 +133,7 @@ fn check_recording(
                 into.mismatch(format!("{}: {wrong}", place()));
             }
             match injected.get(&trigger) {
-                _ if links.is_cut_off(trigger) => {}
+                _ if links.is_cut_off(trigger) || rows.at(trigger).is_some() => {}
                 None if found == FRAME => {}
                 None => into.mismatch(format!("{}: {found}, nothing was injected", place())),
                 Some(fault) => {

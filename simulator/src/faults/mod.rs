@@ -9,6 +9,7 @@
 
 pub mod check;
 mod check_links;
+mod check_rows;
 pub mod hsu_plan;
 mod pixels;
 pub mod plan;
@@ -16,7 +17,7 @@ pub mod truth;
 
 pub use check::{Accounting, Shown, Tally, check};
 pub use hsu_plan::{HsuFault, HsuKind, HsuPlan};
-pub use plan::{CameraPlan, Fault, FaultPlan, Kind, Part, PlanError, Resend};
+pub use plan::{CameraPlan, Fault, FaultPlan, Kind, NamedFault, Part, PlanError, Resend};
 pub use truth::{Injected, TruthLog, read_truth};
 
 use std::sync::Arc;

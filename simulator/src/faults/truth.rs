@@ -1,6 +1,6 @@
 //! What was injected, one JSON line per fault, and what a recording has to say of it.
 
-use super::plan::{Kind, Part, Resend};
+use super::plan::{Fault, Kind, Part, Resend};
 use fourdbody::record::GapCause;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -62,7 +62,17 @@ pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
         Kind::ClockReset => (vec![FRAME.to_owned()], Some("camera_clock_reset")),
         // Aravis takes some for packets; then the marks in the block say that a part was not written.
         Kind::Malformed => (vec![FRAME.to_owned(), missing], None),
-        Kind::Reordered | Kind::Duplicated | Kind::RepeatedFrame => (vec![FRAME.to_owned()], None),
+        Kind::Reordered | Kind::Duplicated | Kind::RepeatedFrame | Kind::RogueClient => {
+            (vec![FRAME.to_owned()], None)
+        }
+        Kind::ForeignFar => (vec![FRAME.to_owned(), missing, timeout], None),
+        Kind::ForeignAhead => (vec![FRAME.to_owned(), missing, timeout], None),
+        // A camera that is back before anybody asked it looks like one whose control was lost.
+        Kind::Unplugged => {
+            let causes = [GapCause::Unplugged, GapCause::ControlLost];
+            (causes.map(|cause| cause.to_string()).to_vec(), Some("camera_lost"))
+        }
+        Kind::ControlTaken => (vec![GapCause::ControlLost.to_string()], Some("camera_lost")),
     };
     (outcomes, event.map(str::to_owned).into_iter().collect())
 }
@@ -81,10 +91,22 @@ impl TruthLog {
     }
 
     /// Writes one fault down, at once: the simulator may be killed at any time.
-    pub fn record(&self, train: u64, camera: &str, trigger: u64, block: Option<u64>, kind: Kind) {
-        let (expected, events) = expectation(kind);
-        let (camera, kind) = (camera.to_owned(), kind.to_string());
-        self.write(&Injected { camera, block, expected, events, ..Injected::at(train, trigger, &kind) });
+    pub fn record(&self, train: u64, camera: &str, trigger: u64, block: Option<u64>, fault: Fault) {
+        let (expected, events) = expectation(fault.kind);
+        let (camera, kind) = (camera.to_owned(), fault.kind.to_string());
+        let lasts = match fault.kind {
+            kind if kind.is_absence() => Some(fault.count),
+            Kind::ForeignAhead => Some(fault.count + 1),
+            _ => None,
+        };
+        self.write(&Injected {
+            camera,
+            block,
+            expected,
+            events,
+            lasts,
+            ..Injected::at(train, trigger, &kind)
+        });
     }
 
     /// Writes any fault down.

@@ -183,7 +183,8 @@ impl<'a> Resets<'a> {
     /// Whether a step of the clock between two frames is one of them.
     fn explain(&mut self, before: u64, trigger: u64) -> bool {
         let between = |outcomes: &BTreeMap<u64, Outcome>| {
-            outcomes.range(before + 1..trigger).any(|(_, o)| *o == Outcome::Gap(GapCause::Unplugged))
+            let away = [GapCause::Unplugged, GapCause::ControlLost].map(Outcome::Gap);
+            outcomes.range(before + 1..trigger).any(|(_, outcome)| away.contains(outcome))
         };
         if self.outcomes.is_some_and(between) || self.at.iter().any(|at| (before + 1..=trigger).contains(at))
         {
