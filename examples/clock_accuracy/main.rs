@@ -1,6 +1,6 @@
 //! How well trigger times are known, end to end, with a serial line that delays every message.
 //!
-//!     clock_accuracy [TRIGGERS] [PERIOD_US] [DRIFT_PPM] [JITTER_MS] [SEED]
+//!     clock_accuracy [TRIGGERS] [PERIOD_US] [DRIFT_PPM] [JITTER_MS] [SEED] [EXCHANGES_PER_S]
 
 mod measure;
 
@@ -15,7 +15,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (drift_ppm, jitter_ms, seed) = (argument(100.0)?, argument(2.0)?, argument(1.0)? as u64);
     let jitter = Duration::from_secs_f64(jitter_ms / 1e3);
     let period = Duration::from_secs_f64(period_us / 1e6);
-    let triggers_per_exchange = (1.0 / period.as_secs_f64()).ceil() as u64;
+    // As often as a node asks.
+    let per_s = argument(5.0)?;
+    let triggers_per_exchange = (1.0 / per_s / period.as_secs_f64()).ceil().max(1.0) as u64;
     let line = LineFaults { seed, jitter, ..LineFaults::default() };
     let path = std::env::temp_dir().join(format!("clock-accuracy-{}", std::process::id()));
     let found = measure(&Train { triggers, period, drift_ppm, line, triggers_per_exchange }, &path)?;

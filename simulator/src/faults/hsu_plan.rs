@@ -238,6 +238,13 @@ mod tests {
     }
 
     #[test]
+    fn the_shipped_scenario_is_a_plan() {
+        let shipped = FaultPlan::parse(include_str!("../../../config/scenarios/absences.toml"));
+        let plan = shipped.expect("a valid plan");
+        assert!(plan.needs_stranger() && plan.hsu.line.delays() && plan.named.len() == 1);
+    }
+
+    #[test]
     fn wrong_tables_are_refused() {
         for wrong in [
             "jitter_ms = -1.0",
