@@ -3,6 +3,7 @@
 use crate::acquire::latency::Histogram;
 use crate::camera::CameraIdentity;
 use crate::ids::{CameraId, NodeId};
+use crate::record::Interrupted;
 use crate::session::state::{Fault, Phase};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -31,6 +32,9 @@ pub struct NodeStatus {
     pub sessions_dir: PathBuf,
     /// Free space there, bytes.
     pub free_bytes: u64,
+    /// Recordings of this node that were found unfinished when it started.
+    #[serde(default)]
+    pub interrupted: Vec<Interrupted>,
     /// The session in progress, or the last one.
     pub session: Option<SessionStatus>,
 }

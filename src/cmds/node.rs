@@ -3,11 +3,11 @@
 use super::{Exit, Failure};
 use crate::api::server;
 use crate::config::NodeConfig;
-use crate::record::recover::interrupted;
+use crate::record::{Interrupted, interrupted};
 use crate::session::driver::Driver;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
@@ -39,18 +39,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         let message = format!("cannot listen on {listen} (api.listen): {e}; is another node running?");
         Failure::new(Exit::Usage, message)
     })?;
-    for found in interrupted(&config.sessions_dir, config.node.as_str()) {
-        let session = found.path.parent().unwrap_or(&found.path).display();
-        tracing::warn!(
-            "the recording {} was interrupted ({}); what is in it can be made whole with: fourdbody recover {session} --out {session}-recovered",
-            found.path.display(),
-            found.reason
-        );
-    }
+    // Before anything is recorded: a recording in progress looks the same.
+    let mut unfinished = interrupted(&config.sessions_dir);
+    unfinished.retain(|found| found.node == config.node);
+    unfinished.iter().for_each(warn_of);
     let mut signals = runtime
         .block_on(async { StopSignals::watch() })
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
     let driver = Driver::start(config, backend).map_err(|e| Failure::new(Exit::Failure, e))?;
+    driver.status().write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
     tracing::info!(%listen, "node is up");
     match runtime.block_on(serve(listener, &driver, &mut signals)) {
         Ended::Orderly(served) => {
@@ -64,6 +61,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             "ended by a second signal; a session in progress is unfinished, see `fourdbody verify`",
         )),
     }
+}
+
+/// Nothing is recovered unasked: it takes disk space and time, and the operator may want to look first.
+fn warn_of(found: &Interrupted) {
+    let (path, reason, frames, command) =
+        (found.path.display(), &found.reason, found.frames, found.command());
+    tracing::warn!(
+        "the recording {path} was interrupted ({reason}); it has {frames} frames; save them with: {command}"
+    );
 }
 
 /// How serving ended.

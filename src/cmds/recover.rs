@@ -1,64 +1,89 @@
-//! `fourdbody recover`: a whole recording from an interrupted or damaged one.
+//! `fourdbody recover`: makes a complete recording of what a crash or a damaged disk has left.
 
+use super::progress::Progress;
 use super::{Exit, Failure};
-use crate::record::recover::{RecoverError, Recovered, recover};
-use std::io::IsTerminal;
+use crate::record::recover::{RecoverError, RecoveredRecording, Recovery, recover};
 use std::path::PathBuf;
 
-/// Salvage an interrupted or damaged recording into a new, complete one; the source is only read.
-///
-/// Exit code 0: everything is there. 3: some frames are missing, each with a gap record. 4: nothing is usable.
+/// Lines that are printed of damage and of added gap records; JSON has all.
+const MAX_LINES: usize = 20;
+
+/// Salvage an interrupted or damaged recording into a new, complete one.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody recover sessions/walk-01 --out sessions/walk-01-recovered")]
+#[command(after_help = "\
+The source is never changed. Frames whose checksum is wrong are not passed on: a gap record `damaged` takes their
+place. What the interruption cost becomes `aborted`. Check the result with `fourdbody verify DIR`.
+
+Exit code 0: nothing was damaged and nothing that is known of is missing; 3: saved, and what is not is accounted for;
+4: nothing usable.
+
+Example:
+  fourdbody recover /var/lib/fourdbody/sessions/walk-01 --out /var/lib/fourdbody/sessions/walk-01-recovered")]
 pub struct Args {
-    /// A session, a recording or one segment.
-    #[arg(value_name = "PATH")]
+    /// A session, a recording of one node, or a single segment.
     path: PathBuf,
-    /// The new session's directory; it must not hold a recording of the same node.
+    /// Where the result goes: a directory that does not exist.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Print one JSON object a recording.
+    /// Print one JSON object instead of text.
     #[arg(long)]
     json: bool,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let show = std::io::stderr().is_terminal();
-    let progress = |done: u64, total: u64| {
-        if show && (done.is_multiple_of(64) || done == total) {
-            eprint!("\r{done} of {total} triggers{}", if done == total { "\n" } else { "" });
-        }
-    };
-    let results = recover(&args.path, &args.out, progress).map_err(|error| {
-        let exit = if matches!(error, RecoverError::Source(_)) { Exit::Corrupt } else { Exit::Failure };
-        Failure::new(exit, error)
-    })?;
-    for result in &results {
-        match args.json {
-            true => println!("{}", serde_json::json!(result)),
-            false => print(result),
-        }
+    let progress = Progress::of_bytes("recovering");
+    let result = recover(&args.path, &args.out, &|done, total| progress.at(done, total));
+    drop(progress);
+    let recovery = result.map_err(|error| Failure::new(exit_of(&error, &args.path), error))?;
+    let exit = if recovery.lossless() { Exit::Done } else { Exit::DataLoss };
+    if args.json {
+        println!("{}", serde_json::json!({"exit": exit as u8, "recovery": recovery}));
+    } else {
+        print(&recovery);
     }
-    let frames: u64 = results.iter().flat_map(|r| &r.frames).map(|(_, n)| n).sum();
-    let whole = results.iter().all(|r| r.verdict.gaps() == 0);
-    Ok(match (frames, whole) {
-        (0, _) => Exit::Corrupt,
-        (_, true) => Exit::Done,
-        (_, false) => Exit::DataLoss,
-    })
+    Ok(exit)
 }
 
-fn print(result: &Recovered) {
-    println!("{} -> {}", result.source.display(), result.directory.display());
-    for (camera, frames) in &result.frames {
-        println!("  {camera}: {frames} frames");
+fn exit_of(error: &RecoverError, path: &std::path::Path) -> Exit {
+    match error {
+        // A path that does not exist is a mistake of usage, not of the data.
+        RecoverError::NotFound(_) if !path.exists() => Exit::Usage,
+        RecoverError::Exists { .. } => Exit::Usage,
+        RecoverError::NotFound(_) | RecoverError::Unusable { .. } => Exit::Corrupt,
+        RecoverError::Output { .. } => Exit::Failure,
     }
-    println!(
-        "  {} damaged, {} absent; {}",
-        result.damaged,
-        result.absent,
-        if result.was_whole { "the source was whole" } else { "the source was not whole" }
-    );
-    println!("{}", result.verdict);
+}
+
+fn print(recovery: &Recovery) {
+    for recording in &recovery.recordings {
+        print_recording(recording);
+    }
+    for reason in &recovery.unusable {
+        println!("lost: {reason}");
+    }
+    let word = if recovery.lossless() { "everything that was there is saved" } else { "saved, with loss" };
+    println!("{}: {word}; check it with `fourdbody verify`", recovery.out.display());
+}
+
+fn print_recording(recording: &RecoveredRecording) {
+    let node = &recording.node;
+    let lines = recording.damage.iter().map(|damage| format!("damage: node {node} {damage}"));
+    let added = recording.added.iter().map(|run| {
+        let (camera, cause) = (&run.camera, run.cause);
+        if run.first == run.last {
+            format!("added: node {node} camera {camera} trigger {}: gap: {cause}", run.first)
+        } else {
+            format!("added: node {node} camera {camera} triggers {} to {}: gap: {cause}", run.first, run.last)
+        }
+    });
+    let lines: Vec<String> = lines.chain(added).collect();
+    lines.iter().take(MAX_LINES).for_each(|line| println!("{line}"));
+    if lines.len() > MAX_LINES {
+        println!("... and {} more", lines.len() - MAX_LINES);
+    }
+    if recording.records_lost > 0 {
+        println!("node {node}: {} small records lost with their chunks", recording.records_lost);
+    }
+    println!("node {node}: {}", recording.verdict);
 }

@@ -73,6 +73,16 @@ fn print(status: &NodeStatus) {
     for warning in &status.warnings {
         println!("  warning: {warning}");
     }
+    for found in &status.interrupted {
+        let last = found.last_trigger.map_or("none".to_owned(), |last| last.to_string());
+        println!(
+            "  interrupted: session {} ({}): {} frames, last trigger {last}; save them with: {}",
+            found.session,
+            found.reason,
+            found.frames,
+            found.command()
+        );
+    }
     if let Some(session) = &status.session {
         let frames: u64 = session.cameras.iter().map(|c| c.frames).sum();
         let gaps: u64 = session.cameras.iter().map(|c| c.gaps).sum();

@@ -6,6 +6,7 @@
 mod direct;
 mod disk;
 pub mod envelope;
+mod interrupted;
 pub mod layout;
 mod protobuf;
 mod reader;
@@ -22,11 +23,12 @@ mod writer;
 
 pub use direct::free_bytes;
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
+pub use interrupted::{Interrupted, interrupted};
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NodeEvent, RecordingHeader,
     TriggerRecord,
 };
-pub use reader::{ReadError, RecordedFrame, RecordingReader};
+pub use reader::{ReadError, RecordedFrame, RecordingReader, SegmentReader};
 pub use session::{SessionReader, node_dir};
 pub use statistics::{Latency, WriteStatistics};
 pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};

@@ -3,14 +3,15 @@
 use super::direct::map_file;
 use super::envelope::{FrameMeta, parse_envelope, pixels_crc};
 use super::layout::{
-    CLOCK_TOPIC, ClockSample, EVENTS_TOPIC, FORMAT, GAPS_TOPIC, GapCause, GapRecord, HEADER_METADATA,
-    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG,
-    KEY_SEGMENT, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA, SegmentIndex, TRIGGERS_TOPIC,
-    TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
+    CLOCK_TOPIC, CameraHeader, ClockSample, EVENTS_TOPIC, FORMAT, GAPS_TOPIC, GapCause, GapRecord,
+    HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET,
+    KEY_JSON, KEY_RIG, KEY_SEGMENT, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA,
+    STATISTICS_METADATA, SegmentIndex, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
 };
 use super::scan::{End, Event, Walker, metadata_by_index};
 use super::session::RecordingFiles;
-use super::verdict::Verdict;
+use super::statistics::WriteStatistics;
+use super::verdict::{CameraVerdict, Verdict};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
 use memmap2::{Advice, Mmap};
@@ -54,6 +55,11 @@ pub struct SegmentReader {
 }
 
 impl SegmentReader {
+    /// Whether it ends as a segment does that was closed.
+    pub fn is_closed(&self) -> bool {
+        self.end == End::Closed
+    }
+
     /// All bytes.
     pub(crate) fn bytes(&self) -> &[u8] {
         // An empty file cannot be mapped.
@@ -61,7 +67,7 @@ impl SegmentReader {
     }
 
     /// A message's bytes, which the system is told to fetch in one go.
-    pub(super) fn message(&self, offset: usize, length: usize) -> Option<&[u8]> {
+    fn message(&self, offset: usize, length: usize) -> Option<&[u8]> {
         let message = self.bytes().get(offset..offset.checked_add(length)?)?;
         // Advice is only advice.
         let _ = self.map.as_ref()?.advise_range(Advice::WillNeed, offset, length);
@@ -76,8 +82,6 @@ pub(super) enum Extent {
     Everything,
     /// Outcomes and verdict, by way of the indexes.
     Outcomes,
-    /// All small records, also behind damage.
-    Salvage,
 }
 
 /// What a camera has at a trigger.
@@ -105,6 +109,8 @@ pub struct RecordingReader {
     pub events: Vec<NodeEvent>,
     /// The verdict as stored; `None` when the recording was not finished.
     pub verdict: Option<Verdict>,
+    /// How the disk kept up, if the recording was finished.
+    pub statistics: Option<WriteStatistics>,
     /// What was found wrong when opening.
     pub problems: Vec<Problem>,
     /// Per camera of the header.
@@ -162,6 +168,7 @@ impl RecordingReader {
             clock_samples: Vec::new(),
             events: Vec::new(),
             verdict: None,
+            statistics: None,
             problems: Vec::new(),
         }
     }
@@ -193,8 +200,8 @@ impl RecordingReader {
             let _ = map.advise(Advice::Random);
         }
         let bytes = map.as_deref().unwrap_or_default();
-        if what != Extent::Outcomes || !self.take_index(&mut segment, bytes) {
-            self.walk(&mut segment, bytes, what);
+        if what == Extent::Everything || !self.take_index(&mut segment, bytes) {
+            self.walk(&mut segment, bytes);
         }
         if let Some(map) = &map {
             let _ = map.advise(Advice::Normal);
@@ -203,38 +210,31 @@ impl RecordingReader {
         self.segments.push(segment);
     }
 
-    fn walk(&mut self, segment: &mut SegmentReader, bytes: &[u8], what: Extent) {
+    fn walk(&mut self, segment: &mut SegmentReader, bytes: &[u8]) {
         let (place, number) = (self.segments.len(), segment.number);
         let topics: Vec<String> = self.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
         let mut channels: BTreeMap<u16, Topic> = BTreeMap::new();
         let mut walker = Walker::new(bytes);
-        let mut end = None;
-        loop {
-            for event in walker.by_ref() {
-                match event {
-                    Event::Channel { id, topic } => {
-                        channels.insert(id, Topic::of(topic, &topics));
-                    }
-                    Event::Message { channel, sequence, data } => {
-                        let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
-                        if let Topic::Image(camera) = topic {
-                            let outcome =
-                                Outcome::Frame { segment: place, offset: data.start, length: data.len() };
-                            self.outcome(number, camera, u64::from(sequence), outcome);
-                        } else {
-                            self.small_record(number, topic, &bytes[data]);
-                        }
-                    }
-                    Event::Metadata { name, entries } => self.metadata(segment, name, &entries),
-                    Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
+        for event in walker.by_ref() {
+            match event {
+                Event::Channel { id, topic } => {
+                    channels.insert(id, Topic::of(topic, &topics));
                 }
-            }
-            end.get_or_insert(walker.end());
-            if what != Extent::Salvage || !walker.resume() {
-                break;
+                Event::Message { channel, sequence, data } => {
+                    let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
+                    if let Topic::Image(camera) = topic {
+                        let outcome =
+                            Outcome::Frame { segment: place, offset: data.start, length: data.len() };
+                        self.outcome(number, camera, u64::from(sequence), outcome);
+                    } else {
+                        self.small_record(number, topic, &bytes[data]);
+                    }
+                }
+                Event::Metadata { name, entries } => self.metadata(segment, name, &entries),
+                Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
             }
         }
-        segment.end = end.unwrap_or(End::Cut { at: 0 });
+        segment.end = walker.end();
     }
 
     /// The outcomes of a closed segment from its index; `false` when there is none to rely on.
@@ -319,6 +319,11 @@ impl RecordingReader {
                 Err(message) => self.problem(segment.number, None, None, message),
             },
             SEGMENT_METADATA => segment.end_trigger = number(KEY_END_TRIGGER),
+            // Of a kind that is nice to have: one that is not readable is no problem.
+            STATISTICS_METADATA => {
+                let json = entries.get(KEY_JSON).copied().unwrap_or_default();
+                self.statistics = serde_json::from_str(json).ok();
+            }
             VERDICT_METADATA => {
                 let json = entries.get(KEY_JSON).copied().unwrap_or_default();
                 match serde_json::from_str(json) {
@@ -356,6 +361,21 @@ impl RecordingReader {
                     .map_err(|reason| format!("{}: {reason}; run `fourdbody verify`", place()))
             }
         }
+    }
+
+    /// Outcomes of each camera, counted from the records.
+    pub fn counted(&self) -> Vec<CameraVerdict> {
+        let count = |(camera, outcomes): (&CameraHeader, &BTreeMap<u64, Outcome>)| {
+            let mut counted = CameraVerdict { camera: camera.id.clone(), frames: 0, gaps: BTreeMap::new() };
+            for outcome in outcomes.values() {
+                match outcome {
+                    Outcome::Frame { .. } => counted.frames += 1,
+                    Outcome::Gap(cause) => *counted.gaps.entry(*cause).or_default() += 1,
+                }
+            }
+            counted
+        };
+        self.header.cameras.iter().zip(&self.outcomes).map(count).collect()
     }
 
     /// One more than the highest trigger in the records.
@@ -435,7 +455,7 @@ pub(crate) fn stated_index(bytes: &[u8], metadata: &[(&str, BTreeMap<&str, &str>
     own.find_map(|(_, entries)| parse_index(bytes, entries))
 }
 
-fn parse_index(bytes: &[u8], entries: &BTreeMap<&str, &str>) -> Option<SegmentIndex> {
+pub(super) fn parse_index(bytes: &[u8], entries: &BTreeMap<&str, &str>) -> Option<SegmentIndex> {
     let number = |key: &str| entries.get(key)?.parse::<usize>().ok();
     let (offset, length) = (number(KEY_INDEX_OFFSET)?, number(KEY_INDEX_LENGTH)?);
     let index = bytes.get(offset..offset.checked_add(length)?)?;
@@ -457,7 +477,7 @@ fn read_header(bytes: &[u8]) -> Result<(RecordingHeader, u32), String> {
     }
 }
 
-fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<(RecordingHeader, u32), String> {
+pub(super) fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<(RecordingHeader, u32), String> {
     let get = |key: &str| entries.get(key).copied().ok_or_else(|| format!("the header has no {key:?}"));
     let (format, version) = (get("format")?, get("version")?);
     if format != FORMAT || version.parse::<u32>().is_ok_and(|v| v > VERSION) {

@@ -1,219 +1,274 @@
-//! Makes a whole recording of an interrupted or damaged one (`fourdbody recover`).
+//! Makes a complete recording of what a crash, a cut or a damaged disk has left.
 //!
-//! The source is only read. Every frame is checked against its own checksums on the way; what fails becomes a gap record
-//! with cause `damaged`, what is absent one that says so. The result is a recording like any other, with index and
-//! verdict; `docs/design/recording.md` states what it must keep.
+//! `docs/design/recording.md`, "Recovery", states what this keeps true (R1 to R8). The source is read twice: once to
+//! find and check everything ([`salvage`]), once to copy.
 
-use super::layout::{GapCause, NodeEvent, TriggerRecord};
-use super::reader::{Extent, Outcome, ReadError, RecordingReader, check_frame};
-use super::scan::End;
-use super::session::SessionReader;
-use super::verdict::{SessionEnd, Verdict};
-use super::writer::{RecordError, Recording, WriterOptions};
-use crate::ids::{CameraId, TriggerIndex};
+mod header;
+mod merge;
+mod rewrite;
+mod salvage;
+
+use super::direct::{rename_new, sync_directory};
+use super::layout::GapCause;
+use super::reader::{Extent, RecordingReader};
+use super::session::{RecordingFiles, find, node_dir};
+use super::verdict::Verdict;
+use super::writer::RecordError;
+use crate::ids::{CameraId, NodeId, TriggerIndex};
+use merge::{Salvage, salvage};
 use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What became of one recording.
-#[derive(Debug, Clone, Serialize)]
-pub struct Recovered {
-    /// The source.
-    pub source: PathBuf,
-    /// The result.
-    pub directory: PathBuf,
-    /// Frames passed on, per camera in the header's order.
-    pub frames: Vec<(CameraId, u64)>,
-    /// Frames that were there, but failed their checksums.
-    pub damaged: u64,
-    /// Outcomes that were absent from the source.
-    pub absent: u64,
-    /// The source was closed properly, and nothing was wrong with it.
-    pub was_whole: bool,
-    /// Of the result.
-    pub verdict: Verdict,
-}
+/// Kind of the event that marks a recovered recording.
+pub const RECOVERED: &str = "recovered";
 
-/// Why nothing could be recovered.
+/// Why nothing was recovered.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {
-    /// The source cannot be read at all.
+    /// There is nothing at the path that could be a recording.
     #[error("{0}")]
-    Source(#[from] ReadError),
-    /// The result cannot be written.
-    #[error("{0}")]
-    Target(Box<RecordError>),
+    NotFound(String),
+    /// Nothing is ever overwritten.
+    #[error("{path} exists; recovery never overwrites: name a directory that does not exist")]
+    Exists {
+        /// The output.
+        path: PathBuf,
+    },
+    /// Something is there, but nothing of it can be used.
+    #[error("{path}: {reason}; nothing can be recovered")]
+    Unusable {
+        /// The recording or segment.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The output could not be written.
+    #[error("{path}: {reason}; nothing was left there, the source is as it was")]
+    Output {
+        /// The output.
+        path: PathBuf,
+        /// What went wrong.
+        reason: String,
+    },
 }
 
-impl From<RecordError> for RecoverError {
-    fn from(error: RecordError) -> Self {
-        Self::Target(Box::new(error))
-    }
-}
-
-/// Recovers a session, a recording or one segment into `out`; `progress` gets the triggers done and all triggers.
-pub fn recover(
-    source: &Path,
-    out: &Path,
-    mut progress: impl FnMut(u64, u64),
-) -> Result<Vec<Recovered>, RecoverError> {
-    let session = SessionReader::open_extent(source, Extent::Salvage)?;
-    let recordings = session.recordings();
-    // Both nodes saw the same triggers: what one knows of, the other must account for.
-    let end = recordings.iter().map(RecordingReader::triggers_end).max().unwrap_or(0);
-    let total = end * recordings.len() as u64;
-    let mut results = Vec::new();
-    for (place, recording) in recordings.iter().enumerate() {
-        let directory = out.join(format!("node-{}", recording.header.node));
-        let before = place as u64 * end;
-        results.push(one(recording, &directory, end, |done| progress(before + done, total))?);
-    }
-    Ok(results)
-}
-
-fn one(
-    source: &RecordingReader,
-    directory: &Path,
-    end: u64,
-    mut progress: impl FnMut(u64),
-) -> Result<Recovered, RecoverError> {
-    let mut target = Recording::create(directory, source.header.clone(), WriterOptions::default())?;
-    let mut frames = vec![0; source.header.cameras.len()];
-    let (mut damaged, mut absent) = (0, 0);
-    let mut small = SmallRecords::of(source);
-    let last: Vec<u64> =
-        source.outcomes.iter().map(|o| o.last_key_value().map_or(0, |(trigger, _)| trigger + 1)).collect();
-    for trigger in 0..end {
-        let index = TriggerIndex(trigger);
-        if let Some(row) = source.triggers.get(&index) {
-            small.write_until(row.host_time_ns, &mut target)?;
-            target.trigger(row)?;
-        }
-        for camera in 0..frames.len() {
-            let cause = match source.outcomes[camera].get(&trigger) {
-                Some(Outcome::Gap(cause)) => *cause,
-                Some(&Outcome::Frame { segment, offset, length }) => {
-                    match copy(source, &mut target, camera, index, (segment, offset, length))? {
-                        true => {
-                            frames[camera] += 1;
-                            continue;
-                        }
-                        false => {
-                            damaged += 1;
-                            GapCause::Damaged
-                        }
-                    }
-                }
-                None => {
-                    absent += 1;
-                    // Behind a camera's last outcome the recording had stopped; before it something is broken.
-                    if trigger >= last[camera] { GapCause::Aborted } else { GapCause::Damaged }
-                }
-            };
-            target.gap(camera, index, cause)?;
-        }
-        progress(trigger + 1);
-    }
-    small.write_until(u64::MAX, &mut target)?;
-    let stated = source.verdict.clone();
-    let closed = source.segments.iter().all(|segment| segment.end == End::Closed);
-    let was_whole = closed && stated.is_some() && source.problems.is_empty() && damaged == 0 && absent == 0;
-    let why = format!("recovered from {}", source.path.display());
-    if !was_whole {
-        target.event(&NodeEvent {
-            host_time_ns: small.newest_ns,
-            kind: "recovered".to_owned(),
-            camera: None,
-            trigger: None,
-            message: format!(
-                "{why}: {damaged} damaged frames and {absent} absent outcomes became gap records"
-            ),
-        })?;
-    }
-    let interrupted = (!was_whole).then_some(why);
-    let verdict = target.finish(SessionEnd {
-        triggers_emitted: stated.as_ref().and_then(|verdict| verdict.triggers_emitted),
-        aborted: stated.and_then(|verdict| verdict.aborted).or(interrupted),
-        absent: GapCause::Unknown,
-        host_time_ns: small.newest_ns,
-    })?;
-    let named = source.header.cameras.iter().map(|camera| camera.id.clone()).zip(frames);
-    Ok(Recovered {
-        source: source.path.clone(),
-        directory: directory.to_owned(),
-        frames: named.collect(),
-        damaged,
-        absent,
-        was_whole,
-        verdict,
-    })
-}
-
-/// Passes a frame on if it is intact, and says whether it was.
-fn copy(
-    source: &RecordingReader,
-    target: &mut Recording,
-    camera: usize,
-    trigger: TriggerIndex,
-    (segment, offset, length): (usize, usize, usize),
-) -> Result<bool, RecoverError> {
-    let message = source.segments.get(segment).and_then(|segment| segment.message(offset, length));
-    let checked = message
-        .and_then(|message| Some((message, check_frame(message, camera, trigger, &source.header).ok()?)));
-    let Some((message, frame)) = checked else { return Ok(false) };
-    target.frame(camera, &frame.meta, message)?;
-    Ok(true)
-}
-
-/// Events and clock samples, which go between the triggers where they were.
-struct SmallRecords<'a> {
-    source: &'a RecordingReader,
-    events: usize,
-    samples: usize,
-    newest_ns: u64,
-}
-
-impl<'a> SmallRecords<'a> {
-    fn of(source: &'a RecordingReader) -> Self {
-        let table = source.triggers.values().map(|row: &TriggerRecord| row.host_time_ns);
-        let times = source.events.iter().map(|event| event.host_time_ns).chain(table);
-        let newest_ns = times.max().unwrap_or(source.header.created_ns);
-        Self { source, events: 0, samples: 0, newest_ns }
-    }
-
-    fn write_until(&mut self, host_ns: u64, target: &mut Recording) -> Result<(), RecoverError> {
-        while let Some(sample) =
-            self.source.clock_samples.get(self.samples).filter(|s| s.host_receive_ns <= host_ns)
-        {
-            target.clock_sample(sample)?;
-            self.samples += 1;
-        }
-        while let Some(event) = self.source.events.get(self.events).filter(|e| e.host_time_ns <= host_ns) {
-            target.event(event)?;
-            self.events += 1;
-        }
-        Ok(())
-    }
-}
-
-/// A recording that was not finished.
+/// A place in a segment that is not as it was written.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Interrupted {
-    /// Its directory.
-    pub path: PathBuf,
-    /// Why it is thought to be unfinished.
+pub struct Damage {
+    /// The segment's number.
+    pub segment: u32,
+    /// First byte concerned.
+    pub from: u64,
+    /// Where usable records go on; 0 when the segment as such is concerned.
+    pub to: u64,
+    /// What was expected and found.
     pub reason: String,
 }
 
-/// Recordings of `node` below `sessions_dir` that were not finished; looks at the last segments' ends only.
-pub fn interrupted(sessions_dir: &Path, node: &str) -> Vec<Interrupted> {
-    let entries = std::fs::read_dir(sessions_dir).into_iter().flatten().flatten();
-    let mut found: Vec<Interrupted> = entries
-        .filter_map(|entry| {
-            let path = entry.path().join(format!("node-{node}"));
-            let reason = super::session::unfinished(&path)?;
-            Some(Interrupted { path, reason })
-        })
-        .collect();
-    found.sort_by(|a, b| a.path.cmp(&b.path));
-    found
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.to {
+            0 => write!(f, "segment {}: {}", self.segment, self.reason),
+            to => write!(f, "segment {} bytes {} to {to}: {}", self.segment, self.from, self.reason),
+        }
+    }
+}
+
+/// Gap records that recovery had to add: a run of triggers of one camera.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct AddedGaps {
+    /// The camera.
+    pub camera: CameraId,
+    /// First trigger.
+    pub first: TriggerIndex,
+    /// Last trigger.
+    pub last: TriggerIndex,
+    /// Why.
+    pub cause: GapCause,
+}
+
+/// One node's recording, recovered.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct RecoveredRecording {
+    /// The node.
+    pub node: NodeId,
+    /// What it was made of.
+    pub source: PathBuf,
+    /// Where it is.
+    pub out: PathBuf,
+    /// Whether the source had no verdict.
+    pub interrupted: bool,
+    /// The verdict of the result.
+    pub verdict: Verdict,
+    /// Gap records that the source did not have.
+    pub added: Vec<AddedGaps>,
+    /// Places in the source that are not as they were written.
+    pub damage: Vec<Damage>,
+    /// Rows of the trigger table, samples, events and gap records that were there, but under no right checksum.
+    pub records_lost: u64,
+}
+
+impl RecoveredRecording {
+    /// Whether nothing was damaged and no gap record had to be added.
+    pub fn lossless(&self) -> bool {
+        self.added.is_empty() && self.damage.is_empty() && self.records_lost == 0
+    }
+}
+
+/// What was recovered.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Recovery {
+    /// The source.
+    pub source: PathBuf,
+    /// The result: a session if the source was one, else a recording.
+    pub out: PathBuf,
+    /// Per node.
+    pub recordings: Vec<RecoveredRecording>,
+    /// Recordings of the session of which nothing can be used, and why.
+    pub unusable: Vec<String>,
+}
+
+impl Recovery {
+    /// Whether everything that was there is saved.
+    pub fn lossless(&self) -> bool {
+        self.unusable.is_empty() && self.recordings.iter().all(RecoveredRecording::lossless)
+    }
+}
+
+/// How the session ended, as all its recordings together know.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct SessionExtent {
+    /// Triggers of every recording; `None` leaves each one's own.
+    triggers: Option<u64>,
+    /// What the HSU counted, if `triggers` is given.
+    emitted: Option<u64>,
+}
+
+/// Recovers a session, a recording or a segment into the directory `out`, which must not exist.
+///
+/// `progress` is called from several threads with the bytes done and the bytes in all.
+pub fn recover(
+    path: &Path,
+    out: &Path,
+    progress: &(dyn Fn(u64, u64) + Sync),
+) -> Result<Recovery, RecoverError> {
+    let files = find(path).map_err(RecoverError::NotFound)?;
+    if out.symlink_metadata().is_ok() {
+        return Err(RecoverError::Exists { path: out.to_owned() });
+    }
+    let size = |files: &RecordingFiles| -> u64 {
+        files.segments.iter().filter_map(|(_, path)| std::fs::metadata(path).ok()).map(|m| m.len()).sum()
+    };
+    // Everything is read twice.
+    let total = files.iter().map(size).sum::<u64>().saturating_mul(2);
+    let done = AtomicU64::new(0);
+    let advance = |bytes: u64| progress(done.fetch_add(bytes, Ordering::Relaxed) + bytes, total);
+
+    let (mut salvaged, mut unusable) = (Vec::new(), Vec::new());
+    for files in &files {
+        match salvage(files, &advance) {
+            Ok(one) => salvaged.push(one),
+            Err(error) => unusable.push(error),
+        }
+    }
+    if salvaged.is_empty() {
+        let nothing = RecoverError::Unusable { path: path.to_owned(), reason: "no segments".to_owned() };
+        return Err(unusable.into_iter().next().unwrap_or(nothing));
+    }
+    adopt_headers(&mut salvaged);
+    let is_session = files.iter().all(|files| files.path != path);
+    let extent = extent_of(&salvaged, path, is_session);
+    let partial = partial_path(out);
+    let write = || -> Result<Vec<RecoveredRecording>, RecoverError> {
+        let mut recordings = Vec::new();
+        for source in &salvaged {
+            let place =
+                |dir: &Path| if is_session { node_dir(dir, &source.header.node) } else { dir.to_owned() };
+            let mut recovered =
+                rewrite::write(source, &place(&partial), extent, &advance).map_err(|e| output(out, e))?;
+            recovered.out = place(out);
+            recordings.push(recovered);
+        }
+        publish(&partial, out).map_err(|e| output(out, e))?;
+        Ok(recordings)
+    };
+    let recordings = write().inspect_err(|_| {
+        // Ours alone, and incomplete.
+        let _ = std::fs::remove_dir_all(&partial);
+    })?;
+    let unusable = unusable.iter().map(ToString::to_string).collect();
+    Ok(Recovery { source: path.to_owned(), out: out.to_owned(), recordings, unusable })
+}
+
+/// A header that had to be made anew learns from one of the same session that is readable.
+fn adopt_headers(salvaged: &mut [Salvage]) {
+    let Some(readable) = salvaged.iter().find(|one| !one.rebuilt).map(|one| one.header.clone()) else {
+        return;
+    };
+    salvaged.iter_mut().filter(|one| one.rebuilt).for_each(|one| header::adopt(&mut one.header, &readable));
+}
+
+fn output(out: &Path, error: impl fmt::Display) -> RecoverError {
+    RecoverError::Output { path: out.to_owned(), reason: error.to_string() }
+}
+
+/// Gives the finished directory its name.
+fn publish(partial: &Path, out: &Path) -> io::Result<()> {
+    sync_directory(partial)?;
+    rename_new(partial, out)?;
+    sync_directory(out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")))
+}
+
+/// Where the output is while it is incomplete: beside its place, hidden, of this process.
+fn partial_path(out: &Path) -> PathBuf {
+    let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    out.with_file_name(format!(".{name}.partial-{}", std::process::id()))
+}
+
+/// The nodes of a session end at the same trigger; who was interrupted learns it from the others.
+fn extent_of(salvaged: &[Salvage], path: &Path, is_session: bool) -> SessionExtent {
+    let own = SessionExtent { triggers: None, emitted: None };
+    let Some(first) = salvaged.iter().find(|one| one.interrupted() && !one.fragment) else { return own };
+    let same = |id: &str| id == first.header.session_id;
+    let group = salvaged.iter().filter(|one| same(&one.header.session_id));
+    let (mut ends, mut counts): (Vec<u64>, Vec<Option<u64>>) =
+        group.map(|one| (one.end(), one.emitted())).unzip();
+    for other in if is_session { Vec::new() } else { siblings(path) } {
+        if same(&other.header.session_id) && other.header.node != first.header.node {
+            ends.push(other.triggers_end());
+            counts.push(other.verdict.as_ref().and_then(|verdict| verdict.triggers_emitted));
+        }
+    }
+    let end = ends.iter().copied().max().unwrap_or(0);
+    let stated: Vec<u64> = counts.into_iter().flatten().collect();
+    let agreed = stated.first().copied().filter(|n| *n >= end && stated.iter().all(|other| other == n));
+    SessionExtent { triggers: Some(agreed.unwrap_or(end)), emitted: agreed }
+}
+
+/// The other recordings in the session's directory, if a recording in one is recovered alone.
+fn siblings(path: &Path) -> Vec<RecordingReader> {
+    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let absolute = path.canonicalize().ok().filter(|path| path.is_dir());
+    let Some(absolute) = absolute.filter(|path| name(path).is_some_and(|n| n.starts_with("node-"))) else {
+        return Vec::new();
+    };
+    let files = absolute.parent().and_then(|session| find(session).ok()).unwrap_or_default();
+    let others = files.iter().filter(|files| files.path != absolute);
+    others.filter_map(|files| RecordingReader::open(files, Extent::Outcomes).ok()).collect()
+}
+
+/// What writing the result fails with.
+type WriteResult<T> = Result<T, RecordError>;
+
+/// Counts of added gap records, by cause.
+fn by_cause(added: &[AddedGaps]) -> BTreeMap<GapCause, u64> {
+    let mut counts = BTreeMap::new();
+    for run in added {
+        *counts.entry(run.cause).or_default() += run.last.0 - run.first.0 + 1;
+    }
+    counts
 }

@@ -13,6 +13,10 @@ use std::ops::Range;
 const MAX_SMALL_RECORD: usize = 16 << 20;
 /// Opcode and length.
 const PREAMBLE: usize = 9;
+/// A message's record without its payload: preamble, channel, sequence, two times.
+pub const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
+/// A chunk's fields before its records: two times, size, checksum, empty compression, size.
+const CHUNK_FIELDS: u64 = 8 + 8 + 8 + 4 + 4 + 8;
 
 /// Something found in the file, in file order.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -105,27 +109,14 @@ impl<'a> Walker<'a> {
         walker
     }
 
+    /// Goes on behind damage, at a record outside of any chunk.
+    pub fn resume(bytes: &'a [u8], at: usize) -> Self {
+        Self { bytes, position: at, chunk_end: None, end: None }
+    }
+
     /// How the walk ended; `Cut` at the current place before that.
     pub fn end(&self) -> End {
         self.end.clone().unwrap_or(End::Cut { at: self.position })
-    }
-
-    /// After a break, goes on behind the damaged chunk, or at the next record that can only be a chunk; `false` where
-    /// there is none. How the walk ended the first time is forgotten: the caller has asked before.
-    pub fn resume(&mut self) -> bool {
-        let from = match (&self.end, self.chunk_end) {
-            (None | Some(End::Closed), _) => return false,
-            (_, Some(chunk_end)) if chunk_end <= self.bytes.len() => chunk_end,
-            _ => self.position.saturating_add(1),
-        };
-        let rest = self.bytes.get(from..).unwrap_or_default();
-        let Some(next) = (0..rest.len()).find(|&at| rest[at] == op::CHUNK && is_chunk(&rest[at..])) else {
-            return false;
-        };
-        self.position = from + next;
-        self.chunk_end = None;
-        self.end = None;
-        true
     }
 
     fn damaged(&mut self, at: usize, reason: impl Into<String>) {
@@ -301,25 +292,6 @@ impl<'a> Iterator for Walker<'a> {
     }
 }
 
-/// Whether `bytes` begin with a chunk as recordings have them: three lengths that agree, and no compression.
-fn is_chunk(bytes: &[u8]) -> bool {
-    const HEADER: u64 = 40;
-    let Some((op::CHUNK, length)) = preamble(bytes) else { return false };
-    let mut fields = Fields { bytes: &bytes[PREAMBLE..], position: 0 };
-    let lengths = (|| {
-        fields.u64()?;
-        fields.u64()?;
-        let uncompressed = fields.u64()?;
-        fields.u32()?;
-        let compression = fields.u32()?;
-        Some((uncompressed, compression, fields.u64()?))
-    })();
-    let rest = length.checked_sub(HEADER);
-    lengths.is_some_and(|(uncompressed, compression, compressed)| {
-        compression == 0 && uncompressed == compressed && Some(uncompressed) == rest && uncompressed > 0
-    })
-}
-
 /// The metadata records of a closed file, by way of its summary and without a walk; `None` when the file is
 /// not closed or its summary does not lead there.
 pub fn metadata_by_index(bytes: &[u8]) -> Option<Vec<(&str, BTreeMap<&str, &str>)>> {
@@ -349,6 +321,40 @@ pub fn metadata_by_index(bytes: &[u8]) -> Option<Vec<(&str, BTreeMap<&str, &str>
         }
         position = next;
     }
+}
+
+/// The next place from `from` on where a record of ours begins without doubt, for going on behind damage: a chunk
+/// whose three lengths agree, a metadata record with one of our names, or a message that `is_payload` knows.
+pub fn find_record(bytes: &[u8], from: usize, is_payload: impl Fn(&[u8]) -> bool) -> Option<usize> {
+    let candidates = bytes.get(from..)?.iter().enumerate();
+    let mut candidates =
+        candidates.filter(|(_, byte)| matches!(**byte, op::MESSAGE | op::CHUNK | op::METADATA));
+    candidates.find_map(|(at, _)| {
+        let at = from + at;
+        let (opcode, length) = preamble(&bytes[at..])?;
+        let found = match opcode {
+            // It may reach beyond the end of a file that was cut.
+            op::CHUNK => {
+                let mut fields = Fields { bytes: bytes.get(at + PREAMBLE..)?, position: 16 };
+                let (uncompressed, _) = (fields.u64()?, fields.u32()?);
+                let (compression, compressed) = (fields.u32()?, fields.u64()?);
+                compression == 0
+                    && uncompressed == compressed
+                    && compressed.checked_add(CHUNK_FIELDS) == Some(length)
+            }
+            op::METADATA if length <= MAX_SMALL_RECORD as u64 => {
+                let (_, body, _) = record_at(bytes, at)?;
+                let mut fields = Fields { bytes: body, position: 0 };
+                fields.text()?.starts_with("fourdbody.") && fields.text_map().is_some() && fields.used_up()
+            }
+            op::MESSAGE => {
+                let (_, body, _) = record_at(bytes, at)?;
+                is_payload(body.get(MESSAGE_HEADER - PREAMBLE..)?)
+            }
+            _ => false,
+        };
+        found.then_some(at)
+    })
 }
 
 /// Opcode and body of the record at `position`, and where the next one begins.

@@ -25,7 +25,7 @@ pub struct RecordingFiles {
 }
 
 /// Finds the recordings at `path`: a session's directory, a recording's, or a single segment.
-fn find(path: &Path) -> Result<Vec<RecordingFiles>, String> {
+pub(super) fn find(path: &Path) -> Result<Vec<RecordingFiles>, String> {
     let shown = path.display();
     let expected =
         "expected a session (node-*/segment-*.mcap), a recording (segment-*.mcap) or an .mcap file";
@@ -109,7 +109,7 @@ impl SessionReader {
         Self::open_extent(path, Extent::Outcomes)
     }
 
-    pub(super) fn open_extent(path: &Path, what: Extent) -> Result<Self, ReadError> {
+    fn open_extent(path: &Path, what: Extent) -> Result<Self, ReadError> {
         let files = find(path).map_err(ReadError)?;
         let recordings: Vec<RecordingReader> =
             files.iter().map(|files| RecordingReader::open(files, what)).collect::<Result<_, _>>()?;

@@ -33,7 +33,8 @@ pub struct CameraVerdict {
 impl CameraVerdict {
     /// Triggers with a gap record.
     pub fn gap_count(&self) -> u64 {
-        self.gaps.values().sum()
+        // The counts may come from a file.
+        self.gaps.values().fold(0, |sum, count| sum.saturating_add(*count))
     }
 }
 
@@ -60,12 +61,12 @@ pub struct Verdict {
 impl Verdict {
     /// Frames of all cameras.
     pub fn frames(&self) -> u64 {
-        self.cameras.iter().map(|camera| camera.frames).sum()
+        self.cameras.iter().fold(0, |sum, camera| sum.saturating_add(camera.frames))
     }
 
     /// Gap records of all cameras.
     pub fn gaps(&self) -> u64 {
-        self.cameras.iter().map(CameraVerdict::gap_count).sum()
+        self.cameras.iter().fold(0, |sum, camera| sum.saturating_add(camera.gap_count()))
     }
 
     /// Derives the status from everything else.

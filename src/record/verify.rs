@@ -4,6 +4,7 @@
 //! stored verdict has to be what comes out, and the nodes of a session have to agree.
 
 mod accounting;
+mod instants;
 mod segment;
 
 use super::reader::{ReadError, RecordingReader};
@@ -202,7 +203,11 @@ fn check_agreement(session: &SessionReader, reports: &[RecordingReport], notes: 
         let asked = |n: Option<u64>| n.map_or("until stop".to_owned(), |n| n.to_string());
         differs("the number of triggers asked for", asked(b.expected_triggers), asked(a.expected_triggers));
         let emitted = |v: &Verdict| v.triggers_emitted.map_or("missing".to_owned(), |n| n.to_string());
-        differs("the HSU's trigger count", emitted(&report.verdict), emitted(&reports[0].verdict));
+        let counts = [report.verdict.triggers_emitted, reports[0].verdict.triggers_emitted];
+        // One that is missing has been found to be loss.
+        if counts.iter().all(Option::is_some) {
+            differs("the HSU's trigger count", emitted(&report.verdict), emitted(&reports[0].verdict));
+        }
         differs(
             "the number of triggers",
             report.verdict.triggers.to_string(),
@@ -212,6 +217,7 @@ fn check_agreement(session: &SessionReader, reports: &[RecordingReport], notes: 
             let message = format!("its rig file differs from that of node {}", a.node);
             notes.add(Severity::Corrupt, None, None, None, message);
         }
+        instants::check_tables(first, recording, notes);
         for camera in &b.cameras {
             if a.cameras.iter().any(|other| other.id == camera.id) {
                 let message = format!("is recorded on node {} as well", a.node);

@@ -127,14 +127,26 @@ pub struct Recording {
 impl Recording {
     /// Creates the directory `dir` with its first segment. The parent is created if needed.
     pub fn create(dir: &Path, header: RecordingHeader, options: WriterOptions) -> Result<Self, RecordError> {
-        let open = |path: &Path| -> io::Result<Box<dyn Store>> { Ok(Box::new(DirectFile::create(path)?)) };
-        Self::create_with(dir, header, options, Arc::new(open))
+        let bytes = header.expected_bytes().unwrap_or(0);
+        Self::create_for(dir, header, options, bytes)
     }
 
-    fn create_with(
+    /// As [`Self::create`], but for this many bytes, whatever the header expects.
+    pub(super) fn create_for(
         dir: &Path,
         header: RecordingHeader,
         options: WriterOptions,
+        bytes: u64,
+    ) -> Result<Self, RecordError> {
+        let open = |path: &Path| -> io::Result<Box<dyn Store>> { Ok(Box::new(DirectFile::create(path)?)) };
+        Self::create_sized(dir, header, options, bytes, Arc::new(open))
+    }
+
+    fn create_sized(
+        dir: &Path,
+        header: RecordingHeader,
+        options: WriterOptions,
+        bytes: u64,
         open_store: OpenStore,
     ) -> Result<Self, RecordError> {
         header.check().and_then(|()| options.check()).map_err(RecordError::Header)?;
@@ -146,7 +158,7 @@ impl Recording {
             builder
         };
         builder(true).create(parent).map_err(disk)?;
-        check_space(parent, &header, &options)?;
+        check_space(parent, bytes, &options)?;
         builder(false).create(dir).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => RecordError::Exists { path: dir.to_owned() },
             _ => disk(source),
@@ -313,8 +325,9 @@ impl Recording {
         self.json(JsonChannel::Clock, self.newest(), sample.host_receive_ns, sample)
     }
 
-    /// Records an event.
+    /// Records an event. One of kind `refused` (recovery repeats those of its source) counts as in the verdict.
     pub fn event(&mut self, event: &NodeEvent) -> Result<(), RecordError> {
+        self.refused += u64::from(event.kind == REFUSED);
         self.json(JsonChannel::Events, self.newest(), event.host_time_ns, event)
     }
 
@@ -406,7 +419,6 @@ impl Recording {
         if enter(&mut self.tallies[camera]) {
             return true;
         }
-        self.refused += 1;
         let message = if trigger.0 >= MAX_TRIGGERS {
             format!("trigger {trigger} lies beyond the {MAX_TRIGGERS} that a session can have")
         } else {
@@ -566,9 +578,9 @@ impl Recording {
     }
 }
 
-fn check_space(dir: &Path, header: &RecordingHeader, options: &WriterOptions) -> Result<(), RecordError> {
+fn check_space(dir: &Path, bytes: u64, options: &WriterOptions) -> Result<(), RecordError> {
     let free = free_bytes(dir).map_err(|source| RecordError::Disk { path: dir.to_owned(), source })?;
-    let needed = header.expected_bytes().unwrap_or(0).saturating_add(ACCOUNTING_BYTES);
+    let needed = bytes.saturating_add(ACCOUNTING_BYTES);
     if needed.saturating_add(options.reserve_bytes) > free {
         return Err(RecordError::NoSpace {
             path: dir.to_owned(),

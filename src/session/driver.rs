@@ -48,6 +48,7 @@ impl Driver {
             warnings: Vec::new(),
             sessions_dir: config.sessions_dir.clone(),
             free_bytes: 0,
+            interrupted: Vec::new(),
             session: None,
         }));
         let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);

@@ -14,6 +14,7 @@ use crate::record::{NodeEvent, TriggerRecord};
 use crossbeam_channel::never;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 impl Node {
     pub(super) fn hsu_event(&mut self, event: HsuEvent) {
@@ -103,6 +104,11 @@ impl Node {
     /// Looks, trigger by trigger, which cameras are heard.
     pub(super) fn listen(&mut self, trigger: u64) {
         let Some(session) = &mut self.session else { return };
+        let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
+        let since = session.listened.replace(Instant::now()).map(|last| last.elapsed());
+        if since.is_some_and(|since| since < period / 2) {
+            return session.silence.pass_over();
+        }
         let heard = session.progress.heard.iter().map(|n| n.load(Ordering::Relaxed));
         for notice in session.silence.on_trigger(trigger, heard) {
             let (camera, kind, at, message) = match notice {

@@ -6,6 +6,7 @@ mod architecture;
 mod breaks;
 #[cfg(feature = "aravis")]
 mod chain;
+mod crash;
 #[cfg(feature = "aravis")]
 mod doctor;
 #[cfg(feature = "aravis")]

@@ -52,17 +52,35 @@ fn verify_exits_by_what_it_finds() {
 fn info_describes() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let path = dir.path().join("node-a");
-    record(&path, header("a", &["h0_up"], Some(20)), 20, &[]);
+    record(&path, header("a", &["h0_up"], Some(20)), 20, &[(0, 4)]);
     let output = fourdbody(&["info", text(&path)]);
     assert_eq!(code(&output), 0);
     let printed = String::from_utf8_lossy(&output.stdout);
-    for expected in ["walk-01", "20 at 120 Hz", "camera      h0_up 40 x 30", "complete: 20 triggers"] {
+    for expected in [
+        "walk-01",
+        "20 at 120 Hz (0.16 s)",
+        "camera      h0_up 40 x 30 test: 19 frames, 1 missing_packets",
+        "segment-000.mcap",
+        "table       20 rows",
+        "incomplete: 20 triggers",
+    ] {
         assert!(printed.contains(expected), "{expected:?} missing in\n{printed}");
     }
     let output = fourdbody(&["info", "--json", text(&path)]);
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(json["recordings"][0]["header"]["cameras"][0]["id"], "h0_up");
     assert_eq!(json["end_trigger"], 20);
+    let recording = &json["recordings"][0];
+    assert_eq!(recording["cameras"][0]["gaps"]["missing_packets"], 1, "{recording:#}");
+    assert_eq!(
+        (&recording["cameras"][0]["frames"], &recording["trigger_table_rows"]),
+        (&19.into(), &20.into())
+    );
+    assert_eq!(
+        (&recording["segment_files"][0]["closed"], &recording["clock_samples"]),
+        (&true.into(), &0.into())
+    );
+    assert!(recording["write_statistics"]["written"]["max_us"].is_u64(), "{recording:#}");
 }
 
 /// The shipped rig with small cameras, so that images are cheap.

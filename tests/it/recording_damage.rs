@@ -3,7 +3,7 @@
 use crate::recording::{end, frame, header, options, pixels, record, trigger};
 use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::record::verify::{Severity, verify};
-use fourdbody::record::{GapCause, Recording, SessionReader, Verdict, node_dir};
+use fourdbody::record::{ClockSample, GapCause, Recording, SessionReader, Verdict, node_dir};
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ const TRIGGERS: u64 = 9;
 const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
 
 /// A finished recording of one segment, as bytes.
-fn one_segment(triggers: u64) -> Vec<u8> {
+pub fn one_segment(triggers: u64) -> Vec<u8> {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let path = dir.path().join("node-a");
     let mut header = header("a", &CAMERAS, Some(triggers));
@@ -30,7 +30,7 @@ fn one_segment(triggers: u64) -> Vec<u8> {
 }
 
 /// A recording's directory with these bytes as its only segment.
-fn as_recording(dir: &Path, bytes: &[u8]) -> PathBuf {
+pub fn as_recording(dir: &Path, bytes: &[u8]) -> PathBuf {
     let path = dir.join("node-a");
     std::fs::create_dir_all(&path).expect("a directory");
     let segment = path.join("segment-000.mcap");
@@ -42,7 +42,7 @@ fn as_recording(dir: &Path, bytes: &[u8]) -> PathBuf {
 
 /// Ends of all records, those inside chunks included; and the ends of the frames among them. Walks as the
 /// specification says, on a file known to be good.
-fn record_ends(bytes: &[u8]) -> (Vec<usize>, Vec<usize>) {
+pub fn record_ends(bytes: &[u8]) -> (Vec<usize>, Vec<usize>) {
     const MESSAGE: u8 = 5;
     const CHUNK: u8 = 6;
     let (mut ends, mut frames, mut position) = (vec![8], Vec::new(), 8);
@@ -277,4 +277,75 @@ fn an_aborted_session_is_loss_with_its_reason() {
     assert_eq!(report.worst, Some(Severity::Loss));
     assert_eq!(report.recordings[0].verdict, verdict);
     assert!(report.findings.iter().any(|f| f.message.contains("camera h0_low is gone")));
+}
+
+/// A recording with exchanges with both clocks; the camera's frames are exposed `late_ns` after their triggers.
+fn with_exchanges(dir: &Path, node: &str, camera: &str, late_ns: u64, hsu_step_ns: u64) {
+    const HOST_NS: u64 = 1_790_000_000_000_000_000;
+    const CAMERA_BEHIND_HSU_NS: u64 = 3_000_000_000;
+    let path = node_dir(dir, &NodeId::from(node));
+    let mut recording =
+        Recording::create(&path, header(node, &[camera], Some(60)), options(1 << 30)).expect("created");
+    for index in 0..60 {
+        let mut row = trigger(index);
+        row.hsu_time_ns += 10_000_000_000 + hsu_step_ns;
+        recording.trigger(&row).expect("recorded");
+        let host = HOST_NS + row.hsu_time_ns - hsu_step_ns;
+        for (device, clock_ns) in
+            [(None, row.hsu_time_ns), (Some(camera), row.hsu_time_ns - CAMERA_BEHIND_HSU_NS)]
+        {
+            let sample = ClockSample {
+                camera: device.map(CameraId::from),
+                host_send_ns: host - 100_000,
+                host_receive_ns: host + 100_000,
+                device_time_ns: clock_ns,
+            };
+            recording.clock_sample(&sample).expect("recorded");
+        }
+        let (mut meta, _) = frame(camera, 0, index);
+        meta.camera_time_ns = row.hsu_time_ns - CAMERA_BEHIND_HSU_NS + late_ns;
+        let mut message = vec![0; 256];
+        let length = fourdbody::record::write_envelope(&mut message, &CameraId::from(camera), &meta);
+        let mut message = message.split_off(256 - length.expect("room enough"));
+        message.extend_from_slice(&pixels(0, index));
+        recording.frame(0, &meta, &message).expect("recorded");
+    }
+    recording.finish(end(60)).expect("finished");
+}
+
+/// Every step from frame to frame is right, and yet every frame is that of the next trigger.
+#[test]
+fn a_camera_that_is_one_trigger_off_from_the_start_contradicts_the_exchanges() {
+    for (late_ns, worst) in [(300_000, None), (8_333_333, Some(Severity::Corrupt))] {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        with_exchanges(dir.path(), "a", "h0_up", late_ns, 0);
+        let report = verify(dir.path(), &|_, _| ()).expect("readable");
+        assert_eq!(report.worst, worst, "{late_ns} ns: {:?}", report.findings);
+        let named = report.findings.iter().any(|f| f.message.contains("8.333 ms after their triggers"));
+        assert_eq!(named, worst.is_some(), "{:?}", report.findings);
+    }
+}
+
+#[test]
+fn trigger_tables_that_differ_between_nodes_are_found() {
+    for (step_ns, worst) in [(0, None), (8_333_333, Some(Severity::Corrupt))] {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        with_exchanges(dir.path(), "a", "h0_up", 0, 0);
+        with_exchanges(dir.path(), "b", "h2_up", 0, step_ns);
+        let report = verify(dir.path(), &|_, _| ()).expect("readable");
+        assert_eq!(report.worst, worst, "{:?}", report.findings);
+        let named = report.findings.iter().any(|f| {
+            f.node == "b"
+                && f.triggers == Some((0, 59))
+                && f.message.contains("another HSU time than on node a")
+        });
+        assert_eq!(named, worst.is_some(), "{:?}", report.findings);
+    }
+}
+
+#[test]
+fn a_node_whose_recording_is_missing_is_named() {
+    let (worst, text) = findings(|session| std::fs::remove_dir_all(session.join("node-b")).expect("there"));
+    assert_eq!(worst, None, "each PC has its own node's recording only");
+    assert_eq!(text, "note: node b: its recording is not here; agreement was not checked");
 }

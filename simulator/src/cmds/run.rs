@@ -160,7 +160,8 @@ fn images(args: &Args, rig_path: &Path, rig_text: &str) -> Result<Vec<Arc<dyn Im
     let unusable = |e| Failure::new(Exit::Failure, e);
     let manifest = args.frames.as_deref().map(Manifest::load).transpose().map_err(unusable)?;
     let mut images: Vec<Arc<dyn ImageSource>> = Vec::new();
-    for (number, (_, camera)) in (0u32..).zip(rig.iter().flat_map(Rig::cameras)) {
+    // Numbered from 1, as in the tests.
+    for (number, (_, camera)) in (1u32..).zip(rig.iter().flat_map(Rig::cameras)) {
         images.push(match (&args.frames, &manifest) {
             (Some(frames), Some(manifest)) => {
                 Arc::new(CachedImages::open(frames, manifest, &camera.id).map_err(unusable)?)

@@ -54,8 +54,8 @@ impl<'a> Rows<'a> {
                 1 + self.faults[..number].iter().filter(|f| f.events.iter().any(|e| e == kind)).count()
             };
             let missing = fault.events.iter().find(|kind| seen(kind) < needed(kind));
-            let back = covered().last().is_none_or(|last| last as usize + 1 >= outcomes.len());
-            let not_back = ends_with_a_frame(fault) && !back && seen("camera_back") < needed("camera_lost");
+            let stays = covered().next_back().is_none_or(|last| last as usize + 1 >= outcomes.len());
+            let not_back = ends_with_a_frame(fault) && !stays && seen("camera_back") < needed("camera_lost");
             into.count(&fault.kind, wrong.is_none() && missing.is_none() && !not_back);
             let place = || format!("{} {} trigger {}", fault.camera, fault.kind, fault.trigger);
             if let Some((trigger, found)) = wrong {

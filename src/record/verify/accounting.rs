@@ -4,31 +4,20 @@ use super::{Notes, Severity};
 use crate::ids::TriggerIndex;
 use crate::record::layout::GapCause;
 use crate::record::reader::{Outcome, RecordingReader};
-use crate::record::verdict::{CameraVerdict, Status, Verdict};
+use crate::record::verdict::{Status, Verdict};
 use crate::record::writer::REFUSED;
-use std::collections::BTreeMap;
 
 /// The verdict as the records have it. What records cannot show (the HSU's count, why it was aborted) comes
 /// from the stored one.
 pub fn recount(recording: &RecordingReader) -> Verdict {
     let stored = recording.verdict.as_ref();
     let emitted = stored.and_then(|verdict| verdict.triggers_emitted);
-    let cameras = recording.header.cameras.iter().zip(&recording.outcomes).map(|(camera, outcomes)| {
-        let mut counted = CameraVerdict { camera: camera.id.clone(), frames: 0, gaps: BTreeMap::new() };
-        for outcome in outcomes.values() {
-            match outcome {
-                Outcome::Frame { .. } => counted.frames += 1,
-                Outcome::Gap(cause) => *counted.gaps.entry(*cause).or_default() += 1,
-            }
-        }
-        counted
-    });
     let mut verdict = Verdict {
         status: Status::Incomplete,
         triggers: recording.known_end().max(emitted.unwrap_or(0)),
         triggers_expected: recording.header.expected_triggers,
         triggers_emitted: emitted,
-        cameras: cameras.collect(),
+        cameras: recording.counted(),
         refused: recording.events.iter().filter(|event| event.kind == REFUSED).count() as u64,
         aborted: stored.and_then(|verdict| verdict.aborted.clone()),
     };

@@ -1,5 +1,6 @@
 //! The bytes of the segments: every checksum, every frame, and the frames' places in time.
 
+use super::instants::{self, Times};
 use super::{Notes, Severity};
 use crate::ids::TriggerIndex;
 use crate::record::layout::{GapCause, GapRecord, SegmentIndex, image_topic};
@@ -7,9 +8,6 @@ use crate::record::reader::{Outcome, RecordingReader, SegmentReader, Topic, chec
 use crate::record::scan::{End, Event, Walker, metadata_by_index};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-
-/// Camera time by trigger.
-type Times = BTreeMap<u64, u64>;
 
 /// Checks all segments, then what only shows across them.
 pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u64) + Sync)) {
@@ -31,7 +29,8 @@ pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u
         }
     }
     for (camera, times) in times.iter().enumerate() {
-        check_times(recording, camera, times, notes);
+        instants::check_steps(recording, camera, times, notes);
+        instants::check_offset(recording, camera, times, notes);
     }
 }
 
@@ -154,73 +153,6 @@ fn note_end(
         }
         End::Damaged { at, reason } => {
             notes.add(Severity::Corrupt, number, None, None, format!("damaged at byte {at}: {reason}"));
-        }
-    }
-}
-
-/// Where the recording itself says that a camera's clock began anew.
-struct Resets<'a> {
-    outcomes: Option<&'a BTreeMap<u64, Outcome>>,
-    /// Triggers of events that say so.
-    at: Vec<u64>,
-    /// Such events that do not say where; each explains one step.
-    anywhere: usize,
-}
-
-impl<'a> Resets<'a> {
-    fn of(recording: &'a RecordingReader, camera: usize) -> Self {
-        let id = recording.header.cameras.get(camera).map(|camera| &camera.id);
-        let events = recording.events.iter();
-        let mine: Vec<_> =
-            events.filter(|e| e.kind == "camera_clock_reset" && e.camera.as_ref() == id).collect();
-        Self {
-            outcomes: recording.outcomes.get(camera),
-            at: mine.iter().filter_map(|event| event.trigger.map(|trigger| trigger.0)).collect(),
-            anywhere: mine.iter().filter(|event| event.trigger.is_none()).count(),
-        }
-    }
-
-    /// Whether a step of the clock between two frames is one of them.
-    fn explain(&mut self, before: u64, trigger: u64) -> bool {
-        let between = |outcomes: &BTreeMap<u64, Outcome>| {
-            let away = [GapCause::Unplugged, GapCause::ControlLost].map(Outcome::Gap);
-            outcomes.range(before + 1..trigger).any(|(_, outcome)| away.contains(outcome))
-        };
-        if self.outcomes.is_some_and(between) || self.at.iter().any(|at| (before + 1..=trigger).contains(at))
-        {
-            return true;
-        }
-        let explained = self.anywhere > 0;
-        self.anywhere = self.anywhere.saturating_sub(1);
-        explained
-    }
-}
-
-/// The second witness: from frame to frame the camera's clock must advance as the HSU's does. Frames that
-/// are far apart are not compared, since clocks drift; nor are those between which the recording says that the
-/// camera was gone, or that its clock was set anew.
-fn check_times(recording: &RecordingReader, camera: usize, times: &Times, notes: &mut Notes) {
-    const NEAR: u64 = 100;
-    let id = recording.header.cameras.get(camera).map(|camera| &camera.id);
-    let half_period_ns = (0.5e9 / recording.header.trigger_rate_hz) as u64;
-    let mut resets = Resets::of(recording, camera);
-    let hsu = |trigger: u64| recording.triggers.get(&TriggerIndex(trigger)).map(|row| row.hsu_time_ns);
-    for ((&before, &time_before), (&trigger, &time)) in times.iter().zip(times.iter().skip(1)) {
-        let mut add = |message| {
-            if !resets.explain(before, trigger) {
-                notes.add(Severity::Corrupt, None, id, Some((trigger, trigger)), message);
-            }
-        };
-        let Some(camera_ns) = time.checked_sub(time_before).filter(|ns| *ns > 0) else {
-            add(format!("its camera time {time} ns is not after that of trigger {before}, {time_before} ns"));
-            continue;
-        };
-        let (Some(from), Some(to)) = (hsu(before), hsu(trigger)) else { continue };
-        let hsu_ns = to.saturating_sub(from);
-        if trigger - before <= NEAR && camera_ns.abs_diff(hsu_ns) > half_period_ns {
-            add(format!(
-                "{camera_ns} ns after trigger {before} by the camera's clock, {hsu_ns} ns by the HSU's: not the frame of this trigger"
-            ));
         }
     }
 }

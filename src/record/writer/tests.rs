@@ -1,6 +1,6 @@
 //! The writer against disks that fail and frames that come in any order.
 
-use super::{Recording, Store, WriterOptions};
+use super::{OpenStore, Recording, Store, WriterOptions};
 use crate::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::record::envelope::pixels_crc;
 use crate::record::{
@@ -41,6 +41,18 @@ pub(super) fn header(expected_triggers: Option<u64>) -> RecordingHeader {
         software: "test".to_owned(),
         subject: None,
         note: None,
+    }
+}
+
+impl Recording {
+    pub(super) fn create_with(
+        dir: &Path,
+        header: RecordingHeader,
+        options: WriterOptions,
+        open_store: OpenStore,
+    ) -> Result<Self, RecordError> {
+        let bytes = header.expected_bytes().unwrap_or(0);
+        Self::create_sized(dir, header, options, bytes, open_store)
     }
 }
 
