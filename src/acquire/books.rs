@@ -202,7 +202,7 @@ impl Books {
                 Match::Spurious(residual_ns) => {
                     self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
                 }
-                Match::Stray => self.spurious(&arrival, "names a trigger that was yet to come"),
+                Match::Stray => self.spurious(&arrival, "is a part of one whose id is not due"),
                 Match::BeforeTrain => self.spurious(&arrival, "came before the first trigger"),
                 Match::Repeated => {
                     let text = format!("block {} was seen before; not recorded", arrival.block_id);

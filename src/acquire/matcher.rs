@@ -70,7 +70,7 @@ pub enum Match {
     Wait,
     /// No trigger explains it; it lies this far from the nearest (ns).
     Spurious(i64),
-    /// Packets, no frame: its id is that of a trigger that had not been fired when it arrived.
+    /// Packets, no frame: its id is that of a trigger that has its outcome, or that had not been fired when it arrived.
     Stray,
     /// It came before the first trigger.
     BeforeTrain,
@@ -450,7 +450,9 @@ impl Matcher {
         last_call: bool,
     ) -> Match {
         // Whoever sent it, ids and triggers go on without it; was it a frame after all, the next one says so.
-        if !frame.complete && by_id.is_some_and(|id| self.is_yet_to_come(id, frame, table, hsu)) {
+        let settled = |id: i64| self.last.is_some_and(|last| id <= last.number);
+        let stray = |id: i64| settled(id) || self.is_yet_to_come(id, frame, table, hsu);
+        if !frame.complete && by_id.is_some_and(stray) {
             return Match::Stray;
         }
         if !last_call && by_id.is_none_or(|id| table.time_ns(id).is_none()) {
