@@ -2,7 +2,7 @@
 //! configuration files with which real nodes drive them.
 
 use crate::disk::{DiskPlan, SimulatedDisk};
-use crate::faults::{CameraFaults, FaultPlan, TruthLog};
+use crate::faults::{CameraFaults, FaultPlan, HsuFaults, TruthLog};
 use crate::gige::{CameraError, CameraOptions, ClockOptions, SimulatedCamera};
 use crate::hsu::{HsuOptions, SimulatedHsu};
 use crate::images::ImageSource;
@@ -172,7 +172,12 @@ impl Laboratory {
         let disks = mount_disks(options, &rig, truth)?;
         let nodes = write_node_files(options, &rig)?;
         let links = nodes.iter().map(|node| hsu_link(options, &node.node)).collect();
-        let setup = HsuOptions { links, cameras: wires, ..HsuOptions::default() };
+        let mut setup = HsuOptions { links, cameras: wires, ..HsuOptions::default() };
+        if let Some((plan, truth)) = faults.filter(|(plan, _)| !plan.hsu.is_empty()) {
+            setup.line = Some(plan.hsu.line);
+            let nodes = nodes.iter().map(|node| node.node.to_string()).collect();
+            setup.faults = Some(HsuFaults { plan, nodes, truth });
+        }
         let hsu = SimulatedHsu::start(setup)
             .map_err(|source| LaboratoryError::Io { what: "the HSU's ptys".to_owned(), source })?;
         Ok(Self { rig, cameras, setups, hsu, nodes, disks })

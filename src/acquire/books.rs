@@ -29,6 +29,8 @@ struct Lane {
     lost: bool,
     /// It was lost, and no frame has come since it is back.
     back: bool,
+    /// Why it was lost.
+    absence: GapCause,
     /// Frames that no trigger explains.
     spurious: u64,
     /// Frames recorded on their block id alone.
@@ -78,6 +80,7 @@ impl Books {
             next: 0,
             lost: false,
             back: false,
+            absence: GapCause::Unplugged,
             spurious: 0,
             unconfirmed: 0,
         };
@@ -128,12 +131,15 @@ impl Books {
             ToRecorder::WarmUp { .. } => {}
             ToRecorder::Clock(sample) => self.clock_sample(sample),
             ToRecorder::Event(event) => self.ring.small(ToWriter::Event(event)),
-            ToRecorder::CameraLost(camera) if camera < self.lanes.len() => {
+            ToRecorder::CameraLost(camera, cause) if camera < self.lanes.len() => {
                 self.advance(camera, true);
                 let lane = &mut self.lanes[camera];
-                lane.lost = true;
+                (lane.lost, lane.absence) = (true, cause);
                 lane.matcher.lost();
                 self.sets.expect(camera, false);
+            }
+            ToRecorder::CameraAway(camera, cause) if camera < self.lanes.len() => {
+                self.lanes[camera].absence = cause;
             }
             ToRecorder::CameraBack(camera) if camera < self.lanes.len() => {
                 self.advance(camera, true);
@@ -196,6 +202,7 @@ impl Books {
                 Match::Spurious(residual_ns) => {
                     self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
                 }
+                Match::Stray => self.spurious(&arrival, "is a part of one whose id is not due"),
                 Match::BeforeTrain => self.spurious(&arrival, "came before the first trigger"),
                 Match::Repeated => {
                     let text = format!("block {} was seen before; not recorded", arrival.block_id);
@@ -223,10 +230,10 @@ impl Books {
         self.last_settled = Instant::now();
         lane.unconfirmed += u64::from(matched.witness == Witness::BlockIdOnly);
         let start = std::mem::replace(&mut lane.next, trigger + 1);
-        let back = std::mem::take(&mut lane.back);
+        let (back, absence) = (std::mem::take(&mut lane.back), lane.absence);
         // Frames lost on the way first: in which order the two happened is not to be known.
         let ignored_from = if back { trigger } else { trigger.saturating_sub(matched.ignored).max(start) };
-        let cause = if back { GapCause::Unplugged } else { GapCause::MissingPackets };
+        let cause = if back { absence } else { GapCause::MissingPackets };
         self.gaps(camera, start..ignored_from, cause);
         self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
         match gap_cause(arrival.transfer) {
@@ -384,7 +391,7 @@ impl Books {
     fn give_up_until(&mut self, triggers: u64) {
         for camera in 0..self.lanes.len() {
             let lane = &mut self.lanes[camera];
-            let cause = if lane.lost || lane.back { GapCause::Unplugged } else { GapCause::Timeout };
+            let cause = if lane.lost || lane.back { lane.absence } else { GapCause::Timeout };
             let missing = lane.next..triggers;
             lane.next = lane.next.max(triggers);
             self.gaps(camera, missing, cause);

@@ -70,6 +70,8 @@ pub enum Match {
     Wait,
     /// No trigger explains it; it lies this far from the nearest (ns).
     Spurious(i64),
+    /// Packets, no frame: its id is that of a trigger that has its outcome, or that had not been fired when it arrived.
+    Stray,
     /// It came before the first trigger.
     BeforeTrain,
     /// It was seen before: same id, same timestamp, or an earlier one.
@@ -211,7 +213,7 @@ impl Matcher {
         let by_id = self.base.zip(step).map(|(base, step)| base.saturating_add(step));
         let arrival = self.by_arrival(frame.host_ns, table, hsu);
         let Some(camera_ns) = frame.camera_ns else {
-            return self.by_id_alone(frame, by_id, arrival, table, last_call);
+            return self.by_id_alone(frame, by_id, arrival, table, hsu, last_call);
         };
         if let Some(by_id) = by_id.filter(|_| step > Some(0) && self.is_certainly_reset(frame)) {
             return self.reset(frame, camera_ns, by_id, arrival, table, hsu, last_call);
@@ -227,11 +229,11 @@ impl Matcher {
                     return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
                 }
                 _ if !last_call => return Match::Wait,
-                _ if now_ns.is_none() => return self.by_id_alone(frame, by_id, arrival, table, true),
+                _ if now_ns.is_none() => return self.by_id_alone(frame, by_id, arrival, table, hsu, true),
                 // Later than all triggers that can have been: of none of them.
                 _ => return self.spurious(frame, i128::from(self.period_ns)),
             },
-            ByTime::Unknown => return self.by_id_alone(frame, by_id, arrival, table, last_call),
+            ByTime::Unknown => return self.by_id_alone(frame, by_id, arrival, table, hsu, last_call),
         };
         if by_id == Some(number) && residual.abs() <= self.tolerance_ns() {
             // Nothing arrives before its trigger: both witnesses go back to a frame that was late, and stood wrong.
@@ -268,7 +270,7 @@ impl Matcher {
             };
         };
         if !frame.complete {
-            return self.by_id_alone(frame, by_id, arrival, table, last_call);
+            return self.by_id_alone(frame, by_id, arrival, table, hsu, last_call);
         }
         if fits && fresh {
             let claim =
@@ -440,6 +442,19 @@ impl Matcher {
         Some(if residual < 0 { number - 1 } else { number })
     }
 
+    /// Whether the trigger of this number had not been fired yet when a frame arrived, by several periods.
+    fn is_yet_to_come(&self, number: i64, frame: &Sighting, table: &Schedule<'_>, hsu: &ClockFit) -> bool {
+        const PERIODS: i128 = 3;
+        let ahead = number.saturating_sub(table.end().saturating_sub(1));
+        let arrived = self.arrival_hsu_ns(frame.host_ns, hsu);
+        let Some((arrived, latest)) = arrived.zip(table.latest_ns()).filter(|_| ahead > 0) else {
+            return false;
+        };
+        // Triggers come no faster than 8/7 of the rate (`hsu-protocol.md`, invariant 5).
+        let due = i128::from(latest) + i128::from(ahead) * i128::from(self.period_ns) * 7 / 8;
+        arrived + PERIODS * i128::from(self.period_ns) < due
+    }
+
     /// A frame without a timestamp that can be used.
     fn by_id_alone(
         &mut self,
@@ -447,8 +462,15 @@ impl Matcher {
         by_id: Option<i64>,
         arrival: Option<i64>,
         table: &Schedule<'_>,
+        hsu: &ClockFit,
         last_call: bool,
     ) -> Match {
+        // Whoever sent it, ids and triggers go on without it; was it a frame after all, the next one says so.
+        let settled = |id: i64| self.last.is_some_and(|last| id <= last.number);
+        let stray = |id: i64| settled(id) || self.is_yet_to_come(id, frame, table, hsu);
+        if !frame.complete && by_id.is_some_and(stray) {
+            return Match::Stray;
+        }
         if !last_call && by_id.is_none_or(|id| table.time_ns(id).is_none()) {
             return Match::Wait;
         }
@@ -476,7 +498,7 @@ impl Matcher {
         let number = arrival.filter(|arrival| *arrival < by_id).unwrap_or(by_id);
         let Some(due) = table.time_ns(number) else {
             return if last_call {
-                self.by_id_alone(frame, Some(by_id), arrival, table, true)
+                self.by_id_alone(frame, Some(by_id), arrival, table, hsu, true)
             } else {
                 Match::Wait
             };

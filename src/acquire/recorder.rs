@@ -10,7 +10,7 @@ use super::receiver::Arrival;
 use super::ring::{Ring, Sink};
 pub use crate::config::WhenFull;
 use crate::ids::CameraId;
-use crate::record::{ClockSample, NodeEvent, Recording, TriggerRecord, Verdict};
+use crate::record::{ClockSample, GapCause, NodeEvent, Recording, TriggerRecord, Verdict};
 use crate::session::state::Fault;
 use crossbeam_channel::{Receiver, Sender, after, select};
 use std::sync::Arc;
@@ -34,8 +34,10 @@ pub enum ToRecorder {
     Clock(ClockSample),
     /// Something happened, for the record.
     Event(NodeEvent),
-    /// A camera is gone: what is missing from now on is missing for that reason.
-    CameraLost(usize),
+    /// A camera is away: what is missing from now on is missing for this reason.
+    CameraLost(usize, GapCause),
+    /// Why a camera is away turned out to be this.
+    CameraAway(usize, GapCause),
     /// The camera is back with a fresh stream: its block ids begin anew, its clock may have been reset.
     CameraBack(usize),
     /// No more triggers will come: wait for their frames, then say so.

@@ -132,6 +132,11 @@ impl Schedule<'_> {
         self.table.latest_ns()?.checked_add(self.period_ns.checked_mul(ahead as u64)?)
     }
 
+    /// One more than the number of the latest trigger.
+    pub fn end(&self) -> i64 {
+        self.table.end() + self.due
+    }
+
     /// The time of the latest trigger.
     pub fn latest_ns(&self) -> Option<u64> {
         self.time_ns(self.table.end() - 1 + self.due)

@@ -113,7 +113,21 @@ fn is_silence(error: &glib::Error) -> bool {
     [Timeout, NotConnected, TransferError].iter().any(|kind| error.matches(*kind))
 }
 
+/// Whether the camera refused because we are not its controller.
+fn is_refusal(error: &glib::Error) -> bool {
+    use aravis::DeviceError::{NotController, ProtocolErrorAccessDenied};
+    [NotController, ProtocolErrorAccessDenied].iter().any(|kind| error.matches(*kind))
+}
+
 impl AravisCamera {
+    /// What a failed command of ours means.
+    fn failed(&self, doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
+        move |e| match is_refusal(&e) {
+            true => CameraError::NotOurs { holder: holder(&self.device), detail: e.to_string() },
+            false => CameraError::Link { doing, detail: e.to_string() },
+        }
+    }
+
     fn set(&self, setting: &FeatureSetting) -> Result<(), glib::Error> {
         let name = setting.feature.as_str();
         match &setting.value {
@@ -155,6 +169,14 @@ impl Camera for AravisCamera {
 
     fn is_alive(&self) -> bool {
         !self.lost.load(Ordering::Acquire)
+    }
+
+    fn not_ours(&self) -> Option<CameraError> {
+        const PRIVILEGE: u64 = 0x0a00;
+        // One that does not answer has no holder that it could name.
+        let privilege = self.device.downcast_ref::<aravis::GvDevice>()?.read_register(PRIVILEGE).ok()?.1;
+        let holder = holder(&self.device).filter(|_| privilege != 0);
+        Some(CameraError::NotOurs { holder, detail: "its control channel was lost".to_owned() })
     }
 
     fn apply(&mut self, settings: &[FeatureSetting]) -> Result<Vec<AppliedSetting>, CameraError> {
@@ -199,7 +221,7 @@ impl Camera for AravisCamera {
                 continue;
             }
             let host_before_ns = monotonic_ns(Instant::now());
-            self.device.execute_command(latch).map_err(link_error("latching its clock"))?;
+            self.device.execute_command(latch).map_err(self.failed("latching its clock"))?;
             let host_after_ns = monotonic_ns(Instant::now());
             let ticks = self.device.integer_feature_value(value).map_err(link_error("reading its clock"))?;
             let frequency =

@@ -73,6 +73,17 @@ pub enum CameraError {
         /// Address and port of that program, where the camera tells.
         holder: Option<String>,
     },
+    /// The camera answers, and refuses what only its controller may do.
+    #[error(
+        "the camera is not under our control any more ({detail}){}; close the program that took it",
+        holder.as_ref().map(|host| format!(": {host} controls it")).unwrap_or_default()
+    )]
+    NotOurs {
+        /// Address and port of the controlling program, where there is one and the camera tells.
+        holder: Option<String>,
+        /// What Aravis said.
+        detail: String,
+    },
     /// A feature could not be set or did not take the value.
     #[error("feature {feature}: asked for {requested}, {found}; correct the node file's settings")]
     Setting {
@@ -165,6 +176,12 @@ pub trait Camera: Send {
 
     /// Whether we still control it.
     fn is_alive(&self) -> bool;
+
+    /// The error that says who controls it instead of us, where the transport knows of such a thing and the camera
+    /// answers; for a camera that is not alive.
+    fn not_ours(&self) -> Option<CameraError> {
+        None
+    }
 
     /// Sets features in order and reads each back; a difference is an error.
     fn apply(&mut self, settings: &[FeatureSetting]) -> Result<Vec<AppliedSetting>, CameraError>;

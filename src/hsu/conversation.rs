@@ -141,9 +141,14 @@ impl Conversation {
 
     /// `false`: the conversation is over for good.
     fn show_life(&self, lost: &mut bool) -> bool {
-        // Another request under way is a sign of life itself.
-        let Some(result) = self.link.ask_if_idle(Request::Heartbeat, self.timeouts.patience) else {
-            return true;
+        let Patience { answer, attempts } = self.timeouts.patience;
+        let waited = self.link.quiet_for();
+        let result = match self.link.ask_if_idle(Request::Heartbeat, self.timeouts.patience) {
+            Some(result) => result,
+            // Another request under way is a sign of life itself, for the unit. For us only what comes back is: those
+            // who ask one question after the other must not hide that none is answered.
+            None if waited < answer * attempts => return true,
+            None => Err(LinkError::NoAnswer { attempts, waited }),
         };
         let loss = match result {
             Ok(Answer { message: UnitToHost::Refused(_, Refusal::HelloFirst), .. }) => LinkLoss::Restarted,

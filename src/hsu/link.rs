@@ -4,12 +4,13 @@
 //! request is then answered again instead of being carried out twice. A thread reads; answers go to whoever
 //! asked, everything else to a callback.
 
+use crate::time::monotonic_ns;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use hsu_firmware_proto::frame::{self, Decoder};
 use hsu_firmware_proto::{HostToUnit, MAX_MESSAGE, Request, UnitToHost};
 use std::hash::{BuildHasher, RandomState};
 use std::io::{self, ErrorKind, Read, Write};
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -56,6 +57,8 @@ struct Shared {
     stop: AtomicBool,
     /// Of frames and messages that could not be read.
     bad_frames: AtomicU32,
+    /// When a message was last read, CLOCK_MONOTONIC, ns.
+    heard_ns: AtomicU64,
     broken: Mutex<Option<String>>,
 }
 
@@ -89,6 +92,7 @@ impl Link {
     ) -> io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let (to_asker, answers) = bounded(ANSWERS);
+        shared.heard_ns.store(monotonic_ns(Instant::now()), Ordering::Relaxed);
         let for_thread = shared.clone();
         let reader = std::thread::Builder::new()
             .name("hsu-read".into())
@@ -152,6 +156,12 @@ impl Link {
         LinkError::Broken(cause.unwrap_or_else(|| "the reading thread ended".into()))
     }
 
+    /// How long no message has come, of whatever kind.
+    pub fn quiet_for(&self) -> Duration {
+        let heard = self.shared.heard_ns.load(Ordering::Relaxed);
+        Duration::from_nanos(monotonic_ns(Instant::now()).saturating_sub(heard))
+    }
+
     /// Frames and messages from the unit that could not be read.
     pub fn bad_frames(&self) -> u32 {
         self.shared.bad_frames.load(Ordering::Relaxed)
@@ -189,11 +199,17 @@ fn read_all(
             Err(error) => return set_broken(shared, &error.to_string()),
         };
         let received = Instant::now();
-        decoder.feed(bytes, |message| match UnitToHost::decode(message) {
-            // A full queue holds stale answers only; the asker will ask again.
-            Ok(message) if message.request_id().is_some() => drop(answers.try_send((message, received))),
-            Ok(message) => on_message(message),
-            Err(_) => unreadable = unreadable.saturating_add(1),
+        decoder.feed(bytes, |message| {
+            let Ok(message) = UnitToHost::decode(message) else {
+                unreadable = unreadable.saturating_add(1);
+                return;
+            };
+            shared.heard_ns.store(monotonic_ns(received), Ordering::Relaxed);
+            match message.request_id() {
+                // A full queue holds stale answers only; the asker will ask again.
+                Some(_) => drop(answers.try_send((message, received))),
+                None => on_message(message),
+            }
         });
         shared.bad_frames.store(decoder.errors().total().saturating_add(unreadable), Ordering::Relaxed);
     }

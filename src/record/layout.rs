@@ -156,6 +156,8 @@ pub enum GapCause {
     DroppedDisk,
     /// The camera was gone.
     Unplugged,
+    /// The camera was there, but not under our control: another program took it, or our signs of life got lost.
+    ControlLost,
     /// The session was aborted before the frame came.
     Aborted,
     /// The frame had another size than the session's.

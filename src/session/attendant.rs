@@ -6,7 +6,7 @@ use crate::acquire::pool::Pool;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::ToRecorder;
 use crate::camera::{CameraError, StreamOptions, quiet_stream};
-use crate::record::{ClockSample, NodeEvent};
+use crate::record::{ClockSample, GapCause, NodeEvent};
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::thread::JoinHandle;
@@ -20,6 +20,13 @@ pub enum Report {
         /// Its place in the node's list.
         camera: usize,
         /// What was seen.
+        reason: String,
+    },
+    /// Another program controls it.
+    Owned {
+        /// Its place in the node's list.
+        camera: usize,
+        /// Who.
         reason: String,
     },
     /// It sends again, with the same settings.
@@ -84,7 +91,7 @@ impl Attendant {
         let (orders, inbox) = bounded(8);
         let name = format!("attend-{}", setup.receiver.camera);
         let thread = std::thread::Builder::new().name(name).spawn(move || {
-            let mut work = Work { setup, receiver: Some(receiver) };
+            let mut work = Work { setup, receiver: Some(receiver), owned: None, holder: None };
             work.run(&inbox);
             let counters = work.receiver.take().map(Receiver::stop).unwrap_or_default();
             (work.setup.camera, counters)
@@ -113,6 +120,9 @@ struct Work {
     setup: AttendantSetup,
     /// `None` while the camera is lost.
     receiver: Option<Receiver>,
+    /// Who was found in control of it at the last attempt, and who was said to be.
+    owned: Option<String>,
+    holder: Option<String>,
 }
 
 impl Work {
@@ -129,7 +139,7 @@ impl Work {
             }
             let alive = self.setup.camera.camera.as_ref().is_some_and(|camera| camera.is_alive());
             if self.receiver.is_some() && !alive {
-                self.lost("its control channel was lost".to_owned());
+                self.lost_control();
             }
             if self.receiver.is_some() && Instant::now() >= next_clock {
                 next_clock = Instant::now() + CLOCK_INTERVAL;
@@ -155,17 +165,33 @@ impl Work {
             // Without a clock the image size is as good a question.
             Ok(None) => {
                 if let Err(error) = camera.image_size() {
-                    self.lost(error.to_string());
+                    self.lost(&error);
                 }
             }
-            Err(error) => self.lost(error.to_string()),
+            Err(error) => self.lost(&error),
         }
     }
 
-    fn lost(&mut self, reason: String) {
+    /// Its control channel is gone: either the camera is, or it is not ours any more.
+    fn lost_control(&mut self) {
+        let gone = || CameraError::Link {
+            doing: "keeping control of it",
+            detail: "its control channel was lost".to_owned(),
+        };
+        let error = self.setup.camera.camera.as_ref().and_then(|camera| camera.not_ours());
+        self.lost(&error.unwrap_or_else(gone));
+    }
+
+    fn lost(&mut self, error: &CameraError) {
         let Some(receiver) = self.receiver.take() else { return };
         let camera = self.setup.receiver.camera;
-        drop(self.setup.to_recorder.send(ToRecorder::CameraLost(camera)));
+        let cause = match error {
+            CameraError::NotOurs { .. } => GapCause::ControlLost,
+            _ => GapCause::Unplugged,
+        };
+        self.holder = None;
+        let reason = error.to_string();
+        drop(self.setup.to_recorder.send(ToRecorder::CameraLost(camera, cause)));
         drop(self.setup.reports.send(Report::Lost { camera, reason }));
         let counters = receiver.stop();
         self.note("stream_counters", counters_text(&counters));
@@ -187,16 +213,35 @@ impl Work {
             }
             Err(reason) => {
                 self.setup.camera.camera = None;
+                if let Some(holder) = self.owned.take() {
+                    self.say_who_has_it(holder, &reason);
+                }
                 tracing::debug!(camera = %self.setup.camera.config.id, "not back yet: {reason}");
             }
         }
+    }
+
+    /// Another program controls the camera: said once for each.
+    fn say_who_has_it(&mut self, holder: String, reason: &str) {
+        if self.holder.as_ref() == Some(&holder) {
+            return;
+        }
+        let camera = self.setup.receiver.camera;
+        self.holder = Some(holder);
+        drop(self.setup.to_recorder.send(ToRecorder::CameraAway(camera, GapCause::ControlLost)));
+        self.note("camera_owned", reason.to_owned());
+        drop(self.setup.reports.send(Report::Owned { camera, reason: reason.to_owned() }));
     }
 
     /// Opens the camera, verifies it, and starts a fresh stream.
     fn reopen(&mut self) -> Result<(), String> {
         let config = self.setup.camera.config.clone();
         let text = |error: CameraError| error.to_string();
-        let mut camera = self.setup.backend.open(&config.address).map_err(text)?;
+        let opened = self.setup.backend.open(&config.address);
+        if let Err(CameraError::Owned { holder, .. }) = &opened {
+            self.owned = Some(holder.clone().unwrap_or_default());
+        }
+        let mut camera = opened.map_err(text)?;
         if let Some(expected) = &self.setup.camera.identity
             && camera.identity() != expected
         {
@@ -234,7 +279,7 @@ impl Work {
         let receiver = Receiver::start(stream, self.setup.receiver.clone()).map_err(|e| e.to_string())?;
         if let Err(error) = camera.start() {
             receiver.stop();
-            drop(self.setup.to_recorder.send(ToRecorder::CameraLost(place)));
+            drop(self.setup.to_recorder.send(ToRecorder::CameraLost(place, GapCause::Unplugged)));
             return Err(error.to_string());
         }
         self.setup.camera.camera = Some(camera);

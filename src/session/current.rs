@@ -16,6 +16,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
+use std::time::Instant;
 
 /// A session from its preparation on.
 pub(super) struct Session {
@@ -39,6 +40,8 @@ pub(super) struct Session {
     /// Number of the next trigger that the HSU will report.
     pub(super) next_trigger: i64,
     pub(super) silence: SilenceWatch,
+    /// When a trigger was last reported.
+    pub(super) listened: Option<Instant>,
     pub(super) outcome: Option<Outcome>,
     /// How many of the process's warnings are in the recording.
     warnings_told: usize,
@@ -67,6 +70,7 @@ impl Session {
             links_in,
             next_trigger: 0,
             silence: SilenceWatch::new(cameras),
+            listened: None,
             outcome: None,
             warnings_told: 0,
         }

@@ -29,6 +29,8 @@ pub struct Driver {
 
 /// The thread looks around at least this often.
 const TICK: Duration = Duration::from_millis(100);
+/// A thread that has not looked around for so long did not run, or was kept waiting by a device.
+const ASLEEP: Duration = Duration::from_secs(1);
 
 impl Driver {
     /// Starts the node's thread.
@@ -60,6 +62,7 @@ impl Driver {
             pending: None,
             status: Arc::clone(&status),
             origin: Instant::now(),
+            ticked: Instant::now(),
         };
         let thread =
             std::thread::Builder::new().name("node".to_owned()).spawn(move || node.run(&inbox, &stopped))?;
@@ -104,7 +107,9 @@ pub(super) struct Node {
     /// Whoever waits for the preparation.
     pending: Option<Reply>,
     status: SharedStatus,
+    /// From here on time is counted, but for the times in which this thread did not run.
     origin: Instant,
+    ticked: Instant,
 }
 
 impl Node {
@@ -141,6 +146,15 @@ impl Node {
     }
 
     fn tick(&mut self) {
+        let asleep = std::mem::replace(&mut self.ticked, Instant::now()).elapsed();
+        if asleep > ASLEEP {
+            // What came meanwhile has not been heard yet: nobody was silent but this node.
+            self.origin += asleep;
+            if self.machine.phase() == Phase::Running {
+                let text = format!("the node's thread did not run for {:.1} s", asleep.as_secs_f64());
+                self.note("node_asleep", None, &text);
+            }
+        }
         self.take(Event::Tick);
         if self.machine.phase() == Phase::Idle {
             self.devices.look_after();

@@ -14,6 +14,7 @@ use crate::record::{NodeEvent, TriggerRecord};
 use crossbeam_channel::never;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 impl Node {
     pub(super) fn hsu_event(&mut self, event: HsuEvent) {
@@ -103,6 +104,11 @@ impl Node {
     /// Looks, trigger by trigger, which cameras are heard.
     pub(super) fn listen(&mut self, trigger: u64) {
         let Some(session) = &mut self.session else { return };
+        let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
+        let since = session.listened.replace(Instant::now()).map(|last| last.elapsed());
+        if since.is_some_and(|since| since < period / 2) {
+            return session.silence.pass_over();
+        }
         let heard = session.progress.heard.iter().map(|n| n.load(Ordering::Relaxed));
         for notice in session.silence.on_trigger(trigger, heard) {
             let (camera, kind, at, message) = match notice {
@@ -139,12 +145,12 @@ impl Node {
     pub(super) fn attendant_reports(&mut self, report: Report) {
         let Some(session) = &mut self.session else { return };
         let camera = match report {
-            Report::Lost { camera, .. } | Report::Back { camera } => camera,
+            Report::Lost { camera, .. } | Report::Owned { camera, .. } | Report::Back { camera } => camera,
         };
         let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
         match report {
             Report::Lost { reason, .. } => {
-                let message = format!("camera {id} stopped answering ({reason}); check its power and cable");
+                let message = format!("camera {id} is lost: {reason}");
                 self.devices.set_problem(camera, Some(message.clone()));
                 self.note("camera_lost", Some(id), &message);
                 let fatal = match self.machine.phase() {
@@ -155,6 +161,10 @@ impl Node {
                 if fatal {
                     self.take(Event::Failed(Fault::new(Exit::Device, message)));
                 }
+            }
+            Report::Owned { reason, .. } => {
+                tracing::warn!(camera = %id, "{reason}");
+                self.devices.set_problem(camera, Some(format!("camera {id}: {reason}")));
             }
             Report::Back { .. } => {
                 tracing::warn!(camera = %id, "the camera is back");

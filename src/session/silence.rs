@@ -47,6 +47,13 @@ impl SilenceWatch {
         self.ears.get(camera).is_some_and(|ear| ear.silent)
     }
 
+    /// A trigger was reported close behind another one, because reports were held up: it counts for nobody's silence.
+    pub fn pass_over(&mut self) {
+        for ear in self.ears.iter_mut().filter(|ear| !ear.silent) {
+            ear.quiet_since += 1;
+        }
+    }
+
     /// Trigger `index` was reported; `heard` grows with everything that comes from each camera.
     pub fn on_trigger(&mut self, index: u64, heard: impl IntoIterator<Item = u64>) -> Vec<Notice> {
         let mut notices = Vec::new();
@@ -92,6 +99,15 @@ mod tests {
                 prop_assert!(notices.is_empty());
             }
         }
+    }
+
+    #[test]
+    fn reports_that_come_all_at_once_are_no_silence() {
+        let mut watch = SilenceWatch::new(1);
+        assert!(watch.on_trigger(0, [5]).is_empty());
+        (1..20).for_each(|_| watch.pass_over());
+        assert!((20..22).all(|trigger| watch.on_trigger(trigger, [5]).is_empty()));
+        assert_eq!(watch.on_trigger(22, [5]), [Notice::Silent { camera: 0, since: 19 }]);
     }
 
     #[test]

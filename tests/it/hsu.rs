@@ -11,7 +11,7 @@ use fourdbody::hsu::{
     State, TriggerFlags, session_id,
 };
 use fourdbody::ids::{NodeId, SessionName};
-use fourdbody_simulator::hsu::{HsuClock, HsuOptions, SerialNoise, SimulatedHsu};
+use fourdbody_simulator::hsu::{HsuClock, HsuOptions, LineFaults, SimulatedHsu};
 use fourdbody_simulator::wire::TriggerEdge;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -33,7 +33,7 @@ struct Bench {
 }
 
 /// A unit with two links and a camera on each of the rig's four heads.
-fn bench_with(noise: Option<SerialNoise>) -> Bench {
+fn bench_with(line: Option<LineFaults>) -> Bench {
     let dir = TempDir::new().expect("a temporary directory");
     let links = vec![dir.path().join("hsu-a"), dir.path().join("hsu-b")];
     let (cameras, wires) = (0..4)
@@ -43,7 +43,7 @@ fn bench_with(noise: Option<SerialNoise>) -> Bench {
         })
         .unzip();
     let clock = HsuClock { offset_ns: 5_000_000_000, drift_ppm: 30.0 };
-    let options = HsuOptions { links, cameras, clock, noise, ..HsuOptions::default() };
+    let options = HsuOptions { links, cameras, clock, line, ..HsuOptions::default() };
     Bench { hsu: SimulatedHsu::start(options).expect("ptys"), wires, _dir: dir }
 }
 
@@ -294,7 +294,7 @@ fn a_host_that_comes_back_during_a_train_can_fetch_what_it_missed() {
 #[test]
 fn noise_on_the_line_costs_nothing() {
     let _alone = alone();
-    let bench = bench_with(Some(SerialNoise { flips_per_million: 1000, seed: 3 }));
+    let bench = bench_with(Some(LineFaults { flips_per_million: 1000, seed: 3, ..LineFaults::default() }));
     let patience = Patience { answer: Duration::from_millis(100), attempts: 20 };
     let timeouts = HsuTimeouts { patience, ..HsuTimeouts::default() };
     let connect = |link, role| Hsu::connect(bench.hsu.link(link), &node(role), &timeouts).expect("connected");

@@ -17,9 +17,12 @@ mod endurance;
 mod faults;
 mod fuzz_corpora;
 mod hsu;
+mod hsu_clock;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
+#[cfg(feature = "aravis")]
+mod plan_faults;
 mod recording;
 mod recording_commands;
 mod recording_damage;

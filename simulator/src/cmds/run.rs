@@ -166,7 +166,7 @@ fn fault_plans(args: &Args) -> Result<Plans, Failure> {
     let mut cameras = wanted.then(|| FaultPlan::parse(&text)).transpose().map_err(|e| wrong(&e))?;
     if let Some(seed) = args.fault_seed {
         disk.iter_mut().for_each(|plan| plan.seed = seed);
-        cameras.iter_mut().for_each(|plan| plan.seed = seed);
+        cameras.iter_mut().for_each(|plan| plan.set_seed(seed));
     }
     if let Some(reason) = disk.as_ref().and_then(|_| SimulatedDisk::unavailable()) {
         return Err(wrong(&format_args!("[disk]: no disk can be simulated here: {reason}")));

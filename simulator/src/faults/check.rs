@@ -1,10 +1,12 @@
 //! Compares recordings with what was injected.
 
+use super::check_links::Links;
+use super::check_rows::Rows;
 use super::disk::{DiskEvent, Excuse, judge_dropped_sets};
 use super::pixels;
 use super::truth::{FRAME, Injected};
 use fourdbody::ids::TriggerIndex;
-use fourdbody::record::{RecordingReader, SessionReader};
+use fourdbody::record::{GapCause, RecordingReader, SessionReader};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -32,6 +34,9 @@ pub struct Accounting {
     pub total: Tally,
     /// Outcomes looked at: one per camera and trigger.
     pub outcomes: u64,
+    /// Outcomes of whole frame sets that the node dropped and said so, because this host was too busy: no fault of its
+    /// own, and no proof of anything.
+    pub dropped_by_host: u64,
     /// Everything that is not as it should be, faults and others.
     pub mismatches: u64,
     /// The first of them, in words.
@@ -39,7 +44,17 @@ pub struct Accounting {
 }
 
 impl Accounting {
-    fn mismatch(&mut self, message: String) {
+    /// Counts a fault as right or wrong.
+    pub(super) fn count(&mut self, kind: &str, right: bool) {
+        let kind = self.kinds.entry(kind.to_owned()).or_default();
+        for tally in [kind, &mut self.total] {
+            tally.injected += 1;
+            tally.right += u64::from(right);
+            tally.wrong += u64::from(!right);
+        }
+    }
+
+    pub(super) fn mismatch(&mut self, message: String) {
         self.mismatches += 1;
         if self.listed.len() < LISTED {
             self.listed.push(message);
@@ -111,18 +126,24 @@ fn check_recording(
         .filter_map(|e| Some((e.camera.as_ref()?.as_str(), e.kind.as_str(), e.trigger.map(|t| t.0))))
         .collect();
     let end = recording.triggers_end();
+    let dropped = GapCause::DroppedRingFull.to_string();
     let mut all = Vec::new();
+    let links = Links::of(truth, train, recording);
+    links.judge(recording, into);
     for (number, camera) in recording.header.cameras.iter().enumerate() {
         let mut injected: BTreeMap<u64, &Injected> = BTreeMap::new();
-        for fault in truth.iter().filter(|f| f.train == train && f.camera == camera.id.as_str()) {
+        let mine = || truth.iter().filter(|f| f.train == train && f.camera == camera.id.as_str());
+        for fault in mine().filter(|fault| fault.lasts.is_none()) {
             if injected.insert(fault.trigger, fault).is_some() {
                 into.mismatch(format!("{} trigger {}: two faults in the truth", camera.id, fault.trigger));
             }
         }
-        for (trigger, fault) in injected.range(end..).filter(|_| !unfinished) {
+        for (trigger, fault) in injected.range(end..).filter(|_| !unfinished && links.ends_whole()) {
             into.mismatch(format!("{} trigger {trigger}: {} after the last trigger", camera.id, fault.kind));
         }
         let outcomes: Vec<String> = (0..end).map(|t| outcome(recording, number, t)).collect();
+        let rows = Rows::of(mine(), &outcomes);
+        rows.judge(recording, &outcomes, into);
         // Nothing after it proves what a camera's last frames were lost by.
         let last_frame = outcomes.iter().rposition(|outcome| outcome == FRAME).map_or(0, |at| at as u64);
         for (trigger, found) in (0u64..).zip(&outcomes) {
@@ -138,18 +159,16 @@ fn check_recording(
                 into.mismatch(format!("{}: {wrong}", place()));
             }
             match injected.get(&trigger) {
+                _ if links.is_cut_off(trigger) || rows.at(trigger).is_some() => {}
                 None if found == FRAME => {}
                 _ if excuse.covers(found) => {}
+                // That the set is whole and that an event names it is judged below.
+                _ if *found == dropped => into.dropped_by_host += 1,
                 None => into.mismatch(format!("{}: {found}, nothing was injected", place())),
                 Some(fault) => {
                     let wrong = judge(fault, found, at_end, &events);
                     let right = wrong.is_none();
-                    let kind = into.kinds.entry(fault.kind.clone()).or_default();
-                    for tally in [kind, &mut into.total] {
-                        tally.injected += 1;
-                        tally.right += u64::from(right);
-                        tally.wrong += u64::from(!right);
-                    }
+                    into.count(&fault.kind, right);
                     if let Some(wrong) = wrong {
                         into.mismatch(format!(
                             "{}: {} (block {:?}): {wrong}",
@@ -210,13 +229,10 @@ mod tests {
 
     fn fault(expected: &str, events: &[&str]) -> Injected {
         Injected {
-            train: 1,
             camera: "c".to_owned(),
-            trigger: 5,
-            block: None,
-            kind: "k".to_owned(),
             expected: vec![expected.to_owned()],
             events: events.iter().map(|e| (*e).to_owned()).collect(),
+            ..Injected::at(1, 5, "k")
         }
     }
 

@@ -9,14 +9,18 @@
 //! `docs/design/faults.md` has the table of faults and the reasons for what is expected.
 
 pub mod check;
+mod check_links;
+mod check_rows;
 pub mod disk;
+pub mod hsu_plan;
 mod pixels;
 pub mod plan;
 pub mod truth;
 
 pub use check::{Accounting, Shown, Tally, check, check_with_disks};
 pub use disk::{DiskEvent, DiskFault};
-pub use plan::{CameraPlan, Fault, FaultPlan, Kind, Part, PlanError, Resend};
+pub use hsu_plan::{HsuFault, HsuKind, HsuPlan};
+pub use plan::{CameraPlan, Fault, FaultPlan, Kind, NamedFault, Part, PlanError, Resend};
 pub use truth::{Injected, TruthLog, read_disk_truth, read_truth};
 
 use std::sync::Arc;
@@ -28,6 +32,17 @@ pub struct CameraFaults {
     pub plan: Arc<FaultPlan>,
     /// The camera's name in the rig: seeds its faults, and names it in the truth.
     pub camera: String,
+    /// Where what was injected is written down.
+    pub truth: Arc<TruthLog>,
+}
+
+/// What the HSU needs to inject faults.
+#[derive(Debug, Clone)]
+pub struct HsuFaults {
+    /// What to inject.
+    pub plan: Arc<FaultPlan>,
+    /// The node at the other end of each line.
+    pub nodes: Vec<String>,
     /// Where what was injected is written down.
     pub truth: Arc<TruthLog>,
 }

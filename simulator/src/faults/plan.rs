@@ -1,5 +1,6 @@
 //! Which fault happens at which trigger of which camera: a function of seed, camera and trigger index.
 
+use super::hsu_plan::{HsuPlan, HsuTable};
 use crate::random::{hash, text_number};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -59,13 +60,23 @@ pub enum Kind {
     ClockReset,
     /// Several frames in a row are exposed and never sent.
     Stall,
+    /// The camera has no power for some triggers; then it is as it always is after power-on.
+    Unplugged,
+    /// Another client takes control of the camera, and gives it back after some triggers.
+    ControlTaken,
+    /// Another client asks, tells and babbles on the control channel, without any right to.
+    RogueClient,
+    /// Stream packets with the ids of frames far away come from a foreign address.
+    ForeignFar,
+    /// A stream packet with the id of a frame that is soon to come comes from a foreign address.
+    ForeignAhead,
 }
 
 const RESENDS: [Resend; 4] = [Resend::Answered, Resend::Refused, Resend::Ignored, Resend::Late];
 const PARTS: [Part; 4] = [Part::Packet, Part::Burst, Part::Leader, Part::Trailer];
 
 impl Kind {
-    /// All kinds.
+    /// The kinds that "all" stands for: each concerns one trigger, or a few.
     pub fn all() -> Vec<Kind> {
         let mut kinds = vec![Kind::FrameLost];
         kinds.extend(PARTS.iter().flat_map(|part| RESENDS.iter().map(|resend| Kind::Lost(*part, *resend))));
@@ -84,9 +95,18 @@ impl Kind {
         kinds
     }
 
+    /// Kinds that only happen where they are named: they cost a camera many triggers, or come from a third party.
+    pub const APART: [Kind; 5] =
+        [Kind::Unplugged, Kind::ControlTaken, Kind::RogueClient, Kind::ForeignFar, Kind::ForeignAhead];
+
+    /// Whether the camera is away from its node for a while.
+    pub fn is_absence(self) -> bool {
+        matches!(self, Kind::Unplugged | Kind::ControlTaken)
+    }
+
     /// The kind of this name.
     pub fn parse(name: &str) -> Option<Kind> {
-        Kind::all().into_iter().find(|kind| kind.to_string() == name)
+        Kind::all().into_iter().chain(Kind::APART).find(|kind| kind.to_string() == name)
     }
 }
 
@@ -119,6 +139,11 @@ impl fmt::Display for Kind {
             Kind::RepeatedFrame => "repeated_frame",
             Kind::ClockReset => "clock_reset",
             Kind::Stall => "stall",
+            Kind::Unplugged => "unplugged",
+            Kind::ControlTaken => "control_taken",
+            Kind::RogueClient => "rogue_client",
+            Kind::ForeignFar => "foreign_far",
+            Kind::ForeignAhead => "foreign_ahead",
         };
         f.write_str(name)
     }
@@ -147,6 +172,21 @@ pub struct FaultPlan {
     pub longest: u64,
     /// How late a late answer is.
     pub late: Duration,
+    /// Fewest and most triggers that a camera is away, where the plan does not say how many.
+    pub absence: (u64, u64),
+    /// Faults at stated triggers, whatever chance says, by camera and trigger.
+    pub named: BTreeMap<(String, i64), NamedFault>,
+    /// Faults of the HSU and its lines.
+    pub hsu: HsuPlan,
+}
+
+/// A fault that the plan names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NamedFault {
+    /// What happens.
+    pub kind: Kind,
+    /// To how many triggers (ids, for a jump), for kinds that last.
+    pub count: Option<u64>,
 }
 
 impl Default for FaultPlan {
@@ -159,6 +199,9 @@ impl Default for FaultPlan {
             clear_after_reset: 24,
             longest: 5,
             late: Duration::from_millis(250),
+            absence: (40, 120),
+            named: BTreeMap::new(),
+            hsu: HsuPlan::default(),
         }
     }
 }
@@ -170,7 +213,7 @@ impl FaultPlan {
         Self { seed, probability, ..Self::default() }
     }
 
-    /// Reads the table `[faults]` of a TOML text.
+    /// Reads the tables `[faults]`, `[hsu]` and `[[fault]]` of a TOML text.
     ///
     /// # Errors
     /// Text that is no TOML, an unknown key, a number out of range.
@@ -186,7 +229,29 @@ impl FaultPlan {
             clear_after_reset: table.clear_after_reset.unwrap_or(defaults.clear_after_reset),
             longest: table.longest.unwrap_or(defaults.longest),
             late: table.late_ms.map_or(defaults.late, Duration::from_millis),
+            absence: table.absence_triggers.map_or(defaults.absence, |[least, most]| (least, most)),
+            named: BTreeMap::new(),
+            hsu: HsuPlan::of_table(&file.hsu, table.seed)?,
         };
+        if !(1..=plan.absence.1).contains(&plan.absence.0) || plan.absence.1 > 1_000_000 {
+            let found = plan.absence;
+            return Err(PlanError(format!("absence_triggers: expected two rising numbers, found {found:?}")));
+        }
+        for fault in file.fault {
+            let kind = Kind::parse(&fault.kind).ok_or_else(|| unknown(&fault.kind))?;
+            if fault.trigger < 0 || fault.count.is_some_and(|count| !(1..=1_000_000).contains(&count)) {
+                let message =
+                    format!("{} of {}: expected a trigger and a count above 0", fault.kind, fault.camera);
+                return Err(PlanError(message));
+            }
+            let named = NamedFault { kind, count: fault.count };
+            if plan.named.insert((fault.camera.clone(), fault.trigger), named).is_some() {
+                return Err(PlanError(format!(
+                    "two faults of {} at trigger {}",
+                    fault.camera, fault.trigger
+                )));
+            }
+        }
         let limits = [plan.first_trigger, plan.clear_triggers, plan.clear_after_reset];
         if limits.iter().any(|limit| !(0..=1_000_000).contains(limit)) || !(2..=1000).contains(&plan.longest)
         {
@@ -214,13 +279,28 @@ impl FaultPlan {
         Ok(plan)
     }
 
+    /// Whether any of its faults comes from another client.
+    pub fn needs_stranger(&self) -> bool {
+        let stranger = |kind: &Kind| Kind::APART.contains(kind) && *kind != Kind::Unplugged;
+        self.probability.keys().any(stranger) || self.named.values().any(|named| stranger(&named.kind))
+    }
+
+    /// Sets the seed of everything.
+    pub fn set_seed(&mut self, seed: u64) {
+        (self.seed, self.hsu.line.seed) = (seed, seed);
+    }
+
+    fn chance(&self, camera: u64, trigger: i64) -> u64 {
+        hash(self.seed, &[camera, trigger as u64, 2])
+    }
+
     /// What chance says for one trigger of one camera, whatever happened before.
     fn draw(&self, camera: u64, trigger: i64) -> Option<(Kind, u64)> {
         let bits = hash(self.seed, &[camera, trigger as u64, 1]);
         let mut uniform = (bits >> 11) as f64 / (1u64 << 53) as f64;
         for (kind, probability) in &self.probability {
             if uniform < *probability {
-                return Some((*kind, hash(self.seed, &[camera, trigger as u64, 2])));
+                return Some((*kind, self.chance(camera, trigger)));
             }
             uniform -= probability;
         }
@@ -229,25 +309,40 @@ impl FaultPlan {
 }
 
 fn unknown(name: &str) -> PlanError {
-    let known: Vec<String> = Kind::all().iter().map(Kind::to_string).collect();
-    PlanError(format!("probability of {name:?}: expected \"all\" or one of {}", known.join(", ")))
+    let known: Vec<String> = Kind::all().iter().chain(&Kind::APART).map(Kind::to_string).collect();
+    PlanError(format!("kind {name:?}: expected \"all\" or one of {}", known.join(", ")))
 }
 
 #[derive(serde::Deserialize)]
 struct PlanFile {
     faults: PlanTable,
+    #[serde(default)]
+    hsu: HsuTable,
+    #[serde(default)]
+    fault: Vec<NamedTable>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NamedTable {
+    kind: String,
+    camera: String,
+    trigger: i64,
+    count: Option<u64>,
 }
 
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlanTable {
     seed: u64,
+    #[serde(default)]
     probability: BTreeMap<String, f64>,
     first_trigger: Option<i64>,
     clear_triggers: Option<i64>,
     clear_after_reset: Option<i64>,
     longest: Option<u64>,
     late_ms: Option<u64>,
+    absence_triggers: Option<[u64; 2]>,
 }
 
 /// One fault at one trigger.
@@ -257,12 +352,23 @@ pub struct Fault {
     pub kind: Kind,
     /// Decides the details: which packet, how many.
     pub chance: u64,
+    /// How many triggers (ids, for a jump), for kinds that last.
+    pub count: u64,
 }
 
 impl Fault {
-    /// A number within `from..=to`.
-    pub fn number(&self, from: u64, to: u64) -> u64 {
-        from + self.chance % (to.saturating_sub(from) + 1)
+    /// A fault of this kind; `count` where it is stated, else by chance.
+    pub fn new(plan: &FaultPlan, kind: Kind, chance: u64, count: Option<u64>) -> Self {
+        let by_chance = |from: u64, to: u64| from + chance % (to.saturating_sub(from) + 1);
+        let count = count.unwrap_or_else(|| match kind {
+            Kind::Stall => by_chance(2, plan.longest),
+            Kind::IdJump => by_chance(1, plan.longest),
+            // Aravis follows an id that is up to 100 ahead.
+            Kind::ForeignAhead => by_chance(2, 40),
+            kind if kind.is_absence() => by_chance(plan.absence.0, plan.absence.1),
+            _ => 1,
+        });
+        Self { kind, chance, count }
     }
 }
 
@@ -270,6 +376,7 @@ impl Fault {
 #[derive(Debug, Clone)]
 pub struct CameraPlan {
     camera: u64,
+    name: String,
     /// No new fault before this trigger.
     clear_until: i64,
     /// Before this trigger the stall lasts.
@@ -279,29 +386,42 @@ pub struct CameraPlan {
 impl CameraPlan {
     /// Of the camera of this name.
     pub fn new(camera: &str) -> Self {
-        Self { camera: text_number(camera), clear_until: 0, stalled_until: 0 }
+        Self { camera: text_number(camera), name: camera.to_owned(), clear_until: 0, stalled_until: 0 }
     }
 
     /// The fault at this trigger. Triggers below 0 are warm-up and have none.
     pub fn fault(&mut self, plan: &FaultPlan, trigger: i64) -> Option<Fault> {
-        if (0..self.stalled_until).contains(&trigger) {
-            return Some(Fault { kind: Kind::Stall, chance: 0 });
+        let named = if plan.named.is_empty() {
+            None
+        } else {
+            plan.named.get(&(self.name.clone(), trigger)).map(|named| (named.kind, named.count))
+        };
+        if named.is_none() && (0..self.stalled_until).contains(&trigger) {
+            return Some(Fault { kind: Kind::Stall, chance: 0, count: 1 });
         }
-        if trigger < 0 || trigger < plan.first_trigger || trigger < self.clear_until {
-            return None;
-        }
-        let (kind, chance) = plan.draw(self.camera, trigger)?;
-        let fault = Fault { kind, chance };
+        let early = trigger < 0 || trigger < plan.first_trigger || trigger < self.clear_until;
+        let (kind, chance, count) = match named {
+            Some((kind, count)) => (kind, plan.chance(self.camera, trigger), count),
+            None if early => return None,
+            None => plan.draw(self.camera, trigger).map(|(kind, chance)| (kind, chance, None))?,
+        };
+        let fault = Fault::new(plan, kind, chance, count);
         let (lasts, clear) = match kind {
-            Kind::Stall => (fault.number(2, plan.longest) as i64, plan.clear_triggers),
+            Kind::ForeignAhead => (fault.count as i64 + 1, plan.clear_triggers),
+            Kind::Stall | Kind::Unplugged | Kind::ControlTaken => (fault.count as i64, plan.clear_triggers),
             Kind::ClockReset => (1, plan.clear_after_reset),
             _ => (1, plan.clear_triggers),
         };
         if kind == Kind::Stall {
             self.stalled_until = trigger.saturating_add(lasts);
         }
-        self.clear_until = trigger.saturating_add(lasts).saturating_add(clear);
+        self.clear_until = self.clear_until.max(trigger.saturating_add(lasts).saturating_add(clear));
         Some(fault)
+    }
+
+    /// The camera was away until this trigger: its clock and ids are new.
+    pub fn returned(&mut self, plan: &FaultPlan, trigger: i64) {
+        self.clear_until = self.clear_until.max(trigger.saturating_add(plan.clear_after_reset));
     }
 }
 
@@ -332,7 +452,9 @@ mod tests {
 
     #[test]
     fn names_are_names_and_wrong_plans_are_refused() {
-        assert!(Kind::all().iter().all(|kind| Kind::parse(&kind.to_string()) == Some(*kind)));
+        assert!(
+            Kind::all().iter().chain(&Kind::APART).all(|kind| Kind::parse(&kind.to_string()) == Some(*kind))
+        );
         let plan = FaultPlan::parse("[faults]\nseed = 3\n[faults.probability]\nall = 0.01\nstall = 0.0\n");
         let plan = plan.expect("a valid plan");
         assert_eq!((plan.probability[&Kind::Stall], plan.probability[&Kind::FrameLost]), (0.0, 0.01));
@@ -341,7 +463,37 @@ mod tests {
             assert!(FaultPlan::parse(&text).is_err(), "{wrong}");
         }
         assert!(FaultPlan::parse("[faults]\nseed = 1\nlongest = 1\n[faults.probability]\n").is_err());
+        let missing = "[faults]\nseed = 1\nabsence_triggers = [9, 3]\n";
+        assert!(FaultPlan::parse(missing).is_err());
         let shipped = include_str!("../../../config/scenarios/faults.toml");
         assert_eq!(FaultPlan::parse(shipped).expect("shipped").probability.len(), Kind::all().len());
+    }
+
+    #[test]
+    fn a_fault_that_is_named_happens_exactly_there() {
+        let text = "[faults]\nseed = 3\n[faults.probability]\nframe_lost = 0.3\n\
+            [[fault]]\nkind = \"stall\"\ncamera = \"h0_up\"\ntrigger = 3\ncount = 4\n\
+            [[fault]]\nkind = \"unplugged\"\ncamera = \"h0_up\"\ntrigger = 100\n";
+        let plan = FaultPlan::parse(text).expect("valid");
+        let faults = train(&plan, "h0_up");
+        let stall: Vec<i64> = faults.iter().filter(|(_, f)| f.kind == Kind::Stall).map(|(t, _)| *t).collect();
+        assert_eq!(stall, [3, 4, 5, 6], "before first_trigger, and for as long as is stated");
+        let absence = faults.iter().position(|(_, f)| f.kind == Kind::Unplugged).expect("named");
+        let (at, fault) = faults[absence];
+        assert_eq!(at, 100);
+        assert!((plan.absence.0..=plan.absence.1).contains(&fault.count), "as long as chance says");
+        assert!(faults[absence + 1].0 >= 100 + fault.count as i64 + plan.clear_triggers);
+        assert!(train(&plan, "h1_up").iter().all(|(_, f)| f.kind == Kind::FrameLost));
+        for wrong in [
+            "kind = \"no_such\"\ncamera = \"c\"\ntrigger = 1",
+            "kind = \"stall\"\ncamera = \"c\"\ntrigger = -1",
+            "kind = \"stall\"\ncamera = \"c\"\ntrigger = 1\ncount = 0",
+            "kind = \"stall\"\ncamera = \"c\"",
+        ] {
+            assert!(
+                FaultPlan::parse(&format!("[faults]\nseed = 3\n[[fault]]\n{wrong}\n")).is_err(),
+                "{wrong}"
+            );
+        }
     }
 }

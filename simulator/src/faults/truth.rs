@@ -1,7 +1,7 @@
 //! What was injected, one JSON line per fault, and what a recording has to say of it.
 
 use super::disk::DiskEvent;
-use super::plan::{Kind, Part, Resend};
+use super::plan::{Fault, Kind, Part, Resend};
 use fourdbody::record::GapCause;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -10,12 +10,16 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 /// One injected fault.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Injected {
     /// Which train of triggers of this camera it was, from 1 on.
     pub train: u64,
-    /// The camera's name in the rig.
+    /// The camera's name in the rig; empty where it was none.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub camera: String,
+    /// The node whose link it was; without camera and node it was the HSU itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub node: Option<String>,
     /// The trigger.
     pub trigger: u64,
     /// The frame's block id, where there is a frame.
@@ -26,6 +30,16 @@ pub struct Injected {
     pub expected: Vec<String>,
     /// Kinds of the events that must be in the recording.
     pub events: Vec<String>,
+    /// How many triggers from this one on may have these outcomes, where it is more than one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lasts: Option<u64>,
+}
+
+impl Injected {
+    /// A fault of no camera, without any effect.
+    pub fn at(train: u64, trigger: u64, kind: &str) -> Self {
+        Self { train, trigger, kind: kind.to_owned(), ..Self::default() }
+    }
 }
 
 /// `frame`, as an outcome.
@@ -49,7 +63,17 @@ pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
         Kind::ClockReset => (vec![FRAME.to_owned()], Some("camera_clock_reset")),
         // Aravis takes some for packets; then the marks in the block say that a part was not written.
         Kind::Malformed => (vec![FRAME.to_owned(), missing], None),
-        Kind::Reordered | Kind::Duplicated | Kind::RepeatedFrame => (vec![FRAME.to_owned()], None),
+        Kind::Reordered | Kind::Duplicated | Kind::RepeatedFrame | Kind::RogueClient => {
+            (vec![FRAME.to_owned()], None)
+        }
+        Kind::ForeignFar => (vec![FRAME.to_owned(), missing, timeout], None),
+        Kind::ForeignAhead => (vec![FRAME.to_owned(), missing, timeout], None),
+        // A camera that is back before anybody asked it looks like one whose control was lost.
+        Kind::Unplugged => {
+            let causes = [GapCause::Unplugged, GapCause::ControlLost];
+            (causes.map(|cause| cause.to_string()).to_vec(), Some("camera_lost"))
+        }
+        Kind::ControlTaken => (vec![GapCause::ControlLost.to_string()], Some("camera_lost")),
     };
     (outcomes, event.map(str::to_owned).into_iter().collect())
 }
@@ -68,10 +92,22 @@ impl TruthLog {
     }
 
     /// Writes one fault down, at once: the simulator may be killed at any time.
-    pub fn record(&self, train: u64, camera: &str, trigger: u64, block: Option<u64>, kind: Kind) {
-        let (expected, events) = expectation(kind);
-        let (camera, kind) = (camera.to_owned(), kind.to_string());
-        self.write_down(&Injected { train, camera, trigger, block, kind, expected, events });
+    pub fn record(&self, train: u64, camera: &str, trigger: u64, block: Option<u64>, fault: Fault) {
+        let (expected, events) = expectation(fault.kind);
+        let (camera, kind) = (camera.to_owned(), fault.kind.to_string());
+        let lasts = match fault.kind {
+            kind if kind.is_absence() => Some(fault.count),
+            Kind::ForeignAhead => Some(fault.count + 1),
+            _ => None,
+        };
+        self.write_down(&Injected {
+            camera,
+            block,
+            expected,
+            events,
+            lasts,
+            ..Injected::at(train, trigger, &kind)
+        });
     }
 
     /// Writes a line down.

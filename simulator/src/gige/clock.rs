@@ -25,6 +25,8 @@ impl Default for ClockOptions {
 #[derive(Debug)]
 pub struct CameraClock {
     epoch: Instant,
+    /// What it shows after power-on.
+    first_ns: i64,
     offset_ns: AtomicI64,
     drift_ppb: i64,
 }
@@ -34,7 +36,13 @@ impl CameraClock {
     pub fn new(epoch: Instant, options: ClockOptions) -> Self {
         let offset_ns = i64::try_from(options.offset_ns).unwrap_or(i64::MAX);
         // `as` saturates, and turns NaN into no drift.
-        Self { epoch, offset_ns: offset_ns.into(), drift_ppb: (options.drift_ppm * 1000.0).round() as i64 }
+        let first_ns = offset_ns;
+        Self {
+            epoch,
+            first_ns,
+            offset_ns: offset_ns.into(),
+            drift_ppb: (options.drift_ppm * 1000.0).round() as i64,
+        }
     }
 
     /// Camera time, ns, at a host instant. Instants before the camera's start may show as 0.
@@ -47,6 +55,12 @@ impl CameraClock {
     pub fn reset(&self, instant: Instant) {
         let offset = i64::try_from(-self.running(instant)).unwrap_or(i64::MIN);
         self.offset_ns.store(offset, Ordering::Relaxed);
+    }
+
+    /// Starts it anew, as power-on does.
+    pub fn restart(&self, instant: Instant) {
+        let offset = i128::from(self.first_ns) - self.running(instant);
+        self.offset_ns.store(i64::try_from(offset).unwrap_or(i64::MIN), Ordering::Relaxed);
     }
 
     /// Nanoseconds since the epoch as this clock counts them, without its offset.

@@ -9,9 +9,9 @@ use std::net::SocketAddrV4;
 use std::time::{Duration, Instant};
 
 /// Control channel privilege: exclusive access.
-const EXCLUSIVE: u32 = 1;
+pub const EXCLUSIVE: u32 = 1;
 /// Control channel privilege: control access.
-const CONTROL: u32 = 2;
+pub const CONTROL: u32 = 2;
 
 /// What the stream needs to know of the registers.
 #[derive(Debug, Clone, PartialEq)]
@@ -131,6 +131,16 @@ impl Control {
         if self.controller.as_ref().is_some_and(|c| now.saturating_duration_since(c.heard) > timeout) {
             self.release(&mut outcome.actions);
         }
+        outcome
+    }
+
+    /// Gives control to another client, as a switch-over would; the stream stops.
+    pub fn hand_over(&mut self, to: SocketAddrV4, now: Instant) -> Outcome {
+        let mut outcome = Outcome::default();
+        self.release(&mut outcome.actions);
+        self.controller = Some(Controller { address: to, exclusive: false, heard: now });
+        self.registers.privilege = CONTROL;
+        self.registers.controller = Some(to);
         outcome
     }
 

@@ -3,7 +3,9 @@
 use super::clock::{CameraClock, ClockOptions};
 use super::control::{Action, Control, Outcome};
 use super::inject::Injector;
+use super::presence::Presence;
 use super::registers::{Identity, Registers};
+use super::rogue::Rogue;
 use super::stream::{Order, Streamer};
 use super::transmit::{History, Transmitter, refuse, resend};
 use super::{CameraError, PacketFilter, Statistics, discovery, gvcp, gvsp, net};
@@ -107,9 +109,23 @@ impl SimulatedCamera {
             serial: options.serial.clone(),
             user_name: options.user_name.clone(),
         };
-        let mut registers = Registers::new(identity, sensor, Arc::clone(&clock));
-        registers.source_port = stream_socket.local_addr().map_or(0, |a| a.port());
+        let source_port = stream_socket.local_addr().map_or(0, |a| a.port());
+        let power_on = {
+            let clock = Arc::clone(&clock);
+            move || {
+                let mut registers = Registers::new(identity.clone(), sensor, Arc::clone(&clock));
+                registers.source_port = source_port;
+                Control::new(registers)
+            }
+        };
         let statistics = Arc::new(Statistics::default());
+        let presence = Arc::new(Presence::default());
+        let rogue = match &options.faults {
+            Some(faults) if faults.plan.needs_stranger() => {
+                Some(Rogue::new(options.address, Arc::clone(&statistics)).map_err(CameraError::Socket)?)
+            }
+            _ => None,
+        };
         let history = Arc::new(History::new(options.resend_frames));
         let running = Arc::new(AtomicU64::new(0));
         let stop = Arc::new(AtomicBool::new(false));
@@ -132,9 +148,15 @@ impl SimulatedCamera {
             running: Arc::clone(&running),
             first_block_id: options.first_block_id,
             injector: options.faults.clone().map(Injector::new),
+            presence: Arc::clone(&presence),
+            rogue,
+            absence: None,
         };
         let controller = Controller {
-            control: Control::new(registers),
+            control: power_on(),
+            power_on: Box::new(power_on),
+            presence,
+            boots: 0,
             socket: control_socket,
             broadcasts: discovery::sockets(),
             stream_socket,
@@ -215,6 +237,11 @@ fn check(options: &CameraOptions) -> Result<(u32, u32), CameraError> {
 /// State of the control thread.
 struct Controller {
     control: Control,
+    /// What it is after power-on.
+    power_on: Box<dyn Fn() -> Control + Send>,
+    presence: Arc<Presence>,
+    /// Power-ons seen.
+    boots: u64,
     socket: UdpSocket,
     broadcasts: Vec<UdpSocket>,
     stream_socket: Arc<UdpSocket>,
@@ -240,6 +267,7 @@ impl Controller {
                 tracing::error!(%error, "the control channel cannot wait for packets; the camera stops answering");
                 return;
             }
+            self.look_at_presence();
             let lost = self.control.expire(Instant::now());
             self.carry_out(lost, None);
             for index in ready.drain(..) {
@@ -251,8 +279,24 @@ impl Controller {
         }
     }
 
+    /// What the streaming thread has injected meanwhile.
+    fn look_at_presence(&mut self) {
+        let boots = self.presence.boots();
+        if boots != self.boots {
+            self.boots = boots;
+            self.control = (self.power_on)();
+        }
+        if let Some(usurper) = self.presence.take_usurper() {
+            let outcome = self.control.hand_over(usurper, Instant::now());
+            self.carry_out(outcome, None);
+        }
+    }
+
     fn serve(&mut self, buffer: &mut [u8]) {
         let Ok((length, SocketAddr::V4(from))) = self.socket.recv_from(buffer) else { return };
+        if self.presence.is_dark() {
+            return;
+        }
         let Some(datagram) = buffer.get(..length) else { return };
         if self.control.acquiring() && self.running.load(SeqCst) == 0 {
             self.control.acquisition_ended();
@@ -267,7 +311,7 @@ impl Controller {
     fn serve_broadcast(&mut self, index: usize, buffer: &mut [u8]) {
         let Some(socket) = self.broadcasts.get(index) else { return };
         let Ok((length, SocketAddr::V4(from))) = socket.recv_from(buffer) else { return };
-        let Some(datagram) = buffer.get(..length) else { return };
+        let Some(datagram) = buffer.get(..length).filter(|_| !self.presence.is_dark()) else { return };
         if let Some(answer) = discovery::answer(datagram, from, &self.control.registers) {
             let _ = self.socket.send_to(&answer, from);
         }

@@ -14,18 +14,21 @@ pub struct Injector {
     train: u64,
     last: Option<(i64, Instant)>,
     period: Option<Duration>,
+    /// The camera is away, and the triggers pass it by.
+    away: bool,
 }
 
 impl Injector {
     /// Before the first train.
     pub fn new(faults: CameraFaults) -> Self {
         let plan = CameraPlan::new(&faults.camera);
-        Self { faults, plan, train: 0, last: None, period: None }
+        Self { faults, plan, train: 0, last: None, period: None, away: false }
     }
 
     /// The fault of the trigger that this edge is. An edge whose number is not above the last one's begins a train.
     pub fn on_edge(&mut self, edge: &TriggerEdge) -> Option<Fault> {
         match self.last {
+            Some((instant, _)) if edge.instant > instant + 1 => {}
             Some((instant, time)) if edge.instant > instant => {
                 self.period = edge.time.checked_duration_since(time);
             }
@@ -35,21 +38,20 @@ impl Injector {
             }
         }
         self.last = Some((edge.instant, edge.time));
+        if std::mem::take(&mut self.away) {
+            self.plan.returned(&self.faults.plan, edge.instant);
+        }
         let fault = self.plan.fault(&self.faults.plan, edge.instant)?;
-        if fault.kind == Kind::TriggerIgnored {
+        if fault.kind == Kind::TriggerIgnored || fault.kind.is_absence() {
             self.record(edge.instant, None, fault);
         }
+        self.away = fault.kind.is_absence();
         Some(fault)
     }
 
     /// Time between the last two edges.
     pub fn period(&self) -> Option<Duration> {
         self.period
-    }
-
-    /// How many block ids a jump skips.
-    pub fn ids_skipped(&self, fault: Fault) -> u64 {
-        fault.number(1, self.faults.plan.longest)
     }
 
     /// A frame with a fault went out.
@@ -59,7 +61,7 @@ impl Injector {
 
     fn record(&self, instant: i64, block: Option<u64>, fault: Fault) {
         if let Ok(trigger) = u64::try_from(instant) {
-            self.faults.truth.record(self.train, &self.faults.camera, trigger, block, fault.kind);
+            self.faults.truth.record(self.train, &self.faults.camera, trigger, block, fault);
         }
     }
 }
@@ -113,6 +115,8 @@ pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<
             }
         }
         Kind::TriggerIgnored | Kind::ExtraFrame | Kind::IdJump | Kind::ClockReset => {}
+        Kind::Unplugged | Kind::ControlTaken => packets.clear(),
+        Kind::RogueClient | Kind::ForeignFar | Kind::ForeignAhead => {}
     }
     packets
 }
@@ -123,7 +127,7 @@ fn malformed(packets: &[Vec<u8>], fault: Fault, header: usize) -> Vec<Vec<u8>> {
     let Some(model) = packets.get(1) else { return Vec::new() };
     let noise = |length: u64| (0..length).map(|k| hash(fault.chance, &[k]) as u8);
     // No longer than the status: Aravis reads an id from any datagram, and follows it (docs/design/faults.md).
-    let short = vec![0; fault.number(0, 2) as usize];
+    let short = vec![0; (fault.chance % 3) as usize];
     let mut unknown: Vec<u8> = model.iter().copied().take(header).chain(noise(64)).collect();
     if let Some(format) = unknown.get_mut(4) {
         *format = *format & 0x80 | 0x0f;
@@ -148,7 +152,7 @@ mod tests {
     fn losses_lose_and_the_rest_keeps_every_packet() {
         for kind in Kind::all() {
             for chance in 0..50 {
-                let sent = datagrams(frame(), Fault { kind, chance }, 8);
+                let sent = datagrams(frame(), Fault { kind, chance, count: 1 }, 8);
                 let all = frame().iter().all(|packet| sent.contains(packet));
                 let losing = matches!(kind, Kind::FrameLost | Kind::Stall | Kind::Lost(..) | Kind::Truncated);
                 assert_eq!(all, !losing, "{kind} {chance}");

@@ -22,7 +22,9 @@ pub mod gvsp;
 mod inject;
 pub mod map;
 mod net;
+mod presence;
 pub mod registers;
+mod rogue;
 mod segmentation;
 pub mod sensor;
 pub mod settings;
@@ -63,6 +65,10 @@ pub struct Statistics {
     pub packets_resent: AtomicU64,
     /// Resend requests for frames or packets that the camera does not have.
     pub resends_unavailable: AtomicU64,
+    /// Writes of a client without control that were carried out: there must be none.
+    pub strangers_obeyed: AtomicU64,
+    /// And those that were refused.
+    pub strangers_refused: AtomicU64,
     /// Frames or packets that the network refused.
     pub send_errors: AtomicU64,
     /// Longest time between the end of an exposure and the start of its transmission, ns.

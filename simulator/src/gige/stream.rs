@@ -6,6 +6,8 @@ use super::clock::CameraClock;
 use super::control::StreamSettings;
 use super::inject::Injector;
 use super::net;
+use super::presence::Presence;
+use super::rogue::Rogue;
 use super::segmentation;
 use super::sensor::{Exposure, Sensor};
 use super::settings::{ExposureMode, TriggerSource};
@@ -88,7 +90,23 @@ pub struct Streamer {
     pub first_block_id: u64,
     /// Faults to inject.
     pub injector: Option<Injector>,
+    /// What the control thread must know of faults.
+    pub presence: Arc<Presence>,
+    /// The client from which some of them come.
+    pub rogue: Option<Rogue>,
+    /// Why nothing is sent at the moment.
+    pub absence: Option<Absence>,
 }
+
+/// The camera is without power, or in other hands.
+#[derive(Debug, Clone, Copy)]
+pub struct Absence {
+    kind: Kind,
+    until: Instant,
+}
+
+/// Between two signs of life of the client that has taken control.
+const ROGUE_HEARTBEAT: Duration = Duration::from_millis(500);
 
 impl Streamer {
     /// Runs until told to quit, or until nobody is left to tell.
@@ -96,7 +114,7 @@ impl Streamer {
         let mut acquisition: Option<Acquisition> = None;
         let mut connected = None;
         loop {
-            let wait = acquisition.as_mut().map_or(IDLE, |a| a.next_deadline());
+            let wait = acquisition.as_mut().map_or(IDLE, |a| a.next_deadline()).min(self.absence_wait());
             let triggers = &self.triggers;
             let order = select! {
                 recv(self.orders) -> order => Some(order.unwrap_or(Order::Quit)),
@@ -108,7 +126,7 @@ impl Streamer {
                                 return;
                             }
                         }
-                        self.on_edge(acquisition.as_mut(), edge);
+                        self.on_edge(&mut acquisition, edge);
                         None
                     }
                     // Nobody holds the other end of the wire any more.
@@ -119,6 +137,7 @@ impl Streamer {
             if order.is_some_and(|order| !self.obey(order, &mut acquisition, &mut connected)) {
                 return;
             }
+            self.attend_to_absence();
             if let Some(running) = &mut acquisition {
                 self.advance(running);
                 if running.frames_left == Some(0) {
@@ -177,8 +196,8 @@ impl Streamer {
         }
     }
 
-    fn on_edge(&mut self, acquisition: Option<&mut Acquisition>, edge: TriggerEdge) {
-        let listening = acquisition.filter(|a| {
+    fn on_edge(&mut self, acquisition: &mut Option<Acquisition>, edge: TriggerEdge) {
+        let listening = acquisition.as_mut().filter(|a| {
             let settings = &a.stream.settings;
             settings.triggered && settings.source == TriggerSource::Line0 && edge.time >= a.started
         });
@@ -197,7 +216,63 @@ impl Streamer {
             Some(Kind::ClockReset) => self.clock.reset(edge.time - RESET_LEAD),
             _ => {}
         }
+        if let Some(fault) = fault.filter(|fault| fault.kind.is_absence()) {
+            return self.go_away(acquisition, fault, &edge);
+        }
+        if let Some(rogue) = &mut self.rogue {
+            rogue.look_at_answers();
+            if let Some(fault) = fault.filter(|fault| fault.kind == Kind::RogueClient) {
+                rogue.harass(fault);
+            }
+        }
         self.trigger(running, edge.time, exposure, edge.instant, fault);
+    }
+
+    /// From this edge on nothing is sent, for as many triggers as the fault says. What was exposed before goes out
+    /// first, so that exactly these triggers are lost.
+    fn go_away(&mut self, acquisition: &mut Option<Acquisition>, fault: Fault, edge: &TriggerEdge) {
+        if let Some(mut running) = acquisition.take() {
+            while running.exposures.front().is_some_and(|shot| shot.exposure.end <= edge.time) {
+                self.advance(&mut running);
+            }
+            let _ = self.running.compare_exchange(running.number, 0, SeqCst, SeqCst);
+        }
+        let period = self.injector.as_ref().and_then(Injector::period).unwrap_or(IDLE);
+        let triggers = u32::try_from(fault.count).unwrap_or(u32::MAX);
+        let until = edge.time + period.saturating_mul(triggers).saturating_sub(period / 2);
+        match fault.kind {
+            Kind::ControlTaken => {
+                if let Some(client) = self.rogue.as_ref().and_then(Rogue::address) {
+                    self.presence.give_control_to(client);
+                }
+            }
+            _ => self.presence.power_off(),
+        }
+        self.absence = Some(Absence { kind: fault.kind, until });
+    }
+
+    fn absence_wait(&self) -> Duration {
+        let left = |absence: Absence| absence.until.saturating_duration_since(Instant::now());
+        self.absence.map_or(IDLE, |absence| left(absence).min(ROGUE_HEARTBEAT))
+    }
+
+    /// Keeps a stranger in control, and ends what is over.
+    fn attend_to_absence(&mut self) {
+        let Some(absence) = self.absence else { return };
+        let over = Instant::now() >= absence.until;
+        match (absence.kind, &mut self.rogue) {
+            (Kind::ControlTaken, Some(rogue)) if over => rogue.leave(),
+            (Kind::ControlTaken, Some(rogue)) => rogue.heartbeat(),
+            (Kind::Unplugged, _) if over => {
+                self.clock.restart(Instant::now());
+                self.history.clear();
+                self.presence.power_on();
+            }
+            _ => {}
+        }
+        if over {
+            self.absence = None;
+        }
     }
 
     fn trigger(
@@ -239,7 +314,7 @@ impl Streamer {
             return;
         };
         if let Some(fault) = fault.filter(|fault| fault.kind == Kind::IdJump) {
-            for _ in 0..self.injector.as_ref().map_or(0, |injector| injector.ids_skipped(fault)) {
+            for _ in 0..fault.count {
                 running.next_block_id = running.stream.layout.ids.next_block_id(running.next_block_id);
             }
         }
@@ -249,7 +324,11 @@ impl Streamer {
         running.frames_left = running.frames_left.map(|left| left.saturating_sub(1));
         let lag = now.saturating_duration_since(exposure.end).as_nanos();
         self.statistics.worst_lag_ns.fetch_max(u64::try_from(lag).unwrap_or(u64::MAX), Relaxed);
-        if running.stream.destination.is_some() {
+        if let Some(destination) = running.stream.destination {
+            let foreign = |f: &Fault| matches!(f.kind, Kind::ForeignFar | Kind::ForeignAhead);
+            if let (Some(rogue), Some(fault)) = (&self.rogue, fault.filter(foreign)) {
+                rogue.stray(&frame, fault, destination);
+            }
             match fault {
                 None => self.transmitter.send(&frame, running.stream.packet_delay),
                 Some(fault) => self.transmitter.send_with(&frame, fault),

@@ -1,5 +1,6 @@
 //! The simulated unit's main loop: what the firmware does with timers and interrupts, on one thread.
 
+use super::inject::{Deed, Injector};
 use super::line::Line;
 use super::{Control, HsuOptions, RunningClock};
 use crate::wire::TriggerEdge;
@@ -25,6 +26,8 @@ pub(super) struct Engine {
     world: World,
     /// The projectors' own frame clock, for [`Sync::ProjectorFrame`].
     next_frame_ns: u64,
+    /// What came in last; kept for its memory.
+    input: Vec<u8>,
 }
 
 /// What the unit acts on.
@@ -35,6 +38,9 @@ struct World {
     /// Edges that have not risen yet, by camera, in order of time.
     edges: Vec<(usize, TriggerEdge)>,
     control: Arc<Control>,
+    injector: Option<Injector>,
+    /// What the injector has ordered and nobody has carried out yet.
+    deeds: Vec<Deed>,
 }
 
 impl UnitOutputs for World {
@@ -44,7 +50,7 @@ impl UnitOutputs for World {
         let length = message.encode(&mut bytes);
         let mut framed = [0; frame::MAX_FRAME];
         let length = frame::encode(&bytes[..length], &mut framed);
-        line.queue(&framed[..length])
+        line.queue(&framed[..length], Instant::now())
     }
 
     fn fire(&mut self, trigger: &TriggerRecord, heads: &[HeadTiming]) {
@@ -59,6 +65,9 @@ impl UnitOutputs for World {
             self.edges.push((camera, edge));
         }
         self.edges.sort_by_key(|(_, edge)| edge.time);
+        if let Some(injector) = &mut self.injector {
+            self.deeds.extend(injector.on_trigger(trigger.number, Instant::now()));
+        }
     }
 }
 
@@ -81,8 +90,17 @@ impl Engine {
             identity: options.identity,
             unit: Unit::new(options.identity),
             decoders: vec![Decoder::new(); lines.len()],
-            world: World { clock, lines, cameras: options.cameras, edges: Vec::new(), control },
+            world: World {
+                clock,
+                lines,
+                cameras: options.cameras,
+                edges: Vec::new(),
+                control,
+                injector: options.faults.map(Injector::new),
+                deeds: Vec::new(),
+            },
             next_frame_ns: 0,
+            input: Vec::new(),
         }
     }
 
@@ -90,8 +108,7 @@ impl Engine {
         stand_in_for_a_hardware_timer();
         while !self.world.control.stop.load(Ordering::Relaxed) {
             if self.world.control.power_cycle.swap(false, Ordering::Relaxed) {
-                self.unit = Unit::new(self.identity);
-                self.world.edges.clear();
+                self.restart();
             }
             for (line, unplugged) in self.world.lines.iter_mut().zip(&self.world.control.unplugged) {
                 let plugged = !unplugged.load(Ordering::Relaxed);
@@ -102,10 +119,50 @@ impl Engine {
             let hangs = self.world.control.unresponsive.load(Ordering::Relaxed);
             if !hangs {
                 self.keep_time();
-                self.world.lines.iter_mut().for_each(Line::write);
+                self.do_deeds();
+                let now = Instant::now();
+                self.world.lines.iter_mut().for_each(|line| line.write(now));
             }
             self.sleep(if hangs { Instant::now() + NAP } else { self.next_due() });
             self.take_input(hangs);
+            self.write_disturbances_down();
+        }
+    }
+
+    fn restart(&mut self) {
+        self.unit = Unit::new(self.identity);
+        self.world.edges.clear();
+    }
+
+    /// Carries out what was injected at the trigger that was just fired, and ends what is over.
+    fn do_deeds(&mut self) {
+        let mut deeds = std::mem::take(&mut self.world.deeds);
+        if let Some(injector) = &mut self.world.injector {
+            deeds.extend(injector.ended(Instant::now()));
+        }
+        for deed in deeds {
+            match deed {
+                Deed::Restart => self.restart(),
+                Deed::Silence(link, silent) => {
+                    if let Some(line) = self.world.lines.get_mut(link) {
+                        line.set_silent(silent);
+                    }
+                }
+                Deed::Unplug(link, unplugged) => {
+                    if let Some(switch) = self.world.control.unplugged.get(link) {
+                        switch.store(unplugged, Ordering::Relaxed);
+                    }
+                }
+            }
+        }
+    }
+
+    fn write_disturbances_down(&mut self) {
+        for (link, line) in self.world.lines.iter_mut().enumerate() {
+            let places = line.take_disturbed();
+            if let Some(injector) = self.world.injector.as_ref().filter(|_| places > 0) {
+                injector.disturbed(link);
+            }
         }
     }
 
@@ -143,7 +200,10 @@ impl Engine {
             }
             return;
         }
-        let nap = if exact { left - SPIN } else { left }.min(NAP);
+        // A message that arrives in between is worth being awake, and not more.
+        let message = self.world.lines.iter().filter_map(Line::next_due).min();
+        let message = message.map_or(NAP, |at| at.saturating_duration_since(Instant::now()));
+        let nap = if exact { left - SPIN } else { left }.min(NAP).min(message);
         let mut fds: Vec<libc::pollfd> = self.world.lines.iter().map(poll_for).collect();
         let timeout = libc::timespec { tv_sec: 0, tv_nsec: nap.subsec_nanos().into() };
         // SAFETY: the array and the time are live for the call, and the count is the array's; no signal mask.
@@ -152,10 +212,10 @@ impl Engine {
     }
 
     fn take_input(&mut self, hangs: bool) {
-        let mut buffer = [0; 1024];
         for (link, decoder) in LinkId::ALL.into_iter().zip(&mut self.decoders) {
             let Some(line) = self.world.lines.get_mut(link.index()) else { continue };
-            let bytes = line.read(&mut buffer);
+            let bytes = &mut self.input;
+            line.read(Instant::now(), bytes);
             if bytes.is_empty() {
                 line.lift_exclusive_use();
                 continue;

@@ -1,11 +1,12 @@
 //! One serial line of the simulated unit: the master end of a pty, and a link to its slave end.
 
-use super::SerialNoise;
+use super::disturb::{Disturbance, LineFaults};
 use serialport::{SerialPort, TTYPort};
 use std::collections::VecDeque;
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, IntoRawFd, OwnedFd, RawFd};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// A transmit buffer like that of a USB serial converter and its driver; when it is full, messages are lost.
 const TRANSMIT_BYTES: usize = 16 * 1024;
@@ -18,14 +19,57 @@ pub(super) struct Line {
     ends: Option<(OwnedFd, TTYPort)>,
     link: PathBuf,
     transmit: VecDeque<u8>,
-    noise: Option<Noise>,
+    /// Nothing gets through.
+    silent: bool,
+    /// What happens to bytes on their way to the host and from it; `None`: nothing.
+    faults: Option<Faults>,
+}
+
+#[derive(Debug)]
+struct Faults {
+    delays: bool,
+    to_host: Disturbance,
+    from_host: Disturbance,
+    /// Disturbed places that nobody has asked for yet.
+    places: u32,
 }
 
 impl Line {
-    pub(super) fn open(link: &Path, noise: Option<(SerialNoise, u64)>) -> io::Result<Self> {
+    /// Line `number` of a unit.
+    pub(super) fn open(link: &Path, faults: Option<LineFaults>, number: usize) -> io::Result<Self> {
         let ends = Some(pair(link)?);
-        let noise = noise.map(|(noise, line)| Noise::new(noise, line));
-        Ok(Self { ends, link: link.to_owned(), transmit: VecDeque::new(), noise })
+        let faults = faults.map(|faults| Faults {
+            delays: faults.delays(),
+            to_host: Disturbance::new(faults, &format!("line {number} to host")),
+            from_host: Disturbance::new(faults, &format!("line {number} from host")),
+            places: 0,
+        });
+        Ok(Self { ends, link: link.to_owned(), transmit: VecDeque::new(), silent: false, faults })
+    }
+
+    /// From now on every byte is lost in both directions, or none is any more.
+    pub(super) fn set_silent(&mut self, silent: bool) {
+        self.silent = silent;
+        self.lose_what_is_on_its_way();
+    }
+
+    fn lose_what_is_on_its_way(&mut self) {
+        self.transmit.clear();
+        if let Some(faults) = &mut self.faults {
+            faults.to_host.clear();
+            faults.from_host.clear();
+        }
+    }
+
+    /// How many places of what went over the line were disturbed since this was last asked.
+    pub(super) fn take_disturbed(&mut self) -> u32 {
+        self.faults.as_mut().map_or(0, |faults| std::mem::take(&mut faults.places))
+    }
+
+    /// When the next message that is held up arrives at either end.
+    pub(super) fn next_due(&self) -> Option<Instant> {
+        let faults = self.faults.as_ref()?;
+        [faults.to_host.next_due(), faults.from_host.next_due()].into_iter().flatten().min()
     }
 
     /// Pulls the cable, or puts it in again: the host's device vanishes, and comes back under the same name.
@@ -33,7 +77,7 @@ impl Line {
         if !plugged {
             self.remove_link();
             self.ends = None;
-            self.transmit.clear();
+            self.lose_what_is_on_its_way();
         } else if self.ends.is_none() {
             match pair(&self.link) {
                 Ok(ends) => self.ends = Some(ends),
@@ -61,20 +105,35 @@ impl Line {
     }
 
     /// Queues a whole frame, or nothing.
-    pub(super) fn queue(&mut self, frame: &[u8]) -> bool {
-        if self.transmit.len() + frame.len() > TRANSMIT_BYTES {
+    pub(super) fn queue(&mut self, frame: &[u8], now: Instant) -> bool {
+        if self.silent {
+            return true;
+        }
+        let held = self.faults.as_ref().map_or(0, |faults| faults.to_host.held_bytes());
+        if self.transmit.len() + held + frame.len() > TRANSMIT_BYTES {
             return false;
         }
-        let start = self.transmit.len();
-        self.transmit.extend(frame);
-        if let Some(noise) = &mut self.noise {
-            self.transmit.iter_mut().skip(start).for_each(|byte| noise.disturb(byte));
+        let Some(faults) = &mut self.faults else {
+            self.transmit.extend(frame);
+            return true;
+        };
+        let (bytes, places) = faults.to_host.bytes(frame);
+        faults.places += places;
+        if faults.delays {
+            faults.to_host.hold(bytes, now);
+        } else {
+            self.transmit.extend(bytes);
         }
         true
     }
 
     /// Gives the line what it takes at the moment.
-    pub(super) fn write(&mut self) {
+    pub(super) fn write(&mut self, now: Instant) {
+        if let Some(faults) = &mut self.faults {
+            while let Some(bytes) = faults.to_host.arrived(now) {
+                self.transmit.extend(bytes);
+            }
+        }
         while !self.transmit.is_empty() {
             let (chunk, _) = self.transmit.as_slices();
             // SAFETY: the descriptor is open, and the pointer and length are those of a live slice.
@@ -86,15 +145,29 @@ impl Line {
         }
     }
 
-    /// What has come in, if anything.
-    pub(super) fn read<'a>(&mut self, buffer: &'a mut [u8]) -> &'a [u8] {
-        // SAFETY: the descriptor is open, and the pointer and length are those of a live, exclusive slice.
+    /// What has come in, if anything, instead of what is in `received`.
+    pub(super) fn read(&mut self, now: Instant, received: &mut Vec<u8>) {
+        received.clear();
+        let mut buffer = [0; 1024];
+        // SAFETY: the descriptor is open, and the pointer and length are those of a live, exclusive array.
         let read = unsafe { libc::read(self.fd(), buffer.as_mut_ptr().cast(), buffer.len()) };
-        let taken = &mut buffer[..usize::try_from(read).unwrap_or(0)];
-        if let Some(noise) = &mut self.noise {
-            taken.iter_mut().for_each(|byte| noise.disturb(byte));
+        let taken = &buffer[..usize::try_from(read).unwrap_or(0)];
+        if self.silent {
+            return;
         }
-        taken
+        let Some(faults) = &mut self.faults else { return received.extend_from_slice(taken) };
+        if !taken.is_empty() {
+            let (bytes, places) = faults.from_host.bytes(taken);
+            faults.places += places;
+            if faults.delays {
+                faults.from_host.hold(bytes, now);
+            } else {
+                received.extend(bytes);
+            }
+        }
+        while let Some(bytes) = faults.from_host.arrived(now) {
+            received.extend(bytes);
+        }
     }
 
     /// A real driver lifts exclusive use when the last host closes the device. Here the slave stays open, so
@@ -137,31 +210,4 @@ fn set_nonblocking(fd: RawFd) -> io::Result<()> {
         libc::fcntl(fd, libc::F_SETFL, flags | libc::O_NONBLOCK)
     };
     if result == -1 { Err(io::Error::last_os_error()) } else { Ok(()) }
-}
-
-/// xorshift64*: repeatable, and good enough to pick bits.
-#[derive(Debug)]
-struct Noise {
-    flips_per_million: u32,
-    state: u64,
-}
-
-impl Noise {
-    fn new(noise: SerialNoise, line: u64) -> Self {
-        let state = noise.seed.wrapping_add(line.wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1;
-        Self { flips_per_million: noise.flips_per_million, state }
-    }
-
-    fn next(&mut self) -> u64 {
-        self.state ^= self.state >> 12;
-        self.state ^= self.state << 25;
-        self.state ^= self.state >> 27;
-        self.state.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 16
-    }
-
-    fn disturb(&mut self, byte: &mut u8) {
-        if self.next() % 1_000_000 < u64::from(self.flips_per_million) {
-            *byte ^= 1 << (self.next() % 8);
-        }
-    }
 }

@@ -3,9 +3,14 @@
 //! A host opens the pty with `serialport` like any serial device; nothing in the product knows of this
 //! module. One thread a unit waits for bytes and for the next trigger.
 
+mod disturb;
 mod engine;
+mod inject;
 mod line;
 
+pub use disturb::{Jitter, LineFaults};
+
+use crate::faults::HsuFaults;
 use crate::wire::TriggerEdge;
 use crossbeam_channel::Sender;
 use hsu_firmware_proto::{Identity, LINKS, NodeName};
@@ -57,15 +62,6 @@ impl RunningClock {
     }
 }
 
-/// Flips bits on the serial lines, in both directions.
-#[derive(Debug, Clone, Copy)]
-pub struct SerialNoise {
-    /// Bytes out of a million that lose one bit.
-    pub flips_per_million: u32,
-    /// Makes it repeatable, as far as the bytes are.
-    pub seed: u64,
-}
-
 /// What to simulate.
 #[derive(Debug, Clone)]
 pub struct HsuOptions {
@@ -78,8 +74,10 @@ pub struct HsuOptions {
     pub identity: Identity,
     /// Its clock.
     pub clock: HsuClock,
-    /// Disturbance of the serial lines.
-    pub noise: Option<SerialNoise>,
+    /// What the serial lines do to what they carry.
+    pub line: Option<LineFaults>,
+    /// What else goes wrong, at which triggers.
+    pub faults: Option<HsuFaults>,
 }
 
 impl Default for HsuOptions {
@@ -93,7 +91,8 @@ impl Default for HsuOptions {
                 firmware: [1, 0, 0],
             },
             clock: HsuClock::default(),
-            noise: None,
+            line: None,
+            faults: None,
         }
     }
 }
@@ -126,10 +125,9 @@ impl SimulatedHsu {
             let message = format!("a unit has 1 to {LINKS} links, found {}", options.links.len());
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
         }
-        let lines: Vec<Line> = (0u64..)
-            .zip(&options.links)
-            .map(|(number, path)| Line::open(path, options.noise.map(|n| (n, number))))
-            .collect::<io::Result<_>>()?;
+        let links = options.links.iter().enumerate();
+        let lines: Vec<Line> =
+            links.map(|(number, path)| Line::open(path, options.line, number)).collect::<io::Result<_>>()?;
         let control = Arc::new(Control::default());
         let links = options.links.clone();
         let engine = engine::Engine::new(options, lines, control.clone());

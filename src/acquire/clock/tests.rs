@@ -45,7 +45,7 @@ impl Device {
         Exchange { host_send_ns: host_ns, host_receive_ns: read + self.delay(), device_ns }
     }
 
-    /// Feeds a session of `seconds` at 120 Hz with a burst of exchanges before it and one a second during it;
+    /// Feeds a session of `seconds` at 120 Hz with a burst of exchanges before it and five a second during it;
     /// returns the errors of trigger times as they were known then, ns.
     fn session(&mut self, fit: &mut ClockFit, seconds: u64, lost: u64) -> Vec<u64> {
         for k in 0..32 {
@@ -54,7 +54,7 @@ impl Device {
         let mut errors = Vec::new();
         for k in 0..seconds * 120 {
             let host_ns = HOST_NS + 1_000_000_000 + k * 8_333_333;
-            if k % 120 == 0 && self.random.below(100) >= lost {
+            if k % 24 == 0 && self.random.below(100) >= lost {
                 fit.exchange(&self.exchange(host_ns));
             }
             let trigger = self.reading(host_ns);

@@ -37,7 +37,7 @@ impl<'a> Resets<'a> {
     fn explain(&mut self, before: u64, trigger: u64) -> bool {
         let between = |outcomes: &BTreeMap<u64, Outcome>| {
             // What stood where something is damaged now is not known any more.
-            let gone = [Outcome::Gap(GapCause::Unplugged), Outcome::Gap(GapCause::Damaged)];
+            let gone = [GapCause::Unplugged, GapCause::ControlLost, GapCause::Damaged].map(Outcome::Gap);
             outcomes.range(before + 1..trigger).any(|(_, outcome)| gone.contains(outcome))
         };
         if self.outcomes.is_some_and(between) || self.at.iter().any(|at| (before + 1..=trigger).contains(at))

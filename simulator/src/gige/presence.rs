@@ -1,0 +1,50 @@
+//! Whether a camera can be reached, and by whom: what its two threads must agree on while a fault keeps it away.
+
+use std::net::SocketAddrV4;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
+use std::sync::{Mutex, PoisonError};
+
+/// Shared by the streaming thread, which injects faults at triggers, and the control thread, which answers.
+#[derive(Debug, Default)]
+pub struct Presence {
+    /// Without power: what arrives is not answered.
+    dark: AtomicBool,
+    /// How often power came back.
+    boots: AtomicU64,
+    /// Who is to be given control next.
+    usurper: Mutex<Option<SocketAddrV4>>,
+}
+
+impl Presence {
+    /// The power goes.
+    pub fn power_off(&self) {
+        self.dark.store(true, SeqCst);
+    }
+
+    /// The power is back: all registers as after power-on.
+    pub fn power_on(&self) {
+        // Before it answers again, so that no answer comes from an old register.
+        self.boots.fetch_add(1, SeqCst);
+        self.dark.store(false, SeqCst);
+    }
+
+    /// Whether it is without power.
+    pub fn is_dark(&self) -> bool {
+        self.dark.load(SeqCst)
+    }
+
+    /// How often power came back.
+    pub fn boots(&self) -> u64 {
+        self.boots.load(SeqCst)
+    }
+
+    /// Control shall go to another client.
+    pub fn give_control_to(&self, client: SocketAddrV4) {
+        *self.usurper.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
+    }
+
+    /// Who is to be given control now.
+    pub fn take_usurper(&self) -> Option<SocketAddrV4> {
+        self.usurper.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
