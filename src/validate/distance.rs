@@ -223,13 +223,26 @@ mod tests {
             let (w, h) = (self.camera.width, self.camera.height);
             let mut draws = Draws(5);
             let mut pixels = Plane::filled(w, h, None);
-            let mut image = Plane::filled(w, h, 0u8);
+            let mut sharp = Plane::filled(w, h, 0.0);
             for v in 0..h {
                 for u in 0..w {
                     pixels.set(u, v, self.pixel(u, v));
-                    let level =
-                        pixels.at(u, v).map_or(0.0, |(white, light)| 200.0 * (0.05 + 0.95 * white) * light);
-                    image.set(u, v, (level + 0.5 + draws.normal()).clamp(0.0, 255.0) as u8);
+                    let level = |(white, light): (f64, f64)| 200.0 * (0.05 + 0.95 * white) * light;
+                    sharp.set(u, v, pixels.at(u, v).map_or(0.0, level));
+                }
+            }
+            // A lens that blurs by 0.6 px.
+            let mut image = Plane::filled(w, h, 0u8);
+            for v in 3..h - 3 {
+                for u in 3..w - 3 {
+                    let (mut sum, mut total) = (0.0, 0.0);
+                    for (x, y) in (0..49).map(|i| (i % 7, i / 7)) {
+                        let away = (x as f64 - 3.0).powi(2) + (y as f64 - 3.0).powi(2);
+                        let weight = (-away / (2.0 * 0.36)).exp();
+                        sum += weight * sharp.at(u + x - 3, v + y - 3);
+                        total += weight;
+                    }
+                    image.set(u, v, (sum / total + 0.5 + draws.normal()).clamp(0.0, 255.0) as u8);
                 }
             }
             let mut cloud = Cloud::default();

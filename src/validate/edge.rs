@@ -18,8 +18,13 @@ use std::f64::consts::TAU;
 
 /// Weights of the seven samples over one period whose sum is the intensity (see `reconstruct::demodulate`).
 const WINDOW: [f64; 7] = [5.0 / 42.0, 5.0 / 42.0, 7.0 / 42.0, 8.0 / 42.0, 7.0 / 42.0, 5.0 / 42.0, 5.0 / 42.0];
-/// Width of the lens' and the pixels' blur, px (standard deviation). It widens the edge and shifts nothing.
-const BLUR_PX: f64 = 0.7;
+/// Width of a pixel: the standard deviation of its square along one axis, px.
+const PIXEL_PX: f64 = 0.29;
+/// The lens' blur, px (standard deviation). Circle and fringes pass it together: where the fringes are steep, each edge
+/// is moved by blur² * slope / light, some tenths of a pixel.
+const BLUR_PX: f64 = 0.6;
+/// Reach of the blur's kernel, px.
+const BLUR_REACH: usize = 2;
 /// What a black circle takes from the light, where that is not seen.
 const BLACK: f64 = 0.95;
 /// Period of the fringes where nothing tells it, px.
@@ -214,7 +219,7 @@ impl Patch {
         sectors.iter().filter(|n| **n <= least).count() <= 1 && self.seen.len() > 200
     }
 
-    /// Light of one pixel, without a window.
+    /// Light of one pixel, without the lens' blur and without a window.
     fn light(&self, pixel: &Pixel, x: &Unknowns) -> f64 {
         let (px, py) = (pixel.place[0] - x[0], pixel.place[1] - x[1]);
         let away = px.hypot(py).max(1e-9);
@@ -222,14 +227,17 @@ impl Patch {
         let per_px = slope(pixel.slopes[0]).hypot(slope(pixel.slopes[1])).max(1e-9);
         // A logistic edge of the same width.
         let outside = (away - x[2]) / per_px;
-        let circle = 1.0 / (1.0 + (1.7 * outside / BLUR_PX).exp());
+        let circle = 1.0 / (1.0 + (1.7 * outside / PIXEL_PX).exp());
         let even = x[5] * (1.0 + x[6] * pixel.share[0] + x[7] * pixel.share[1]);
         even * (1.0 - x[3] + x[3] * pixel.fringe) * (1.0 - x[4] * circle)
     }
 
     /// What should be seen at every place of `seen`.
     fn expected(&self, x: &Unknowns) -> Vec<f64> {
-        let raw: Vec<f64> = self.list.iter().map(|pixel| self.light(pixel, x)).collect();
+        let mut raw: Vec<f64> = self.list.iter().map(|pixel| self.light(pixel, x)).collect();
+        let (wide, high) = (self.pixels.width(), self.pixels.height());
+        raw = blurred(&raw, wide, high, 1);
+        raw = blurred(&raw, wide, high, wide);
         let at = |column: usize, row: usize| raw[self.pixels.at(column, row) as usize];
         let last = self.pixels.width() - 1;
         let value = |&([column, row], _): &([usize; 2], f64)| {
@@ -296,6 +304,22 @@ impl Patch {
         }
         None
     }
+}
+
+/// A row-major plane after the lens' blur along u (`step` 1) or v (`step` the width); the rim stays as it is.
+fn blurred(plane: &[f64], wide: usize, high: usize, step: usize) -> Vec<f64> {
+    let weight = |k: usize| (-0.5 * (k as f64 / BLUR_PX).powi(2)).exp();
+    let total = 1.0 + 2.0 * (1..=BLUR_REACH).map(weight).sum::<f64>();
+    let mut out = plane.to_vec();
+    let (rim_u, rim_v) = if step == 1 { (BLUR_REACH, 0) } else { (0, BLUR_REACH) };
+    for v in rim_v..high.saturating_sub(rim_v) {
+        for u in rim_u..wide.saturating_sub(rim_u) {
+            let at = v * wide + u;
+            let sides = (1..=BLUR_REACH).map(|k| weight(k) * (plane[at - k * step] + plane[at + k * step]));
+            out[at] = (plane[at] + sides.sum::<f64>()) / total;
+        }
+    }
+    out
 }
 
 /// Geometry and light of one pixel.
