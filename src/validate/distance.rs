@@ -177,7 +177,7 @@ mod tests {
                 pattern: Pattern {
                     period_px: 16.0,
                     marker_index: 40,
-                    marker: Marker::Darkened { depth: 0.8 },
+                    marker: Marker::Darkened { depth: 0.2 },
                     marker_period_px: 16.0,
                     low: 0.0,
                     high: 1.0,
@@ -289,16 +289,16 @@ mod tests {
         let scene = Scene::new();
         let (image, mut cloud) = scene.shoot(1e-4);
         let light = Some(Light { projector: &scene.projector, pattern: &scene.pattern });
-        for (photograph, most_mm) in [(Some(Mono8::from(&image)), 0.06), (None, 0.25)] {
+        for (photograph, most_mm) in [(Some(Mono8::from(&image)), 0.12), (None, 0.4)] {
             let grid = Organized::new(&cloud).expect("points");
             let sight = Sight { cloud: &grid, light, photograph };
             let found = diagonals(&[sight], &scene.board).expect("both diagonals");
-            assert_eq!(found.ends, [[[0, 0], [13, 18]], [[13, 0], [0, 18]]]);
-            assert!((found.board_mm[0] - 1e3 * 1.3f64.hypot(1.8)).abs() < 1e-9, "{found:?}");
-            assert!(found.error_mm.iter().all(|e| e.abs() < most_mm), "{photograph:?} {found:?}");
-            if photograph.is_some() {
-                assert!(found.edges_mm.iter().all(|e| e.abs() < 0.3), "{found:?}");
+            for (ends, corners) in found.ends.iter().zip([[[0, 0], [13, 18]], [[13, 0], [0, 18]]]) {
+                let steps = |i: usize, k: usize| ends[i][k].abs_diff(corners[i][k]);
+                assert!((0..4).all(|i| steps(i / 2, i % 2) <= 1), "{found:?}");
             }
+            assert!(found.error_mm.iter().all(|e| e.abs() < most_mm), "{} {found:?}", photograph.is_some());
+            assert!(photograph.is_none() || found.edges_mm.iter().all(|e| e.abs() < 0.5), "{found:?}");
         }
         // Where the board is, from the same circles.
         let grid = Organized::new(&cloud).expect("points");
