@@ -281,10 +281,8 @@ fn rigid(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Isometry3<f64>> {
         return None;
     }
     let n = pairs.len() as f64;
-    let mean = |pick: fn(&(Vector3<f64>, Vector3<f64>)) -> Vector3<f64>| {
-        pairs.iter().map(pick).sum::<Vector3<f64>>() / n
-    };
-    let (a, b) = (mean(|p| p.0), mean(|p| p.1));
+    let a = pairs.iter().map(|pair| pair.0).sum::<Vector3<f64>>() / n;
+    let b = pairs.iter().map(|pair| pair.1).sum::<Vector3<f64>>() / n;
     let spread: Matrix3<f64> = pairs.iter().map(|(x, y)| (y - b) * (x - a).transpose()).sum();
     let svd = spread.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);
