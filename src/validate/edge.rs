@@ -36,6 +36,9 @@ const FURTHEST: f64 = 0.3;
 /// Residuals beyond this, as a share of the light, are not explained.
 const WORST_RMS: f64 = 0.06;
 
+/// Most rounds of the search.
+const ROUNDS: usize = 25;
+
 /// Unknowns: middle (two, m), radius (m), contrast of the fringes, blackness, light and its slopes along u and v.
 const UNKNOWNS: usize = 8;
 type Unknowns = SVector<f64, UNKNOWNS>;
@@ -265,7 +268,7 @@ impl Patch {
         let mut x = Unknowns::from([0.0, 0.0, radius_m, contrast, BLACK, level, 0.0, 0.0]);
         let scales = Unknowns::from([radius_m, radius_m, radius_m, 1.0, 1.0, level, 1.0, 1.0]);
         let held = [false, false, !free.radius, !free.contrast, !free.black, false, false, false];
-        for _ in 0..25 {
+        for round in 0..ROUNDS {
             let expected = self.expected(&x);
             let rests: Vec<f64> = self.seen.iter().zip(&expected).map(|(s, e)| s.1 - e).collect();
             let mut sizes: Vec<f64> = rests.iter().map(|r| r.abs()).collect();
@@ -297,7 +300,9 @@ impl Patch {
             let step = normal.cholesky()?.solve(&right);
             let shrink = (0.3 / step.amax()).min(1.0);
             x += step.component_mul(&scales) * shrink;
-            if step.rows(0, 3).amax() < 1e-5 {
+            // Weights of outliers may go on flickering: then the last step must at least be small.
+            let largest = step.rows(0, 3).amax();
+            if largest < 1e-4 || (round + 1 == ROUNDS && largest < 2e-3) {
                 let sum: f64 = rests.iter().map(|r| r.abs().min(gate).powi(2)).sum();
                 return Some((x, (sum / rests.len() as f64).sqrt() / x[5]));
             }
