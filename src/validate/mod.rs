@@ -1,4 +1,22 @@
 //! Figures of merit of clouds (paper, section 5).
 
+/// Distances between the outermost circles on the board's diagonals.
+pub mod distance;
+/// The edges of one circle, in a cloud's intensities or in the photograph.
+mod edge;
+/// Girths of a merged cloud at a height.
+pub mod girth;
+/// Points by cell: neighbours within a short reach.
+mod grid;
+/// Plane fits of the board.
+pub mod plane;
+/// The circles of the board in a directional cloud.
+pub mod ring;
+/// The clouds of a reconstruction by trigger, camera and head.
+pub mod set;
+/// Clouds against a sphere or a mesh.
+pub mod solid;
+/// Distances between points.
+pub mod spacing;
 /// Clouds against rendered ground truth.
 pub mod truth;

@@ -185,7 +185,7 @@ fn array<T: npyz::Deserialize>(
 
 /// The point of a triangle that is nearest to `p` (Ericson, Real-Time Collision Detection, 5.1.5: by the
 /// Voronoi region that `p` lies in).
-fn closest(p: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Vector3<f64> {
+pub(super) fn closest(p: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Vector3<f64> {
     let (ab, ac) = (b - a, c - a);
     let (d1, d2) = (ab.dot(&(p - a)), ac.dot(&(p - a)));
     if d1 <= 0.0 && d2 <= 0.0 {

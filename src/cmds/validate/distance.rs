@@ -1,0 +1,160 @@
+//! `fourdbody validate distance`: distances between the outermost circles of the board.
+
+use super::{load_calibration, load_cloud, mean, open_clouds};
+use crate::calibrate::{Board, Calibration};
+use crate::cmds::reconstruct::open_source;
+use crate::cmds::{Exit, Failure};
+use crate::ids::{CameraId, TriggerIndex};
+use crate::image::Mono8;
+use crate::reconstruct::{Frame, FrameSource};
+use crate::validate::distance::{Diagonals, Light, Sight, diagonals};
+use crate::validate::ring::Organized;
+use std::path::{Path, PathBuf};
+
+/// Measure the distances between the outermost circles on both diagonals of the board, from edge to edge, per head.
+///
+/// The edges are found in the clouds' intensities with what the calibration says of the fringes there; with --session in
+/// the photographs that the clouds were made of. Without --calibration the fringes at the edges are not known: expect errors
+/// of some tenths of a millimetre.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  fourdbody validate distance --clouds out --board config/board.toml --calibration calibration.json \\\n      --session sessions/board-9rpm"
+)]
+pub struct Args {
+    /// What `fourdbody reconstruct` wrote (with clouds/ in it).
+    #[arg(long, value_name = "DIR")]
+    clouds: PathBuf,
+    /// The board file.
+    #[arg(long, value_name = "FILE")]
+    board: PathBuf,
+    /// The calibration that the clouds were made with.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// The session, or directory of images CAMERA/INDEX.png, that the clouds were made of.
+    #[arg(long, value_name = "DIR", requires = "calibration")]
+    session: Option<PathBuf>,
+    /// Print one JSON object instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(serde::Serialize)]
+struct Row {
+    head: String,
+    trigger: u64,
+    cameras: Vec<String>,
+    #[serde(flatten)]
+    diagonals: Diagonals,
+}
+
+/// A head at a trigger that could not be measured.
+#[derive(serde::Serialize)]
+struct Missing {
+    head: String,
+    trigger: u64,
+    reason: String,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let board = Board::load(&args.board)?;
+    let calibration = args.calibration.as_ref().map(|path| load_calibration(path)).transpose()?;
+    let cameras: Vec<CameraId> =
+        calibration.iter().flat_map(|c| c.cameras().map(|(_, camera)| camera.id.clone())).collect();
+    let source = args.session.as_ref().map(|path| open_source(path, &cameras)).transpose();
+    let source = source.map_err(|e| Failure::new(Exit::Usage, e))?;
+    let set = open_clouds(&args.clouds)?;
+    let (mut rows, mut missing) = (Vec::new(), Vec::new());
+    for ((trigger, head), files) in set.heads(calibration.as_ref()) {
+        match measure(&board, calibration.as_ref(), source.as_deref(), trigger, &files)? {
+            Ok(diagonals) => {
+                let cameras = files.iter().map(|(camera, _)| (*camera).to_owned()).collect();
+                rows.push(Row { head, trigger, cameras, diagonals });
+            }
+            Err(reason) => missing.push(Missing { head, trigger, reason }),
+        }
+    }
+    print(args, &rows, &missing);
+    Ok(if rows.is_empty() { Exit::Corrupt } else { Exit::Done })
+}
+
+/// One head at one trigger; the inner error says why there is nothing to measure.
+fn measure(
+    board: &Board,
+    calibration: Option<&Calibration>,
+    source: Option<&dyn FrameSource>,
+    trigger: u64,
+    files: &[(&str, &Path)],
+) -> Result<Result<Diagonals, String>, Failure> {
+    let (mut clouds, mut frames) = (Vec::new(), Vec::new());
+    for (camera, path) in files {
+        clouds.push(load_cloud(path)?);
+        let frame = source.map(|s| s.frame(&CameraId::from(*camera), TriggerIndex(trigger))).transpose();
+        match frame.map_err(|e| Failure::new(Exit::Corrupt, e))? {
+            Some(Frame::Gap(reason)) => {
+                return Ok(Err(format!("there is a cloud of {camera}, but no photograph: {reason}")));
+            }
+            frame => frames.push(frame),
+        }
+    }
+    let grids: Vec<Organized<'_>> = clouds.iter().filter_map(Organized::new).collect();
+    if grids.len() != files.len() {
+        return Ok(Err("a camera's cloud is empty".to_owned()));
+    }
+    let mut sights = Vec::new();
+    for (((camera, _), cloud), frame) in files.iter().zip(&grids).zip(&frames) {
+        let head = calibration.and_then(|c| Some((c, c.camera(&CameraId::from(*camera))?.0)));
+        let light = head.map(|(c, head)| Light { projector: &head.projector, pattern: &c.pattern });
+        let photograph = match frame {
+            Some(Frame::Image(image)) => Some(*image),
+            Some(Frame::Owned(plane)) => Some(Mono8::from(plane)),
+            _ => None,
+        };
+        sights.push(Sight { cloud, light, photograph });
+    }
+    Ok(diagonals(&sights, board))
+}
+
+fn print(args: &Args, rows: &[Row], missing: &[Missing]) {
+    let errors = || rows.iter().flat_map(|row| row.diagonals.error_mm);
+    let rms_mm = mean(errors().map(|e| e * e)).sqrt();
+    let mean_abs_mm = mean(errors().map(f64::abs));
+    let edges = match (&args.session, &args.calibration) {
+        (Some(_), _) => "photographs",
+        (None, Some(_)) => "intensities and pattern",
+        (None, None) => "intensities",
+    };
+    if args.json {
+        let report = serde_json::json!({
+            "per_head": rows, "missing": missing, "rms_mm": rms_mm, "mean_abs_mm": mean_abs_mm, "edges_from": edges,
+        });
+        println!("{report}");
+        return;
+    }
+    println!(
+        "{:<6} {:>7} {:>17} {:>12} {:>9} {:>9} {:>7}  error of each camera mm",
+        "head", "trigger", "circles", "measured mm", "error mm", "edges mm", "rest %"
+    );
+    for row in rows {
+        let d = &row.diagonals;
+        for i in 0..2 {
+            let [from, to] = d.ends[i];
+            let each: Vec<String> = d.error_of_camera_mm.iter().map(|e| format!("{:+.3}", e[i])).collect();
+            println!(
+                "{:<6} {:>7} {:>17} {:>12.3} {:>+9.3} {:>+9.3} {:>7.2}  {}",
+                row.head,
+                row.trigger,
+                format!("{},{} to {},{}", from[0], from[1], to[0], to[1]),
+                d.diagonal_mm[i],
+                d.error_mm[i],
+                d.edges_mm[i],
+                100.0 * d.edge_rms,
+                each.join(" ")
+            );
+        }
+    }
+    for row in missing {
+        println!("{:<6} {:>7} not measured: {}", row.head, row.trigger, row.reason);
+    }
+    println!("edges from {edges}: rms {rms_mm:.3} mm, mean size {mean_abs_mm:.3} mm");
+}

@@ -1,0 +1,92 @@
+//! `fourdbody validate spacing`: distances between points.
+
+use super::{load_cloud, mean, open_clouds};
+use crate::cmds::{Exit, Failure};
+use crate::validate::spacing::{Directional, Merged, directional, merged};
+use std::path::PathBuf;
+
+/// Measure the distances between points: per directional cloud between pixel neighbours, merged to the nearest points
+/// and by density.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  fourdbody validate spacing --clouds out")]
+pub struct Args {
+    /// What `fourdbody reconstruct` wrote (with clouds/ and merged/ in it).
+    #[arg(long, value_name = "DIR")]
+    clouds: PathBuf,
+    /// Print one JSON object instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(serde::Serialize)]
+struct CloudRow {
+    camera: String,
+    trigger: u64,
+    #[serde(flatten)]
+    spacing: Directional,
+}
+
+#[derive(serde::Serialize)]
+struct MergedRow {
+    trigger: u64,
+    #[serde(flatten)]
+    spacing: Merged,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let set = open_clouds(&args.clouds)?;
+    let (mut clouds, mut all) = (Vec::new(), Vec::new());
+    for ((trigger, camera), path) in &set.directional {
+        let found = directional(&load_cloud(path)?);
+        clouds.extend(found.map(|spacing| CloudRow { camera: camera.clone(), trigger: *trigger, spacing }));
+    }
+    for (&trigger, path) in &set.merged {
+        all.extend(merged(&load_cloud(path)?).map(|spacing| MergedRow { trigger, spacing }));
+    }
+    // Every point counts the same.
+    let weighted = clouds.iter().map(|row| row.spacing.points as f64 * row.spacing.spacing_mm).sum::<f64>();
+    let spacing_cloud_mm = weighted / clouds.iter().map(|row| row.spacing.points as f64).sum::<f64>();
+    let of = |value: fn(&Merged) -> f64| mean(all.iter().map(|row| value(&row.spacing)));
+    let (nearest, four, density) = (of(|m| m.nearest_mm), of(|m| m.nearest_4_mm), of(|m| m.density_mm));
+    if args.json {
+        let report = serde_json::json!({
+            "spacing_cloud_mm": spacing_cloud_mm, "spacing_merged_mm": four,
+            "spacing_merged_nearest_mm": nearest, "spacing_merged_density_mm": density,
+            "clouds": clouds, "merged": all,
+        });
+        println!("{report}");
+        return Ok(Exit::Done);
+    }
+    println!(
+        "{:<20} {:>9} {:>11} {:>8} {:>8} {:>9}",
+        "cloud", "points", "spacing mm", "u mm", "v mm", "area m2"
+    );
+    for row in &clouds {
+        let s = &row.spacing;
+        println!(
+            "{:<20} {:>9} {:>11.3} {:>8.3} {:>8.3} {:>9.4}",
+            format!("{} {}", row.camera, row.trigger),
+            s.points,
+            s.spacing_mm,
+            s.spacing_u_mm,
+            s.spacing_v_mm,
+            s.area_m2
+        );
+    }
+    println!(
+        "{:<20} {:>9} {:>11} {:>8} {:>8} {:>9}",
+        "merged", "points", "4 near mm", "near mm", "dens. mm", "lone"
+    );
+    for row in &all {
+        let s = &row.spacing;
+        println!(
+            "{:<20} {:>9} {:>11.3} {:>8.3} {:>8.3} {:>9}",
+            row.trigger, s.points, s.nearest_4_mm, s.nearest_mm, s.density_mm, s.lone
+        );
+    }
+    println!(
+        "directional {spacing_cloud_mm:.3} mm; merged {four:.3} mm (four nearest), density {density:.3} mm"
+    );
+    Ok(Exit::Done)
+}

@@ -1,0 +1,224 @@
+//! `fourdbody validate truth`: clouds against rendered ground truth, a sphere or a mesh.
+
+use super::{load_calibration, load_cloud, open_clouds};
+use crate::calibrate::Calibration;
+use crate::cmds::{Exit, Failure};
+use crate::export::{Cloud, ply};
+use crate::ids::CameraId;
+use crate::image::write_png_rgb;
+use crate::validate::solid::{Mesh, SolidScore, Sphere, score_mesh, score_sphere};
+use crate::validate::truth::{Reference, Score, Tally, Truth};
+use nalgebra::Point3;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Score clouds against rendered ground truth, per camera, all directional clouds together, and merged.
+///
+/// The distance of a point is the Euclidean one to the true surface around its pixel. A point has the wrong
+/// fringe order when the projector sees it more than pi from the true phase at its pixel; points whose pixel
+/// sees no surface count as wrong, too.
+///
+/// Against a sphere or a mesh the distance is signed (positive outside) and to the nearest point of the solid; points
+/// more than 10 mm away are counted (gross) and do not enter the other figures.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  fourdbody validate truth --clouds out --truth scene/truth --calibration calibration.json\n  fourdbody validate truth --clouds out --sphere 0,0,1,0.15"
+)]
+pub struct Args {
+    /// What `fourdbody reconstruct` wrote (with clouds/ and merged/ in it).
+    #[arg(long, value_name = "DIR")]
+    clouds: PathBuf,
+    /// Directory of CAMERA_INDEX.npz files.
+    #[arg(long, value_name = "DIR", requires = "calibration", conflicts_with_all = ["sphere", "mesh"])]
+    truth: Option<PathBuf>,
+    /// The calibration that the scene was rendered with.
+    #[arg(long, value_name = "FILE", requires = "truth")]
+    calibration: Option<PathBuf>,
+    /// Score against a sphere instead: centre and radius, world, m.
+    #[arg(long, value_name = "X,Y,Z,R", value_parser = parse_sphere, conflicts_with = "mesh", allow_hyphen_values = true)]
+    sphere: Option<Sphere>,
+    /// Score against a mesh instead: a closed surface as Wavefront OBJ, world axes, m.
+    #[arg(long, value_name = "FILE")]
+    mesh: Option<PathBuf>,
+    /// Print one JSON object instead of a table.
+    #[arg(long)]
+    json: bool,
+    /// Draw where each directional cloud is right (grey), wrong (red, magenta) or missing (blue).
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
+}
+
+/// A truth file: its camera's number in the calibration, and its trigger.
+type Key = (u64, usize);
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    match (&args.truth, &args.calibration, args.sphere, &args.mesh) {
+        (None, None, Some(sphere), None) => solid(args, |points| score_sphere(points, &sphere)),
+        (None, None, None, Some(mesh)) => {
+            let mesh = Mesh::load(mesh).map_err(|e| Failure::new(Exit::Usage, e))?;
+            solid(args, |points| score_mesh(points, &mesh))
+        }
+        (Some(directory), Some(calibration), None, None) => rendered(args, directory, calibration),
+        _ => Err(Failure::new(
+            Exit::Usage,
+            "expected one of: --truth DIR with --calibration FILE; --sphere X,Y,Z,R; --mesh FILE",
+        )),
+    }
+}
+
+/// All triggers together: per camera, and merged.
+fn solid(args: &Args, score: impl Fn(&[Point3<f64>]) -> SolidScore) -> Result<Exit, Failure> {
+    let set = open_clouds(&args.clouds)?;
+    let mut sets: BTreeMap<String, Vec<Point3<f64>>> = BTreeMap::new();
+    for ((_, camera), path) in &set.directional {
+        points_of(&load_cloud(path)?, sets.entry(camera.clone()).or_default());
+    }
+    let mut merged = Vec::new();
+    for path in set.merged.values() {
+        points_of(&load_cloud(path)?, &mut merged);
+    }
+    let cameras: BTreeMap<&String, SolidScore> =
+        sets.iter().map(|(name, points)| (name, score(points))).collect();
+    let merged = score(&merged);
+    if args.json {
+        println!("{}", serde_json::json!({"cameras": cameras, "merged": merged}));
+        return Ok(Exit::Done);
+    }
+    println!(
+        "{:<12} {:>9} {:>9} {:>9} {:>9} {:>9} {:>8}  fitted: radius error, centre error (mm)",
+        "", "points", "mean mm", "rms mm", "robust mm", "p95 mm", "gross %"
+    );
+    let rows = cameras.iter().map(|(name, score)| (name.as_str(), score)).chain([("merged", &merged)]);
+    for (name, score) in rows {
+        let d = &score.deviations;
+        let fitted = score.fitted.map_or(String::new(), |f| {
+            let [x, y, z] = f.centre_error_mm;
+            format!("{:+.3}, {x:+.3} {y:+.3} {z:+.3}", f.radius_error_mm)
+        });
+        println!(
+            "{name:<12} {:>9} {:>+9.3} {:>9.3} {:>9.3} {:>9.3} {:>8.3}  {fitted}",
+            d.points,
+            d.mean_mm,
+            d.rms_mm,
+            d.robust_mm,
+            d.p95_mm,
+            100.0 * score.gross_share
+        );
+    }
+    Ok(Exit::Done)
+}
+
+fn points_of(cloud: &Cloud, out: &mut Vec<Point3<f64>>) {
+    out.extend(cloud.position_m.iter().map(|p| Point3::from(*p).cast::<f64>()));
+}
+
+fn parse_sphere(text: &str) -> Result<Sphere, String> {
+    let numbers: Vec<f64> = text.split(',').map_while(|n| n.trim().parse().ok()).collect();
+    match numbers.as_slice() {
+        &[x, y, z, radius_m] if radius_m > 0.0 && numbers.iter().all(|n| n.is_finite()) => {
+            Ok(Sphere { centre: Point3::new(x, y, z), radius_m })
+        }
+        _ => Err(format!("expected x,y,z,radius in metres, for instance 0,0,1,0.15, found {text:?}")),
+    }
+}
+
+/// Scores against rendered truth.
+fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, Failure> {
+    let calibration = load_calibration(calibration)?;
+    let cameras: Vec<_> = calibration.cameras().collect();
+    let files = truth_files(directory, &calibration)?;
+    let mut per_camera: BTreeMap<usize, Tally> = BTreeMap::new();
+    let (mut merged, mut merged_clouds) = (Tally::default(), 0);
+    let mut loaded: Option<(u64, Option<Cloud>)> = None;
+    for (&(trigger, number), path) in &files {
+        let (head, camera) = cameras[number];
+        let truth = Truth::load(path, &camera.device).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+        let reference =
+            Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
+        let cloud = directional(&args.clouds, &camera.id, trigger)?;
+        let cloud = cloud.unwrap_or_default();
+        per_camera.entry(number).or_default().add(&cloud, |_| true, &truth, reference);
+        if let Some(folder) = &args.pictures {
+            let (width, height, rgb) = truth.picture(&cloud, reference);
+            let path = folder.join(format!("{}_{trigger:06}.png", camera.id));
+            std::fs::create_dir_all(folder)
+                .and_then(|()| write_png_rgb(&path, width, height, &rgb))
+                .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))?;
+        }
+        if loaded.as_ref().is_none_or(|(index, _)| *index != trigger) {
+            let cloud =
+                load(&[args.clouds.join("merged"), args.clouds.clone()], &format!("{trigger:06}.ply"))?;
+            merged_clouds += usize::from(cloud.is_some());
+            loaded = Some((trigger, cloud));
+        }
+        if let Some((_, Some(cloud))) = &loaded {
+            let number = u8::try_from(number).unwrap_or(u8::MAX);
+            merged.add(cloud, |i| cloud.camera.get(i) == Some(&number), &truth, reference);
+        }
+    }
+    let mut all = Tally::default();
+    per_camera.values().for_each(|tally| all.join(tally));
+    let rows = per_camera.iter().map(|(&number, tally)| (cameras[number].1.id.to_string(), tally.score()));
+    let rows: Vec<(String, Score)> = rows.collect();
+    let merged = (merged_clouds > 0).then(|| merged.score());
+    print(args.json, &rows, &all.score(), merged.as_ref());
+    Ok(Exit::Done)
+}
+
+/// All truth files, by trigger and camera.
+fn truth_files(directory: &Path, calibration: &Calibration) -> Result<BTreeMap<Key, PathBuf>, Failure> {
+    let fail = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", directory.display()));
+    let mut files = BTreeMap::new();
+    for entry in std::fs::read_dir(directory).map_err(|e| fail(&e))? {
+        let path = entry.map_err(|e| fail(&e))?.path();
+        let Some(stem) = path.file_name().and_then(|n| n.to_str()?.strip_suffix(".npz")) else { continue };
+        let Some((camera, index)) = stem.rsplit_once('_') else { continue };
+        let Ok(trigger) = index.parse::<u64>() else { continue };
+        if let Some(number) = calibration.cameras().position(|(_, c)| c.id.as_str() == camera) {
+            files.insert((trigger, number), path);
+        }
+    }
+    if files.is_empty() {
+        return Err(fail(&"expected files CAMERA_INDEX.npz of the calibration's cameras, found none"));
+    }
+    Ok(files)
+}
+
+fn directional(clouds: &Path, camera: &CameraId, trigger: u64) -> Result<Option<Cloud>, Failure> {
+    load(&[clouds.join("clouds"), clouds.to_owned()], &format!("{camera}_{trigger:06}.ply"))
+}
+
+/// The cloud `name` in the first of the directories that has it.
+fn load(directories: &[PathBuf], name: &str) -> Result<Option<Cloud>, Failure> {
+    let Some(path) = directories.iter().map(|d| d.join(name)).find(|p| p.exists()) else { return Ok(None) };
+    let (_, cloud) = ply::load(&path).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    Ok(Some(cloud))
+}
+
+fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Score>) {
+    if json {
+        let cameras: serde_json::Map<_, _> =
+            rows.iter().map(|(name, score)| (name.clone(), serde_json::json!(score))).collect();
+        println!("{}", serde_json::json!({"cameras": cameras, "directional": all, "merged": merged}));
+        return;
+    }
+    println!(
+        "{:<12} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9}",
+        "", "points", "rms mm", "right mm", "p95 mm", "robust mm", "wrong %", "(off %)", "of lit %"
+    );
+    let named = rows.iter().map(|(name, score)| (name.as_str(), score));
+    for (name, score) in named.chain([("directional", all)]).chain(merged.map(|score| ("merged", score))) {
+        println!(
+            "{name:<12} {:>9} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.2}",
+            score.points,
+            score.rms_mm,
+            score.rms_right_order_mm,
+            score.p95_mm,
+            score.robust_mm,
+            100.0 * score.wrong_order_share,
+            100.0 * score.off_surface_share,
+            100.0 * score.completeness_of_lit,
+        );
+    }
+}
