@@ -25,7 +25,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { doubtful_misfit: 0.06, good_misfit: 0.05, max_error: 0.3 }
+        Self { doubtful_misfit: 0.08, good_misfit: 0.05, max_error: 0.25 }
     }
 }
 
@@ -155,4 +155,106 @@ fn lay_plane(good: &Plane<f32>, (u, v): (usize, usize), phase: f32, carrier: f32
     let residual = ((zz - a * xz - b * yz).max(0.0) / n).sqrt().max(MIN_RESIDUAL);
     let error = DEPENDENCE * (leverage + 0.005).sqrt() * residual;
     Some(Laid { phase: phase + z0 - a * x0 - b * y0, error })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Settings, refine};
+    use crate::image::{Mono8, Plane};
+    use crate::reconstruct::demodulate::{self, Gains, demodulate, wrapped};
+    use crate::reconstruct::{curvature, mask, period, shading};
+    use std::f32::consts::TAU;
+
+    const W: usize = 240;
+    const H: usize = 120;
+    const PERIOD: f32 = 11.3;
+
+    /// The phase of a tilted plane.
+    fn truth(u: usize, v: usize) -> f32 {
+        TAU * u as f32 / PERIOD + 0.09 * v as f32 + 400.0
+    }
+
+    /// Fringes on a white surface with discs of a colour, blurred by a lens; each disc lies otherwise on the
+    /// fringes.
+    fn photograph(colour: f32) -> Plane<u8> {
+        let sharp = |x: f32, y: f32| {
+            let (dx, dy) = ((x - 20.0).rem_euclid(50.0) - 25.0, (y + 3.0).rem_euclid(42.0) - 21.0);
+            let reflected = if dx.hypot(dy) < 11.0 { colour } else { 1.0 };
+            reflected * (62.0 + 55.0 * (TAU * x / PERIOD + 0.09 * y + 400.0).cos())
+        };
+        let mut image = Plane::filled(W, H, 0u8);
+        // 7 x 7 samples over +-1.5 px under a Gaussian of 0.67 px.
+        let taps: Vec<(f32, f32)> =
+            (-3..=3).map(|k| (k as f32 / 2.0, (-(k as f32 / 2.0 / 0.67).powi(2) / 2.0).exp())).collect();
+        let total = taps.iter().map(|tap| tap.1).sum::<f32>().powi(2);
+        for v in 0..H {
+            for u in 0..W {
+                let light = |(y, a): &(f32, f32)| {
+                    let row = taps.iter().map(|(x, b)| b * sharp(u as f32 + x, v as f32 + y));
+                    a * row.sum::<f32>()
+                };
+                image.set(u, v, (2.0 + taps.iter().map(light).sum::<f32>() / total).round() as u8);
+            }
+        }
+        image
+    }
+
+    /// RMS and largest error, rad, and pixels, before and after the corrections, on the object alone.
+    fn errors(image: &Plane<u8>) -> [(f32, f32, usize); 2] {
+        let image = Mono8::from(image);
+        let object = mask::envelope(image, PERIOD);
+        let none = Plane::filled(W, H, 0u8);
+        let period = period::measure(image, &object, PERIOD).period;
+        let absolute = |phasors: &demodulate::Phasors| {
+            let mut phase = wrapped(phasors);
+            for v in 0..H {
+                for (u, x) in phase.row_mut(v).iter_mut().enumerate() {
+                    *x += TAU * ((truth(u, v) - *x) / TAU).round();
+                }
+            }
+            phase
+        };
+        let score = |phase: &Plane<f32>| {
+            let all = (0..H).flat_map(|v| (0..W).map(move |u| (u, v)));
+            let known: Vec<f32> =
+                all.map(|(u, v)| (phase.at(u, v) - truth(u, v)).abs()).filter(|e| !e.is_nan()).collect();
+            let mean = known.iter().map(|e| e * e).sum::<f32>() / known.len() as f32;
+            (mean.sqrt(), known.iter().copied().fold(0.0, f32::max), known.len())
+        };
+        let mut phasors = demodulate(image, &object, &period, &Gains::new(), 1.0);
+        let before = score(&absolute(&phasors));
+        shading::correct(&mut phasors, &period, &none, 1.0);
+        demodulate::average_rows(&mut phasors, &none);
+        let mut phase = absolute(&phasors);
+        curvature::correct(&mut phase, &phasors, &period, &none, (5.0, 12.0));
+        refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default());
+        [before, score(&phase)]
+    }
+
+    #[test]
+    fn discs_of_another_colour_bias_no_phase() {
+        for (colour, rms, worst) in [(0.05, 0.02, 0.4), (0.35, 0.02, 0.4), (0.7, 0.02, 0.3)] {
+            let [before, after] = errors(&photograph(colour));
+            println!("{colour}: before {before:?}, after {after:?}");
+            assert!(before.0 > 2.0 * rms, "{colour}: {before:?}");
+            assert!(after.0 < rms && after.1 < worst, "{colour}: {after:?}");
+            assert!(after.2 * 100 > before.2 * 98, "{colour}: {after:?} of {before:?}");
+        }
+    }
+
+    #[test]
+    fn a_phase_that_nothing_near_supports_is_dropped_where_it_is_doubtful() {
+        let image = photograph(1.0);
+        let object = Plane::filled(W, H, 1u8);
+        let period = Plane::filled(W, H, PERIOD);
+        let none = Plane::filled(W, H, 0u8);
+        let mut phasors = demodulate(Mono8::from(&image), &object, &period, &Gains::new(), 1.0);
+        phasors.misfit = Plane::filled(W, H, 0.5);
+        phasors.misfit.row_mut(60)[100..110].fill(0.01);
+        let mut phase = wrapped(&phasors);
+        let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
+        let dropped = refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default());
+        assert_eq!(dropped, known - 10);
+        assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));
+    }
 }

@@ -86,3 +86,77 @@ fn slope(before: Option<f32>, after: Option<f32>, floor: f32) -> Option<f32> {
     let limit = (MAX_STEEPENING * smaller).max(0.0) + floor;
     Some(sum.clamp(-limit, limit))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{correct, slope};
+    use crate::image::{Mono8, Plane};
+    use crate::reconstruct::demodulate::{Gains, demodulate, wrapped};
+    use proptest::prelude::{ProptestConfig, prop_assert, proptest};
+    use std::f32::consts::TAU;
+
+    const WIDTH: usize = 120;
+
+    /// Largest error of the wrapped phase within `columns`, rad, as it is and corrected, of a fringe under
+    /// `light(column)`.
+    fn worst(
+        period: f32,
+        sign: f32,
+        columns: std::ops::Range<usize>,
+        light: impl Fn(f32) -> f32,
+    ) -> [f32; 2] {
+        let phase = |u: usize| sign * TAU * u as f32 / period;
+        let mut image = Plane::filled(WIDTH, 1, 0u8);
+        for u in 0..WIDTH {
+            let value = light(u as f32) * (0.55 + 0.45 * phase(u).cos());
+            image.set(u, 0, value.round().clamp(0.0, 255.0) as u8);
+        }
+        let (mask, periods) = (Plane::filled(WIDTH, 1, 1u8), Plane::filled(WIDTH, 1, period));
+        let mut phasors = demodulate(Mono8::from(&image), &mask, &periods, &Gains::new(), sign);
+        let error = |found: &Plane<f32>| {
+            let off = |u: usize| (found.at(u, 0) - phase(u)).sin().abs();
+            columns.clone().map(off).fold(0.0, f32::max)
+        };
+        let before = error(&wrapped(&phasors));
+        correct(&mut phasors, &periods, &Plane::filled(WIDTH, 1, 0), sign);
+        [before, error(&wrapped(&phasors))]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn a_gradient_of_light_costs_nothing(period in 7.0f32..16.0, change in 0.15f32..0.35, up in proptest::bool::ANY, rising in proptest::bool::ANY) {
+            let (sign, change) = (if up { 1.0 } else { -1.0 }, if rising { change } else { -change });
+            let light = |u: f32| 110.0 * (change * (u - 60.0) / period / 2.0).exp().clamp(0.3, 2.3);
+            let [before, after] = worst(period, sign, 50..70, light);
+            prop_assert!(before > 0.010, "{before}");
+            prop_assert!(after < 0.014 && after < 0.75 * before + 0.004, "{before} {after}");
+        }
+    }
+
+    #[test]
+    fn the_bias_under_a_steep_gradient_goes() {
+        // 30 % over a period of 11 px, up to the mask's end.
+        let light = |u: f32| 60.0 + 1.7 * u;
+        let [before, after] = worst(11.0, 1.0, 6..40, light);
+        assert!(before > 0.05 && after < 0.014, "{before} {after}");
+    }
+
+    #[test]
+    fn a_step_of_colour_beside_the_window_moves_nothing() {
+        let light = |u: f32| if u < 60.0 { 200.0 } else { 60.0 };
+        // The windows of these columns end before the step, those of half a period further do not.
+        let [before, after] = worst(10.0, 1.0, 49..55, light);
+        assert!(before < 0.012 && after < 0.018, "{before} {after}");
+    }
+
+    #[test]
+    fn slopes_are_limited_by_the_smaller_side() {
+        assert_eq!(slope(Some(2.0), Some(3.0), 0.1), Some(5.0));
+        assert_eq!(slope(Some(-2.0), Some(-3.0), 0.1), Some(-5.0));
+        assert_eq!(slope(Some(0.0), Some(30.0), 0.1), Some(0.1));
+        assert_eq!(slope(Some(-30.0), Some(1.0), 0.1), Some(-0.1));
+        assert_eq!(slope(None, Some(3.0), 0.1), Some(6.0));
+        assert_eq!(slope(None, None, 0.1), None);
+    }
+}
