@@ -33,7 +33,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 2;
+const ALGORITHM: u32 = 3;
 
 /// What to do.
 #[derive(Debug)]

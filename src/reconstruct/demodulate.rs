@@ -19,6 +19,12 @@ use std::f32::consts::TAU;
 /// Rows averaged on each side by [`average_rows`].
 const ROWS_EACH_SIDE: usize = 2;
 
+/// Rows that [`average_rows`] takes the mean of.
+pub const ROWS: usize = 2 * ROWS_EACH_SIDE + 1;
+
+/// Rows whose misfit exceeds the pixel's own by more than this are left out of the mean.
+const MORE_MISFIT: f32 = 0.03;
+
 /// Row phasors must point the same way at least this much for their mean to be taken: |mean| / mean of |.|.
 const MIN_COHERENCE: f32 = 0.9;
 
@@ -144,37 +150,49 @@ fn remainder(samples: &[f32; 7], s: f32, c: f32) -> (f32, f32) {
     (mean, (power / (s * s + c * c).max(1e-6)).sqrt())
 }
 
-/// Mean phasor of five rows where all five are known and agree; elsewhere the row's own. Averaging along the
-/// fringe halves the noise and, on a fringe that is straight over five rows, biases nothing. Pixels with a
-/// non-zero `skip` stay as they are.
+/// Mean phasor of up to five rows; the rows above and below take part in pairs, so that the mean stays centred.
+/// A pair takes part where both are known, each as strong as the weaker one (else an edge of colour along the
+/// fringe would draw the mean to its bright side), and neither has more misfit than the pixel's own row allows:
+/// the window of a row above may touch an edge that this one clears. Averaging along the fringe halves the
+/// noise. Pixels with a non-zero `skip` stay as they are, and so do those whose rows disagree.
 pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
     let (w, h) = (phasors.c.width(), phasors.c.height());
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
-    for v in ROWS_EACH_SIDE..h.saturating_sub(ROWS_EACH_SIDE) {
-        let rows: [(&[f32], &[f32]); 2 * ROWS_EACH_SIDE + 1] = std::array::from_fn(|k| {
-            let row = v + k - ROWS_EACH_SIDE;
-            (c.row(row), s.row(row))
-        });
+    let misfit = &phasors.misfit;
+    for v in 1..h.saturating_sub(1) {
+        let reach = ROWS_EACH_SIDE.min(v).min(h - 1 - v);
         let (out_c, out_s) = (phasors.c.row_mut(v), phasors.s.row_mut(v));
         for u in 0..w {
             if skip.at(u, v) != 0 || (out_c[u] == 0.0 && out_s[u] == 0.0) {
                 continue;
             }
-            let (mut sum_c, mut sum_s, mut length, mut known) = (0.0, 0.0, 0.0, true);
-            for (c, s) in rows {
-                let size = (c[u] * c[u] + s[u] * s[u]).sqrt();
-                known &= size > 0.0;
-                sum_c += c[u];
-                sum_s += s[u];
-                length += size;
+            let (mut sum_c, mut sum_s) = (out_c[u], out_s[u]);
+            let (mut length, mut rows) = (size(sum_c, sum_s), 1.0);
+            let max_misfit = misfit.at(u, v) + MORE_MISFIT;
+            for k in 1..=reach {
+                let (above, below) = (v - k, v + k);
+                let (a, b) = ((c.at(u, above), s.at(u, above)), (c.at(u, below), s.at(u, below)));
+                let (size_a, size_b) = (size(a.0, a.1), size(b.0, b.1));
+                let weaker = size_a.min(size_b);
+                if weaker == 0.0 || misfit.at(u, above).max(misfit.at(u, below)) > max_misfit {
+                    continue;
+                }
+                let (scale_a, scale_b) = (weaker / size_a, weaker / size_b);
+                sum_c += scale_a * a.0 + scale_b * b.0;
+                sum_s += scale_a * a.1 + scale_b * b.1;
+                length += 2.0 * weaker;
+                rows += 2.0;
             }
-            if known && (sum_c * sum_c + sum_s * sum_s).sqrt() > MIN_COHERENCE * length {
-                let n = rows.len() as f32;
-                out_c[u] = sum_c / n;
-                out_s[u] = sum_s / n;
+            if size(sum_c, sum_s) > MIN_COHERENCE * length {
+                out_c[u] = sum_c / rows;
+                out_s[u] = sum_s / rows;
             }
         }
     }
+}
+
+fn size(c: f32, s: f32) -> f32 {
+    (c * c + s * s).sqrt()
 }
 
 /// Wm: the phase of each phasor in (-pi, pi]; NaN where it is unknown.

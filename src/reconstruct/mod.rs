@@ -9,10 +9,14 @@ pub mod absolute;
 pub mod batch;
 /// Connected components of a mask.
 pub mod components;
+/// Bias of the phase on curved surfaces.
+pub mod curvature;
 /// Wrapped phase Wm and modulation.
 pub mod demodulate;
 /// Maps as pictures.
 pub mod dump;
+/// Phase at edges of colour, and the error to expect of it.
+pub mod edges;
 /// Marker map Mm.
 pub mod marker;
 /// Phase under the marker.
@@ -37,6 +41,8 @@ pub mod quality;
 pub mod resolve;
 /// The part of a frame that holds the object.
 pub mod roi;
+/// Bias of the phase under a gradient of light.
+pub mod shading;
 mod source;
 /// From absolute phase to points.
 pub mod triangulate;

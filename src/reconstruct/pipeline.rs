@@ -6,7 +6,8 @@ use super::roi::Roi;
 use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
 use super::{
-    absolute, demodulate, marker, marker_phase, mask, normals, period, quality, unwrap, unwrap_paper,
+    absolute, curvature, demodulate, edges, marker, marker_phase, mask, normals, period, quality, shading,
+    unwrap, unwrap_paper,
 };
 use crate::export::Cloud;
 use crate::image::{Mono8, Plane};
@@ -114,6 +115,8 @@ pub struct Prepared {
     pub counts: Counts,
     phasors: Phasors,
     period: Plane<f32>,
+    /// Around the marker: not 0.
+    zone: Plane<u8>,
     planes: Vec<(&'static str, Plane<f32>)>,
     pub(super) clock: Clock,
 }
@@ -124,6 +127,8 @@ struct Resolved {
     open: OpenTrees,
     phasors: Phasors,
     period: Plane<f32>,
+    /// Around the marker: not 0.
+    zone: Plane<u8>,
     planes: Vec<(&'static str, Plane<f32>)>,
 }
 
@@ -171,18 +176,27 @@ impl Pipeline {
             Method::Anchored => self.anchored(&image, &object, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
-        let Resolved { absolute, open, phasors, period, planes } = resolved;
-        Ok(Prepared { roi, absolute, open, counts, phasors, period, planes, clock })
+        let Resolved { absolute, open, phasors, period, zone, planes } = resolved;
+        Ok(Prepared { roi, absolute, open, counts, phasors, period, zone, planes, clock })
     }
 
     /// Makes the cloud of an unwrapped frame.
     pub fn finish(&self, prepared: Prepared) -> Reconstruction {
-        let Prepared { roi, mut absolute, mut counts, phasors, period, mut planes, mut clock, .. } = prepared;
+        let Prepared { roi, mut absolute, mut counts, phasors, period, zone, mut planes, mut clock, .. } =
+            prepared;
         let pair = self.triangulator.pair();
         if self.method == Method::Anchored {
             counts.dropped = clock.time("select", || {
                 self.bias.correct(&mut absolute);
                 absolute::select(&mut absolute, &period, &phasors, pair.sign, &absolute::Settings::default())
+            });
+            clock.time("curvature", || {
+                let rows = (demodulate::ROWS as f32, pair.marker_period_px);
+                curvature::correct(&mut absolute, &phasors, &period, &zone, rows);
+            });
+            counts.dropped += clock.time("edges", || {
+                let settings = edges::Settings::default();
+                edges::refine(&mut absolute, &phasors, &period, &zone, pair.sign, &settings)
             });
         }
         let points = clock.time("triangulate", || self.triangulate(&absolute, roi));
@@ -214,6 +228,7 @@ impl Pipeline {
         let period = &periods.period;
         let mut phasors = clock
             .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
+        clock.time("shading", || shading::correct(&mut phasors, period, &zone, pair.sign));
         clock.time("average", || {
             marker_phase::average(&mut phasors, &zone, pair);
             demodulate::average_rows(&mut phasors, &zone);
@@ -258,7 +273,7 @@ impl Pipeline {
             ];
         }
         let (absolute, open) = (unwrapped.absolute, unwrapped.open);
-        Resolved { absolute, open, phasors, period: periods.period, planes }
+        Resolved { absolute, open, phasors, period: periods.period, zone, planes }
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -311,7 +326,8 @@ impl Pipeline {
             ];
         }
         let open = OpenTrees::none(absolute.width(), absolute.height());
-        Resolved { absolute, open, phasors, period: periods.period, planes }
+        let zone = Plane::filled(absolute.width(), absolute.height(), 0);
+        Resolved { absolute, open, phasors, period: periods.period, zone, planes }
     }
 
     /// Points in camera axes, m; NaN where there is none.

@@ -1,0 +1,273 @@
+//! Phase at edges of colour, and what error to expect of a phase.
+//!
+//! A demodulation window that crosses an edge of colour (a disc of the calibration board, a mole, a hair line)
+//! holds two fringes of different height: its phase is off by up to half a radian, while the surface below is
+//! smooth. The misfit of the fringe model tells such windows: over boards and bodies the RMS error grows in
+//! proportion to it ([`own_error`]). For each pixel of doubtful misfit a plane is laid through the absolute
+//! phases of good pixels around it. Where these lie in a plane, so that its value at the pixel is more certain
+//! than the pixel's own phase, it is taken instead; on the strongly curved skin beside an outline, where the
+//! misfit grows too, they do not, and the pixel keeps its own. What remains uncertain beyond a bound is dropped.
+
+use super::demodulate::Phasors;
+use crate::image::Plane;
+use std::f32::consts::TAU;
+
+/// Settings of this stage. Its trade-off is tabulated in `docs/design/reconstruction.md`.
+#[derive(Debug, Clone, Copy)]
+pub struct Settings {
+    /// Pixels from this misfit on are doubtful.
+    pub doubtful_misfit: f32,
+    /// Pixels up to this misfit are good: planes are laid through them.
+    pub good_misfit: f32,
+    /// Largest error to expect of a phase that stays, rad.
+    pub max_error: f32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { doubtful_misfit: 0.08, good_misfit: 0.05, max_error: 0.25 }
+    }
+}
+
+/// RMS error of a phase relative to the misfit of its window, rad, as measured.
+const ERROR_PER_MISFIT: f32 = 0.8;
+
+/// Noise of a sample, DN: its share of the misfit says nothing of edges.
+const NOISE_DN: f32 = 0.6;
+
+/// Columns and rows to each side that a plane is laid through, and the step between columns: neighbours in a
+/// row share most of their windows.
+const REACH: (usize, usize) = (12, 5);
+const COLUMN_STEP: usize = 3;
+
+/// Fewer good pixels than this make no plane.
+const MIN_SUPPORT: usize = 20;
+
+/// Variance of the plane at the pixel relative to that of one phase: beyond this it is an extrapolation.
+const MAX_LEVERAGE: f32 = 0.3;
+
+/// Phases around a pixel are not independent: they share windows and rows. The error of the plane at the pixel
+/// is this times what it would be if they were.
+const DEPENDENCE: f32 = 6.0;
+
+/// Least RMS residual that a plane can be trusted to have, rad.
+const MIN_RESIDUAL: f32 = 0.003;
+
+/// Pixels this far from the carrier are on another surface, rad.
+const SAME_SURFACE: f32 = 1.5;
+
+/// Gives pixels of doubtful misfit the phase of the good ones around where that is more certain, and drops those
+/// (NaN) of which a larger error than the bound is to be expected. Pixels of `zone`, around the marker, stay.
+/// Returns how many were dropped.
+pub fn refine(
+    absolute: &mut Plane<f32>,
+    phasors: &Phasors,
+    period: &Plane<f32>,
+    zone: &Plane<u8>,
+    sign: f32,
+    settings: &Settings,
+) -> usize {
+    let mut good = absolute.clone();
+    let misfit = phasors.misfit.as_slice();
+    for ((x, misfit), zone) in good.as_mut_slice().iter_mut().zip(misfit).zip(zone.as_slice()) {
+        if *misfit > settings.good_misfit || *zone != 0 {
+            *x = f32::NAN;
+        }
+    }
+    let mut dropped = 0;
+    for v in 0..absolute.height() {
+        let (misfit, zone) = (phasors.misfit.row(v), zone.row(v));
+        for u in 0..absolute.width() {
+            let phase = absolute.at(u, v);
+            if phase.is_nan() || misfit[u] < settings.doubtful_misfit || zone[u] != 0 {
+                continue;
+            }
+            let amplitude = phasors.c.at(u, v).hypot(phasors.s.at(u, v)) / 6.0;
+            let mut error = own_error(misfit[u], amplitude);
+            let carrier = sign * TAU / period.at(u, v);
+            if let Some(plane) = lay_plane(&good, (u, v), phase, carrier)
+                && plane.error < error
+            {
+                absolute.set(u, v, plane.phase);
+                error = plane.error;
+            }
+            if error > settings.max_error {
+                absolute.set(u, v, f32::NAN);
+                dropped += 1;
+            }
+        }
+    }
+    dropped
+}
+
+/// The RMS error to expect of a phase from its window's misfit and the fringe's amplitude, rad.
+pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
+    let noise = NOISE_DN / amplitude.max(0.5);
+    ERROR_PER_MISFIT * (misfit * misfit - noise * noise).max(0.0).sqrt()
+}
+
+/// What a plane through good phases says of the pixel in its middle.
+struct Laid {
+    phase: f32,
+    error: f32,
+}
+
+/// The least-squares plane through the good phases around (u, v), those on the surface of `phase`.
+fn lay_plane(good: &Plane<f32>, (u, v): (usize, usize), phase: f32, carrier: f32) -> Option<Laid> {
+    // Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
+    let (mut n, mut x1, mut y1, mut xx, mut xy, mut yy) = (0f32, 0f32, 0f32, 0f32, 0f32, 0f32);
+    let (mut z1, mut xz, mut yz, mut zz) = (0f32, 0f32, 0f32, 0f32);
+    let first = u as isize - REACH.0 as isize;
+    for row in v.saturating_sub(REACH.1)..(v + REACH.1 + 1).min(good.height()) {
+        let y = row as f32 - v as f32;
+        let phases = good.row(row);
+        for k in 0..=2 * REACH.0 / COLUMN_STEP {
+            let column = first + (k * COLUMN_STEP) as isize;
+            let Some(&other) = usize::try_from(column).ok().and_then(|column| phases.get(column)) else {
+                continue;
+            };
+            let x = (k * COLUMN_STEP) as f32 - REACH.0 as f32;
+            let z = other - phase - carrier * x;
+            // Not so for NaN.
+            if z.abs() < SAME_SURFACE {
+                (n, x1, y1) = (n + 1.0, x1 + x, y1 + y);
+                (xx, xy, yy) = (xx + x * x, xy + x * y, yy + y * y);
+                (z1, xz, yz, zz) = (z1 + z, xz + x * z, yz + y * z, zz + z * z);
+            }
+        }
+    }
+    if n < MIN_SUPPORT as f32 {
+        return None;
+    }
+    // Moments about the centre of gravity; the plane there is the mean.
+    let (x0, y0, z0) = (x1 / n, y1 / n, z1 / n);
+    let (xx, xy, yy) = (xx - x0 * x1, xy - x0 * y1, yy - y0 * y1);
+    let (xz, yz, zz) = (xz - x0 * z1, yz - y0 * z1, zz - z0 * z1);
+    let det = xx * yy - xy * xy;
+    if det < 1e-3 * xx * yy || det <= 0.0 {
+        return None;
+    }
+    let (a, b) = ((yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det);
+    let leverage = 1.0 / n + (yy * x0 * x0 - 2.0 * xy * x0 * y0 + xx * y0 * y0) / det;
+    if leverage > MAX_LEVERAGE {
+        return None;
+    }
+    let residual = ((zz - a * xz - b * yz).max(0.0) / n).sqrt().max(MIN_RESIDUAL);
+    let error = DEPENDENCE * (leverage + 0.005).sqrt() * residual;
+    Some(Laid { phase: phase + z0 - a * x0 - b * y0, error })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Settings, refine};
+    use crate::image::{Mono8, Plane};
+    use crate::reconstruct::demodulate::{self, Gains, demodulate, wrapped};
+    use crate::reconstruct::{curvature, period, shading};
+    use std::f32::consts::TAU;
+
+    const W: usize = 240;
+    const H: usize = 120;
+    const PERIOD: f32 = 11.3;
+
+    /// The phase of a tilted plane.
+    fn truth(u: usize, v: usize) -> f32 {
+        TAU * u as f32 / PERIOD + 0.09 * v as f32 + 400.0
+    }
+
+    /// Distance from the centre of the nearest disc; each lies otherwise on the fringes.
+    fn from_disc(x: f32, y: f32) -> f32 {
+        ((x - 20.0).rem_euclid(50.0) - 25.0).hypot((y + 3.0).rem_euclid(42.0) - 21.0)
+    }
+
+    /// Fringes on a white surface with discs of a colour, blurred by a lens.
+    fn photograph(colour: f32) -> Plane<u8> {
+        let sharp = |x: f32, y: f32| {
+            let reflected = if from_disc(x, y) < 11.0 { colour } else { 1.0 };
+            reflected * (62.0 + 55.0 * (TAU * x / PERIOD + 0.09 * y + 400.0).cos())
+        };
+        let mut image = Plane::filled(W, H, 0u8);
+        // 7 x 7 samples over +-1.5 px under a Gaussian of 0.67 px.
+        let taps: Vec<(f32, f32)> =
+            (-3..=3).map(|k| (k as f32 / 2.0, (-(k as f32 / 2.0 / 0.67).powi(2) / 2.0).exp())).collect();
+        let total = taps.iter().map(|tap| tap.1).sum::<f32>().powi(2);
+        for v in 0..H {
+            for u in 0..W {
+                let light = |(y, a): &(f32, f32)| {
+                    let row = taps.iter().map(|(x, b)| b * sharp(u as f32 + x, v as f32 + y));
+                    a * row.sum::<f32>()
+                };
+                image.set(u, v, (2.0 + taps.iter().map(light).sum::<f32>() / total).round() as u8);
+            }
+        }
+        image
+    }
+
+    /// RMS and largest error, rad, and pixels, before and after the corrections. Where discs are black, the mask
+    /// ends on their blurred edges.
+    fn errors(image: &Plane<u8>, black: bool) -> [(f32, f32, usize); 2] {
+        let image = Mono8::from(image);
+        let mut object = Plane::filled(W, H, 1u8);
+        for v in 0..H {
+            for (u, x) in object.row_mut(v).iter_mut().enumerate() {
+                *x = u8::from(!black || from_disc(u as f32, v as f32) > 10.0);
+            }
+        }
+        let none = Plane::filled(W, H, 0u8);
+        let period = period::measure(image, &object, PERIOD).period;
+        let absolute = |phasors: &demodulate::Phasors| {
+            let mut phase = wrapped(phasors);
+            for v in 0..H {
+                for (u, x) in phase.row_mut(v).iter_mut().enumerate() {
+                    *x += TAU * ((truth(u, v) - *x) / TAU).round();
+                }
+            }
+            phase
+        };
+        let score = |phase: &Plane<f32>| {
+            let all = (0..H).flat_map(|v| (0..W).map(move |u| (u, v)));
+            let known: Vec<f32> =
+                all.map(|(u, v)| (phase.at(u, v) - truth(u, v)).abs()).filter(|e| !e.is_nan()).collect();
+            let mean = known.iter().map(|e| e * e).sum::<f32>() / known.len() as f32;
+            (mean.sqrt(), known.iter().copied().fold(0.0, f32::max), known.len())
+        };
+        let mut phasors = demodulate(image, &object, &period, &Gains::new(), 1.0);
+        let before = score(&absolute(&phasors));
+        shading::correct(&mut phasors, &period, &none, 1.0);
+        demodulate::average_rows(&mut phasors, &none);
+        let mut phase = absolute(&phasors);
+        curvature::correct(&mut phase, &phasors, &period, &none, (5.0, 12.0));
+        refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default());
+        [before, score(&phase)]
+    }
+
+    #[test]
+    fn discs_of_another_colour_bias_no_phase() {
+        // Colour; RMS before, at least; RMS, largest error and share of pixels after. Discs of 0.35 disturb the
+        // measured period too.
+        let cases =
+            [(0.05, 0.03, 0.025, 0.4, 0.98), (0.35, 0.2, 0.08, 0.9, 0.94), (0.7, 0.04, 0.04, 0.5, 0.96)];
+        for (colour, biased, rms, worst, share) in cases {
+            let [before, after] = errors(&photograph(colour), colour < 0.1);
+            println!("{colour}: before {before:?}, after {after:?}");
+            assert!(before.0 > biased, "{colour}: {before:?}");
+            assert!(after.0 < rms && after.1 < worst, "{colour}: {after:?}");
+            assert!(after.2 as f32 > share * before.2 as f32, "{colour}: {after:?} of {before:?}");
+        }
+    }
+
+    #[test]
+    fn a_phase_that_nothing_near_supports_is_dropped_where_it_is_doubtful() {
+        let image = photograph(1.0);
+        let object = Plane::filled(W, H, 1u8);
+        let period = Plane::filled(W, H, PERIOD);
+        let none = Plane::filled(W, H, 0u8);
+        let mut phasors = demodulate(Mono8::from(&image), &object, &period, &Gains::new(), 1.0);
+        phasors.misfit = Plane::filled(W, H, 0.5);
+        phasors.misfit.row_mut(60)[100..110].fill(0.01);
+        let mut phase = wrapped(&phasors);
+        let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
+        let dropped = refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default());
+        assert_eq!(dropped, known - 10);
+        assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));
+    }
+}
