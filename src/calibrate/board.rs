@@ -5,6 +5,7 @@
 //! orientation: any choice is good that no rotation or mirror image maps to itself (checked when loading).
 
 use crate::config::{ConfigError, Problem, Section, read_table};
+use nalgebra::Point3;
 use std::cell::RefCell;
 use std::path::Path;
 
@@ -59,6 +60,12 @@ impl Board {
     /// The circle at a place of the grid.
     pub fn circle(&self, column: usize, row: usize) -> Option<&Circle> {
         (column < self.columns).then(|| self.circles.get(row * self.columns + column)).flatten()
+    }
+
+    /// The corners of its outer edge, board frame, m.
+    pub fn corners(&self) -> [Point3<f64>; 4] {
+        let [x, y] = self.size_m.map(|s| s / 2.0);
+        [[-x, -y], [x, -y], [x, y], [-x, y]].map(|[x, y]| Point3::new(x, y, 0.0))
     }
 
     /// The circle's number in [`Self::circles`].

@@ -4,8 +4,11 @@ use super::Calibration;
 use super::board::Board;
 use super::bundle::{Adjusted, DEVICE_PARAMETER_NAMES, Observation};
 use super::file::{CameraResiduals, DeviceUncertainty, HeadLink, Quality};
-use super::stages::{HeadResult, Rigging, StageError, Together, bring_together, calibration};
-use super::views::{Finding, Position, look};
+use super::global::{Together, bring_together, calibration};
+use super::placement::check_placement;
+use super::stages::{HeadResult, Rigging, StageError, Terms};
+use super::views::look;
+use super::{Finding, Position};
 use crate::reconstruct::FrameSource;
 
 /// A calibration and how it came to be.
@@ -40,10 +43,10 @@ pub enum CalibrateError {
 }
 
 fn list(findings: &[Finding]) -> String {
-    findings.iter().map(|f| format!("\n  {} trigger {}: {}", f.camera, f.trigger, f.message)).collect()
+    findings.iter().map(|finding| format!("\n  {finding}")).collect()
 }
 
-/// Calibrates all heads of `nominal`; with `partial`, those that can be.
+/// Calibrates all heads of `nominal`; with `partial`, those that have photographs.
 pub fn calibrate(
     source: &dyn FrameSource,
     nominal: &Calibration,
@@ -51,16 +54,34 @@ pub fn calibrate(
     partial: bool,
 ) -> Result<Outcome, CalibrateError> {
     let (positions, findings) = look(source, nominal, board).map_err(CalibrateError::Source)?;
-    let all = Rigging { nominal, board, positions: &positions };
+    solve(positions, findings, nominal, board, Terms::default(), partial)
+}
+
+/// Calibrates from positions that were looked at already.
+pub fn solve(
+    positions: Vec<Position>,
+    mut findings: Vec<Finding>,
+    nominal: &Calibration,
+    board: &Board,
+    terms: Terms,
+    partial: bool,
+) -> Result<Outcome, CalibrateError> {
+    let all = Rigging { nominal, board, positions: &positions, terms };
+    let stage = |error, findings| CalibrateError::Stage { error, findings };
+    if let Err(error) = check_placement(nominal, board, &positions) {
+        return Err(stage(error, findings));
+    }
     let mut heads = Vec::new();
     for head in 0..nominal.heads.len() {
         match all.calibrate_head(head) {
-            Ok(result) => heads.push(result),
+            Ok(result) => {
+                findings.extend(result.findings.iter().cloned());
+                heads.push(result);
+            }
             Err(StageError::Positions { found: 0, .. }) if partial => {}
-            Err(error) => return Err(CalibrateError::Stage { error, findings }),
+            Err(error) => return Err(stage(error, findings)),
         }
     }
-    let stage = |error, findings| CalibrateError::Stage { error, findings };
     let used: Vec<usize> = heads.iter().map(|h| h.head).collect();
     if used.is_empty() {
         let head = nominal.heads.first().map_or(String::new(), |h| h.id.to_string());
@@ -165,11 +186,7 @@ impl Outcome {
             )
         }));
         lines.extend(quality.loop_error_mm.map(|mm| format!("  around all heads: {mm:.3} mm")));
-        lines.extend(
-            self.findings
-                .iter()
-                .map(|f| format!("  left out: {} trigger {}: {}", f.camera, f.trigger, f.message)),
-        );
+        lines.extend(self.findings.iter().map(|finding| format!("  {finding}")));
         lines
     }
 }

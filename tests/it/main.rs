@@ -2,6 +2,8 @@
 
 mod analytic_scene;
 mod architecture;
+mod bad_photographs;
+mod board_photographs;
 #[cfg(feature = "aravis")]
 mod breaks;
 #[cfg(feature = "aravis")]
