@@ -12,7 +12,9 @@ mod consistency;
 mod ellipse;
 mod file;
 mod findings;
+mod gamma;
 pub mod global;
+mod identity;
 mod lattice;
 mod placement;
 pub mod positions;
@@ -30,6 +32,8 @@ pub use file::{
     HeadLink, Quality,
 };
 pub use findings::{Finding, Kind};
+pub use gamma::{LightSample, Response};
+pub use identity::{Extent, HeadVolume, Identity, ValidVolume};
 pub use lattice::{NotIdentified, Sighting, identify};
 pub use positions::Position;
 pub use spots::{Spot, find_spots};

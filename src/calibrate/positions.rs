@@ -3,12 +3,14 @@
 
 use super::board::Board;
 use super::findings::Kind;
+use super::gamma::light_samples;
 use super::start::board_pose;
 use super::views::{DARK, Looked, Refusal, View};
 use super::{Calibration, Finding, Sighting};
 use crate::geometry::Device;
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Plane;
+use crate::pattern::Pattern;
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -69,8 +71,11 @@ pub fn arrange(
     }
     findings.extend(hidden(&positions, nominal, board));
     for (trigger, camera, image, phase) in fringes {
-        findings.extend(pair_up(&mut positions, board, &ids[camera], camera, trigger, &image, phase));
+        let of = Owner { id: &ids[camera], camera, trigger };
+        findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
     }
+    let views = positions.iter_mut().flat_map(|p| &mut p.views).flatten();
+    views.for_each(|view| view.white = None);
     findings.sort_by_key(|f| (f.trigger.is_none(), f.trigger));
     (positions, findings)
 }
@@ -158,13 +163,19 @@ fn lightest(sighting: &Sighting, image: &Plane<u8>, scale: f64) -> Option<f64> {
     Some(most)
 }
 
+/// Whose frame it is: a camera, also by its place in the calibration, at a trigger.
+struct Owner<'a> {
+    id: &'a CameraId,
+    camera: usize,
+    trigger: TriggerIndex,
+}
+
 /// Gives a frame with fringes to the white frame that shows the board at the same place.
 fn pair_up(
     positions: &mut [Position],
     board: &Board,
-    id: &CameraId,
-    camera: usize,
-    trigger: TriggerIndex,
+    pattern: &Pattern,
+    Owner { id, camera, trigger }: Owner<'_>,
     image: &Plane<u8>,
     phase: Result<Plane<f32>, Refusal>,
 ) -> Option<Finding> {
@@ -183,7 +194,9 @@ fn pair_up(
         Some((place, confirm(view, image, board)))
     };
     let (first, second) = (judge(after.checked_sub(1)), judge(Some(after)));
-    let seen = first.as_ref().or(second.as_ref()).map(|(place, c)| (*place, c.dark, c.lit));
+    // Whatever cannot be paired belongs to the white frame before it, where there is one.
+    let seen = if after > 0 { first.as_ref() } else { second.as_ref() };
+    let seen = seen.map(|(place, c)| (*place, c.dark, c.lit));
     let found = [first, second].into_iter().flatten().find(|(_, confirmed)| confirmed.is_same_place());
     let Some((place, confirmed)) = found else {
         return Some(match seen {
@@ -214,6 +227,9 @@ fn pair_up(
         return None;
     };
     let (dark, lit) = (confirmed.dark, confirmed.lit);
+    if let Some(white) = view.white.take() {
+        view.light = light_samples(view, &white, image, &phase, &confirmed.circles, board, pattern);
+    }
     view.phase = Some(phase);
     view.confirmed = confirmed.circles;
     position.fringes = Some(trigger);

@@ -4,11 +4,14 @@ use super::Calibration;
 use super::board::Board;
 use super::bundle::{Adjusted, DEVICE_PARAMETER_NAMES, Observation};
 use super::file::{CameraResiduals, DeviceUncertainty, HeadLink, Quality};
+use super::gamma::{Response, response};
 use super::global::{Together, bring_together, calibration};
+use super::identity::{CONVENTIONS, Extent, HeadVolume, Identity, ValidVolume};
 use super::placement::check_placement;
 use super::stages::{HeadResult, Rigging, StageError, Terms};
 use super::views::look;
 use super::{Finding, Position};
+use crate::ids::{CameraId, HeadId};
 use crate::reconstruct::FrameSource;
 
 /// A calibration and how it came to be.
@@ -53,8 +56,18 @@ pub fn calibrate(
     board: &Board,
     partial: bool,
 ) -> Result<Outcome, CalibrateError> {
+    let stated = source.statement();
+    if let Some(stated) = &stated {
+        let ids: Vec<CameraId> = stated.cameras.iter().map(|camera| camera.id.clone()).collect();
+        nominal.fits(&ids, stated).map_err(CalibrateError::Source)?;
+    }
     let (positions, findings) = look(source, nominal, board).map_err(CalibrateError::Source)?;
-    solve(positions, findings, nominal, board, Terms::default(), partial)
+    let mut outcome = solve(positions, findings, nominal, board, Terms::default(), partial)?;
+    if let (Some(identity), Some(stated)) = (&mut outcome.calibration.identity, stated) {
+        let cameras = stated.cameras.into_iter().filter(|camera| !camera.device.is_empty());
+        identity.cameras = cameras.map(|camera| (camera.id, camera.device)).collect();
+    }
+    Ok(outcome)
 }
 
 /// Calibrates from positions that were looked at already.
@@ -97,7 +110,53 @@ pub fn solve(
     let origin = format!("photographs of board {}", board.name);
     let mut result = calibration(&kept, origin, &together.all.model);
     result.quality = Some(quality(&kept, board, &together));
+    if let Some(quality) = &mut result.quality {
+        quality.responses = responses(nominal, &positions, &used);
+    }
+    result.identity = Some(Identity {
+        rig_sha256: nominal.geometry_sha256(),
+        board: board.name.clone(),
+        board_sha256: board.sha256(),
+        cameras: Vec::new(),
+        software: concat!("fourdbody ", env!("CARGO_PKG_VERSION")).to_owned(),
+        conventions: CONVENTIONS.to_owned(),
+    });
+    result.valid = ValidVolume::of(volumes(&kept, &together));
     Ok(Outcome { calibration: result, findings, positions, heads, together })
+}
+
+/// What the projectors make of panel values, by head.
+fn responses(nominal: &Calibration, positions: &[Position], used: &[usize]) -> Vec<(HeadId, Response)> {
+    let mut first = 0;
+    let mut all = Vec::new();
+    for (place, head) in nominal.heads.iter().enumerate() {
+        let cameras = first..first + head.cameras.len();
+        first = cameras.end;
+        if !used.contains(&place) {
+            continue;
+        }
+        let views = positions.iter().flat_map(|p| p.views[cameras.clone()].iter().flatten());
+        let found = response(views.flat_map(|view| &view.light), &nominal.pattern);
+        all.extend(found.map(|response| (head.id.clone(), response)));
+    }
+    all
+}
+
+/// Boxes around the points whose phase each head measured.
+fn volumes(kept: &Calibration, together: &Together) -> Vec<HeadVolume> {
+    let mut projector = 0;
+    let mut volumes = Vec::new();
+    for head in &kept.heads {
+        projector += head.cameras.len();
+        let seen = together.observations.iter().zip(&together.all.outliers);
+        let points = seen.filter(|(o, out)| o.device == projector && !**out).map(|(o, _)| {
+            let point = together.all.model.boards[o.board] * o.point;
+            [point.x, point.y, point.z]
+        });
+        volumes.extend(Extent::around(points).map(|extent| HeadVolume { head: head.id.clone(), extent }));
+        projector += 1;
+    }
+    volumes
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
@@ -139,6 +198,7 @@ fn quality(kept: &Calibration, board: &Board, together: &Together) -> Quality {
             .collect(),
         loop_error_mm: together.loop_error_m.map(|m| m * 1e3),
         uncertainties,
+        responses: Vec::new(),
     }
 }
 
@@ -183,6 +243,15 @@ impl Outcome {
             format!(
                 "  heads {} and {}: {} common positions, {:.3} mm rms",
                 link.heads[0], link.heads[1], link.positions, link.rms_mm
+            )
+        }));
+        lines.extend(quality.responses.iter().map(|(head, r)| {
+            format!(
+                "  projector of {head}: gamma {:.3} +- {:.3}, harmonics {:.2} % and {:.2} %",
+                r.gamma,
+                r.sigma,
+                100.0 * r.second_harmonic,
+                100.0 * r.third_harmonic
             )
         }));
         lines.extend(quality.loop_error_mm.map(|mm| format!("  around all heads: {mm:.3} mm")));

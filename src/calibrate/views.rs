@@ -6,6 +6,7 @@
 use super::board::Board;
 use super::ellipse::least_squares;
 use super::findings::Kind;
+use super::gamma::LightSample;
 use super::lattice::{Sighting, identify};
 use super::positions::{Position, arrange};
 use super::spots::find_spots;
@@ -42,6 +43,10 @@ pub struct View {
     pub phase: Option<Plane<f32>>,
     /// By circle of the board: seen in the white frame and again in the frame with fringes. Empty without fringes.
     pub confirmed: Vec<bool>,
+    /// The white frame, until the fringes were compared with it.
+    pub white: Option<Plane<u8>>,
+    /// How the fringes' light compares with the white light.
+    pub light: Vec<LightSample>,
 }
 
 /// What one frame shows.
@@ -108,9 +113,10 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
     if lightest < DARK || contrasts.len() < 1000 {
         return Light::Dark;
     }
-    let middle = contrasts.len() / 2;
-    let (_, median, _) = contrasts.select_nth_unstable_by(middle, f32::total_cmp);
-    if *median > FRINGE_CONTRAST { Light::Fringes } else { Light::White }
+    // Not the middle: a good part of the board may be hidden. Edges of circles take less than a sixth.
+    let place = contrasts.len() * 7 / 10;
+    let (_, contrast, _) = contrasts.select_nth_unstable_by(place, f32::total_cmp);
+    if *contrast > FRINGE_CONTRAST { Light::Fringes } else { Light::White }
 }
 
 /// One pipeline for every camera, in the calibration's order.
@@ -135,6 +141,9 @@ pub fn look(
     let looked: Vec<Looked> = work
         .par_iter()
         .map(|&(trigger, camera)| {
+            if !source.cameras().contains(&cameras[camera]) {
+                return Ok(Looked::Missing("the session does not have this camera".to_owned()));
+            }
             let frame = source.frame(&cameras[camera], TriggerIndex(trigger))?;
             look_at_frame(&frame, &cameras[camera], &pipelines[camera], board)
         })
@@ -169,12 +178,14 @@ pub fn look_at_frame(
     Ok(match light_of(image, pair.period_px) {
         Light::Dark => Looked::Dark,
         Light::White => Looked::White(look_at_circles(image, board, &pair.camera)),
-        Light::Fringes => Looked::Fringes {
-            image: Plane::from_vec(image.width(), image.height(), image.as_slice().to_vec())
-                .unwrap_or_else(|| Plane::filled(image.width(), image.height(), 0)),
-            phase: look_at_fringes(image, pipeline),
-        },
+        Light::Fringes => Looked::Fringes { image: owned(image), phase: look_at_fringes(image, pipeline) },
     })
+}
+
+fn owned(image: Mono8<'_>) -> Plane<u8> {
+    let mut plane = Plane::filled(image.width(), image.height(), 0);
+    plane.as_mut_slice().copy_from_slice(image.as_slice());
+    plane
 }
 
 fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Plane<f32>, Refusal> {
@@ -229,7 +240,7 @@ fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<V
         ));
     }
     check_sizes(&sightings, board, camera)?;
-    Ok(View { sightings, phase: None, confirmed: Vec::new() })
+    Ok(View { sightings, phase: None, confirmed: Vec::new(), white: Some(owned(image)), light: Vec::new() })
 }
 
 /// Circles may seem larger or smaller than the board file says by this share, and by this many px: what blooming does.
