@@ -21,6 +21,11 @@ const CIRCLES_PX: f64 = 0.1;
 const PHASES_PX: f64 = 0.1;
 
 impl Excluded {
+    /// All views of one position.
+    pub(super) fn position(position: usize, cameras: usize) -> Self {
+        Self { views: (0..cameras).map(|camera| (camera, position)).collect(), ..Self::default() }
+    }
+
     pub(super) fn has_view(&self, camera: usize, position: usize) -> bool {
         self.views.contains(&(camera, position))
     }

@@ -5,9 +5,11 @@
 //! fit, `bundle` adjusts lenses and poses, `stages` and `global` are the paper's three stages, `run` is all of it.
 //! `docs/design/calibration.md` has the definitions and what was tried.
 
+pub mod advice;
 pub mod artwork;
 mod board;
 mod bundle;
+pub mod compare;
 mod consistency;
 mod ellipse;
 mod file;
@@ -18,6 +20,7 @@ mod identity;
 mod lattice;
 mod placement;
 pub mod positions;
+pub mod report;
 pub mod run;
 mod spots;
 pub mod stages;

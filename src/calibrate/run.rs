@@ -1,6 +1,7 @@
 //! A whole calibration: looks through the photographs, runs the three stages, and says how well it went.
 
 use super::Calibration;
+use super::advice::advice;
 use super::board::Board;
 use super::bundle::{Adjusted, DEVICE_PARAMETER_NAMES, Observation};
 use super::file::{CameraResiduals, DeviceUncertainty, HeadLink, Quality};
@@ -27,6 +28,8 @@ pub struct Outcome {
     pub heads: Vec<HeadResult>,
     /// Stage 3.
     pub together: Together,
+    /// Outer size of the board (x, y), m.
+    pub board_size_m: [f64; 2],
 }
 
 /// Why there is no calibration.
@@ -122,7 +125,7 @@ pub fn solve(
         conventions: CONVENTIONS.to_owned(),
     });
     result.valid = ValidVolume::of(volumes(&kept, &together));
-    Ok(Outcome { calibration: result, findings, positions, heads, together })
+    Ok(Outcome { calibration: result, findings, positions, heads, together, board_size_m: board.size_m })
 }
 
 /// What the projectors make of panel values, by head.
@@ -256,6 +259,7 @@ impl Outcome {
         }));
         lines.extend(quality.loop_error_mm.map(|mm| format!("  around all heads: {mm:.3} mm")));
         lines.extend(self.findings.iter().map(|finding| format!("  {finding}")));
+        lines.extend(advice(self).into_iter().map(|advice| format!("  advice: {advice}")));
         lines
     }
 }

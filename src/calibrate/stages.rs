@@ -249,7 +249,7 @@ impl Rigging<'_> {
     }
 
     /// Stages 1 and 2 with all views that are not excluded.
-    fn attempt(&self, head: usize, excluded: &Excluded) -> Result<HeadResult, StageError> {
+    pub(super) fn attempt(&self, head: usize, excluded: &Excluded) -> Result<HeadResult, StageError> {
         let adjust_error = |error| StageError::Adjust { head: self.head_name(head), error };
         let (positions, boards) = self.starting_boards(head, excluded)?;
         let mut model = Model { devices: self.starting_devices(head), boards };
@@ -371,7 +371,12 @@ impl Rigging<'_> {
     }
 
     /// Sightings of all circles, as measured.
-    fn circles(&self, head: usize, positions: &[usize], excluded: &Excluded) -> Vec<(Observation, f64)> {
+    pub(super) fn circles(
+        &self,
+        head: usize,
+        positions: &[usize],
+        excluded: &Excluded,
+    ) -> Vec<(Observation, f64)> {
         let first = self.first_camera(head);
         let mut all = Vec::new();
         for (board, &position) in positions.iter().enumerate() {
@@ -398,7 +403,7 @@ impl Rigging<'_> {
     }
 
     /// The same with outline centres brought to the images of the circles' centres.
-    fn corrected(&self, model: &Model, circles: &[(Observation, f64)]) -> Vec<Observation> {
+    pub(super) fn corrected(&self, model: &Model, circles: &[(Observation, f64)]) -> Vec<Observation> {
         let correct = |(observation, radius): &(Observation, f64)| {
             let [du, dv] = centre_shift(model, observation, *radius).unwrap_or([0.0; 2]);
             let [u, v] = observation.measured;
@@ -409,7 +414,7 @@ impl Rigging<'_> {
 
     /// What the projector "saw" of the white field, through the phase in one camera's frames: between circles that
     /// were seen in both frames, so that nothing stands in front of the point.
-    fn phases(
+    pub(super) fn phases(
         &self,
         head: usize,
         camera: usize,
@@ -485,7 +490,11 @@ fn spread(adjusted: &Adjusted, observations: &[Observation], is_chosen: impl Fn(
 }
 
 /// Pixel of a board point.
-fn project(device: &DeviceModel, frame_from_board: &Isometry3<f64>, point: &Point3<f64>) -> Option<[f64; 2]> {
+pub(super) fn project(
+    device: &DeviceModel,
+    frame_from_board: &Isometry3<f64>,
+    point: &Point3<f64>,
+) -> Option<[f64; 2]> {
     let p = device.device_from_frame * (frame_from_board * point);
     (p.z > 1e-6).then(|| device.lens.distort(p.x / p.z, p.y / p.z)).flatten()
 }

@@ -2,7 +2,8 @@
 
 use super::reconstruct::open_source;
 use super::{Exit, Failure};
-use crate::calibrate::{Board, Calibration, run as stages};
+use crate::calibrate::stages::Rigging;
+use crate::calibrate::{Board, Calibration, advice, compare, report, run as stages};
 use crate::config::Rig;
 use crate::ids::CameraId;
 use std::path::PathBuf;
@@ -28,6 +29,12 @@ pub struct Args {
     /// Leave out heads that cannot be calibrated instead of refusing.
     #[arg(long)]
     partial: bool,
+    /// Write a page with residuals, coverage and advice: DIR/index.html.
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Also try other lens models, each judged by positions left out of its fit (takes minutes).
+    #[arg(long)]
+    compare_models: bool,
     /// Print the result as one JSON object.
     #[arg(long)]
     json: bool,
@@ -43,14 +50,62 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let outcome = stages::calibrate(source.as_ref(), &nominal, &board, args.partial)
         .map_err(|e| Failure::new(Exit::Failure, e))?;
     outcome.calibration.save(&args.out).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let page = match &args.report {
+        None => None,
+        Some(directory) => Some(
+            report::write(&outcome, directory)
+                .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", directory.display())))?,
+        ),
+    };
+    let models = if args.compare_models { compare_models(&outcome, &nominal, &board) } else { Vec::new() };
     if args.json {
         println!(
             "{}",
-            serde_json::json!({ "calibration": args.out, "quality": outcome.calibration.quality, "findings": outcome.findings })
+            serde_json::json!({
+                "calibration": args.out, "quality": outcome.calibration.quality, "findings": outcome.findings,
+                "advice": advice::advice(&outcome), "report": page, "models": models,
+            })
         );
     } else {
         outcome.lines().iter().for_each(|line| println!("{line}"));
-        println!("{}", args.out.display());
+        models.iter().for_each(|model| println!("{}", model.line()));
+        page.iter().chain([&args.out]).for_each(|path| println!("{}", path.display()));
     }
     Ok(Exit::Done)
+}
+
+/// One lens model on one head.
+#[derive(serde::Serialize)]
+struct Compared {
+    head: String,
+    model: &'static str,
+    left_out: Option<compare::LeftOut>,
+    error: Option<String>,
+}
+
+impl Compared {
+    fn line(&self) -> String {
+        let result = match (&self.left_out, &self.error) {
+            (Some(r), _) => format!(
+                "circles {:.4} px, phases {:.4} panel px, depth {:.4} mm, with a grid {:.4} mm ({} positions)",
+                r.circles_px, r.phases_px, r.depth_mm, r.gridded_depth_mm, r.positions
+            ),
+            (None, error) => error.clone().unwrap_or_default(),
+        };
+        format!("  left out, {} {}: {result}", self.head, self.model)
+    }
+}
+
+fn compare_models(outcome: &stages::Outcome, nominal: &Calibration, board: &Board) -> Vec<Compared> {
+    let mut all = Vec::new();
+    for head in outcome.heads.iter().map(|head| head.head) {
+        for (model, terms) in compare::VARIANTS {
+            let rigging = Rigging { nominal, board, positions: &outcome.positions, terms };
+            let result = compare::leave_one_out(&rigging, head);
+            let error = result.as_ref().err().map(ToString::to_string);
+            let head = nominal.heads[head].id.to_string();
+            all.push(Compared { head, model, left_out: result.ok(), error });
+        }
+    }
+    all
 }

@@ -90,6 +90,7 @@ fn good_photographs_give_a_good_calibration_without_complaint() {
     let outcome = good_outcome(&good());
     assert_eq!(named(&outcome.findings), []);
     assert_eq!(outcome.positions.len(), 8);
+    println!("{:#?}", outcome.calibration.valid);
     // What the file says beside the geometry.
     let quality = outcome.calibration.quality.as_ref().expect("made from photographs");
     let (_, response) = &quality.responses[0];
@@ -99,7 +100,21 @@ fn good_photographs_give_a_good_calibration_without_complaint() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let path = dir.path().join("calibration.json");
     outcome.calibration.save(&path).expect("writable");
-    assert_eq!(fourdbody::calibrate::Calibration::load(&path).expect("valid"), outcome.calibration);
+    let back = fourdbody::calibrate::Calibration::load(&path).expect("valid");
+    assert_eq!(
+        (&back.quality, &back.identity),
+        (&outcome.calibration.quality, &outcome.calibration.identity)
+    );
+    assert_eq!(back.valid, outcome.calibration.valid);
+    // The report stands alone, and names what it shows.
+    let page = fourdbody::calibrate::report::page(&outcome);
+    for part in ["h0_low", "<svg", "gamma", "Coverage of the volume", "Loop error"] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("src=") && !page.contains("href=") && !page.contains("NaN"), "not self-contained");
+    if let Some(path) = std::env::var_os("CALIBRATION_REPORT") {
+        std::fs::write(path, page).expect("writable");
+    }
 }
 
 #[test]
@@ -266,4 +281,24 @@ fn cameras_without_frames_take_one_line_each() {
     let missing: Vec<&Finding> = outcome.findings.iter().filter(|f| f.kind == Kind::NoFrames).collect();
     assert_eq!(missing.len(), 1, "{:?}", outcome.findings);
     assert!(missing[0].message.contains("3 of 16"), "{}", missing[0]);
+}
+
+/// The table of docs/design/calibration.md.
+#[test]
+#[ignore = "fifty calibrations: minutes"]
+fn models_are_compared_by_positions_left_out() {
+    use fourdbody::calibrate::compare::{VARIANTS, leave_one_out};
+    use fourdbody::calibrate::stages::{Rigging, Terms};
+    let outcome = good_outcome(&good());
+    let (nominal, board, positions) = (&scene().nominal, &scene().board, &outcome.positions);
+    let mut results = Vec::new();
+    for (name, terms) in VARIANTS {
+        let rigging = Rigging { nominal, board, positions, terms };
+        let left_out = leave_one_out(&rigging, 0).expect("calibrates");
+        println!("{name}: {left_out:?}");
+        results.push((terms, left_out));
+    }
+    let best = results.iter().map(|(_, r)| r.depth_mm).fold(f64::INFINITY, f64::min);
+    let chosen = results.iter().find(|(terms, _)| *terms == Terms::default()).expect("among them");
+    assert!(chosen.1.depth_mm < 1.05 * best, "{results:?}");
 }

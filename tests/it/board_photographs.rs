@@ -10,7 +10,8 @@ use fourdbody::ids::{CameraId, TriggerIndex};
 use fourdbody::image::Plane;
 use fourdbody::pattern::Marker;
 use fourdbody::reconstruct::Frame;
-use fourdbody_simulator::optics::Studio;
+use fourdbody_simulator::optics::{Exposure, Studio, blur, expose};
+use fourdbody_simulator::random::NormalTable;
 use fourdbody_simulator::scenario::{FlatPose, Light, Scenario, Subject};
 use fourdbody_simulator::scene::subject::Stage;
 use fourdbody_simulator::true_rig::{smaller_jitter, smaller_rig, true_calibration};
@@ -71,22 +72,70 @@ impl Scene {
         self
     }
 
-    /// What both cameras see of the board.
-    pub fn photograph(&self, pose: FlatPose, light: Light, instant: u64) -> [Plane<u8>; 2] {
+    fn board_at(&self, pose: FlatPose) -> fourdbody_simulator::scene::Scene {
         let Subject::Flat { black, .. } = self.scenario.subject else {
             panic!("the scenario shows the board")
         };
         let subject = Subject::Flat { plate_m: None, poses: vec![pose], hold: 1, rpm: 0.0, black };
-        let scene =
-            Stage::new(&subject, &self.rig.board, 1.0).expect("no files").scene(0, 0.0).expect("flat");
+        Stage::new(&subject, &self.rig.board, 1.0).expect("no files").scene(0, 0.0).expect("flat")
+    }
+
+    /// What both cameras see of the board.
+    pub fn photograph(&self, pose: FlatPose, light: Light, instant: u64) -> [Plane<u8>; 2] {
+        let scene = [self.board_at(pose)];
         [0, 1].map(|camera| {
             let mut memory = self.studio.memory(camera);
             let (width, height) = (memory.light.width(), memory.light.height());
             let mut image = Plane::filled(width, height, 0);
-            let scenes = std::slice::from_ref(&scene);
-            self.studio.photograph(camera, light, scenes, instant, &mut memory, image.as_mut_slice());
+            self.studio.photograph(camera, light, &scene, instant, &mut memory, image.as_mut_slice());
             image
         })
+    }
+
+    /// The light on both sensors, blurred, before any noise.
+    fn lights(&self, pose: FlatPose, light: Light) -> [Plane<f32>; 2] {
+        let scene = self.board_at(pose);
+        [0, 1].map(|camera| {
+            let mut memory = self.studio.memory(camera);
+            self.studio.add_moment(camera, light, &scene, 1.0, &mut memory);
+            let mut scratch = memory.light.clone();
+            blur(&mut memory.light, &mut scratch, self.scenario.optics.camera_blur_px);
+            memory.light
+        })
+    }
+}
+
+/// The light of all positions on both sensors, to be photographed with many seeds of noise.
+pub struct Lights<'a> {
+    scene: &'a Scene,
+    /// Trigger, camera, light on the sensor.
+    lights: Vec<(u64, usize, Plane<f32>)>,
+}
+
+impl<'a> Lights<'a> {
+    pub fn new(scene: &'a Scene) -> Self {
+        let mut lights = Vec::new();
+        for (i, pose) in poses().iter().enumerate() {
+            for (k, light) in [Light::White, Light::Fringes].into_iter().enumerate() {
+                let trigger = (2 * i + k) as u64;
+                let seen = scene.lights(*pose, light);
+                lights.extend(seen.into_iter().enumerate().map(|(camera, l)| (trigger, camera, l)));
+            }
+        }
+        Self { scene, lights }
+    }
+
+    pub fn photograph(&self, seed: u64) -> Photographs {
+        let mut all = Photographs { images: BTreeMap::new(), looked: BTreeMap::new() };
+        let normal = NormalTable::new();
+        for (trigger, camera, light) in &self.lights {
+            let mut image = Plane::filled(light.width(), light.height(), 0);
+            let sensor = &self.scene.studio.sensors[*camera];
+            let exposure = Exposure { seed, instant: *trigger };
+            expose(light, sensor, &self.scene.scenario.optics, exposure, &normal, image.as_mut_slice());
+            all.set_in(self.scene, *trigger, *camera, image);
+        }
+        all
     }
 }
 

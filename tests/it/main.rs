@@ -6,6 +6,7 @@ mod bad_photographs;
 mod board_photographs;
 #[cfg(feature = "aravis")]
 mod breaks;
+mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod chain;
 #[cfg(feature = "aravis")]
