@@ -1,7 +1,9 @@
 //! `fourdbody calibrate`: from photographs of the board to `calibration.json`.
 
+use super::calibrate_live::Live;
 use super::reconstruct::open_source;
-use super::{Exit, Failure};
+use super::{Exit, Failure, calibrate_live};
+use crate::calibrate::joined::Joined;
 use crate::calibrate::stages::Rigging;
 use crate::calibrate::{Board, Calibration, advice, compare, report, run as stages};
 use crate::config::Rig;
@@ -11,7 +13,7 @@ use std::path::PathBuf;
 /// Calibrate all heads from photographs of the board: at each position one frame lit white, then one with fringes.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody calibrate --rig config/rig.toml --board config/board.toml --session sessions/calibration \\\n      --out calibration.json --report calibration-report"
+    after_help = "Example:\n  fourdbody calibrate --rig config/rig.toml --board config/board.toml --session sessions/calibration \\\n      --out calibration.json --report calibration-report\n  fourdbody calibrate --rig config/rig.toml --board config/board.toml --live \\\n      --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --out calibration.json"
 )]
 pub struct Args {
     /// The rig file: its geometry is where the search starts, its first camera's pose defines the world.
@@ -20,9 +22,21 @@ pub struct Args {
     /// The board file.
     #[arg(long, value_name = "FILE")]
     board: PathBuf,
-    /// A session, or a directory of images CAMERA/INDEX.png.
-    #[arg(long, value_name = "DIR")]
-    session: PathBuf,
+    /// A session, or a directory of images CAMERA/INDEX.png; several for positions captured one by one.
+    #[arg(long, value_name = "DIR", required_unless_present = "live", num_args = 1..)]
+    session: Vec<PathBuf>,
+    /// Be led through the positions of the board: capture each on the nodes, and calibrate at the end.
+    #[arg(long, requires = "nodes", conflicts_with = "session")]
+    live: bool,
+    /// With --live: the nodes' URLs, separated by commas.
+    #[arg(long, value_name = "URL,URL", value_delimiter = ',')]
+    nodes: Vec<String>,
+    /// With --live: sessions are named NAME-p001 and so on.
+    #[arg(long, value_name = "NAME", default_value = "calibration")]
+    name: String,
+    /// With --live: triggers per position, the first in white light, the next with fringes.
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(2..=100))]
+    triggers: u64,
     /// The calibration to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -46,8 +60,17 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let board = Board::load(&args.board)?;
     let nominal = Calibration::nominal(&rig);
     let cameras: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
-    let source = open_source(&args.session, &cameras).map_err(|e| Failure::new(Exit::Usage, e))?;
-    let outcome = stages::calibrate(source.as_ref(), &nominal, &board, args.partial)
+    let source = if args.live {
+        let live = Live { nodes: &args.nodes, base: args.name.clone(), triggers: args.triggers };
+        calibrate_live::run(&live, &nominal, &board)?
+    } else {
+        let mut joined = Joined::default();
+        for session in &args.session {
+            joined.push(vec![open_source(session, &cameras).map_err(|e| Failure::new(Exit::Usage, e))?]);
+        }
+        joined
+    };
+    let outcome = stages::calibrate(&source, &nominal, &board, args.partial)
         .map_err(|e| Failure::new(Exit::Failure, e))?;
     outcome.calibration.save(&args.out).map_err(|e| Failure::new(Exit::Failure, e))?;
     let page = match &args.report {
