@@ -41,6 +41,8 @@ pub struct Response {
 
 /// Half the window around a point, px.
 const REACH: i64 = 8;
+/// What the black panel's light and stray light of the room do to an exponent.
+const SYSTEMATIC: f64 = 0.015;
 /// Fewest points.
 const LEAST_SAMPLES: usize = 50;
 /// Periods around the marker that are left out.
@@ -140,7 +142,7 @@ pub(super) fn response<'a>(
     };
     Some(Response {
         gamma: exponent * pattern.gamma,
-        sigma: (slope_sigma / per_exponent).abs() * pattern.gamma,
+        sigma: (slope_sigma / per_exponent).hypot(SYSTEMATIC) * pattern.gamma,
         second_harmonic: share(1),
         third_harmonic: share(2),
     })

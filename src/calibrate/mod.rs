@@ -20,6 +20,7 @@ pub mod guide;
 mod identity;
 pub mod joined;
 mod lattice;
+mod marker_check;
 mod placement;
 pub mod positions;
 pub mod report;

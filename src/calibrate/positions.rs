@@ -4,6 +4,7 @@
 use super::board::Board;
 use super::findings::Kind;
 use super::gamma::light_samples;
+use super::marker_check::marker_is_there;
 use super::start::board_pose;
 use super::views::{DARK, Looked, Refusal, View};
 use super::{Calibration, Finding, Sighting};
@@ -11,6 +12,7 @@ use crate::geometry::Device;
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Plane;
 use crate::pattern::Pattern;
+use crate::reconstruct::pair::Pair;
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -70,8 +72,10 @@ pub fn arrange(
         }
     }
     findings.extend(hidden(&positions, nominal, board));
+    let pairs: Vec<Option<Pair>> =
+        nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).ok()).collect();
     for (trigger, camera, image, phase) in fringes {
-        let of = Owner { id: &ids[camera], camera, trigger };
+        let of = Owner { id: &ids[camera], camera, trigger, pair: pairs[camera].as_ref() };
         findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
     }
     let views = positions.iter_mut().flat_map(|p| &mut p.views).flatten();
@@ -126,6 +130,10 @@ impl Confirmed {
     fn is_same_place(&self) -> bool {
         self.lit >= LEAST_TO_JUDGE && self.dark as f64 >= SAME_PLACE * self.lit as f64
     }
+
+    fn has_holes(&self) -> bool {
+        (self.dark as f64) < SEEN * self.lit as f64
+    }
 }
 
 /// Looks for the circles of a view in a frame with fringes. A circle is there when it is dark all over while its
@@ -168,6 +176,7 @@ struct Owner<'a> {
     id: &'a CameraId,
     camera: usize,
     trigger: TriggerIndex,
+    pair: Option<&'a Pair>,
 }
 
 /// Gives a frame with fringes to the white frame that shows the board at the same place.
@@ -175,7 +184,7 @@ fn pair_up(
     positions: &mut [Position],
     board: &Board,
     pattern: &Pattern,
-    Owner { id, camera, trigger }: Owner<'_>,
+    Owner { id, camera, trigger, pair }: Owner<'_>,
     image: &Plane<u8>,
     phase: Result<Plane<f32>, Refusal>,
 ) -> Option<Finding> {
@@ -216,8 +225,21 @@ fn pair_up(
             ),
         });
     };
+    let view = positions[place].views[camera].as_ref();
+    // The pipeline may have taken circles for the marker's dashes.
+    let phase = phase.and_then(|phase| match (view, pair) {
+        (Some(view), Some(pair)) if !marker_is_there(view, image, &phase, pair) => Err(Refusal::no_marker()),
+        _ => Ok(phase),
+    });
     let phase = match phase {
         Ok(phase) => phase,
+        Err(refusal) if refusal.kind == Kind::NoMarker && confirmed.has_holes() => {
+            let message = format!(
+                "only {} of {} circles of the white frame are seen in the fringes, and the marker is not: is something in front of the board?",
+                confirmed.dark, confirmed.lit
+            );
+            return Some(finding(Some(place), Kind::Hidden, true, message));
+        }
         Err(refusal) => return Some(refused(id, trigger, Some(place + 1), refusal)),
     };
     let position = &mut positions[place];
@@ -226,7 +248,7 @@ fn pair_up(
         // A second frame with fringes of the same position adds little.
         return None;
     };
-    let (dark, lit) = (confirmed.dark, confirmed.lit);
+    let (dark, lit, has_holes) = (confirmed.dark, confirmed.lit, confirmed.has_holes());
     if let Some(white) = view.white.take() {
         view.light = light_samples(view, &white, image, &phase, &confirmed.circles, board, pattern);
     }
@@ -241,7 +263,7 @@ fn pair_up(
             "the fringes came before the white frame of their position, expected white first; paired by the circles".to_owned(),
         ));
     }
-    ((dark as f64) < SEEN * lit as f64).then(|| {
+    has_holes.then(|| {
         let message = format!(
             "only {dark} of {lit} circles of the white frame are seen in the fringes: is something in front of the board?"
         );

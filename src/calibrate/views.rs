@@ -80,6 +80,13 @@ impl Refusal {
     fn new(kind: Kind, message: impl Into<String>) -> Self {
         Self { kind, message: message.into() }
     }
+
+    pub(super) fn no_marker() -> Self {
+        Self::new(
+            Kind::NoMarker,
+            "fringes without a marker, so that their order is not known. Project the rig's pattern (`fourdbody pattern`)",
+        )
+    }
 }
 
 /// Darker than this all over is dark, grey levels.
@@ -87,7 +94,7 @@ pub(super) const DARK: u8 = 24;
 /// Fringes change the light by at least this share over half a period.
 const FRINGE_CONTRAST: f32 = 0.12;
 /// Edges wider than this are out of focus or moved, px.
-const BLUR_PX: f64 = 3.0;
+const BLUR_PX: f64 = 2.5;
 /// At this grey level the sensor is taken to be saturated.
 const SATURATED: f64 = 253.0;
 /// Share of saturated circles above which a view is left out; fewer are left out one by one.
@@ -198,10 +205,7 @@ fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Plane<f32>, 
             }
             Ok(phase)
         }
-        Ok(_) => Err(Refusal::new(
-            Kind::NoMarker,
-            "fringes without a marker, so that their order is not known. Project the rig's pattern (`fourdbody pattern`)",
-        )),
+        Ok(_) => Err(Refusal::no_marker()),
         Err(refused) => {
             Err(Refusal::new(Kind::NoPhase, format!("the fringes give no phase ({:?})", refused.outcome)))
         }
