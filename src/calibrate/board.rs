@@ -5,6 +5,8 @@
 //! orientation: any choice is good that no rotation or mirror image maps to itself (checked when loading).
 
 use crate::config::{ConfigError, Problem, Section, read_table};
+use nalgebra::Point3;
+use sha2::{Digest, Sha256};
 use std::cell::RefCell;
 use std::path::Path;
 
@@ -59,6 +61,23 @@ impl Board {
     /// The circle at a place of the grid.
     pub fn circle(&self, column: usize, row: usize) -> Option<&Circle> {
         (column < self.columns).then(|| self.circles.get(row * self.columns + column)).flatten()
+    }
+
+    /// The corners of its outer edge, board frame, m.
+    pub fn corners(&self) -> [Point3<f64>; 4] {
+        let [x, y] = self.size_m.map(|s| s / 2.0);
+        [[-x, -y], [x, -y], [x, y], [-x, y]].map(|[x, y]| Point3::new(x, y, 0.0))
+    }
+
+    /// SHA-256 of all circles: two boards of one name may have been measured differently.
+    pub fn sha256(&self) -> String {
+        let mut hash = Sha256::new();
+        for circle in &self.circles {
+            let numbers = circle.centre_m.iter().chain([&circle.radius_m]);
+            numbers.for_each(|x| hash.update(x.to_le_bytes()));
+            hash.update([u8::from(circle.large)]);
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
     /// The circle's number in [`Self::circles`].

@@ -3,6 +3,8 @@
 //! Versioned and self-describing; `sha256` covers the compact JSON of the same object without that field,
 //! so a file that was edited or cut is refused.
 
+use super::gamma::Response;
+use super::identity::{Identity, ValidVolume};
 use crate::config::{Channel, Rig};
 use crate::geometry::Device;
 use crate::ids::{CameraId, HeadId};
@@ -56,6 +58,12 @@ pub struct Calibration {
     /// How well it agrees with the photographs it was made from; `None` for one that was not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<Quality>,
+    /// The rig and the board that it was made with; `None` for one that was not made from photographs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub identity: Option<Identity>,
+    /// Where the board was seen; `None` for one that was not made from photographs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub valid: Option<ValidVolume>,
 }
 
 /// Residuals and uncertainties of a calibration.
@@ -74,6 +82,9 @@ pub struct Quality {
     pub loop_error_mm: Option<f64>,
     /// Standard deviations of the estimates.
     pub uncertainties: Vec<DeviceUncertainty>,
+    /// Per head, what its projector makes of panel values; heads with too little light to tell are missing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub responses: Vec<(HeadId, Response)>,
 }
 
 /// How well one camera's circles are explained.
@@ -135,7 +146,9 @@ pub enum CalibrationError {
 }
 
 const FORMAT: &str = "fourdbody-calibration";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// Version 1 has no identity, no valid volume and no responses.
+const OLDEST: u32 = 1;
 
 impl Calibration {
     /// A calibration with the geometry given; the rest comes from the rig.
@@ -150,6 +163,8 @@ impl Calibration {
             volume_max_m: rig.volume_max_m,
             heads,
             quality: None,
+            identity: None,
+            valid: None,
         }
     }
 
@@ -192,10 +207,16 @@ impl Calibration {
         let object = value.as_object_mut().ok_or("not a JSON object")?;
         let stated = object.remove("sha256").ok_or("no sha256")?;
         let found = sha256(&value);
-        let calibration: Self = serde_json::from_value(value).map_err(|e| e.to_string())?;
-        if calibration.format != FORMAT || calibration.version != VERSION {
+        // A version of the future may have other fields: say so before they are missed.
+        if let Some(version) = value["version"].as_u64().filter(|version| *version > u64::from(VERSION)) {
             return Err(format!(
-                "format {:?} version {}, expected {FORMAT:?} version {VERSION}",
+                "version {version}, expected at most {VERSION}: written by a newer fourdbody"
+            ));
+        }
+        let calibration: Self = serde_json::from_value(value).map_err(|e| e.to_string())?;
+        if calibration.format != FORMAT || !(OLDEST..=VERSION).contains(&calibration.version) {
+            return Err(format!(
+                "format {:?} version {}, expected {FORMAT:?} version {OLDEST} to {VERSION}",
                 calibration.format, calibration.version
             ));
         }
@@ -233,7 +254,20 @@ impl Calibration {
                 }
             }
         }
-        if ids.is_empty() { Err("no cameras".to_owned()) } else { Ok(()) }
+        if ids.is_empty() {
+            return Err("no cameras".to_owned());
+        }
+        let sides = self.volume_min_m.iter().zip(&self.volume_max_m);
+        if !sides.into_iter().all(|(a, b)| a.is_finite() && b.is_finite() && a < b) {
+            let (min, max) = (self.volume_min_m, self.volume_max_m);
+            return Err(format!("working volume from {min:?} to {max:?}: expected each coordinate to grow"));
+        }
+        self.valid.as_ref().map_or(Ok(()), ValidVolume::check)
+    }
+
+    /// SHA-256 of cameras, projectors and pattern.
+    pub fn geometry_sha256(&self) -> String {
+        sha256(&serde_json::json!({ "heads": self.heads, "pattern": self.pattern }))
     }
 }
 
@@ -263,6 +297,36 @@ mod tests {
         let back = Calibration::load(&path).expect("readable");
         assert_eq!(back.cameras().count(), 8);
         assert_eq!(back.pattern, calibration.pattern);
+    }
+
+    #[test]
+    fn the_first_version_still_loads_and_a_later_one_is_named() {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        let path = dir.path().join("calibration.json");
+        let with_version = |version: u32| {
+            let mut calibration = calibration();
+            calibration.version = version;
+            calibration.save(&path).expect("writable");
+            Calibration::load(&path)
+        };
+        assert_eq!(with_version(1).expect("readable").cameras().count(), 8);
+        let error = with_version(3).expect_err("must be refused").to_string();
+        assert!(error.contains("version 3") && error.contains("newer"), "{error}");
+    }
+
+    #[test]
+    fn values_without_sense_are_refused() {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        let path = dir.path().join("calibration.json");
+        let mut bad = calibration();
+        bad.volume_max_m[1] = bad.volume_min_m[1];
+        bad.save(&path).expect("writable");
+        let error = Calibration::load(&path).expect_err("must be refused").to_string();
+        assert!(error.contains("working volume"), "{error}");
+        let mut bad = calibration();
+        bad.heads[1].projector.lens.fx = -1.0;
+        bad.save(&path).expect("writable");
+        assert!(Calibration::load(&path).is_err());
     }
 
     #[test]

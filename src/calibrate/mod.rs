@@ -1,14 +1,29 @@
 //! Calibrations: the versioned file, and its computation from photographs of a board (paper, section 4.2).
 //!
-//! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` sorts
-//! the photographs, `bundle` adjusts lenses and poses, `stages` are the paper's three, `run` is all of it.
+//! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
+//! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
+//! fit, `bundle` adjusts lenses and poses, `stages` and `global` are the paper's three stages, `run` is all of it.
+//! `docs/design/calibration.md` has the definitions and what was tried.
 
+pub mod advice;
 pub mod artwork;
 mod board;
 mod bundle;
+pub mod compare;
+mod consistency;
 mod ellipse;
 mod file;
+mod findings;
+mod gamma;
+pub mod global;
+pub mod guide;
+mod identity;
+pub mod joined;
 mod lattice;
+mod marker_check;
+mod placement;
+pub mod positions;
+pub mod report;
 pub mod run;
 mod spots;
 pub mod stages;
@@ -22,5 +37,9 @@ pub use file::{
     CalibratedCamera, CalibratedHead, Calibration, CalibrationError, CameraResiduals, DeviceUncertainty,
     HeadLink, Quality,
 };
+pub use findings::{Finding, Kind};
+pub use gamma::{LightSample, Response};
+pub use identity::{Extent, HeadVolume, Identity, ValidVolume};
 pub use lattice::{NotIdentified, Sighting, identify};
+pub use positions::Position;
 pub use spots::{Spot, find_spots};

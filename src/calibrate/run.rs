@@ -1,11 +1,18 @@
 //! A whole calibration: looks through the photographs, runs the three stages, and says how well it went.
 
 use super::Calibration;
+use super::advice::advice;
 use super::board::Board;
 use super::bundle::{Adjusted, DEVICE_PARAMETER_NAMES, Observation};
 use super::file::{CameraResiduals, DeviceUncertainty, HeadLink, Quality};
-use super::stages::{HeadResult, Rigging, StageError, Together, bring_together, calibration};
-use super::views::{Finding, Position, look};
+use super::gamma::{Response, response};
+use super::global::{Together, bring_together, calibration};
+use super::identity::{CONVENTIONS, Extent, HeadVolume, Identity, ValidVolume};
+use super::placement::check_placement;
+use super::stages::{HeadResult, Rigging, StageError, Terms};
+use super::views::look;
+use super::{Finding, Position};
+use crate::ids::{CameraId, HeadId};
 use crate::reconstruct::FrameSource;
 
 /// A calibration and how it came to be.
@@ -21,6 +28,8 @@ pub struct Outcome {
     pub heads: Vec<HeadResult>,
     /// Stage 3.
     pub together: Together,
+    /// Outer size of the board (x, y), m.
+    pub board_size_m: [f64; 2],
 }
 
 /// Why there is no calibration.
@@ -40,27 +49,55 @@ pub enum CalibrateError {
 }
 
 fn list(findings: &[Finding]) -> String {
-    findings.iter().map(|f| format!("\n  {} trigger {}: {}", f.camera, f.trigger, f.message)).collect()
+    findings.iter().map(|finding| format!("\n  {finding}")).collect()
 }
 
-/// Calibrates all heads of `nominal`; with `partial`, those that can be.
+/// Calibrates all heads of `nominal`; with `partial`, those that have photographs.
 pub fn calibrate(
     source: &dyn FrameSource,
     nominal: &Calibration,
     board: &Board,
     partial: bool,
 ) -> Result<Outcome, CalibrateError> {
+    let stated = source.statement();
+    if let Some(stated) = &stated {
+        let ids: Vec<CameraId> = stated.cameras.iter().map(|camera| camera.id.clone()).collect();
+        nominal.fits(&ids, stated).map_err(CalibrateError::Source)?;
+    }
     let (positions, findings) = look(source, nominal, board).map_err(CalibrateError::Source)?;
-    let all = Rigging { nominal, board, positions: &positions };
+    let mut outcome = solve(positions, findings, nominal, board, Terms::default(), partial)?;
+    if let (Some(identity), Some(stated)) = (&mut outcome.calibration.identity, stated) {
+        let cameras = stated.cameras.into_iter().filter(|camera| !camera.device.is_empty());
+        identity.cameras = cameras.map(|camera| (camera.id, camera.device)).collect();
+    }
+    Ok(outcome)
+}
+
+/// Calibrates from positions that were looked at already.
+pub fn solve(
+    positions: Vec<Position>,
+    mut findings: Vec<Finding>,
+    nominal: &Calibration,
+    board: &Board,
+    terms: Terms,
+    partial: bool,
+) -> Result<Outcome, CalibrateError> {
+    let all = Rigging { nominal, board, positions: &positions, terms };
+    let stage = |error, findings| CalibrateError::Stage { error, findings };
+    if let Err(error) = check_placement(nominal, board, &positions) {
+        return Err(stage(error, findings));
+    }
     let mut heads = Vec::new();
     for head in 0..nominal.heads.len() {
         match all.calibrate_head(head) {
-            Ok(result) => heads.push(result),
+            Ok(result) => {
+                findings.extend(result.findings.iter().cloned());
+                heads.push(result);
+            }
             Err(StageError::Positions { found: 0, .. }) if partial => {}
-            Err(error) => return Err(CalibrateError::Stage { error, findings }),
+            Err(error) => return Err(stage(error, findings)),
         }
     }
-    let stage = |error, findings| CalibrateError::Stage { error, findings };
     let used: Vec<usize> = heads.iter().map(|h| h.head).collect();
     if used.is_empty() {
         let head = nominal.heads.first().map_or(String::new(), |h| h.id.to_string());
@@ -76,7 +113,53 @@ pub fn calibrate(
     let origin = format!("photographs of board {}", board.name);
     let mut result = calibration(&kept, origin, &together.all.model);
     result.quality = Some(quality(&kept, board, &together));
-    Ok(Outcome { calibration: result, findings, positions, heads, together })
+    if let Some(quality) = &mut result.quality {
+        quality.responses = responses(nominal, &positions, &used);
+    }
+    result.identity = Some(Identity {
+        rig_sha256: nominal.geometry_sha256(),
+        board: board.name.clone(),
+        board_sha256: board.sha256(),
+        cameras: Vec::new(),
+        software: concat!("fourdbody ", env!("CARGO_PKG_VERSION")).to_owned(),
+        conventions: CONVENTIONS.to_owned(),
+    });
+    result.valid = ValidVolume::of(volumes(&kept, &together));
+    Ok(Outcome { calibration: result, findings, positions, heads, together, board_size_m: board.size_m })
+}
+
+/// What the projectors make of panel values, by head.
+fn responses(nominal: &Calibration, positions: &[Position], used: &[usize]) -> Vec<(HeadId, Response)> {
+    let mut first = 0;
+    let mut all = Vec::new();
+    for (place, head) in nominal.heads.iter().enumerate() {
+        let cameras = first..first + head.cameras.len();
+        first = cameras.end;
+        if !used.contains(&place) {
+            continue;
+        }
+        let views = positions.iter().flat_map(|p| p.views[cameras.clone()].iter().flatten());
+        let found = response(views.flat_map(|view| &view.light), &nominal.pattern);
+        all.extend(found.map(|response| (head.id.clone(), response)));
+    }
+    all
+}
+
+/// Boxes around the points whose phase each head measured.
+fn volumes(kept: &Calibration, together: &Together) -> Vec<HeadVolume> {
+    let mut projector = 0;
+    let mut volumes = Vec::new();
+    for head in &kept.heads {
+        projector += head.cameras.len();
+        let seen = together.observations.iter().zip(&together.all.outliers);
+        let points = seen.filter(|(o, out)| o.device == projector && !**out).map(|(o, _)| {
+            let point = together.all.model.boards[o.board] * o.point;
+            [point.x, point.y, point.z]
+        });
+        volumes.extend(Extent::around(points).map(|extent| HeadVolume { head: head.id.clone(), extent }));
+        projector += 1;
+    }
+    volumes
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
@@ -118,6 +201,7 @@ fn quality(kept: &Calibration, board: &Board, together: &Together) -> Quality {
             .collect(),
         loop_error_mm: together.loop_error_m.map(|m| m * 1e3),
         uncertainties,
+        responses: Vec::new(),
     }
 }
 
@@ -164,12 +248,18 @@ impl Outcome {
                 link.heads[0], link.heads[1], link.positions, link.rms_mm
             )
         }));
+        lines.extend(quality.responses.iter().map(|(head, r)| {
+            format!(
+                "  projector of {head}: gamma {:.3} +- {:.3}, harmonics {:.2} % and {:.2} %",
+                r.gamma,
+                r.sigma,
+                100.0 * r.second_harmonic,
+                100.0 * r.third_harmonic
+            )
+        }));
         lines.extend(quality.loop_error_mm.map(|mm| format!("  around all heads: {mm:.3} mm")));
-        lines.extend(
-            self.findings
-                .iter()
-                .map(|f| format!("  left out: {} trigger {}: {}", f.camera, f.trigger, f.message)),
-        );
+        lines.extend(self.findings.iter().map(|finding| format!("  {finding}")));
+        lines.extend(advice(self).into_iter().map(|advice| format!("  advice: {advice}")));
         lines
     }
 }

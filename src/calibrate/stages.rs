@@ -1,39 +1,73 @@
-//! The three stages of section 4.2: cameras of a head, phase of each camera-projector pair, heads together.
+//! Stages 1 and 2 of section 4.2: cameras of a head, then the phase of each camera-projector pair. [`super::global`] is the
+//! third.
 //!
 //! 1. *Cameras*: circles seen by both cameras of a head, any number of positions of the board. Measured centres are
 //!    those of the outlines; the centre of a circle's image is not the image of its centre, so the difference under the
 //!    current estimate is taken off, and the adjustment repeated.
 //! 2. *Phase*: the absolute phase at points of the white field between the circles is the panel column that lights them:
 //!    the projector is adjusted like a camera that sees columns only, together with the cameras.
-//! 3. *Global*: positions that several heads saw tie the heads together; at the end everything is adjusted once more in
-//!    one problem, so that errors of a loop are spread as the observations ask.
+//!
+//! Each kind of observation weighs as much as its own residuals justify: its standard deviation is theirs.
 
 use super::board::Board;
 use super::bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
+use super::consistency::{Excluded, Limits};
 use super::ellipse::image_of_circle;
 use super::start::board_pose;
-use super::views::{Position, column_at, phase_observation};
-use super::{Calibration, Ellipse};
-use crate::geometry::{Device, Pose};
+use super::views::{column_at, phase_observation};
+use super::{Calibration, Ellipse, Finding, Position};
+use crate::geometry::Device;
 use crate::reconstruct::pair::Pair;
-use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use std::f64::consts::TAU;
 
 /// Standard deviation of a circle's centre, px, before the residuals say better.
 const CIRCLE_SIGMA_PX: f64 = 0.02;
 /// Fewest positions for a head: fewer leave lens and distance entangled.
-const LEAST_POSITIONS: usize = 6;
-/// How often centres are corrected and phases sampled anew.
-const ROUNDS: usize = 3;
-/// Two heads saw the same position of the board when their poses agree to this, m and rad, under the nominal rig.
-const SAME_POSITION: (f64, f64) = (0.25, 0.35);
+pub(super) const LEAST_POSITIONS: usize = 6;
+/// Fewest positions that each camera of a head must have seen itself.
+const LEAST_VIEWS: usize = 4;
+/// Fewest positions with a phase.
+const LEAST_PHASES: usize = 4;
+/// Points with a phase below which a position has none.
+const LEAST_PHASE_POINTS: usize = 30;
+/// Positions nearer to each other than this, m and rad, are the same.
+const DISTINCT: (f64, f64) = (0.02, 0.035);
+/// How often centres are corrected in stage 1.
+const CAMERA_ROUNDS: usize = 3;
+/// How often phases are sampled anew in stage 2.
+const PHASE_ROUNDS: usize = 2;
 
 /// Why a calibration came to nothing.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum StageError {
     /// Too few usable positions.
-    #[error("head {head}: {found} usable positions of the board, expected at least {LEAST_POSITIONS}")]
+    #[error(
+        "head {head}: {found} usable positions of the board that differ, expected at least {LEAST_POSITIONS}. Photograph the board at more places and tilts"
+    )]
     Positions {
+        /// The head.
+        head: String,
+        /// How many.
+        found: usize,
+    },
+    /// A camera has too few views of its own.
+    #[error(
+        "camera {camera}: usable views in {found} of {positions} positions of the board, expected at least {LEAST_VIEWS}. See what was left out of it"
+    )]
+    Views {
+        /// The camera.
+        camera: String,
+        /// In how many positions.
+        found: usize,
+        /// Positions that its head has.
+        positions: usize,
+    },
+    /// Too few positions with fringes.
+    #[error(
+        "head {head}: fringes give a phase in {found} positions of the board, expected at least {LEAST_PHASES}. After each white frame one with the rig's pattern is needed, the board at the same place"
+    )]
+    Phases {
         /// The head.
         head: String,
         /// How many.
@@ -41,7 +75,7 @@ pub enum StageError {
     },
     /// All positions are nearly parallel.
     #[error(
-        "head {head}: the positions of the board are tilted against each other by at most {degrees} degrees, expected 25 or more; tilt the board more"
+        "head {head}: the positions of the board are tilted against each other by at most {degrees} degrees, expected 25 or more. Tilt the board more"
     )]
     Parallel {
         /// The head.
@@ -49,9 +83,77 @@ pub enum StageError {
         /// Largest angle between two positions.
         degrees: u32,
     },
+    /// Two cameras' images were exchanged.
+    #[error(
+        "cameras {} and {} are swapped: each sees the board where the other one should. Exchange their cables, addresses or directories",
+        .cameras[0], .cameras[1]
+    )]
+    Swapped {
+        /// The cameras.
+        cameras: [String; 2],
+    },
+    /// The rig file does not say where the cameras are.
+    #[error(
+        "cameras {} and {} see the board {millimetres} mm apart with the geometry of the rig file, expected at most 250. Correct the rig file, or find out which camera is not where it says",
+        .cameras[0], .cameras[1]
+    )]
+    Misplaced {
+        /// The cameras.
+        cameras: [String; 2],
+        /// How far apart.
+        millimetres: u32,
+    },
+    /// Too many positions contradict each other.
+    #[error(
+        "head {head}: {excluded} of {views} views contradict the others; nothing can be trusted. Is the board stiff, does its file give the measured centres, did it stand still from the white frame to the fringes?"
+    )]
+    Contradictory {
+        /// The head.
+        head: String,
+        /// Views left out so far.
+        excluded: usize,
+        /// Views there were.
+        views: usize,
+    },
+    /// The observations are explained badly.
+    #[error(
+        "head {head}: {what} are explained to {found_millipixels} thousandths of a pixel, expected {limit_millipixels} or less. Is the board flat, and its file that of this board?"
+    )]
+    Residuals {
+        /// The head.
+        head: String,
+        /// Circles or phases.
+        what: &'static str,
+        /// Median residual.
+        found_millipixels: u32,
+        /// What is accepted.
+        limit_millipixels: u32,
+    },
+    /// Sizes are not those of the rig file.
+    #[error(
+        "head {head}: its cameras come out {percent} % as far apart as in the rig file, expected 95 to 105. Is it the file of this board, in metres?"
+    )]
+    Scale {
+        /// The head.
+        head: String,
+        /// Distance of the cameras, relative to the rig file's.
+        percent: u32,
+    },
+    /// A focal length is not determined.
+    #[error(
+        "head {head}: the focal length of {device} is known to {per_mille} per mille only, expected 3 or less. More positions are needed that fill the image and are tilted more"
+    )]
+    Uncertain {
+        /// The head.
+        head: String,
+        /// The device.
+        device: String,
+        /// Standard deviation.
+        per_mille: u32,
+    },
     /// A head shares no position with any other.
     #[error(
-        "head {head} saw no position of the board together with another head; show the board between two heads"
+        "head {head} saw no position of the board together with another head. Show the board between two heads"
     )]
     Alone {
         /// The head.
@@ -67,7 +169,27 @@ pub enum StageError {
     },
 }
 
+/// Which terms of the lenses are estimated; `docs/design/calibration.md` has what was tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Terms {
+    /// The third radial term of the cameras.
+    pub camera_k3: bool,
+    /// The tangential terms of the cameras.
+    pub camera_tangential: bool,
+    /// The second radial term of the projector.
+    pub projector_k2: bool,
+    /// The tangential terms of the projector.
+    pub projector_tangential: bool,
+}
+
+impl Default for Terms {
+    fn default() -> Self {
+        Self { camera_k3: false, camera_tangential: true, projector_k2: true, projector_tangential: true }
+    }
+}
+
 /// What the stages know of the devices: place in the calibration's order.
+#[derive(Clone, Copy)]
 pub struct Rigging<'a> {
     /// The rig's nominal geometry.
     pub nominal: &'a Calibration,
@@ -75,6 +197,8 @@ pub struct Rigging<'a> {
     pub board: &'a Board,
     /// The positions.
     pub positions: &'a [Position],
+    /// What is estimated.
+    pub terms: Terms,
 }
 
 /// A head after stages 1 and 2. Devices: cameras in the rig's order, then the projector. The frame is the nominal world.
@@ -92,49 +216,90 @@ pub struct HeadResult {
     pub observations: Vec<Observation>,
     /// How many of them are circles.
     pub circles: usize,
+    /// By phase observation, the camera that saw it, as its place in the head.
+    pub phase_cameras: Vec<usize>,
+    /// What was left out because it contradicts the rest.
+    pub findings: Vec<Finding>,
 }
 
 impl Rigging<'_> {
     /// Place of a head's first camera among all cameras.
-    fn first_camera(&self, head: usize) -> usize {
+    pub(super) fn first_camera(&self, head: usize) -> usize {
         self.nominal.heads[..head].iter().map(|h| h.cameras.len()).sum()
     }
 
-    fn head_name(&self, head: usize) -> String {
+    pub(super) fn head_name(&self, head: usize) -> String {
         self.nominal.heads[head].id.to_string()
     }
 
-    /// Stages 1 and 2 of one head.
+    /// Stages 1 and 2 of one head; views that contradict the others are left out, as long as they are few.
     pub fn calibrate_head(&self, head: usize) -> Result<HeadResult, StageError> {
+        let mut excluded = Excluded::default();
+        let mut findings = Vec::new();
+        loop {
+            let result = self.attempt(head, &excluded)?;
+            let worse = excluded.contradicting(self, &result);
+            if worse.is_empty() {
+                self.check(&result, &Limits::default())?;
+                return Ok(HeadResult { findings, ..result });
+            }
+            findings.extend(worse);
+            excluded.check(self, head)?;
+        }
+    }
+
+    /// Stages 1 and 2 with all views that are not excluded.
+    pub(super) fn attempt(&self, head: usize, excluded: &Excluded) -> Result<HeadResult, StageError> {
         let adjust_error = |error| StageError::Adjust { head: self.head_name(head), error };
-        let (positions, boards) = self.starting_boards(head)?;
+        let (positions, boards) = self.starting_boards(head, excluded)?;
         let mut model = Model { devices: self.starting_devices(head), boards };
-        let circles = self.circles(head, &positions);
+        let mut circles = self.circles(head, &positions, excluded);
         let priors = self.priors(head);
         let (projector, cameras) = (model.devices.len() - 1, self.nominal.heads[head].cameras.len());
         let mut stage1 = None;
-        for _ in 0..ROUNDS {
+        for _ in 0..CAMERA_ROUNDS {
             let observations = self.corrected(&model, &circles);
             // The projector waits; nothing observes it yet.
-            let adjusted = adjust(model.clone(), &observations, &[], 0).map_err(adjust_error)?;
+            let adjusted = adjust(model, &observations, &priors, 0).map_err(adjust_error)?;
+            for camera in 0..cameras {
+                let spread = spread(&adjusted, &observations, |i| observations[i].device == camera);
+                let mine = circles.iter_mut().filter(|(o, _)| o.device == camera);
+                mine.for_each(|(o, _)| o.sigma_px *= spread);
+            }
             model = adjusted.model.clone();
             stage1 = Some(adjusted);
         }
-        let mut last = None;
-        for _ in 0..ROUNDS {
+        let (mut last, mut phase_scale) = (None, 1.0);
+        for _ in 0..PHASE_ROUNDS {
             let mut observations = self.corrected(&model, &circles);
+            let mut phase_cameras = Vec::new();
             for camera in 0..cameras {
-                observations.extend(self.phases(head, camera, projector, &positions, &model));
+                let phases = self.phases(head, camera, projector, &positions, &model, excluded);
+                phase_cameras.resize(phase_cameras.len() + phases.len(), camera);
+                observations.extend(
+                    phases.into_iter().map(|o| Observation { sigma_px: o.sigma_px * phase_scale, ..o }),
+                );
             }
-            let adjusted = adjust(model.clone(), &observations, &priors, 0).map_err(adjust_error)?;
+            self.check_phases(head, &observations[circles.len()..], positions.len())?;
+            let adjusted = adjust(model, &observations, &priors, 0).map_err(adjust_error)?;
+            phase_scale *= spread(&adjusted, &observations, |i| observations[i].device == projector);
             model = adjusted.model.clone();
-            last = Some((adjusted, observations));
+            last = Some((adjusted, observations, phase_cameras));
         }
-        let (Some(cameras), Some((all, observations))) = (stage1, last) else {
+        let (Some(cameras), Some((all, observations, phase_cameras))) = (stage1, last) else {
             return Err(StageError::Positions { head: self.head_name(head), found: 0 });
         };
         let circles = circles.len();
-        Ok(HeadResult { head, positions, cameras, all, observations, circles })
+        Ok(HeadResult {
+            head,
+            positions,
+            cameras,
+            all,
+            observations,
+            circles,
+            phase_cameras,
+            findings: Vec::new(),
+        })
     }
 
     fn starting_devices(&self, head: usize) -> Vec<DeviceModel> {
@@ -147,25 +312,45 @@ impl Rigging<'_> {
     }
 
     /// Positions that a camera of the head saw, with the board's pose in the nominal world.
-    fn starting_boards(&self, head: usize) -> Result<(Vec<usize>, Vec<Isometry3<f64>>), StageError> {
+    fn starting_boards(
+        &self,
+        head: usize,
+        excluded: &Excluded,
+    ) -> Result<(Vec<usize>, Vec<Isometry3<f64>>), StageError> {
         let first = self.first_camera(head);
         let cameras = &self.nominal.heads[head].cameras;
-        let (mut places, mut boards) = (Vec::new(), Vec::new());
+        let (mut places, mut boards) = (Vec::new(), Vec::<Isometry3<f64>>::new());
+        let (mut distinct, mut views) = (0, vec![0; cameras.len()]);
         for (place, position) in self.positions.iter().enumerate() {
             // The camera that saw most of the board.
-            let views = cameras.iter().enumerate().filter_map(|(c, camera)| {
+            let seen = cameras.iter().enumerate().filter(|(c, _)| !excluded.has_view(*c, place));
+            let seen = seen.filter_map(|(c, camera)| {
                 let view = position.views[first + c].as_ref()?;
-                Some((view, &camera.device))
+                Some((c, view, &camera.device))
             });
-            let Some((view, device)) = views.max_by_key(|(view, _)| view.sightings.len()) else { continue };
+            let seen: Vec<_> = seen.collect();
+            let Some((_, view, device)) = seen.iter().max_by_key(|(_, view, _)| view.sightings.len()) else {
+                continue;
+            };
             let Some(camera_from_board) = board_pose(self.board, &view.sightings, &device.lens) else {
                 continue;
             };
+            let board = device.world_from_device.isometry() * camera_from_board;
+            let same = |other: &Isometry3<f64>| {
+                (other.translation.vector - board.translation.vector).norm() < DISTINCT.0
+                    && other.rotation.angle_to(&board.rotation) < DISTINCT.1
+            };
+            distinct += usize::from(!boards.iter().any(same));
+            seen.iter().for_each(|(c, ..)| views[*c] += 1);
             places.push(place);
-            boards.push(device.world_from_device.isometry() * camera_from_board);
+            boards.push(board);
         }
-        if places.len() < LEAST_POSITIONS {
-            return Err(StageError::Positions { head: self.head_name(head), found: places.len() });
+        if distinct < LEAST_POSITIONS {
+            return Err(StageError::Positions { head: self.head_name(head), found: distinct });
+        }
+        if let Some((camera, found)) = cameras.iter().zip(&views).find(|(_, found)| **found < LEAST_VIEWS) {
+            let (camera, positions) = (camera.id.to_string(), places.len());
+            return Err(StageError::Views { camera, found: *found, positions });
         }
         let normals: Vec<Vector3<f64>> = boards.iter().map(|b| b.rotation * Vector3::z()).collect();
         let angles = normals.iter().flat_map(|a| normals.iter().map(move |b| a.angle(b)));
@@ -176,13 +361,30 @@ impl Rigging<'_> {
         Ok((places, boards))
     }
 
+    fn check_phases(&self, head: usize, phases: &[Observation], positions: usize) -> Result<(), StageError> {
+        let points = |board: usize| phases.iter().filter(|o| o.board == board).count();
+        let found = (0..positions).filter(|board| points(*board) >= LEAST_PHASE_POINTS).count();
+        if found < LEAST_PHASES {
+            return Err(StageError::Phases { head: self.head_name(head), found });
+        }
+        Ok(())
+    }
+
     /// Sightings of all circles, as measured.
-    fn circles(&self, head: usize, positions: &[usize]) -> Vec<(Observation, f64)> {
+    pub(super) fn circles(
+        &self,
+        head: usize,
+        positions: &[usize],
+        excluded: &Excluded,
+    ) -> Vec<(Observation, f64)> {
         let first = self.first_camera(head);
         let mut all = Vec::new();
         for (board, &position) in positions.iter().enumerate() {
             for device in 0..self.nominal.heads[head].cameras.len() {
                 let Some(view) = &self.positions[position].views[first + device] else { continue };
+                if excluded.has_view(device, position) {
+                    continue;
+                }
                 all.extend(view.sightings.iter().map(|sighting| {
                     let circle = self.board.circles()[sighting.circle];
                     let observation = Observation {
@@ -201,7 +403,7 @@ impl Rigging<'_> {
     }
 
     /// The same with outline centres brought to the images of the circles' centres.
-    fn corrected(&self, model: &Model, circles: &[(Observation, f64)]) -> Vec<Observation> {
+    pub(super) fn corrected(&self, model: &Model, circles: &[(Observation, f64)]) -> Vec<Observation> {
         let correct = |(observation, radius): &(Observation, f64)| {
             let [du, dv] = centre_shift(model, observation, *radius).unwrap_or([0.0; 2]);
             let [u, v] = observation.measured;
@@ -210,14 +412,16 @@ impl Rigging<'_> {
         circles.iter().map(correct).collect()
     }
 
-    /// What the projector "saw" of the white field, through the phase in one camera's frames.
-    fn phases(
+    /// What the projector "saw" of the white field, through the phase in one camera's frames: between circles that
+    /// were seen in both frames, so that nothing stands in front of the point.
+    pub(super) fn phases(
         &self,
         head: usize,
         camera: usize,
         projector: usize,
         positions: &[usize],
         model: &Model,
+        excluded: &Excluded,
     ) -> Vec<Observation> {
         let nominal = &self.nominal.heads[head];
         let Ok(pair) = Pair::new(nominal, &nominal.cameras[camera], self.nominal) else { return Vec::new() };
@@ -225,9 +429,13 @@ impl Rigging<'_> {
         let points = field_points(self.board);
         let mut all = Vec::new();
         for (board, &position) in positions.iter().enumerate() {
-            let phase = self.positions[position].views[place].as_ref().and_then(|view| view.phase.as_ref());
-            let Some(phase) = phase else { continue };
-            for point in &points {
+            let Some(view) = &self.positions[position].views[place] else { continue };
+            let Some(phase) = &view.phase else { continue };
+            if excluded.has_view(camera, position) || excluded.has_phase(camera, position) {
+                continue;
+            }
+            let is_seen = |circle: &usize| view.confirmed.get(*circle).is_some_and(|is| *is);
+            for (point, _) in points.iter().filter(|(_, circles)| circles.iter().all(is_seen)) {
                 let Some(pixel) = project(&model.devices[camera], &model.boards[board], point) else {
                     continue;
                 };
@@ -240,33 +448,53 @@ impl Rigging<'_> {
 
     /// A projector that sees columns only: fy, cy and k3 are held, k2 and the tangential terms are only loosely
     /// known, and nothing but the design says where it is along its rows.
-    fn priors(&self, head: usize) -> Vec<Prior> {
+    pub(super) fn priors(&self, head: usize) -> Vec<Prior> {
         let devices = self.starting_devices(head);
         let device = devices.len() - 1;
         let projector = &devices[device];
         let held = |parameter, mean, sigma| Prior { device, parameter, mean, sigma };
+        let loosely = |is: bool, sigma: f64| if is { sigma } else { 0.0 };
+        let tangential = loosely(self.terms.projector_tangential, 1e-3);
         let mut priors = vec![
             held(1, projector.lens.fy, 0.0),
             held(3, projector.lens.cy, 0.0),
-            held(5, projector.lens.distortion[1], 0.05),
-            held(6, projector.lens.distortion[2], 1e-3),
-            held(7, projector.lens.distortion[3], 1e-3),
+            held(5, projector.lens.distortion[1], loosely(self.terms.projector_k2, 0.05)),
+            held(6, projector.lens.distortion[2], tangential),
+            held(7, projector.lens.distortion[3], tangential),
             held(8, 0.0, 0.0),
             held(13, projector.device_from_frame.translation.y, 0.02),
         ];
-        // The third radial term is not observable in cameras of this field either.
-        priors.extend((0..device).map(|camera| Prior {
-            device: camera,
-            parameter: 8,
-            mean: 0.0,
-            sigma: 0.0,
-        }));
+        for device in 0..device {
+            let mut hold = |parameter| priors.push(Prior { device, parameter, mean: 0.0, sigma: 0.0 });
+            if !self.terms.camera_k3 {
+                hold(8);
+            }
+            if !self.terms.camera_tangential {
+                hold(6);
+                hold(7);
+            }
+        }
         priors
     }
 }
 
+/// RMS of chosen residuals in units of their stated standard deviation; 1 where there are none.
+fn spread(adjusted: &Adjusted, observations: &[Observation], is_chosen: impl Fn(usize) -> bool) -> f64 {
+    let chosen = (0..observations.len()).filter(|&i| is_chosen(i) && !adjusted.outliers[i]);
+    let (sum, n) = chosen.fold((0.0, 0.0), |(sum, n), i| {
+        let ([u, v], o) = (adjusted.residuals[i], &observations[i]);
+        let (square, count) = if o.columns_only { (u * u, 1.0) } else { (u * u + v * v, 2.0) };
+        (sum + square / (o.sigma_px * o.sigma_px), n + count)
+    });
+    if n > 0.0 { f64::sqrt(sum / n).clamp(0.05, 50.0) } else { 1.0 }
+}
+
 /// Pixel of a board point.
-fn project(device: &DeviceModel, frame_from_board: &Isometry3<f64>, point: &Point3<f64>) -> Option<[f64; 2]> {
+pub(super) fn project(
+    device: &DeviceModel,
+    frame_from_board: &Isometry3<f64>,
+    point: &Point3<f64>,
+) -> Option<[f64; 2]> {
     let p = device.device_from_frame * (frame_from_board * point);
     (p.z > 1e-6).then(|| device.lens.distort(p.x / p.z, p.y / p.z)).flatten()
 }
@@ -288,13 +516,13 @@ fn centre_shift(model: &Model, observation: &Observation, radius_m: f64) -> Opti
     Some([outline[0] - image[0], outline[1] - image[1]])
 }
 
-/// Points of the white field, as far from the circles as can be: between two and between four of them.
-fn field_points(board: &Board) -> Vec<Point3<f64>> {
+/// Points of the white field, as far from the circles as can be: between two and between four of them; with the numbers
+/// of those circles.
+fn field_points(board: &Board) -> Vec<(Point3<f64>, Vec<usize>)> {
     let mean = |places: &[(usize, usize)]| {
-        let centres = places.iter().filter_map(|&(column, row)| board.circle(column, row));
-        let (sum, n) =
-            centres.fold((Vector3::zeros(), 0.0), |(sum, n), c| (sum + Vector3::from(c.centre_m), n + 1.0));
-        Point3::from(sum / n)
+        let circles: Vec<usize> = places.iter().map(|&(column, row)| board.number(column, row)).collect();
+        let sum: Vector3<f64> = circles.iter().map(|c| Vector3::from(board.circles()[*c].centre_m)).sum();
+        (Point3::from(sum / circles.len() as f64), circles)
     };
     let mut points = Vec::new();
     for row in 0..board.rows - 1 {
@@ -306,208 +534,4 @@ fn field_points(board: &Board) -> Vec<Point3<f64>> {
         }
     }
     points
-}
-
-/// The relation between two heads' frames, and how well their common positions agree on it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Link {
-    /// Places of the heads in the rig.
-    pub heads: [usize; 2],
-    /// Takes the second head's frame to the first's.
-    pub first_from_second: Isometry3<f64>,
-    /// Common positions.
-    pub positions: usize,
-    /// RMS distance of the board's corners between both heads' views, after the relation, m.
-    pub rms_m: f64,
-}
-
-/// Relations of all pairs of heads that saw a position together.
-pub fn links(rigging: &Rigging<'_>, heads: &[HeadResult]) -> Vec<Link> {
-    let mut links = Vec::new();
-    for (i, a) in heads.iter().enumerate() {
-        for b in &heads[i + 1..] {
-            let pairs: Vec<(Isometry3<f64>, Isometry3<f64>)> = common(a, b);
-            let Some(relation) = mean_pose(pairs.iter().map(|(in_a, in_b)| in_a * in_b.inverse())) else {
-                continue;
-            };
-            let corners = corner_points(rigging.board);
-            let squares = pairs.iter().flat_map(|(in_a, in_b)| {
-                corners.iter().map(move |c| (in_a * c - relation * (in_b * c)).norm_squared())
-            });
-            let rms_m = (squares.sum::<f64>() / (pairs.len() * corners.len()) as f64).sqrt();
-            links.push(Link {
-                heads: [a.head, b.head],
-                first_from_second: relation,
-                positions: pairs.len(),
-                rms_m,
-            });
-        }
-    }
-    links
-}
-
-/// Board poses of the positions that both heads saw at the same place.
-fn common(a: &HeadResult, b: &HeadResult) -> Vec<(Isometry3<f64>, Isometry3<f64>)> {
-    let pairs = a.positions.iter().enumerate().filter_map(|(i, position)| {
-        let k = b.positions.iter().position(|other| other == position)?;
-        let (in_a, in_b) = (a.all.model.boards[i], b.all.model.boards[k]);
-        let shift = (in_a.translation.vector - in_b.translation.vector).norm();
-        let turn = in_a.rotation.angle_to(&in_b.rotation);
-        (shift < SAME_POSITION.0 && turn < SAME_POSITION.1).then_some((in_a, in_b))
-    });
-    pairs.collect()
-}
-
-fn corner_points(board: &Board) -> [Point3<f64>; 4] {
-    let [x, y] = board.size_m.map(|s| s / 2.0);
-    [[-x, -y], [x, -y], [x, y], [-x, y]].map(|[x, y]| Point3::new(x, y, 0.0))
-}
-
-fn mean_pose(poses: impl Iterator<Item = Isometry3<f64>> + Clone) -> Option<Isometry3<f64>> {
-    let first = poses.clone().next()?;
-    let n = poses.clone().count() as f64;
-    let shift = poses.clone().map(|p| p.translation.vector).sum::<Vector3<f64>>() / n;
-    let turn = poses.map(|p| (p.rotation * first.rotation.inverse()).scaled_axis()).sum::<Vector3<f64>>() / n;
-    Some(Isometry3::from_parts(shift.into(), UnitQuaternion::from_scaled_axis(turn) * first.rotation))
-}
-
-/// Everything in one frame.
-#[derive(Debug, Clone)]
-pub struct Together {
-    /// Stage 3, pairs of heads.
-    pub links: Vec<Link>,
-    /// Largest corner displacement around a closed loop of heads, m; `None` without a loop.
-    pub loop_error_m: Option<f64>,
-    /// One adjustment of everything: per head its cameras, then its projector.
-    pub all: Adjusted,
-    /// The observations of that adjustment.
-    pub observations: Vec<Observation>,
-}
-
-/// Stage 3: brings the heads into one frame, and adjusts everything once more.
-pub fn bring_together(rigging: &Rigging<'_>, heads: &[HeadResult]) -> Result<Together, StageError> {
-    let links = links(rigging, heads);
-    let frames = frames(rigging, heads, &links)?;
-    let loop_error_m = loop_error(rigging.board, heads, &links);
-    let (model, mut observations, priors) = merged(rigging, heads, &frames);
-    let adjusted = adjust(model, &observations, &priors, 0)
-        .map_err(|error| StageError::Adjust { head: "all heads".to_owned(), error })?;
-    observations.shrink_to_fit();
-    Ok(Together { links, loop_error_m, all: adjusted, observations })
-}
-
-/// For each head, what takes its frame to the first's: along the links with the best agreement.
-fn frames(
-    rigging: &Rigging<'_>,
-    heads: &[HeadResult],
-    links: &[Link],
-) -> Result<Vec<Isometry3<f64>>, StageError> {
-    let mut found: Vec<Option<Isometry3<f64>>> = vec![None; heads.len()];
-    if let Some(first) = found.first_mut() {
-        *first = Some(Isometry3::identity());
-    }
-    let place = |head: usize| heads.iter().position(|h| h.head == head);
-    let mut sorted: Vec<&Link> = links.iter().collect();
-    sorted.sort_by(|a, b| a.rms_m.total_cmp(&b.rms_m));
-    for _ in heads {
-        for link in &sorted {
-            let (Some(a), Some(b)) = (place(link.heads[0]), place(link.heads[1])) else { continue };
-            match (found[a], found[b]) {
-                (Some(frame), None) => found[b] = Some(frame * link.first_from_second),
-                (None, Some(frame)) => found[a] = Some(frame * link.first_from_second.inverse()),
-                _ => {}
-            }
-        }
-    }
-    let named = heads.iter().zip(found);
-    named
-        .map(|(h, frame)| frame.ok_or_else(|| StageError::Alone { head: rigging.head_name(h.head) }))
-        .collect()
-}
-
-/// Around h0 -> h1 -> ... -> h0, where every neighbour has a link.
-fn loop_error(board: &Board, heads: &[HeadResult], links: &[Link]) -> Option<f64> {
-    if heads.len() < 3 {
-        return None;
-    }
-    let mut round = Isometry3::identity();
-    for i in 0..heads.len() {
-        let (a, b) = (heads[i].head, heads[(i + 1) % heads.len()].head);
-        let forward = links.iter().find(|l| l.heads == [a, b]).map(|l| l.first_from_second);
-        let back = || links.iter().find(|l| l.heads == [b, a]).map(|l| l.first_from_second.inverse());
-        round *= forward.or_else(back)?;
-    }
-    let corners = corner_points(board).map(|c| c + Vector3::new(0.0, 0.0, 1.0));
-    Some(corners.iter().map(|c| (round * c - c).norm()).fold(0.0, f64::max))
-}
-
-/// One problem of all heads' problems; positions that are the same become one.
-fn merged(
-    rigging: &Rigging<'_>,
-    heads: &[HeadResult],
-    frames: &[Isometry3<f64>],
-) -> (Model, Vec<Observation>, Vec<Prior>) {
-    let (mut devices, mut boards) = (Vec::new(), Vec::<(usize, Isometry3<f64>)>::new());
-    let (mut observations, mut priors) = (Vec::new(), Vec::new());
-    for (head, frame) in heads.iter().zip(frames) {
-        let offset = devices.len();
-        devices.extend(head.all.model.devices.iter().map(|device| DeviceModel {
-            device_from_frame: device.device_from_frame * frame.inverse(),
-            ..*device
-        }));
-        let places: Vec<usize> = head
-            .positions
-            .iter()
-            .zip(&head.all.model.boards)
-            .map(|(&position, board)| {
-                let board = frame * board;
-                let same = |(p, other): &(usize, Isometry3<f64>)| {
-                    *p == position
-                        && (other.translation.vector - board.translation.vector).norm()
-                            < SAME_POSITION.0 / 5.0
-                        && other.rotation.angle_to(&board.rotation) < SAME_POSITION.1 / 5.0
-                };
-                boards.iter().position(same).unwrap_or_else(|| {
-                    boards.push((position, board));
-                    boards.len() - 1
-                })
-            })
-            .collect();
-        observations.extend(head.observations.iter().map(|o| Observation {
-            device: o.device + offset,
-            board: places[o.board],
-            ..*o
-        }));
-        let moved = devices.len() - 1;
-        priors.extend(rigging.priors(head.head).into_iter().map(|prior| Prior {
-            device: prior.device + offset,
-            // The shift along the rows is wherever the head's own adjustment put it.
-            mean: if prior.parameter == 13 {
-                devices[moved].device_from_frame.translation.y
-            } else {
-                prior.mean
-            },
-            ..prior
-        }));
-    }
-    let boards = boards.into_iter().map(|(_, board)| board).collect();
-    (Model { devices, boards }, observations, priors)
-}
-
-/// The result as a calibration file has it.
-pub fn calibration(nominal: &Calibration, origin: String, model: &Model) -> Calibration {
-    let mut devices = model.devices.iter();
-    let mut take = |device: &mut Device| {
-        if let Some(found) = devices.next() {
-            device.lens = found.lens;
-            device.world_from_device = Pose::new(found.device_from_frame.inverse());
-        }
-    };
-    let mut result = nominal.clone();
-    result.origin = origin;
-    for head in &mut result.heads {
-        head.cameras.iter_mut().for_each(|camera| take(&mut camera.device));
-        take(&mut head.projector);
-    }
-    result
 }

@@ -1,18 +1,25 @@
 //! From the photographs of a session to what the calibration uses: which position of the board, lit white or with
 //! fringes; the circles of the one, the phase of the other. Whatever cannot be used is named with its reason.
+//!
+//! [`look_at_frame`] judges a frame by itself, [`super::positions::arrange`] brings the frames of a position together.
 
 use super::board::Board;
 use super::ellipse::least_squares;
+use super::findings::Kind;
+use super::gamma::LightSample;
 use super::lattice::{Sighting, identify};
+use super::positions::{Position, arrange};
 use super::spots::find_spots;
-use super::{Calibration, Observation};
+use super::start::board_pose;
+use super::{Calibration, Finding, Observation};
+use crate::geometry::Device;
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::{Mono8, Plane};
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::pipeline::{Method, Pipeline};
 use crate::reconstruct::triangulate::Triangulator;
 use crate::reconstruct::{Frame, FrameSource};
-use nalgebra::{SVector, Vector3};
+use nalgebra::{Isometry3, Point3, SVector, Vector3};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::f64::consts::TAU;
 
@@ -34,38 +41,64 @@ pub struct View {
     pub sightings: Vec<Sighting>,
     /// The absolute phase over the frame with fringes, rad; NaN where it is not known.
     pub phase: Option<Plane<f32>>,
+    /// By circle of the board: seen in the white frame and again in the frame with fringes. Empty without fringes.
+    pub confirmed: Vec<bool>,
+    /// The white frame, until the fringes were compared with it.
+    pub white: Option<Plane<u8>>,
+    /// How the fringes' light compares with the white light.
+    pub light: Vec<LightSample>,
 }
 
-/// The board at one place: a white frame, and the frame with fringes that follows it.
+/// What one frame shows.
 #[derive(Debug, Clone)]
-pub struct Position {
-    /// The white frames' trigger.
-    pub white: TriggerIndex,
-    /// The fringe frames' trigger.
-    pub fringes: Option<TriggerIndex>,
-    /// By camera, in the calibration's order.
-    pub views: Vec<Option<View>>,
+pub enum Looked {
+    /// There is no frame, for this reason.
+    Missing(String),
+    /// Nothing is lit.
+    Dark,
+    /// The board in white light, or why it cannot be used.
+    White(Result<View, Refusal>),
+    /// The board with fringes.
+    Fringes {
+        /// The frame itself, to find the circles again.
+        image: Plane<u8>,
+        /// The absolute phase, or why there is none.
+        phase: Result<Plane<f32>, Refusal>,
+    },
 }
 
-/// Something that was left out, or looks wrong.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
-pub struct Finding {
-    /// The camera.
-    pub camera: CameraId,
-    /// The frame.
-    pub trigger: TriggerIndex,
+/// Why a frame cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    /// For programs.
+    pub kind: Kind,
     /// What was found and what to do.
     pub message: String,
 }
 
+impl Refusal {
+    fn new(kind: Kind, message: impl Into<String>) -> Self {
+        Self { kind, message: message.into() }
+    }
+
+    pub(super) fn no_marker() -> Self {
+        Self::new(
+            Kind::NoMarker,
+            "fringes without a marker, so that their order is not known. Project the rig's pattern (`fourdbody pattern`)",
+        )
+    }
+}
+
 /// Darker than this all over is dark, grey levels.
-const DARK: u8 = 24;
+pub(super) const DARK: u8 = 24;
 /// Fringes change the light by at least this share over half a period.
 const FRINGE_CONTRAST: f32 = 0.12;
 /// Edges wider than this are out of focus or moved, px.
-const BLUR_PX: f64 = 3.0;
+const BLUR_PX: f64 = 2.5;
 /// At this grey level the sensor is taken to be saturated.
 const SATURATED: f64 = 253.0;
+/// Share of saturated circles above which a view is left out; fewer are left out one by one.
+const MOST_SATURATED: f64 = 0.25;
 /// Circles below which a view says too little.
 const LEAST_CIRCLES: usize = 30;
 
@@ -87,89 +120,57 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
     if lightest < DARK || contrasts.len() < 1000 {
         return Light::Dark;
     }
-    let middle = contrasts.len() / 2;
-    let (_, median, _) = contrasts.select_nth_unstable_by(middle, f32::total_cmp);
-    if *median > FRINGE_CONTRAST { Light::Fringes } else { Light::White }
+    // Not the middle: a good part of the board may be hidden. Edges of circles take less than a sixth.
+    let place = contrasts.len() * 7 / 10;
+    let (_, contrast, _) = contrasts.select_nth_unstable_by(place, f32::total_cmp);
+    if *contrast > FRINGE_CONTRAST { Light::Fringes } else { Light::White }
 }
 
-/// Looks through a session. `nominal` is the rig's geometry, good to a few per cent.
+/// One pipeline for every camera, in the calibration's order.
+pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
+    let pipeline = |pair| Pipeline::new(Triangulator::new(pair), Method::Anchored, false);
+    nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).map(pipeline)).collect()
+}
+
+/// Looks through a session. `nominal` is the rig's geometry, good to a few per cent. An error means that the source
+/// cannot be read, or is of another rig.
 pub fn look(
     source: &dyn FrameSource,
     nominal: &Calibration,
     board: &Board,
 ) -> Result<(Vec<Position>, Vec<Finding>), String> {
     let cameras: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
-    let pipelines: Vec<Pipeline> = nominal
-        .cameras()
-        .map(|(head, camera)| {
-            Pair::new(head, camera, nominal)
-                .map(|pair| Pipeline::new(Triangulator::new(pair), Method::Anchored, false))
-        })
-        .collect::<Result<_, _>>()?;
+    let pipelines = pipelines(nominal)?;
     let work: Vec<(u64, usize)> = source
         .triggers()
         .flat_map(|trigger| (0..cameras.len()).map(move |camera| (trigger, camera)))
         .collect();
-    let looked: Vec<Result<Looked, String>> = work
+    let looked: Vec<Looked> = work
         .par_iter()
         .map(|&(trigger, camera)| {
-            look_at_frame(source, &cameras[camera], TriggerIndex(trigger), &pipelines[camera], board)
+            if !source.cameras().contains(&cameras[camera]) {
+                return Ok(Looked::Missing("the session does not have this camera".to_owned()));
+            }
+            let frame = source.frame(&cameras[camera], TriggerIndex(trigger))?;
+            look_at_frame(&frame, &cameras[camera], &pipelines[camera], board)
         })
-        .collect();
-    let mut findings = Vec::new();
-    let mut positions: Vec<Position> = Vec::new();
-    for (&(trigger, camera), looked) in work.iter().zip(looked) {
-        let trigger = TriggerIndex(trigger);
-        let finding = |message: String| Finding { camera: cameras[camera].clone(), trigger, message };
-        match looked? {
-            Looked::Nothing(message) => findings.extend(message.map(finding)),
-            Looked::White(view) => {
-                if positions.last().is_none_or(|last| last.white != trigger) {
-                    let views = (0..cameras.len()).map(|_| None).collect();
-                    positions.push(Position { white: trigger, fringes: None, views });
-                }
-                if let Some(position) = positions.last_mut() {
-                    position.views[camera] = Some(view);
-                }
-            }
-            Looked::Fringes(phase) => {
-                let position = positions
-                    .last_mut()
-                    .filter(|p| p.white < trigger && p.fringes.is_none_or(|f| f == trigger));
-                match position.and_then(|p| Some((&mut p.fringes, p.views[camera].as_mut()?))) {
-                    Some((fringes, view)) => {
-                        *fringes = Some(trigger);
-                        view.phase = Some(phase);
-                    }
-                    None => findings.push(finding(
-                        "fringes without a usable white frame of the same position before them; left out"
-                            .to_owned(),
-                    )),
-                }
-            }
-        }
-    }
-    Ok((positions, findings))
+        .collect::<Result<_, String>>()?;
+    let frames =
+        work.into_iter().zip(looked).map(|((trigger, camera), l)| (TriggerIndex(trigger), camera, l));
+    Ok(arrange(frames.collect(), nominal, board))
 }
 
-enum Looked {
-    Nothing(Option<String>),
-    White(View),
-    Fringes(Plane<f32>),
-}
-
-fn look_at_frame(
-    source: &dyn FrameSource,
+/// Judges one frame by itself. An error means that the frame is of another rig.
+pub fn look_at_frame(
+    frame: &Frame<'_>,
     camera: &CameraId,
-    trigger: TriggerIndex,
     pipeline: &Pipeline,
     board: &Board,
 ) -> Result<Looked, String> {
-    let frame = source.frame(camera, trigger)?;
-    let image = match &frame {
+    let image = match frame {
         Frame::Image(image) => *image,
         Frame::Owned(plane) => Mono8::from(plane),
-        Frame::Gap(cause) => return Ok(Looked::Nothing(Some(format!("no frame ({cause}); left out")))),
+        Frame::Gap(cause) => return Ok(Looked::Missing(cause.clone())),
     };
     let pair = pipeline.triangulator().pair();
     if (image.width(), image.height()) != (pair.camera.width, pair.camera.height) {
@@ -182,54 +183,128 @@ fn look_at_frame(
         ));
     }
     Ok(match light_of(image, pair.period_px) {
-        Light::Dark => Looked::Nothing(None),
-        Light::White => look_at_circles(image, board),
-        Light::Fringes => match pipeline.prepare(image) {
-            Ok(prepared) if prepared.counts.marker > 0 => {
-                let mut phase = Plane::filled(image.width(), image.height(), f32::NAN);
-                let roi = prepared.roi;
-                for v in 0..roi.height {
-                    phase.row_mut(roi.v + v)[roi.u..roi.u + roi.width].copy_from_slice(prepared.absolute.row(v));
-                }
-                Looked::Fringes(phase)
-            }
-            Ok(_) => Looked::Nothing(Some("fringes without a marker: their order is not known; left out. Is the pattern that of the rig?".to_owned())),
-            Err(refused) => Looked::Nothing(Some(format!("fringes cannot be used ({:?}); left out", refused.outcome))),
-        },
+        Light::Dark => Looked::Dark,
+        Light::White => Looked::White(look_at_circles(image, board, &pair.camera)),
+        Light::Fringes => Looked::Fringes { image: owned(image), phase: look_at_fringes(image, pipeline) },
     })
 }
 
-fn look_at_circles(image: Mono8<'_>, board: &Board) -> Looked {
-    let spots = find_spots(image);
-    let sightings = match identify(&spots, board) {
-        Ok(sightings) => sightings,
-        Err(reason) => return Looked::Nothing(Some(format!("{reason}; left out"))),
-    };
-    let median = |value: &dyn Fn(&Sighting) -> f64| {
-        let mut values: Vec<f64> = sightings.iter().map(value).collect();
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
-    };
-    let (blur, outside) = (median(&|s| s.spot.blur_px), median(&|s| s.spot.outside));
-    if sightings.len() < LEAST_CIRCLES {
-        return Looked::Nothing(Some(format!(
-            "only {} circles, expected at least {LEAST_CIRCLES}; left out",
-            sightings.len()
-        )));
-    }
-    if blur > BLUR_PX {
-        return Looked::Nothing(Some(format!(
-            "blurred: edges are {blur:.1} px wide, expected at most {BLUR_PX}; left out. Hold the board still, check the focus"
-        )));
-    }
-    if outside >= SATURATED {
-        return Looked::Nothing(Some(format!(
-            "saturated: the white is at grey level {outside:.0}; left out. Reduce exposure or light"
-        )));
-    }
-    Looked::White(View { sightings, phase: None })
+fn owned(image: Mono8<'_>) -> Plane<u8> {
+    let mut plane = Plane::filled(image.width(), image.height(), 0);
+    plane.as_mut_slice().copy_from_slice(image.as_slice());
+    plane
 }
 
+fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Plane<f32>, Refusal> {
+    match pipeline.prepare(image) {
+        Ok(prepared) if prepared.counts.marker > 0 => {
+            let mut phase = Plane::filled(image.width(), image.height(), f32::NAN);
+            let roi = prepared.roi;
+            for v in 0..roi.height {
+                phase.row_mut(roi.v + v)[roi.u..roi.u + roi.width].copy_from_slice(prepared.absolute.row(v));
+            }
+            Ok(phase)
+        }
+        Ok(_) => Err(Refusal::no_marker()),
+        Err(refused) => {
+            Err(Refusal::new(Kind::NoPhase, format!("the fringes give no phase ({:?})", refused.outcome)))
+        }
+    }
+}
+
+fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<View, Refusal> {
+    let spots = find_spots(image);
+    let mut sightings =
+        identify(&spots, board).map_err(|reason| Refusal::new(Kind::from(&reason), reason.to_string()))?;
+    let all = sightings.len();
+    let blur = median(sightings.iter().map(|s| s.spot.blur_px));
+    if blur > BLUR_PX {
+        return Err(Refusal::new(
+            Kind::Blurred,
+            format!(
+                "blurred: edges are {blur:.1} px wide, expected at most {BLUR_PX}. Hold the board still, check the focus"
+            ),
+        ));
+    }
+    sightings.retain(|s| s.spot.outside < SATURATED);
+    let saturated = all - sightings.len();
+    if saturated as f64 > MOST_SATURATED * all as f64 {
+        return Err(Refusal::new(
+            Kind::Saturated,
+            format!(
+                "saturated: the white around {saturated} of {all} circles is at grey level {SATURATED:.0} or more. Reduce exposure or light"
+            ),
+        ));
+    }
+    if sightings.len() < LEAST_CIRCLES {
+        let found = sightings.len();
+        return Err(Refusal::new(
+            Kind::FewCircles,
+            format!("only {found} circles, expected at least {LEAST_CIRCLES}. Show more of the board"),
+        ));
+    }
+    check_sizes(&sightings, board, camera)?;
+    Ok(View { sightings, phase: None, confirmed: Vec::new(), white: Some(owned(image)), light: Vec::new() })
+}
+
+/// Circles may seem larger or smaller than the board file says by this share, and by this many px: what blooming does.
+const SIZE_SHARE: f64 = 0.04;
+const SIZE_PX: f64 = 0.4;
+
+/// The pitch gives the distance, the distance the size: another board of the same code has another proportion.
+fn check_sizes(sightings: &[Sighting], board: &Board, camera: &Device) -> Result<(), Refusal> {
+    let Some(pose) = board_pose(board, sightings, &camera.lens) else {
+        return Err(Refusal::new(
+            Kind::FewCircles,
+            "the circles do not tell where the board is. Show more of it",
+        ));
+    };
+    let ratios: Vec<(f64, f64)> = sightings
+        .iter()
+        .filter_map(|s| {
+            let expected = outline_radius(board, s.circle, &pose, camera)?;
+            Some((s.spot.ellipse.radius() / expected, expected))
+        })
+        .collect();
+    let ratio = median(ratios.iter().map(|(ratio, _)| *ratio));
+    let limit = SIZE_SHARE + SIZE_PX / median(ratios.iter().map(|(_, radius)| *radius)).max(1.0);
+    if (ratio - 1.0).abs() <= limit {
+        return Ok(());
+    }
+    Err(Refusal::new(
+        Kind::CircleSize,
+        format!(
+            "circles are {:.0} % as large as the board file says for their distance from each other, expected 100 +- {:.0} %. Is it the file of this board?",
+            100.0 * ratio,
+            100.0 * limit
+        ),
+    ))
+}
+
+/// Radius of a circle of the same area as the circle's image, px.
+fn outline_radius(
+    board: &Board,
+    circle: usize,
+    camera_from_board: &Isometry3<f64>,
+    camera: &Device,
+) -> Option<f64> {
+    let circle = board.circles().get(circle)?;
+    let centre = camera_from_board * Point3::from(circle.centre_m);
+    let turned = |axis: Vector3<f64>| camera_from_board.rotation * axis;
+    let columns =
+        nalgebra::Matrix3::from_columns(&[turned(Vector3::x()), turned(Vector3::y()), centre.coords]);
+    let ideal = super::ellipse::image_of_circle(&columns, circle.radius_m)?;
+    let (x, y) = (centre.x / centre.z, centre.y / centre.z);
+    let [[a, b], [c, d]] = camera.lens.jacobian(x, y);
+    Some(ideal.radius() * (camera.lens.fx * camera.lens.fy * (a * d - b * c).abs()).sqrt())
+}
+
+/// The middle value; NaN without any.
+pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.filter(|x| !x.is_nan()).collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
 /// Half the window in which the phase around a board point is fitted, px.
 const WINDOW: i64 = 8;
 /// Share of the window that must have a phase.

@@ -1,8 +1,11 @@
 //! `fourdbody calibrate`: from photographs of the board to `calibration.json`.
 
+use super::calibrate_live::Live;
 use super::reconstruct::open_source;
-use super::{Exit, Failure};
-use crate::calibrate::{Board, Calibration, run as stages};
+use super::{Exit, Failure, calibrate_live};
+use crate::calibrate::joined::Joined;
+use crate::calibrate::stages::Rigging;
+use crate::calibrate::{Board, Calibration, advice, compare, report, run as stages};
 use crate::config::Rig;
 use crate::ids::CameraId;
 use std::path::PathBuf;
@@ -10,7 +13,7 @@ use std::path::PathBuf;
 /// Calibrate all heads from photographs of the board: at each position one frame lit white, then one with fringes.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody calibrate --rig config/rig.toml --board config/board.toml --session sessions/calibration \\\n      --out calibration.json --report calibration-report"
+    after_help = "Example:\n  fourdbody calibrate --rig config/rig.toml --board config/board.toml --session sessions/calibration \\\n      --out calibration.json --report calibration-report\n  fourdbody calibrate --rig config/rig.toml --board config/board.toml --live \\\n      --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --out calibration.json"
 )]
 pub struct Args {
     /// The rig file: its geometry is where the search starts, its first camera's pose defines the world.
@@ -19,15 +22,33 @@ pub struct Args {
     /// The board file.
     #[arg(long, value_name = "FILE")]
     board: PathBuf,
-    /// A session, or a directory of images CAMERA/INDEX.png.
-    #[arg(long, value_name = "DIR")]
-    session: PathBuf,
+    /// A session, or a directory of images CAMERA/INDEX.png; several for positions captured one by one.
+    #[arg(long, value_name = "DIR", required_unless_present = "live", num_args = 1..)]
+    session: Vec<PathBuf>,
+    /// Be led through the positions of the board: capture each on the nodes, and calibrate at the end.
+    #[arg(long, requires = "nodes", conflicts_with = "session")]
+    live: bool,
+    /// With --live: the nodes' URLs, separated by commas.
+    #[arg(long, value_name = "URL,URL", value_delimiter = ',')]
+    nodes: Vec<String>,
+    /// With --live: sessions are named NAME-p001 and so on.
+    #[arg(long, value_name = "NAME", default_value = "calibration")]
+    name: String,
+    /// With --live: triggers per position, the first in white light, the next with fringes.
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(2..=100))]
+    triggers: u64,
     /// The calibration to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Leave out heads that cannot be calibrated instead of refusing.
     #[arg(long)]
     partial: bool,
+    /// Write a page with residuals, coverage and advice: DIR/index.html.
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Also try other lens models, each judged by positions left out of its fit (takes minutes).
+    #[arg(long)]
+    compare_models: bool,
     /// Print the result as one JSON object.
     #[arg(long)]
     json: bool,
@@ -39,18 +60,75 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let board = Board::load(&args.board)?;
     let nominal = Calibration::nominal(&rig);
     let cameras: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
-    let source = open_source(&args.session, &cameras).map_err(|e| Failure::new(Exit::Usage, e))?;
-    let outcome = stages::calibrate(source.as_ref(), &nominal, &board, args.partial)
+    let source = if args.live {
+        let live = Live { nodes: &args.nodes, base: args.name.clone(), triggers: args.triggers };
+        calibrate_live::run(&live, &nominal, &board)?
+    } else {
+        let mut joined = Joined::default();
+        for session in &args.session {
+            joined.push(vec![open_source(session, &cameras).map_err(|e| Failure::new(Exit::Usage, e))?]);
+        }
+        joined
+    };
+    let outcome = stages::calibrate(&source, &nominal, &board, args.partial)
         .map_err(|e| Failure::new(Exit::Failure, e))?;
     outcome.calibration.save(&args.out).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let page = match &args.report {
+        None => None,
+        Some(directory) => Some(
+            report::write(&outcome, directory)
+                .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", directory.display())))?,
+        ),
+    };
+    let models = if args.compare_models { compare_models(&outcome, &nominal, &board) } else { Vec::new() };
     if args.json {
         println!(
             "{}",
-            serde_json::json!({ "calibration": args.out, "quality": outcome.calibration.quality, "findings": outcome.findings })
+            serde_json::json!({
+                "calibration": args.out, "quality": outcome.calibration.quality, "findings": outcome.findings,
+                "advice": advice::advice(&outcome), "report": page, "models": models,
+            })
         );
     } else {
         outcome.lines().iter().for_each(|line| println!("{line}"));
-        println!("{}", args.out.display());
+        models.iter().for_each(|model| println!("{}", model.line()));
+        page.iter().chain([&args.out]).for_each(|path| println!("{}", path.display()));
     }
     Ok(Exit::Done)
+}
+
+/// One lens model on one head.
+#[derive(serde::Serialize)]
+struct Compared {
+    head: String,
+    model: &'static str,
+    left_out: Option<compare::LeftOut>,
+    error: Option<String>,
+}
+
+impl Compared {
+    fn line(&self) -> String {
+        let result = match (&self.left_out, &self.error) {
+            (Some(r), _) => format!(
+                "circles {:.4} px, phases {:.4} panel px, depth {:.4} mm, with a grid {:.4} mm ({} positions)",
+                r.circles_px, r.phases_px, r.depth_mm, r.gridded_depth_mm, r.positions
+            ),
+            (None, error) => error.clone().unwrap_or_default(),
+        };
+        format!("  left out, {} {}: {result}", self.head, self.model)
+    }
+}
+
+fn compare_models(outcome: &stages::Outcome, nominal: &Calibration, board: &Board) -> Vec<Compared> {
+    let mut all = Vec::new();
+    for head in outcome.heads.iter().map(|head| head.head) {
+        for (model, terms) in compare::VARIANTS {
+            let rigging = Rigging { nominal, board, positions: &outcome.positions, terms };
+            let result = compare::leave_one_out(&rigging, head);
+            let error = result.as_ref().err().map(ToString::to_string);
+            let head = nominal.heads[head].id.to_string();
+            all.push(Compared { head, model, left_out: result.ok(), error });
+        }
+    }
+    all
 }

@@ -9,6 +9,7 @@ use std::process::ExitCode;
 
 pub mod board;
 pub mod calibrate;
+mod calibrate_live;
 pub mod cameras;
 pub mod capture;
 pub mod check_config;

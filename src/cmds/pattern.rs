@@ -7,7 +7,9 @@ use std::path::PathBuf;
 
 /// Write the image that each head projects, as PNG: OUT/HEAD.png.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody pattern --rig config/rig.toml --out pattern")]
+#[command(
+    after_help = "Example:\n  fourdbody pattern --rig config/rig.toml --out pattern\n  fourdbody pattern --rig config/rig.toml --out pattern --gamma 2.2"
+)]
 pub struct Args {
     /// The rig file.
     #[arg(long, value_name = "FILE")]
@@ -15,11 +17,21 @@ pub struct Args {
     /// Where the images go.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Exponent by which the projectors turn panel values into light, in place of the rig file's: the images undo it.
+    /// `fourdbody calibrate` measures it.
+    #[arg(long, value_name = "G", value_parser = parse_gamma)]
+    gamma: Option<f64>,
+}
+
+fn parse_gamma(text: &str) -> Result<f64, String> {
+    let gamma = text.parse().ok().filter(|gamma: &f64| (0.2..=5.0).contains(gamma));
+    gamma.ok_or_else(|| format!("expected an exponent from 0.2 to 5, for instance 2.2, found {text:?}"))
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let rig = Rig::load(&args.rig)?;
+    let mut rig = Rig::load(&args.rig)?;
+    rig.pattern.gamma = args.gamma.unwrap_or(rig.pattern.gamma);
     let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display()));
     std::fs::create_dir_all(&args.out).map_err(fail)?;
     for head in &rig.heads {

@@ -78,6 +78,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let calibration = Calibration::load(&args.calibration).map_err(|e| Failure::new(Exit::Usage, e))?;
     let cameras = chosen_cameras(args, &calibration)?;
     let source = open_source(&args.session, &cameras).map_err(|e| Failure::new(Exit::Usage, e))?;
+    if let Some(stated) = source.statement() {
+        calibration.fits(&cameras, &stated).map_err(|e| Failure::new(Exit::Usage, e))?;
+    }
     let all = source.triggers();
     let triggers = match &args.triggers {
         None => all,

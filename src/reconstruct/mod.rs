@@ -51,4 +51,4 @@ pub mod unwrap;
 /// The paper's spanning tree and marker.
 pub mod unwrap_paper;
 
-pub use source::{Frame, FrameSource};
+pub use source::{Frame, FrameSource, SourceStatement, StatedCamera};

@@ -6,7 +6,7 @@ use super::reader::{Extent, ReadError, RecordedFrame, RecordingReader};
 use super::scan::metadata_by_index;
 use crate::config::Rig;
 use crate::ids::{CameraId, NodeId, TriggerIndex};
-use crate::reconstruct::{Frame, FrameSource};
+use crate::reconstruct::{Frame, FrameSource, SourceStatement, StatedCamera};
 use serde::Serialize;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -198,6 +198,20 @@ pub(crate) fn parse_rig(text: &str) -> Result<Rig, String> {
 }
 
 impl FrameSource for SessionReader {
+    fn statement(&self) -> Option<SourceStatement> {
+        let camera = |&(r, c): &(usize, usize)| {
+            let header = &self.recordings[r].header.cameras[c];
+            StatedCamera {
+                id: header.id.clone(),
+                width: header.width as usize,
+                height: header.height as usize,
+                device: header.device.clone(),
+            }
+        };
+        let pattern = self.rig().ok().map(|rig| rig.pattern);
+        Some(SourceStatement { cameras: self.places.iter().map(camera).collect(), pattern })
+    }
+
     fn cameras(&self) -> &[CameraId] {
         &self.cameras
     }

@@ -2,8 +2,11 @@
 
 mod analytic_scene;
 mod architecture;
+mod bad_photographs;
+mod board_photographs;
 #[cfg(feature = "aravis")]
 mod breaks;
+mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod chain;
 mod crash;

@@ -3,7 +3,7 @@
 
 use crate::shared_scene::{calibration, device_of, scene};
 use fourdbody::calibrate::{
-    Board, Calibration, Ellipse, find_spots, identify, image_of_circle, stages, views,
+    Board, Calibration, Ellipse, find_spots, global, identify, image_of_circle, stages, views,
 };
 use fourdbody::geometry::{Device, Lens};
 use fourdbody::image::{Mono8, read_png_grey};
@@ -136,7 +136,12 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
     let (positions, findings) = views::look(&source, &nominal, &board).expect("usable");
     findings.iter().for_each(|f| println!("{f:?}"));
     assert_eq!(positions.len(), 9);
-    let rigging = stages::Rigging { nominal: &nominal, board: &board, positions: &positions };
+    let rigging = stages::Rigging {
+        nominal: &nominal,
+        board: &board,
+        positions: &positions,
+        terms: stages::Terms::default(),
+    };
     let heads: Vec<_> = (0..2).map(|head| rigging.calibrate_head(head).expect("calibrated")).collect();
     for head in &heads {
         println!(
@@ -149,9 +154,9 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
             head.observations.len() - head.circles
         );
     }
-    let together = stages::bring_together(&rigging, &heads).expect("linked");
+    let together = global::bring_together(&rigging, &heads).expect("linked");
     println!("chi {:.3}, {:?}", together.all.chi, together.links);
-    let found = stages::calibration(&nominal, "test".to_owned(), &together.all.model);
+    let found = global::calibration(&nominal, "test".to_owned(), &together.all.model);
     let mut devices = together.all.device_sigma.iter();
     for (head, truth) in found.heads.iter().zip(&truth.heads) {
         for (camera, truth) in head.cameras.iter().zip(&truth.cameras) {

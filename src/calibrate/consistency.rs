@@ -1,0 +1,188 @@
+//! Does an adjusted head make sense: do all positions agree, are the residuals small, is the size that of the rig file?
+
+use super::findings::Kind;
+use super::stages::{HeadResult, Rigging, StageError};
+use super::views::median;
+use super::{Finding, Position};
+use std::collections::BTreeSet;
+
+/// Views, by camera (place in its head) and position, that are left out of an adjustment.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Excluded {
+    views: BTreeSet<(usize, usize)>,
+    phases: BTreeSet<(usize, usize)>,
+}
+
+/// A view contradicts the others when its median residual is so many times theirs...
+const TIMES: f64 = 4.0;
+/// ... and larger than this: circles, image px.
+const CIRCLES_PX: f64 = 0.1;
+/// Phases, panel px.
+const PHASES_PX: f64 = 0.1;
+
+impl Excluded {
+    /// All views of one position.
+    pub(super) fn position(position: usize, cameras: usize) -> Self {
+        Self { views: (0..cameras).map(|camera| (camera, position)).collect(), ..Self::default() }
+    }
+
+    pub(super) fn has_view(&self, camera: usize, position: usize) -> bool {
+        self.views.contains(&(camera, position))
+    }
+
+    pub(super) fn has_phase(&self, camera: usize, position: usize) -> bool {
+        self.phases.contains(&(camera, position))
+    }
+
+    /// Leaves out the views that contradict the others most, and says so. Circles go first: phases depend on them.
+    pub(super) fn contradicting(&mut self, rigging: &Rigging<'_>, result: &HeadResult) -> Vec<Finding> {
+        let circles = medians(result, true);
+        let bad = worst(&circles, CIRCLES_PX);
+        if !bad.is_empty() {
+            self.views.extend(bad.iter().map(|(key, _)| *key));
+            return bad
+                .iter()
+                .map(|&((camera, place), px)| {
+                    let message = format!(
+                        "its circles contradict the other positions by {px:.2} px: did the board move or bend, or another board?"
+                    );
+                    finding(rigging, result, camera, place, Kind::Disagrees, message)
+                })
+                .collect();
+        }
+        let bad = worst(&medians(result, false), PHASES_PX);
+        self.phases.extend(bad.iter().map(|(key, _)| *key));
+        bad.iter()
+            .map(|&((camera, place), px)| {
+                let message = format!(
+                    "the phase contradicts the circles by {px:.2} panel px: the board moved between the white frame and the fringes, or the fringe order is wrong. Hold it still"
+                );
+                finding(rigging, result, camera, place, Kind::Moved, message)
+            })
+            .collect()
+    }
+
+    /// Too much left out is no calibration.
+    pub(super) fn check(&self, rigging: &Rigging<'_>, head: usize) -> Result<(), StageError> {
+        let (first, cameras) = (rigging.first_camera(head), rigging.nominal.heads[head].cameras.len());
+        let views = |p: &Position| p.views[first..first + cameras].iter().flatten().count();
+        let views: usize = rigging.positions.iter().map(views).sum();
+        let excluded = self.views.union(&self.phases).count();
+        if 2 * excluded > views {
+            return Err(StageError::Contradictory { head: rigging.head_name(head), excluded, views });
+        }
+        Ok(())
+    }
+}
+
+fn finding(
+    rigging: &Rigging<'_>,
+    result: &HeadResult,
+    camera: usize,
+    place: usize,
+    kind: Kind,
+    message: String,
+) -> Finding {
+    let position = &rigging.positions[place];
+    Finding {
+        camera: rigging.nominal.heads[result.head].cameras[camera].id.clone(),
+        trigger: Some(if kind == Kind::Moved {
+            position.fringes.unwrap_or(position.white)
+        } else {
+            position.white
+        }),
+        position: Some(place + 1),
+        kind,
+        left_out: true,
+        message,
+    }
+}
+
+type Key = (usize, usize);
+
+/// Median residual by camera and position: of circles, px along both axes, or of phases, panel px.
+fn medians(result: &HeadResult, circles: bool) -> Vec<(Key, f64)> {
+    let mut keys: BTreeSet<Key> = BTreeSet::new();
+    let key_of = |i: usize| {
+        let o = &result.observations[i];
+        let camera = i.checked_sub(result.circles).map_or(o.device, |phase| result.phase_cameras[phase]);
+        (camera, result.positions[o.board])
+    };
+    let range = if circles { 0..result.circles } else { result.circles..result.observations.len() };
+    range.clone().for_each(|i| {
+        keys.insert(key_of(i));
+    });
+    let size = |i: usize| {
+        let [u, v] = result.all.residuals[i];
+        if circles { u.hypot(v) } else { u.abs() }
+    };
+    let of = |key: Key| median(range.clone().filter(|i| key_of(*i) == key).map(size));
+    keys.into_iter().map(|key| (key, of(key))).collect()
+}
+
+/// Those far beyond the rest: at least half as bad as the worst, since one bad view also pulls at good ones.
+fn worst(medians: &[(Key, f64)], least_px: f64) -> Vec<(Key, f64)> {
+    let usual = median(medians.iter().map(|(_, px)| *px));
+    let most = medians.iter().map(|(_, px)| *px).fold(0.0, f64::max);
+    let limit = (TIMES * usual).max(least_px).max(most / 2.0);
+    medians.iter().filter(|(_, px)| *px > limit).copied().collect()
+}
+
+/// What an adjusted head must keep to.
+pub(super) struct Limits {
+    /// Median residual of circles, image px.
+    circles_px: f64,
+    /// Median residual of phases, panel px.
+    phases_px: f64,
+    /// Distance of the head's cameras relative to the rig file's.
+    scale: f64,
+    /// Standard deviation of a focal length, as a share.
+    focal: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { circles_px: 0.25, phases_px: 0.25, scale: 0.05, focal: 0.003 }
+    }
+}
+
+impl Rigging<'_> {
+    /// Refuses what would be a bad calibration.
+    pub(super) fn check(&self, result: &HeadResult, limits: &Limits) -> Result<(), StageError> {
+        let head = || self.head_name(result.head);
+        for (what, circles, limit) in
+            [("circles", true, limits.circles_px), ("phases", false, limits.phases_px)]
+        {
+            let found = median(medians(result, circles).into_iter().map(|(_, px)| px));
+            if !(found <= limit) {
+                let (found_millipixels, limit_millipixels) = ((found * 1e3) as u32, (limit * 1e3) as u32);
+                return Err(StageError::Residuals {
+                    head: head(),
+                    what,
+                    found_millipixels,
+                    limit_millipixels,
+                });
+            }
+        }
+        let devices = &result.all.model.devices;
+        let nominal = &self.nominal.heads[result.head];
+        if let [first, .., last] = nominal.cameras.as_slice() {
+            let expected = (first.device.centre() - last.device.centre()).norm();
+            let centre = |d: usize| devices[d].device_from_frame.inverse().translation.vector;
+            let found = (centre(0) - centre(nominal.cameras.len() - 1)).norm();
+            if expected > 0.1 && (found / expected - 1.0).abs() > limits.scale {
+                let percent = (100.0 * found / expected).round() as u32;
+                return Err(StageError::Scale { head: head(), percent });
+            }
+        }
+        for (d, (device, sigma)) in devices.iter().zip(&result.all.device_sigma).enumerate() {
+            let share = sigma[0] / device.lens.fx;
+            if !(share <= limits.focal) {
+                let name = nominal.cameras.get(d).map_or("the projector".to_owned(), |c| c.id.to_string());
+                let per_mille = (share * 1e3).round() as u32;
+                return Err(StageError::Uncertain { head: head(), device: name, per_mille });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,84 @@
+//! What was wrong with the photographs of a calibration, by camera and position.
+
+use super::lattice::NotIdentified;
+use crate::ids::{CameraId, TriggerIndex};
+use std::fmt;
+
+/// Something that was left out, or looks wrong.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Finding {
+    /// The camera.
+    pub camera: CameraId,
+    /// The frame; `None` where it is about many.
+    pub trigger: Option<TriggerIndex>,
+    /// The position of the board, counted from 1 by its white frames; `None` where it is about many or none.
+    pub position: Option<usize>,
+    /// What kind of thing it is, for programs.
+    pub kind: Kind,
+    /// Whether the frame was left out; otherwise it was used as far as it goes.
+    pub left_out: bool,
+    /// What was found and what to do.
+    pub message: String,
+}
+
+/// Kinds of findings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// Triggers without a frame.
+    NoFrames,
+    /// No grid of circles in a white frame.
+    NoBoard,
+    /// The larger circles do not lie as the board file says.
+    WrongBoard,
+    /// The board is seen mirrored.
+    Mirrored,
+    /// Too little of the code is visible.
+    Ambiguous,
+    /// Fewer circles than a view needs.
+    FewCircles,
+    /// Edges are too wide.
+    Blurred,
+    /// The white is at the sensor's limit.
+    Saturated,
+    /// Circles that should be seen are not.
+    Hidden,
+    /// Circles are larger or smaller than the board file says.
+    CircleSize,
+    /// Fringes in which no marker was found.
+    NoMarker,
+    /// Fringes that the phase pipeline refused.
+    NoPhase,
+    /// Fringes without a white frame of the same position.
+    Unpaired,
+    /// The fringes came before the white frame; used.
+    OrderSwapped,
+    /// The board moved between the white frame and the fringes.
+    Moved,
+    /// The position contradicts the others.
+    Disagrees,
+}
+
+impl From<&NotIdentified> for Kind {
+    fn from(reason: &NotIdentified) -> Self {
+        match reason {
+            NotIdentified::TooFew { .. } => Self::NoBoard,
+            NotIdentified::NoMatch { .. } => Self::WrongBoard,
+            NotIdentified::Mirrored => Self::Mirrored,
+            NotIdentified::Ambiguous { .. } => Self::Ambiguous,
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.camera)?;
+        match (self.position, self.trigger) {
+            (Some(position), Some(trigger)) => write!(f, " position {position} (trigger {trigger})")?,
+            (Some(position), None) => write!(f, " position {position}")?,
+            (None, Some(trigger)) => write!(f, " trigger {trigger}")?,
+            (None, None) => {}
+        }
+        write!(f, ": {}; {}", self.message, if self.left_out { "left out" } else { "used" })
+    }
+}

@@ -1,0 +1,127 @@
+//! Photographs that were taken in several sessions, as one source: triggers run on from session to session.
+
+use crate::ids::{CameraId, TriggerIndex};
+use crate::reconstruct::{Frame, FrameSource, SourceStatement};
+use std::ops::Range;
+
+/// Sources one after the other; each of them may be in several parts, one per node.
+#[derive(Default)]
+pub struct Joined {
+    sessions: Vec<Session>,
+    cameras: Vec<CameraId>,
+}
+
+struct Session {
+    parts: Vec<Box<dyn FrameSource>>,
+    /// First trigger here, and what is added to the parts' own triggers.
+    triggers: Range<u64>,
+    own_start: u64,
+}
+
+impl Joined {
+    /// Adds a session behind the others.
+    pub fn push(&mut self, parts: Vec<Box<dyn FrameSource>>) {
+        for camera in parts.iter().flat_map(|part| part.cameras()) {
+            if !self.cameras.contains(camera) {
+                self.cameras.push(camera.clone());
+            }
+        }
+        let own_start = parts.iter().map(|part| part.triggers().start).min().unwrap_or(0);
+        let own_end = parts.iter().map(|part| part.triggers().end).max().unwrap_or(0).max(own_start);
+        let start = self.triggers().end;
+        let triggers = start..start + (own_end - own_start);
+        self.sessions.push(Session { parts, triggers, own_start });
+    }
+
+    /// Takes the last session away again.
+    pub fn pop(&mut self) {
+        self.sessions.pop();
+    }
+
+    /// The parts of all sessions, to be pushed to another.
+    pub fn into_parts(self) -> Vec<Box<dyn FrameSource>> {
+        self.sessions.into_iter().flat_map(|session| session.parts).collect()
+    }
+
+    /// How many sessions there are.
+    pub fn len(&self) -> usize {
+        self.sessions.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.sessions.is_empty()
+    }
+}
+
+impl FrameSource for Joined {
+    fn cameras(&self) -> &[CameraId] {
+        &self.cameras
+    }
+
+    fn triggers(&self) -> Range<u64> {
+        0..self.sessions.last().map_or(0, |session| session.triggers.end)
+    }
+
+    fn frame(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String> {
+        let session = self.sessions.iter().find(|session| session.triggers.contains(&trigger.0));
+        let session = session.ok_or_else(|| format!("trigger {trigger} lies in none of the sessions"))?;
+        let part = session.parts.iter().find(|part| part.cameras().contains(camera));
+        match part {
+            Some(part) => {
+                part.frame(camera, TriggerIndex(trigger.0 - session.triggers.start + session.own_start))
+            }
+            None => Ok(Frame::Gap("the session does not have this camera".to_owned())),
+        }
+    }
+
+    /// Of the first session; cameras do not change between positions.
+    fn statement(&self) -> Option<SourceStatement> {
+        let stated: Vec<SourceStatement> =
+            self.sessions.first()?.parts.iter().filter_map(|part| part.statement()).collect();
+        let pattern = stated.first()?.pattern.clone();
+        Some(SourceStatement { cameras: stated.into_iter().flat_map(|s| s.cameras).collect(), pattern })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Joined;
+    use crate::ids::{CameraId, TriggerIndex};
+    use crate::image::Plane;
+    use crate::reconstruct::{Frame, FrameSource};
+    use std::ops::Range;
+
+    struct One(CameraId, Range<u64>);
+
+    impl FrameSource for One {
+        fn cameras(&self) -> &[CameraId] {
+            std::slice::from_ref(&self.0)
+        }
+        fn triggers(&self) -> Range<u64> {
+            self.1.clone()
+        }
+        fn frame(&self, _: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String> {
+            Ok(Frame::Owned(Plane::filled(1, 1, trigger.0 as u8)))
+        }
+    }
+
+    #[test]
+    fn triggers_run_on_from_session_to_session() {
+        let part = |camera: &str, triggers| Box::new(One(CameraId::from(camera), triggers)) as Box<_>;
+        let mut joined = Joined::default();
+        joined.push(vec![part("a", 0..2), part("b", 0..2)]);
+        joined.push(vec![part("a", 5..7)]);
+        assert_eq!((joined.triggers(), joined.cameras().len()), (0..4, 2));
+        let value = |camera: &str, trigger| match joined.frame(&CameraId::from(camera), TriggerIndex(trigger))
+        {
+            Ok(Frame::Owned(plane)) => Some(plane.at(0, 0)),
+            _ => None,
+        };
+        assert_eq!(
+            (value("a", 1), value("b", 1), value("a", 3), value("b", 3)),
+            (Some(1), Some(1), Some(6), None)
+        );
+        assert!(joined.frame(&CameraId::from("a"), TriggerIndex(4)).is_err());
+    }
+}

@@ -1,0 +1,318 @@
+//! Brings the frames of each position of the board together: a white frame, and the frame with fringes that shows the
+//! same circles at the same places. Which white frame that is, is decided by the circles, not by the order alone.
+
+use super::board::Board;
+use super::findings::Kind;
+use super::gamma::light_samples;
+use super::marker_check::marker_is_there;
+use super::start::board_pose;
+use super::views::{DARK, Looked, Refusal, View};
+use super::{Calibration, Finding, Sighting};
+use crate::geometry::Device;
+use crate::ids::{CameraId, TriggerIndex};
+use crate::image::Plane;
+use crate::pattern::Pattern;
+use crate::reconstruct::pair::Pair;
+use nalgebra::Point3;
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+/// The board at one place: a white frame, and the frame with fringes that belongs to it.
+#[derive(Debug, Clone)]
+pub struct Position {
+    /// The white frames' trigger.
+    pub white: TriggerIndex,
+    /// The fringe frames' trigger.
+    pub fringes: Option<TriggerIndex>,
+    /// By camera, in the calibration's order.
+    pub views: Vec<Option<View>>,
+}
+
+/// Share of the circles that must be dark in the frame with fringes, where they were in the white one.
+const SAME_PLACE: f64 = 0.5;
+/// Fewest lit circles to judge by.
+const LEAST_TO_JUDGE: usize = 15;
+/// Share of the circles that should be seen below which something stands in front of the board.
+const SEEN: f64 = 0.85;
+/// Circles this near to the edge of the light or of the image need not be seen, as a share of its sides.
+const EDGE: f64 = 0.06;
+
+/// Positions from what every camera saw at every trigger, and what was wrong. `frames`: trigger, camera by its place in
+/// the calibration, what it shows; sorted by trigger.
+pub fn arrange(
+    frames: Vec<(TriggerIndex, usize, Looked)>,
+    nominal: &Calibration,
+    board: &Board,
+) -> (Vec<Position>, Vec<Finding>) {
+    let ids: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
+    let mut findings = missing(&frames, &ids);
+    let mut whites: Vec<TriggerIndex> =
+        frames.iter().filter(|(.., l)| matches!(l, Looked::White(_))).map(|(t, ..)| *t).collect();
+    whites.dedup();
+    let empty = |white: &TriggerIndex| Position {
+        white: *white,
+        fringes: None,
+        views: (0..ids.len()).map(|_| None).collect(),
+    };
+    let mut positions: Vec<Position> = whites.iter().map(empty).collect();
+    let mut fringes = Vec::new();
+    for (trigger, camera, looked) in frames {
+        match looked {
+            Looked::Missing(_) | Looked::Dark => {}
+            Looked::Fringes { image, phase } => fringes.push((trigger, camera, image, phase)),
+            Looked::White(view) => {
+                let Ok(place) = whites.binary_search(&trigger) else { continue };
+                match view {
+                    Ok(view) => positions[place].views[camera] = Some(view),
+                    Err(refusal) => {
+                        findings.push(refused(&ids[camera], trigger, Some(place + 1), refusal));
+                    }
+                }
+            }
+        }
+    }
+    findings.extend(hidden(&positions, nominal, board));
+    let pairs: Vec<Option<Pair>> =
+        nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).ok()).collect();
+    for (trigger, camera, image, phase) in fringes {
+        let of = Owner { id: &ids[camera], camera, trigger, pair: pairs[camera].as_ref() };
+        findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
+    }
+    let views = positions.iter_mut().flat_map(|p| &mut p.views).flatten();
+    views.for_each(|view| view.white = None);
+    findings.sort_by_key(|f| (f.trigger.is_none(), f.trigger));
+    (positions, findings)
+}
+
+fn refused(camera: &CameraId, trigger: TriggerIndex, position: Option<usize>, refusal: Refusal) -> Finding {
+    Finding {
+        camera: camera.clone(),
+        trigger: Some(trigger),
+        position,
+        kind: refusal.kind,
+        left_out: true,
+        message: refusal.message,
+    }
+}
+
+/// One line for every camera that lacks frames.
+fn missing(frames: &[(TriggerIndex, usize, Looked)], ids: &[CameraId]) -> Vec<Finding> {
+    let mut causes: BTreeMap<usize, BTreeMap<&str, usize>> = BTreeMap::new();
+    for (_, camera, looked) in frames {
+        if let Looked::Missing(cause) = looked {
+            *causes.entry(*camera).or_default().entry(cause).or_default() += 1;
+        }
+    }
+    let line = |(camera, causes): (usize, BTreeMap<&str, usize>)| {
+        let count: usize = causes.values().sum();
+        let all = frames.iter().filter(|(_, c, _)| *c == camera).count();
+        let causes: Vec<String> = causes.iter().map(|(cause, n)| format!("{n} x {cause}")).collect();
+        Finding {
+            camera: ids[camera].clone(),
+            trigger: None,
+            position: None,
+            kind: Kind::NoFrames,
+            left_out: true,
+            message: format!("no frame at {count} of {all} triggers ({})", causes.join(", ")),
+        }
+    };
+    causes.into_iter().map(line).collect()
+}
+
+/// How many circles are where they should be in a frame with fringes.
+struct Confirmed {
+    circles: Vec<bool>,
+    dark: usize,
+    lit: usize,
+}
+
+impl Confirmed {
+    fn is_same_place(&self) -> bool {
+        self.lit >= LEAST_TO_JUDGE && self.dark as f64 >= SAME_PLACE * self.lit as f64
+    }
+
+    fn has_holes(&self) -> bool {
+        (self.dark as f64) < SEEN * self.lit as f64
+    }
+}
+
+/// Looks for the circles of a view in a frame with fringes. A circle is there when it is dark all over while its
+/// surroundings are lit: elsewhere, some of so many samples would lie on bright fringes.
+fn confirm(view: &View, image: &Plane<u8>, board: &Board) -> Confirmed {
+    let mut confirmed = Confirmed { circles: vec![false; board.circles().len()], dark: 0, lit: 0 };
+    for sighting in &view.sightings {
+        let Some(around) = lightest(sighting, image, 1.5) else { continue };
+        if around < 2.0 * f64::from(DARK) {
+            continue;
+        }
+        confirmed.lit += 1;
+        if lightest(sighting, image, 0.6).is_some_and(|inside| inside < 0.5 * around) {
+            confirmed.dark += 1;
+            confirmed.circles[sighting.circle] = true;
+        }
+    }
+    confirmed
+}
+
+/// The lightest level on the outline of a circle that is `scale` times as large; `None` where that leaves the image.
+fn lightest(sighting: &Sighting, image: &Plane<u8>, scale: f64) -> Option<f64> {
+    const SAMPLES: usize = 48;
+    let ellipse = &sighting.spot.ellipse;
+    let mut most: f64 = 0.0;
+    for i in 0..SAMPLES {
+        let [u, v] = ellipse.at(i as f64 * TAU / SAMPLES as f64);
+        let u = (ellipse.centre[0] + scale * (u - ellipse.centre[0])).round();
+        let v = (ellipse.centre[1] + scale * (v - ellipse.centre[1])).round();
+        if !(u >= 0.0 && v >= 0.0 && (u as usize) < image.width() && (v as usize) < image.height()) {
+            return None;
+        }
+        most = most.max(f64::from(image.at(u as usize, v as usize)));
+    }
+    Some(most)
+}
+
+/// Whose frame it is: a camera, also by its place in the calibration, at a trigger.
+struct Owner<'a> {
+    id: &'a CameraId,
+    camera: usize,
+    trigger: TriggerIndex,
+    pair: Option<&'a Pair>,
+}
+
+/// Gives a frame with fringes to the white frame that shows the board at the same place.
+fn pair_up(
+    positions: &mut [Position],
+    board: &Board,
+    pattern: &Pattern,
+    Owner { id, camera, trigger, pair }: Owner<'_>,
+    image: &Plane<u8>,
+    phase: Result<Plane<f32>, Refusal>,
+) -> Option<Finding> {
+    let after = positions.partition_point(|p| p.white < trigger);
+    let finding = |place: Option<usize>, kind, left_out, message: String| Finding {
+        camera: id.clone(),
+        trigger: Some(trigger),
+        position: place.map(|p| p + 1),
+        kind,
+        left_out,
+        message,
+    };
+    let judge = |place: Option<usize>| {
+        let place = place.filter(|p| *p < positions.len())?;
+        let view = positions[place].views[camera].as_ref()?;
+        Some((place, confirm(view, image, board)))
+    };
+    let (first, second) = (judge(after.checked_sub(1)), judge(Some(after)));
+    // Whatever cannot be paired belongs to the white frame before it, where there is one.
+    let seen = if after > 0 { first.as_ref() } else { second.as_ref() };
+    let seen = seen.map(|(place, c)| (*place, c.dark, c.lit));
+    let found = [first, second].into_iter().flatten().find(|(_, confirmed)| confirmed.is_same_place());
+    let Some((place, confirmed)) = found else {
+        return Some(match seen {
+            Some((place, dark, lit)) => finding(
+                Some(place),
+                Kind::Moved,
+                true,
+                format!(
+                    "only {dark} of {lit} circles of the white frame are at the same place in the fringes: the board moved between the two, or something stands before it. Hold it still, white first, then fringes"
+                ),
+            ),
+            None => finding(
+                after.checked_sub(1),
+                Kind::Unpaired,
+                true,
+                "fringes without a usable white frame of the same position".to_owned(),
+            ),
+        });
+    };
+    let view = positions[place].views[camera].as_ref();
+    // The pipeline may have taken circles for the marker's dashes.
+    let phase = phase.and_then(|phase| match (view, pair) {
+        (Some(view), Some(pair)) if !marker_is_there(view, image, &phase, pair) => Err(Refusal::no_marker()),
+        _ => Ok(phase),
+    });
+    let phase = match phase {
+        Ok(phase) => phase,
+        Err(refusal) if refusal.kind == Kind::NoMarker && confirmed.has_holes() => {
+            let message = format!(
+                "only {} of {} circles of the white frame are seen in the fringes, and the marker is not: is something in front of the board?",
+                confirmed.dark, confirmed.lit
+            );
+            return Some(finding(Some(place), Kind::Hidden, true, message));
+        }
+        Err(refusal) => return Some(refused(id, trigger, Some(place + 1), refusal)),
+    };
+    let position = &mut positions[place];
+    let swapped = position.white > trigger;
+    let Some(view) = position.views[camera].as_mut().filter(|view| view.phase.is_none()) else {
+        // A second frame with fringes of the same position adds little.
+        return None;
+    };
+    let (dark, lit, has_holes) = (confirmed.dark, confirmed.lit, confirmed.has_holes());
+    if let Some(white) = view.white.take() {
+        view.light = light_samples(view, &white, image, &phase, &confirmed.circles, board, pattern);
+    }
+    view.phase = Some(phase);
+    view.confirmed = confirmed.circles;
+    position.fringes = Some(trigger);
+    if swapped {
+        return Some(finding(
+            Some(place),
+            Kind::OrderSwapped,
+            false,
+            "the fringes came before the white frame of their position, expected white first; paired by the circles".to_owned(),
+        ));
+    }
+    has_holes.then(|| {
+        let message = format!(
+            "only {dark} of {lit} circles of the white frame are seen in the fringes: is something in front of the board?"
+        );
+        finding(Some(place), Kind::Hidden, false, message)
+    })
+}
+
+/// Views that lack circles which lie in the image and in the light.
+fn hidden(positions: &[Position], nominal: &Calibration, board: &Board) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for (place, position) in positions.iter().enumerate() {
+        for ((head, camera), view) in nominal.cameras().zip(&position.views) {
+            let Some(view) = view else { continue };
+            let expected = expected_circles(view, &camera.device, &head.projector, board);
+            let found =
+                view.sightings.iter().filter(|s| expected.get(s.circle).is_some_and(|is| *is)).count();
+            let all = expected.iter().filter(|is| **is).count();
+            if (found as f64) < SEEN * all as f64 {
+                findings.push(Finding {
+                    camera: camera.id.clone(),
+                    trigger: Some(position.white),
+                    position: Some(place + 1),
+                    kind: Kind::Hidden,
+                    left_out: false,
+                    message: format!(
+                        "{} of {all} circles that lie in image and light are not seen: is something in front of the board?",
+                        all - found
+                    ),
+                });
+            }
+        }
+    }
+    findings
+}
+
+/// By circle of the board, whether it lies well inside the image and the light of the projector.
+fn expected_circles(view: &View, camera: &Device, projector: &Device, board: &Board) -> Vec<bool> {
+    let Some(pose) = board_pose(board, &view.sightings, &camera.lens) else {
+        return vec![false; board.circles().len()];
+    };
+    let inside = |[u, v]: [f64; 2], device: &Device| {
+        let (w, h) = (device.width as f64, device.height as f64);
+        (EDGE * w..(1.0 - EDGE) * w).contains(&u) && (EDGE * h..(1.0 - EDGE) * h).contains(&v)
+    };
+    let expected = |centre: Point3<f64>| {
+        let p = pose * centre;
+        let pixel = (p.z > 0.0).then(|| camera.lens.distort(p.x / p.z, p.y / p.z)).flatten();
+        let panel = projector.project(&(camera.world_from_device.isometry() * p));
+        pixel.is_some_and(|p| inside(p, camera)) && panel.is_some_and(|p| inside(p, projector))
+    };
+    board.circles().iter().map(|circle| expected(Point3::from(circle.centre_m))).collect()
+}

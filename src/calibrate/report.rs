@@ -1,0 +1,309 @@
+//! `calibrate --report`: one HTML page without anything outside of it. Plots are SVG written by hand: points and lines
+//! are all they need.
+
+use super::advice::{CELLS, advice, coverage};
+use super::bundle::Observation;
+use super::run::Outcome;
+use crate::geometry::Device;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Residual vectors are drawn so many times longer than they are.
+const MAGNIFIED: f64 = 400.0;
+/// At most so many phases are drawn per projector.
+const MOST_PHASES: usize = 4000;
+/// Colours of positions, repeated.
+const COLOURS: [&str; 10] = [
+    "#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22",
+    "#17becf",
+];
+const STYLE: &str = "body{font:14px sans-serif;max-width:1100px;margin:2em auto;color:#222}table{border-collapse:collapse}\
+    td,th{border:1px solid #bbb;padding:2px 8px;text-align:right}th{background:#eee}td:first-child{text-align:left}\
+    svg{background:#fff;border:1px solid #bbb;margin:4px;max-width:100%}.bad{background:#fbb}figure{display:inline-block;margin:0}";
+
+/// Writes `index.html` to a directory; gives its path.
+pub fn write(outcome: &Outcome, directory: &Path) -> std::io::Result<PathBuf> {
+    std::fs::create_dir_all(directory)?;
+    let path = directory.join("index.html");
+    std::fs::write(&path, page(outcome))?;
+    Ok(path)
+}
+
+/// The whole page.
+pub fn page(outcome: &Outcome) -> String {
+    let calibration = &outcome.calibration;
+    let mut out = format!(
+        "<!DOCTYPE html><html lang=\"en\"><meta charset=\"utf-8\"><title>Calibration of {rig}</title><style>{STYLE}</style>\
+         <h1>Calibration of {rig}</h1><p>{}; {} positions of the board.</p>",
+        escape(&calibration.origin),
+        outcome.positions.len(),
+        rig = escape(&calibration.rig)
+    );
+    list(&mut out, "What to do better", "Nothing: all is as it should be.", advice(outcome).into_iter());
+    list(
+        &mut out,
+        "What was left out, or looked wrong",
+        "Nothing.",
+        outcome.findings.iter().map(ToString::to_string),
+    );
+    summary(&mut out, outcome);
+    let mut device = 0;
+    for head in &calibration.heads {
+        let _ = write!(out, "<h2>Head {}</h2>", escape(head.id.as_str()));
+        for camera in &head.cameras {
+            camera_plot(&mut out, outcome, device, camera.id.as_str(), &camera.device);
+            device += 1;
+        }
+        projector_plot(&mut out, outcome, device, &head.projector);
+        positions_table(&mut out, outcome, device, head);
+        device += 1;
+    }
+    volume_plot(&mut out, outcome);
+    uncertainties(&mut out, outcome);
+    out.push_str("</html>\n");
+    out
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+fn list(out: &mut String, title: &str, none: &str, items: impl Iterator<Item = String>) {
+    let items: String = items.map(|item| format!("<li>{}</li>", escape(&item))).collect();
+    let body = if items.is_empty() { format!("<p>{none}</p>") } else { format!("<ul>{items}</ul>") };
+    let _ = write!(out, "<h2>{title}</h2>{body}");
+}
+
+fn summary(out: &mut String, outcome: &Outcome) {
+    let Some(quality) = &outcome.calibration.quality else { return };
+    out.push_str("<h2>How well it fits</h2><table><tr><th>camera</th><th>positions</th><th>circles</th><th>rms px</th></tr>");
+    for c in &quality.cameras {
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{:.4}</td></tr>",
+            escape(c.camera.as_str()),
+            c.positions,
+            c.circles,
+            c.circles_rms_px
+        );
+    }
+    out.push_str("</table><p></p><table><tr><th>projector of</th><th>rms panel px</th><th>gamma</th><th>2nd, 3rd harmonic</th></tr>");
+    for (head, rms) in &quality.projector_rms_px {
+        let response = quality.responses.iter().find(|(id, _)| id == head).map(|(_, r)| r);
+        let gamma = response.map_or("?".to_owned(), |r| format!("{:.3} &plusmn; {:.3}", r.gamma, r.sigma));
+        let harmonics = response.map_or("?".to_owned(), |r| {
+            format!("{:.2} %, {:.2} %", 100.0 * r.second_harmonic, 100.0 * r.third_harmonic)
+        });
+        let head = escape(head.as_str());
+        let _ = write!(out, "<tr><td>{head}</td><td>{rms:.4}</td><td>{gamma}</td><td>{harmonics}</td></tr>");
+    }
+    out.push_str("</table>");
+    if !quality.links.is_empty() {
+        out.push_str("<p></p><table><tr><th>heads</th><th>common positions</th><th>rms mm</th></tr>");
+        for link in &quality.links {
+            let [a, b] = link.heads;
+            let _ = write!(
+                out,
+                "<tr><td>{a} and {b}</td><td>{}</td><td>{:.3}</td></tr>",
+                link.positions, link.rms_mm
+            );
+        }
+        out.push_str("</table>");
+    }
+    let around = quality
+        .loop_error_mm
+        .map_or("no closed loop of heads".to_owned(), |mm| format!("around all heads: {mm:.3} mm"));
+    let _ = write!(out, "<p>Loop error: {around}.</p>");
+}
+
+/// Residuals of a device that are counted, with their observations.
+fn residuals(outcome: &Outcome, device: usize) -> impl Iterator<Item = (&Observation, [f64; 2], bool)> {
+    let all = &outcome.together.all;
+    let three = outcome.together.observations.iter().zip(&all.residuals).zip(&all.outliers);
+    three.filter(move |((o, _), _)| o.device == device).map(|((o, r), out)| (o, *r, *out))
+}
+
+/// The image with all circles and their residuals, over how often each part was covered.
+fn camera_plot(out: &mut String, outcome: &Outcome, device: usize, name: &str, camera: &Device) {
+    let (w, h) = (camera.width as f64, camera.height as f64);
+    let _ = write!(
+        out,
+        "<figure><figcaption>{}: circles of all positions (a colour each), residuals {MAGNIFIED:.0} times as long; grey: covered</figcaption>\
+         <svg width=\"520\" viewBox=\"0 0 {w} {h}\">",
+        escape(name)
+    );
+    let cells = coverage(outcome, device, (camera.width, camera.height));
+    let (cw, ch) = (w / CELLS[0] as f64, h / CELLS[1] as f64);
+    for (i, n) in cells.iter().enumerate().filter(|(_, n)| **n > 0) {
+        let shade = 250 - (n * 2).min(50);
+        let (x, y) = ((i % CELLS[0]) as f64 * cw, (i / CELLS[0]) as f64 * ch);
+        let _ = write!(
+            out,
+            "<rect x=\"{x:.0}\" y=\"{y:.0}\" width=\"{cw:.0}\" height=\"{ch:.0}\" fill=\"rgb({shade},{shade},{shade})\"/>"
+        );
+    }
+    let radius = w / 640.0;
+    for (o, [ru, rv], outlier) in residuals(outcome, device) {
+        let [u, v] = o.measured;
+        let colour = if outlier { "#000" } else { COLOURS[o.board % COLOURS.len()] };
+        let _ = write!(out, "<circle cx=\"{u:.0}\" cy=\"{v:.0}\" r=\"{radius:.1}\" fill=\"{colour}\"/>");
+        if ru.is_finite() && rv.is_finite() {
+            let (x, y) = (u + MAGNIFIED * ru, v + MAGNIFIED * rv);
+            let _ = write!(
+                out,
+                "<path d=\"M{u:.0} {v:.0}L{x:.0} {y:.0}\" stroke=\"{colour}\" stroke-width=\"{radius:.1}\"/>"
+            );
+        }
+    }
+    out.push_str("</svg></figure>");
+}
+
+/// Phase residuals over the panel's columns.
+fn projector_plot(out: &mut String, outcome: &Outcome, device: usize, projector: &Device) {
+    const HEIGHT: f64 = 200.0;
+    let all: Vec<_> = residuals(outcome, device).collect();
+    let mut sizes: Vec<f64> = all.iter().map(|(_, [r, _], _)| r.abs()).filter(|r| r.is_finite()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let reach = sizes.get(sizes.len() * 98 / 100).copied().unwrap_or(0.1).max(0.01) * 1.5;
+    let width = projector.width as f64;
+    let _ = write!(
+        out,
+        "<figure><figcaption>projector: phase residual over the panel's columns, edges at &plusmn; {reach:.3} panel px</figcaption>\
+         <svg width=\"1060\" height=\"{HEIGHT}\" viewBox=\"0 0 {width} {HEIGHT}\" preserveAspectRatio=\"none\">\
+         <path d=\"M0 {0}L{width} {0}\" stroke=\"#999\"/>",
+        HEIGHT / 2.0
+    );
+    let every = all.len().div_ceil(MOST_PHASES).max(1);
+    for (o, [r, _], _) in all.iter().step_by(every).filter(|(_, [r, _], _)| r.abs() <= reach) {
+        let y = HEIGHT / 2.0 * (1.0 - r / reach);
+        let colour = COLOURS[o.board % COLOURS.len()];
+        let _ =
+            write!(out, "<circle cx=\"{:.0}\" cy=\"{y:.1}\" r=\"1.2\" fill=\"{colour}\"/>", o.measured[0]);
+    }
+    out.push_str("</svg></figure>");
+}
+
+/// RMS by position and device; far worse than the device's others is marked.
+fn positions_table(out: &mut String, outcome: &Outcome, projector: usize, head: &super::CalibratedHead) {
+    let first = projector - head.cameras.len();
+    let boards = outcome.together.all.model.boards.len();
+    let rms = |device: usize, board: Option<usize>| {
+        let mine =
+            residuals(outcome, device).filter(|(o, _, out)| !out && board.is_none_or(|b| o.board == b));
+        let (sum, n) = mine.fold((0.0, 0.0), |(sum, n), (o, [u, v], _)| {
+            if o.columns_only { (sum + u * u, n + 1.0) } else { (sum + u * u + v * v, n + 2.0) }
+        });
+        (n > 0.0).then(|| f64::sqrt(sum / n))
+    };
+    out.push_str("<table><tr><th>board</th>");
+    head.cameras.iter().for_each(|c| {
+        let _ = write!(out, "<th>{} px</th>", escape(c.id.as_str()));
+    });
+    out.push_str("<th>projector panel px</th></tr>");
+    let usual: Vec<Option<f64>> = (first..=projector).map(|device| rms(device, None)).collect();
+    for board in 0..boards {
+        let row: Vec<Option<f64>> = (first..=projector).map(|device| rms(device, Some(board))).collect();
+        if row.iter().all(Option::is_none) {
+            continue;
+        }
+        let _ = write!(
+            out,
+            "<tr><td><span style=\"color:{}\">&#9632;</span> {}</td>",
+            COLOURS[board % COLOURS.len()],
+            board + 1
+        );
+        for (value, usual) in row.iter().zip(&usual) {
+            let class = match (value, usual) {
+                (Some(value), Some(usual)) if *value > 2.0 * usual => " class=\"bad\"",
+                _ => "",
+            };
+            let text = value.map_or("-".to_owned(), |value| format!("{value:.4}"));
+            let _ = write!(out, "<td{class}>{text}</td>");
+        }
+        out.push_str("</tr>");
+    }
+    out.push_str("</table>");
+}
+
+/// The board's positions and the cameras, from above and from the side.
+fn volume_plot(out: &mut String, outcome: &Outcome) {
+    let calibration = &outcome.calibration;
+    let Some(quality) = &calibration.quality else { return };
+    let corners = outcome.board_size_m.map(|s| s / 2.0);
+    let [x, y] = corners;
+    let outline = [[-x, -y], [x, -y], [x, y], [-x, y]].map(|[x, y]| nalgebra::Point3::new(x, y, 0.0));
+    let _ = write!(
+        out,
+        "<h2>Coverage of the volume</h2><p>Board {}; dashed: the rig's volume; filled: valid for at least one head.</p>",
+        escape(&quality.board)
+    );
+    for (title, axes) in
+        [("from above: x to the right, y up", [0, 1]), ("from the side: x to the right, z up", [0, 2])]
+    {
+        let _ = write!(
+            out,
+            "<figure><figcaption>{title}</figcaption><svg width=\"520\" viewBox=\"-3 -3 6 6\"><g transform=\"scale(1 -1) translate(0 {})\" fill=\"none\" stroke-width=\"0.01\">",
+            if axes[1] == 2 { -1.0 } else { 0.0 }
+        );
+        let mut box_of = |min: [f64; 3], max: [f64; 3], style: &str| {
+            let [a, b] = axes;
+            let _ = write!(
+                out,
+                "<rect x=\"{:.3}\" y=\"{:.3}\" width=\"{:.3}\" height=\"{:.3}\" {style}/>",
+                min[a],
+                min[b],
+                max[a] - min[a],
+                max[b] - min[b]
+            );
+        };
+        if let Some(valid) = &calibration.valid {
+            box_of(valid.any.min_m, valid.any.max_m, "fill=\"#eef\"");
+        }
+        box_of(
+            calibration.volume_min_m,
+            calibration.volume_max_m,
+            "stroke=\"#888\" stroke-dasharray=\"0.05\"",
+        );
+        for (i, board) in outcome.together.all.model.boards.iter().enumerate() {
+            let points: String = outline
+                .iter()
+                .map(|corner| board * corner)
+                .map(|p| format!("{:.3},{:.3} ", p[axes[0]], p[axes[1]]))
+                .collect();
+            let _ = write!(out, "<polygon points=\"{points}\" stroke=\"{}\"/>", COLOURS[i % COLOURS.len()]);
+        }
+        for (_, camera) in calibration.cameras() {
+            let p = camera.device.centre();
+            let _ = write!(
+                out,
+                "<circle cx=\"{:.3}\" cy=\"{:.3}\" r=\"0.03\" fill=\"#000\"/>",
+                p[axes[0]], p[axes[1]]
+            );
+        }
+        out.push_str("</g></svg></figure>");
+    }
+}
+
+fn uncertainties(out: &mut String, outcome: &Outcome) {
+    let Some(quality) = &outcome.calibration.quality else { return };
+    let names = super::bundle::DEVICE_PARAMETER_NAMES;
+    out.push_str("<h2>Standard deviations</h2><p>Lens: px; turns: mrad; shifts: mm; 0: held. The first camera's pose defines the world.</p><table><tr><th>device</th>");
+    names.iter().for_each(|name| {
+        let _ = write!(out, "<th>{name}</th>");
+    });
+    out.push_str("</tr>");
+    for device in &quality.uncertainties {
+        let _ = write!(out, "<tr><td>{}</td>", escape(&device.device));
+        for (i, name) in names.iter().enumerate() {
+            let sigma = device.sigma.get(*name).copied().unwrap_or(0.0);
+            let text = match i {
+                4..=8 => format!("{sigma:.1e}"),
+                9.. => format!("{:.3}", sigma * 1e3),
+                _ => format!("{sigma:.3}"),
+            };
+            let _ = write!(out, "<td>{text}</td>");
+        }
+        out.push_str("</tr>");
+    }
+    out.push_str("</table>");
+}
