@@ -10,6 +10,7 @@ pub mod polygonize;
 pub mod skeleton;
 pub mod solids;
 pub mod subject;
+pub mod torso;
 
 pub use bvh::{Bvh, FastRay, TriangleHit};
 pub use mesh::Mesh;

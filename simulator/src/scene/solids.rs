@@ -99,15 +99,17 @@ pub struct Rectangle {
     pub world_from_board: Isometry3<f64>,
     /// Half of its size along its x and y, m.
     pub half_m: [f64; 2],
+    /// Albedo of the other side, relative to that of the face.
+    pub back: f64,
     /// Black circles, with the albedo of black relative to white.
     pub circles: Option<(Board, f64)>,
 }
 
 impl Rectangle {
     /// The rig's board.
-    pub fn board(board: &Board, black: f64, world_from_board: Isometry3<f64>) -> Self {
+    pub fn board(board: &Board, black: f64, back: f64, world_from_board: Isometry3<f64>) -> Self {
         let half_m = [board.width_m / 2.0, board.height_m / 2.0];
-        Self { world_from_board, half_m, circles: Some((board.clone(), black)) }
+        Self { world_from_board, half_m, back, circles: Some((board.clone(), black)) }
     }
 
     /// The point beyond `from`.
@@ -119,7 +121,7 @@ impl Rectangle {
         let inside = at.x.abs() <= self.half_m[0] && at.y.abs() <= self.half_m[1];
         (inside && distance > from && distance < to).then(|| {
             let face = if d.z < 0.0 { Vector3::z() } else { -Vector3::z() };
-            let albedo = if d.z < 0.0 { self.albedo(at.x, at.y) } else { 0.05 };
+            let albedo = if d.z < 0.0 { self.albedo(at.x, at.y) } else { self.back };
             Hit { distance, normal: self.world_from_board * face, albedo }
         })
     }
@@ -177,7 +179,7 @@ impl Cylinder {
 }
 
 /// Rings of points closed around, from the lowest ring up; triangles that have no area are left out.
-fn grid_mesh(rings: usize, steps: usize, point: impl Fn(usize, usize) -> Vector3<f64>) -> Mesh {
+pub(super) fn grid_mesh(rings: usize, steps: usize, point: impl Fn(usize, usize) -> Vector3<f64>) -> Mesh {
     let points = (0..=rings).flat_map(|ring| (0..steps).map(move |step| (ring, step)));
     let number = |ring: usize, step: usize| (ring * steps + step % steps) as u32;
     let mut triangles = Vec::with_capacity(2 * rings * steps);
@@ -224,7 +226,7 @@ mod tests {
         assert!((hit.distance - 1.8).abs() < 1e-12);
         let hit = tube.intersect(&sight([0.1, 0.0, 3.0], [0.1, 0.0, 0.0]), 0.0, 9.0).expect("the top");
         assert!((hit.distance - 2.0).abs() < 1e-12 && (hit.normal - Vector3::z()).norm() < 1e-12);
-        let plate = Rectangle { world_from_board: Isometry3::identity(), half_m: [0.5, 0.5], circles: None };
+        let plate = Rectangle { world_from_board: Isometry3::identity(), half_m: [0.5, 0.5], back: 0.05, circles: None };
         assert!(plate.intersect(&sight([0.4, 0.4, 1.0], [0.4, 0.4, 0.0]), 0.0, 9.0).is_some());
         assert!(plate.intersect(&sight([0.6, 0.4, 1.0], [0.6, 0.4, 0.0]), 0.0, 9.0).is_none());
     }
