@@ -7,6 +7,8 @@
 pub mod cache;
 /// One file per command of the command line.
 pub mod cmds;
+/// A calibration against the true rig.
+pub mod compare;
 /// Injected faults, and how recordings account for them.
 pub mod faults;
 pub mod gige;

@@ -391,7 +391,10 @@ fn read_torso(section: &Section<'_>) -> Subject {
     let grow = sections.windows(2).all(|pair| pair[0].height_m < pair[1].height_m);
     if sections.len() < 2 || !grow {
         let found: Vec<f64> = sections.iter().map(|s| s.height_m).collect();
-        section.problem("section", format!("expected two or more, each higher than the one before, found {found:?} m"));
+        section.problem(
+            "section",
+            format!("expected two or more, each higher than the one before, found {found:?} m"),
+        );
     }
     Subject::Torso(Torso {
         sections,
@@ -482,7 +485,8 @@ mod tests {
 
     #[test]
     fn a_board_faces_its_azimuth() {
-        let pose = FlatPose { centre_m: [0.6, 0.0, 1.0], azimuth_deg: 0.0, tilt_deg: 0.0, roll_deg: 0.0, rpm: None };
+        let pose =
+            FlatPose { centre_m: [0.6, 0.0, 1.0], azimuth_deg: 0.0, tilt_deg: 0.0, roll_deg: 0.0, rpm: None };
         let world = pose.world_from_board();
         assert!((world * Vector3::x() - Vector3::y()).norm() < 1e-12);
         assert!((world * Vector3::y() - Vector3::z()).norm() < 1e-12);

@@ -2,6 +2,7 @@
 
 mod analytic_scene;
 mod architecture;
+mod board_to_plane;
 #[cfg(feature = "aravis")]
 mod breaks;
 #[cfg(feature = "aravis")]

@@ -126,6 +126,20 @@ impl Rectangle {
         })
     }
 
+    /// Balls that together hold it: world centre and radius, m.
+    pub fn balls(&self) -> Vec<(Point3<f64>, f64)> {
+        const SIDE_M: f64 = 0.06;
+        let counts = self.half_m.map(|half| (2.0 * half / SIDE_M).ceil().max(1.0) as usize);
+        let steps = [0, 1].map(|axis| 2.0 * self.half_m[axis] / counts[axis] as f64);
+        let radius = 0.5 * steps[0].hypot(steps[1]);
+        let place = |axis: usize, i: usize| (i as f64 + 0.5) * steps[axis] - self.half_m[axis];
+        let at = |i: usize, k: usize| self.world_from_board * Point3::new(place(0, i), place(1, k), 0.0);
+        (0..counts[0])
+            .flat_map(|i| (0..counts[1]).map(move |k| (i, k)))
+            .map(|(i, k)| (at(i, k), radius))
+            .collect()
+    }
+
     /// Relative albedo of the face at board coordinates, m.
     fn albedo(&self, x: f64, y: f64) -> f64 {
         let Some((board, black)) = &self.circles else { return 1.0 };
@@ -226,9 +240,19 @@ mod tests {
         assert!((hit.distance - 1.8).abs() < 1e-12);
         let hit = tube.intersect(&sight([0.1, 0.0, 3.0], [0.1, 0.0, 0.0]), 0.0, 9.0).expect("the top");
         assert!((hit.distance - 2.0).abs() < 1e-12 && (hit.normal - Vector3::z()).norm() < 1e-12);
-        let plate = Rectangle { world_from_board: Isometry3::identity(), half_m: [0.5, 0.5], back: 0.05, circles: None };
+        let plate = Rectangle {
+            world_from_board: Isometry3::identity(),
+            half_m: [0.5, 0.5],
+            back: 0.05,
+            circles: None,
+        };
         assert!(plate.intersect(&sight([0.4, 0.4, 1.0], [0.4, 0.4, 0.0]), 0.0, 9.0).is_some());
         assert!(plate.intersect(&sight([0.6, 0.4, 1.0], [0.6, 0.4, 0.0]), 0.0, 9.0).is_none());
+        for corner in [[-0.5, -0.5], [0.5, -0.5], [0.013, 0.5], [0.27, -0.33]] {
+            let point = Point3::new(corner[0], corner[1], 0.0);
+            let held = plate.balls().iter().any(|(centre, radius)| (point - centre).norm() <= radius + 1e-12);
+            assert!(held, "{corner:?}");
+        }
     }
 
     #[test]

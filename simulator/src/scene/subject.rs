@@ -88,7 +88,9 @@ impl Stage {
         match &self.subject {
             Subject::Mannequin { .. } => false,
             Subject::Flat { .. } => self.flat_place(instant).is_none_or(|(_, rpm)| rpm == 0.0),
-            Subject::Sphere { .. } | Subject::Cylinder { .. } | Subject::Torso(_) | Subject::Mesh { .. } => true,
+            Subject::Sphere { .. } | Subject::Cylinder { .. } | Subject::Torso(_) | Subject::Mesh { .. } => {
+                true
+            }
         }
     }
 

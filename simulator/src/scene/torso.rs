@@ -134,8 +134,8 @@ impl Section {
     fn point(&self, t: f64) -> [f64; 2] {
         let (sin, cos) = t.sin_cos();
         let n = self.exponent;
-        let round =
-            ((cos / self.half_depth_m).abs().powf(n) + (sin / self.half_width_m).abs().powf(n)).powf(-1.0 / n);
+        let round = ((cos / self.half_depth_m).abs().powf(n) + (sin / self.half_width_m).abs().powf(n))
+            .powf(-1.0 / n);
         let from_back = (t.rem_euclid(TAU) - PI) / FURROW_RAD;
         let radius = round * (1.0 - self.furrow * (-0.5 * from_back * from_back).exp());
         [radius * cos, radius * sin]
