@@ -86,7 +86,7 @@ $bin/fourdbody-sim compare-rig --found "$out/calibration.json" --truth "$out/boa
 step "recording: the board on the turntable, 8 azimuths at each of 0, 4, 9 and 14 rpm"
 record turntable 32
 step "recording: the dummy of known girths"
-record torso 4
+record torso 2
 
 figures=()
 first=0
