@@ -99,6 +99,7 @@ for speed in 0:0.17:0.21 4:0.22:0.27 9:0.25:0.23 14:0.23:0.23; do
     $bin/fourdbody validate plane --clouds "$clouds" --calibration "$out/calibration.json" --board "$board" \
         --json >"$out/plane-$rpm.json"
     $bin/fourdbody validate distance --clouds "$clouds" --board "$board" --calibration "$out/calibration.json" \
+        --session "$out/sessions/turntable" \
         --json >"$out/distance-$rpm.json"
     figures+=(--figure "plane_rms_mm_${rpm}rpm=$out/plane-$rpm.json:/rms_mm=$paper_plane")
     figures+=(--figure "distance_rms_mm_${rpm}rpm=$out/distance-$rpm.json:/rms_mm=$paper_distance")
