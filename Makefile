@@ -5,6 +5,7 @@
 #   make lint      formatting and lints, all fatal
 #   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
+#   make validate  the paper's section 5: calibrated, Table 3, girths, spacing, beside the paper's figures
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make third-party   others' programs that take minutes to build
 
@@ -12,7 +13,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint bench-ingest packages test-packages clean-out fuzz third-party
+.PHONY: all demo test lint bench-ingest validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -46,6 +47,10 @@ bench-ingest: packages
 	$(CARGO) build --release --workspace
 	$(CARGO) build --release --example ingest_buffered
 	scripts/bench-ingest.sh
+
+validate: packages
+	$(CARGO) build --release --workspace
+	scripts/validate.sh
 
 FUZZ_SECONDS ?= 180
 fuzz: packages

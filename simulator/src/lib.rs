@@ -8,6 +8,8 @@ pub mod cache;
 /// One file per command of the command line.
 pub mod cmds;
 pub mod disk;
+/// A calibration against the true rig.
+pub mod compare;
 /// Injected faults, and how recordings account for them.
 pub mod faults;
 pub mod gige;

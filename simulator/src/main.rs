@@ -25,6 +25,8 @@ enum Command {
     Summarize(cmds::summarize::Args),
     BenchIngest(cmds::bench_ingest::Args),
     CheckAccounting(cmds::check_accounting::Args),
+    CompareRig(cmds::compare_rig::Args),
+    Gather(cmds::gather::Args),
 }
 
 fn main() -> ExitCode {
@@ -50,5 +52,7 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::Summarize(args) => cmds::summarize::run(args),
         Command::BenchIngest(args) => cmds::bench_ingest::run(args),
         Command::CheckAccounting(args) => cmds::check_accounting::run(args),
+        Command::CompareRig(args) => cmds::compare_rig::run(args),
+        Command::Gather(args) => cmds::gather::run(args),
     }
 }

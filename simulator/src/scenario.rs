@@ -3,6 +3,7 @@
 //! Strict like the product's own files: unknown keys are refused, all problems are reported at once.
 
 use crate::scene::motion::Motion;
+use crate::scene::torso::{Section as BodySection, Torso};
 use fourdbody::config::{ConfigError, Problem, Section};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::Serialize;
@@ -88,11 +89,15 @@ pub enum Subject {
         poses: Vec<FlatPose>,
         /// Instants that each pose lasts.
         hold: usize,
-        /// Turns about the world's vertical axis from each pose on.
+        /// Turns about the world's vertical axis from each pose on, where the pose does not say otherwise.
         rpm: f64,
         /// Albedo of the circles relative to the rest.
         black: f64,
+        /// Albedo of the other side relative to the face's.
+        back: f64,
     },
+    /// A body without limbs, of known girths.
+    Torso(Torso),
     /// A ball.
     Sphere {
         /// m.
@@ -129,6 +134,8 @@ pub struct FlatPose {
     pub tilt_deg: f64,
     /// Turned about its own normal.
     pub roll_deg: f64,
+    /// Turns about the world's vertical axis from then on; absent: as the subject says.
+    pub rpm: Option<f64>,
 }
 
 impl FlatPose {
@@ -300,6 +307,7 @@ enum Kind {
     Plane,
     Sphere,
     Cylinder,
+    Torso,
     Mesh,
 }
 
@@ -310,6 +318,7 @@ fn read_subject(section: Section<'_>, directory: &Path) -> Subject {
         ("plane", Kind::Plane),
         ("sphere", Kind::Sphere),
         ("cylinder", Kind::Cylinder),
+        ("torso", Kind::Torso),
         ("mesh", Kind::Mesh),
     ];
     let subject = match section.choice("kind", &kinds) {
@@ -333,6 +342,7 @@ fn read_subject(section: Section<'_>, directory: &Path) -> Subject {
             radius_m: section.number("radius_m", 0.001..=5.0),
             height_m: section.number("height_m", 0.001..=5.0),
         },
+        Kind::Torso => read_torso(&section),
         Kind::Mesh => Subject::Mesh {
             path: directory.join(section.text("path")),
             hold: section.integer_or("hold", 1..=MOST, 1) as usize,
@@ -349,6 +359,7 @@ fn read_flat(section: &Section<'_>, plate_m: Option<[f64; 2]>) -> Subject {
             azimuth_deg: pose.number_or("azimuth_deg", -360.0..=360.0, 0.0),
             tilt_deg: pose.number_or("tilt_deg", -90.0..=90.0, 0.0),
             roll_deg: pose.number_or("roll_deg", -360.0..=360.0, 0.0),
+            rpm: pose.has("rpm").then(|| pose.number("rpm", -1000.0..=1000.0)),
         };
         pose.finish();
         flat
@@ -359,7 +370,37 @@ fn read_flat(section: &Section<'_>, plate_m: Option<[f64; 2]>) -> Subject {
         hold: section.integer_or("hold", 1..=MOST, 1) as usize,
         rpm: section.number_or("rpm", -1000.0..=1000.0, 0.0),
         black: if plate_m.is_some() { 1.0 } else { section.number_or("black", 0.0..=1.0, 0.047) },
+        back: section.number_or("back", 0.0..=1.0, 0.05),
     }
+}
+
+fn read_torso(section: &Section<'_>) -> Subject {
+    let sections = section.sections("section").into_iter().map(|part| {
+        let read = BodySection {
+            name: part.has("name").then(|| part.text("name")),
+            height_m: part.number("height_m", 0.1..=2.5),
+            half_depth_m: part.number("half_depth_m", 0.01..=1.0),
+            half_width_m: part.number("half_width_m", 0.01..=1.0),
+            exponent: part.number_or("exponent", 1.5..=6.0, 2.0),
+            furrow: part.number_or("furrow", 0.0..=0.3, 0.0),
+        };
+        part.finish();
+        read
+    });
+    let sections: Vec<BodySection> = sections.collect();
+    let grow = sections.windows(2).all(|pair| pair[0].height_m < pair[1].height_m);
+    if sections.len() < 2 || !grow {
+        let found: Vec<f64> = sections.iter().map(|s| s.height_m).collect();
+        section.problem(
+            "section",
+            format!("expected two or more, each higher than the one before, found {found:?} m"),
+        );
+    }
+    Subject::Torso(Torso {
+        sections,
+        position_m: section.vector_or("position_m", [0.0; 2]),
+        heading_deg: section.number_or("heading_deg", -360.0..=360.0, 0.0),
+    })
 }
 
 fn read_jitter(section: Section<'_>) -> Jitter {
@@ -421,7 +462,7 @@ mod tests {
 
     #[test]
     fn shipped_scenarios_are_valid() {
-        for name in ["demo.toml", "board.toml", "sphere.toml", "plane.toml"] {
+        for name in ["demo.toml", "board.toml", "sphere.toml", "plane.toml", "turntable.toml", "torso.toml"] {
             let scenario = Scenario::load(&shipped(name)).unwrap_or_else(|e| panic!("{e}"));
             assert!(scenario.rig.exists(), "{name}: {}", scenario.rig.display());
         }
@@ -444,7 +485,8 @@ mod tests {
 
     #[test]
     fn a_board_faces_its_azimuth() {
-        let pose = FlatPose { centre_m: [0.6, 0.0, 1.0], azimuth_deg: 0.0, tilt_deg: 0.0, roll_deg: 0.0 };
+        let pose =
+            FlatPose { centre_m: [0.6, 0.0, 1.0], azimuth_deg: 0.0, tilt_deg: 0.0, roll_deg: 0.0, rpm: None };
         let world = pose.world_from_board();
         assert!((world * Vector3::x() - Vector3::y()).norm() < 1e-12);
         assert!((world * Vector3::y() - Vector3::z()).norm() < 1e-12);

@@ -70,7 +70,7 @@ pub struct Run {
 }
 
 /// The sources of everything that decides a pixel: an edited renderer makes old caches stale.
-const SOURCES: [&str; 19] = [
+const SOURCES: [&str; 20] = [
     include_str!("optics/expose.rs"),
     include_str!("optics/lamp.rs"),
     include_str!("optics/render.rs"),
@@ -89,6 +89,7 @@ const SOURCES: [&str; 19] = [
     include_str!("scene/skeleton.rs"),
     include_str!("scene/solids.rs"),
     include_str!("scene/subject.rs"),
+    include_str!("scene/torso.rs"),
     include_str!("true_rig.rs"),
 ];
 
@@ -215,7 +216,12 @@ impl Run {
             })
             .collect();
         let subject = serde_json::json!({"subject": self.scenario.subject, "poses": poses});
-        write("truth/subject.json", format!("{subject:#}\n"))
+        write("truth/subject.json", format!("{subject:#}\n"))?;
+        let girths = self.stage.girths();
+        if girths.is_empty() {
+            return Ok(());
+        }
+        write("truth/girths.json", format!("{:#}\n", serde_json::json!(girths)))
     }
 
     fn render_frames(
@@ -276,7 +282,7 @@ impl Run {
     /// The moments of one exposure of a head's cameras; `now` is the instant itself.
     fn moments(&self, instant: usize, head: usize, now: Scene) -> Result<Vec<Scene>, RenderError> {
         let n = self.scenario.optics.exposure_samples;
-        if n == 1 || self.stage.is_still() {
+        if n == 1 || self.stage.is_still_at(instant) {
             return Ok(vec![now]);
         }
         let exposure_s = self.rig.heads[head].exposure_ns as f64 * 1e-9;

@@ -4,6 +4,7 @@ mod analytic_scene;
 mod architecture;
 mod bad_photographs;
 mod board_photographs;
+mod board_to_plane;
 #[cfg(feature = "aravis")]
 mod breaks;
 mod calibration_uncertainty;

@@ -3,8 +3,10 @@
 pub mod bench_ingest;
 pub mod cameras;
 pub mod check_accounting;
+pub mod compare_rig;
 pub mod convert_rig;
 pub mod export_png;
+pub mod gather;
 pub mod render;
 pub mod run;
 pub mod summarize;

@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-fn read(path: &Path) -> Result<Value, Failure> {
+pub(super) fn read(path: &Path) -> Result<Value, Failure> {
     let bytes =
         std::fs::read(path).map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))?;
     serde_json::from_slice(&bytes).map_err(|e| {

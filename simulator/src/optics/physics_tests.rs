@@ -42,7 +42,7 @@ fn plate(centre: [f64; 3], target: &Point3<f64>, half_m: f64) -> Rectangle {
     let rotation = Rotation3::face_towards(&(target - centre), &Vector3::z());
     let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
     let pose = Isometry3::from_parts(Translation3::from(centre.coords), rotation);
-    Rectangle { world_from_board: pose, half_m: [half_m; 2], circles: None }
+    Rectangle { world_from_board: pose, half_m: [half_m; 2], back: 0.05, circles: None }
 }
 
 #[test]

@@ -10,6 +10,7 @@ pub mod polygonize;
 pub mod skeleton;
 pub mod solids;
 pub mod subject;
+pub mod torso;
 
 pub use bvh::{Bvh, FastRay, TriangleHit};
 pub use mesh::Mesh;
@@ -112,12 +113,17 @@ impl Scene {
     pub fn balls(&self) -> Option<Vec<(Point3<f64>, f64)>> {
         let mut balls = Vec::new();
         for solid in &self.solids {
-            let Solid::Mesh(mesh) = solid else { return None };
-            balls.extend(
-                mesh.bvh
-                    .balls()
-                    .map(|(centre, radius)| (Point3::from(centre.map(f64::from)), f64::from(radius))),
-            );
+            match solid {
+                Solid::Mesh(mesh) => {
+                    let around = |(centre, radius): ([f32; 3], f32)| {
+                        (Point3::from(centre.map(f64::from)), f64::from(radius))
+                    };
+                    balls.extend(mesh.bvh.balls().map(around));
+                }
+                Solid::Rectangle(rectangle) => balls.extend(rectangle.balls()),
+                Solid::Sphere(sphere) => balls.push((sphere.centre, sphere.radius)),
+                Solid::Cylinder(_) => return None,
+            }
         }
         Some(balls)
     }

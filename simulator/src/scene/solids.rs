@@ -99,15 +99,17 @@ pub struct Rectangle {
     pub world_from_board: Isometry3<f64>,
     /// Half of its size along its x and y, m.
     pub half_m: [f64; 2],
+    /// Albedo of the other side, relative to that of the face.
+    pub back: f64,
     /// Black circles, with the albedo of black relative to white.
     pub circles: Option<(Board, f64)>,
 }
 
 impl Rectangle {
     /// The rig's board.
-    pub fn board(board: &Board, black: f64, world_from_board: Isometry3<f64>) -> Self {
+    pub fn board(board: &Board, black: f64, back: f64, world_from_board: Isometry3<f64>) -> Self {
         let half_m = [board.width_m / 2.0, board.height_m / 2.0];
-        Self { world_from_board, half_m, circles: Some((board.clone(), black)) }
+        Self { world_from_board, half_m, back, circles: Some((board.clone(), black)) }
     }
 
     /// The point beyond `from`.
@@ -119,9 +121,23 @@ impl Rectangle {
         let inside = at.x.abs() <= self.half_m[0] && at.y.abs() <= self.half_m[1];
         (inside && distance > from && distance < to).then(|| {
             let face = if d.z < 0.0 { Vector3::z() } else { -Vector3::z() };
-            let albedo = if d.z < 0.0 { self.albedo(at.x, at.y) } else { 0.05 };
+            let albedo = if d.z < 0.0 { self.albedo(at.x, at.y) } else { self.back };
             Hit { distance, normal: self.world_from_board * face, albedo }
         })
+    }
+
+    /// Balls that together hold it: world centre and radius, m.
+    pub fn balls(&self) -> Vec<(Point3<f64>, f64)> {
+        const SIDE_M: f64 = 0.06;
+        let counts = self.half_m.map(|half| (2.0 * half / SIDE_M).ceil().max(1.0) as usize);
+        let steps = [0, 1].map(|axis| 2.0 * self.half_m[axis] / counts[axis] as f64);
+        let radius = 0.5 * steps[0].hypot(steps[1]);
+        let place = |axis: usize, i: usize| (i as f64 + 0.5) * steps[axis] - self.half_m[axis];
+        let at = |i: usize, k: usize| self.world_from_board * Point3::new(place(0, i), place(1, k), 0.0);
+        (0..counts[0])
+            .flat_map(|i| (0..counts[1]).map(move |k| (i, k)))
+            .map(|(i, k)| (at(i, k), radius))
+            .collect()
     }
 
     /// Relative albedo of the face at board coordinates, m.
@@ -177,7 +193,7 @@ impl Cylinder {
 }
 
 /// Rings of points closed around, from the lowest ring up; triangles that have no area are left out.
-fn grid_mesh(rings: usize, steps: usize, point: impl Fn(usize, usize) -> Vector3<f64>) -> Mesh {
+pub(super) fn grid_mesh(rings: usize, steps: usize, point: impl Fn(usize, usize) -> Vector3<f64>) -> Mesh {
     let points = (0..=rings).flat_map(|ring| (0..steps).map(move |step| (ring, step)));
     let number = |ring: usize, step: usize| (ring * steps + step % steps) as u32;
     let mut triangles = Vec::with_capacity(2 * rings * steps);
@@ -224,9 +240,19 @@ mod tests {
         assert!((hit.distance - 1.8).abs() < 1e-12);
         let hit = tube.intersect(&sight([0.1, 0.0, 3.0], [0.1, 0.0, 0.0]), 0.0, 9.0).expect("the top");
         assert!((hit.distance - 2.0).abs() < 1e-12 && (hit.normal - Vector3::z()).norm() < 1e-12);
-        let plate = Rectangle { world_from_board: Isometry3::identity(), half_m: [0.5, 0.5], circles: None };
+        let plate = Rectangle {
+            world_from_board: Isometry3::identity(),
+            half_m: [0.5, 0.5],
+            back: 0.05,
+            circles: None,
+        };
         assert!(plate.intersect(&sight([0.4, 0.4, 1.0], [0.4, 0.4, 0.0]), 0.0, 9.0).is_some());
         assert!(plate.intersect(&sight([0.6, 0.4, 1.0], [0.6, 0.4, 0.0]), 0.0, 9.0).is_none());
+        for corner in [[-0.5, -0.5], [0.5, -0.5], [0.013, 0.5], [0.27, -0.33]] {
+            let point = Point3::new(corner[0], corner[1], 0.0);
+            let held = plate.balls().iter().any(|(centre, radius)| (point - centre).norm() <= radius + 1e-12);
+            assert!(held, "{corner:?}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The scenario's subject as a scene at any time.
 
 use super::mannequin::Mannequin;
+use super::torso::Girth;
 use super::{Cylinder, MeshSolid, Rectangle, Scene, Solid, Sphere, mesh_file};
 use crate::scenario::{FlatPose, Subject};
 use fourdbody::config::Board;
@@ -40,12 +41,13 @@ impl Stage {
                 let body = Mannequin::new(*motion, cycles, *position_m, heading_deg.to_radians());
                 Solid::Mesh(MeshSolid::new(body.mesh(cell_mm / 1000.0, *texture)))
             }
-            Subject::Flat { plate_m, black, .. } => {
+            Subject::Flat { plate_m, black, back, .. } => {
                 let world_from_board = self.flat_pose(instant, offset_s).unwrap_or_else(Isometry3::identity);
                 Solid::Rectangle(match plate_m {
-                    None => Rectangle::board(&self.board, *black, world_from_board),
+                    None => Rectangle::board(&self.board, *black, *back, world_from_board),
                     Some(size) => {
-                        Rectangle { world_from_board, half_m: size.map(|s| s / 2.0), circles: None }
+                        let half_m = size.map(|s| s / 2.0);
+                        Rectangle { world_from_board, half_m, back: *back, circles: None }
                     }
                 })
             }
@@ -57,6 +59,7 @@ impl Stage {
                 radius: *radius_m,
                 height: *height_m,
             }),
+            Subject::Torso(torso) => Solid::Mesh(MeshSolid::new(torso.mesh())),
             Subject::Mesh { hold, .. } => {
                 let file = &self.files[instant / hold % self.files.len()];
                 Solid::Mesh(MeshSolid::new(mesh_file::read(file)?))
@@ -66,19 +69,42 @@ impl Stage {
 
     /// The pose of a flat subject (board coordinates to world); `None` for other subjects.
     pub fn flat_pose(&self, instant: usize, offset_s: f64) -> Option<Isometry3<f64>> {
-        let Subject::Flat { poses, hold, rpm, .. } = &self.subject else { return None };
-        let pose: &FlatPose = poses.get(instant / hold % poses.len().max(1))?;
+        let Subject::Flat { hold, .. } = &self.subject else { return None };
+        let (pose, rpm) = self.flat_place(instant)?;
         let since_s = (instant % hold) as f64 / self.rate_hz + offset_s;
         let angle = rpm / 60.0 * TAU * since_s;
         Some(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle) * pose.world_from_board())
     }
 
+    /// Where a flat subject stands at an instant, and how fast it turns.
+    fn flat_place(&self, instant: usize) -> Option<(&FlatPose, f64)> {
+        let Subject::Flat { poses, hold, rpm, .. } = &self.subject else { return None };
+        let pose = poses.get(instant / hold % poses.len().max(1))?;
+        Some((pose, pose.rpm.unwrap_or(*rpm)))
+    }
+
+    /// Whether nothing moves during an exposure at this instant.
+    pub fn is_still_at(&self, instant: usize) -> bool {
+        match &self.subject {
+            Subject::Mannequin { .. } => false,
+            Subject::Flat { .. } => self.flat_place(instant).is_none_or(|(_, rpm)| rpm == 0.0),
+            Subject::Sphere { .. } | Subject::Cylinder { .. } | Subject::Torso(_) | Subject::Mesh { .. } => {
+                true
+            }
+        }
+    }
+
+    /// The girths that are known.
+    pub fn girths(&self) -> Vec<Girth> {
+        if let Subject::Torso(torso) = &self.subject { torso.girths() } else { Vec::new() }
+    }
+
     /// Whether the scene is the same at every instant and moment.
     pub fn is_still(&self) -> bool {
         match &self.subject {
-            Subject::Sphere { .. } | Subject::Cylinder { .. } => true,
+            Subject::Sphere { .. } | Subject::Cylinder { .. } | Subject::Torso(_) => true,
             Subject::Mesh { .. } => self.files.len() == 1,
-            Subject::Flat { poses, rpm, .. } => poses.len() == 1 && *rpm == 0.0,
+            Subject::Flat { poses, .. } => poses.len() == 1 && self.is_still_at(0),
             Subject::Mannequin { .. } => false,
         }
     }
