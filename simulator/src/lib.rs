@@ -7,9 +7,9 @@
 pub mod cache;
 /// One file per command of the command line.
 pub mod cmds;
-pub mod disk;
 /// A calibration against the true rig.
 pub mod compare;
+pub mod disk;
 /// Injected faults, and how recordings account for them.
 pub mod faults;
 pub mod gige;

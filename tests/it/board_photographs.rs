@@ -32,7 +32,7 @@ const POSES: [[f64; 4]; 8] = [
 ];
 
 pub fn flat(distance_m: f64, azimuth_deg: f64, tilt_deg: f64, roll_deg: f64) -> FlatPose {
-    FlatPose { centre_m: [distance_m, 0.0, 1.0], azimuth_deg, tilt_deg, roll_deg }
+    FlatPose { centre_m: [distance_m, 0.0, 1.0], azimuth_deg, tilt_deg, roll_deg, rpm: None }
 }
 
 fn file(name: &str) -> std::path::PathBuf {
@@ -73,10 +73,10 @@ impl Scene {
     }
 
     fn board_at(&self, pose: FlatPose) -> fourdbody_simulator::scene::Scene {
-        let Subject::Flat { black, .. } = self.scenario.subject else {
+        let Subject::Flat { black, back, .. } = self.scenario.subject else {
             panic!("the scenario shows the board")
         };
-        let subject = Subject::Flat { plate_m: None, poses: vec![pose], hold: 1, rpm: 0.0, black };
+        let subject = Subject::Flat { plate_m: None, poses: vec![pose], hold: 1, rpm: 0.0, black, back };
         Stage::new(&subject, &self.rig.board, 1.0).expect("no files").scene(0, 0.0).expect("flat")
     }
 
