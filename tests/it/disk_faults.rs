@@ -315,7 +315,7 @@ fn a_write_that_fails_once_costs_what_was_under_way_and_the_books_are_closed() {
 fn a_failed_fdatasync_costs_what_it_should_have_made_durable() {
     for seed in seeds() {
         let dir = tempfile::tempdir().expect("a temporary directory");
-        let plan = "[[disk.error]]\non = \"sync\"\nnth = [2, 6]\n";
+        let plan = "[[disk.error]]\non = \"sync\"\nnth = [4, 14]\n";
         let Some((recorded, books)) = recorded_on_a_failing_disk(dir.path(), 186, seed, plan) else {
             return;
         };
@@ -327,7 +327,7 @@ fn a_failed_fdatasync_costs_what_it_should_have_made_durable() {
 fn a_disk_that_is_gone_leaves_what_was_durable() {
     for (seed, on) in seeds().zip(["write", "sync"].into_iter().cycle()) {
         let dir = tempfile::tempdir().expect("a temporary directory");
-        let nth = if on == "sync" { "[3, 6]" } else { "[20, 60]" };
+        let nth = if on == "sync" { "[4, 12]" } else { "[20, 60]" };
         let plan = format!("[[disk.error]]\non = \"{on}\"\nnth = {nth}\nfor_good = true\n");
         let Some((recorded, books)) = recorded_on_a_failing_disk(dir.path(), 187, seed, &plan) else {
             return;
