@@ -215,11 +215,13 @@ impl Matcher {
         let Some(camera_ns) = frame.camera_ns else {
             return self.by_id_alone(frame, by_id, arrival, table, hsu, last_call);
         };
-        if let Some(by_id) = by_id.filter(|_| step > Some(0) && self.is_certainly_reset(frame)) {
+        let stray = self.is_stray(frame, by_id, table, hsu);
+        if let Some(by_id) = by_id.filter(|_| !stray && step > Some(0) && self.is_certainly_reset(frame)) {
             return self.reset(frame, camera_ns, by_id, arrival, table, hsu, last_call);
         }
         let (number, residual) = match self.by_time(camera_ns, frame.host_ns, table, hsu) {
             ByTime::Trigger(number, residual) => (number, residual),
+            ByTime::Beyond if stray => return Match::Stray,
             ByTime::Beyond => match (by_id, arrival) {
                 // The trigger of its id has been reported and its arrival confirms it: the time is wrong.
                 (Some(id), Some(arrival)) if id == arrival && table.time_ns(id).is_some() => {
@@ -455,6 +457,14 @@ impl Matcher {
         arrived + PERIODS * i128::from(self.period_ns) < due
     }
 
+    /// Whether a torn frame has an id that is not due. Whoever sent it, ids and triggers go on without it; was it the
+    /// camera after all, the next frame says so.
+    fn is_stray(&self, frame: &Sighting, by_id: Option<i64>, table: &TriggerTable, hsu: &ClockFit) -> bool {
+        let settled = |id: i64| self.last.is_some_and(|last| id <= last.number);
+        let stray = |id: i64| settled(id) || self.is_yet_to_come(id, frame, table, hsu);
+        !frame.complete && by_id.is_some_and(stray)
+    }
+
     /// A frame without a timestamp that can be used.
     fn by_id_alone(
         &mut self,
@@ -465,10 +475,7 @@ impl Matcher {
         hsu: &ClockFit,
         last_call: bool,
     ) -> Match {
-        // Whoever sent it, ids and triggers go on without it; was it a frame after all, the next one says so.
-        let settled = |id: i64| self.last.is_some_and(|last| id <= last.number);
-        let stray = |id: i64| settled(id) || self.is_yet_to_come(id, frame, table, hsu);
-        if !frame.complete && by_id.is_some_and(stray) {
+        if self.is_stray(frame, by_id, table, hsu) {
             return Match::Stray;
         }
         if !last_call && by_id.is_none_or(|id| table.time_ns(id).is_none()) {

@@ -363,8 +363,9 @@ impl Fault {
         let count = count.unwrap_or_else(|| match kind {
             Kind::Stall => by_chance(2, plan.longest),
             Kind::IdJump => by_chance(1, plan.longest),
-            // Aravis follows an id that is up to 100 ahead.
-            Kind::ForeignAhead => by_chance(2, 40),
+            // Aravis follows an id that is up to 100 ahead. The frame that it makes of it must have been given up before
+            // the real one comes: nobody can tell their packets apart (docs/design/faults.md).
+            Kind::ForeignAhead => by_chance(24, 60),
             kind if kind.is_absence() => by_chance(plan.absence.0, plan.absence.1),
             _ => 1,
         });
