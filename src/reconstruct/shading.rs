@@ -69,7 +69,7 @@ fn light_at(mean: &[f32], skip: &[u8], x: f32) -> Option<f32> {
     let i = x as usize;
     let (a, b) = (*mean.get(i)?, *mean.get(i + 1)?);
     let known = a > 0.0 && b > 0.0 && skip[i] == 0 && skip[i + 1] == 0;
-    known.then(|| a + (x - i as f32) * (b - a))
+    known.then_some(a + (x - i as f32) * (b - a))
 }
 
 /// Change over one period from the changes over the half periods before and after. Their sum, but limited by the
