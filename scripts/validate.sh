@@ -96,8 +96,9 @@ for speed in 0:0.17:0.21 4:0.22:0.27 9:0.25:0.23 14:0.23:0.23; do
     clouds=$out/clouds-${rpm}rpm
     reconstruct turntable "$clouds" "$out/calibration.json" --triggers "$first..$((first + 8))"
     first=$((first + 8))
+    # 4: some clouds hold no plane. Those are of the heads behind the board; a plane that is missing elsewhere is in the JSON.
     $bin/fourdbody validate plane --clouds "$clouds" --calibration "$out/calibration.json" --board "$board" \
-        --json >"$out/plane-$rpm.json"
+        --json >"$out/plane-$rpm.json" || [ $? -eq 4 ]
     $bin/fourdbody validate distance --clouds "$clouds" --board "$board" --calibration "$out/calibration.json" \
         --session "$out/sessions/turntable" \
         --json >"$out/distance-$rpm.json"

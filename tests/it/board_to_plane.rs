@@ -6,7 +6,7 @@ use fourdbody::config::Rig;
 use fourdbody::ids::{CameraId, TriggerIndex};
 use fourdbody::image::Mono8;
 use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline};
 use fourdbody::reconstruct::triangulate::Triangulator;
 use fourdbody::reconstruct::{Frame, FrameSource};
 use fourdbody_simulator::cache::{CachedImages, Manifest};
@@ -100,13 +100,15 @@ fn a_calibration_from_rendered_photographs_puts_the_board_where_it_is() {
     assert!(after.together.rms_mm < 0.15, "{after:?}");
 
     let head = &found.heads[0];
+    let mut clouds = 0;
     for (place, pose) in judged.iter().enumerate() {
         let trigger = TriggerIndex(split + 2 * place as u64 + 1);
         for camera in &head.cameras {
             let pair = Pair::new(head, camera, &found).expect("a usable pair");
             let frame = source.frame(&camera.id, trigger).expect("an image");
             let Frame::Image(image) = frame else { panic!("not an image") };
-            let off = distances(pair, image, pose, &after.true_from_found);
+            let Some(off) = distances(pair, image, pose, &after.true_from_found, &board) else { continue };
+            clouds += 1;
             let share = |q: f64| off[(q * (off.len() - 1) as f64) as usize];
             println!(
                 "{} {place}: {} points, median {:.3}, p95 {:.3} mm",
@@ -115,25 +117,38 @@ fn a_calibration_from_rendered_photographs_puts_the_board_where_it_is() {
                 share(0.5),
                 share(0.95)
             );
-            assert!(off.len() > 60_000, "{} points", off.len());
-            assert!(share(0.5) < 0.10 && share(0.95) < 0.50, "median {}, p95 {} mm", share(0.5), share(0.95));
+            assert!(off.len() > 20_000, "{} points", off.len());
+            assert!(share(0.5) < 0.10 && share(0.95) < 0.40, "median {}, p95 {} mm", share(0.5), share(0.95));
         }
     }
+    assert!(clouds >= 2, "{clouds} of 4 frames gave a cloud");
 }
 
-/// Distances of a cloud's points from the true plane of the board, mm, in order; the board's border is left out.
+/// Distances of a cloud's points from the true plane of the board, mm, in order. The board's border is left out, and
+/// what is so near to a circle that the fringes around a pixel reach it: a period is 25 mm long at half size. `None` where the
+/// frame was refused: few fringes and large circles leave the marker hard to see at this size.
 fn distances(
     pair: Pair,
     image: Mono8<'_>,
     pose: &FlatPose,
     true_from_found: &nalgebra::Isometry3<f64>,
-) -> Vec<f64> {
+    board: &Board,
+) -> Option<Vec<f64>> {
+    const CLEAR_M: f64 = 0.045;
     let board_from_world = pose.world_from_board().inverse();
-    let cloud = Pipeline::new(Triangulator::new(pair), Method::Anchored, false).run(image).cloud;
+    let made = Pipeline::new(Triangulator::new(pair), Method::Anchored, false).run(image);
+    if let Outcome::Refused(reason) = &made.outcome {
+        println!("refused: {reason}");
+        return None;
+    }
     let local = |p: &[f32; 3]| board_from_world * (true_from_found * Point3::from(*p).cast::<f64>());
-    let inside = |p: &Point3<f64>| p.x.abs() < 0.73 && p.y.abs() < 0.98;
+    let near = |p: &Point3<f64>, c: [f64; 3]| (p.x - c[0]).hypot(p.y - c[1]) < CLEAR_M;
+    let inside = |p: &Point3<f64>| {
+        let clear = || board.circles().iter().all(|circle| !near(p, circle.centre_m));
+        p.x.abs() < 0.70 && p.y.abs() < 0.95 && clear()
+    };
     let mut off: Vec<f64> =
-        cloud.position_m.iter().map(local).filter(inside).map(|p| 1e3 * p.z.abs()).collect();
+        made.cloud.position_m.iter().map(local).filter(inside).map(|p| 1e3 * p.z.abs()).collect();
     off.sort_by(f64::total_cmp);
-    off
+    Some(off)
 }

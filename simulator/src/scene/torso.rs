@@ -188,7 +188,7 @@ mod tests {
     }
 
     fn torso() -> Torso {
-        let sections = vec![section("hip", 0.9, 0.12, 0.18, 0.0), section("chest", 1.3, 0.15, 0.15, 0.1)];
+        let sections = vec![section("hip", 0.9, 0.12, 0.18, 0.0), section("chest", 1.3, 0.15, 0.15, 0.2)];
         Torso { sections, position_m: [0.1, -0.2], heading_deg: 40.0 }
     }
 
