@@ -459,7 +459,7 @@ impl Matcher {
 
     /// Whether a torn frame has an id that is not due. Whoever sent it, ids and triggers go on without it; was it the
     /// camera after all, the next frame says so.
-    fn is_stray(&self, frame: &Sighting, by_id: Option<i64>, table: &TriggerTable, hsu: &ClockFit) -> bool {
+    fn is_stray(&self, frame: &Sighting, by_id: Option<i64>, table: &Schedule<'_>, hsu: &ClockFit) -> bool {
         let settled = |id: i64| self.last.is_some_and(|last| id <= last.number);
         let stray = |id: i64| settled(id) || self.is_yet_to_come(id, frame, table, hsu);
         !frame.complete && by_id.is_some_and(stray)
