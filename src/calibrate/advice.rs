@@ -89,16 +89,15 @@ fn of_cameras(outcome: &Outcome, calibration: &Calibration) -> Vec<String> {
     advice
 }
 
-/// A side of the image, and which cells (column, row) belong to it.
-type Side<'a> = (&'a str, &'a dyn Fn(usize, usize) -> bool);
+type IsAtSide<'a> = &'a dyn Fn(usize, usize) -> bool;
 
 fn emptiest_side(cells: &[usize]) -> &'static str {
-    let empty = |is: &dyn Fn(usize, usize) -> bool| {
+    let empty = |is: IsAtSide<'_>| {
         let places = (0..cells.len()).filter(|i| is(i % CELLS[0], i / CELLS[0]));
         let (n, empty) = places.fold((0, 0), |(n, empty), i| (n + 1, empty + usize::from(cells[i] == 0)));
         empty as f64 / n.max(1) as f64
     };
-    let sides: [Side<'_>; 4] = [
+    let sides: [(&str, IsAtSide<'_>); 4] = [
         ("the image's first columns", &|u, _| u < 2),
         ("the image's last columns", &|u, _| u >= CELLS[0] - 2),
         ("the image's first rows", &|_, v| v == 0),

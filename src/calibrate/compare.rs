@@ -9,17 +9,11 @@ use nalgebra::{DMatrix, DVector, Isometry3, Point3};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 
 /// What is tried: a name, and the terms.
-pub const VARIANTS: [(&str, Terms); 7] = {
-    let base = Terms {
-        camera_k3: false,
-        camera_tangential: true,
-        projector_k2: true,
-        projector_tangential: true,
-        projector_rows: false,
-    };
+pub const VARIANTS: [(&str, Terms); 6] = {
+    let base =
+        Terms { camera_k3: false, camera_tangential: true, projector_k2: true, projector_tangential: true };
     [
         ("k1 k2 p1 p2; projector k1 k2 p1 p2", base),
-        ("k1 k2 p1 p2; projector k1 k2 p1 p2 fy cy", Terms { projector_rows: true, ..base }),
         ("k1 k2 k3 p1 p2; projector k1 k2 p1 p2", Terms { camera_k3: true, ..base }),
         ("k1 k2; projector k1 k2 p1 p2", Terms { camera_tangential: false, ..base }),
         ("k1 k2 p1 p2; projector k1 k2", Terms { projector_tangential: false, ..base }),

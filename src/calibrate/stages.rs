@@ -180,19 +180,11 @@ pub struct Terms {
     pub projector_k2: bool,
     /// The tangential terms of the projector.
     pub projector_tangential: bool,
-    /// The projector's focal length and centre along its rows: only its distortion tells of them.
-    pub projector_rows: bool,
 }
 
 impl Default for Terms {
     fn default() -> Self {
-        Self {
-            camera_k3: false,
-            camera_tangential: true,
-            projector_k2: true,
-            projector_tangential: true,
-            projector_rows: false,
-        }
+        Self { camera_k3: false, camera_tangential: true, projector_k2: true, projector_tangential: true }
     }
 }
 
@@ -454,8 +446,8 @@ impl Rigging<'_> {
         all
     }
 
-    /// A projector that sees columns only: k3 is held, fy and cy are held or loosely known, k2 and the tangential terms
-    /// are loosely known, and nothing but the design says where it is along its rows.
+    /// A projector that sees columns only: fy and cy are in no column and k3 is held, k2 and the tangential terms are
+    /// loosely known, and nothing but the design says where it is along its rows.
     pub(super) fn priors(&self, head: usize) -> Vec<Prior> {
         let devices = self.starting_devices(head);
         let device = devices.len() - 1;
@@ -464,8 +456,8 @@ impl Rigging<'_> {
         let loosely = |is: bool, sigma: f64| if is { sigma } else { 0.0 };
         let tangential = loosely(self.terms.projector_tangential, 1e-3);
         let mut priors = vec![
-            held(1, projector.lens.fy, loosely(self.terms.projector_rows, 0.005 * projector.lens.fy)),
-            held(3, projector.lens.cy, loosely(self.terms.projector_rows, 0.006 * projector.lens.fy)),
+            held(1, projector.lens.fy, 0.0),
+            held(3, projector.lens.cy, 0.0),
             held(5, projector.lens.distortion[1], loosely(self.terms.projector_k2, 0.05)),
             held(6, projector.lens.distortion[2], tangential),
             held(7, projector.lens.distortion[3], tangential),
