@@ -265,9 +265,12 @@ fn a_killed_recorder_loses_at_most_three_chunks() {
 mod node {
     use super::{BOUND, Random, median_and_most, number};
     use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+    use fourdbody::api::client::NodeClient;
+    use fourdbody::api::dto::SessionStatus;
     use fourdbody::ids::TriggerIndex;
     use fourdbody::reconstruct::FrameSource;
     use fourdbody::record::{GapCause, RecordingReader, SessionReader};
+    use fourdbody::session::state::Phase;
     use fourdbody_simulator::gige::TestImages;
     use fourdbody_simulator::laboratory::Laboratory;
     use std::path::Path;
@@ -330,13 +333,22 @@ mod node {
         capture.kill().expect("a child");
         capture.wait().expect("a child");
         for (_, node) in nodes.iter_mut().enumerate().filter(|(place, _)| !killed.contains(place)) {
-            let session = node.client.status().expect("it lives").session.filter(|s| s.name == name);
-            if let Some(session) = session.filter(|session| session.outcome.is_none()) {
-                // It may have ended by itself in between.
-                let _ = node.client.abort(session.session_id, "the other node was killed");
-            }
-            node.wait_idle();
+            settle(node, name);
         }
+    }
+
+    /// Waits until the node is idle. A request to prepare may still have been on its way when the capture was killed: the
+    /// node would wait two minutes for its start.
+    fn settle(node: &mut NodeProcess, name: &str) {
+        let client = NodeClient::new(node.client.url());
+        node.wait_until("idle", |status| {
+            let open = |s: &&SessionStatus| s.name == name && s.outcome.is_none();
+            if let Some(session) = status.session.as_ref().filter(open) {
+                // It may have ended by itself in between.
+                let _ = client.abort(session.session_id, "the other node was killed");
+            }
+            status.phase == Phase::Idle
+        });
     }
 
     struct Outcome {
@@ -386,14 +398,20 @@ mod node {
     }
 
     /// The node comes back, and says what it has found and what to type.
-    fn restart(laboratory: &Laboratory, nodes: &mut [NodeProcess], killed: &[usize], unfinished: &[bool]) {
+    fn restart(
+        laboratory: &Laboratory,
+        nodes: &mut [NodeProcess],
+        killed: &[usize],
+        unfinished: &[bool],
+        name: &str,
+    ) {
         for &place in killed {
             let file = &laboratory.nodes[place];
             nodes[place] = NodeProcess::start(&file.path, file.port);
         }
         for node in nodes.iter_mut() {
             node.wait_ready();
-            node.wait_idle();
+            settle(node, name);
         }
         for (&place, unfinished) in killed.iter().zip(unfinished) {
             let status = nodes[place].client.status().expect("it answers");
@@ -440,7 +458,7 @@ mod node {
             }
             outcomes.extend(here);
             std::thread::sleep(free.saturating_duration_since(Instant::now()));
-            restart(&laboratory, &mut nodes, killed, &unfinished);
+            restart(&laboratory, &mut nodes, killed, &unfinished, &name);
             let _ = std::fs::remove_dir_all(dir.path().join("sessions"));
             let _ = std::fs::remove_dir_all(dir.path().join("recovered"));
         }

@@ -77,7 +77,9 @@ impl Recorded {
         if missing > 0 {
             let accounting =
                 check_with_disks(&[], &[], &[&self.session], Shown::TestImages).expect("a session");
-            assert!(accounting.mismatches > 0, "the check takes anything");
+            // Sets that a node dropped and named are counted apart: that disk may have been a slow one by itself.
+            let found = accounting.mismatches + accounting.dropped_by_host;
+            assert!(found > 0, "the check takes anything");
         }
     }
 

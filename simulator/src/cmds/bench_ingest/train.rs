@@ -60,7 +60,7 @@ impl Laboratory {
         remove(&sessions)?;
         let mut command = Command::new(program(args, "fourdbody-sim"));
         command.arg("run").arg("--rig").arg(&args.rig).args(["--node", "a", "--first-port", "0"]);
-        command.args(["--first-address", "127.0.9.11", "--buffers", "64"]);
+        command.args(["--first-address", "127.0.9.11", "--buffers", "128"]);
         command.arg("--rate-hz").arg(rate_hz.to_string()).arg("--segment-mib").arg(segment_mib.to_string());
         command.arg("--run-dir").arg(&run_dir).arg("--sessions-dir").arg(&sessions);
         let mut program = Program::start("simulator", &mut command, &args.out)?;
