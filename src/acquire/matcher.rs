@@ -293,7 +293,15 @@ impl Matcher {
         };
         let apart = i128::from(next_ns) - i128::from(camera_ns);
         let expected = i128::from(next_due) - i128::from(due);
-        if next_id > id && (apart - expected).abs() <= self.tight_ns() {
+        // Were it set, the next frame follows as its id says; were this one extra, the next is in time at its own trigger.
+        let if_set = (apart - expected).abs();
+        let if_extra = match self.by_time(next_ns, next.host_ns, table, hsu) {
+            ByTime::Trigger(number, residual) if self.last.is_some_and(|last| number > last.number) => {
+                residual.abs()
+            }
+            _ => i128::MAX,
+        };
+        if next_id > id && if_set <= self.tight_ns() && if_set < if_extra {
             return self.reset(frame, camera_ns, id, arrival, table, hsu, last_call);
         }
         self.spurious(frame, residual)
