@@ -543,7 +543,9 @@ impl Matcher {
         table: &Schedule<'_>,
         hsu: &ClockFit,
     ) -> Match {
-        if let Some((due, camera_ns)) = table.time_ns(number).zip(frame.camera_ns) {
+        // From times that are only expected nothing is learned: a train may pause.
+        let reported = table.time_ns(number).filter(|_| !table.is_expected(number));
+        if let Some((due, camera_ns)) = reported.zip(frame.camera_ns) {
             let near = |tracker: &Tracker| {
                 (tracker.hsu_ns(camera_ns) - i128::from(due)).abs() <= i128::from(self.period_ns / 2)
             };

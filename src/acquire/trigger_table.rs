@@ -132,6 +132,11 @@ impl Schedule<'_> {
         self.table.latest_ns()?.checked_add(self.period_ns.checked_mul(ahead as u64)?)
     }
 
+    /// Whether a trigger is known by expectation alone.
+    pub fn is_expected(&self, number: i64) -> bool {
+        number >= self.table.end()
+    }
+
     /// One more than the number of the latest trigger.
     pub fn end(&self) -> i64 {
         self.table.end() + self.due
