@@ -324,11 +324,11 @@ fn play_with(seed: u64, wide: bool, triggers: i64, stalls: bool) -> (u64, Vec<St
             match matcher.assign(&sighting, ahead.as_ref(), &table, &hsu, last_call) {
                 Match::Wait => break,
                 answer => {
-                    if let Match::Trigger(matched) = answer {
-                        if is != Is::Of(matched.number) && matched.number >= 0 {
-                            misplaced
-                                .push(format!("{is:?} stands at {}, block {}", matched.number, sighting.id));
-                        }
+                    if let Match::Trigger(Matched { number, .. }) = answer
+                        && is != Is::Of(number)
+                        && number >= 0
+                    {
+                        misplaced.push(format!("{is:?} stands at {number}, block {}", sighting.id));
                     }
                     found.frame(is, finding, answer, &mut next);
                 }
