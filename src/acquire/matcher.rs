@@ -210,6 +210,10 @@ impl Matcher {
         if !frame.complete {
             return self.by_id_alone(frame, by_id, arrival, table, hsu, last_call);
         }
+        if table.is_expected(number.max(id)) && self.ids.step(frame.id) == Some(1) {
+            // A train may pause: what is only expected confirms an id, and does not overrule the next one.
+            return self.by_id_alone(frame, by_id, None, table, hsu, last_call);
+        }
         if fits && fresh {
             let claim =
                 Claim { id, number, hsu_ns: i128::from(table.time_ns(number).unwrap_or(0)) + residual };
