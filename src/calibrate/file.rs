@@ -5,6 +5,7 @@
 
 use super::gamma::Response;
 use super::identity::{Identity, ValidVolume};
+use super::world::World;
 use crate::config::{Channel, Rig};
 use crate::geometry::Device;
 use crate::ids::{CameraId, HeadId};
@@ -85,6 +86,9 @@ pub struct Quality {
     /// Per head, what its projector makes of panel values; heads with too little light to tell are missing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub responses: Vec<(HeadId, Response)>,
+    /// How its world was chosen; `None` in files of earlier versions, whose world is the rig file's pose of the first camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub world: Option<World>,
 }
 
 /// How well one camera's circles are explained.

@@ -5,6 +5,7 @@ use super::Calibration;
 use super::board::Board;
 use super::bundle::{Adjusted, DeviceModel, Model, Observation, Prior, adjust};
 use super::stages::{HeadResult, Rigging, StageError};
+use super::world::{Vertical, World, into_world};
 use crate::geometry::{Device, Pose};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
@@ -80,18 +81,31 @@ pub struct Together {
     pub all: Adjusted,
     /// The observations of that adjustment.
     pub observations: Vec<Observation>,
+    /// How its frame, the world, was chosen.
+    pub world: World,
 }
 
-/// Stage 3: brings the heads into one frame, and adjusts everything once more.
-pub fn bring_together(rigging: &Rigging<'_>, heads: &[HeadResult]) -> Result<Together, StageError> {
+/// Stage 3: brings the heads into one frame, adjusts everything once more, and moves it into the world.
+pub fn bring_together(
+    rigging: &Rigging<'_>,
+    heads: &[HeadResult],
+    verticals: &[Vertical],
+) -> Result<Together, StageError> {
     let links = links(rigging, heads);
     let frames = frames(rigging, heads, &links)?;
     let loop_error_m = loop_error(rigging.board, heads, &links);
-    let (model, mut observations, priors) = merged(rigging, heads, &frames);
-    let adjusted = adjust(model, &observations, &priors, 0)
+    let Merged { model, positions, mut observations, priors } = merged(rigging, heads, &frames);
+    let mut all = adjust(model, &observations, &priors, 0)
         .map_err(|error| StageError::Adjust { head: "all heads".to_owned(), error })?;
     observations.shrink_to_fit();
-    Ok(Together { links, loop_error_m, all: adjusted, observations })
+    let devices = |head: &HeadResult| {
+        let nominal = &rigging.nominal.heads[head.head];
+        let cameras = nominal.cameras.iter().map(|camera| (camera.device.clone(), true));
+        cameras.chain([(nominal.projector.clone(), false)]).collect::<Vec<_>>()
+    };
+    let nominal: Vec<(Device, bool)> = heads.iter().flat_map(devices).collect();
+    let world = into_world(&mut all.model, &nominal, &positions, rigging.board, verticals)?;
+    Ok(Together { links, loop_error_m, all, observations, world })
 }
 
 /// For each head, what takes its frame to the first's: along the links with the best agreement.
@@ -139,12 +153,17 @@ fn loop_error(board: &Board, heads: &[HeadResult], links: &[Link]) -> Option<f64
     Some(corners.iter().map(|c| (round * c - c).norm()).fold(0.0, f64::max))
 }
 
+/// One problem made of all heads' problems.
+struct Merged {
+    model: Model,
+    /// Place in the list of positions of each of the model's boards.
+    positions: Vec<usize>,
+    observations: Vec<Observation>,
+    priors: Vec<Prior>,
+}
+
 /// One problem of all heads' problems; positions that are the same become one.
-fn merged(
-    rigging: &Rigging<'_>,
-    heads: &[HeadResult],
-    frames: &[Isometry3<f64>],
-) -> (Model, Vec<Observation>, Vec<Prior>) {
+fn merged(rigging: &Rigging<'_>, heads: &[HeadResult], frames: &[Isometry3<f64>]) -> Merged {
     let (mut devices, mut boards) = (Vec::new(), Vec::<(usize, Isometry3<f64>)>::new());
     let (mut observations, mut priors) = (Vec::new(), Vec::new());
     for (head, frame) in heads.iter().zip(frames) {
@@ -188,8 +207,8 @@ fn merged(
             ..prior
         }));
     }
-    let boards = boards.into_iter().map(|(_, board)| board).collect();
-    (Model { devices, boards }, observations, priors)
+    let (positions, boards) = boards.into_iter().unzip();
+    Merged { model: Model { devices, boards }, positions, observations, priors }
 }
 
 /// The result as a calibration file has it.

@@ -2,7 +2,8 @@
 //!
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
 //! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
-//! fit, `bundle` adjusts lenses and poses, `stages` and `global` are the paper's three stages, `run` is all of it.
+//! fit, `bundle` adjusts lenses and poses, `stages` and `global` are the paper's three stages, `world`
+//! says where the floor is, `run` is all of it.
 //! `docs/design/calibration.md` has the definitions and what was tried.
 
 pub mod advice;
@@ -29,6 +30,7 @@ mod spots;
 pub mod stages;
 mod start;
 pub mod views;
+mod world;
 
 pub use board::{Board, Circle};
 pub use bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
@@ -43,3 +45,4 @@ pub use identity::{Extent, HeadVolume, Identity, ValidVolume};
 pub use lattice::{NotIdentified, Sighting, identify};
 pub use positions::Position;
 pub use spots::{Spot, find_spots};
+pub use world::{Vertical, World, WorldError, nearest_motion};

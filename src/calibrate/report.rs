@@ -287,7 +287,7 @@ fn volume_plot(out: &mut String, outcome: &Outcome) {
 fn uncertainties(out: &mut String, outcome: &Outcome) {
     let Some(quality) = &outcome.calibration.quality else { return };
     let names = super::bundle::DEVICE_PARAMETER_NAMES;
-    out.push_str("<h2>Standard deviations</h2><p>Lens: px; turns: mrad; shifts: mm; 0: held. The first camera's pose defines the world.</p><table><tr><th>device</th>");
+    out.push_str("<h2>Standard deviations</h2><p>Lens: px; turns: mrad; shifts: mm; 0: held. Poses are relative to the first camera.</p><table><tr><th>device</th>");
     names.iter().for_each(|name| {
         let _ = write!(out, "<th>{name}</th>");
     });

@@ -11,6 +11,7 @@ use super::identity::{CONVENTIONS, Extent, HeadVolume, Identity, ValidVolume};
 use super::placement::check_placement;
 use super::stages::{HeadResult, Rigging, StageError, Terms};
 use super::views::look;
+use super::world::{Vertical, World};
 use super::{Finding, Position};
 use crate::ids::{CameraId, HeadId};
 use crate::reconstruct::FrameSource;
@@ -52,12 +53,23 @@ fn list(findings: &[Finding]) -> String {
     findings.iter().map(|finding| format!("\n  {finding}")).collect()
 }
 
+/// What is asked of a calibration beside the photographs.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// The lens models.
+    pub terms: Terms,
+    /// Leave out heads without photographs instead of refusing.
+    pub partial: bool,
+    /// Positions of the board that say what is vertical.
+    pub verticals: Vec<Vertical>,
+}
+
 /// Calibrates all heads of `nominal`; with `partial`, those that have photographs.
 pub fn calibrate(
     source: &dyn FrameSource,
     nominal: &Calibration,
     board: &Board,
-    partial: bool,
+    options: &Options,
 ) -> Result<Outcome, CalibrateError> {
     let stated = source.statement();
     if let Some(stated) = &stated {
@@ -65,7 +77,7 @@ pub fn calibrate(
         nominal.fits(&ids, stated).map_err(CalibrateError::Source)?;
     }
     let (positions, findings) = look(source, nominal, board).map_err(CalibrateError::Source)?;
-    let mut outcome = solve(positions, findings, nominal, board, Terms::default(), partial)?;
+    let mut outcome = solve(positions, findings, nominal, board, options)?;
     if let (Some(identity), Some(stated)) = (&mut outcome.calibration.identity, stated) {
         let cameras = stated.cameras.into_iter().filter(|camera| !camera.device.is_empty());
         identity.cameras = cameras.map(|camera| (camera.id, camera.device)).collect();
@@ -79,10 +91,9 @@ pub fn solve(
     mut findings: Vec<Finding>,
     nominal: &Calibration,
     board: &Board,
-    terms: Terms,
-    partial: bool,
+    options: &Options,
 ) -> Result<Outcome, CalibrateError> {
-    let all = Rigging { nominal, board, positions: &positions, terms };
+    let all = Rigging { nominal, board, positions: &positions, terms: options.terms };
     let stage = |error, findings| CalibrateError::Stage { error, findings };
     if let Err(error) = check_placement(nominal, board, &positions) {
         return Err(stage(error, findings));
@@ -94,7 +105,7 @@ pub fn solve(
                 findings.extend(result.findings.iter().cloned());
                 heads.push(result);
             }
-            Err(StageError::Positions { found: 0, .. }) if partial => {}
+            Err(StageError::Positions { found: 0, .. }) if options.partial => {}
             Err(error) => return Err(stage(error, findings)),
         }
     }
@@ -103,7 +114,7 @@ pub fn solve(
         let head = nominal.heads.first().map_or(String::new(), |h| h.id.to_string());
         return Err(stage(StageError::Positions { head, found: 0 }, findings));
     }
-    let together = match bring_together(&all, &heads) {
+    let together = match bring_together(&all, &heads, &options.verticals) {
         Ok(together) => together,
         Err(error) => return Err(stage(error, findings)),
     };
@@ -202,6 +213,7 @@ fn quality(kept: &Calibration, board: &Board, together: &Together) -> Quality {
         loop_error_mm: together.loop_error_m.map(|m| m * 1e3),
         uncertainties,
         responses: Vec::new(),
+        world: Some(together.world.clone()),
     }
 }
 
@@ -258,6 +270,7 @@ impl Outcome {
             )
         }));
         lines.extend(quality.loop_error_mm.map(|mm| format!("  around all heads: {mm:.3} mm")));
+        lines.extend(quality.world.iter().map(World::line));
         lines.extend(self.findings.iter().map(|finding| format!("  {finding}")));
         lines.extend(advice(self).into_iter().map(|advice| format!("  advice: {advice}")));
         lines

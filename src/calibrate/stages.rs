@@ -15,6 +15,7 @@ use super::consistency::{Excluded, Limits};
 use super::ellipse::image_of_circle;
 use super::start::board_pose;
 use super::views::{column_at, phase_observation};
+use super::world::WorldError;
 use super::{Calibration, Ellipse, Finding, Position};
 use crate::geometry::Device;
 use crate::reconstruct::pair::Pair;
@@ -39,7 +40,7 @@ const CAMERA_ROUNDS: usize = 3;
 const PHASE_ROUNDS: usize = 2;
 
 /// Why a calibration came to nothing.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StageError {
     /// Too few usable positions.
     #[error(
@@ -103,6 +104,9 @@ pub enum StageError {
         /// How far apart.
         millimetres: u32,
     },
+    /// A declared vertical cannot be.
+    #[error("{0}")]
+    World(#[from] WorldError),
     /// Too many positions contradict each other.
     #[error(
         "head {head}: {excluded} of {views} views contradict the others; nothing can be trusted. Is the board stiff, does its file give the measured centres, did it stand still from the white frame to the fringes?"

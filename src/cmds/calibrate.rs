@@ -4,8 +4,8 @@ use super::calibrate_live::Live;
 use super::reconstruct::open_source;
 use super::{Exit, Failure, calibrate_live};
 use crate::calibrate::joined::Joined;
-use crate::calibrate::stages::Rigging;
-use crate::calibrate::{Board, Calibration, advice, compare, report, run as stages};
+use crate::calibrate::stages::{Rigging, StageError};
+use crate::calibrate::{Board, Calibration, Vertical, advice, compare, report, run as stages};
 use crate::config::Rig;
 use crate::ids::CameraId;
 use std::path::PathBuf;
@@ -16,7 +16,7 @@ use std::path::PathBuf;
     after_help = "Example:\n  fourdbody calibrate --rig config/rig.toml --board config/board.toml --session sessions/calibration \\\n      --out calibration.json --report calibration-report\n  fourdbody calibrate --rig config/rig.toml --board config/board.toml --live \\\n      --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --out calibration.json"
 )]
 pub struct Args {
-    /// The rig file: its geometry is where the search starts, its first camera's pose defines the world.
+    /// The rig file: its geometry is where the search starts, and the world is where the cameras fit it best.
     #[arg(long, value_name = "FILE")]
     rig: PathBuf,
     /// The board file.
@@ -43,6 +43,12 @@ pub struct Args {
     /// Leave out heads that cannot be calibrated instead of refusing.
     #[arg(long)]
     partial: bool,
+    /// Positions of the board, counted from 1, in which two of its edges were plumb: they say what is vertical.
+    #[arg(long, value_name = "POSITION", num_args = 1..)]
+    upright: Vec<usize>,
+    /// Positions in which the board lay level, face up or down: likewise.
+    #[arg(long, value_name = "POSITION", num_args = 1..)]
+    level: Vec<usize>,
     /// Write a page with residuals, coverage and advice: DIR/index.html.
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -70,8 +76,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         }
         joined
     };
-    let outcome = stages::calibrate(&source, &nominal, &board, args.partial)
-        .map_err(|e| Failure::new(Exit::Failure, e))?;
+    let upright = args.upright.iter().map(|&position| Vertical::Upright(position));
+    let level = args.level.iter().map(|&position| Vertical::Level(position));
+    let options = stages::Options {
+        partial: args.partial,
+        verticals: upright.chain(level).collect(),
+        ..stages::Options::default()
+    };
+    let outcome =
+        stages::calibrate(&source, &nominal, &board, &options).map_err(|e| Failure::new(Exit::Failure, e))?;
     outcome.calibration.save(&args.out).map_err(|e| Failure::new(Exit::Failure, e))?;
     let page = match &args.report {
         None => None,
@@ -95,6 +108,14 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         page.iter().chain([&args.out]).for_each(|path| println!("{}", path.display()));
     }
     Ok(Exit::Done)
+}
+
+/// A wrong number after `--upright` is the command line's fault, not the photographs'.
+fn exit(error: &stages::CalibrateError) -> Exit {
+    match error {
+        stages::CalibrateError::Stage { error: StageError::World(_), .. } => Exit::Usage,
+        _ => Exit::Failure,
+    }
 }
 
 /// One lens model on one head.

@@ -2,11 +2,10 @@
 
 use crate::calibrate::{Board, Ellipse, NotIdentified, Spot, identify};
 use crate::export::Cloud;
+use crate::geometry::best_motion;
 use crate::image::Plane;
 use crate::validate::plane::Placed;
-use nalgebra::{
-    Isometry3, Matrix2, Matrix3, Point3, Rotation3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3,
-};
+use nalgebra::{Matrix2, Matrix3, Point3, SMatrix, SVector, Vector3};
 
 /// Pixels darker than this share of the light around are of a circle.
 const DARK: f32 = 0.5;
@@ -259,7 +258,7 @@ impl Surface {
 
 /// The board's pose from the middles of its circles in the clouds of one head: good to some tenths of a millimetre.
 pub fn place(clouds: &[Organized<'_>], board: &Board) -> Result<Placed, String> {
-    let mut pairs: Vec<(Vector3<f64>, Vector3<f64>)> = Vec::new();
+    let mut pairs: Vec<(Point3<f64>, Point3<f64>)> = Vec::new();
     let mut reason = "there are no clouds".to_owned();
     for cloud in clouds {
         match cloud.circles(board) {
@@ -267,27 +266,10 @@ pub fn place(clouds: &[Organized<'_>], board: &Board) -> Result<Placed, String> 
             Ok(rings) => pairs.extend(rings.iter().filter_map(|ring| {
                 let surface = cloud.surface(ring, &rings)?;
                 let circle = board.circles().get(ring.circle)?;
-                Some((Vector3::from(circle.centre_m), surface.at(ring.outline.centre).coords))
+                Some((Point3::from(circle.centre_m), surface.at(ring.outline.centre)))
             })),
         }
     }
-    let pose = rigid(&pairs).ok_or_else(|| format!("the board is not recognized: {reason}"))?;
+    let pose = best_motion(&pairs).ok_or_else(|| format!("the board is not recognized: {reason}"))?;
     Ok(Placed { world_from_board: pose, size_m: board.size_m })
-}
-
-/// The rigid transform that takes the first points to the second (least squares).
-fn rigid(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Isometry3<f64>> {
-    if pairs.len() < 3 {
-        return None;
-    }
-    let n = pairs.len() as f64;
-    let a = pairs.iter().map(|pair| pair.0).sum::<Vector3<f64>>() / n;
-    let b = pairs.iter().map(|pair| pair.1).sum::<Vector3<f64>>() / n;
-    let spread: Matrix3<f64> = pairs.iter().map(|(x, y)| (y - b) * (x - a).transpose()).sum();
-    let svd = spread.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    let sign = (u * v_t).determinant().signum();
-    let matrix = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-    Some(Isometry3::from_parts(Translation3::from(b - rotation * a), rotation))
 }

@@ -1,8 +1,7 @@
 //! Photographs of the board before one head of half the resolution, rendered once per test process, to be altered.
 
 use fourdbody::calibrate::positions::arrange;
-use fourdbody::calibrate::run::{CalibrateError, Outcome, solve};
-use fourdbody::calibrate::stages::Terms;
+use fourdbody::calibrate::run::{CalibrateError, Options, Outcome, solve};
 use fourdbody::calibrate::views::{Looked, look_at_frame, pipelines};
 use fourdbody::calibrate::{Board, Calibration};
 use fourdbody::config::Rig;
@@ -70,6 +69,11 @@ impl Scene {
         truth.pattern.marker = Marker::ZeroMean { amplitude: 0.0 };
         self.studio = Studio::new(&self.scenario, &truth);
         self
+    }
+
+    /// The rig at the size photographed, as its file says it.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
     }
 
     fn board_at(&self, pose: FlatPose) -> fourdbody_simulator::scene::Scene {
@@ -246,7 +250,7 @@ impl Photographs {
     pub fn calibrate_in(&self, scene: &Scene, board: &Board) -> Result<Outcome, CalibrateError> {
         let frames = self.looked.iter().map(|((t, c), looked)| (TriggerIndex(*t), *c, looked.clone()));
         let (positions, findings) = arrange(frames.collect(), &scene.nominal, board);
-        solve(positions, findings, &scene.nominal, board, Terms::default(), false)
+        solve(positions, findings, &scene.nominal, board, &Options::default())
     }
 }
 

@@ -89,7 +89,7 @@ fn a_calibration_from_rendered_photographs_puts_the_board_where_it_is() {
     let nominal = Calibration::nominal(&rendered.rig);
     let board = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/board.toml");
     let board = Board::load(&board).expect("a good board");
-    let outcome = run::calibrate(&source, &nominal, &board, false).expect("calibrated");
+    let outcome = run::calibrate(&source, &nominal, &board, &run::Options::default()).expect("calibrated");
     assert!(outcome.findings.is_empty(), "{:?}", outcome.findings);
     let found = outcome.calibration;
 

@@ -1,7 +1,7 @@
 //! Is the stated uncertainty honest, from the photons to the parameters? The same photographs with many seeds of noise.
 
 use crate::board_photographs::{Lights, Photographs, Scene, poses};
-use fourdbody::calibrate::DeviceModel;
+use fourdbody::calibrate::{Adjusted, DeviceModel};
 
 const NAMES: [&str; 15] =
     ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "rx", "ry", "rz", "tx", "ty", "tz"];
@@ -31,10 +31,14 @@ fn ratios(scene: &Scene, seeds: u64) -> (f64, f64) {
     let (mut pooled, mut n) = (0.0, 0.0);
     let (mut off, mut lenses) = (0.0, 0.0);
     for device in 0..3 {
-        let all: Vec<[f64; 15]> = outcomes
-            .iter()
-            .map(|o| parameters(&o.model.devices[device], &outcomes[0].model.devices[device]))
-            .collect();
+        // Stated deviations are relative to the first camera; the world is another in each outcome.
+        let first = outcomes[0].model.devices[0].device_from_frame;
+        let relative = |o: &Adjusted| {
+            let (device, own) = (o.model.devices[device], o.model.devices[0].device_from_frame);
+            DeviceModel { device_from_frame: device.device_from_frame * own.inverse() * first, ..device }
+        };
+        let all: Vec<[f64; 15]> =
+            outcomes.iter().map(|o| parameters(&relative(o), &outcomes[0].model.devices[device])).collect();
         let true_lens = DeviceModel { lens: truth[device].lens, ..outcomes[0].model.devices[device] };
         let should = parameters(&true_lens, &true_lens);
         for i in 0..15 {
@@ -85,7 +89,7 @@ fn errors_of(scene: &Scene) -> [[f64; 15]; 3] {
     let all = &outcome.together.all;
     let head = &scene.truth.heads[0];
     let truth = [&head.cameras[0].device, &head.cameras[1].device, &head.projector];
-    // The world is the first camera's nominal pose: the truth is moved there.
+    // Poses are relative to the first camera: the truth is moved to where that one was found.
     let first = all.model.devices[0].device_from_frame;
     std::array::from_fn(|device| {
         let to_first =

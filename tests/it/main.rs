@@ -7,6 +7,7 @@ mod board_photographs;
 mod board_to_plane;
 #[cfg(feature = "aravis")]
 mod breaks;
+mod calibrate_command;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod chain;
@@ -47,3 +48,4 @@ mod third_party_mcap;
 mod third_party_node;
 #[cfg(feature = "aravis")]
 mod third_party_session;
+mod validate_commands;

@@ -154,7 +154,7 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
             head.observations.len() - head.circles
         );
     }
-    let together = global::bring_together(&rigging, &heads).expect("linked");
+    let together = global::bring_together(&rigging, &heads, &[]).expect("linked");
     println!("chi {:.3}, {:?}", together.all.chi, together.links);
     let found = global::calibration(&nominal, "test".to_owned(), &together.all.model);
     let mut devices = together.all.device_sigma.iter();
@@ -181,7 +181,7 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
         );
         devices.next();
     }
-    // The frame is the nominal pose of the first camera: compare poses relative to that camera.
+    // The world is where the cameras fit the wrong rig best: compare poses relative to the first camera.
     let relative = |c: &Calibration, head: usize, camera: usize| {
         let first = c.heads[0].cameras[0].device.world_from_device.isometry().inverse();
         first * c.heads[head].cameras[camera].device.world_from_device.isometry()
