@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         ..stages::Options::default()
     };
     let outcome =
-        stages::calibrate(&source, &nominal, &board, &options).map_err(|e| Failure::new(Exit::Failure, e))?;
+        stages::calibrate(&source, &nominal, &board, &options).map_err(|e| Failure::new(exit(&e), e))?;
     outcome.calibration.save(&args.out).map_err(|e| Failure::new(Exit::Failure, e))?;
     let page = match &args.report {
         None => None,
