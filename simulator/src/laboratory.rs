@@ -45,6 +45,8 @@ pub struct LaboratoryOptions {
     /// Disks that misbehave, one for each node that it names; what they did is written to `faults.jsonl` as well. Needs
     /// FUSE, see [`SimulatedDisk::unavailable`]. What was recorded lies in `sessions_dir` all the same.
     pub disk: Option<DiskPlan>,
+    /// The cameras' images go on from session to session instead of starting anew with each.
+    pub carry_on: bool,
 }
 
 impl LaboratoryOptions {
@@ -64,6 +66,7 @@ impl LaboratoryOptions {
             packet_bytes: 9000,
             faults: None,
             disk: None,
+            carry_on: false,
         }
     }
 }
@@ -172,7 +175,8 @@ impl Laboratory {
         let disks = mount_disks(options, &rig, truth)?;
         let nodes = write_node_files(options, &rig)?;
         let links = nodes.iter().map(|node| hsu_link(options, &node.node)).collect();
-        let mut setup = HsuOptions { links, cameras: wires, ..HsuOptions::default() };
+        let mut setup =
+            HsuOptions { links, cameras: wires, carry_on: options.carry_on, ..HsuOptions::default() };
         if let Some((plan, truth)) = faults.filter(|(plan, _)| !plan.hsu.is_empty()) {
             setup.line = Some(plan.hsu.line);
             let nodes = nodes.iter().map(|node| node.node.to_string()).collect();

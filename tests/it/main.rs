@@ -8,6 +8,8 @@ mod board_to_plane;
 #[cfg(feature = "aravis")]
 mod breaks;
 mod calibrate_command;
+#[cfg(feature = "aravis")]
+mod calibrate_live;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod chain;

@@ -43,6 +43,9 @@ pub struct Args {
     /// Port of the first node's API; the others follow. 0: any free ports.
     #[arg(long, default_value_t = 7401)]
     first_port: u16,
+    /// Show what comes next in every session, instead of starting anew: a board that is moved between sessions.
+    #[arg(long, requires = "frames", conflicts_with = "faults")]
+    carry_on: bool,
     /// Only the cameras of this node, with a rig of their heads: half a laboratory.
     #[arg(long, value_name = "NODE", requires = "rig")]
     node: Option<String>,
@@ -83,6 +86,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.buffers_per_camera = args.buffers;
     options.segment_mib = args.segment_mib.unwrap_or(options.segment_mib);
     options.packet_bytes = args.packet_bytes;
+    options.carry_on = args.carry_on;
     (options.faults, options.disk) = fault_plans(args)?;
     // A mount outlives its process: a laboratory with disks must end in good order.
     let signals = options.disk.as_ref().map(|_| EndSignals::block());

@@ -39,8 +39,35 @@ struct World {
     edges: Vec<(usize, TriggerEdge)>,
     control: Arc<Control>,
     injector: Option<Injector>,
+    shown: Shown,
     /// What the injector has ordered and nobody has carried out yet.
     deeds: Vec<Deed>,
+}
+
+/// Which instant of the scene a trigger shows.
+#[derive(Default)]
+struct Shown {
+    carry_on: bool,
+    /// Instants that earlier trains have shown, and those of this one so far.
+    before: i64,
+    now: i64,
+}
+
+impl Shown {
+    /// A trigger's own number, or the same counted on from the last train. Its warm-up already sees what comes.
+    fn instant(&mut self, number: i64) -> i64 {
+        if !self.carry_on {
+            return number;
+        }
+        if number <= 0 && self.now > 0 {
+            self.before = self.before.saturating_add(self.now);
+            self.now = 0;
+        }
+        if number >= 0 {
+            self.now = number.saturating_add(1);
+        }
+        self.before.saturating_add(number.max(0))
+    }
 }
 
 impl UnitOutputs for World {
@@ -57,11 +84,12 @@ impl UnitOutputs for World {
         self.control.fired.fetch_add(1, Ordering::Relaxed);
         let late = u64::from(trigger.flags.contains(TriggerFlags::LATE));
         self.control.late.fetch_add(late, Ordering::Relaxed);
+        let instant = self.shown.instant(trigger.number);
         for (camera, (head, _)) in self.cameras.iter().enumerate() {
             // A camera on a head that is not configured hangs on a dead wire.
             let Some(timing) = heads.get(*head) else { continue };
             let time = self.clock.instant(trigger.time_ns.saturating_add(timing.delay_ns));
-            let edge = TriggerEdge { instant: trigger.number, time, width_ns: timing.exposure_ns };
+            let edge = TriggerEdge { instant, time, width_ns: timing.exposure_ns };
             self.edges.push((camera, edge));
         }
         self.edges.sort_by_key(|(_, edge)| edge.time);
@@ -97,6 +125,7 @@ impl Engine {
                 edges: Vec::new(),
                 control,
                 injector: options.faults.map(Injector::new),
+                shown: Shown { carry_on: options.carry_on, ..Shown::default() },
                 deeds: Vec::new(),
             },
             next_frame_ns: 0,
@@ -245,4 +274,20 @@ fn stand_in_for_a_hardware_timer() {
 fn poll_for(line: &Line) -> libc::pollfd {
     let events = if line.has_output() { libc::POLLIN | libc::POLLOUT } else { libc::POLLIN };
     libc::pollfd { fd: line.fd(), events, revents: 0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Shown;
+
+    #[test]
+    fn a_scene_goes_on_from_train_to_train_where_it_shall() {
+        let trains = [-2, -1, 0, 1, -2, -1, 0, 1, 2, 0, -1, 0];
+        let shown = |carry_on| -> Vec<i64> {
+            let mut shown = Shown { carry_on, ..Shown::default() };
+            trains.iter().map(|number| shown.instant(*number)).collect()
+        };
+        assert_eq!(shown(false), trains);
+        assert_eq!(shown(true), [0, 0, 0, 1, 2, 2, 2, 3, 4, 5, 6, 6]);
+    }
 }

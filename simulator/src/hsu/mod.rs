@@ -78,6 +78,9 @@ pub struct HsuOptions {
     pub line: Option<LineFaults>,
     /// What else goes wrong, at which triggers.
     pub faults: Option<HsuFaults>,
+    /// What the cameras are shown goes on from train to train instead of starting anew with each: the board of a
+    /// calibration walk stands elsewhere in the next session.
+    pub carry_on: bool,
 }
 
 impl Default for HsuOptions {
@@ -93,6 +96,7 @@ impl Default for HsuOptions {
             clock: HsuClock::default(),
             line: None,
             faults: None,
+            carry_on: false,
         }
     }
 }
