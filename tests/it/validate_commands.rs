@@ -1,12 +1,13 @@
 //! `validate plane|distance|spacing|girth|truth` as scripts see them: exit codes, JSON keys, what is said of missing and
 //! damaged files. On clouds of known shape, so that the figures are known, too.
 
+use crate::board_photographs::{Scene, flat};
 use fourdbody::calibrate::Calibration;
 use fourdbody::config::Rig;
 use fourdbody::export::{Cloud, ply};
 use fourdbody::image::write_png_grey;
 use fourdbody_simulator::cache::{CachedImages, Manifest};
-use fourdbody_simulator::scenario::Scenario;
+use fourdbody_simulator::scenario::{Light, Scenario};
 use fourdbody_simulator::sequence::{Changes, Run};
 use serde_json::Value;
 use std::f64::consts::TAU;
@@ -206,6 +207,38 @@ fn distance_says_why_nothing_was_measured() {
     let report = json(4, &["validate", "distance", "--clouds", text(&out), "--board", text(&board)]);
     assert_eq!(report["missing"][0]["head"], "h0", "{report:#}");
     assert!(report["missing"][0]["reason"].is_string() && report["rms_mm"].is_null(), "{report:#}");
+}
+
+/// The board of our own light before one head at full size, reconstructed with the true rig.
+#[test]
+fn plane_and_distance_measure_the_board() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let [images, out, calibration] = ["images", "out", "calibration.json"].map(|name| dir.path().join(name));
+    let scene = Scene::new(7, 1);
+    scene.truth.save(&calibration).expect("writable");
+    let photographs = scene.photograph(flat(0.2, 6.0, 4.0, 0.0), Light::Fringes, 0);
+    for ((_, camera), photograph) in scene.rig().cameras().zip(&photographs) {
+        let folder = images.join(camera.id.as_str());
+        std::fs::create_dir_all(&folder).expect("writable");
+        write_png_grey(&folder.join("000000.png"), photograph.into()).expect("writable");
+    }
+    let board = file("config/board.toml");
+    let [images, out, calibration, board] = [&images, &out, &calibration, &board].map(|path| text(path));
+    let made = fourdbody(&["reconstruct", images, "--calibration", calibration, "--out", out]);
+    assert_eq!(made.status.code(), Some(0), "{}", String::from_utf8_lossy(&made.stderr));
+
+    let shared = ["--clouds", out, "--calibration", calibration, "--board", board];
+    let plane = json(0, &[&["validate", "plane"], &shared[..]].concat());
+    assert!(number(&plane, "/rms_mm") < 0.12 && number(&plane, "/per_head/0/robust_mm") < 0.06, "{plane:#}");
+    assert_eq!(plane["per_head"][0]["found_by"], "circles", "{plane:#}");
+    for (from, more) in [("photographs", &["--session", images][..]), ("intensities and pattern", &[])] {
+        let distance = json(0, &[&["validate", "distance"], &shared[..], more].concat());
+        assert!(number(&distance, "/rms_mm") < 0.15, "{distance:#}");
+        assert_eq!((&distance["edges_from"], &distance["missing"]), (&from.into(), &serde_json::json!([])));
+        for key in ["error_mm", "edges_mm", "diagonal_mm", "ends"] {
+            assert_eq!(distance["per_head"][0][key].as_array().map(Vec::len), Some(2), "{key}: {distance:#}");
+        }
+    }
 }
 
 /// A ball of our own light before one head at half size, and what the head makes of it.
