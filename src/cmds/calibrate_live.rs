@@ -28,6 +28,7 @@ pub fn run(live: &Live<'_>, nominal: &Calibration, board: &Board) -> Result<Join
     let mut input = std::io::stdin().lock();
     // Sessions that were undone keep their names.
     let mut number = 0;
+    let mut failed = None;
     say(
         "Every position takes one white frame and one with fringes. Enter: capture; u: undo the last one; q: enough.",
     );
@@ -51,7 +52,16 @@ pub fn run(live: &Live<'_>, nominal: &Calibration, board: &Board) -> Result<Join
             }
         }
         number += 1;
-        let parts = one_session(live, number, &cameras)?;
+        // What was captured before is worth too much to be lost with one session that fails.
+        let parts = match one_session(live, number, &cameras) {
+            Ok(parts) => parts,
+            Err(failure) => {
+                say(&format!("this position does not count: {}", failure.message));
+                say("press Enter to try again");
+                failed = Some(failure);
+                continue;
+            }
+        };
         let mut alone = Joined::default();
         alone.push(parts);
         let looked = views::look(&alone, nominal, board).map_err(|e| Failure::new(Exit::Failure, e))?;
@@ -62,7 +72,9 @@ pub fn run(live: &Live<'_>, nominal: &Calibration, board: &Board) -> Result<Join
         }
     }
     if joined.is_empty() {
-        return Err(Failure::new(Exit::Usage, "no usable position was captured; nothing to calibrate from"));
+        return Err(failed.unwrap_or_else(|| {
+            Failure::new(Exit::Usage, "no usable position was captured; nothing to calibrate from")
+        }));
     }
     say(&format!("{} positions, {} sessions taken", joined.len(), number));
     Ok(joined)
