@@ -46,24 +46,32 @@ struct Sums {
     gridded: f64,
 }
 
-/// Residuals of one head's positions, each left out of the fit in turn.
+/// Residuals of one head's positions, each left out of the fit in turn. An error when no position can be spared.
 pub fn leave_one_out(rigging: &Rigging<'_>, head: usize) -> Result<LeftOut, StageError> {
     let full = rigging.attempt(head, &Excluded::default())?;
     let cameras = rigging.nominal.heads[head].cameras.len();
-    let judged: Vec<Sums> = full
+    let attempts: Vec<Result<Sums, StageError>> = full
         .positions
         .par_iter()
         .filter_map(|&position| {
-            let excluded = Excluded::position(position, cameras);
-            let fitted = match rigging.attempt(head, &excluded) {
-                Ok(fitted) => fitted,
-                // Without this one too little is left; that is no statement about the model.
-                Err(StageError::Positions { .. } | StageError::Parallel { .. }) => return None,
-                Err(error) => return Some(Err(error)),
-            };
-            judge(rigging, &fitted, position).map(Ok)
+            let fitted = rigging.attempt(head, &Excluded::position(position, cameras));
+            fitted.map(|fitted| judge(rigging, &fitted, position)).transpose()
         })
-        .collect::<Result<_, _>>()?;
+        .collect();
+    let (mut judged, mut too_little) = (Vec::new(), None);
+    for attempt in attempts {
+        match attempt {
+            Ok(sums) => judged.push(sums),
+            // Without this one too little is left; that is no statement about the model.
+            Err(error @ (StageError::Positions { .. } | StageError::Parallel { .. })) => {
+                too_little = Some(error);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    if let Some(error) = too_little.filter(|_| judged.is_empty()) {
+        return Err(error);
+    }
     let positions = judged.len();
     let all = judged.iter().fold(Sums::default(), |a, b| Sums {
         circles: [a.circles[0] + b.circles[0], a.circles[1] + b.circles[1]],
