@@ -29,7 +29,8 @@ pub fn check_placement(
         .collect();
     let places: Vec<Isometry3<f64>> =
         cameras.iter().map(|camera| *camera.device.world_from_device.isometry()).collect();
-    let scene = Scene { seen, places, corners: board.corners() };
+    let heads = nominal.cameras().map(|(head, _)| head.id.as_str()).collect();
+    let scene = Scene { seen, places, heads, corners: board.corners() };
     let order: Vec<usize> = (0..cameras.len()).collect();
     let Some((worst, [a, b])) = scene.worst(&order).filter(|(worst, _)| *worst > AGREE_M) else {
         return Ok(());
@@ -48,17 +49,21 @@ pub fn check_placement(
     Err(StageError::Misplaced { cameras: [name(a), name(b)], millimetres: (worst * 1e3) as u32 })
 }
 
-struct Scene {
+struct Scene<'a> {
     /// By camera and position, `camera_from_board`.
     seen: Vec<Vec<Option<Isometry3<f64>>>>,
     /// By camera, `world_from_camera` of the rig file.
     places: Vec<Isometry3<f64>>,
+    /// By camera, its head.
+    heads: Vec<&'a str>,
     corners: [Point3<f64>; 4],
 }
 
-impl Scene {
-    /// The pair of cameras that disagree most, when the images of camera c were taken at `places[order[c]]`: median
-    /// over their common positions of the distance of the board's corners, m.
+impl Scene<'_> {
+    /// The pair of cameras that disagree most, when the images of camera c were taken at `places[order[c]]`: distance of
+    /// the board's corners, m. Within a head the median over their common positions; between heads the least: heads
+    /// may have been calibrated one by one, each with its own board under the same trigger, and only some
+    /// positions are common to them.
     fn worst(&self, order: &[usize]) -> Option<(f64, [usize; 2])> {
         let mut worst: Option<(f64, [usize; 2])> = None;
         for a in 0..order.len() {
@@ -69,7 +74,10 @@ impl Scene {
                     let squares = self.corners.iter().map(|c| (in_a * c - in_b * c).norm_squared());
                     Some((squares.sum::<f64>() / 4.0).sqrt())
                 });
-                let apart = median(apart);
+                let apart = match self.heads[order[a]] == self.heads[order[b]] {
+                    true => median(apart),
+                    false => apart.fold(f64::NAN, f64::min),
+                };
                 if !apart.is_nan() && worst.is_none_or(|(most, _)| apart > most) {
                     worst = Some((apart, [a, b]));
                 }

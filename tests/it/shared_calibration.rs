@@ -2,9 +2,7 @@
 //! reason, where the data are not at hand.
 
 use crate::shared_scene::{calibration, device_of, scene};
-use fourdbody::calibrate::{
-    Board, Calibration, Ellipse, find_spots, global, identify, image_of_circle, stages, views,
-};
+use fourdbody::calibrate::{Board, Calibration, Ellipse, find_spots, identify, image_of_circle, run, views};
 use fourdbody::geometry::{Device, Lens};
 use fourdbody::image::{Mono8, read_png_grey};
 use fourdbody::reconstruct::png_source::PngSource;
@@ -136,14 +134,10 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
     let (positions, findings) = views::look(&source, &nominal, &board).expect("usable");
     findings.iter().for_each(|f| println!("{f:?}"));
     assert_eq!(positions.len(), 9);
-    let rigging = stages::Rigging {
-        nominal: &nominal,
-        board: &board,
-        positions: &positions,
-        terms: stages::Terms::default(),
-    };
-    let heads: Vec<_> = (0..2).map(|head| rigging.calibrate_head(head).expect("calibrated")).collect();
-    for head in &heads {
+    let outcome = run::solve(positions, findings, &nominal, &board, &run::Options::default());
+    let outcome = outcome.unwrap_or_else(|e| panic!("{e}"));
+    let heads = &outcome.heads;
+    for head in heads {
         println!(
             "head {}: cameras chi {:.3} in {}, all chi {:.3}, {} circles, {} phases",
             head.head,
@@ -154,9 +148,9 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
             head.observations.len() - head.circles
         );
     }
-    let together = global::bring_together(&rigging, &heads, &[]).expect("linked");
-    println!("chi {:.3}, {:?}", together.all.chi, together.links);
-    let found = global::calibration(&nominal, "test".to_owned(), &together.all.model);
+    let together = &outcome.together;
+    println!("chi {:.3}, {:?}, {:?}", together.all.chi, together.links, together.world);
+    let found = &outcome.calibration;
     let mut devices = together.all.device_sigma.iter();
     for (head, truth) in found.heads.iter().zip(&truth.heads) {
         for (camera, truth) in head.cameras.iter().zip(&truth.cameras) {
@@ -187,7 +181,7 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
         first * c.heads[head].cameras[camera].device.world_from_device.isometry()
     };
     for (head, camera) in [(0, 1), (1, 0), (1, 1)] {
-        let off = relative(&truth, head, camera).inverse() * relative(&found, head, camera);
+        let off = relative(&truth, head, camera).inverse() * relative(found, head, camera);
         println!(
             "head {head} camera {camera}: {:.4} mm, {:.6} deg",
             off.translation.vector.norm() * 1e3,
