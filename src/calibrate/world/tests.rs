@@ -1,3 +1,5 @@
+//! Whose word counts for the world, and how far: properties on the shipped rig.
+
 use super::{Vertical, World, WorldError, into_world, nearest_motion};
 use crate::calibrate::bundle::{DeviceModel, Model};
 use crate::calibrate::{Board, Calibration};
