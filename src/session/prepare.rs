@@ -107,6 +107,7 @@ impl Node {
         let receivers: Vec<ReceiverSetup> = (0..cameras)
             .map(|camera| ReceiverSetup {
                 camera,
+                stream: 0,
                 recorder: arrivals_in.clone(),
                 progress: Arc::clone(&session.progress),
                 clock: session.clock,
