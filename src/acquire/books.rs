@@ -563,3 +563,6 @@ fn gap_cause(transfer: Transfer) -> Option<GapCause> {
         Transfer::Aborted => Some(GapCause::Aborted),
     }
 }
+
+#[cfg(test)]
+mod tests;
