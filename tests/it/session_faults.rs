@@ -163,6 +163,28 @@ fn a_link_that_is_lost_on_one_node_is_taken_up_again() {
     assert_eq!((events(&session, "hsu_link_lost"), events(&session, "hsu_link_back")), (1, 1));
 }
 
+/// The node that gave up never learns how many triggers there were; what it has not is loss all the same, and said to be.
+#[test]
+fn a_lost_link_ends_the_session_where_that_is_configured() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 147, 20.0);
+    for node in &laboratory.nodes {
+        let text = std::fs::read_to_string(&node.path).expect("written by the laboratory");
+        let text = text.replace("[acquisition]\n", "[acquisition]\non_link_lost = \"abort\"\n");
+        std::fs::write(&node.path, text).expect("writable");
+    }
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "unlinked");
+    wait_triggers(&mut nodes[0], 10);
+    laboratory.hsu.set_plugged(1, false);
+    let output = capture.wait_with_output().expect("it ends by itself");
+    assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
+    let session = dir.path().join("sessions/unlinked");
+    let verified = verify(&session);
+    assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+    check_frames(&session);
+}
+
 #[test]
 fn an_hsu_that_restarts_ends_the_session_with_what_was_recorded() {
     let dir = tempfile::tempdir().expect("a temporary directory");
