@@ -26,3 +26,31 @@ pub fn give_large_blocks_back() {
         }
     }
 }
+
+#[cfg(all(test, target_env = "gnu"))]
+mod tests {
+    use super::give_large_blocks_back;
+
+    /// Whether the page of this address is mapped.
+    fn is_mapped(address: usize) -> bool {
+        let mut resident = 0;
+        // SAFETY: the call only looks at the page table, and writes one byte for the one page that it is asked about.
+        unsafe { libc::mincore((address & !4095) as *mut libc::c_void, 1, &mut resident) == 0 }
+    }
+
+    #[test]
+    fn the_limit_does_not_move_with_the_blocks_that_are_freed() {
+        give_large_blocks_back();
+        // Would raise it to 16 MiB.
+        drop(std::hint::black_box(vec![1u8; 16 << 20]));
+        let came_back = || {
+            let block = std::hint::black_box(vec![1u8; 4 << 20]);
+            let address = block.as_ptr() as usize + (2 << 20);
+            assert!(is_mapped(address));
+            drop(block);
+            !is_mapped(address)
+        };
+        // Another test's thread may take the same place at that moment, but not every time.
+        assert!((0..20).any(|_| came_back()));
+    }
+}
