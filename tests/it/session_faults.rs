@@ -1,7 +1,7 @@
 //! Devices that fail in the middle of a session: what is lost is accounted for, the rest is right, and what comes back
 //! goes on at the right trigger.
 
-use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, laboratory_of, start_nodes, text_of};
 use fourdbody::ids::TriggerIndex;
 use fourdbody::reconstruct::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
@@ -134,6 +134,21 @@ fn a_lost_camera_ends_the_session_where_that_is_configured() {
     let gaps = check_frames(&session);
     let whole = |gaps: &[(u64, GapCause)]| gaps.is_empty();
     assert!(gaps.iter().enumerate().all(|(camera, gaps)| (camera == 2) != whole(gaps)), "{gaps:?}");
+}
+
+/// The session has ended before Aravis gives the camera up (2.5 s after it is asked); the recording says so all the same.
+#[test]
+fn a_camera_lost_at_the_very_end_is_named() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let mut laboratory = laboratory_of(dir.path(), 148, 100.0, (64, 48), 1);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "at-the-end");
+    wait_triggers(&mut nodes[0], 10);
+    laboratory.unplug(3);
+    wait_triggers(&mut nodes[0], 10);
+    let output = stop(capture);
+    assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
+    assert_eq!(events(&dir.path().join("sessions/at-the-end"), "camera_lost"), 1, "{}", nodes[0].log());
 }
 
 #[test]
