@@ -1,6 +1,6 @@
 //! The steps of preparation that touch devices and disk, and what undoes them.
 
-use super::attendant::counters_text;
+use super::attendant::{Report, counters_text};
 use super::devices::{PreparedCamera, unique_id};
 use super::driver::{Node, hsu_session};
 use super::link::{LinkKeeper, LinkSetup};
@@ -173,6 +173,10 @@ impl Node {
             };
             session.tell(ToRecorder::Event(event));
         }
+        // A camera that was asked whether it still answers is found lost 2.5 s later, while this thread waited for its
+        // attendant: the recording must say so before it is closed.
+        let last_words: Vec<Report> = session.reports.try_iter().collect();
+        last_words.into_iter().for_each(|report| self.attendant_reports(report));
     }
 
     /// Removes what `create_recording` made: this session's own files, without a single trigger in them.
