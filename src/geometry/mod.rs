@@ -7,7 +7,7 @@ mod lens;
 mod pose;
 
 pub use lens::Lens;
-pub use pose::{Pose, look_at};
+pub use pose::{Pose, look_at, rigid_motion};
 
 use nalgebra::{Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
