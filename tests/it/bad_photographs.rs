@@ -285,7 +285,7 @@ fn cameras_without_frames_take_one_line_each() {
 
 /// The table of docs/design/calibration.md.
 #[test]
-#[ignore = "fifty calibrations: minutes"]
+#[ignore = "54 calibrations, minutes: cargo test --release --test it models_are_compared -- --ignored --nocapture"]
 fn models_are_compared_by_positions_left_out() {
     use fourdbody::calibrate::compare::{VARIANTS, leave_one_out};
     use fourdbody::calibrate::stages::{Rigging, Terms};
