@@ -1,11 +1,11 @@
 //! `verify` on both nodes' recordings together: pairs that do not belong together are told apart, each by its own words.
 
+use crate::lab::fourdbody;
 use crate::recording::{end, frame, header, options, trigger};
 use fourdbody::ids::NodeId;
 use fourdbody::record::verify::{Report, Severity, verify};
 use fourdbody::record::{Recording, RecordingHeader, TriggerRecord, node_dir};
 use std::path::Path;
-use std::process::{Command, Output};
 
 const TRIGGERS: u64 = 24;
 
@@ -164,10 +164,6 @@ fn a_recording_in_the_other_nodes_directory_and_one_that_cannot_be_read_are_name
     assert_eq!((report.worst, report.recordings.len()), (Some(Severity::Corrupt), 1), "{text}");
     assert!(text.contains("corrupt: node b:") && text.contains("no segment has a readable header"), "{text}");
     assert!(!text.contains("its recording is not here"), "{text}");
-}
-
-fn fourdbody(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_fourdbody")).args(args).output().expect("the program runs")
 }
 
 /// Each PC's part was copied to a place of its own.
