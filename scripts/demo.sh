@@ -8,6 +8,7 @@ out=target/demo
 triggers=${TRIGGERS:-24}
 rate_hz=${RATE_HZ:-20}
 scenario=config/scenarios/demo.toml
+commit=$(git rev-parse HEAD) # what was built; a commit made during the run is not
 
 . scripts/laboratory.sh
 
@@ -40,7 +41,7 @@ $bin/fourdbody view "$out/result/merged/$middle.ply" --out "$out/merged.png" --s
 step "figures (points are per merged cloud), kept in $out/summary.json"
 $bin/fourdbody-sim summarize --scenario "$scenario" --rate-hz "$rate_hz" --capture "$out/capture.json" \
     --reconstruction "$out/result/summary.json" --score "$out/score.json" \
-    --commit "$(git rev-parse HEAD)" --out "$out/summary.json"
+    --commit "$commit" --out "$out/summary.json"
 
 cat <<EOT
 
