@@ -172,6 +172,11 @@ impl Node {
             };
             session.tell(ToRecorder::Event(event));
         }
+        let dropped = self.devices.hsu().map_or(0, |hsu| hsu.dropped_events());
+        if dropped > 0 {
+            let text = format!("{dropped} events of the HSU gave way, unread, since its link was opened");
+            self.note("hsu_events_dropped", None, &text);
+        }
     }
 
     /// Removes what `create_recording` made: this session's own files, without a single trigger in them.
