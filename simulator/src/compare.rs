@@ -6,7 +6,7 @@
 //! all together (how the heads stand to each other, too).
 
 use fourdbody::calibrate::Calibration;
-use fourdbody::geometry::{Device, Pose, rigid_motion};
+use fourdbody::geometry::{Device, Pose, best_motion};
 use fourdbody::ids::HeadId;
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::triangulate::Triangulator;
@@ -52,10 +52,10 @@ pub fn compare(found: &Calibration, truth: &Calibration) -> Result<Comparison, S
     let mut all: Vec<Both> = Vec::new();
     for head in &truth.heads {
         let points = head_points(head.id.as_str(), found, truth)?;
-        heads.push((head.id.clone(), distances(&points, &best_motion(&points)?)));
+        heads.push((head.id.clone(), distances(&points, &fitted(&points)?)));
         all.extend(points);
     }
-    let true_from_found = best_motion(&all)?;
+    let true_from_found = fitted(&all)?;
     let up = true_from_found.rotation * Vector3::z();
     let [low, high] = [truth.volume_min_m, truth.volume_max_m].map(Vector3::from);
     let middle = Point3::from((low + high) / 2.0);
@@ -114,8 +114,9 @@ fn head_points(head: &str, found: &Calibration, truth: &Calibration) -> Result<V
     Ok(points)
 }
 
-fn best_motion(points: &[Both]) -> Result<Isometry3<f64>, String> {
-    rigid_motion(points).ok_or_else(|| {
+/// The rigid motion that fits best.
+fn fitted(points: &[Both]) -> Result<Isometry3<f64>, String> {
+    best_motion(points).ok_or_else(|| {
         format!("{} points of the volume are seen by both calibrations, expected many", points.len())
     })
 }

@@ -1,6 +1,6 @@
 //! Rigid transforms as they stand in files: a rotation matrix (rows) and a translation in metres.
 
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// A rigid transform `a_from_b`. In files: `{"rotation": [[3], [3], [3]], "translation_m": [3]}`.
@@ -40,24 +40,6 @@ impl Pose {
     pub fn isometry(&self) -> &Isometry3<f64> {
         &self.0
     }
-}
-
-/// The rigid motion that takes the first point of each pair to the second with the least squares (Kabsch 1976); `None` for
-/// fewer than three pairs.
-pub fn rigid_motion(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Isometry3<f64>> {
-    if pairs.len() < 3 {
-        return None;
-    }
-    let n = pairs.len() as f64;
-    let a = pairs.iter().map(|pair| pair.0.coords).sum::<Vector3<f64>>() / n;
-    let b = pairs.iter().map(|pair| pair.1.coords).sum::<Vector3<f64>>() / n;
-    let spread: Matrix3<f64> = pairs.iter().map(|(x, y)| (y.coords - b) * (x.coords - a).transpose()).sum();
-    let svd = spread.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    let sign = (u * v_t).determinant().signum();
-    let matrix = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-    Some(Isometry3::from_parts(Translation3::from(b - rotation * a), rotation))
 }
 
 impl TryFrom<PoseFile> for Pose {

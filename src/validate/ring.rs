@@ -2,7 +2,7 @@
 
 use crate::calibrate::{Board, Ellipse, NotIdentified, Spot, identify};
 use crate::export::Cloud;
-use crate::geometry::rigid_motion;
+use crate::geometry::best_motion;
 use crate::image::Plane;
 use crate::validate::plane::Placed;
 use nalgebra::{Point3, SMatrix, SVector, Vector3};
@@ -258,6 +258,6 @@ pub fn place(clouds: &[Organized<'_>], board: &Board) -> Result<Placed, String> 
             })),
         }
     }
-    let pose = rigid_motion(&pairs).ok_or_else(|| format!("the board is not recognized: {reason}"))?;
+    let pose = best_motion(&pairs).ok_or_else(|| format!("the board is not recognized: {reason}"))?;
     Ok(Placed { world_from_board: pose, size_m: board.size_m })
 }
