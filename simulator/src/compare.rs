@@ -6,11 +6,11 @@
 //! all together (how the heads stand to each other, too).
 
 use fourdbody::calibrate::Calibration;
-use fourdbody::geometry::{Device, Pose};
+use fourdbody::geometry::{Device, Pose, best_motion};
 use fourdbody::ids::HeadId;
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::triangulate::Triangulator;
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 /// Pixels between rays, and metres between the points along one.
 const STEP_PX: usize = 97;
@@ -52,10 +52,10 @@ pub fn compare(found: &Calibration, truth: &Calibration) -> Result<Comparison, S
     let mut all: Vec<Both> = Vec::new();
     for head in &truth.heads {
         let points = head_points(head.id.as_str(), found, truth)?;
-        heads.push((head.id.clone(), distances(&points, &best_motion(&points)?)));
+        heads.push((head.id.clone(), distances(&points, &fitted(&points)?)));
         all.extend(points);
     }
-    let true_from_found = best_motion(&all)?;
+    let true_from_found = fitted(&all)?;
     let up = true_from_found.rotation * Vector3::z();
     let [low, high] = [truth.volume_min_m, truth.volume_max_m].map(Vector3::from);
     let middle = Point3::from((low + high) / 2.0);
@@ -114,28 +114,11 @@ fn head_points(head: &str, found: &Calibration, truth: &Calibration) -> Result<V
     Ok(points)
 }
 
-/// The rigid motion from the first to the second of each pair with the least squares (Kabsch 1976).
-fn best_motion(points: &[Both]) -> Result<Isometry3<f64>, String> {
-    if points.len() < 3 {
-        return Err(format!(
-            "{} points of the volume are seen by both calibrations, expected many",
-            points.len()
-        ));
-    }
-    let n = points.len() as f64;
-    let (from, to) = points
-        .iter()
-        .fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (p, q)| (a + p.coords / n, b + q.coords / n));
-    let spread: Matrix3<f64> =
-        points.iter().map(|(p, q)| (q.coords - to) * (p.coords - from).transpose()).sum();
-    let svd = spread.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        return Err("the motion between the two worlds cannot be computed".to_owned());
-    };
-    let sign = Vector3::new(1.0, 1.0, (u * v_t).determinant().signum());
-    let rotation = Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&sign) * v_t);
-    let shift = Translation3::from(to - rotation * from);
-    Ok(Isometry3::from_parts(shift, UnitQuaternion::from_rotation_matrix(&rotation)))
+/// The rigid motion that fits best.
+fn fitted(points: &[Both]) -> Result<Isometry3<f64>, String> {
+    best_motion(points).ok_or_else(|| {
+        format!("{} points of the volume are seen by both calibrations, expected many", points.len())
+    })
 }
 
 fn distances(points: &[Both], motion: &Isometry3<f64>) -> Distances {

@@ -4,9 +4,11 @@
 //! Device axes: x along image columns (u), y along rows (v), z forward. Lengths are metres.
 
 mod lens;
+mod motion;
 mod pose;
 
 pub use lens::Lens;
+pub use motion::best_motion;
 pub use pose::{Pose, look_at};
 
 use nalgebra::{Point3, Unit, Vector3};

@@ -25,10 +25,9 @@ const MAX_ABOVE_BLACK_DN: u8 = 8;
 pub fn envelope(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
     let width = (1.2 * period_px).ceil() as usize | 1;
     let mut closed = Plane::filled(image.width(), image.height(), 0u8);
-    let mut scratch = Scratch::default();
+    let (mut scratch, mut raised) = (Scratch::default(), vec![0; image.width()]);
     for v in 0..image.height() {
-        scratch.sliding(image.row(v), closed.row_mut(v), width, u8::max);
-        let raised = closed.row(v).to_vec();
+        scratch.sliding(image.row(v), &mut raised, width, u8::max);
         scratch.sliding(&raised, closed.row_mut(v), width, u8::min);
     }
     let smooth = median3x3(&closed);

@@ -236,17 +236,10 @@ impl Pipeline {
         });
         let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
         counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let markers = clock.time("anchors", || marker::detect(&ridges, period, &wrapped, pair));
-        counts.marker = markers.label.as_slice().iter().filter(|&&x| x != 0).count();
+        let marker = clock.time("anchors", || marker::detect(&ridges, period, &wrapped, pair));
+        counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
         let unwrapped = clock.time("unwrap", || {
-            unwrap::unwrap(
-                &wrapped,
-                period,
-                &phasors.misfit,
-                &markers.label,
-                pair,
-                &unwrap::Settings::default(),
-            )
+            unwrap::unwrap(&wrapped, period, &phasors.misfit, &marker, pair, &unwrap::Settings::default())
         });
         counts.refused = unwrapped.refused_px;
         counts.contradictions = unwrapped.contradictions;
@@ -269,7 +262,7 @@ impl Pipeline {
                 ("Bm", border),
                 ("Qm", quality),
                 ("Em", ridges.energy),
-                ("Mm", convert(&markers.label, |x| x.min(1) as f32)),
+                ("Mm", number(&marker)),
                 ("Um", unwrapped.absolute.clone()),
                 ("misfit", phasors.misfit.clone()),
             ];

@@ -80,7 +80,7 @@ pub fn unwrap(
     wrapped: &Plane<f32>,
     period: &Plane<f32>,
     misfit: &Plane<f32>,
-    anchor: &Plane<u32>,
+    anchor: &Plane<u8>,
     pair: &Pair,
     settings: &Settings,
 ) -> Unwrapped {
@@ -303,7 +303,7 @@ struct Forest {
 }
 
 impl Forest {
-    fn new(anchor: &Plane<u32>) -> Self {
+    fn new(anchor: &Plane<u8>) -> Self {
         let n = anchor.as_slice().len();
         Self {
             parent: (0..n as u32).collect(),
@@ -402,10 +402,10 @@ mod tests {
             Plane::from_vec(W, H, truth.as_slice().iter().map(|&x| f(x)).collect()).expect("same size")
         };
         let wrapped = map(&|x| wrap(x));
-        let mut anchor = Plane::filled(W, H, 0u32);
+        let mut anchor = Plane::filled(W, H, 0u8);
         for v in marker_rows {
             for u in 0..W {
-                anchor.set(u, v, u32::from((truth.at(u, v) - 80.0 * TAU).abs() < 1.5));
+                anchor.set(u, v, u8::from((truth.at(u, v) - 80.0 * TAU).abs() < 1.5));
             }
         }
         let (period, misfit) = (map(&|_| PERIOD), map(&|_| 0.0));

@@ -177,6 +177,11 @@ impl Node {
         // attendant: the recording must say so before it is closed.
         let last_words: Vec<Report> = session.reports.try_iter().collect();
         last_words.into_iter().for_each(|report| self.attendant_reports(report));
+        let dropped = self.devices.hsu().map_or(0, |hsu| hsu.dropped_events());
+        if dropped > 0 {
+            let text = format!("{dropped} events of the HSU gave way, unread, since its link was opened");
+            self.note("hsu_events_dropped", None, &text);
+        }
     }
 
     /// Removes what `create_recording` made: this session's own files, without a single trigger in them.

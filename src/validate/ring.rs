@@ -2,11 +2,10 @@
 
 use crate::calibrate::{Board, Ellipse, NotIdentified, Spot, identify};
 use crate::export::Cloud;
+use crate::geometry::best_motion;
 use crate::image::Plane;
 use crate::validate::plane::Placed;
-use nalgebra::{
-    Isometry3, Matrix2, Matrix3, Point3, Rotation3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3,
-};
+use nalgebra::{Point3, SMatrix, SVector, Vector3};
 
 /// Pixels darker than this share of the light around are of a circle.
 const DARK: f32 = 0.5;
@@ -137,23 +136,11 @@ impl<'a> Organized<'a> {
 
     /// The ellipse with a region's moments; `None` where it is not nearly filled by the region.
     fn spot(&self, pixels: &[[usize; 2]]) -> Option<Spot> {
-        let n = pixels.len() as f64;
-        let points = || pixels.iter().map(|p| [p[0] as f64, p[1] as f64]);
-        let (mu, mv) = (points().map(|p| p[0]).sum::<f64>() / n, points().map(|p| p[1]).sum::<f64>() / n);
-        let (mut uu, mut uv, mut vv) = (0.0, 0.0, 0.0);
-        for [u, v] in points() {
-            uu += (u - mu) * (u - mu) / n;
-            uv += (u - mu) * (v - mv) / n;
-            vv += (v - mv) * (v - mv) / n;
-        }
-        let determinant = Matrix2::new(uu, uv, uv, vv).determinant();
-        let filled = n / (4.0 * std::f64::consts::PI * determinant.max(1e-9).sqrt());
+        let place = |p: &[usize; 2]| [0, 1].map(|axis| (p[axis] + self.origin[axis]) as f64);
+        let (ellipse, filled) = Ellipse::of_region(pixels.iter().map(place))?;
         if !(0.8..1.2).contains(&filled) {
             return None;
         }
-        let conic = Matrix3::new(vv, -uv, 0.0, -uv, uu, 0.0, 0.0, 0.0, -4.0 * determinant);
-        let mut ellipse = Ellipse::from_conic(&conic)?;
-        ellipse.centre = [mu + self.origin[0] as f64, mv + self.origin[1] as f64];
         Some(Spot { ellipse, rms_px: 0.0, contrast: 0.0, blur_px: 0.0, outside: 0.0 })
     }
 
@@ -259,7 +246,7 @@ impl Surface {
 
 /// The board's pose from the middles of its circles in the clouds of one head: good to some tenths of a millimetre.
 pub fn place(clouds: &[Organized<'_>], board: &Board) -> Result<Placed, String> {
-    let mut pairs: Vec<(Vector3<f64>, Vector3<f64>)> = Vec::new();
+    let mut pairs: Vec<(Point3<f64>, Point3<f64>)> = Vec::new();
     let mut reason = "there are no clouds".to_owned();
     for cloud in clouds {
         match cloud.circles(board) {
@@ -267,27 +254,10 @@ pub fn place(clouds: &[Organized<'_>], board: &Board) -> Result<Placed, String> 
             Ok(rings) => pairs.extend(rings.iter().filter_map(|ring| {
                 let surface = cloud.surface(ring, &rings)?;
                 let circle = board.circles().get(ring.circle)?;
-                Some((Vector3::from(circle.centre_m), surface.at(ring.outline.centre).coords))
+                Some((Point3::from(circle.centre_m), surface.at(ring.outline.centre)))
             })),
         }
     }
-    let pose = rigid(&pairs).ok_or_else(|| format!("the board is not recognized: {reason}"))?;
+    let pose = best_motion(&pairs).ok_or_else(|| format!("the board is not recognized: {reason}"))?;
     Ok(Placed { world_from_board: pose, size_m: board.size_m })
-}
-
-/// The rigid transform that takes the first points to the second (least squares).
-fn rigid(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Isometry3<f64>> {
-    if pairs.len() < 3 {
-        return None;
-    }
-    let n = pairs.len() as f64;
-    let a = pairs.iter().map(|pair| pair.0).sum::<Vector3<f64>>() / n;
-    let b = pairs.iter().map(|pair| pair.1).sum::<Vector3<f64>>() / n;
-    let spread: Matrix3<f64> = pairs.iter().map(|(x, y)| (y - b) * (x - a).transpose()).sum();
-    let svd = spread.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    let sign = (u * v_t).determinant().signum();
-    let matrix = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-    Some(Isometry3::from_parts(Translation3::from(b - rotation * a), rotation))
 }

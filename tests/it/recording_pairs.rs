@@ -1,12 +1,12 @@
 //! `verify` on both nodes' recordings together: pairs that do not belong together are told apart, each by its own words.
 
+use crate::lab::fourdbody;
 use crate::recording::{end, frame, header, options, trigger};
 use fourdbody::ids::{NodeId, TriggerIndex};
 use fourdbody::reconstruct::FrameSource;
 use fourdbody::record::verify::{Report, Severity, verify};
 use fourdbody::record::{GapCause, Recording, RecordingHeader, SessionReader, TriggerRecord, node_dir};
 use std::path::Path;
-use std::process::{Command, Output};
 
 const TRIGGERS: u64 = 24;
 
@@ -243,10 +243,6 @@ fn fewer_triggers_without_a_reason_or_against_the_count_are_corrupt() {
         assert_eq!(report.worst, Some(Severity::Corrupt), "{what}: {}", texts(&report));
         assert!(!report.compared[0].agree, "{what}");
     }
-}
-
-fn fourdbody(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_fourdbody")).args(args).output().expect("the program runs")
 }
 
 /// Each PC's part was copied to a place of its own.

@@ -1,25 +1,13 @@
 //! Devices that fail in the middle of a session: what is lost is accounted for, the rest is right, and what comes back
 //! goes on at the right trigger.
 
-use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, laboratory_of, start_nodes, text_of};
+use crate::lab::{NodeProcess, fourdbody, laboratory, laboratory_of, start_capture, start_nodes, text_of};
 use fourdbody::ids::TriggerIndex;
 use fourdbody::reconstruct::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
 use fourdbody_simulator::gige::TestImages;
-use fourdbody_simulator::laboratory::Laboratory;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
-
-/// A capture that runs until it is stopped.
-fn start_capture(laboratory: &Laboratory, name: &str) -> Child {
-    Command::new(FOURDBODY)
-        .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "0", "--name", name])
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the binary starts")
-}
+use std::process::{Child, Command, Output};
 
 /// Waits until `more` triggers have been reported to this node.
 fn wait_triggers(node: &mut NodeProcess, more: u64) {
