@@ -13,24 +13,8 @@ seed=${SEED:-1}
 plan=${PLAN:-config/scenarios/faults.toml}
 address=${ADDRESS:-127.0.120.111}
 
-children=()
-cleanup() {
-    [ ${#children[@]} -eq 0 ] || kill "${children[@]}" 2>/dev/null || true
-    wait 2>/dev/null || true
-    children=()
-}
-trap cleanup EXIT
-
-# wait_for SECONDS COMMAND...: until the command succeeds.
-wait_for() {
-    local tries=$(($1 * 10))
-    shift
-    until "$@" >/dev/null 2>&1; do
-        tries=$((tries - 1))
-        [ $tries -gt 0 ] || { echo "error: waited in vain for: $*; see the logs in $out" >&2; exit 1; }
-        sleep 0.1
-    done
-}
+. scripts/laboratory.sh
+export FOURDBODY_LOG=${FOURDBODY_LOG:-error}
 
 number() { grep -o "\"$1\":[0-9]*" "$2" | tail -1 | cut -d: -f2; }
 
@@ -47,24 +31,11 @@ sed -e 's/^late_ms = .*/late_ms = 100/' "$plan" >"$out/plan.toml"
 total=0 wrong=0 started=$(date +%s)
 while [ "$total" -lt "$wanted" ]; do
     run=$out/seed-$seed
-    mkdir -p "$run"
-    $bin/fourdbody-sim run --rig "$out/rig.toml" --run-dir "$run/lab" --rate-hz "$rate_hz" --buffers 128 \
+    open_laboratory "$run/lab" --rig "$out/rig.toml" --rate-hz "$rate_hz" --buffers 128 \
         --first-port 0 --first-address "$address" --packet-bytes 576 --segment-mib 256 \
-        --faults "$out/plan.toml" --fault-seed "$seed" >"$run/lab.json" 2>"$run/lab.log" &
-    children+=($!)
-    wait_for 30 grep -q '"ready":true' "$run/lab.json"
-    urls=$(grep -o '"urls":"[^"]*"' "$run/lab.json" | cut -d'"' -f4)
-    for config in "$run"/lab/node-*.toml; do
-        FOURDBODY_LOG=error $bin/fourdbody node --config "$config" 2>"$run/$(basename "$config" .toml).log" &
-        children+=($!)
-    done
-    # Devices take a moment to answer; a capture before that is refused and leaves nothing.
-    wait_for 30 $bin/fourdbody status --nodes "$urls"
-    code=0
-    $bin/fourdbody capture --nodes "$urls" --triggers "$triggers" --name train --json \
-        >"$run/capture.json" 2>"$run/capture.log" || code=$?
-    [ $code -eq 0 ] || [ $code -eq 3 ] || { cat "$run/capture.log" >&2; exit $code; }
-    cleanup
+        --faults "$out/plan.toml" --fault-seed "$seed"
+    record "$run/capture.json" --triggers "$triggers" --name train
+    close_laboratory
     code=0
     $bin/fourdbody-sim check-accounting --pixels --truth "$run/lab/faults.jsonl" "$run/lab/sessions/train" \
         >"$run/accounting.json" 2>"$run/mismatches.log" || code=$?

@@ -8,25 +8,9 @@ out=target/demo
 triggers=${TRIGGERS:-24}
 rate_hz=${RATE_HZ:-20}
 scenario=config/scenarios/demo.toml
+commit=$(git rev-parse HEAD) # what was built; a commit made during the run is not
 
-step() { printf '\n== %s\n' "$*"; }
-children=()
-cleanup() {
-    [ ${#children[@]} -eq 0 ] || kill "${children[@]}" 2>/dev/null || true
-    wait 2>/dev/null || true
-}
-trap cleanup EXIT
-
-# wait_for SECONDS COMMAND...: until the command succeeds.
-wait_for() {
-    local tries=$(($1 * 10))
-    shift
-    until "$@" >/dev/null 2>&1; do
-        tries=$((tries - 1))
-        [ $tries -gt 0 ] || { echo "error: waited in vain for: $*; see the logs in $out" >&2; exit 1; }
-        sleep 0.1
-    done
-}
+. scripts/laboratory.sh
 
 mkdir -p "$out"
 rm -rf "$out"/{lab,sessions,result,*.log}
@@ -34,31 +18,14 @@ rm -rf "$out"/{lab,sessions,result,*.log}
 step "light: $scenario, ray cast into eight cameras (kept in $out/frames for the next run)"
 $bin/fourdbody-sim render --scenario "$scenario" --out "$out/frames"
 
-step "laboratory: eight GigE Vision cameras on loopback, the HSU on two ptys, at $rate_hz triggers a second"
-$bin/fourdbody-sim run --frames "$out/frames" --run-dir "$out/lab" --sessions-dir "$out/sessions" \
-    --rate-hz "$rate_hz" >"$out/lab.json" 2>"$out/lab.log" &
-children+=($!)
-wait_for 30 grep -q '"ready":true' "$out/lab.json"
-nodes=http://127.0.0.1:7401,http://127.0.0.1:7402
-
-step "nodes: two fourdbody processes"
-for node in a b; do
-    $bin/fourdbody node --config "$out/lab/node-$node.toml" 2>"$out/node-$node.log" &
-    children+=($!)
-done
-wait_for 30 $bin/fourdbody status --nodes "$nodes"
+step "laboratory: eight GigE Vision cameras on loopback, the HSU on two ptys at $rate_hz triggers a second; two nodes"
+open_laboratory "$out/lab" --frames "$out/frames" --sessions-dir "$out/sessions" --rate-hz "$rate_hz"
 $bin/fourdbody status --nodes "$nodes"
 
 step "capture: $triggers triggers"
-$bin/fourdbody capture --nodes "$nodes" --triggers "$triggers" --name demo --subject P001 \
-    --note "demonstration" --json >"$out/capture.json" || {
-    code=$?
-    # 3: frames are missing, each with a gap record; the chain goes on and the figures say so.
-    [ $code -eq 3 ] || { echo "error: capture failed with exit code $code; see $out/node-*.log" >&2; exit $code; }
-}
+record "$out/capture.json" --triggers "$triggers" --name demo --subject P001 --note "demonstration"
 $bin/fourdbody verify "$out/sessions/demo" || [ $? -eq 3 ]
-cleanup
-children=()
+close_laboratory
 
 step "reconstruction: 8 x $triggers frames, one cloud each, merged by trigger"
 $bin/fourdbody reconstruct "$out/sessions/demo" --calibration "$out/frames/calibration.json" --out "$out/result" \
@@ -74,7 +41,7 @@ $bin/fourdbody view "$out/result/merged/$middle.ply" --out "$out/merged.png" --s
 step "figures (points are per merged cloud), kept in $out/summary.json"
 $bin/fourdbody-sim summarize --scenario "$scenario" --rate-hz "$rate_hz" --capture "$out/capture.json" \
     --reconstruction "$out/result/summary.json" --score "$out/score.json" \
-    --commit "$(git rev-parse HEAD)" --out "$out/summary.json"
+    --commit "$commit" --out "$out/summary.json"
 
 cat <<EOT
 

@@ -11,51 +11,18 @@ first_address=${FIRST_ADDRESS:-127.0.9.11}
 first_port=${FIRST_PORT:-7421}
 rig=config/rig.toml
 board=config/board.toml
-nodes=http://127.0.0.1:$first_port,http://127.0.0.1:$((first_port + 1))
 
-step() { printf '\n== %s\n' "$*"; }
-children=()
-cleanup() {
-    [ ${#children[@]} -eq 0 ] || kill "${children[@]}" 2>/dev/null || true
-    [ ${#children[@]} -eq 0 ] || wait "${children[@]}" 2>/dev/null || true
-    children=()
-}
-trap cleanup EXIT
+. scripts/laboratory.sh
 
-# wait_for SECONDS COMMAND...: until the command succeeds.
-wait_for() {
-    local tries=$(($1 * 10))
-    shift
-    until "$@" >/dev/null 2>&1; do
-        tries=$((tries - 1))
-        [ $tries -gt 0 ] || { echo "error: waited in vain for: $*; see the logs in $out" >&2; exit 1; }
-        sleep 0.1
-    done
-}
-
-# record SCENE TRIGGERS: a laboratory that shows the scene, two nodes, one session.
-record() {
-    local scene=$1 triggers=$2 lab=$out/$1/lab node code
-    rm -rf "$lab" "$out/sessions/$scene"
-    mkdir -p "$lab"
-    $bin/fourdbody-sim run --frames "$out/$scene" --run-dir "$lab" --sessions-dir "$out/sessions" \
-        --rate-hz "$rate_hz" --first-address "$first_address" --first-port "$first_port" \
-        >"$lab/lab.json" 2>"$lab/lab.log" &
-    children+=($!)
-    wait_for 60 grep -q '"ready":true' "$lab/lab.json"
-    for node in a b; do
-        $bin/fourdbody node --config "$lab/node-$node.toml" 2>"$lab/node-$node.log" &
-        children+=($!)
-    done
-    wait_for 60 $bin/fourdbody status --nodes "$nodes"
-    $bin/fourdbody capture --nodes "$nodes" --triggers "$triggers" --name "$scene" --subject artefact \
-        --note "validation" --json >"$lab/capture.json" || {
-        code=$?
-        # 3: frames are missing, each with a gap record; the figures then rest on fewer clouds.
-        [ $code -eq 3 ] || { echo "error: capture failed with exit code $code; see $lab" >&2; exit $code; }
-    }
+# record_scene SCENE TRIGGERS: a laboratory that shows the scene, and one session of it.
+record_scene() {
+    local scene=$1 triggers=$2 lab=$out/$1/lab
+    rm -rf "$out/sessions/$scene"
+    open_laboratory "$lab" --frames "$out/$scene" --sessions-dir "$out/sessions" \
+        --rate-hz "$rate_hz" --first-address "$first_address" --first-port "$first_port"
+    record "$lab/capture.json" --triggers "$triggers" --name "$scene" --subject artefact --note "validation"
     $bin/fourdbody verify "$out/sessions/$scene" || [ $? -eq 3 ]
-    cleanup
+    close_laboratory
 }
 
 # reconstruct SCENE OUT CALIBRATION [OPTIONS...]
@@ -73,7 +40,7 @@ for scene in board turntable torso; do
 done
 
 step "recording: 28 positions of the board, each in white light and in fringes, at $rate_hz triggers a second"
-record board 56
+record_scene board 56
 step "calibration from that recording"
 $bin/fourdbody calibrate --rig "$rig" --board "$board" --session "$out/sessions/board" --out "$out/calibration.json"
 rm -rf "$out/sessions/board"
@@ -84,9 +51,9 @@ $bin/fourdbody-sim compare-rig --found "$out/calibration.json" --truth "$out/boa
     --json >"$out/compare.json"
 
 step "recording: the board on the turntable, 8 azimuths at each of 0, 4, 9 and 14 rpm"
-record turntable 32
+record_scene turntable 32
 step "recording: the dummy of known girths"
-record torso 2
+record_scene torso 2
 
 figures=()
 first=0

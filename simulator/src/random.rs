@@ -16,6 +16,11 @@ pub fn mix(value: u64) -> u64 {
     z ^ (z >> 31)
 }
 
+/// A number in [0, 1) from 64 well-spread bits.
+pub fn share(bits: u64) -> f64 {
+    (bits >> 11) as f64 / (1u64 << 53) as f64
+}
+
 /// A stable 64-bit number of a text (FNV-1a), for hashing names.
 pub fn text_number(text: &str) -> u64 {
     text.bytes().fold(0xcbf2_9ce4_8422_2325, |h, byte| (h ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3))

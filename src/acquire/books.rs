@@ -4,7 +4,7 @@ use super::assembler::Assembler;
 use super::clock::{ClockFit, Exchange, Judged};
 use super::matcher::{Finding, Match, Matched, Matcher, Sighting, Witness};
 use super::receiver::Arrival;
-use super::recorder::{FromRecorder, LaneSetup, Progress, RecorderOptions, ToRecorder, WhenFull};
+use super::recorder::{FromRecorder, LaneSetup, Progress, RecorderOptions, TICK, ToRecorder, WhenFull};
 use super::ring::{ReadyFrame, Ring, ToWriter};
 use super::trigger_table::TriggerTable;
 use crate::camera::Transfer;
@@ -15,7 +15,7 @@ use crossbeam_channel::Sender;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// One camera.
 struct Lane {
@@ -23,7 +23,9 @@ struct Lane {
     width: u32,
     height: u32,
     matcher: Matcher,
-    pending: VecDeque<Arrival>,
+    pending: VecDeque<Pending>,
+    /// The number of the stream whose frames are taken.
+    stream: u32,
     /// The first trigger without an outcome.
     next: u64,
     lost: bool,
@@ -35,6 +37,15 @@ struct Lane {
     spurious: u64,
     /// Frames recorded on their block id alone.
     unconfirmed: u64,
+    /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
+    given_up: u64,
+    given_up_now: u64,
+}
+
+/// A frame that waits for its trigger, since this point of [`Books::awake`].
+struct Pending {
+    arrival: Arrival,
+    since: Duration,
 }
 
 /// A row of sets that found no room in the ring.
@@ -59,9 +70,18 @@ pub(super) struct Books {
     draining: bool,
     /// How many triggers there were, once the HSU said so.
     emitted: Option<u64>,
+    /// How long this thread has been at work. It does not grow while the process stands still: what was said meanwhile
+    /// is heard before anybody's patience is at its end.
+    awake: Duration,
+    last_turn: Instant,
     /// When a frame last got its trigger.
-    last_settled: Instant,
+    last_settled: Duration,
 }
+
+/// A turn that took longer did not work for all of it.
+const LONGEST_TURN: Duration = TICK.saturating_mul(2);
+/// So long a frame waits for its report even if there are more waiting than should be: they may have come at once.
+const BURST_PATIENCE: Duration = Duration::from_millis(25);
 
 impl Books {
     pub(super) fn new(
@@ -77,12 +97,15 @@ impl Books {
             height: setup.height,
             matcher: setup.matcher,
             pending: VecDeque::new(),
+            stream: 0,
             next: 0,
             lost: false,
             back: false,
             absence: GapCause::Unplugged,
             spurious: 0,
             unconfirmed: 0,
+            given_up: 0,
+            given_up_now: 0,
         };
         Self {
             sets: Assembler::new(lanes.len(), options.set_patience, options.open_sets()),
@@ -97,15 +120,27 @@ impl Books {
             events,
             draining: false,
             emitted: None,
-            last_settled: Instant::now(),
+            awake: Duration::ZERO,
+            last_turn: Instant::now(),
+            last_settled: Duration::ZERO,
         }
+    }
+
+    /// A turn of the thread begins.
+    pub(super) fn turn(&mut self) {
+        let now = Instant::now();
+        self.awake += now.saturating_duration_since(self.last_turn).min(LONGEST_TURN);
+        self.last_turn = now;
     }
 
     /// A frame arrived; `behind` more are on their way to this thread.
     pub(super) fn take(&mut self, arrival: Arrival, behind: usize) {
         let camera = arrival.camera;
         let Some(lane) = self.lanes.get_mut(camera) else { return };
-        lane.pending.push_back(arrival);
+        if arrival.stream != lane.stream {
+            return self.spurious(&arrival, "is of a stream that has ended");
+        }
+        lane.pending.push_back(Pending { arrival, since: self.awake });
         let pending: usize = self.lanes.iter().map(|lane| lane.pending.len()).sum();
         let waiting = pending + behind + self.sets.waiting() + self.ring.len();
         self.progress.high_water.fetch_max(waiting as u64, Ordering::Relaxed);
@@ -135,23 +170,22 @@ impl Books {
                 self.advance(camera, true);
                 let lane = &mut self.lanes[camera];
                 (lane.lost, lane.absence) = (true, cause);
-                lane.matcher.lost();
                 self.sets.expect(camera, false);
             }
             ToRecorder::CameraAway(camera, cause) if camera < self.lanes.len() => {
                 self.lanes[camera].absence = cause;
             }
-            ToRecorder::CameraBack(camera) if camera < self.lanes.len() => {
+            ToRecorder::CameraBack { camera, stream } if camera < self.lanes.len() => {
                 self.advance(camera, true);
                 let lane = &mut self.lanes[camera];
-                (lane.lost, lane.back) = (false, true);
+                (lane.lost, lane.back, lane.stream) = (false, true, stream);
                 lane.matcher.restart();
                 self.sets.expect(camera, true);
             }
             ToRecorder::Drain { emitted } => {
                 self.draining = true;
                 self.emitted = emitted.or(self.emitted);
-                self.last_settled = Instant::now();
+                self.last_settled = self.awake;
             }
             _ => {}
         }
@@ -189,15 +223,21 @@ impl Books {
 
     /// Settles what can be decided of a camera's frames, in order; with `now`, all of them.
     fn advance(&mut self, camera: usize, now: bool) {
-        while let Some(arrival) = self.lanes[camera].pending.pop_front() {
+        while let Some(Pending { arrival, since }) = self.lanes[camera].pending.pop_front() {
             let lane = &mut self.lanes[camera];
-            let last_call = now
-                || lane.pending.len() >= self.options.waiting_frames()
-                || arrival.taken.elapsed() > self.options.report_patience;
-            let next = lane.pending.iter().map(sighting).find(|next| next.camera_ns.is_some());
+            let many = lane.pending.len() >= self.options.waiting_frames();
+            let patience = if many { BURST_PATIENCE } else { self.options.report_patience };
+            let last_call = now || self.awake - since > patience;
+            let mut behind = lane.pending.iter().map(|next| sighting(&next.arrival));
+            let next = behind.find(|next| next.camera_ns.is_some());
             let seen = sighting(&arrival);
+            if last_call {
+                self.infer_trigger(camera, &seen);
+            }
+            let lane = &mut self.lanes[camera];
             match lane.matcher.assign(&seen, next.as_ref(), &self.table, &self.hsu, last_call) {
-                Match::Wait => return lane.pending.push_front(arrival),
+                Match::Wait => return lane.pending.push_front(Pending { arrival, since }),
+                Match::Undecided => self.give_up(&arrival),
                 Match::Trigger(matched) => self.settle(matched, arrival),
                 Match::Spurious(residual_ns) => {
                     self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
@@ -209,6 +249,25 @@ impl Books {
                     self.note(camera, "repeated_frame", None, text);
                 }
             }
+        }
+    }
+
+    /// A trigger whose report is held up is known all the same where two cameras agree on its number and its time: a
+    /// camera that ignored triggers, or whose clock was set, is alone with that.
+    fn infer_trigger(&mut self, camera: usize, seen: &Sighting) {
+        let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
+        if number < self.table.end() {
+            return;
+        }
+        let tolerance_ns = i128::from(self.options.period_ns / 8);
+        let agrees =
+            |(other, other_ns): (i64, i128)| other == number && (other_ns - hsu_ns).abs() <= tolerance_ns;
+        let others = self.lanes.iter().enumerate().filter(|(other, _)| *other != camera);
+        let mut claims = others.flat_map(|(_, lane)| {
+            lane.pending.iter().filter_map(|other| lane.matcher.claim(&sighting(&other.arrival)))
+        });
+        if let Some(hsu_ns) = u64::try_from(hsu_ns).ok().filter(|_| claims.any(agrees)) {
+            self.table.infer(number, hsu_ns);
         }
     }
 
@@ -227,14 +286,14 @@ impl Books {
                 format!("block {} is of a trigger that has an outcome; not recorded", arrival.block_id);
             return self.note(camera, "repeated_frame", Some(trigger), text);
         }
-        self.last_settled = Instant::now();
+        self.last_settled = self.awake;
         lane.unconfirmed += u64::from(matched.witness == Witness::BlockIdOnly);
         let start = std::mem::replace(&mut lane.next, trigger + 1);
         let (back, absence) = (std::mem::take(&mut lane.back), lane.absence);
         // Frames lost on the way first: in which order the two happened is not to be known.
         let ignored_from = if back { trigger } else { trigger.saturating_sub(matched.ignored).max(start) };
         let cause = if back { absence } else { GapCause::MissingPackets };
-        self.gaps(camera, start..ignored_from, cause);
+        self.missing(camera, start..ignored_from, cause);
         self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
         match gap_cause(arrival.transfer) {
             Some(cause) => self.gaps(camera, trigger..trigger + 1, cause),
@@ -349,6 +408,28 @@ impl Books {
         }
     }
 
+    /// Which of two triggers a frame was of could not be told: whichever it was, it has a gap record.
+    fn give_up(&mut self, arrival: &Arrival) {
+        let lane = &mut self.lanes[arrival.camera];
+        (lane.given_up, lane.given_up_now) = (lane.given_up + 1, lane.given_up_now + 1);
+        if lane.given_up == 1 {
+            let text = format!(
+                "block {}: id and timestamp name different triggers, of which nothing is reported; not recorded (later \
+                 ones are counted)",
+                arrival.block_id
+            );
+            self.note(arrival.camera, "identity_unknown", None, text);
+        }
+    }
+
+    /// Gap records for frames that did not come; the last of them may have come and been given up.
+    fn missing(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
+        let given_up = std::mem::take(&mut self.lanes[camera].given_up_now);
+        let from = triggers.end.saturating_sub(given_up).max(triggers.start);
+        self.gaps(camera, triggers.start..from, cause);
+        self.gaps(camera, from..triggers.end, GapCause::IdentityMismatch);
+    }
+
     fn gaps(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
         let now = Instant::now();
         for trigger in triggers {
@@ -380,7 +461,7 @@ impl Books {
             return;
         }
         let all_in = self.emitted.is_some_and(|n| self.lanes.iter().all(|lane| lane.lost || lane.next >= n));
-        let quiet = self.last_settled.elapsed() > self.options.drain_patience && all_taken;
+        let quiet = self.awake - self.last_settled > self.options.drain_patience && all_taken;
         if all_in || quiet {
             self.draining = false;
             drop(self.events.send(FromRecorder::Drained));
@@ -394,7 +475,7 @@ impl Books {
             let cause = if lane.lost || lane.back { lane.absence } else { GapCause::Timeout };
             let missing = lane.next..triggers;
             lane.next = lane.next.max(triggers);
-            self.gaps(camera, missing, cause);
+            self.missing(camera, missing, cause);
         }
     }
 
@@ -403,7 +484,7 @@ impl Books {
         self.clock_event(None);
         for camera in 0..self.lanes.len() {
             self.clock_event(Some(camera));
-            let Lane { spurious, unconfirmed, .. } = self.lanes[camera];
+            let Lane { spurious, unconfirmed, given_up, .. } = self.lanes[camera];
             if spurious > 1 {
                 self.note(
                     camera,
@@ -411,6 +492,10 @@ impl Books {
                     None,
                     format!("{spurious} frames that no trigger explains"),
                 );
+            }
+            if given_up > 1 {
+                let text = format!("{given_up} frames whose trigger could not be told");
+                self.note(camera, "identity_unknown", None, text);
             }
             if unconfirmed > 0 {
                 let text = format!("{unconfirmed} frames have their trigger by block id alone");
@@ -478,3 +563,6 @@ fn gap_cause(transfer: Transfer) -> Option<GapCause> {
         Transfer::Aborted => Some(GapCause::Aborted),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -51,7 +51,7 @@ const WANDER: f64 = 0.5e-6;
 /// Clocks are read with this error at least, ns.
 const READING_NS: f64 = 1_000.0;
 /// So many contradictions in a row are a reset.
-const RESET_RUN: usize = 3;
+pub(crate) const RESET_RUN: usize = 3;
 /// After one-way reports the line is drawn anew at most this often, ns.
 const REDRAW_NS: f64 = 250e6;
 

@@ -4,6 +4,7 @@ pub mod assembler;
 pub mod block_ids;
 mod books;
 pub mod clock;
+pub mod heap;
 pub mod latency;
 pub mod matcher;
 pub mod pool;

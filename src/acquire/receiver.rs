@@ -20,6 +20,8 @@ use std::time::{Duration, Instant};
 pub struct Arrival {
     /// The camera's place in the node's list.
     pub camera: usize,
+    /// Which of the camera's streams in this session it came on: 0, and one more whenever the camera is back.
+    pub stream: u32,
     /// What became of the transfer.
     pub transfer: Transfer,
     /// GVSP block id.
@@ -48,6 +50,8 @@ pub struct Receiver {
 pub struct ReceiverSetup {
     /// The camera's place in the node's list.
     pub camera: usize,
+    /// The number of its stream, see [`Arrival::stream`].
+    pub stream: u32,
     /// Where frames go.
     pub recorder: Sender<Arrival>,
     /// Where it is counted what is heard.
@@ -61,7 +65,7 @@ pub struct ReceiverSetup {
 impl Receiver {
     /// Starts the thread. It ends with `stop`, or when the recorder is gone.
     pub fn start(mut stream: Box<dyn FrameStream>, setup: ReceiverSetup) -> std::io::Result<Self> {
-        let ReceiverSetup { camera, recorder, progress, clock, patience } = setup;
+        let ReceiverSetup { camera, stream: number, recorder, progress, clock, patience } = setup;
         // Of an earlier stream of the same session.
         let before = progress.heard[camera].load(Ordering::Relaxed);
         let stop = Arc::new(AtomicBool::new(false));
@@ -80,6 +84,7 @@ impl Receiver {
                 }
                 let arrival = Arrival {
                     camera,
+                    stream: number,
                     transfer: frame.transfer,
                     block_id: frame.block_id,
                     camera_ns: frame.camera_ns,

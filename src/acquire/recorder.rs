@@ -38,8 +38,13 @@ pub enum ToRecorder {
     CameraLost(usize, GapCause),
     /// Why a camera is away turned out to be this.
     CameraAway(usize, GapCause),
-    /// The camera is back with a fresh stream: its block ids begin anew, its clock may have been reset.
-    CameraBack(usize),
+    /// The camera is back: its block ids begin anew, its clock may have been reset.
+    CameraBack {
+        /// The camera.
+        camera: usize,
+        /// The number of its fresh stream; frames of the ones before are not recorded any more.
+        stream: u32,
+    },
     /// No more triggers will come: wait for their frames, then say so.
     Drain {
         /// How many triggers there were, where the HSU said so.
@@ -52,6 +57,12 @@ pub enum ToRecorder {
     },
     /// Close without a verdict and end: the recording will be removed.
     Discard,
+}
+
+impl ToRecorder {
+    fn is_last(&self) -> bool {
+        matches!(self, Self::Close { .. } | Self::Discard)
+    }
 }
 
 /// What the recorder tells the node.
@@ -117,7 +128,7 @@ pub struct RecorderOptions {
     pub buffers_per_camera: usize,
     /// What happens when the ring is full.
     pub when_full: WhenFull,
-    /// How long a frame waits for the report of its trigger before its block id must do.
+    /// How long a frame waits for the report of its trigger. Time in which the process stood still does not count.
     pub report_patience: Duration,
     /// How long a frame set waits for its last outcome.
     pub set_patience: Duration,
@@ -185,7 +196,7 @@ pub struct Recorder {
 }
 
 /// Without news the thread looks at what waits this often.
-const TICK: Duration = Duration::from_millis(10);
+pub(super) const TICK: Duration = Duration::from_millis(10);
 
 impl Recorder {
     /// Starts the threads. The handle is that of the first one, which waits for the second.
@@ -223,26 +234,48 @@ impl Recorder {
     fn run(mut self) {
         loop {
             let waiting = self.arrivals.len();
+            self.books.turn();
             select! {
                 recv(self.arrivals) -> arrival => match arrival {
-                    Ok(arrival) => self.books.take(arrival, waiting),
+                    Ok(arrival) => {
+                        // What was said before a frame arrived comes first: reports, clocks, a fresh stream.
+                        if let Some(last) = self.obey_all() {
+                            self.books.take(arrival, waiting);
+                            return self.end(last);
+                        }
+                        self.books.take(arrival, waiting);
+                    }
                     // The receivers are gone; their last words are commands.
                     Err(_) => self.arrivals = crossbeam_channel::never(),
                 },
                 recv(self.commands) -> command => match command {
-                    Ok(ToRecorder::Close { aborted }) => {
-                        while let Ok(arrival) = self.arrivals.try_recv() {
-                            self.books.take(arrival, 0);
-                        }
-                        return self.books.close(aborted);
-                    }
-                    Ok(ToRecorder::Discard) | Err(_) => return self.books.discard(),
+                    Ok(command) if command.is_last() => return self.end(command),
                     Ok(command) => self.books.obey(command),
+                    Err(_) => return self.books.discard(),
                 },
                 recv(after(TICK)) -> _ => self.books.advance_all(),
             }
             self.books.look_whether_drained(self.arrivals.is_empty());
         }
+    }
+
+    /// Obeys what has been said so far; a last word is returned.
+    fn obey_all(&mut self) -> Option<ToRecorder> {
+        while let Ok(command) = self.commands.try_recv() {
+            if command.is_last() {
+                return Some(command);
+            }
+            self.books.obey(command);
+        }
+        None
+    }
+
+    fn end(mut self, last: ToRecorder) {
+        let ToRecorder::Close { aborted } = last else { return self.books.discard() };
+        while let Ok(arrival) = self.arrivals.try_recv() {
+            self.books.take(arrival, 0);
+        }
+        self.books.close(aborted);
     }
 }
 

@@ -58,6 +58,29 @@ impl Tracker {
     }
 }
 
+/// Two clocks' relation from arrivals alone: believed when frames in a row agree. Of a burst that was held up together
+/// no two do, for their exposures were a period apart.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Anchor {
+    hsu_minus_camera_ns: i128,
+    agreeing: u32,
+}
+
+impl Anchor {
+    /// Frames in a row that must agree.
+    const AGREEING: u32 = 8;
+
+    /// A frame whose trigger was fired at about `hsu_ns` by its arrival. The relation once it is believed.
+    pub(super) fn sighted(&mut self, hsu_ns: i128, camera_ns: u64, slack_ns: i128) -> Option<i128> {
+        let offset = hsu_ns - i128::from(camera_ns);
+        let agrees = self.agreeing > 0 && (offset - self.hsu_minus_camera_ns).abs() <= slack_ns;
+        // Arrivals err towards late only: the earliest is nearest.
+        self.hsu_minus_camera_ns = if agrees { offset.min(self.hsu_minus_camera_ns) } else { offset };
+        self.agreeing = if agrees { self.agreeing + 1 } else { 1 };
+        (self.agreeing >= Self::AGREEING).then_some(self.hsu_minus_camera_ns)
+    }
+}
+
 /// From trigger to arrival on the host, in HSU time: a witness that errs only towards late.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Latency {

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-/// One trigger's time; interpolated where its report is missing and both neighbours are known.
+/// One trigger's time; where its report is missing, inferred from cameras or interpolated between its neighbours.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     hsu_ns: u64,
@@ -54,10 +54,22 @@ impl TriggerTable {
         }
     }
 
+    /// Notes a trigger whose report is held up, from what cameras agree on; its report, once there, replaces it.
+    pub fn infer(&mut self, number: i64, hsu_ns: u64) {
+        let end = self.end();
+        if number >= end && !self.is_empty() {
+            self.insert(number, hsu_ns);
+            (end..self.end()).for_each(|number| self.rows[(number - self.first) as usize].reported = false);
+        }
+    }
+
     /// The time of a trigger.
     pub fn time_ns(&self, number: i64) -> Option<u64> {
-        let place = usize::try_from(number.checked_sub(self.first)?).ok()?;
-        Some(self.rows.get(place)?.hsu_ns)
+        Some(self.row(number)?.hsu_ns)
+    }
+
+    fn row(&self, number: i64) -> Option<&Row> {
+        self.rows.get(usize::try_from(number.checked_sub(self.first)?).ok()?)
     }
 
     /// One more than the highest number reported; 0 before the first.
@@ -137,6 +149,11 @@ impl Schedule<'_> {
         number >= self.table.end()
     }
 
+    /// Whether the HSU itself gave a trigger's time.
+    pub fn is_reported(&self, number: i64) -> bool {
+        self.table.row(number).is_some_and(|row| row.reported)
+    }
+
     /// One more than the number of the latest trigger.
     pub fn end(&self) -> i64 {
         self.table.end() + self.due
@@ -184,6 +201,21 @@ mod tests {
             (None, Some((7, 149)), Some(1_000))
         );
         assert_eq!(table.expected_until(i128::MAX, 0).nearest(1_100), Some((107, 0)));
+    }
+
+    #[test]
+    fn what_cameras_agree_on_stands_until_the_report_is_there() {
+        let mut table = TriggerTable::default();
+        table.infer(3, 1_000);
+        assert!(table.is_empty(), "nothing to count from");
+        table.insert(4, 1_100);
+        table.infer(4, 1_500);
+        table.infer(6, 1_310);
+        assert_eq!((table.time_ns(4), table.time_ns(6), table.end()), (Some(1_100), Some(1_310), 7));
+        let reported = |table: &TriggerTable| [3, 4, 5, 6, 7].map(|n| table.reported().is_reported(n));
+        assert_eq!((reported(&table), table.missing()), ([false, true, false, false, false], 2));
+        table.insert(6, 1_300);
+        assert_eq!((table.time_ns(6), reported(&table)[3]), (Some(1_300), true));
     }
 
     #[test]

@@ -1,9 +1,8 @@
 //! What goes over the API.
 
-use crate::acquire::latency::Histogram;
 use crate::camera::CameraIdentity;
 use crate::ids::{CameraId, NodeId};
-use crate::record::Interrupted;
+use crate::record::{Interrupted, Latency};
 use crate::session::state::{Fault, Phase};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -134,27 +133,4 @@ pub mod path {
     pub const STOP: &str = "/api/v1/session/stop";
     /// POST [`super::SessionCommand`].
     pub const ABORT: &str = "/api/v1/session/abort";
-}
-
-/// How long something took, microseconds.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Latency {
-    /// Half of them took at most so long.
-    pub p50_us: u64,
-    /// Ninety-nine of a hundred.
-    pub p99_us: u64,
-    /// The longest.
-    pub max_us: u64,
-}
-
-impl Latency {
-    /// What a histogram holds.
-    pub fn of(histogram: &Histogram) -> Self {
-        let us = |ms: f64| (ms * 1e3) as u64;
-        Self {
-            p50_us: us(histogram.quantile_ms(0.5)),
-            p99_us: us(histogram.quantile_ms(0.99)),
-            max_us: us(histogram.max_ms()),
-        }
-    }
 }

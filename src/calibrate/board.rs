@@ -170,8 +170,7 @@ fn read_measured(root: &Section<'_>, columns: usize, circles: &mut [Circle]) {
     }
 }
 
-/// The eight ways to look at a grid: rotations by quarter turns, and their mirror images. `None` for the
-/// quarter turns maps outside only where sides differ; places are shifted so that the pattern begins at 0.
+/// The eight ways to look at a grid: rotations by quarter turns about the origin, then their mirror images.
 pub(super) fn orientations(places: &[[i64; 2]]) -> Vec<Vec<[i64; 2]>> {
     (0..8).map(|turn| places.iter().map(|&place| turned(place, turn)).collect()).collect()
 }

@@ -64,8 +64,8 @@ impl Excluded {
 
     /// Too much left out is no calibration.
     pub(super) fn check(&self, rigging: &Rigging<'_>, head: usize) -> Result<(), StageError> {
-        let (first, cameras) = (rigging.first_camera(head), rigging.nominal.heads[head].cameras.len());
-        let views = |p: &Position| p.views[first..first + cameras].iter().flatten().count();
+        let cameras = rigging.nominal.cameras_of(head);
+        let views = |p: &Position| p.views[cameras.clone()].iter().flatten().count();
         let views: usize = rigging.positions.iter().map(views).sum();
         let excluded = self.views.union(&self.phases).count();
         if 2 * excluded > views {

@@ -56,6 +56,24 @@ impl Ellipse {
         Some(Self { centre: centre.into(), axes, angle: direction[1].atan2(direction[0]) })
     }
 
+    /// The ellipse with the moments of a region's pixels (half axes are twice their standard deviations), and the number of
+    /// pixels relative to its area: 1 where they fill it. `None` where the pixels lie on a line.
+    pub fn of_region(pixels: impl Iterator<Item = [f64; 2]> + Clone) -> Option<(Self, f64)> {
+        let n = pixels.clone().count() as f64;
+        let mean = |axis: usize| pixels.clone().map(|p| p[axis]).sum::<f64>() / n;
+        let (mu, mv) = (mean(0), mean(1));
+        let (mut uu, mut uv, mut vv) = (0.0, 0.0, 0.0);
+        for [u, v] in pixels {
+            uu += (u - mu) * (u - mu) / n;
+            uv += (u - mu) * (v - mv) / n;
+            vv += (v - mv) * (v - mv) / n;
+        }
+        let determinant: f64 = uu * vv - uv * uv;
+        let conic = Matrix3::new(vv, -uv, 0.0, -uv, uu, 0.0, 0.0, 0.0, -4.0 * determinant);
+        let ellipse = Self { centre: [mu, mv], ..Self::from_conic(&conic)? };
+        Some((ellipse, n / (4.0 * std::f64::consts::PI * determinant.max(1e-9).sqrt())))
+    }
+
     /// Direct least-squares fit (Halir and Flusser 1998), the points shifted and scaled first.
     pub fn fit(points: &[[f64; 2]]) -> Option<Self> {
         if points.len() < 6 {

@@ -12,6 +12,7 @@ use crate::ids::{CameraId, HeadId};
 use crate::pattern::Pattern;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// One calibrated camera.
@@ -190,6 +191,12 @@ impl Calibration {
     /// All cameras with their heads, in the rig's order. A camera's place here is its number in merged clouds.
     pub fn cameras(&self) -> impl Iterator<Item = (&CalibratedHead, &CalibratedCamera)> {
         self.heads.iter().flat_map(|head| head.cameras.iter().map(move |camera| (head, camera)))
+    }
+
+    /// Places of a head's cameras among all cameras.
+    pub fn cameras_of(&self, head: usize) -> Range<usize> {
+        let first = self.heads[..head].iter().map(|h| h.cameras.len()).sum();
+        first..first + self.heads[head].cameras.len()
     }
 
     /// One camera with its head.

@@ -2,7 +2,7 @@
 //! it is told what every position gave.
 
 use super::board::Board;
-use super::start::board_pose;
+use super::start::{board_pose, is_same_position};
 use super::{Calibration, Position};
 use nalgebra::{Isometry3, Vector3};
 
@@ -12,8 +12,6 @@ const POSITIONS: usize = 8;
 const COMMON: usize = 2;
 /// A board counts as turned or tilted to a side from here on, degrees.
 const TILTED_DEG: f64 = 12.0;
-/// Positions nearer to each other than this, m and rad, are the same.
-const DISTINCT: (f64, f64) = (0.02, 0.035);
 
 /// How the board should stand before a head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -74,11 +72,9 @@ impl<'a> Guide<'a> {
 
     /// Counts a position; says for each head whether it was usable.
     pub fn add(&mut self, position: &Position) -> Vec<bool> {
-        let mut first = 0;
         let mut seen = Vec::new();
-        for head in &self.nominal.heads {
-            let views = &position.views[first..first + head.cameras.len()];
-            first += head.cameras.len();
+        for (place, head) in self.nominal.heads.iter().enumerate() {
+            let views = &position.views[self.nominal.cameras_of(place)];
             let whole = views.iter().flatten().filter(|view| view.phase.is_some()).count() == views.len();
             let pose = views.first().and_then(|view| view.as_ref()).and_then(|view| {
                 let device = &head.cameras[0].device;
@@ -106,11 +102,7 @@ impl<'a> Guide<'a> {
     fn positions(&self, head: usize) -> Vec<&Isometry3<f64>> {
         let mut distinct: Vec<&Isometry3<f64>> = Vec::new();
         for pose in self.done.iter().filter_map(|seen| seen[head].as_ref()) {
-            let same = |other: &&Isometry3<f64>| {
-                (other.translation.vector - pose.translation.vector).norm() < DISTINCT.0
-                    && other.rotation.angle_to(&pose.rotation) < DISTINCT.1
-            };
-            if !distinct.iter().any(same) {
+            if !distinct.iter().any(|other| is_same_position(other, pose)) {
                 distinct.push(pose);
             }
         }

@@ -13,8 +13,9 @@ pub struct Joined {
 
 struct Session {
     parts: Vec<Box<dyn FrameSource>>,
-    /// First trigger here, and what is added to the parts' own triggers.
+    /// Its triggers here.
     triggers: Range<u64>,
+    /// The first of them in the parts themselves.
     own_start: u64,
 }
 

@@ -123,10 +123,8 @@ pub fn solve(
     kept.heads.retain(|_| place.next().is_some_and(|p| used.contains(&p)));
     let origin = format!("photographs of board {}", board.name);
     let mut result = calibration(&kept, origin, &together.all.model);
-    result.quality = Some(quality(&kept, board, &together));
-    if let Some(quality) = &mut result.quality {
-        quality.responses = responses(nominal, &positions, &used);
-    }
+    let responses = responses(nominal, &positions, &used);
+    result.quality = Some(Quality { responses, ..quality(&kept, board, &together) });
     result.identity = Some(Identity {
         rig_sha256: nominal.geometry_sha256(),
         board: board.name.clone(),
@@ -141,19 +139,13 @@ pub fn solve(
 
 /// What the projectors make of panel values, by head.
 fn responses(nominal: &Calibration, positions: &[Position], used: &[usize]) -> Vec<(HeadId, Response)> {
-    let mut first = 0;
-    let mut all = Vec::new();
-    for (place, head) in nominal.heads.iter().enumerate() {
-        let cameras = first..first + head.cameras.len();
-        first = cameras.end;
-        if !used.contains(&place) {
-            continue;
-        }
+    let of_head = |&place: &usize| {
+        let cameras = nominal.cameras_of(place);
         let views = positions.iter().flat_map(|p| p.views[cameras.clone()].iter().flatten());
-        let found = response(views.flat_map(|view| &view.light), &nominal.pattern);
-        all.extend(found.map(|response| (head.id.clone(), response)));
-    }
-    all
+        let found = response(views.flat_map(|view| &view.light), &nominal.pattern)?;
+        Some((nominal.heads[place].id.clone(), found))
+    };
+    used.iter().filter_map(of_head).collect()
 }
 
 /// Boxes around the points whose phase each head measured.

@@ -73,14 +73,8 @@ fn white_level(image: Mono8<'_>) -> Plane<f32> {
     white
 }
 
-/// A connected dark region by its moments.
-struct Region {
-    centre: [f64; 2],
-    /// Covariance of its pixels: uu, uv, vv.
-    covariance: [f64; 3],
-}
-
-fn regions(image: Mono8<'_>, white: &Plane<f32>) -> Vec<Region> {
+/// The ellipses with the moments of the connected dark regions.
+fn regions(image: Mono8<'_>, white: &Plane<f32>) -> Vec<Ellipse> {
     let (width, height) = (image.width(), image.height());
     let is_dark = |u: usize, v: usize| {
         let level = white.at(u / BLOCK, v / BLOCK);
@@ -116,30 +110,16 @@ fn regions(image: Mono8<'_>, white: &Plane<f32>) -> Vec<Region> {
 }
 
 /// `None` where the pixels do not fill the ellipse of their own moments.
-fn region(pixels: &[usize], width: usize) -> Option<Region> {
-    let n = pixels.len() as f64;
-    let points = || pixels.iter().map(|p| ((p % width) as f64, (p / width) as f64));
-    let (mu, mv) = (points().map(|p| p.0).sum::<f64>() / n, points().map(|p| p.1).sum::<f64>() / n);
-    let mut covariance = [0.0; 3];
-    for (u, v) in points() {
-        covariance[0] += (u - mu) * (u - mu) / n;
-        covariance[1] += (u - mu) * (v - mv) / n;
-        covariance[2] += (v - mv) * (v - mv) / n;
-    }
-    let determinant = covariance[0] * covariance[2] - covariance[1] * covariance[1];
-    let filled = n / (4.0 * std::f64::consts::PI * determinant.max(1e-9).sqrt());
-    (0.85..1.15).contains(&filled).then_some(Region { centre: [mu, mv], covariance })
+fn region(pixels: &[usize], width: usize) -> Option<Ellipse> {
+    let (ellipse, filled) =
+        Ellipse::of_region(pixels.iter().map(|p| [(p % width) as f64, (p / width) as f64]))?;
+    (0.85..1.15).contains(&filled).then_some(ellipse)
 }
 
-fn outline(image: Mono8<'_>, region: &Region) -> Option<Spot> {
-    let [uu, uv, vv] = region.covariance;
-    // The ellipse with these moments: half axes are twice the standard deviations.
-    let conic = nalgebra::Matrix3::new(vv, -uv, 0.0, -uv, uu, 0.0, 0.0, 0.0, -4.0 * (uu * vv - uv * uv));
-    let mut coarse = Ellipse::from_conic(&conic)?;
-    coarse.centre = region.centre;
+fn outline(image: Mono8<'_>, coarse: &Ellipse) -> Option<Spot> {
     let mut edges = Vec::with_capacity(RAYS);
     for ray in 0..RAYS {
-        edges.push(edge(image, &coarse, ray as f64 * std::f64::consts::TAU / RAYS as f64)?);
+        edges.push(edge(image, coarse, ray as f64 * std::f64::consts::TAU / RAYS as f64)?);
     }
     let points: Vec<[f64; 2]> = edges.iter().map(|edge| edge.point).collect();
     let first = Ellipse::fit(&points)?;

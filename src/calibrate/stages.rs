@@ -13,7 +13,7 @@ use super::board::Board;
 use super::bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
 use super::consistency::{Excluded, Limits};
 use super::ellipse::image_of_circle;
-use super::start::board_pose;
+use super::start::{board_pose, is_same_position};
 use super::views::{column_at, phase_observation};
 use super::world::WorldError;
 use super::{Calibration, Ellipse, Finding, Position};
@@ -32,8 +32,6 @@ const LEAST_VIEWS: usize = 4;
 const LEAST_PHASES: usize = 4;
 /// Points with a phase below which a position has none.
 const LEAST_PHASE_POINTS: usize = 30;
-/// Positions nearer to each other than this, m and rad, are the same.
-const DISTINCT: (f64, f64) = (0.02, 0.035);
 /// How often centres are corrected in stage 1.
 const CAMERA_ROUNDS: usize = 3;
 /// How often phases are sampled anew in stage 2.
@@ -229,7 +227,7 @@ pub struct HeadResult {
 impl Rigging<'_> {
     /// Place of a head's first camera among all cameras.
     pub(super) fn first_camera(&self, head: usize) -> usize {
-        self.nominal.heads[..head].iter().map(|h| h.cameras.len()).sum()
+        self.nominal.cameras_of(head).start
     }
 
     pub(super) fn head_name(&self, head: usize) -> String {
@@ -340,11 +338,7 @@ impl Rigging<'_> {
                 continue;
             };
             let board = device.world_from_device.isometry() * camera_from_board;
-            let same = |other: &Isometry3<f64>| {
-                (other.translation.vector - board.translation.vector).norm() < DISTINCT.0
-                    && other.rotation.angle_to(&board.rotation) < DISTINCT.1
-            };
-            distinct += usize::from(!boards.iter().any(same));
+            distinct += usize::from(!boards.iter().any(|other| is_same_position(other, &board)));
             seen.iter().for_each(|(c, ..)| views[*c] += 1);
             places.push(place);
             boards.push(board);

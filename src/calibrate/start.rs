@@ -31,6 +31,15 @@ pub fn board_pose(board: &Board, sightings: &[Sighting], lens: &Lens) -> Option<
     pose.translation.vector.iter().all(|x| x.is_finite()).then_some(pose)
 }
 
+/// Positions of the board nearer to each other than this, m and rad, are one.
+const DISTINCT: (f64, f64) = (0.02, 0.035);
+
+/// Whether a position of the board says nothing that the other one does not.
+pub(super) fn is_same_position(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
+    (a.translation.vector - b.translation.vector).norm() < DISTINCT.0
+        && a.rotation.angle_to(&b.rotation) < DISTINCT.1
+}
+
 /// The plane-to-plane map with the least algebraic error; both sides are of order 1 already.
 fn homography(pairs: &[([f64; 2], [f64; 2])]) -> Option<Matrix3<f64>> {
     if pairs.len() < 4 {

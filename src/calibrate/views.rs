@@ -305,6 +305,7 @@ pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
+
 /// Half the window in which the phase around a board point is fitted, px.
 const WINDOW: i64 = 8;
 /// Share of the window that must have a phase.

@@ -245,9 +245,7 @@ impl Camera for AravisCamera {
         self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::OnFailure);
         let stream = self.camera.create_stream().map_err(&error);
         self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
-        if let Some(stream) = stream?.downcast_ref::<aravis::GvStream>() {
-            stream.stop_thread(true);
-        }
+        drop(stream?);
         gv.packet_size().map(Some).map_err(error)
     }
 
@@ -339,6 +337,7 @@ fn tune(stream: &aravis::GvStream, period_ns: u64) {
 /// A stream and the blocks that belong to it. A block is either lent to Aravis, or out with a frame while
 /// the Aravis buffer that wraps it waits in `parked`.
 struct AravisStream {
+    /// Before `lent`, as fields are dropped in this order: the last reference to a stream ends its thread.
     stream: aravis::Stream,
     lent: Vec<Option<Block>>,
     parked: Vec<Option<aravis::Buffer>>,
@@ -356,7 +355,7 @@ impl AravisStream {
             plant(canaries.as_ref(), &mut block);
             let (pointer, length) = (block.pixel_pointer(), block.pixels().len());
             // SAFETY: the block's memory stays allocated while Aravis holds the buffer: it waits untouched in
-            // `lent`, and `drop` ends the stream before the blocks are freed.
+            // `lent`, and the stream has ended before the blocks are freed (see `drop`).
             let buffer = unsafe { aravis::Buffer::new_preallocated_borrowed(pointer, length) };
             stream.push_buffer(buffer);
             lent.push(Some(block));
@@ -452,11 +451,11 @@ impl FrameStream for AravisStream {
 
 impl Drop for AravisStream {
     fn drop(&mut self) {
-        // After this no thread of Aravis writes into the blocks any more; it also drops its buffers.
-        self.stream.stop_thread(true);
-        // Buffers wrap the blocks without owning them: forget them first.
-        self.parked.clear();
-        self.lent.clear();
+        // No thread of Aravis may write into the blocks when `lent` is dropped. Giving the last reference up ends it, and
+        // to end it before that as well makes Aravis 0.8.26 log a failed assertion for every stream.
+        if self.stream.ref_count() > 1 {
+            self.stream.stop_thread(true);
+        }
         // Those on their way back would otherwise wait in the channel for the last frame that is still out.
         self.returns.try_iter().for_each(drop);
     }

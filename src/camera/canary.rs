@@ -122,9 +122,9 @@ mod tests {
         }
     }
 
-    /// What it costs: `cargo test --release --lib canary -- --ignored --nocapture`.
+    /// What it costs.
     #[test]
-    #[ignore = "a measurement"]
+    #[ignore = "prints figures and judges none: cargo test --release --lib canary -- --ignored --nocapture"]
     fn cost_per_frame() {
         const BYTES: usize = 1920 * 1200;
         let canaries = Canaries::new(BYTES, 9000);

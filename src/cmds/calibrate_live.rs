@@ -131,11 +131,7 @@ fn tell(
     // A camera that cannot see the board has nothing to complain about while another head is being served.
     let involved = |finding: &&Finding| {
         let head = nominal.heads.iter().position(|h| h.cameras.iter().any(|c| c.id == finding.camera));
-        let mut first = 0;
-        head.is_some_and(|head| {
-            nominal.heads[..head].iter().for_each(|h| first += h.cameras.len());
-            position.views[first..first + nominal.heads[head].cameras.len()].iter().any(Option::is_some)
-        })
+        head.is_some_and(|head| position.views[nominal.cameras_of(head)].iter().any(Option::is_some))
     };
     findings.iter().filter(involved).for_each(|finding| say(&format!("  {finding}")));
     let usable = guide.add(position);

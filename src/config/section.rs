@@ -114,11 +114,6 @@ impl<'a> Section<'a> {
         self.required(key, "a text").map_or_else(String::new, |value| self.text_of(key, value))
     }
 
-    /// An optional non-empty text.
-    pub fn text_or(&self, key: &'static str, default: &str) -> String {
-        self.get(key).map_or_else(|| default.to_owned(), |value| self.text_of(key, value))
-    }
-
     fn text_of(&self, key: &str, value: &Value) -> String {
         match value.as_str().filter(|text| !text.is_empty()) {
             Some(text) => text.to_owned(),

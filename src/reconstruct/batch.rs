@@ -33,7 +33,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 3;
+const ALGORITHM: u32 = 4;
 
 /// What to do.
 #[derive(Debug)]

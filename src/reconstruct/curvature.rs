@@ -51,6 +51,7 @@ pub fn correct(
         let below = (v + REACH_ROWS < support.height()).then(|| support.row(v + REACH_ROWS));
         let columns = above.zip(below);
         let (c, s) = (phasors.c.row(v), phasors.s.row(v));
+        let (period, zone) = (period.row(v), zone.row(v));
         for (u, phase) in absolute.row_mut(v).iter_mut().enumerate() {
             if phase.is_nan() {
                 continue;
@@ -59,11 +60,11 @@ pub fn correct(
             let noise = 6.0 * NOISE_RAD_DN / power.sqrt().max(3.0);
             // cos 2 phi = cos^2 - sin^2.
             let per_bend = MEAN - RIPPLE * (c[u] * c[u] - s[u] * s[u]) / power.max(1.0);
-            let mut bias = per_bend * bend_across(row, u, *phase, period.at(u, v), noise);
+            let mut bias = per_bend * bend_across(row, u, *phase, period[u], noise);
             if let Some((above, below)) = columns {
                 let bend = above[u] - 2.0 * *phase + below[u];
                 if bend.abs() < MAX_BEND_ROWS {
-                    bias += weight[usize::from(zone.at(u, v) != 0)] * shrunk(bend, noise);
+                    bias += weight[usize::from(zone[u] != 0)] * shrunk(bend, noise);
                 }
             }
             *phase -= bias;
@@ -75,11 +76,12 @@ pub fn correct(
 /// where that is possible, else over half a period, else beside the pixel; 0 where it is not known.
 fn bend_across(row: &[f32], u: usize, phase: f32, period: f32, noise: f32) -> f32 {
     let at = |x: f32| phase_at(row, u as f32 + x);
-    let (near, far) = ((at(-period / 2.0), at(period / 2.0)), (at(-period), at(period)));
+    let far = (at(-period), at(period));
     let wide = far.0 - 2.0 * phase + far.1;
     if wide.abs() < 4.0 * MAX_BEND {
         return shrunk(wide, noise) / 4.0;
     }
+    let near = (at(-period / 2.0), at(period / 2.0));
     let narrow = [near.0 - 2.0 * phase + near.1, phase - 2.0 * near.1 + far.1, phase - 2.0 * near.0 + far.0];
     narrow.into_iter().find(|bend| bend.abs() < MAX_BEND).map_or(0.0, |bend| shrunk(bend, noise))
 }

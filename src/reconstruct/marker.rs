@@ -7,7 +7,7 @@
 //! pixels (|W| < pi/2) are separated from those of the next fringe, so that a connected component follows ONE
 //! fringe by construction; it must be at least [`MIN_DASHES`] dashes long.
 
-use super::components;
+use super::components::{self, Components};
 use super::pair::Pair;
 use super::period::runs;
 use crate::image::{Mono8, Plane};
@@ -31,15 +31,6 @@ pub struct Ridges {
     pub ridge: Plane<u8>,
 }
 
-/// Marker pixels.
-#[derive(Debug)]
-pub struct Markers {
-    /// Component number (1..) of each pixel on a marker's core; 0 elsewhere.
-    pub label: Plane<u32>,
-    /// Number of components.
-    pub count: usize,
-}
-
 /// Finds where the light has the marker's modulation along the column, in ridges.
 pub fn ridges(image: Mono8<'_>, mask: &Plane<u8>, period: &Plane<f32>, pair: &Pair) -> Ridges {
     let light = carrier_free(image, mask, period);
@@ -52,31 +43,27 @@ pub fn ridges(image: Mono8<'_>, mask: &Plane<u8>, period: &Plane<f32>, pair: &Pa
             *ridge = u8::from(energy[u] > threshold && lateral_contrast(energy, u, period[u]) > threshold);
         }
     }
-    let (label, _) = select(&ridge, |piece| piece.rows() >= MIN_DASHES * pair.marker_period_px);
-    for (ridge, label) in ridge.as_mut_slice().iter_mut().zip(label.as_slice()) {
-        *ridge = u8::from(*label != 0);
-    }
+    let long = |piece: &Piece| piece.rows() >= MIN_DASHES * pair.marker_period_px;
+    let ridge = select(&components::label(&ridge), long);
     Ridges { energy, ridge }
 }
 
-/// The ridges' pixels on the core of one fringe. `wrapped` must already be that of the marker's mean light
+/// 1 on the ridges' pixels on the core of one fringe. `wrapped` must already be that of the marker's mean light
 /// (see [`super::marker_phase`]): between its dashes a darkened marker has no core of its own.
-pub fn detect(ridges: &Ridges, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &Pair) -> Markers {
+pub fn detect(ridges: &Ridges, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &Pair) -> Plane<u8> {
     let mut core = ridges.ridge.clone();
     for (core, phase) in core.as_mut_slice().iter_mut().zip(wrapped.as_slice()) {
         *core &= u8::from(phase.abs() < FRAC_PI_2);
     }
-    let mut widths = vec![0f32];
     let found = components::label(&core);
-    widths.resize(found.area.len(), 0.0);
+    let mut widths = vec![0f32; found.area.len()];
     for (&label, &p) in found.label.as_slice().iter().zip(period.as_slice()) {
         widths[label as usize] += p;
     }
-    let (label, count) = select(&core, |piece| {
+    select(&found, |piece| {
         let mean_period = widths[piece.number] / piece.area;
         piece.rows() >= MIN_DASHES * pair.marker_period_px && piece.area / piece.rows() <= 0.9 * mean_period
-    });
-    Markers { label, count }
+    })
 }
 
 /// Light averaged over exactly one local period along the row; NaN where that window leaves the mask.
@@ -168,28 +155,24 @@ impl Piece {
     }
 }
 
-/// Labels the components of `mask` for which `keep` holds, numbered anew from 1; and their number.
-fn select(mask: &Plane<u8>, keep: impl Fn(&Piece) -> bool) -> (Plane<u32>, usize) {
-    let found = components::label(mask);
+/// 1 on the components for which `keep` holds.
+fn select(found: &Components, keep: impl Fn(&Piece) -> bool) -> Plane<u8> {
+    let label = &found.label;
     let mut rows = vec![(usize::MAX, 0usize); found.area.len()];
-    for v in 0..mask.height() {
-        for &label in found.label.row(v).iter().filter(|&&label| label != 0) {
+    for v in 0..label.height() {
+        for &label in label.row(v).iter().filter(|&&label| label != 0) {
             let (first, last) = &mut rows[label as usize];
             (*first, *last) = ((*first).min(v), (*last).max(v));
         }
     }
-    let mut renumbered = vec![0u32; found.area.len()];
-    let mut count = 0;
-    for number in 1..found.area.len() {
+    let kept = |number: usize| {
         let (first, last) = rows[number];
-        if keep(&Piece { number, area: found.area[number] as f32, first, last }) {
-            count += 1;
-            renumbered[number] = count as u32;
-        }
+        number != 0 && keep(&Piece { number, area: found.area[number] as f32, first, last })
+    };
+    let kept: Vec<bool> = (0..found.area.len()).map(kept).collect();
+    let mut selected = Plane::filled(label.width(), label.height(), 0u8);
+    for (selected, label) in selected.as_mut_slice().iter_mut().zip(label.as_slice()) {
+        *selected = u8::from(kept[*label as usize]);
     }
-    let mut label = found.label;
-    for x in label.as_mut_slice() {
-        *x = renumbered[*x as usize];
-    }
-    (label, count)
+    selected
 }

@@ -25,10 +25,9 @@ const MAX_ABOVE_BLACK_DN: u8 = 8;
 pub fn envelope(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
     let width = (1.2 * period_px).ceil() as usize | 1;
     let mut closed = Plane::filled(image.width(), image.height(), 0u8);
-    let mut scratch = Scratch::default();
+    let (mut scratch, mut raised) = (Scratch::default(), vec![0; image.width()]);
     for v in 0..image.height() {
-        scratch.sliding(image.row(v), closed.row_mut(v), width, u8::max);
-        let raised = closed.row(v).to_vec();
+        scratch.sliding(image.row(v), &mut raised, width, u8::max);
         scratch.sliding(&raised, closed.row_mut(v), width, u8::min);
     }
     let smooth = median3x3(&closed);
@@ -147,9 +146,9 @@ fn square(image: &Plane<u8>, width: usize, extreme: impl Fn(u8, u8) -> u8 + Copy
     out
 }
 
-/// Buffer of the sliding extremes.
+/// Buffers of the sliding extremes: the passes go from one to the other, so that nothing overlaps.
 #[derive(Default)]
-struct Scratch(Vec<u8>);
+struct Scratch([Vec<u8>; 2]);
 
 impl Scratch {
     /// `out[i]` = extreme of `row[i - width/2 ..= i + width/2]`; the ends repeat. Doubling: log2(width) passes
@@ -157,20 +156,22 @@ impl Scratch {
     fn sliding(&mut self, row: &[u8], out: &mut [u8], width: usize, extreme: impl Fn(u8, u8) -> u8 + Copy) {
         let (Some(&first), Some(&last)) = (row.first(), row.last()) else { return };
         let half = width / 2;
-        let buffer = &mut self.0;
-        buffer.clear();
-        buffer.resize(half, first);
-        buffer.extend_from_slice(row);
-        buffer.resize(row.len() + 2 * half, last);
+        let [from, to] = &mut self.0;
+        from.clear();
+        from.resize(half, first);
+        from.extend_from_slice(row);
+        from.resize(row.len() + 2 * half, last);
+        to.resize(from.len(), 0);
         let mut covered = 1;
         while covered < width {
             let step = covered.min(width - covered);
-            for i in 0..buffer.len() - step {
-                buffer[i] = extreme(buffer[i], buffer[i + step]);
+            for ((to, &a), &b) in to.iter_mut().zip(from.iter()).zip(&from[step..]) {
+                *to = extreme(a, b);
             }
+            std::mem::swap(from, to);
             covered += step;
         }
-        out.copy_from_slice(&buffer[..row.len()]);
+        out.copy_from_slice(&from[..row.len()]);
     }
 }
 
@@ -179,9 +180,17 @@ fn median3x3(image: &Plane<u8>) -> Plane<u8> {
     let (w, h) = (image.width(), image.height());
     let mut out = image.clone();
     for v in 1..h.saturating_sub(1) {
+        if w < 3 {
+            break;
+        }
+        // Nine slices of equal length: the compiler takes many pixels at once.
         let (a, b, c) = (image.row(v - 1), image.row(v), image.row(v + 1));
-        for (u, median) in out.row_mut(v).iter_mut().enumerate().take(w.saturating_sub(1)).skip(1) {
-            *median = median9(a, b, c, u);
+        let (a0, a1, a2) = (&a[..w - 2], &a[1..w - 1], &a[2..]);
+        let (b0, b1, b2) = (&b[..w - 2], &b[1..w - 1], &b[2..]);
+        let (c0, c1, c2) = (&c[..w - 2], &c[1..w - 1], &c[2..]);
+        let out = &mut out.row_mut(v)[1..w - 1];
+        for u in 0..w - 2 {
+            out[u] = median9([a0[u], b0[u], c0[u]], [a1[u], b1[u], c1[u]], [a2[u], b2[u], c2[u]]);
         }
     }
     out
@@ -189,14 +198,13 @@ fn median3x3(image: &Plane<u8>) -> Plane<u8> {
 
 /// Median of nine: the median of the largest of the column minima, the median of the column medians and the
 /// smallest of the column maxima.
-fn median9(a: &[u8], b: &[u8], c: &[u8], u: usize) -> u8 {
-    let sorted = |i: usize| {
-        let (low, high) = (a[i].min(b[i]), a[i].max(b[i]));
-        (low.min(c[i]), low.max(high.min(c[i])), high.max(c[i]))
+#[inline(always)]
+fn median9(left: [u8; 3], middle: [u8; 3], right: [u8; 3]) -> u8 {
+    let sorted = |[a, b, c]: [u8; 3]| {
+        let (low, high) = (a.min(b), a.max(b));
+        (low.min(c), low.max(high.min(c)), high.max(c))
     };
-    let (l0, m0, h0) = sorted(u - 1);
-    let (l1, m1, h1) = sorted(u);
-    let (l2, m2, h2) = sorted(u + 1);
+    let ((l0, m0, h0), (l1, m1, h1), (l2, m2, h2)) = (sorted(left), sorted(middle), sorted(right));
     let median3 = |x: u8, y: u8, z: u8| x.min(y).max(x.max(y).min(z));
     median3(l0.max(l1).max(l2), median3(m0, m1, m2), h0.min(h1).min(h2))
 }
@@ -251,7 +259,8 @@ mod tests {
         fn median_of_nine_is_the_fifth(values in proptest::array::uniform9(any::<u8>())) {
             let mut sorted = values;
             sorted.sort_unstable();
-            prop_assert_eq!(median9(&values[0..3], &values[3..6], &values[6..9], 1), sorted[4]);
+            let [left, middle, right] = [0, 1, 2].map(|i| [values[i], values[3 + i], values[6 + i]]);
+            prop_assert_eq!(median9(left, middle, right), sorted[4]);
         }
     }
 }

@@ -221,7 +221,8 @@ impl Pipeline {
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let mut periods = clock.time("period", || period::measure(image, object, pair.period_px));
+        let mut periods =
+            clock.time("period", || period::measure(image, object, pair.period_px, period::EVERY_PX));
         let ridges = clock.time("marker", || marker::ridges(image, object, &periods.period, pair));
         let zone = marker_phase::zone(&ridges.ridge, &periods.period);
         marker_phase::bridge_period(&mut periods.period, &zone, pair.period_px);
@@ -235,17 +236,10 @@ impl Pipeline {
         });
         let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
         counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let markers = clock.time("anchors", || marker::detect(&ridges, period, &wrapped, pair));
-        counts.marker = markers.label.as_slice().iter().filter(|&&x| x != 0).count();
+        let marker = clock.time("anchors", || marker::detect(&ridges, period, &wrapped, pair));
+        counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
         let unwrapped = clock.time("unwrap", || {
-            unwrap::unwrap(
-                &wrapped,
-                period,
-                &phasors.misfit,
-                &markers.label,
-                pair,
-                &unwrap::Settings::default(),
-            )
+            unwrap::unwrap(&wrapped, period, &phasors.misfit, &marker, pair, &unwrap::Settings::default())
         });
         counts.refused = unwrapped.refused_px;
         counts.contradictions = unwrapped.contradictions;
@@ -254,20 +248,21 @@ impl Pipeline {
             let stability = period::stability(period, pair.period_px);
             let vertical = quality::verticality(image, period);
             let border = quality::border(object);
-            let amplitude = quality::normalized_amplitude(&periods.amplitude, object);
+            let measured = period::measure(image, object, pair.period_px, 1).amplitude;
+            let amplitude = quality::normalized_amplitude(&measured, object);
             let quality = quality::quality([&border, &amplitude, &vertical, &stability]);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
             planes = vec![
                 ("Om", number(object)),
                 ("Pm", periods.period.clone()),
-                ("Am", number(&periods.amplitude)),
+                ("Am", number(&measured)),
                 ("Sm", stability),
                 ("Wm", wrapped),
                 ("Vm", vertical),
                 ("Bm", border),
                 ("Qm", quality),
                 ("Em", ridges.energy),
-                ("Mm", convert(&markers.label, |x| x.min(1) as f32)),
+                ("Mm", number(&marker)),
                 ("Um", unwrapped.absolute.clone()),
                 ("misfit", phasors.misfit.clone()),
             ];
@@ -286,7 +281,7 @@ impl Pipeline {
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let periods = clock.time("period", || period::measure(image, object, pair.period_px));
+        let periods = clock.time("period", || period::measure(image, object, pair.period_px, 1));
         let (period, amplitude) = (&periods.period, &periods.amplitude);
         let stability = clock.time("stability", || period::stability(period, pair.period_px));
         let phasors = clock
@@ -335,11 +330,12 @@ impl Pipeline {
         let pair = self.triangulator.pair();
         let mut points = Plane::filled(roi.width, roi.height, [f32::NAN; 3]);
         for v in 0..roi.height {
+            let mut bend = 0.0;
             for (u, &phase) in absolute.row(v).iter().enumerate() {
                 if phase.is_nan() {
                     continue;
                 }
-                let point = self.triangulator.point(roi.u + u, roi.v + v, f64::from(phase));
+                let point = self.triangulator.point_after(roi.u + u, roi.v + v, f64::from(phase), &mut bend);
                 let Some((camera, world)) = point else { continue };
                 if pair.in_volume(&world) {
                     points.set(u, v, [camera.x as f32, camera.y as f32, camera.z as f32]);

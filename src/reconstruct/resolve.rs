@@ -13,9 +13,16 @@ use super::triangulate::Triangulator;
 use nalgebra::Point3;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::TAU;
+use std::ops::RangeInclusive;
 
 /// Points of a tree that are tried.
 const SAMPLES: usize = 400;
+
+/// So many of them say whether an order is worth the rest.
+const FIRST_SAMPLES: usize = 16;
+
+/// No surface is nearer to a camera, m.
+const NEAREST_M: f64 = 0.05;
 
 /// The smallest tree that is tried, px.
 const MIN_TREE_PX: usize = 150;
@@ -84,19 +91,24 @@ fn vote(
 ) -> Option<i32> {
     let step = pixels.len().div_ceil(SAMPLES);
     let samples: Vec<u32> = pixels.iter().copied().step_by(step).collect();
-    let fringes = (triangulator.pair().projector.width as f64 / triangulator.pair().pattern.period_px) as i32;
+    let pair = triangulator.pair();
+    let inside = samples.iter().take(FIRST_SAMPLES).filter_map(|&pixel| {
+        let (u, v) = (own.roi.u + pixel as usize % own.roi.width, own.roi.v + pixel as usize / own.roi.width);
+        orders_inside(pair, u, v, own.open.relative.as_slice()[pixel as usize])
+    });
+    let orders = inside.reduce(|a, b| *a.start().min(b.start())..=*a.end().max(b.end()))?;
     let mut scores: Vec<(f32, f32, i32)> = Vec::new();
-    for order in -fringes..=2 * fringes {
+    for order in orders {
         let (mut seen, mut agree, mut inside) = (0u32, 0u32, 0u32);
         for (i, &pixel) in samples.iter().enumerate() {
             // Orders that put the first samples outside the volume are not worth the rest.
-            if i == 16 && inside == 0 {
+            if i == FIRST_SAMPLES && inside == 0 {
                 break;
             }
             let phase = own.open.relative.as_slice()[pixel as usize] + TAU * order as f32;
             let (u, v) = (pixel as usize % own.roi.width, pixel as usize / own.roi.width);
             let point = triangulator.point(own.roi.u + u, own.roi.v + v, f64::from(phase));
-            let Some((_, world)) = point.filter(|(_, world)| triangulator.pair().in_volume(world)) else {
+            let Some((_, world)) = point.filter(|(_, world)| pair.in_volume(world)) else {
                 continue;
             };
             inside += 1;
@@ -111,6 +123,30 @@ fn vote(
     let (&(agree, seen, order), second) = (scores.first()?, scores.get(1).map_or(0.0, |s| s.0));
     let enough = agree >= MIN_AGREE_SHARE * samples.len() as f32 && agree >= MIN_AGREE_OF_SEEN * seen;
     (enough && agree >= MARGIN * second).then_some(order)
+}
+
+/// Fringe orders that put a pixel with this phase in its tree into the volume, and one more at either end. `None` where
+/// its ray misses the volume.
+fn orders_inside(pair: &Pair, u: usize, v: usize, relative: f32) -> Option<RangeInclusive<i32>> {
+    let ray = pair.camera.ray(u as f64, v as f64)?;
+    let (from, to) = (ray.at(0.0), ray.at(1.0));
+    let (mut near, mut far) = (NEAREST_M, f64::INFINITY);
+    for i in 0..3 {
+        let ends = [pair.volume_min_m[i], pair.volume_max_m[i]].map(|x| (x - from[i]) / (to[i] - from[i]));
+        (near, far) = (near.max(ends[0].min(ends[1])), far.min(ends[0].max(ends[1])));
+    }
+    if near > far {
+        return None;
+    }
+    let fringes = (pair.projector.width as f64 / pair.pattern.period_px) as i32;
+    let order = |distance: f64| {
+        let column = pair.projector.project(&ray.at(distance)).map(|[column, _]| column);
+        let phase = column.map(|column| pair.pattern.phase(column) - f64::from(relative));
+        phase.map(|phase| (phase / f64::from(TAU)).floor() as i32)
+    };
+    // Behind the projector or beyond its lens there is no column: then no order is left out.
+    let (a, b) = order(near).zip(order(far)).unwrap_or((-fringes, 2 * fringes));
+    Some((a.min(b) - 1).max(-fringes)..=(a.max(b) + 2).min(2 * fringes))
 }
 
 impl Prepared {

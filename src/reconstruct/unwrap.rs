@@ -72,12 +72,15 @@ impl OpenTrees {
 /// Resolution of the edge order, rad.
 const BUCKET_RAD: f32 = 1.0 / 256.0;
 
+/// Edges below this residual need no order among themselves, rad: they are taken as they lie in memory.
+const SURE_RAD: f32 = 0.02;
+
 /// Unwraps `wrapped` (NaN: unknown) with the marker pixels (non-zero `anchor`) as absolute anchors.
 pub fn unwrap(
     wrapped: &Plane<f32>,
     period: &Plane<f32>,
     misfit: &Plane<f32>,
-    anchor: &Plane<u32>,
+    anchor: &Plane<u8>,
     pair: &Pair,
     settings: &Settings,
 ) -> Unwrapped {
@@ -92,7 +95,7 @@ pub fn unwrap(
         let b = if vertical { a + width } else { a + 1 };
         let step = phase[b] - phase[a];
         let expected = if vertical { 0.0 } else { costs.expected(period, a) };
-        let turns = ((expected - step) / TAU).round() as i32;
+        let turns = nearest((expected - step) / TAU);
         let doubtful = costs.at(a, vertical) > settings.doubtful_residual
             || costs.stretch_at(a, vertical) > settings.doubtful_stretch;
         contradictions += usize::from(!forest.merge(a, b, turns, doubtful, settings));
@@ -186,7 +189,8 @@ impl Costs {
 
     /// Edges as `2 * pixel + (down ? 1 : 0)`, by rising cost; ties in the order of the pixels.
     fn sorted_edges(&self, settings: &Settings) -> Vec<u32> {
-        let bucket = |cost: f32| (cost / BUCKET_RAD) as usize;
+        // The cast takes what is negative to 0.
+        let bucket = |cost: f32| ((cost - SURE_RAD) / BUCKET_RAD) as usize;
         let buckets = bucket(settings.max_residual) + 1;
         let mut start = vec![0u32; buckets + 1];
         let right = self.right.as_slice();
@@ -242,7 +246,7 @@ fn box_mean_of_known(values: &Plane<f32>, half: (usize, usize)) -> Plane<f32> {
     let add = |sums: &mut [(i32, i32)], row: &[f32], sign: i32| {
         for (sum, &x) in sums.iter_mut().zip(row) {
             if !x.is_nan() {
-                sum.0 += sign * (x * 1024.0).round() as i32;
+                sum.0 += sign * nearest(x * 1024.0);
                 sum.1 += sign;
             }
         }
@@ -275,10 +279,15 @@ fn box_mean_of_known(values: &Plane<f32>, half: (usize, usize)) -> Plane<f32> {
     out
 }
 
+/// To the nearest whole number, halves away from zero; 0 for NaN. What `f32::round` does is a call into the C library
+/// on processors that may lack SSE 4.1.
+fn nearest(x: f32) -> i32 {
+    (x + 0.5f32.copysign(x)) as i32
+}
+
 /// To (-pi, pi].
 fn wrap(x: f32) -> f32 {
-    let turns = (x / TAU).round();
-    let y = x - turns * TAU;
+    let y = x - nearest(x / TAU) as f32 * TAU;
     if y <= -PI { y + TAU } else { y }
 }
 
@@ -294,7 +303,7 @@ struct Forest {
 }
 
 impl Forest {
-    fn new(anchor: &Plane<u32>) -> Self {
+    fn new(anchor: &Plane<u8>) -> Self {
         let n = anchor.as_slice().len();
         Self {
             parent: (0..n as u32).collect(),
@@ -393,10 +402,10 @@ mod tests {
             Plane::from_vec(W, H, truth.as_slice().iter().map(|&x| f(x)).collect()).expect("same size")
         };
         let wrapped = map(&|x| wrap(x));
-        let mut anchor = Plane::filled(W, H, 0u32);
+        let mut anchor = Plane::filled(W, H, 0u8);
         for v in marker_rows {
             for u in 0..W {
-                anchor.set(u, v, u32::from((truth.at(u, v) - 80.0 * TAU).abs() < 1.5));
+                anchor.set(u, v, u8::from((truth.at(u, v) - 80.0 * TAU).abs() < 1.5));
             }
         }
         let (period, misfit) = (map(&|_| PERIOD), map(&|_| 0.0));

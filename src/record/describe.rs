@@ -5,7 +5,7 @@
 use super::layout::{CameraHeader, ClockSample, GapCause};
 use super::reader::{Outcome, RecordingReader, SegmentReader};
 use super::scan::End;
-use crate::acquire::clock::{ClockFit, Exchange};
+use crate::acquire::clock::{ClockFit, Exchange, RESET_RUN};
 use crate::ids::{CameraId, TriggerIndex};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -161,13 +161,19 @@ fn clock(device: Option<&CameraId>, samples: &[ClockSample]) -> Option<ClockDesc
         .collect();
     let last = exchanges.last()?;
     let mut fit = ClockFit::new();
-    for exchange in &exchanges {
+    // Of the exchanges before the clock was set anew the fit knows nothing any more.
+    let mut since = 0;
+    for (i, exchange) in exchanges.iter().enumerate() {
+        let resets = fit.resets();
         fit.exchange(exchange);
+        if fit.resets() > resets {
+            since = (i + 1).saturating_sub(RESET_RUN);
+        }
     }
     let device_ns = i128::from(last.device_ns);
     let offset = fit.host_from_device(device_ns).and_then(|host| i64::try_from(device_ns - host).ok());
     let round_trips = exchanges.iter().map(|e| e.host_receive_ns.saturating_sub(e.host_send_ns));
-    let mut residuals: Vec<u64> = exchanges
+    let mut residuals: Vec<u64> = exchanges[since..]
         .iter()
         .rev()
         .take(RESIDUAL_SAMPLES)
@@ -280,4 +286,30 @@ pub fn missing(recording: &RecordingReader) -> Vec<String> {
         }
     }
     lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::clock;
+    use crate::record::layout::ClockSample;
+
+    /// A device that was switched off and on in between: the residual is that of the clock as it is now.
+    #[test]
+    fn the_residual_is_that_of_the_clock_since_it_was_set() {
+        let sample = |second: u64| {
+            let host_send_ns = 1_000_000_000_000 + second * 1_000_000_000;
+            let set_at = if second < 40 { 0 } else { 40 };
+            ClockSample {
+                camera: None,
+                host_send_ns,
+                host_receive_ns: host_send_ns + 100_000,
+                device_time_ns: 7_000_050_000 + (second - set_at) * 1_000_000_000,
+            }
+        };
+        let samples: Vec<ClockSample> = (0..60).map(sample).collect();
+        let described = clock(None, &samples).expect("samples");
+        assert_eq!((described.resets, described.samples), (1, 60));
+        let residual = described.residual_ns.expect("a fit");
+        assert!(residual < 50_000, "half a round trip at most: {residual} ns");
+    }
 }

@@ -369,6 +369,7 @@ impl RecordingReader {
         let place = || format!("{}: camera {} trigger {trigger}", self.path.display(), described.id);
         let outcome = self.outcomes.get(camera).and_then(|outcomes| outcomes.get(&trigger.0));
         match outcome {
+            None if self.ended_unknowing() && trigger.0 >= self.triggers_end() => Ok(Err(GapCause::Aborted)),
             None => Err(format!(
                 "{}: neither a frame nor a gap record; the recording was cut or not finished: run `fourdbody verify`",
                 place()
@@ -411,6 +412,14 @@ impl RecordingReader {
     pub fn triggers_end(&self) -> u64 {
         let stated = self.verdict.as_ref().map_or(0, |verdict| verdict.triggers);
         self.known_end().max(stated.min(MAX_TRIGGERS))
+    }
+
+    /// Whether it was broken off, as its verdict says, and never learned how many triggers the HSU emitted: the session may
+    /// have more than it has outcomes for.
+    fn ended_unknowing(&self) -> bool {
+        self.verdict
+            .as_ref()
+            .is_some_and(|verdict| verdict.aborted.is_some() && verdict.triggers_emitted.is_none())
     }
 }
 

@@ -269,7 +269,9 @@ impl Work {
             }
         }
         let place = self.setup.receiver.camera;
-        drop(self.setup.to_recorder.send(ToRecorder::CameraBack(place)));
+        self.setup.receiver.stream += 1;
+        let back = ToRecorder::CameraBack { camera: place, stream: self.setup.receiver.stream };
+        drop(self.setup.to_recorder.send(back));
         for _ in 0..CLOCK_BURST {
             if let Some(sample) = camera.sample_clock().map_err(text)? {
                 let sample = camera_sample(config.id.clone(), sample, &self.setup.receiver.clock);

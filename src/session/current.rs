@@ -5,11 +5,12 @@ use super::devices::PreparedCamera;
 use super::link::LinkKeeper;
 use super::silence::SilenceWatch;
 use super::state::SessionRequest;
+use crate::acquire::latency::Histogram;
 use crate::acquire::realtime;
 use crate::acquire::recorder::{FromRecorder, Progress, ToRecorder};
-use crate::api::dto::{CameraProgress, Latency, Outcome, SessionStatus};
+use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
 use crate::hsu::Hsu;
-use crate::record::{NodeEvent, Recording};
+use crate::record::{Latency, NodeEvent, Recording};
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver, Sender, never, unbounded};
 use std::path::PathBuf;
@@ -133,9 +134,18 @@ impl Session {
             triggers: load(&self.progress.triggers),
             cameras: cameras.collect(),
             ring_high_water_frames: load(&self.progress.high_water),
-            written: Latency::of(&self.progress.latencies.written),
-            total: Latency::of(&self.progress.latencies.total),
+            written: latency_of(&self.progress.latencies.written),
+            total: latency_of(&self.progress.latencies.total),
             outcome: self.outcome.clone(),
         }
+    }
+}
+
+fn latency_of(histogram: &Histogram) -> Latency {
+    let us = |ms: f64| (ms * 1e3) as u64;
+    Latency {
+        p50_us: us(histogram.quantile_ms(0.5)),
+        p99_us: us(histogram.quantile_ms(0.99)),
+        max_us: us(histogram.max_ms()),
     }
 }

@@ -346,19 +346,24 @@ impl Devices {
             .map_err(|e| fault(e.to_string()))?;
         if !quiet {
             return Err(fault(
-                "packets arrive on its stream before it was told to send; expected silence: is another program, or a                  camera with the same address, streaming to this host?"
+                "packets arrive on its stream before it was told to send; expected silence: is another program, or a \
+                 camera with the same address, streaming to this host?"
                     .to_owned(),
             ));
         }
         Receiver::start(stream, setup.clone()).map_err(|e| fault(format!("cannot start its thread: {e}")))
     }
 
-    /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters.
+    /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters, in their order.
     pub fn stop_streams(&mut self, attendants: Vec<Attendant>) -> Vec<Vec<(String, u64)>> {
         attendants.iter().for_each(Attendant::stop);
         let mut counters = Vec::new();
         for (slot, attendant) in self.slots.iter_mut().zip(attendants) {
-            let Some((camera, counted)) = attendant.join() else { continue };
+            let Some((camera, counted)) = attendant.join() else {
+                slot.problem = Some("its thread ended unexpectedly; it is opened again".to_owned());
+                counters.push(Vec::new());
+                continue;
+            };
             slot.problem = match camera.camera {
                 Some(_) => None,
                 None => Some("the camera stopped answering; check its power and cable".to_owned()),

@@ -3,8 +3,8 @@
 use super::current::Session;
 use super::devices::Devices;
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
-use crate::acquire::realtime;
 use crate::acquire::recorder::ToRecorder;
+use crate::acquire::{heap, realtime};
 use crate::api::dto::{NodeStatus, Outcome, SessionCommand};
 use crate::api::server::{Command, Reply, SharedStatus};
 use crate::camera::CameraBackend;
@@ -35,6 +35,7 @@ const ASLEEP: Duration = Duration::from_secs(1);
 impl Driver {
     /// Starts the node's thread.
     pub fn start(config: NodeConfig, backend: Box<dyn CameraBackend>) -> std::io::Result<Self> {
+        heap::give_large_blocks_back();
         realtime::configure(&config.realtime);
         let devices = Devices::new(&config, backend);
         let (commands, inbox) = bounded(16);

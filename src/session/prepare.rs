@@ -1,6 +1,6 @@
 //! The steps of preparation that touch devices and disk, and what undoes them.
 
-use super::attendant::counters_text;
+use super::attendant::{Report, counters_text};
 use super::devices::{PreparedCamera, unique_id};
 use super::driver::{Node, hsu_session};
 use super::link::{LinkKeeper, LinkSetup};
@@ -107,6 +107,7 @@ impl Node {
         let receivers: Vec<ReceiverSetup> = (0..cameras)
             .map(|camera| ReceiverSetup {
                 camera,
+                stream: 0,
                 recorder: arrivals_in.clone(),
                 progress: Arc::clone(&session.progress),
                 clock: session.clock,
@@ -171,6 +172,15 @@ impl Node {
                 message: counters_text(&counters),
             };
             session.tell(ToRecorder::Event(event));
+        }
+        // A camera that was asked whether it still answers is found lost 2.5 s later, while this thread waited for its
+        // attendant: the recording must say so before it is closed.
+        let last_words: Vec<Report> = session.reports.try_iter().collect();
+        last_words.into_iter().for_each(|report| self.attendant_reports(report));
+        let dropped = self.devices.hsu().map_or(0, |hsu| hsu.dropped_events());
+        if dropped > 0 {
+            let text = format!("{dropped} events of the HSU gave way, unread, since its link was opened");
+            self.note("hsu_events_dropped", None, &text);
         }
     }
 

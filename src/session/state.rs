@@ -147,6 +147,9 @@ pub const READY_TIMEOUT: Duration = Duration::from_secs(120);
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(3);
 /// A link to the HSU that was lost during a train is waited for this long.
 pub const LINK_TIMEOUT: Duration = Duration::from_secs(60);
+/// The end of a train is waited for no longer than this (or 200 periods, if longer): a node that broke off without its link
+/// to the HSU cannot stop the train, and frames may come for as long as the other node lets it run.
+pub const DRAIN_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The state of one node's session.
 #[derive(Debug, Clone)]
@@ -157,6 +160,9 @@ pub struct Machine {
     aborted: Option<String>,
     last_activity: Duration,
     silence_timeout: Duration,
+    drain_timeout: Duration,
+    /// Since when it has been [`Phase::Draining`].
+    draining_since: Duration,
     link_lost: bool,
 }
 
@@ -179,6 +185,8 @@ impl Machine {
             aborted: None,
             last_activity: Duration::ZERO,
             silence_timeout: SILENCE_TIMEOUT.max(period * 20),
+            drain_timeout: DRAIN_TIMEOUT.max(period * 200),
+            draining_since: Duration::ZERO,
             link_lost: false,
         }
     }
@@ -198,6 +206,9 @@ impl Machine {
     pub fn step(&mut self, event: Event, now: Duration) -> Vec<Action> {
         if !matches!(event, Event::Tick) {
             self.last_activity = now;
+        }
+        if self.phase != Phase::Draining {
+            self.draining_since = now;
         }
         match (self.phase, event) {
             (Phase::Idle, Event::Prepare(request)) => {
@@ -246,10 +257,11 @@ impl Machine {
                 "the HSU reported no trigger for {:.1} s; check its serial link",
                 self.idle_for(now).as_secs_f64()
             )),
-            (Phase::Draining, Event::Drained) => {
-                self.phase = Phase::Closing;
-                let aborted = self.aborted.take();
-                vec![Action::StopStreams, Action::DisarmHsu, Action::CloseRecording { aborted }]
+            (Phase::Draining, Event::Drained) => self.close(),
+            (Phase::Draining, Event::Tick)
+                if now.saturating_sub(self.draining_since) > self.drain_timeout =>
+            {
+                self.close()
             }
             (Phase::Draining, Event::TrainDone { emitted }) => vec![Action::Drain { emitted: Some(emitted) }],
             (Phase::Draining, Event::Failed(fault)) => {
@@ -304,6 +316,12 @@ impl Machine {
         vec![Action::StopTrain, Action::Drain { emitted: None }]
     }
 
+    fn close(&mut self) -> Vec<Action> {
+        self.phase = Phase::Closing;
+        let aborted = self.aborted.take();
+        vec![Action::StopStreams, Action::DisarmHsu, Action::CloseRecording { aborted }]
+    }
+
     fn reset(&mut self) {
         self.phase = Phase::Idle;
         self.done.clear();
@@ -314,7 +332,7 @@ impl Machine {
 
 #[cfg(test)]
 mod tests {
-    use super::{Action, Event, Fault, Machine, Phase, READY_TIMEOUT, SessionRequest};
+    use super::{Action, DRAIN_TIMEOUT, Event, Fault, Machine, Phase, READY_TIMEOUT, SessionRequest};
     use crate::cmds::Exit;
     use crate::ids::NodeId;
     use proptest::prelude::{
@@ -403,6 +421,20 @@ mod tests {
         assert_eq!(actions, [Action::StopTrain, Action::Drain { emitted: None }]);
         let actions = m.step(Event::Drained, Duration::ZERO);
         assert!(actions.contains(&Action::CloseRecording { aborted: Some("unplugged".to_owned()) }));
+    }
+
+    #[test]
+    fn a_node_that_cannot_stop_the_train_closes_although_frames_go_on() {
+        let mut m = ready();
+        m.step(Event::Trigger, Duration::from_secs(1));
+        m.step(Event::Failed(fault()), Duration::from_secs(2));
+        let end = Duration::from_secs(2) + DRAIN_TIMEOUT;
+        assert_eq!(m.step(Event::Tick, end), []);
+        let close = Action::CloseRecording { aborted: Some("unplugged".to_owned()) };
+        let actions = m.step(Event::Tick, end + Duration::from_millis(1));
+        assert_eq!(actions, [Action::StopStreams, Action::DisarmHsu, close]);
+        // The recorder may have been about to say so.
+        assert_eq!(m.step(Event::Drained, end + Duration::from_millis(2)), []);
     }
 
     fn any_event() -> impl Strategy<Value = Event> {

@@ -146,7 +146,7 @@ pub(super) fn find(
     let axes = [first, (dv - first * first.dot(&dv)).try_normalize(0.0)?];
     let mut edge = Edge { surface, pixel, axes, middle: [0.0; 2], radius_m, rms: f64::NAN };
     let patch = Patch::new(cloud, &edge, light, photograph)?;
-    let free = Free { radius: true, contrast: light.is_some(), black: photograph.is_some() };
+    let free = Free { contrast: light.is_some(), black: photograph.is_some() };
     let (unknowns, rms) = patch.solve(radius_m, free)?;
     edge.middle = [unknowns[0], unknowns[1]];
     edge.radius_m = unknowns[2];
@@ -159,7 +159,6 @@ pub(super) fn find(
 /// Which unknowns what is seen can tell.
 #[derive(Clone, Copy)]
 struct Free {
-    radius: bool,
     contrast: bool,
     black: bool,
 }
@@ -267,7 +266,7 @@ impl Patch {
         let contrast = if free.contrast { 0.9 } else { 0.0 };
         let mut x = Unknowns::from([0.0, 0.0, radius_m, contrast, BLACK, level, 0.0, 0.0]);
         let scales = Unknowns::from([radius_m, radius_m, radius_m, 1.0, 1.0, level, 1.0, 1.0]);
-        let held = [false, false, !free.radius, !free.contrast, !free.black, false, false, false];
+        let held = [false, false, false, !free.contrast, !free.black, false, false, false];
         for round in 0..ROUNDS {
             let expected = self.expected(&x);
             let rests: Vec<f64> = self.seen.iter().zip(&expected).map(|(s, e)| s.1 - e).collect();

@@ -212,7 +212,10 @@ fn basis(turn: f64, knots: usize) -> [(usize, f64); 4] {
     std::array::from_fn(|i| ((cell + i) % knots, values[i]))
 }
 
-/// Fits radius, slope and curvature; weights settle in a few rounds.
+/// Rounds in which the weights settle.
+const ROUNDS: usize = 8;
+
+/// Fits radius, slope and curvature.
 fn fit(points: &[Polar], knots: usize) -> Option<Fit> {
     let size = knots + 2 * COARSE_KNOTS;
     // Slope and curvature in units of the band, so that all columns are of one size.
@@ -228,10 +231,9 @@ fn fit(points: &[Polar], knots: usize) -> Option<Fit> {
         row
     };
     let rows: Vec<[(usize, f64); 12]> = points.iter().map(row).collect();
-    let mut weights = vec![1.0; points.len()];
+    let (mut weights, mut rests) = (vec![1.0; points.len()], Vec::new());
     let mut solution = DVector::zeros(size);
-    let mut left_out = 0;
-    for round in 0..8 {
+    for round in 0..ROUNDS {
         let (mut normal, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
         for ((row, point), &weight) in rows.iter().zip(points).zip(&weights).filter(|(_, w)| **w > 0.0) {
             for &(i, a) in row {
@@ -252,7 +254,7 @@ fn fit(points: &[Polar], knots: usize) -> Option<Fit> {
         let rest = |row: &[(usize, f64); 12], p: &Polar| {
             row.iter().map(|&(i, a)| a * solution[i]).sum::<f64>() - p.radius
         };
-        let rests: Vec<f64> = rows.iter().zip(points).map(|(row, p)| rest(row, p)).collect();
+        rests = rows.iter().zip(points).map(|(row, p)| rest(row, p)).collect::<Vec<f64>>();
         let mut sizes: Vec<f64> = rests.iter().map(|r| r.abs()).collect();
         let count = sizes.len();
         let scale = 1.4826 * *sizes.select_nth_unstable_by(count / 2, f64::total_cmp).1 + 1e-7;
@@ -260,14 +262,11 @@ fn fit(points: &[Polar], knots: usize) -> Option<Fit> {
         let gate = TUKEY * scale * if round < 2 { 2.0 } else { 1.0 };
         let weight = |r: &f64| (1.0 - (r / gate).powi(2)).max(0.0).powi(2);
         weights = rests.iter().map(weight).collect();
-        left_out = weights.iter().filter(|w| **w == 0.0).count();
-        if round == 7 {
-            let kept = rests.iter().zip(&weights).filter(|(_, w)| **w > 0.0);
-            let (sum, n) = kept.fold((0.0, 0.0), |(s, n), (r, _)| (s + r * r, n + 1.0));
-            return Some(Fit { coefficients: solution, knots, rms: (sum / n).sqrt(), left_out });
-        }
     }
-    Some(Fit { coefficients: solution, knots, rms: f64::NAN, left_out })
+    let kept = rests.iter().zip(&weights).filter(|(_, w)| **w > 0.0);
+    let (sum, n) = kept.fold((0.0, 0.0), |(s, n), (r, _)| (s + r * r, n + 1.0));
+    let left_out = weights.iter().filter(|w| **w == 0.0).count();
+    Some(Fit { coefficients: solution, knots, rms: (sum / n).sqrt(), left_out })
 }
 
 /// Adds `weight` times the squares of the second differences around a closed run of unknowns.

@@ -5,7 +5,7 @@ use crate::export::Cloud;
 use crate::geometry::best_motion;
 use crate::image::Plane;
 use crate::validate::plane::Placed;
-use nalgebra::{Matrix2, Matrix3, Point3, SMatrix, SVector, Vector3};
+use nalgebra::{Point3, SMatrix, SVector, Vector3};
 
 /// Pixels darker than this share of the light around are of a circle.
 const DARK: f32 = 0.5;
@@ -136,23 +136,11 @@ impl<'a> Organized<'a> {
 
     /// The ellipse with a region's moments; `None` where it is not nearly filled by the region.
     fn spot(&self, pixels: &[[usize; 2]]) -> Option<Spot> {
-        let n = pixels.len() as f64;
-        let points = || pixels.iter().map(|p| [p[0] as f64, p[1] as f64]);
-        let (mu, mv) = (points().map(|p| p[0]).sum::<f64>() / n, points().map(|p| p[1]).sum::<f64>() / n);
-        let (mut uu, mut uv, mut vv) = (0.0, 0.0, 0.0);
-        for [u, v] in points() {
-            uu += (u - mu) * (u - mu) / n;
-            uv += (u - mu) * (v - mv) / n;
-            vv += (v - mv) * (v - mv) / n;
-        }
-        let determinant = Matrix2::new(uu, uv, uv, vv).determinant();
-        let filled = n / (4.0 * std::f64::consts::PI * determinant.max(1e-9).sqrt());
+        let place = |p: &[usize; 2]| [0, 1].map(|axis| (p[axis] + self.origin[axis]) as f64);
+        let (ellipse, filled) = Ellipse::of_region(pixels.iter().map(place))?;
         if !(0.8..1.2).contains(&filled) {
             return None;
         }
-        let conic = Matrix3::new(vv, -uv, 0.0, -uv, uu, 0.0, 0.0, 0.0, -4.0 * determinant);
-        let mut ellipse = Ellipse::from_conic(&conic)?;
-        ellipse.centre = [mu + self.origin[0] as f64, mv + self.origin[1] as f64];
         Some(Spot { ellipse, rms_px: 0.0, contrast: 0.0, blur_px: 0.0, outside: 0.0 })
     }
 

@@ -1,5 +1,5 @@
 //! What `fourdbody reconstruct` wrote, by trigger, camera and head: `clouds/CAMERA_TRIGGER.ply` and
-//! `merged/TRIGGER.ply`, or the same files in one directory.
+//! `merged/TRIGGER.ply`, or the same files in one directory (what lies in the two counts first).
 
 use crate::calibrate::Calibration;
 use crate::export::{Cloud, ply};
@@ -40,11 +40,11 @@ impl CloudSet {
                 continue;
             };
             if let Ok(trigger) = stem.parse() {
-                self.merged.insert(trigger, path);
+                self.merged.entry(trigger).or_insert(path);
             } else if let Some((camera, index)) = stem.rsplit_once('_')
                 && let Ok(trigger) = index.parse()
             {
-                self.directional.insert((trigger, camera.to_owned()), path);
+                self.directional.entry((trigger, camera.to_owned())).or_insert(path);
             }
         }
         Ok(())

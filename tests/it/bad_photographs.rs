@@ -15,7 +15,7 @@ fn good_outcome(photographs: &Photographs) -> Outcome {
     let (focal, place_m) = errors(&outcome.calibration, &scene().truth);
     println!("focal {focal:.6}, second camera {:.3} mm off", place_m * 1e3);
     outcome.lines().iter().for_each(|line| println!("{line}"));
-    assert!(focal < 5e-4 && place_m < 5e-4, "focal {focal}, second camera {place_m} m off");
+    assert!(focal < 3e-4 && place_m < 4e-4, "focal {focal}, second camera {place_m} m off");
     outcome
 }
 
@@ -285,7 +285,7 @@ fn cameras_without_frames_take_one_line_each() {
 
 /// The table of docs/design/calibration.md.
 #[test]
-#[ignore = "fifty calibrations: minutes"]
+#[ignore = "54 calibrations, minutes: cargo test --release --test it models_are_compared -- --ignored --nocapture"]
 fn models_are_compared_by_positions_left_out() {
     use fourdbody::calibrate::compare::{VARIANTS, leave_one_out};
     use fourdbody::calibrate::stages::{Rigging, Terms};

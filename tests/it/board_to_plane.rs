@@ -97,7 +97,7 @@ fn a_calibration_from_rendered_photographs_puts_the_board_where_it_is() {
     let after = compare(&found, &rendered.calibration).expect("the same cameras");
     println!("nominal {:?}, calibrated {:?}", before.together, after.together);
     assert!(before.together.rms_mm > 5.0, "without a calibration there is nothing to show: {before:?}");
-    assert!(after.together.rms_mm < 0.15, "{after:?}");
+    assert!(after.together.rms_mm < 0.06, "{after:?}");
 
     let head = &found.heads[0];
     let mut clouds = 0;
@@ -118,7 +118,7 @@ fn a_calibration_from_rendered_photographs_puts_the_board_where_it_is() {
                 share(0.95)
             );
             assert!(off.len() > 20_000, "{} points", off.len());
-            assert!(share(0.5) < 0.10 && share(0.95) < 0.40, "median {}, p95 {} mm", share(0.5), share(0.95));
+            assert!(share(0.5) < 0.07 && share(0.95) < 0.25, "median {}, p95 {} mm", share(0.5), share(0.95));
         }
     }
     assert!(clouds >= 2, "{clouds} of 4 frames gave a cloud");

@@ -1,19 +1,13 @@
 //! Sessions that end otherwise than planned: every outcome is accounted for, and nothing hangs.
 
-use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+use crate::lab::{NodeProcess, fourdbody, laboratory, start_capture, start_nodes, text_of};
 use fourdbody_simulator::laboratory::Laboratory;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, Output};
 
 /// A capture until stopped, and waits until its train runs.
-fn start_capture(laboratory: &Laboratory, nodes: &mut [NodeProcess], name: &str) -> Child {
-    let child = Command::new(FOURDBODY)
-        .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "0", "--name", name])
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the binary starts");
+fn running_capture(laboratory: &Laboratory, nodes: &mut [NodeProcess], name: &str) -> Child {
+    let child = start_capture(laboratory, name);
     for node in nodes {
         node.wait_until("ten triggers", |status| {
             status
@@ -39,7 +33,7 @@ fn ctrl_c_ends_a_session_that_runs_until_stopped() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory(dir.path(), 110, 20.0);
     let mut nodes = start_nodes(&laboratory);
-    let capture = start_capture(&laboratory, &mut nodes, "stopped");
+    let capture = running_capture(&laboratory, &mut nodes, "stopped");
     signal("-INT", capture.id());
     let output = capture.wait_with_output().expect("it ends");
     assert_eq!(output.status.code(), Some(0), "{}", text_of(&output));
@@ -53,7 +47,7 @@ fn a_node_that_is_killed_loses_at_most_its_last_chunks_and_the_other_ends_accoun
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory(dir.path(), 111, 20.0);
     let mut nodes = start_nodes(&laboratory);
-    let capture = start_capture(&laboratory, &mut nodes, "killed");
+    let capture = running_capture(&laboratory, &mut nodes, "killed");
     signal("-KILL", nodes[0].pid());
     let output = capture.wait_with_output().expect("it ends");
     assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
@@ -80,7 +74,7 @@ fn a_node_that_is_told_to_shut_down_answers_until_its_verdict_was_read() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory(dir.path(), 150, 20.0);
     let mut nodes = start_nodes(&laboratory);
-    let capture = start_capture(&laboratory, &mut nodes, "terminated");
+    let capture = running_capture(&laboratory, &mut nodes, "terminated");
     signal("-TERM", nodes[0].pid());
     let output = capture.wait_with_output().expect("it ends");
     let text = text_of(&output);

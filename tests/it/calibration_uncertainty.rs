@@ -106,7 +106,7 @@ fn errors_of(scene: &Scene) -> [[f64; 15]; 3] {
 
 /// Other rigs, other noise: `CALIBRATION_SEEDS` of them (20). The figures of docs/validation.md.
 #[test]
-#[ignore = "twenty rendered calibrations: many minutes"]
+#[ignore = "twenty rendered calibrations, many minutes: cargo test --release --test it over_many_rigs -- --ignored --nocapture"]
 fn errors_against_the_truth_are_as_stated_over_many_rigs() {
     let seeds = std::env::var("CALIBRATION_SEEDS").ok().and_then(|s| s.parse().ok()).unwrap_or(20u64);
     let mut squares = [[0.0; 15]; 3];

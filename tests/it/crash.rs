@@ -106,7 +106,7 @@ fn fill(pixels: &mut [u8], camera: usize, trigger: u64) {
 
 /// The process that is killed: records, and says after each step that it has returned.
 #[test]
-#[ignore = "started by the test below as a process of its own"]
+#[ignore = "no test: the process that a_killed_recorder_loses_at_most_three_chunks starts and kills; alone it returns at once"]
 fn recorder_process() {
     let Ok(dir) = std::env::var("FOURDBODY_CRASH_DIR") else { return };
     let plan = Plan::new(number("FOURDBODY_CRASH_SEED", 0));
@@ -264,7 +264,7 @@ fn a_killed_recorder_loses_at_most_three_chunks() {
 #[cfg(feature = "aravis")]
 mod node {
     use super::{BOUND, Random, median_and_most, number};
-    use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+    use crate::lab::{NodeProcess, fourdbody, laboratory, start_capture, start_nodes, text_of};
     use fourdbody::api::client::NodeClient;
     use fourdbody::api::dto::SessionStatus;
     use fourdbody::ids::TriggerIndex;
@@ -274,7 +274,7 @@ mod node {
     use fourdbody_simulator::gige::TestImages;
     use fourdbody_simulator::laboratory::Laboratory;
     use std::path::Path;
-    use std::process::{Child, Command, Stdio};
+    use std::process::Child;
     use std::time::{Duration, Instant};
 
     const CAMERAS_OF_A_NODE: usize = 4;
@@ -299,16 +299,6 @@ mod node {
             }
         }
         (frames, lost)
-    }
-
-    fn start_capture(laboratory: &Laboratory, name: &str) -> Child {
-        Command::new(FOURDBODY)
-            .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "0", "--name", name])
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("the binary starts")
     }
 
     /// Frames that the node has handed to its writer, as far as it has said so.

@@ -1,13 +1,12 @@
 //! Real nodes that record onto disks that are slow, full or fail: what is lost is accounted for, what is counted as
 //! recorded can be read, and the other node is none the worse.
 
-use crate::lab::{NodeProcess, fourdbody, small_rig, start_laboratory, start_nodes, text_of};
+use crate::lab::{NodeProcess, fourdbody, options, small_rig, start_laboratory, start_nodes, text_of};
 use crate::session_faults::check_frames;
 use fourdbody::record::{GapCause, SessionReader, Status};
 use fourdbody_simulator::disk::{DiskPlan, SimulatedDisk};
 use fourdbody_simulator::faults::{DiskEvent, DiskFault, Shown, check_with_disks, read_disk_truth};
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions, TRUTH_FILE};
-use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
@@ -26,10 +25,7 @@ fn laboratory_on(
         eprintln!("skipped, no disk can be simulated here: {reason}");
         return None;
     }
-    let mut options = LaboratoryOptions::new(small_rig(RATE_HZ), dir);
-    options.first_address = Ipv4Addr::new(127, 0, subnet, 11);
-    options.first_port = 0;
-    options.reserve_mib = 1;
+    let mut options = options(small_rig(RATE_HZ), dir, subnet);
     options.disk = Some(DiskPlan::parse(plan).expect("a valid plan").expect("a table [disk]"));
     change(&mut options);
     Some(start_laboratory(&options))

@@ -22,10 +22,14 @@ fn usage(pid: u32) -> [u64; 3] {
     [field("VmRSS:"), field("Threads:"), descriptors]
 }
 
+/// What the sessions after the first quarter may leave in a process, however many they are, KiB. Measured: 70 to 140 in
+/// 15 to 225 sessions (allocator arenas that fill up), where one session has 9,500 for itself.
+const LEFT_KIB: u64 = 2048;
+
 /// `FOURDBODY_CYCLES` sessions of three triggers in the same two node processes.
 #[test]
 fn sessions_in_a_row_leave_nothing_behind() {
-    let cycles = asked("FOURDBODY_CYCLES", 20);
+    let cycles = asked("FOURDBODY_CYCLES", 20).max(4);
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory_of(dir.path(), 145, 100.0, (64, 48), 1);
     let mut nodes = start_nodes(&laboratory);
@@ -38,16 +42,16 @@ fn sessions_in_a_row_leave_nothing_behind() {
         nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
         std::fs::remove_dir_all(dir.path().join("sessions").join(&name)).expect("recorded");
         if cycle + 1 == cycles / 4 || cycle + 1 == cycles {
-            seen.push(usage(nodes[0].pid()));
+            seen.push(nodes.iter().map(|node| usage(node.pid())).collect::<Vec<_>>());
         }
     }
-    println!(
-        "{cycles} cycles: KiB, threads and descriptors after a quarter {:?}, at the end {:?}",
-        seen[0], seen[1]
-    );
-    let [[before, threads, descriptors], [after, threads_after, descriptors_after]] = [seen[0], seen[1]];
-    assert_eq!((threads_after, descriptors_after), (threads, descriptors));
-    assert!(after < before + before / 5 + 4096, "{before} KiB after a quarter, {after} KiB at the end");
+    println!("{cycles} cycles: KiB, threads and descriptors of each node after a quarter {:?}", seen[0]);
+    println!("{cycles} cycles: KiB, threads and descriptors of each node at the end {:?}", seen[1]);
+    for (quarter, end) in seen[0].iter().zip(&seen[1]) {
+        let ([before, threads, descriptors], [after, threads_after, descriptors_after]) = (*quarter, *end);
+        assert_eq!((threads_after, descriptors_after), (threads, descriptors));
+        assert!(after < before + LEFT_KIB, "{before} KiB after a quarter, {after} KiB at the end");
+    }
 }
 
 /// `FOURDBODY_TRIGGERS` triggers; the ids begin shortly before their wrap, so that a short run wraps as well.

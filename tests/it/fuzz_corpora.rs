@@ -88,7 +88,7 @@ fn every_target_has_its_body_and_its_file() {
 }
 
 #[test]
-#[ignore = "writes fuzz/seeds"]
+#[ignore = "no test, writes fuzz/seeds anew: cargo test --test it write_seeds -- --ignored"]
 fn write_seeds() {
     hsu_seeds();
     gvcp_seeds_from_sessions();

@@ -397,9 +397,8 @@ fn session_ids_are_the_same_on_every_node() {
 }
 
 /// A measurement, not a test: how evenly the simulated unit fires on this machine.
-/// `cargo test --release --test it hsu::pace -- --ignored --nocapture`
 #[test]
-#[ignore = "takes half a minute and prints figures instead of judging them"]
+#[ignore = "half a minute, prints figures and judges none: cargo test --release --test it hsu::pace -- --ignored --nocapture"]
 fn pace_at_120_hz() {
     let _alone = alone();
     let bench = bench();

@@ -32,13 +32,19 @@ pub fn rig_of(rate_hz: f64, (width, height): (usize, usize)) -> String {
         .replace("focal_px = 2048.0", &format!("focal_px = {:?}", (2048 * width / 1920) as f64))
 }
 
-/// A laboratory whose cameras send [`TestImages`]; every test takes its own `subnet` of 127.0.0.0/16.
+/// A laboratory below `dir`; every test takes its own `subnet` of 127.0.0.0/16.
+pub fn options(rig_text: String, dir: &Path, subnet: u8) -> LaboratoryOptions {
+    LaboratoryOptions {
+        first_address: Ipv4Addr::new(127, 0, subnet, 11),
+        first_port: 0,
+        reserve_mib: 1,
+        ..LaboratoryOptions::new(rig_text, dir)
+    }
+}
+
+/// A laboratory whose cameras send [`TestImages`].
 pub fn laboratory(dir: &Path, subnet: u8, rate_hz: f64) -> Laboratory {
-    let mut options = LaboratoryOptions::new(small_rig(rate_hz), dir);
-    options.first_address = Ipv4Addr::new(127, 0, subnet, 11);
-    options.first_port = 0;
-    options.reserve_mib = 1;
-    start_laboratory(&options)
+    start_laboratory(&options(small_rig(rate_hz), dir, subnet))
 }
 
 /// A laboratory with sensors of this size, whose block ids begin at `first_block_id`.
@@ -49,12 +55,8 @@ pub fn laboratory_of(
     size: (usize, usize),
     first_block_id: u64,
 ) -> Laboratory {
-    let mut options = LaboratoryOptions::new(rig_of(rate_hz, size), dir);
-    options.first_address = Ipv4Addr::new(127, 0, subnet, 11);
-    options.first_port = 0;
-    options.reserve_mib = 1;
-    options.first_block_id = first_block_id;
-    start(&options, size)
+    let options = options(rig_of(rate_hz, size), dir, subnet);
+    start(&LaboratoryOptions { first_block_id, ..options }, size)
 }
 
 /// Starts a laboratory with options of the test's own.
@@ -175,6 +177,22 @@ pub fn start_nodes(laboratory: &Laboratory) -> Vec<NodeProcess> {
 /// Runs the product's binary.
 pub fn fourdbody(args: &[&str]) -> Output {
     Command::new(FOURDBODY).args(args).stdin(Stdio::null()).output().expect("the binary starts")
+}
+
+/// A capture that runs until it is stopped.
+pub fn start_capture(laboratory: &Laboratory, name: &str) -> Child {
+    Command::new(FOURDBODY)
+        .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "0", "--name", name])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary starts")
+}
+
+/// Every one of these must be in the text.
+pub fn assert_contains(text: &str, expected: &[&str]) {
+    expected.iter().for_each(|part| assert!(text.contains(part), "{part:?} missing in\n{text}"));
 }
 
 /// Standard output and standard error, for messages of failed assertions.

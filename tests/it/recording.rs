@@ -15,6 +15,11 @@ const HEIGHT: u32 = 30;
 const PERIOD_NS: u64 = 8_333_333;
 const START_NS: u64 = 1_790_000_000_000_000_000;
 
+/// Memory, where the system has such a place: hundreds of recordings that are synced take their time on a disk.
+pub fn quick_dir() -> tempfile::TempDir {
+    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).expect("a temporary directory")
+}
+
 /// A header of cameras that the shipped rig has on this node.
 pub fn header(node: &str, cameras: &[&str], triggers: Option<u64>) -> RecordingHeader {
     let camera = |id: &&str| CameraHeader {

@@ -1,5 +1,6 @@
 //! `verify`, `info` and `import` as scripts see them: exit codes, standard output, nothing half-written.
 
+use crate::lab::{assert_contains, fourdbody};
 use crate::recording::{header, record};
 use fourdbody::config::Rig;
 use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
@@ -7,11 +8,7 @@ use fourdbody::image::{Plane, write_png_grey};
 use fourdbody::reconstruct::{Frame, FrameSource};
 use fourdbody::record::{SessionReader, node_dir};
 use std::path::Path;
-use std::process::{Command, Output};
-
-fn fourdbody(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_fourdbody")).args(args).output().expect("the program runs")
-}
+use std::process::Output;
 
 fn text(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
@@ -56,17 +53,18 @@ fn info_describes() {
     let output = fourdbody(&["info", text(&path)]);
     assert_eq!(code(&output), 0);
     let printed = String::from_utf8_lossy(&output.stdout);
-    for expected in [
-        "walk-01",
-        "20 at 120 Hz (0.16 s)",
-        "h0_up                     40 x 30        19       1       0  test",
-        "gap         1 missing_packets, the first at trigger 4",
-        "segment-000.mcap",
-        "table       20 rows",
-        "incomplete: 20 triggers",
-    ] {
-        assert!(printed.contains(expected), "{expected:?} missing in\n{printed}");
-    }
+    assert_contains(
+        &printed,
+        &[
+            "walk-01",
+            "20 at 120 Hz (0.16 s)",
+            "h0_up                     40 x 30        19       1       0  test",
+            "gap         1 missing_packets, the first at trigger 4",
+            "segment-000.mcap",
+            "table       20 rows",
+            "incomplete: 20 triggers",
+        ],
+    );
     let output = fourdbody(&["info", "--json", text(&path)]);
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(json["recordings"][0]["header"]["cameras"][0]["id"], "h0_up");
@@ -160,9 +158,10 @@ fn all_wrong_images_are_named_at_once_and_nothing_is_written() {
     let output = fourdbody(&args);
     assert_eq!(code(&output), 2);
     let printed = String::from_utf8_lossy(&output.stderr);
-    for expected in ["both are trigger 1", "h9_up: no camera of the rig", "notes.txt: expected INDEX.png"] {
-        assert!(printed.contains(expected), "{expected:?} missing in\n{printed}");
-    }
+    assert_contains(
+        &printed,
+        &["both are trigger 1", "h9_up: no camera of the rig", "notes.txt: expected INDEX.png"],
+    );
 
     std::fs::remove_dir(images.join("h9_up")).expect("there");
     std::fs::remove_file(images.join("h1_up/notes.txt")).expect("there");
@@ -173,13 +172,14 @@ fn all_wrong_images_are_named_at_once_and_nothing_is_written() {
     let output = fourdbody(&args);
     assert_eq!(code(&output), 2);
     let printed = String::from_utf8_lossy(&output.stderr);
-    for expected in [
-        "h0_up/1.png: expected 48 x 32 pixels (camera h0_up of the rig), found 47 x 32",
-        "h2_low/000000.png: not a readable PNG",
-        "h3_up/000001.png: expected 8-bit grey pixels, found",
-        "3 problems",
-    ] {
-        assert!(printed.contains(expected), "{expected:?} missing in\n{printed}");
-    }
+    assert_contains(
+        &printed,
+        &[
+            "h0_up/1.png: expected 48 x 32 pixels (camera h0_up of the rig), found 47 x 32",
+            "h2_low/000000.png: not a readable PNG",
+            "h3_up/000001.png: expected 8-bit grey pixels, found",
+            "3 problems",
+        ],
+    );
     assert!(!out.parent().expect("a parent").exists(), "nothing was written");
 }

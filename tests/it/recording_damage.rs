@@ -1,5 +1,6 @@
 //! Recordings that were cut, flipped or scrambled: nothing is lost that is whole, nothing wrong is accepted.
 
+use crate::lab::assert_contains;
 use crate::recording::{end, frame, header, options, pixels, record, trigger};
 use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::record::verify::{Severity, verify};
@@ -201,11 +202,10 @@ fn nodes_that_disagree_are_named() {
         record(&path, other, 61, &[]);
     });
     assert_eq!(worst, Some(Severity::Corrupt));
-    for expected in
-        ["session's id is another", "HSU's trigger count is 61", "camera h0_low: is recorded on node a"]
-    {
-        assert!(text.contains(expected), "{expected:?} missing in\n{text}");
-    }
+    assert_contains(
+        &text,
+        &["session's id is another", "HSU's trigger count is 61", "camera h0_low: is recorded on node a"],
+    );
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! `info` answers what a researcher asks of a recording, of a whole one and of one that is not.
 
+use crate::lab::{assert_contains, fourdbody, text_of};
 use crate::recording::{end, frame, header, options, trigger};
 use fourdbody::config::{FeatureSetting, FeatureValue};
 use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
@@ -7,7 +8,6 @@ use fourdbody::record::recover::recover;
 use fourdbody::record::{ClockSample, GapCause, NodeEvent, Recording, node_dir};
 use serde_json::Value;
 use std::path::Path;
-use std::process::Command;
 
 const TRIGGERS: u64 = 120;
 /// The camera's clock runs this much faster than the host's, parts per million.
@@ -16,15 +16,13 @@ const CAMERA_AHEAD_NS: u64 = 5_000_000_000;
 
 /// Runs `info`; returns exit code, text and JSON.
 fn info(path: &Path) -> (i32, String, Value) {
-    let run = |json: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_fourdbody"));
-        let output = command.arg("info").args(json).arg(path).output().expect("the program runs");
-        let text =
-            format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        (output.status.code().expect("an exit code"), text)
+    let path = path.display().to_string();
+    let run = |arguments: &[&str]| {
+        let output = fourdbody(arguments);
+        (output.status.code().expect("an exit code"), text_of(&output))
     };
-    let (code, text) = run(&[]);
-    let (json_code, json) = run(&["--json"]);
+    let (code, text) = run(&["info", &path]);
+    let (json_code, json) = run(&["info", "--json", &path]);
     assert_eq!(code, json_code);
     (code, text, serde_json::from_str(&json).unwrap_or(Value::Null))
 }
@@ -162,15 +160,16 @@ fn an_interrupted_and_a_damaged_recording_say_what_is_missing() {
     std::fs::write(segment(count - 1), &last[..last.len() / 2]).expect("written");
     let (code, text, json) = info(&session);
     assert_eq!(code, 0, "{text}");
-    for expected in [
-        "not closed, usable up to byte",
-        "MISSING     the verdict: the recording was not finished",
-        "`fourdbody recover` saves the rest",
-        "disk        not known",
-        "session     walk-01 (5f0c)",
-    ] {
-        assert!(text.contains(expected), "{expected:?} missing in\n{text}");
-    }
+    assert_contains(
+        &text,
+        &[
+            "not closed, usable up to byte",
+            "MISSING     the verdict: the recording was not finished",
+            "`fourdbody recover` saves the rest",
+            "disk        not known",
+            "session     walk-01 (5f0c)",
+        ],
+    );
     let recording = &json["recordings"][0];
     assert_eq!(recording["verdict"], Value::Null);
     assert_eq!(json["recordings"][1]["missing"], serde_json::json!([]), "the other node is whole");
@@ -182,14 +181,15 @@ fn an_interrupted_and_a_damaged_recording_say_what_is_missing() {
     std::fs::write(segment(2), bytes).expect("written");
     let (code, text, json) = info(&session);
     assert_eq!(code, 0, "{text}");
-    for expected in [
-        "expected segment 1 here: it is missing",
-        "MISSING     camera h0_low:",
-        "triggers have neither a frame nor a gap record, the first is",
-        "rows of the HSU's trigger table",
-    ] {
-        assert!(text.contains(expected), "{expected:?} missing in\n{text}");
-    }
+    assert_contains(
+        &text,
+        &[
+            "expected segment 1 here: it is missing",
+            "MISSING     camera h0_low:",
+            "triggers have neither a frame nor a gap record, the first is",
+            "rows of the HSU's trigger table",
+        ],
+    );
     let absent = json["recordings"][0]["cameras"][1]["absent"].as_u64().expect("a number");
     assert!(absent > 0 && absent < TRIGGERS, "{absent}");
 

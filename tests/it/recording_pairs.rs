@@ -1,11 +1,12 @@
 //! `verify` on both nodes' recordings together: pairs that do not belong together are told apart, each by its own words.
 
+use crate::lab::fourdbody;
 use crate::recording::{end, frame, header, options, trigger};
-use fourdbody::ids::NodeId;
+use fourdbody::ids::{NodeId, TriggerIndex};
+use fourdbody::reconstruct::FrameSource;
 use fourdbody::record::verify::{Report, Severity, verify};
-use fourdbody::record::{Recording, RecordingHeader, TriggerRecord, node_dir};
+use fourdbody::record::{GapCause, Recording, RecordingHeader, SessionReader, TriggerRecord, node_dir};
 use std::path::Path;
-use std::process::{Command, Output};
 
 const TRIGGERS: u64 = 24;
 
@@ -166,8 +167,82 @@ fn a_recording_in_the_other_nodes_directory_and_one_that_cannot_be_read_are_name
     assert!(!text.contains("its recording is not here"), "{text}");
 }
 
-fn fourdbody(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_fourdbody")).args(args).output().expect("the program runs")
+/// A session in which these nodes ended as told: (name, cameras, triggers, the HSU's count, why it was broken off).
+type Ending<'a> = (&'a str, [&'a str; 2], u64, Option<u64>, Option<&'a str>);
+
+fn ended(endings: [Ending<'_>; 2]) -> (Report, tempfile::TempDir) {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let session = dir.path().join("walk-01");
+    for (node, cameras, triggers, counted, reason) in endings {
+        let header = header(node, &cameras, Some(TRIGGERS));
+        let path = node_dir(&session, &NodeId::from(node));
+        let mut recording = Recording::create(&path, header, options(1 << 30)).expect("created");
+        for index in 0..triggers {
+            recording.trigger(&trigger(index)).expect("recorded");
+            for (number, camera) in cameras.iter().enumerate() {
+                let (meta, message) = frame(camera, number, index);
+                recording.frame(number, &meta, &message).expect("recorded");
+            }
+        }
+        let mut end = end(triggers);
+        (end.triggers_emitted, end.aborted) = (counted, reason.map(str::to_owned));
+        recording.finish(end).expect("finished");
+    }
+    (verify(&session, &|_, _| ()).expect("readable"), dir)
+}
+
+const A: [&str; 2] = ["h0_up", "h0_low"];
+const B: [&str; 2] = ["h2_up", "h2_low"];
+
+/// A node that lost its link for good knows neither how many triggers there were nor that there were more than it heard
+/// of. It says that it was broken off, and the other node knows the rest.
+#[test]
+fn a_node_broken_off_without_the_count_is_loss_whichever_it_is() {
+    let all = (TRIGGERS, Some(TRIGGERS), None);
+    let short = (18, None, Some("the link to the HSU is lost"));
+    let node = |name, cameras, (triggers, counted, reason)| (name, cameras, triggers, counted, reason);
+    for ((report, dir), lost, whole, triggers) in [
+        (ended([node("a", A, all), node("b", B, short)]), "b", "a", [TRIGGERS, 18]),
+        (ended([node("a", A, short), node("b", B, all)]), "a", "b", [18, TRIGGERS]),
+    ] {
+        let text = texts(&report);
+        assert_eq!(report.worst, Some(Severity::Loss), "{text}");
+        let expected = format!(
+            "loss: node {lost} triggers 18 to 23: no outcomes: it was broken off and has not the HSU's count (the link to \
+             the HSU is lost); node {whole} has 24 triggers"
+        );
+        assert!(text.contains(&expected), "{expected:?} missing in\n{text}");
+        assert_eq!((report.compared[0].agree, report.compared[0].triggers), (true, triggers));
+        let [on_a, on_b] = triggers;
+        let said = report.compared[0].to_string();
+        assert!(said.contains(&format!("{on_a} triggers on node a and {on_b} on node b, 18 rows")), "{said}");
+        // To readers the session is as long as the whole recording, and the short one's outcomes say why.
+        let reader = SessionReader::open(&dir.path().join("walk-01")).expect("readable");
+        assert_eq!(reader.triggers(), 0..TRIGGERS);
+        let outcome = |camera: &str, index| {
+            let outcome = reader.recorded_frame(&camera.into(), TriggerIndex(index)).expect("an outcome");
+            outcome.map(|_| ())
+        };
+        let (of_lost, of_whole) = if lost == "a" { (A, B) } else { (B, A) };
+        assert_eq!((outcome(of_lost[0], 17), outcome(of_whole[0], 18)), (Ok(()), Ok(())));
+        assert_eq!(outcome(of_lost[1], 18), Err(GapCause::Aborted));
+    }
+}
+
+/// The same numbers, but nothing that says why: one of the two is wrong.
+#[test]
+fn fewer_triggers_without_a_reason_or_against_the_count_are_corrupt() {
+    let reason = Some("the link to the HSU is lost");
+    let all = ("a", A, TRIGGERS, Some(TRIGGERS), None);
+    for (other, what) in [
+        (("b", B, 18, None, None), "nobody broke it off"),
+        (("b", B, 18, Some(18), reason), "the HSU told it another count"),
+        (("b", B, TRIGGERS + 2, None, reason), "it has more than the HSU counted"),
+    ] {
+        let (report, _dir) = ended([all, other]);
+        assert_eq!(report.worst, Some(Severity::Corrupt), "{what}: {}", texts(&report));
+        assert!(!report.compared[0].agree, "{what}");
+    }
 }
 
 /// Each PC's part was copied to a place of its own.

@@ -4,7 +4,7 @@
 //! The recording is written as nodes write it: frames from their own memory, padded envelopes, private records, segments.
 
 use crate::crash::Random;
-use crate::recording::{end, header, options, trigger};
+use crate::recording::{end, header, options, quick_dir, trigger};
 use fourdbody::acquire::pool::Block;
 use fourdbody::ids::{BlockId, CameraId, TriggerIndex};
 use fourdbody::record::envelope::pixels_crc;
@@ -194,10 +194,6 @@ fn good() -> &'static Vec<Anatomy> {
         let read = |n| std::fs::read(path.join(format!("segment-{n:03}.mcap"))).expect("readable");
         (0..count).map(|n| Anatomy::of(read(n))).collect()
     })
-}
-
-fn quick_dir() -> tempfile::TempDir {
-    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).expect("a temporary directory")
 }
 
 /// What was made of a damaged recording.

@@ -1,6 +1,7 @@
 //! `recover`: what is whole is saved, what is not is named, and nothing wrong is passed on.
 
-use crate::recording::{end, frame, header, options, pixels, record, trigger};
+use crate::lab::fourdbody;
+use crate::recording::{end, frame, header, options, pixels, quick_dir, record, trigger};
 use crate::recording_damage::{as_recording, one_segment, record_ends};
 use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::record::recover::{RecoverError, Recovery, recover};
@@ -11,15 +12,9 @@ use fourdbody::record::{
 };
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
 const TRIGGERS: u64 = 9;
-
-/// Memory, where the system has such a place: hundreds of recordings that are synced take their time on a disk.
-fn quick_dir() -> tempfile::TempDir {
-    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).expect("a temporary directory")
-}
 
 fn run(path: &Path, out: &Path) -> Result<Recovery, RecoverError> {
     recover(path, out, &|_, _| ())
@@ -280,8 +275,7 @@ fn a_flip_anywhere_costs_one_frame_at_most() {
 fn the_command_exits_by_what_it_saved() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let fourdbody = |args: &[&str]| {
-        let output =
-            Command::new(env!("CARGO_BIN_EXE_fourdbody")).args(args).output().expect("the program runs");
+        let output = fourdbody(args);
         (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned())
     };
     let text = |path: &Path| path.display().to_string();

@@ -1,8 +1,10 @@
 //! What goes wrong before a session: the error says what to do, the exit code is right, nothing is left behind.
 
-use crate::lab::{NodeProcess, fourdbody, laboratory, small_rig, start_laboratory, start_nodes, text_of};
+use crate::lab::{
+    NodeProcess, assert_contains, fourdbody, laboratory, options, small_rig, start_laboratory, start_nodes,
+    text_of,
+};
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
-use std::net::Ipv4Addr;
 use std::path::Path;
 use std::process::Output;
 
@@ -14,7 +16,7 @@ fn capture(laboratory: &Laboratory, triggers: &str) -> Output {
 fn assert_refused(dir: &Path, nodes: &mut [NodeProcess], output: &Output, code: i32, words: &[&str]) {
     let text = text_of(output);
     assert_eq!(output.status.code(), Some(code), "{text}");
-    words.iter().for_each(|word| assert!(text.contains(word), "{word:?} missing in: {text}"));
+    assert_contains(&text, words);
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
     let session = dir.join("sessions/refused");
     assert!(!session.exists(), "{} was left behind", session.display());
@@ -78,11 +80,8 @@ fn an_hsu_that_does_not_answer_is_told() {
 #[test]
 fn a_disk_that_cannot_hold_the_session_refuses_it() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut options = LaboratoryOptions::new(small_rig(20.0), dir.path());
-    options.first_address = Ipv4Addr::new(127, 0, 105, 11);
-    options.first_port = 0;
-    options.reserve_mib = 1 << 30;
-    let laboratory = start_laboratory(&options);
+    let options = options(small_rig(20.0), dir.path(), 105);
+    let laboratory = start_laboratory(&LaboratoryOptions { reserve_mib: 1 << 30, ..options });
     let mut nodes = start_nodes(&laboratory);
     let output = capture(&laboratory, "5");
     assert_refused(dir.path(), &mut nodes, &output, 1, &["MiB are free", "delete or move sessions"]);
@@ -113,15 +112,16 @@ fn five_mistakes_in_a_configuration_are_five_problems_with_key_paths() {
     let output = fourdbody(&["check-config", &file.display().to_string()]);
     let text = text_of(&output);
     assert_eq!(output.status.code(), Some(2), "{text}");
-    for key in [
-        "api.listen",
-        "storage.reserve_mb",
-        "acquisition.packet_bytes",
-        "camera[3].id",
-        "acquisition.settings[8]",
-    ] {
-        assert!(text.contains(key), "{key} missing in: {text}");
-    }
+    assert_contains(
+        &text,
+        &[
+            "api.listen",
+            "storage.reserve_mb",
+            "acquisition.packet_bytes",
+            "camera[3].id",
+            "acquisition.settings[8]",
+        ],
+    );
     // The daemon refuses the same file in the same way.
     let output = fourdbody(&["node", "--config", &file.display().to_string()]);
     assert_eq!(output.status.code(), Some(2), "{}", text_of(&output));

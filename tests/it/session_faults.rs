@@ -1,25 +1,13 @@
 //! Devices that fail in the middle of a session: what is lost is accounted for, the rest is right, and what comes back
 //! goes on at the right trigger.
 
-use crate::lab::{FOURDBODY, NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+use crate::lab::{NodeProcess, fourdbody, laboratory, laboratory_of, start_capture, start_nodes, text_of};
 use fourdbody::ids::TriggerIndex;
 use fourdbody::reconstruct::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
 use fourdbody_simulator::gige::TestImages;
-use fourdbody_simulator::laboratory::Laboratory;
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
-
-/// A capture that runs until it is stopped.
-fn start_capture(laboratory: &Laboratory, name: &str) -> Child {
-    Command::new(FOURDBODY)
-        .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "0", "--name", name])
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the binary starts")
-}
+use std::process::{Child, Command, Output};
 
 /// Waits until `more` triggers have been reported to this node.
 fn wait_triggers(node: &mut NodeProcess, more: u64) {
@@ -136,6 +124,21 @@ fn a_lost_camera_ends_the_session_where_that_is_configured() {
     assert!(gaps.iter().enumerate().all(|(camera, gaps)| (camera == 2) != whole(gaps)), "{gaps:?}");
 }
 
+/// The session has ended before Aravis gives the camera up (2.5 s after it is asked); the recording says so all the same.
+#[test]
+fn a_camera_lost_at_the_very_end_is_named() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let mut laboratory = laboratory_of(dir.path(), 148, 100.0, (64, 48), 1);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "at-the-end");
+    wait_triggers(&mut nodes[0], 10);
+    laboratory.unplug(3);
+    wait_triggers(&mut nodes[0], 10);
+    let output = stop(capture);
+    assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
+    assert_eq!(events(&dir.path().join("sessions/at-the-end"), "camera_lost"), 1, "{}", nodes[0].log());
+}
+
 #[test]
 fn a_link_that_is_lost_on_one_node_is_taken_up_again() {
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -161,6 +164,28 @@ fn a_link_that_is_lost_on_one_node_is_taken_up_again() {
         assert_eq!(triggers, reader.triggers().end, "every trigger's time was asked for");
     }
     assert_eq!((events(&session, "hsu_link_lost"), events(&session, "hsu_link_back")), (1, 1));
+}
+
+/// The node that gave up never learns how many triggers there were; what it has not is loss all the same, and said to be.
+#[test]
+fn a_lost_link_ends_the_session_where_that_is_configured() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 147, 20.0);
+    let path = &laboratory.nodes[1].path;
+    let text = std::fs::read_to_string(path).expect("written by the laboratory");
+    let text = text.replace("[acquisition]\n", "[acquisition]\non_link_lost = \"abort\"\n");
+    std::fs::write(path, text).expect("writable");
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "unlinked");
+    wait_triggers(&mut nodes[0], 10);
+    laboratory.hsu.set_plugged(1, false);
+    let output = capture.wait_with_output().expect("it ends by itself");
+    assert_eq!(output.status.code(), Some(3), "{}", text_of(&output));
+    let session = dir.path().join("sessions/unlinked");
+    let verified = verify(&session);
+    println!("{}", text_of(&verified));
+    assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+    assert!(check_frames(&session)[..4].iter().all(Vec::is_empty), "node a has its link");
 }
 
 #[test]

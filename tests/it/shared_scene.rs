@@ -110,15 +110,6 @@ fn score(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Score) 
     (found, score)
 }
 
-/// Writes the scene's rig as a calibration file, for the command line: `CALIBRATION_OUT=FILE`.
-#[test]
-#[ignore = "a converter, for development"]
-fn write_calibration() {
-    let Some(scene) = scene() else { return };
-    let out = std::env::var_os("CALIBRATION_OUT").expect("CALIBRATION_OUT=FILE");
-    calibration(&scene).save(Path::new(&out)).expect("writable");
-}
-
 #[test]
 fn a_back_and_a_side_view_are_right_and_nearly_complete() {
     let Some(scene) = scene() else { return };

@@ -77,6 +77,14 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         (None, Some(rig)) => rig.clone(),
         (None, None) => return Err(Failure::new(Exit::Usage, "expected --frames or --rig")),
     };
+    let patience = match args.duration {
+        Some(seconds) if seconds > 0.0 && seconds < 1e9 => Some(Duration::from_secs_f64(seconds)),
+        Some(seconds) => {
+            let message = format!("--duration is {seconds}, expected seconds above 0");
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        None => None,
+    };
     let mut options = LaboratoryOptions::new(rig_text(&rig_path, args)?, &args.run_dir);
     if let Some(sessions) = &args.sessions_dir {
         options.sessions_dir = sessions.clone();
@@ -99,14 +107,6 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .map(|node| serde_json::json!({ "node": node.node, "config": node.path, "port": node.port }))
         .collect();
     println!("{}", serde_json::json!({ "ready": true, "urls": laboratory.urls(), "nodes": nodes }));
-    let patience = match args.duration {
-        Some(seconds) if seconds > 0.0 && seconds < 1e9 => Some(Duration::from_secs_f64(seconds)),
-        Some(seconds) => {
-            let message = format!("--duration is {seconds}, expected seconds above 0");
-            return Err(Failure::new(Exit::Usage, message));
-        }
-        None => None,
-    };
     match (signals, patience) {
         (Some(signals), patience) => signals.wait(patience),
         (None, Some(patience)) => std::thread::sleep(patience),

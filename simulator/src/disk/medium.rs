@@ -1,7 +1,7 @@
 //! What the disk does with each call: how long it takes, how much it takes, when it fails. Knows no file system.
 
 use super::plan::{Drawn, Operation};
-use crate::random::hash;
+use crate::random::{hash, share};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
@@ -220,8 +220,7 @@ impl Medium {
 
 /// Chance, for one call.
 fn happens(chance: u64, fault: u64, call: u64, probability: f64) -> bool {
-    let bits = hash(chance, &[fault, call, 2]);
-    ((bits >> 11) as f64 / (1u64 << 53) as f64) < probability
+    share(hash(chance, &[fault, call, 2])) < probability
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::plan::PlanError;
 use crate::hsu::{Jitter, LineFaults};
-use crate::random::hash;
+use crate::random::{hash, share};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
@@ -95,7 +95,7 @@ impl HsuPlan {
             return None;
         }
         let words = |purpose| [u64::MAX, trigger as u64, purpose];
-        let mut uniform = (hash(seed, &words(1)) >> 11) as f64 / (1u64 << 53) as f64;
+        let mut uniform = share(hash(seed, &words(1)));
         for (kind, probability) in &self.probability {
             if uniform < *probability {
                 let span = (self.lasts.1 - self.lasts.0).as_millis() as u64;

@@ -1,7 +1,7 @@
 //! Which fault happens at which trigger of which camera: a function of seed, camera and trigger index.
 
 use super::hsu_plan::{HsuPlan, HsuTable};
-use crate::random::{hash, text_number};
+use crate::random::{hash, share, text_number};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
@@ -296,8 +296,7 @@ impl FaultPlan {
 
     /// What chance says for one trigger of one camera, whatever happened before.
     fn draw(&self, camera: u64, trigger: i64) -> Option<(Kind, u64)> {
-        let bits = hash(self.seed, &[camera, trigger as u64, 1]);
-        let mut uniform = (bits >> 11) as f64 / (1u64 << 53) as f64;
+        let mut uniform = share(hash(self.seed, &[camera, trigger as u64, 1]));
         for (kind, probability) in &self.probability {
             if uniform < *probability {
                 return Some((*kind, self.chance(camera, trigger)));

@@ -66,8 +66,7 @@ pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
         Kind::Reordered | Kind::Duplicated | Kind::RepeatedFrame | Kind::RogueClient => {
             (vec![FRAME.to_owned()], None)
         }
-        Kind::ForeignFar => (vec![FRAME.to_owned(), missing, timeout], None),
-        Kind::ForeignAhead => (vec![FRAME.to_owned(), missing, timeout], None),
+        Kind::ForeignFar | Kind::ForeignAhead => (vec![FRAME.to_owned(), missing, timeout], None),
         // A camera that is back before anybody asked it looks like one whose control was lost.
         Kind::Unplugged => {
             let causes = [GapCause::Unplugged, GapCause::ControlLost];

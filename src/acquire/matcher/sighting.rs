@@ -63,6 +63,8 @@ pub enum Match {
     Spurious(i64),
     /// Packets, no frame: its id is that of a trigger that has its outcome, or that had not been fired when it arrived.
     Stray,
+    /// Its id and its time name different triggers, and whether these were fired is not reported: it could be either's.
+    Undecided,
     /// It came before the first trigger.
     BeforeTrain,
     /// It was seen before: same id, same timestamp, or an earlier one.

@@ -363,24 +363,82 @@ fn every_fault_is_told_apart() {
 }
 
 /// Where reports and frames are held up for longer than frames may wait, and clocks are set at that very moment, what
-/// happened is not always to be known: ids are believed then, which is right wherever nothing else goes wrong.
+/// happened is not always to be known. It must stay rare, and it must not go on.
 #[test]
-fn stalls_together_with_faults_misplace_a_bounded_share() {
-    let (mut faults, mut misplaced, mut sessions, mut long) = (0, 0, 0, 0);
+fn stalls_misplace_few_frames_and_only_for_a_moment() {
+    let (mut faults, mut misplaced, mut sessions, mut long, mut given_up) = (0, 0, 0, 0, 0);
     for seed in 0..400 {
-        let (count, wrong, _) = play_with(seed, seed % 2 == 0, 3_000, true);
+        let (count, wrong, complaints) = play_with(seed, seed % 2 == 0, 3_000, true);
         faults += count;
         misplaced += wrong.len();
-        long += usize::from(wrong.len() > 100);
+        given_up += complaints.iter().filter(|text| text.ends_with("Undecided")).count();
+        long += usize::from(wrong.len() > 50);
         if let Some(first) = wrong.first() {
             sessions += 1;
             println!("seed {seed}: {} misplaced, first: {first}", wrong.len());
         }
     }
     println!(
-        "{faults} faults, {misplaced} frames misplaced in {sessions} of 400 sessions, in {long} of them for long"
+        "{faults} faults, {misplaced} frames misplaced in {sessions} of 400 sessions, in {long} of them for long; \
+         {given_up} given up"
     );
-    assert!(misplaced <= 60_000 && sessions <= 260 && long <= 40);
+    assert!(misplaced <= 100 && sessions <= 16 && long == 0);
+    assert!(given_up <= 12_000, "{given_up} of 1.2 million frames");
+}
+
+/// A train whose source stands still now and then, with reports that are held up for longer than frames may wait: what
+/// is only expected must not pass for a trigger. Frames may be given up, and none may be misplaced.
+#[test]
+fn a_train_that_pauses_while_its_reports_are_held_up_is_not_misnamed() {
+    let (mut given_up, mut pauses) = (0, 0);
+    for seed in 0..200 {
+        let (paused, lost) = play_pausing(seed, 3_000);
+        pauses += paused;
+        given_up += lost;
+    }
+    println!("{pauses} pauses, {given_up} frames given up");
+    assert!(pauses > 5_000, "{pauses}");
+    assert!(given_up <= 1_000, "{given_up} of 600,000 frames");
+}
+
+/// No fault but pauses and late reports; returns how many pauses there were and how many frames were given up.
+fn play_pausing(seed: u64, triggers: usize) -> (u64, u64) {
+    let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+    let (mut fired, mut at, mut pauses) = (Vec::new(), due(-32), 0);
+    for _ in 0..triggers {
+        fired.push(at);
+        let pause = if random.one_in(100) { random.below(30 * PERIOD_NS) } else { 0 };
+        pauses += u64::from(pause > 0);
+        at += PERIOD_NS + pause;
+    }
+    let hsu = hsu_clock();
+    let clocks = ClockRelation { camera_minus_hsu_ns: Some(0), hsu_minus_host_ns: None };
+    let (mut matcher, mut table) = (Matcher::new(PERIOD_NS, clocks), TriggerTable::default());
+    let (mut waiting, mut reported, mut hold_until, mut given_up) = (VecDeque::new(), 0, 0, 0);
+    for (k, at) in fired.iter().enumerate() {
+        let host_ns = host(*at) + random.below(300_000);
+        waiting.push_back((k as i64 - 32, frame(1 + k as u64, *at + random.below(20_000), host_ns)));
+        if random.one_in(150) {
+            hold_until = host_ns + random.below(40 * PERIOD_NS);
+        }
+        let end = k + 1 == triggers;
+        while (end || host_ns >= hold_until) && reported < triggers && fired[reported] < *at + 2_000_000 {
+            table.insert(reported as i64 - 32, fired[reported]);
+            reported += 1;
+        }
+        while let Some((truth, sighting)) = waiting.front().copied() {
+            let next = waiting.get(1).map(|(_, next)| *next);
+            let last_call = end || waiting.len() > WAITING;
+            match matcher.assign(&sighting, next.as_ref(), &table, &hsu, last_call) {
+                Match::Wait => break,
+                Match::Trigger(matched) => assert_eq!(matched.number, truth, "seed {seed}"),
+                Match::Undecided | Match::BeforeTrain => given_up += 1,
+                other => panic!("seed {seed}: {truth} was taken for {other:?}"),
+            }
+            waiting.pop_front();
+        }
+    }
+    (pauses, given_up)
 }
 
 fn frame(id: u64, camera_ns: u64, host_ns: u64) -> Sighting {
@@ -449,11 +507,10 @@ fn a_camera_that_is_back_lands_on_the_right_trigger_by_its_new_clock() {
         let frame = frame(500 + k as u64, due(k) + 9_000_000_000_000, host(due(k)));
         assert_eq!(number(matcher.assign(&frame, None, &table, &hsu, false)), k);
     }
-    matcher.lost();
+    matcher.restart();
     for k in 100..110 {
         matcher.clock_sample(&sample(due(k), due(k) - HSU_NS));
     }
-    matcher.restart();
     for k in 120..140 {
         // The first one is a straggler: its arrival says nothing.
         let late = if k == 120 { 30_000_000 } else { 0 };

@@ -73,6 +73,7 @@ fn arrival(camera: usize, trigger: u64) -> Arrival {
     block.bytes_mut()[crate::acquire::pool::ROOM_BYTES] = (trigger % 251) as u8;
     Arrival {
         camera,
+        stream: 0,
         transfer: Transfer::Complete,
         block_id: BlockId(trigger + 1),
         camera_ns: due(trigger),

@@ -89,17 +89,7 @@ fn points(cloud: &Cloud) -> impl Iterator<Item = Point3<f64>> {
 fn print(json: bool, per_camera: &[Row], per_head: &[Row]) {
     let rms_mm = mean(per_head.iter().map(|row| row.flatness.deviations.rms_mm));
     if json {
-        let flat = |row: &Row| {
-            let mut value = serde_json::json!(row);
-            value["points"] = row.flatness.deviations.points.into();
-            value
-        };
-        let report = serde_json::json!({
-            "rms_mm": rms_mm,
-            "per_head": per_head.iter().map(flat).collect::<Vec<_>>(),
-            "per_camera": per_camera.iter().map(flat).collect::<Vec<_>>(),
-        });
-        println!("{report}");
+        println!("{}", serde_json::json!({"rms_mm": rms_mm, "per_head": per_head, "per_camera": per_camera}));
         return;
     }
     println!(

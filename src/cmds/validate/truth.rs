@@ -3,8 +3,7 @@
 use super::{load_calibration, load_cloud, open_clouds};
 use crate::calibrate::Calibration;
 use crate::cmds::{Exit, Failure};
-use crate::export::{Cloud, ply};
-use crate::ids::CameraId;
+use crate::export::Cloud;
 use crate::image::write_png_rgb;
 use crate::validate::solid::{Mesh, SolidScore, Sphere, score_mesh, score_sphere};
 use crate::validate::truth::{Reference, Score, Tally, Truth};
@@ -128,6 +127,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let calibration = load_calibration(calibration)?;
     let cameras: Vec<_> = calibration.cameras().collect();
     let files = truth_files(directory, &calibration)?;
+    let set = open_clouds(&args.clouds)?;
     let mut per_camera: BTreeMap<usize, Tally> = BTreeMap::new();
     let (mut merged, mut merged_clouds) = (Tally::default(), 0);
     let mut loaded: Option<(u64, Option<Cloud>)> = None;
@@ -136,8 +136,8 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
         let truth = Truth::load(path, &camera.device).map_err(|e| Failure::new(Exit::Corrupt, e))?;
         let reference =
             Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
-        let cloud = directional(&args.clouds, &camera.id, trigger)?;
-        let cloud = cloud.unwrap_or_default();
+        let path = set.directional.get(&(trigger, camera.id.to_string()));
+        let cloud = path.map(|path| load_cloud(path)).transpose()?.unwrap_or_default();
         per_camera.entry(number).or_default().add(&cloud, |_| true, &truth, reference);
         if let Some(folder) = &args.pictures {
             let (width, height, rgb) = truth.picture(&cloud, reference);
@@ -147,8 +147,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
                 .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))?;
         }
         if loaded.as_ref().is_none_or(|(index, _)| *index != trigger) {
-            let cloud =
-                load(&[args.clouds.join("merged"), args.clouds.clone()], &format!("{trigger:06}.ply"))?;
+            let cloud = set.merged.get(&trigger).map(|path| load_cloud(path)).transpose()?;
             merged_clouds += usize::from(cloud.is_some());
             loaded = Some((trigger, cloud));
         }
@@ -183,17 +182,6 @@ fn truth_files(directory: &Path, calibration: &Calibration) -> Result<BTreeMap<K
         return Err(fail(&"expected files CAMERA_INDEX.npz of the calibration's cameras, found none"));
     }
     Ok(files)
-}
-
-fn directional(clouds: &Path, camera: &CameraId, trigger: u64) -> Result<Option<Cloud>, Failure> {
-    load(&[clouds.join("clouds"), clouds.to_owned()], &format!("{camera}_{trigger:06}.ply"))
-}
-
-/// The cloud `name` in the first of the directories that has it.
-fn load(directories: &[PathBuf], name: &str) -> Result<Option<Cloud>, Failure> {
-    let Some(path) = directories.iter().map(|d| d.join(name)).find(|p| p.exists()) else { return Ok(None) };
-    let (_, cloud) = ply::load(&path).map_err(|e| Failure::new(Exit::Corrupt, e))?;
-    Ok(Some(cloud))
 }
 
 fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Score>) {

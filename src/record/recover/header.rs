@@ -1,7 +1,7 @@
 //! Which header to believe, and one made anew where none is readable.
 //!
-//! A segment's header is under no checksum but the data section's, which only a closed segment has. Frames do not
-//! depend on it: their envelopes say which camera they are of.
+//! A segment's header has a checksum of its own (`crc32`), those of older recordings only the data section's, which only a
+//! closed segment has. Frames do not depend on it: their envelopes say which camera they are of.
 
 use super::salvage::SegmentScan;
 use crate::ids::{CameraId, NodeId, SessionName};

@@ -32,11 +32,12 @@ impl fmt::Display for Comparison {
         if !self.agree {
             return write!(f, "nodes {a} and {b} do NOT agree; see above");
         }
-        let ([triggers, _], [id, _], rows) = (self.triggers, &self.session_ids, self.table_rows);
-        write!(
-            f,
-            "nodes {a} and {b} agree: session {id}, {triggers} triggers, {rows} rows of the HSU's table are equal"
-        )
+        let ([triggers, of_b], [id, _], rows) = (self.triggers, &self.session_ids, self.table_rows);
+        write!(f, "nodes {a} and {b} agree: session {id}, {triggers} triggers")?;
+        if of_b != triggers {
+            write!(f, " on node {a} and {of_b} on node {b}")?;
+        }
+        write!(f, ", {rows} rows of the HSU's table are equal")
     }
 }
 
@@ -71,7 +72,10 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
     if let (Some(found), Some(expected)) = (counted.triggers_emitted, counted_first.triggers_emitted) {
         differs("the HSU's trigger count", found.to_string(), expected.to_string());
     }
-    differs("the number of triggers", counted.triggers.to_string(), counted_first.triggers.to_string());
+    let unknowing = ended_unknowing((first, counted_first), (other, counted));
+    if unknowing.is_none() {
+        differs("the number of triggers", counted.triggers.to_string(), counted_first.triggers.to_string());
+    }
     if a.rig_text != b.rig_text {
         let message = format!("its rig file differs from that of node {}", a.node);
         own.add(Severity::Corrupt, None, None, None, message);
@@ -83,6 +87,7 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
     }
     let agree = own.worst.is_none();
     notes.absorb(own);
+    unknowing.into_iter().for_each(|unknowing| notes.absorb(unknowing));
     Comparison {
         nodes: [a.node.to_string(), b.node.to_string()],
         session_ids: [a.session_id.clone(), b.session_id.clone()],
@@ -91,6 +96,22 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
         rows_that_differ,
         agree,
     }
+}
+
+/// A node that was broken off and never learned the HSU's count ends at the last trigger that it knew of, and says so; the
+/// other one knows of more. Then what is missing is known, and why: loss, not a contradiction.
+fn ended_unknowing(first: Counted<'_>, other: Counted<'_>) -> Option<Notes> {
+    let ((short, counted), (longer, counted_longer)) =
+        if first.1.triggers < other.1.triggers { (first, other) } else { (other, first) };
+    let reason = counted.aborted.as_ref().filter(|_| counted.triggers_emitted.is_none())?;
+    let last = counted_longer.triggers.checked_sub(1).filter(|last| *last >= counted.triggers)?;
+    let message = format!(
+        "no outcomes: it was broken off and has not the HSU's count ({reason}); node {} has {} triggers",
+        longer.header.node, counted_longer.triggers
+    );
+    let mut notes = Notes::new(short.header.node.as_str());
+    notes.add(Severity::Loss, None, None, Some((counted.triggers, last)), message);
+    Some(notes)
 }
 
 /// Nodes of the rig whose recordings are not here.
