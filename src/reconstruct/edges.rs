@@ -213,7 +213,7 @@ mod tests {
             }
         }
         let none = Plane::filled(W, H, 0u8);
-        let period = period::measure(image, &object, PERIOD, period::EVERY_PX).period;
+        let period = period::measure(image, &object, PERIOD).period;
         let absolute = |phasors: &demodulate::Phasors| {
             let mut phase = wrapped(phasors);
             for v in 0..H {

@@ -22,20 +22,15 @@ pub struct Periods {
     pub amplitude: Plane<u8>,
 }
 
-/// Columns from one measurement to the next in [`measure`]: neighbouring windows differ by two pixels of 27.
-pub const EVERY_PX: usize = 3;
-
-/// Measures period and amplitude on the mask, in every so-many-th column; in between the period is the mean around, and
-/// the amplitude 0. Windows never leave the mask's runs.
-pub fn measure(image: Mono8<'_>, mask: &Plane<u8>, nominal_px: f32, every_px: usize) -> Periods {
+/// Measures period and amplitude on the mask. Windows never leave the mask's runs.
+pub fn measure(image: Mono8<'_>, mask: &Plane<u8>, nominal_px: f32) -> Periods {
     let (w, h) = (image.width(), image.height());
     let half = (1.3 * nominal_px).round() as usize;
     let mut raw = Plane::filled(w, h, 0f32);
     let mut amplitude = Plane::filled(w, h, 0u8);
     for v in 0..h {
         for run in runs(mask.row(v)) {
-            let columns = run.clone().step_by(every_px.max(1));
-            measure_run(image.row(v), run, columns, half, raw.row_mut(v), amplitude.row_mut(v));
+            measure_run(image.row(v), run, half, raw.row_mut(v), amplitude.row_mut(v));
         }
     }
     Periods { period: box_mean_of_valid(&raw, mask, 6, 1), amplitude }
@@ -52,18 +47,11 @@ pub fn runs(mask: &[u8]) -> impl Iterator<Item = Range<usize>> + '_ {
     })
 }
 
-fn measure_run(
-    row: &[u8],
-    run: Range<usize>,
-    columns: impl Iterator<Item = usize>,
-    half: usize,
-    period: &mut [f32],
-    amplitude: &mut [u8],
-) {
+fn measure_run(row: &[u8], run: Range<usize>, half: usize, period: &mut [f32], amplitude: &mut [u8]) {
     let length = (2 * half + 1).min(run.len());
     let mut window = SlidingMedian::default();
     let mut at = run.start..run.start;
-    for c in columns {
+    for c in run.clone() {
         // Near the run's ends the window is shifted, not cut: two whole periods are needed.
         let start = c.saturating_sub(half).clamp(run.start, run.end - length);
         while at.end < start + length {
@@ -226,7 +214,7 @@ pub fn stability(period: &Plane<f32>, nominal_px: f32) -> Plane<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::{EVERY_PX, SlidingMedian, measure, runs, stability};
+    use super::{SlidingMedian, measure, runs, stability};
     use crate::image::{Mono8, Plane};
     use proptest::prelude::{ProptestConfig, any, prop_assert, prop_assert_eq, proptest};
 
@@ -243,12 +231,11 @@ mod tests {
                 }
             }
             let mask = Plane::filled(200, 3, 1u8);
-            let found = measure(Mono8::from(&image), &mask, 11.0, EVERY_PX);
-            let amplitudes = measure(Mono8::from(&image), &mask, 11.0, 1).amplitude;
+            let found = measure(Mono8::from(&image), &mask, 11.0);
             for u in 20..180 {
                 let p = found.period.at(u, 1);
                 prop_assert!((p / period - 1.0).abs() < 0.05, "{p} at {u}, true {period}");
-                let range = f32::from(amplitudes.at(u, 1));
+                let range = f32::from(found.amplitude.at(u, 1));
                 prop_assert!((range / (2.0 * amplitude) - 1.0).abs() < 0.25, "{range}");
             }
             prop_assert!(stability(&found.period, 11.0).at(100, 1) > 0.9);

@@ -221,8 +221,7 @@ impl Pipeline {
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let mut periods =
-            clock.time("period", || period::measure(image, object, pair.period_px, period::EVERY_PX));
+        let mut periods = clock.time("period", || period::measure(image, object, pair.period_px));
         let ridges = clock.time("marker", || marker::ridges(image, object, &periods.period, pair));
         let zone = marker_phase::zone(&ridges.ridge, &periods.period);
         marker_phase::bridge_period(&mut periods.period, &zone, pair.period_px);
@@ -248,14 +247,13 @@ impl Pipeline {
             let stability = period::stability(period, pair.period_px);
             let vertical = quality::verticality(image, period);
             let border = quality::border(object);
-            let measured = period::measure(image, object, pair.period_px, 1).amplitude;
-            let amplitude = quality::normalized_amplitude(&measured, object);
+            let amplitude = quality::normalized_amplitude(&periods.amplitude, object);
             let quality = quality::quality([&border, &amplitude, &vertical, &stability]);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
             planes = vec![
                 ("Om", number(object)),
                 ("Pm", periods.period.clone()),
-                ("Am", number(&measured)),
+                ("Am", number(&periods.amplitude)),
                 ("Sm", stability),
                 ("Wm", wrapped),
                 ("Vm", vertical),
@@ -281,7 +279,7 @@ impl Pipeline {
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let periods = clock.time("period", || period::measure(image, object, pair.period_px, 1));
+        let periods = clock.time("period", || period::measure(image, object, pair.period_px));
         let (period, amplitude) = (&periods.period, &periods.amplitude);
         let stability = clock.time("stability", || period::stability(period, pair.period_px));
         let phasors = clock
