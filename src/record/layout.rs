@@ -235,6 +235,23 @@ pub struct NodeEvent {
     pub message: String,
 }
 
+/// Kind of the events that name a segment which the disk refused.
+const GIVEN_UP: &str = "segment_given_up";
+
+impl NodeEvent {
+    /// Says that a segment stays open because the disk refused it.
+    pub(super) fn segment_given_up(number: u32, host_time_ns: u64) -> Self {
+        let message = format!("{}: refused by the disk; what it lost is accounted for", segment_name(number));
+        Self { host_time_ns, kind: GIVEN_UP.to_owned(), camera: None, trigger: None, message }
+    }
+
+    /// Whether it says that of this segment.
+    pub(super) fn gives_up(&self, number: u32) -> bool {
+        let named = self.message.split(':').next();
+        self.kind == GIVEN_UP && named.and_then(segment_number) == Some(number)
+    }
+}
+
 /// All outcomes of a segment, so that a closed one opens without walking its records.
 #[derive(Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SegmentIndex {

@@ -131,6 +131,11 @@ impl Segment {
         Ok(())
     }
 
+    /// Its place among the recording's segments.
+    pub fn number(&self) -> u32 {
+        self.number
+    }
+
     /// First trigger of the segment.
     pub fn first_trigger(&self) -> u64 {
         self.first_trigger

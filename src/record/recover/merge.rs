@@ -136,16 +136,12 @@ impl Salvage {
     }
 
     /// A crash leaves the last segments open. One that a closed one follows was cut later, unless the disk had
-    /// refused it: then the gap records say so.
+    /// refused it: then an event says so.
     fn note_cut_segments(&mut self, numbers: &[u32], closed: &[bool]) {
-        let refused = |outcome: &Outcome| *outcome == Outcome::Gap(GapCause::DroppedDisk);
-        if self.outcomes.iter().flat_map(|outcomes| outcomes.values()).any(refused) {
-            return;
-        }
         let finished = if self.verdict.is_some() { closed.len() } else { 0 };
         let last_closed = closed.iter().rposition(|closed| *closed).unwrap_or(0);
         for (place, number) in numbers.iter().enumerate().take(finished.max(last_closed)) {
-            if !closed[place] {
+            if !closed[place] && !self.events.iter().any(|event| event.gives_up(*number)) {
                 self.note(*number, format!("{} was closed, but is cut", segment_name(*number)));
             }
         }

@@ -3,9 +3,9 @@
 use super::instants::{self, Times};
 use super::{Notes, Severity};
 use crate::ids::TriggerIndex;
-use crate::record::layout::{GapCause, GapRecord, SegmentIndex, image_topic};
+use crate::record::layout::{GapRecord, SegmentIndex, image_topic};
 use crate::record::metadata::stated_index;
-use crate::record::reader::{Outcome, RecordingReader, SegmentReader, Topic, check_frame};
+use crate::record::reader::{RecordingReader, SegmentReader, Topic, check_frame};
 use crate::record::scan::{End, Event, Walker, metadata_by_index};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -143,12 +143,11 @@ fn note_end(
             notes.add(Severity::Corrupt, number, None, None, "closed without an end of its data section");
         }
         End::Cut { at } => {
-            // A segment that the disk refused stays open, and the books went on in a later one. Any other
-            // one was cut, or has a length field that points beyond its end.
+            // A segment that the disk refused stays open, and the books went on in a later one, which says so. Any
+            // other one was cut, or has a length field that points beyond its end.
+            let excused = recording.events.iter().any(|event| event.gives_up(segment.number));
             let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);
-            let mut outcomes = recording.outcomes.iter().flat_map(|outcomes| outcomes.values());
-            let disk_failed = outcomes.any(|outcome| *outcome == Outcome::Gap(GapCause::DroppedDisk));
-            let severity = if disk_failed && !is_last { Severity::Loss } else { Severity::Corrupt };
+            let severity = if excused && !is_last { Severity::Loss } else { Severity::Corrupt };
             let message = format!("was not closed: usable up to byte {at} of {}", segment.bytes().len());
             notes.add(severity, number, None, None, message);
         }

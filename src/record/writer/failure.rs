@@ -1,9 +1,9 @@
 //! When the disk fails: what is in the file stays readable, what is not becomes gaps, and the books go on in a
 //! segment of their own.
 
-use super::segments::{ClosingSegment, Unwritten};
+use super::segments::{ClosingSegment, OpenSegment, Unwritten};
 use super::{RecordError, Recording};
-use crate::record::layout::{GapCause, GapRecord};
+use crate::record::layout::{GapCause, GapRecord, NodeEvent};
 use crate::record::segment::JsonChannel;
 use std::io;
 
@@ -25,15 +25,25 @@ impl Recording {
     fn abandon_segments(&mut self) {
         // Its space may be what the accounting needs.
         self.next = None;
-        let mut lost = std::mem::take(&mut self.unwritten);
+        let earlier = std::mem::take(&mut self.unwritten);
+        self.lose(earlier);
         for mut entry in std::mem::take(&mut self.segments) {
             if entry.settle(&mut self.latencies).is_ok() {
                 self.closing.push(entry.close_aside(None));
             } else {
-                lost.extend(entry.abandon());
+                self.give_up(entry);
             }
         }
-        self.lose(lost);
+    }
+
+    /// What the segment lost waits for the rescue, and a word that it was the disk: even where no frame is lost,
+    /// nobody shall take the open segment for a cut one.
+    fn give_up(&mut self, entry: OpenSegment) {
+        let event = NodeEvent::segment_given_up(entry.segment.number(), self.time_ns);
+        self.lose(entry.abandon());
+        let (channel, sequence, time_ns) = (JsonChannel::Events, self.newest().0, self.time_ns);
+        let written = serde_json::to_vec(&event).ok();
+        self.unwritten.extend(written.map(|bytes| Unwritten::Json { channel, sequence, time_ns, bytes }));
     }
 
     fn lose(&mut self, lost: Vec<Unwritten>) {
@@ -62,8 +72,10 @@ impl Recording {
     fn join(&mut self, segments: Vec<ClosingSegment>) -> io::Result<()> {
         let mut result = Ok(());
         for closing in segments {
-            if let Err((error, lost)) = closing.join(&mut self.latencies) {
-                self.lose(lost);
+            if let Err((error, refused)) = closing.join(&mut self.latencies) {
+                if let Some(segment) = refused {
+                    self.give_up(*segment);
+                }
                 // After an earlier failure broken segments are expected; their readable part is what counts.
                 result = result.and(if self.stopped.is_some() { Ok(()) } else { Err(error) });
             }

@@ -151,13 +151,13 @@ impl ClosingSegment {
         self.0.is_finished()
     }
 
-    /// Waits for it. What it lost comes with the error.
-    pub fn join(self, latencies: &mut Latencies) -> Result<(), (io::Error, Vec<Unwritten>)> {
+    /// Waits for it. One that the disk refused comes with the error.
+    pub fn join(self, latencies: &mut Latencies) -> Result<(), (io::Error, Option<Box<OpenSegment>>)> {
         let Ok((mut segment, result)) = self.0.join() else {
-            return Err((io::Error::other("closing a segment panicked"), Vec::new()));
+            return Err((io::Error::other("closing a segment panicked"), None));
         };
         segment.observe(latencies);
-        result.map_err(|error| (error, segment.abandon()))
+        result.map_err(|error| (error, Some(Box::new(segment))))
     }
 }
 
