@@ -7,7 +7,7 @@ use std::io::{self, BufReader, BufWriter};
 use std::path::{Path, PathBuf};
 
 /// An owned plane of `width * height` values, row-major without padding.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Plane<T> {
     width: usize,
     height: usize,
@@ -23,6 +23,14 @@ impl<T: Copy> Plane<T> {
     /// Wraps `data`; `None` when its length is not `width * height`.
     pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Option<Self> {
         (data.len() == width * height).then_some(Self { width, height, data })
+    }
+
+    /// Makes it a plane of this size filled with one value, in the memory that it has if that suffices: stages keep
+    /// their planes from frame to frame.
+    pub fn reset(&mut self, width: usize, height: usize, value: T) {
+        (self.width, self.height) = (width, height);
+        self.data.clear();
+        self.data.resize(width * height, value);
     }
 
     /// Columns.

@@ -43,6 +43,8 @@ pub mod resolve;
 pub mod roi;
 /// Bias of the phase under a gradient of light.
 pub mod shading;
+/// Vectors as wide as the processor has.
+pub mod simd;
 mod source;
 /// From absolute phase to points.
 pub mod triangulate;
