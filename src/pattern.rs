@@ -2,7 +2,8 @@
 //!
 //! Absolute phase is `2 pi (u + 1/2) / period_px` on the panel, so bright ridge k lies at `u + 1/2 = k *
 //! period_px`, and fringe k spans the phases `[2 pi k - pi, 2 pi k + pi)`. The marker is fringe
-//! `marker_index`; its bright lobe is modulated along itself (along v).
+//! `marker_index`; its bright lobe is modulated along itself (along v). There may be more of them, `marker_every`
+//! fringes apart: so far that within the working volume no ray of a camera can meet two.
 
 use crate::image::Plane;
 use serde::{Deserialize, Serialize};
@@ -16,6 +17,9 @@ pub struct Pattern {
     pub period_px: f64,
     /// Number of the marker fringe: its ridge lies at `u + 1/2 = marker_index * period_px`.
     pub marker_index: u32,
+    /// Fringes from one marker to the next, to both sides of `marker_index`; 0: that is the only one.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub marker_every: u32,
     /// How the marker is modulated along itself.
     pub marker: Marker,
     /// Period of that modulation along v, px.
@@ -26,6 +30,10 @@ pub struct Pattern {
     pub high: f64,
     /// Exponent by which the projector turns panel values into light (1: linear).
     pub gamma: f64,
+}
+
+fn is_zero(number: &u32) -> bool {
+    *number == 0
 }
 
 /// How the marker's lobe is modulated.
@@ -55,11 +63,32 @@ impl Pattern {
         phase * self.period_px / TAU - 0.5
     }
 
+    /// The markers whose ridges lie on a panel of `width` columns, by rising index.
+    pub fn markers(&self, width: usize) -> Vec<u32> {
+        let on_panel = |index: &u32| f64::from(*index) * self.period_px <= width as f64;
+        match self.marker_every {
+            0 => vec![self.marker_index],
+            every => (self.marker_index % every..).step_by(every as usize).take_while(on_panel).collect(),
+        }
+    }
+
+    /// How far an absolute phase lies from the ridge of the nearest marker, rad.
+    pub fn from_marker(&self, phase: f64) -> f64 {
+        let from = phase - TAU * f64::from(self.marker_index);
+        match self.marker_every {
+            0 => from,
+            every => {
+                let period = TAU * f64::from(every);
+                from - period * (from / period).round()
+            }
+        }
+    }
+
     /// Light at panel position (u, v), 0 to 1, before gamma.
     pub fn light(&self, u: f64, v: f64) -> f64 {
         let phase = self.phase(u);
         let fringe = self.low + (self.high - self.low) * (0.5 + 0.5 * phase.cos());
-        let in_marker = (phase - TAU * f64::from(self.marker_index)).abs() <= PI;
+        let in_marker = self.from_marker(phase).abs() <= PI;
         let along = (TAU * v / self.marker_period_px).cos();
         match self.marker {
             Marker::Darkened { depth } if in_marker => fringe * (1.0 - depth * (0.5 - 0.5 * along)),
@@ -92,6 +121,7 @@ mod tests {
         Pattern {
             period_px: 8.0,
             marker_index: 80,
+            marker_every: 0,
             marker,
             marker_period_px: 8.0,
             low: 0.0,
@@ -119,6 +149,22 @@ mod tests {
                 let changes = (pattern.light(u, 0.0) - pattern.light(u, 4.0)).abs() > 0.1;
                 assert_eq!(changes, k == 80, "fringe {k}");
             }
+        }
+    }
+
+    #[test]
+    fn several_markers_cover_the_panel() {
+        let several = Pattern { marker_every: 41, ..pattern(Marker::ZeroMean { amplitude: 0.3 }) };
+        assert_eq!(several.markers(1280), [39, 80, 121]);
+        assert_eq!(pattern(several.marker).markers(1280), [80]);
+        for k in 1..160 {
+            let u = 8.0 * f64::from(k) - 0.5;
+            let changes = (several.light(u, 0.0) - several.light(u, 4.0)).abs() > 0.1;
+            assert_eq!(changes, [39, 80, 121].contains(&k), "fringe {k}");
+            let from = several.from_marker(several.phase(u)) / std::f64::consts::TAU;
+            let nearest =
+                [39, 80, 121, 162, -2].map(|marker| k - marker).into_iter().min_by_key(|d: &i32| d.abs());
+            assert!((from - f64::from(nearest.expect("five"))).abs() < 1e-9, "fringe {k}: {from}");
         }
     }
 

@@ -50,6 +50,9 @@ fn write_pattern(text: &mut String, pattern: &Pattern) -> std::fmt::Result {
         "\n[pattern]\nperiod_px = {:?}\nmarker_index = {}",
         pattern.period_px, pattern.marker_index
     )?;
+    if pattern.marker_every > 0 {
+        writeln!(text, "marker_every = {}", pattern.marker_every)?;
+    }
     writeln!(text, "marker = \"{marker}\"\nmarker_strength = {strength:?}")?;
     writeln!(text, "marker_period_px = {:?}\nlow = {:?}", pattern.marker_period_px, pattern.low)?;
     writeln!(text, "high = {:?}\ngamma = {:?}", pattern.high, pattern.gamma)

@@ -89,6 +89,7 @@ pub fn smaller_rig(rig: &Rig, divisor: usize) -> Rig {
     }
     let index = f64::from(rig.pattern.marker_index) / divisor as f64;
     rig.pattern.marker_index = index.round() as u32;
+    rig.pattern.marker_every = rig.pattern.marker_every.div_ceil(divisor as u32);
     for head in &mut rig.heads {
         head.projector = smaller_device(&head.projector, divisor);
         for camera in &mut head.cameras {

@@ -89,7 +89,7 @@ fn sample(
         for x in column - REACH..=column + REACH {
             let (x, y) = (x as usize, y as usize);
             let at = f64::from(phase.at(x, y));
-            if at.is_nan() || (at / TAU - f64::from(pattern.marker_index)).abs() < MARKER_PERIODS {
+            if at.is_nan() || pattern.from_marker(at).abs() < TAU * MARKER_PERIODS {
                 return None;
             }
             let wave = |n: f64| [(n * at).cos(), (n * at).sin()];
@@ -185,6 +185,7 @@ mod tests {
         let pattern = Pattern {
             period_px: 8.0,
             marker_index: 80,
+            marker_every: 0,
             marker: Marker::ZeroMean { amplitude: 0.3 },
             marker_period_px: 8.0,
             low: 0.0,

@@ -170,7 +170,7 @@ impl Calibration {
 
 /// Whether two patterns give the same phase everywhere; gamma may be undone differently.
 fn same_phases(a: &Pattern, b: &Pattern) -> bool {
-    let numbers = |p: &Pattern| (p.period_px, p.marker_index, p.marker, p.marker_period_px);
+    let numbers = |p: &Pattern| (p.period_px, p.marker_index, p.marker_every, p.marker, p.marker_period_px);
     numbers(a) == numbers(b)
 }
 

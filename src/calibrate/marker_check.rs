@@ -21,24 +21,27 @@ const LEAST_PIECES: usize = 3;
 /// This near to a circle nothing is looked at, px.
 const MARGIN_PX: f64 = 2.5;
 
-/// Whether the fringe that the phase takes for the marker is modulated along itself.
+/// Whether the fringes that the phase takes for markers are modulated along themselves.
 pub(super) fn marker_is_there(view: &View, image: &Plane<u8>, phase: &Plane<f32>, pair: &Pair) -> bool {
-    let target = (TAU * f64::from(pair.pattern.marker_index)) as f32;
-    let ridge: Vec<Option<usize>> = (0..phase.height())
-        .map(|v| crossing(phase.row(v), target).filter(|u| is_free(view, *u, v)))
-        .collect();
     let period = f64::from(pair.marker_period_px);
     let rows = (PIECE * period).ceil().max(6.0) as usize;
     let threshold = LEAST_CONTRAST * f64::from(pair.marker_contrast);
-    let (mut all, mut modulated, mut v) = (0, 0, 0);
-    while v + rows <= ridge.len() {
-        match levels(image, &ridge, v, rows) {
-            Ok(levels) => {
-                all += 1;
-                modulated += usize::from(contrast(&levels, period) > threshold);
-                v += rows;
+    let (mut all, mut modulated) = (0, 0);
+    for marker in pair.pattern.markers(pair.projector.width) {
+        let target = (TAU * f64::from(marker)) as f32;
+        let ridge: Vec<Option<usize>> = (0..phase.height())
+            .map(|v| crossing(phase.row(v), target).filter(|u| is_free(view, *u, v)))
+            .collect();
+        let mut v = 0;
+        while v + rows <= ridge.len() {
+            match levels(image, &ridge, v, rows) {
+                Ok(levels) => {
+                    all += 1;
+                    modulated += usize::from(contrast(&levels, period) > threshold);
+                    v += rows;
+                }
+                Err(hole) => v = hole + 1,
             }
-            Err(hole) => v = hole + 1,
         }
     }
     all >= LEAST_PIECES && modulated as f64 >= LEAST_SHARE * all as f64

@@ -340,8 +340,7 @@ pub fn column_at(phase: &Plane<f32>, [u, v]: [f64; 2], pair: &Pair) -> Option<(f
     if rms > 0.3 {
         return None;
     }
-    let from_marker = (fit[0] / TAU - f64::from(pair.pattern.marker_index)).abs();
-    if from_marker < MARKER_PERIODS {
+    if pair.pattern.from_marker(fit[0]).abs() < TAU * MARKER_PERIODS {
         return None;
     }
     // Neighbouring phases share most of their pixels: count one in so many as independent.

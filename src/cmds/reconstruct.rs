@@ -90,6 +90,10 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             return Err(Failure::new(Exit::Usage, message));
         }
     };
+    if matches!(args.method, MethodName::Paper) && calibration.pattern.marker_every > 0 {
+        let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let plan = Plan {
         out: args.out.clone(),
         triggers,

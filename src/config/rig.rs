@@ -157,6 +157,7 @@ fn placeholder_pattern() -> Pattern {
     Pattern {
         period_px: 1.0,
         marker_index: 0,
+        marker_every: 0,
         marker,
         marker_period_px: 1.0,
         low: 0.0,
@@ -177,6 +178,7 @@ fn read_pattern(section: Section<'_>) -> Pattern {
     let pattern = Pattern {
         period_px: section.number("period_px", 4.0..=64.0),
         marker_index: section.integer("marker_index", 0..=10_000) as u32,
+        marker_every: section.integer_or("marker_every", 0..=10_000, 0) as u32,
         marker,
         marker_period_px: section.number("marker_period_px", 2.0..=64.0),
         low: section.number_or("low", 0.0..=1.0, 0.0),

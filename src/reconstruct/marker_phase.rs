@@ -111,8 +111,7 @@ fn tilt(c: &Plane<f32>, s: &Plane<f32>, u: usize, v: usize, half: usize) -> f32 
 /// The bias of the seven-point formula around a darkened marker, by the biased phase relative to the marker.
 #[derive(Debug)]
 pub struct Bias {
-    /// Biased phase at the marker's ridge, rad.
-    centre: f32,
+    pattern: Pattern,
     /// Bias at `-REACH .. REACH` of the biased phase relative to the marker; empty where there is none.
     table: Vec<f32>,
 }
@@ -123,9 +122,8 @@ impl Bias {
 
     /// The table for a pattern.
     pub fn new(pattern: &Pattern) -> Self {
-        let centre = TAU * pattern.marker_index as f32;
         let Marker::Darkened { depth } = pattern.marker else {
-            return Self { centre, table: Vec::new() };
+            return Self { pattern: pattern.clone(), table: Vec::new() };
         };
         let lobe = 1.0 - depth as f32 / 2.0;
         let (low, high) = (pattern.low as f32, pattern.high as f32);
@@ -151,7 +149,7 @@ impl Bias {
             }
             table.push(at - x);
         }
-        Self { centre, table }
+        Self { pattern: pattern.clone(), table }
     }
 
     /// Takes the bias off absolute phases.
@@ -161,7 +159,7 @@ impl Bias {
         }
         let scale = Self::STEPS as f32 / (2.0 * Self::REACH);
         for phase in absolute.as_mut_slice() {
-            let place = (*phase - self.centre + Self::REACH) * scale;
+            let place = (self.pattern.from_marker(f64::from(*phase)) as f32 + Self::REACH) * scale;
             if place >= 0.0 && place < Self::STEPS as f32 {
                 let i = place as usize;
                 let f = place - i as f32;
@@ -184,6 +182,7 @@ mod tests {
         let pattern = Pattern {
             period_px: 8.0,
             marker_index: 80,
+            marker_every: 0,
             marker: Marker::Darkened { depth: 0.8 },
             marker_period_px: 8.0,
             low: 0.0,

@@ -19,6 +19,8 @@ pub mod dump;
 pub mod edges;
 /// Marker map Mm.
 pub mod marker;
+/// Which of several markers it is.
+pub mod marker_number;
 /// Phase under the marker.
 pub mod marker_phase;
 /// Object mask Om.

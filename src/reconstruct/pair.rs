@@ -14,6 +14,8 @@ pub struct Pair {
     pub projector: Device,
     /// What it projects.
     pub pattern: Pattern,
+    /// Indices of the markers on the panel, rising.
+    pub markers: Vec<u32>,
     /// +1 where the absolute phase grows with the image column, -1 where it falls.
     pub sign: f32,
     /// Fringe period in the image of a plane that faces the camera in the middle of the volume, px.
@@ -27,6 +29,9 @@ pub struct Pair {
     /// Upper corner of that volume, world, m.
     pub volume_max_m: [f64; 3],
 }
+
+/// No surface is nearer to a camera, m.
+const NEAREST_M: f64 = 0.05;
 
 /// Points this far outside the calibrated volume are still accepted, m: a hand may reach out of it.
 const VOLUME_MARGIN_M: f64 = 0.10;
@@ -63,10 +68,30 @@ impl Pair {
             period_px: period_px as f32,
             marker_period_px: (pattern.marker_period_px / along[1].abs().max(1e-3)) as f32,
             marker_contrast: marker_contrast as f32,
+            markers: pattern.markers(head.projector.width),
             pattern,
             volume_min_m: min.map(|x| x - VOLUME_MARGIN_M),
             volume_max_m: max.map(|x| x + VOLUME_MARGIN_M),
         })
+    }
+
+    /// Least and largest projector column that the ray of pixel (u, v) meets within the volume, px; `None` where it
+    /// misses the volume or the projector does not see what it meets.
+    pub fn columns_in_volume(&self, u: usize, v: usize) -> Option<[f64; 2]> {
+        let ray = self.camera.ray(u as f64, v as f64)?;
+        let (from, to) = (ray.at(0.0), ray.at(1.0));
+        let (mut near, mut far) = (NEAREST_M, f64::INFINITY);
+        for i in 0..3 {
+            let ends =
+                [self.volume_min_m[i], self.volume_max_m[i]].map(|x| (x - from[i]) / (to[i] - from[i]));
+            (near, far) = (near.max(ends[0].min(ends[1])), far.min(ends[0].max(ends[1])));
+        }
+        if near > far {
+            return None;
+        }
+        let column = |distance: f64| self.projector.project(&ray.at(distance)).map(|[column, _]| column);
+        let (a, b) = (column(near)?, column(far)?);
+        Some([a.min(b), a.max(b)])
     }
 
     /// Whether a world point lies in the volume.

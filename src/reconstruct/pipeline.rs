@@ -6,8 +6,8 @@ use super::roi::Roi;
 use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
 use super::{
-    absolute, curvature, demodulate, edges, marker, marker_phase, mask, normals, period, quality, shading,
-    unwrap, unwrap_paper,
+    absolute, curvature, demodulate, edges, marker, marker_number, marker_phase, mask, normals, period,
+    quality, shading, unwrap, unwrap_paper,
 };
 use crate::export::Cloud;
 use crate::image::{Mono8, Plane};
@@ -173,7 +173,7 @@ impl Pipeline {
         let (image, object) = (roi.cut_image(image), roi.cut(&object));
         counts.object = object.as_slice().iter().filter(|&&x| x != 0).count();
         let resolved = match self.method {
-            Method::Anchored => self.anchored(&image, &object, &mut clock, &mut counts),
+            Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
         let Resolved { absolute, open, phasors, period, zone, planes } = resolved;
@@ -216,6 +216,7 @@ impl Pipeline {
         &self,
         image: &Plane<u8>,
         object: &Plane<u8>,
+        roi: Roi,
         clock: &mut Clock,
         counts: &mut Counts,
     ) -> Resolved {
@@ -235,7 +236,11 @@ impl Pipeline {
         });
         let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
         counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let marker = clock.time("anchors", || marker::detect(&ridges, period, &wrapped, pair));
+        let marker = clock.time("anchors", || {
+            let mut marker = marker::detect(&ridges, period, &wrapped, pair);
+            marker_number::assign(&mut marker, roi, pair);
+            marker
+        });
         counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
         let unwrapped = clock.time("unwrap", || {
             unwrap::unwrap(&wrapped, period, &phasors.misfit, &marker, pair, &unwrap::Settings::default())

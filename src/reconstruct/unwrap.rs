@@ -75,7 +75,8 @@ const BUCKET_RAD: f32 = 1.0 / 256.0;
 /// Edges below this residual need no order among themselves, rad: they are taken as they lie in memory.
 const SURE_RAD: f32 = 0.02;
 
-/// Unwraps `wrapped` (NaN: unknown) with the marker pixels (non-zero `anchor`) as absolute anchors.
+/// Unwraps `wrapped` (NaN: unknown) with the marker pixels as absolute anchors: `anchor` is the place of their marker
+/// in [`Pair::markers`], from 1, and 0 elsewhere.
 pub fn unwrap(
     wrapped: &Plane<f32>,
     period: &Plane<f32>,
@@ -86,7 +87,7 @@ pub fn unwrap(
 ) -> Unwrapped {
     let costs = Costs::new(wrapped, period, misfit, pair.sign);
     let edges = costs.sorted_edges(settings);
-    let mut forest = Forest::new(anchor);
+    let mut forest = Forest::new(anchor, &pair.markers);
     let phase = wrapped.as_slice();
     let width = wrapped.width();
     let mut contradictions = 0;
@@ -103,14 +104,13 @@ pub fn unwrap(
     let mut refused_px = 0;
     let mut absolute = Plane::filled(wrapped.width(), wrapped.height(), f32::NAN);
     let mut open = OpenTrees::none(wrapped.width(), wrapped.height());
-    let marker = pair.pattern.marker_index as i32;
     for (i, out) in absolute.as_mut_slice().iter_mut().enumerate() {
         if phase[i].is_nan() {
             continue;
         }
         let (root, turns) = forest.find(i);
         match forest.order(root, settings.min_votes) {
-            Some(order) => *out = phase[i] + TAU * (order + turns + marker) as f32,
+            Some(order) => *out = phase[i] + TAU * (order + turns) as f32,
             None => {
                 refused_px += 1;
                 open.relative.as_mut_slice()[i] = phase[i] + TAU * turns as f32;
@@ -303,13 +303,17 @@ struct Forest {
 }
 
 impl Forest {
-    fn new(anchor: &Plane<u8>) -> Self {
+    /// Every pixel by itself. An anchor is the place of its marker in `markers`, from 1; the wrapped phase of a
+    /// marker's core is that of its ridge.
+    fn new(anchor: &Plane<u8>, markers: &[u32]) -> Self {
         let n = anchor.as_slice().len();
+        let order =
+            |&anchor: &u8| anchor.checked_sub(1).map_or(0, |place| markers[usize::from(place)] as i32);
         Self {
             parent: (0..n as u32).collect(),
             turns: vec![0; n],
             size: vec![1; n],
-            order: vec![0; n],
+            order: anchor.as_slice().iter().map(order).collect(),
             votes: anchor.as_slice().iter().map(|&x| u32::from(x != 0)).collect(),
         }
     }

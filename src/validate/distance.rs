@@ -177,6 +177,7 @@ mod tests {
                 pattern: Pattern {
                     period_px: 16.0,
                     marker_index: 40,
+                    marker_every: 0,
                     marker: Marker::Darkened { depth: 0.2 },
                     marker_period_px: 16.0,
                     low: 0.0,

@@ -4,7 +4,7 @@ use fourdbody::calibrate::Calibration;
 use fourdbody::config::Rig;
 use fourdbody::geometry::Ray;
 use fourdbody::image::{Mono8, Plane};
-use fourdbody::pattern::Marker;
+use fourdbody::pattern::{Marker, Pattern};
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
 use fourdbody::reconstruct::triangulate::Triangulator;
@@ -15,9 +15,13 @@ use std::path::Path;
 type Hit = Option<(Point3<f64>, Vector3<f64>)>;
 
 fn pair(marker: Option<Marker>) -> Pair {
+    pair_with(|pattern| pattern.marker = marker.unwrap_or(pattern.marker))
+}
+
+fn pair_with(change: impl FnOnce(&mut Pattern)) -> Pair {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let mut rig = Rig::load(&path).expect("the shipped rig");
-    rig.pattern.marker = marker.unwrap_or(rig.pattern.marker);
+    change(&mut rig.pattern);
     let mut calibration = Calibration::nominal(&rig);
     calibration.heads[0].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
     let head = &calibration.heads[0];
@@ -153,6 +157,26 @@ fn a_sphere_beside_the_marker_is_refused() {
     let found = reconstruct(pair, &image);
     assert!(matches!(found.outcome, Outcome::Refused(_)), "{} points", found.cloud.len());
     assert!(found.cloud.is_empty() && found.counts.refused > 30_000, "{:?}", found.counts);
+}
+
+/// Markers 41 fringes apart: each sphere shows another one, and each is where it is.
+#[test]
+fn several_markers_reach_what_one_does_not() {
+    for marker in [Marker::ZeroMean { amplitude: 0.3 }, Marker::Darkened { depth: 0.8 }] {
+        for height in [0.45, 1.0, 1.45] {
+            let pair = pair_with(|pattern| (pattern.marker, pattern.marker_every) = (marker, 41));
+            assert_eq!(pair.markers, [39, 80, 121]);
+            let centre = Point3::new(0.0, 0.0, height);
+            let image = photograph(&pair, sphere(centre, 0.20));
+            let found = reconstruct(pair, &image);
+            assert!(found.cloud.len() > 40_000, "{marker:?} {height}: {} points", found.cloud.len());
+            let off = |p: &[f32; 3]| ((Point3::from(*p).cast() - centre).norm() - 0.20).abs();
+            let mut errors: Vec<f64> = found.cloud.position_m.iter().map(off).collect();
+            errors.sort_by(f64::total_cmp);
+            let (p95, worst) = (errors[errors.len() * 95 / 100], errors[errors.len() - 1]);
+            assert!(p95 < 0.0006 && worst < 0.010, "{marker:?} {height}: {p95} {worst}");
+        }
+    }
 }
 
 #[test]

@@ -79,6 +79,7 @@ pub fn calibration(scene: &Path) -> Calibration {
     shipped.pattern = Pattern {
         period_px: number(&pattern["period_px"]),
         marker_index: number(&pattern["marker_index"]) as u32,
+        marker_every: 0,
         marker: Marker::Darkened { depth: number(&pattern["marker_depth"]) },
         marker_period_px: number(&pattern["marker_period_px"]),
         low: number(&pattern["low"]),

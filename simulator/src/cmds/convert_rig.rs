@@ -143,6 +143,7 @@ fn pattern(scene: &ScenePattern) -> Result<Pattern, String> {
     Ok(Pattern {
         period_px: scene.period_px,
         marker_index: scene.marker_index,
+        marker_every: 0,
         marker: Marker::Darkened { depth: scene.marker_depth },
         marker_period_px: scene.marker_period_px,
         low: scene.low,
