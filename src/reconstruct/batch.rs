@@ -12,9 +12,9 @@
 
 use super::dump;
 use super::merge::merge;
+use super::order::{self, View};
 use super::pair::Pair;
 use super::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
-use super::resolve::resolve;
 use super::source::{Frame, FrameSource};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
@@ -33,7 +33,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 4;
+const ALGORITHM: u32 = 5;
 
 /// What to do.
 #[derive(Debug)]
@@ -174,26 +174,15 @@ enum Stage {
     Missing(&'static str, String),
 }
 
-/// The comment that names the cameras that a directional cloud depends on.
-fn partners(head: &[Camera]) -> String {
-    let names: Vec<&str> = head.iter().map(|camera| camera.id.as_str()).collect();
-    format!("head {}", names.join(" "))
-}
-
-/// Each camera in turn, twice, takes the orders of its open trees from the others.
-fn help_each_other(head: &[Camera], stages: &mut [Stage]) {
-    for round in 0..2 * head.len() {
-        let own = round % head.len();
-        for other in (0..head.len()).filter(|&other| other != own) {
-            let Ok([Stage::Prepared(a), Stage::Prepared(b)]) = stages.get_disjoint_mut([own, other]) else {
-                continue;
-            };
-            let partner = head[other].pipeline.triangulator().pair();
-            let gained = resolve(a, head[own].pipeline.triangulator(), b, partner);
-            a.counts.by_partner += gained;
-            a.counts.refused -= gained.min(a.counts.refused);
+/// The frames of all cameras of one trigger give each other their fringe orders.
+fn help_each_other(cameras: &[(usize, &Camera)], stages: &mut [Stage]) {
+    let views = cameras.iter().zip(stages).filter_map(|((head, camera), stage)| match stage {
+        Stage::Prepared(prepared) => {
+            Some(View { triangulator: camera.pipeline.triangulator(), head: *head, prepared })
         }
-    }
+        _ => None,
+    });
+    order::settle(&mut views.collect::<Vec<_>>());
 }
 
 /// Writes the merged clouds of a finished run as one MCAP file, in order. Triggers without a time of their
@@ -296,9 +285,7 @@ fn summarize(triggers: Vec<TriggerSummary>, job: &Job<'_>) -> Summary {
 
 impl Job<'_> {
     fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
-        let results: Result<Vec<Vec<(FrameSummary, Cloud)>>, String> =
-            self.heads.par_iter().with_max_len(1).map(|head| self.head(head, trigger)).collect();
-        let results: Vec<(FrameSummary, Cloud)> = results?.into_iter().flatten().collect();
+        let results = self.clouds(trigger)?;
         let cameras = || self.heads.iter().flatten();
         let merged = merge(cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)));
         let mut comments = self.comments(trigger);
@@ -310,20 +297,23 @@ impl Job<'_> {
         Ok(TriggerSummary { trigger, merged_points: merged.len(), frames })
     }
 
-    /// The cameras of one head together: each may give fringe orders to the other.
-    fn head(&self, head: &[Camera], trigger: u64) -> Result<Vec<(FrameSummary, Cloud)>, String> {
+    /// The directional clouds of all cameras together: each frame may give fringe orders to the others.
+    fn clouds(&self, trigger: u64) -> Result<Vec<(FrameSummary, Cloud)>, String> {
+        let cameras: Vec<(usize, &Camera)> =
+            self.heads.iter().enumerate().flat_map(|(i, head)| head.iter().map(move |x| (i, x))).collect();
         let finished: Option<Vec<_>> =
-            head.iter().map(|camera| self.finished(head, camera, trigger)).collect();
+            cameras.iter().map(|(_, camera)| self.finished(camera, trigger)).collect();
         if let Some(finished) = finished {
             return Ok(finished);
         }
-        let mut stages: Vec<Stage> = head.par_iter().map(|camera| self.prepare(camera, trigger)).collect();
+        let prepare = |(_, camera): &(usize, &Camera)| self.prepare(camera, trigger);
+        let mut stages: Vec<Stage> = cameras.par_iter().with_max_len(1).map(prepare).collect();
         if self.plan.method == Method::Anchored {
-            help_each_other(head, &mut stages);
+            help_each_other(&cameras, &mut stages);
         }
-        let work = head.par_iter().zip(stages).map(|(camera, stage)| match stage {
-            Stage::Prepared(prepared) => self.save(head, camera, trigger, camera.pipeline.finish(*prepared)),
-            Stage::Refused(result) => self.save(head, camera, trigger, *result),
+        let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
+            Stage::Prepared(prepared) => self.save(camera, trigger, camera.pipeline.finish(*prepared)),
+            Stage::Refused(result) => self.save(camera, trigger, *result),
             Stage::Missing(outcome, reason) => {
                 let camera = camera.id.clone();
                 let reason = Some(reason);
@@ -332,6 +322,12 @@ impl Job<'_> {
             }
         });
         work.collect()
+    }
+
+    /// The comment that names the cameras that a directional cloud depends on.
+    fn together(&self) -> String {
+        let names: Vec<&str> = self.heads.iter().flatten().map(|camera| camera.id.as_str()).collect();
+        format!("together {}", names.join(" "))
     }
 
     fn comments(&self, trigger: u64) -> Vec<String> {
@@ -362,7 +358,6 @@ impl Job<'_> {
     /// Writes a cloud, and the maps where they are asked for.
     fn save(
         &self,
-        head: &[Camera],
         camera: &Camera,
         trigger: u64,
         result: Reconstruction,
@@ -374,7 +369,7 @@ impl Job<'_> {
         }
         let mut comments = self.comments(trigger);
         comments.push(format!("camera {id}"));
-        comments.push(partners(head));
+        comments.push(self.together());
         comments.push(format!("unresolved_px {}", result.counts.refused));
         let (outcome, reason) = match result.outcome {
             Outcome::Cloud => ("cloud", None),
@@ -392,7 +387,7 @@ impl Job<'_> {
 
     /// The finished cloud of a frame, where there is one made with the same parameters, and no maps are
     /// asked for.
-    fn finished(&self, head: &[Camera], camera: &Camera, trigger: u64) -> Option<(FrameSummary, Cloud)> {
+    fn finished(&self, camera: &Camera, trigger: u64) -> Option<(FrameSummary, Cloud)> {
         let camera = &camera.id;
         if self.plan.maps.is_some() {
             return None;
@@ -400,7 +395,7 @@ impl Job<'_> {
         let path = cloud_path(&self.plan.out, camera, trigger);
         let header = ply::load_header(&path).ok()?;
         let same = header.comment("parameters") == Some(&self.parameters);
-        if !same || !header.comments.contains(&partners(head)) {
+        if !same || !header.comments.contains(&self.together()) {
             return None;
         }
         let (header, cloud) = ply::load(&path).ok()?;

@@ -29,6 +29,8 @@ pub mod mask;
 pub mod merge;
 /// Normals from neighbouring points.
 pub mod normals;
+/// Fringe orders of all views of one instant.
+pub mod order;
 /// What the pipeline must know of a camera and its projector.
 pub mod pair;
 /// Fringe period Pm, amplitude Am, stability Sm.
@@ -39,8 +41,6 @@ pub mod pipeline;
 pub mod png_source;
 /// Verticality Vm, border distance Bm, quality Qm.
 pub mod quality;
-/// Fringe orders from the head's other camera.
-pub mod resolve;
 /// The part of a frame that holds the object.
 pub mod roi;
 /// Bias of the phase under a gradient of light.

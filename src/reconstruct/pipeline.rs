@@ -2,6 +2,7 @@
 
 use super::demodulate::{Gains, Phasors};
 use super::marker_phase::Bias;
+use super::order::{self, Regions, View};
 use super::roi::Roi;
 use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
@@ -41,11 +42,13 @@ pub struct Counts {
     pub phase: usize,
     /// Pixels on marker cores.
     pub marker: usize,
-    /// Pixels left out because nothing anchors their fringe order.
+    /// Pixels left out because their fringe order is not certain.
     pub refused: usize,
+    /// Of these, pixels for whose order the evidence contradicts itself; the others have too little.
+    pub contradicted: usize,
     /// Merges refused because anchors contradicted.
     pub contradictions: usize,
-    /// Pixels whose order the head's other camera gave.
+    /// Pixels whose order other evidence than the forest gave.
     pub by_partner: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,
@@ -99,9 +102,14 @@ impl Clock {
         self.0.push((stage, start.elapsed()));
         result
     }
+
+    /// Notes a frame's share of work that was done for several.
+    pub(super) fn share(&mut self, stage: &'static str, time: Duration) {
+        self.0.push((stage, time));
+    }
 }
 
-/// A frame whose phase is unwrapped as far as the camera alone can. [`super::resolve::resolve`] may add to it
+/// A frame whose phase is unwrapped as far as the camera alone can. [`order::settle`] weighs its orders
 /// before [`Pipeline::finish`] makes the cloud.
 #[derive(Debug)]
 pub struct Prepared {
@@ -111,6 +119,12 @@ pub struct Prepared {
     pub absolute: Plane<f32>,
     /// Trees that lack their fringe order.
     pub open: OpenTrees,
+    /// Pieces of surface with their own fringe order, and how certain it is.
+    pub regions: Regions,
+    /// Not 0 on marker cores.
+    pub marker: Plane<u8>,
+    /// Not 0 on the object.
+    pub object: Plane<u8>,
     /// How it went so far.
     pub counts: Counts,
     phasors: Phasors,
@@ -121,10 +135,18 @@ pub struct Prepared {
     pub(super) clock: Clock,
 }
 
+impl Prepared {
+    /// Fringe period Pm, px.
+    pub(super) fn period(&self) -> &Plane<f32> {
+        &self.period
+    }
+}
+
 /// The absolute phase with what the points need beside it.
 struct Resolved {
     absolute: Plane<f32>,
     open: OpenTrees,
+    marker: Plane<u8>,
     phasors: Phasors,
     period: Plane<f32>,
     /// Around the marker: not 0.
@@ -147,7 +169,16 @@ impl Pipeline {
     /// Reconstructs one frame by itself.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
         match self.prepare(image) {
-            Ok(prepared) => self.finish(prepared),
+            Ok(mut prepared) => {
+                if self.method == Method::Anchored {
+                    order::settle(&mut [View {
+                        triangulator: &self.triangulator,
+                        head: 0,
+                        prepared: &mut prepared,
+                    }]);
+                }
+                self.finish(prepared)
+            }
             Err(refused) => *refused,
         }
     }
@@ -176,8 +207,22 @@ impl Pipeline {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
-        let Resolved { absolute, open, phasors, period, zone, planes } = resolved;
-        Ok(Prepared { roi, absolute, open, counts, phasors, period, zone, planes, clock })
+        let Resolved { absolute, open, marker, phasors, period, zone, planes } = resolved;
+        let regions = Regions::none(absolute.width(), absolute.height());
+        Ok(Prepared {
+            roi,
+            absolute,
+            open,
+            regions,
+            marker,
+            object,
+            counts,
+            phasors,
+            period,
+            zone,
+            planes,
+            clock,
+        })
     }
 
     /// Makes the cloud of an unwrapped frame.
@@ -271,7 +316,7 @@ impl Pipeline {
             ];
         }
         let (absolute, open) = (unwrapped.absolute, unwrapped.open);
-        Resolved { absolute, open, phasors, period: periods.period, zone, planes }
+        Resolved { absolute, open, marker, phasors, period: periods.period, zone, planes }
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -325,7 +370,7 @@ impl Pipeline {
         }
         let open = OpenTrees::none(absolute.width(), absolute.height());
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
-        Resolved { absolute, open, phasors, period: periods.period, zone, planes }
+        Resolved { absolute, open, marker: segment, phasors, period: periods.period, zone, planes }
     }
 
     /// Points in camera axes, m; NaN where there is none.

@@ -1,0 +1,157 @@
+//! Fringe orders of all views of one instant, from all evidence.
+//!
+//! ```text
+//! cells     the unwrapped phase in patches of 8 x 8 px, and where they continue each other
+//! pieces    patches grown to pieces of surface, joined only along whole borders
+//! witness   what another camera has at the place where a piece would be
+//! settle    marker, neighbours and other cameras weighed: each piece gets an order, or is refused
+//! prune     parts of settled pieces that the other cameras contradict
+//! ```
+//!
+//! One view cannot tell an arm that lies parallel to the hip at a whole number of fringes from one surface. What it can
+//! tell is where that may be: pieces whose common border agrees only in part. These are given their orders by the other
+//! cameras, and are refused where they cannot tell.
+
+mod cells;
+mod pieces;
+mod prune;
+mod settle;
+mod volume;
+mod witness;
+
+use super::pipeline::Prepared;
+use super::triangulate::Triangulator;
+use crate::image::Plane;
+use cells::Cells;
+use pieces::Pieces;
+use settle::{Refusal, Scene, State};
+use std::collections::BTreeMap;
+use std::f32::consts::TAU;
+use std::time::Instant;
+use witness::Witness;
+
+/// One camera's frame and its geometry.
+#[derive(Debug)]
+pub struct View<'a> {
+    /// Its geometry.
+    pub triangulator: &'a Triangulator,
+    /// Which head it belongs to: cameras of equal number see the same projector.
+    pub head: usize,
+    /// Its frame.
+    pub prepared: &'a mut Prepared,
+}
+
+/// Pieces of a view's surface with one fringe order each, and how certain these are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Regions {
+    /// Region of each pixel, 0 where there is none.
+    pub id: Plane<u16>,
+    /// How far the evidence for each region's order leads that for any other: 1 is the full word of one camera, or 60
+    /// pixels of marker. Entry 0 stands for no region.
+    pub margin: Vec<f32>,
+}
+
+impl Regions {
+    /// No regions.
+    pub fn none(width: usize, height: usize) -> Self {
+        Self { id: Plane::filled(width, height, 0), margin: vec![0.0] }
+    }
+}
+
+/// Gives every piece of every view its fringe order, or refuses it: afterwards `absolute` holds only what is certain.
+/// All views must show the same instant. The result does not depend on threads.
+pub fn settle(views: &mut [View<'_>]) {
+    let start = Instant::now();
+    let results: Vec<Outcome> = {
+        let mut scenes: Vec<Scene<'_>> = views.iter().map(scene).collect();
+        settle::settle(&mut scenes);
+        let pruned = prune::contradicted(&scenes);
+        scenes.into_iter().zip(pruned).map(|(scene, pruned)| outcome(scene, &pruned)).collect()
+    };
+    for (view, result) in views.iter_mut().zip(results) {
+        let counts = &mut view.prepared.counts;
+        let before = &view.prepared.absolute;
+        let (mut refused, mut gained) = (0, 0);
+        for (was, is) in before.as_slice().iter().zip(result.absolute.as_slice()) {
+            gained += usize::from(was.is_nan() && !is.is_nan());
+            refused += usize::from(is.is_nan());
+        }
+        counts.refused = counts.phase.saturating_sub(result.absolute.as_slice().len() - refused);
+        counts.contradicted = result.contradicted;
+        counts.by_partner = gained;
+        view.prepared.absolute = result.absolute;
+        view.prepared.regions = result.regions;
+    }
+    let share = start.elapsed() / views.len().max(1) as u32;
+    views.iter_mut().for_each(|view| view.prepared.clock.share("order", share));
+}
+
+struct Outcome {
+    absolute: Plane<f32>,
+    regions: Regions,
+    contradicted: usize,
+}
+
+/// A view's pieces, all open.
+fn scene<'a>(view: &'a View<'_>) -> Scene<'a> {
+    let prepared = &*view.prepared;
+    let pair = view.triangulator.pair();
+    let mut phase = prepared.absolute.clone();
+    let open = &prepared.open;
+    for ((phase, relative), tree) in
+        phase.as_mut_slice().iter_mut().zip(open.relative.as_slice()).zip(open.tree.as_slice())
+    {
+        if *tree != 0 {
+            *phase = *relative;
+        }
+    }
+    let cells = Cells::new(&phase, prepared.period(), pair.sign);
+    let votes = votes(&cells, &phase, &prepared.marker, pair.pattern.marker_index as i32);
+    let pieces = Pieces::new(&cells, &votes, settle::MIN_VOTES);
+    let px =
+        pieces.nodes.iter().map(|nodes| nodes.iter().map(|&x| cells.nodes[x as usize].size).sum()).collect();
+    let open = State { order: Err(Refusal::NoEvidence), margin: 0.0 };
+    let states = vec![open; pieces.nodes.len()];
+    let witness = Witness::new(pair, view.head, prepared.roi, phase, &prepared.object, cells);
+    Scene { triangulator: view.triangulator, witness, pieces, states, px }
+}
+
+/// The orders that marker pixels give their nodes: node, order, pixels.
+fn votes(cells: &Cells, phase: &Plane<f32>, marker: &Plane<u8>, marker_index: i32) -> Vec<(u32, i32, u32)> {
+    let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
+    let pixels = marker.as_slice().iter().zip(phase.as_slice()).zip(cells.node.as_slice());
+    for ((_, phase), node) in pixels.filter(|((marker, _), node)| **marker != 0 && **node != 0) {
+        // On the marker's core the wrapped phase is small: the nearest whole turn is the node's own.
+        *votes.entry((node - 1, marker_index - (phase / TAU).round() as i32)).or_default() += 1;
+    }
+    votes.into_iter().map(|((node, order), n)| (node, order, n)).collect()
+}
+
+fn outcome(scene: Scene<'_>, pruned: &[bool]) -> Outcome {
+    let mut absolute = scene.witness.phase.clone();
+    let mut regions = Regions::none(absolute.width(), absolute.height());
+    regions.margin.extend(scene.states.iter().map(|x| x.margin));
+    let mut contradicted = 0;
+    let nodes = scene.witness.cells.node.as_slice();
+    for ((phase, &node), id) in absolute
+        .as_mut_slice()
+        .iter_mut()
+        .zip(nodes)
+        .zip(regions.id.as_mut_slice())
+        .filter(|((_, x), _)| **x != 0)
+    {
+        let piece = scene.pieces.of[node as usize - 1] as usize;
+        let against = pruned[node as usize - 1] || scene.states[piece].order == Err(Refusal::Contradicted);
+        match scene.turns_of(node - 1) {
+            Some(turns) if !against => {
+                *phase += TAU * turns as f32;
+                *id = u16::try_from(piece + 1).unwrap_or(u16::MAX);
+            }
+            _ => {
+                *phase = f32::NAN;
+                contradicted += usize::from(against);
+            }
+        }
+    }
+    Outcome { absolute, regions, contradicted }
+}

@@ -1,0 +1,323 @@
+//! Pieces of surface: nodes that continue each other over their whole common border.
+//!
+//! Where the outline of a limb crosses the fringes, the phases on both sides agree over a short stretch by chance, to any
+//! precision. What tells chance from surface is the rest of the border: two pieces of one surface continue each other all
+//! along it. So the wide parts of a view are grown first (their cores, away from any step, then what continues them), and
+//! pieces are joined only where nearly the whole border between them agrees on the same turns.
+
+use super::cells::{Border, Cells};
+use std::collections::BTreeMap;
+
+/// Pixel pairs on which a border between cells must agree to be clean, of eight.
+const CLEAN_PAIRS: u32 = 7;
+
+/// Pixels of a node that fills its cell.
+const FULL_NODE_PX: u32 = 60;
+
+/// Pixel pairs on which a node must agree with the piece that takes it in.
+const GROW_PAIRS: u32 = 4;
+
+/// Share of a common border that must agree before two pieces become one.
+const MIN_GOOD_SHARE: f32 = 0.85;
+
+/// Pixel pairs that must agree before two pieces become one.
+const MIN_GOOD_PAIRS: u32 = 12;
+
+/// Where two pieces touch.
+#[derive(Debug, Clone, Default)]
+pub struct Contact {
+    /// Pixel pairs that continue each other, by the turns to add to the second piece.
+    pub good: Vec<(i32, u32)>,
+    /// All pixel pairs.
+    pub all: u32,
+}
+
+impl Contact {
+    fn add(&mut self, turns: i32, good: u32, all: u32) {
+        self.all += all;
+        if good > 0 {
+            match self.good.iter_mut().find(|x| x.0 == turns) {
+                Some(x) => x.1 += good,
+                None => self.good.push((turns, good)),
+            }
+        }
+    }
+
+    /// The turns that most pairs agree on, and how many.
+    pub fn best(&self) -> (i32, u32) {
+        self.good.iter().copied().max_by_key(|x| (x.1, -x.0.abs(), x.0)).unwrap_or((0, 0))
+    }
+}
+
+/// A view's pieces.
+#[derive(Debug)]
+pub struct Pieces {
+    /// Piece of each node.
+    pub of: Vec<u32>,
+    /// Turns to add to each node's phases so that they continue those of its piece.
+    pub turns: Vec<i32>,
+    /// Nodes of each piece.
+    pub nodes: Vec<Vec<u32>>,
+    /// Marker votes of each piece: for each order, how many.
+    pub votes: Vec<BTreeMap<i32, u32>>,
+    /// Contacts of each piece with others: turns to add to the other.
+    pub contacts: Vec<BTreeMap<u32, Contact>>,
+}
+
+impl Pieces {
+    /// Grows and joins the pieces. `votes` are those of single nodes: node, order, number.
+    pub fn new(cells: &Cells, votes: &[(u32, i32, u32)], min_votes: u32) -> Self {
+        let mut links = Links::new(cells.nodes.len());
+        let neighbours = neighbours(cells);
+        let core = cores(cells);
+        for border in cells.borders.iter().filter(|x| core[x.a as usize] && core[x.b as usize] && clean(x)) {
+            links.join(border.a as usize, border.b as usize, border.turns);
+        }
+        grow(&mut links, &core, cells, &neighbours);
+        let mut pieces = collect(&mut links, cells, votes);
+        pieces.join(min_votes);
+        pieces.compact()
+    }
+
+    /// Joins pieces whose common border agrees, the longest first.
+    fn join(&mut self, min_votes: u32) {
+        loop {
+            let mut best: Option<(u32, usize, u32, i32)> = None;
+            for (a, contacts) in self.contacts.iter().enumerate() {
+                for (&b, contact) in contacts.range(a as u32 + 1..) {
+                    let (turns, good) = contact.best();
+                    if good >= MIN_GOOD_PAIRS
+                        && good as f32 >= MIN_GOOD_SHARE * contact.all as f32
+                        && best.is_none_or(|x| good > x.0)
+                        && !self.contradict(a, b as usize, turns, min_votes)
+                    {
+                        best = Some((good, a, b, turns));
+                    }
+                }
+            }
+            let Some((_, a, b, turns)) = best else { return };
+            self.absorb(a, b as usize, turns);
+        }
+    }
+
+    /// Whether markers say that two pieces are not one surface.
+    fn contradict(&self, a: usize, b: usize, turns: i32, min_votes: u32) -> bool {
+        let of =
+            |piece: usize| self.votes[piece].iter().max_by_key(|x| (x.1, x.0)).filter(|x| *x.1 >= min_votes);
+        // Phases of `b` gain `turns` in `a`: the order that its votes give loses as many.
+        of(a).zip(of(b)).is_some_and(|(x, y)| *x.0 != *y.0 - turns)
+    }
+
+    /// Makes `b` part of `a`.
+    fn absorb(&mut self, a: usize, b: usize, turns: i32) {
+        let nodes = std::mem::take(&mut self.nodes[b]);
+        for &node in &nodes {
+            self.of[node as usize] = a as u32;
+            self.turns[node as usize] += turns;
+        }
+        self.nodes[a].extend(nodes);
+        for (order, votes) in std::mem::take(&mut self.votes[b]) {
+            *self.votes[a].entry(order - turns).or_default() += votes;
+        }
+        for (c, contact) in std::mem::take(&mut self.contacts[b]) {
+            self.contacts[c as usize].remove(&(b as u32));
+            if c as usize == a {
+                continue;
+            }
+            // From b's turns to a's, and the same seen from c.
+            let to = self.contacts[a].entry(c).or_default();
+            to.all += contact.all;
+            for &(t, good) in &contact.good {
+                to.add(t + turns, good, 0);
+            }
+            let back = self.contacts[c as usize].entry(a as u32).or_default();
+            back.all += contact.all;
+            for &(t, good) in &contact.good {
+                back.add(-(t + turns), good, 0);
+            }
+        }
+    }
+
+    /// Leaves out the numbers of absorbed pieces.
+    fn compact(mut self) -> Self {
+        let mut number = vec![u32::MAX; self.nodes.len()];
+        let mut next = 0;
+        for (piece, nodes) in self.nodes.iter().enumerate() {
+            if !nodes.is_empty() {
+                number[piece] = next;
+                next += 1;
+            }
+        }
+        for piece in &mut self.of {
+            *piece = number[*piece as usize];
+        }
+        let keep = |piece: usize| number[piece] != u32::MAX;
+        let (mut i, mut j, mut k) = (0..number.len(), 0..number.len(), 0..number.len());
+        self.nodes.retain(|_| i.next().is_some_and(keep));
+        self.votes.retain(|_| j.next().is_some_and(keep));
+        self.contacts.retain(|_| k.next().is_some_and(keep));
+        for contacts in &mut self.contacts {
+            *contacts = std::mem::take(contacts).into_iter().map(|(c, x)| (number[c as usize], x)).collect();
+        }
+        self
+    }
+}
+
+fn clean(border: &Border) -> bool {
+    border.good >= CLEAN_PAIRS && border.bad <= 1
+}
+
+/// Borders of each node, as (other node, turns to add to it, good, bad).
+type Neighbours = Vec<Vec<(u32, i32, u32, u32)>>;
+
+fn neighbours(cells: &Cells) -> Neighbours {
+    let mut out: Neighbours = vec![Vec::with_capacity(4); cells.nodes.len()];
+    for x in &cells.borders {
+        out[x.a as usize].push((x.b, x.turns, x.good, x.bad));
+        out[x.b as usize].push((x.a, -x.turns, x.good, x.bad));
+    }
+    out
+}
+
+/// Nodes two cells away from any step: their neighbours' neighbours are full, and all borders between are clean.
+fn cores(cells: &Cells) -> Vec<bool> {
+    let full = |node: u32| cells.nodes[node as usize].size >= FULL_NODE_PX;
+    let mut inside: Vec<bool> = (0..cells.nodes.len() as u32).map(full).collect();
+    for _ in 0..2 {
+        let mut count = vec![0u8; inside.len()];
+        for x in cells.borders.iter().filter(|x| clean(x) && inside[x.a as usize] && inside[x.b as usize]) {
+            count[x.a as usize] += 1;
+            count[x.b as usize] += 1;
+        }
+        inside = count.iter().map(|&n| n == 4).collect();
+    }
+    inside
+}
+
+/// Lets the cores take in what continues them, ring by ring; what no core reaches is joined among itself.
+fn grow(links: &mut Links, core: &[bool], cells: &Cells, neighbours: &Neighbours) {
+    let mut taken = core.to_vec();
+    let mut front: Vec<u32> = (0..core.len() as u32).filter(|&i| core[i as usize]).collect();
+    let mut grow = |links: &mut Links, taken: &mut [bool], pairs: u32| {
+        while !front.is_empty() {
+            let mut next: Vec<u32> =
+                front.iter().flat_map(|&i| neighbours[i as usize].iter().map(|x| x.0)).collect();
+            next.retain(|&i| !taken[i as usize]);
+            next.sort_unstable();
+            next.dedup();
+            // All of a ring are decided before any is taken in: the result does not depend on their order.
+            let mut ring = Vec::new();
+            for &node in &next {
+                let mut sums: BTreeMap<(usize, i32), (u32, u32, u32)> = BTreeMap::new();
+                for &(other, turns, good, _) in
+                    neighbours[node as usize].iter().filter(|x| taken[x.0 as usize])
+                {
+                    let (root, own) = links.find(other as usize);
+                    let sum = sums.entry((root, own - turns)).or_default();
+                    *sum = (sum.0 + good, other, turns as u32);
+                }
+                let best = sums.into_values().max_by_key(|x| x.0).filter(|x| x.0 >= pairs);
+                ring.extend(best.map(|x| (node, x.1, x.2 as i32)));
+            }
+            for &(node, other, turns) in &ring {
+                // `turns` continue the other from this node; the link says the reverse.
+                links.join(other as usize, node as usize, -turns);
+                taken[node as usize] = true;
+            }
+            front = ring.into_iter().map(|x| x.0).collect();
+        }
+        front = (0..taken.len() as u32).filter(|&i| taken[i as usize]).collect();
+    };
+    grow(links, &mut taken, GROW_PAIRS);
+    for x in &cells.borders {
+        if !taken[x.a as usize] && !taken[x.b as usize] && x.good >= GROW_PAIRS && x.good > x.bad {
+            links.join(x.a as usize, x.b as usize, x.turns);
+        }
+    }
+    // Crumbs on outlines belong to no surface. They must not stand between pieces as if these did not touch.
+    let mut size: BTreeMap<usize, u32> = BTreeMap::new();
+    for node in 0..taken.len() {
+        *size.entry(links.find(node).0).or_default() += cells.nodes[node].size;
+    }
+    for (node, taken) in taken.iter_mut().enumerate() {
+        *taken |= size[&links.find(node).0] >= 64;
+    }
+    grow(links, &mut taken, 1);
+}
+
+fn collect(links: &mut Links, cells: &Cells, votes: &[(u32, i32, u32)]) -> Pieces {
+    let n = cells.nodes.len();
+    let mut number = vec![u32::MAX; n];
+    let mut pieces = Pieces {
+        of: vec![0; n],
+        turns: vec![0; n],
+        nodes: Vec::new(),
+        votes: Vec::new(),
+        contacts: Vec::new(),
+    };
+    for node in 0..n {
+        let (root, turns) = links.find(node);
+        if number[root] == u32::MAX {
+            number[root] = pieces.nodes.len() as u32;
+            pieces.nodes.push(Vec::new());
+        }
+        pieces.of[node] = number[root];
+        pieces.turns[node] = turns;
+        pieces.nodes[number[root] as usize].push(node as u32);
+    }
+    pieces.votes = vec![BTreeMap::new(); pieces.nodes.len()];
+    pieces.contacts = vec![BTreeMap::new(); pieces.nodes.len()];
+    for &(node, order, count) in votes {
+        let (piece, turns) = (pieces.of[node as usize], pieces.turns[node as usize]);
+        *pieces.votes[piece as usize].entry(order - turns).or_default() += count;
+    }
+    for x in &cells.borders {
+        let (a, b) = (pieces.of[x.a as usize], pieces.of[x.b as usize]);
+        if a == b {
+            continue;
+        }
+        let turns = pieces.turns[x.a as usize] + x.turns - pieces.turns[x.b as usize];
+        pieces.contacts[a as usize].entry(b).or_default().add(turns, x.good, x.good + x.bad);
+        pieces.contacts[b as usize].entry(a).or_default().add(-turns, x.good, x.good + x.bad);
+    }
+    pieces
+}
+
+/// Union-find whose links carry whole turns.
+struct Links {
+    parent: Vec<u32>,
+    /// Turns to add to a node so that it continues its parent.
+    turns: Vec<i32>,
+}
+
+impl Links {
+    fn new(n: usize) -> Self {
+        Self { parent: (0..n as u32).collect(), turns: vec![0; n] }
+    }
+
+    /// Root of a node, and the turns to add to the node so that it continues the root.
+    fn find(&mut self, node: usize) -> (usize, i32) {
+        let (mut root, mut turns) = (node, 0);
+        while self.parent[root] as usize != root {
+            turns += self.turns[root];
+            root = self.parent[root] as usize;
+        }
+        let (mut at, mut rest) = (node, turns);
+        while at != root {
+            let (next, own) = (self.parent[at] as usize, self.turns[at]);
+            (self.parent[at], self.turns[at]) = (root as u32, rest);
+            rest -= own;
+            at = next;
+        }
+        (root, turns)
+    }
+
+    /// Joins the trees of `a` and `b`, where `b` needs `turns` to continue `a`. Nothing happens where they are one.
+    fn join(&mut self, a: usize, b: usize, turns: i32) {
+        let ((x, turns_a), (y, turns_b)) = (self.find(a), self.find(b));
+        if x != y {
+            self.parent[y] = x as u32;
+            self.turns[y] = turns_a + turns - turns_b;
+        }
+    }
+}

@@ -1,0 +1,319 @@
+//! Which fringe order each piece has: every piece of every view is weighed against all that is settled.
+//!
+//! Pieces that a marker crosses are settled first. Then, round by round, every open piece collects for each order that
+//! puts it into the volume: what the other cameras say about its places (see [`super::witness`]), and how well it
+//! continues settled pieces of its own view. The best order is taken when it has enough evidence and leads the second by
+//! a margin; else the piece waits for others to be settled. At last every settled piece is tried against all others, the
+//! most doubtful first: one that is contradicted takes the order that is not, if there is one, or is refused.
+
+use super::pieces::Pieces;
+use super::witness::{Sight, Verdict, Witness};
+use crate::reconstruct::triangulate::Triangulator;
+use std::collections::BTreeMap;
+
+/// Marker pixels from which a piece counts as crossed by the marker.
+pub const MIN_VOTES: u32 = 20;
+
+/// Share of a piece's marker pixels that must agree.
+const MIN_VOTE_SHARE: f32 = 0.8;
+
+/// The smallest piece that is settled by evidence other than the marker, px.
+const MIN_PIECE_PX: u32 = 120;
+
+/// Places of a piece that are tried.
+const SAMPLES: usize = 48;
+
+/// So many of them say whether an order is worth the rest.
+const FIRST_SAMPLES: usize = 8;
+
+/// Places of a node smaller than this are on outlines, px.
+const MIN_SAMPLE_NODE_PX: u32 = 24;
+
+/// Evidence that an order needs.
+const MIN_EVIDENCE: f32 = 0.5;
+
+/// Lead over the second order that it needs. In the first rounds, more.
+const MIN_MARGIN: [f32; 2] = [1.0, 0.5];
+
+/// Places from which a camera's word counts in full.
+const FULL_WITNESS: f32 = 12.0;
+
+/// Fewest places that a camera must judge.
+const MIN_WITNESS: u32 = 3;
+
+/// A border counts in full when so many pixel pairs agree.
+const FULL_CONTACT_PAIRS: f32 = 60.0;
+
+/// Marker pixels that count as one camera.
+const FULL_VOTES: f32 = 60.0;
+
+/// A settled piece is contested when the other cameras' word falls below.
+const CONTESTED: f32 = -0.3;
+
+/// Why a piece has no order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// Nothing tells its order, or too little.
+    NoEvidence,
+    /// What tells its order contradicts itself.
+    Contradicted,
+}
+
+/// What is known of a piece.
+#[derive(Debug, Clone, Copy)]
+pub struct State {
+    /// Its order, or why there is none.
+    pub order: Result<i32, Refusal>,
+    /// How far the evidence for the order leads that for any other; 1 is the full word of one camera.
+    pub margin: f32,
+}
+
+/// A view with its pieces.
+#[derive(Debug)]
+pub struct Scene<'a> {
+    /// Places to points.
+    pub triangulator: &'a Triangulator,
+    /// The view as a witness.
+    pub witness: Witness<'a>,
+    /// Its pieces.
+    pub pieces: Pieces,
+    /// What is known of each.
+    pub states: Vec<State>,
+    /// Pixels of each piece.
+    pub px: Vec<u32>,
+}
+
+/// What the other cameras have at the sampled places of a piece at one order.
+type Sights = Vec<(u8, Sight)>;
+
+/// Sights by view, piece and order, each looked up once.
+type Cache = BTreeMap<(usize, usize, i32), Sights>;
+
+/// Evidence for one order of a piece.
+#[derive(Debug, Clone, Copy, Default)]
+struct Evidence {
+    order: i32,
+    /// The other cameras' word.
+    cameras: f32,
+    /// Places on which another camera agrees.
+    agree: u32,
+    /// Everything together.
+    all: f32,
+}
+
+/// Settles all pieces of all views.
+pub fn settle(scenes: &mut [Scene<'_>]) {
+    for scene in scenes.iter_mut() {
+        for (piece, votes) in scene.pieces.votes.iter().enumerate() {
+            let all: u32 = votes.values().sum();
+            let Some((&order, &most)) = votes.iter().max_by_key(|x| (x.1, x.0)) else { continue };
+            if most >= MIN_VOTES && most as f32 >= MIN_VOTE_SHARE * all as f32 {
+                scene.states[piece] = State { order: Ok(order), margin: most as f32 / FULL_VOTES };
+            }
+        }
+    }
+    let mut cache = Cache::new();
+    spread(scenes, &mut cache);
+    if verify(scenes, &mut cache) {
+        spread(scenes, &mut cache);
+        verify(scenes, &mut cache);
+    }
+}
+
+/// Settles open pieces round by round.
+fn spread(scenes: &mut [Scene<'_>], cache: &mut Cache) {
+    let mut strictness = 0;
+    while strictness < MIN_MARGIN.len() {
+        let mut found = Vec::new();
+        for view in 0..scenes.len() {
+            for piece in 0..scenes[view].states.len() {
+                let open = scenes[view].states[piece].order == Err(Refusal::NoEvidence);
+                if !open || scenes[view].px[piece] < MIN_PIECE_PX {
+                    continue;
+                }
+                let all = weigh(scenes, view, piece, cache);
+                if let Some((best, margin)) = leader(&all).filter(|x| x.1 >= MIN_MARGIN[strictness]) {
+                    found.push((view, piece, best.order, margin));
+                }
+            }
+        }
+        if found.is_empty() {
+            strictness += 1;
+        } else {
+            strictness = 0;
+        }
+        for (view, piece, order, margin) in found {
+            scenes[view].states[piece] = State { order: Ok(order), margin };
+        }
+    }
+}
+
+/// The order of most evidence, if that is enough, and its lead.
+fn leader(all: &[Evidence]) -> Option<(Evidence, f32)> {
+    let best = *all.iter().max_by(|a, b| a.all.total_cmp(&b.all).then(b.order.cmp(&a.order)))?;
+    let second = all.iter().filter(|x| x.order != best.order).map(|x| x.all).fold(0.0, f32::max);
+    (best.all >= MIN_EVIDENCE).then_some((best, best.all - second))
+}
+
+/// Tries every settled piece against all others, the most doubtful first. Whether anything changed.
+fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
+    let mut tried: Vec<Vec<bool>> = scenes.iter().map(|x| vec![false; x.states.len()]).collect();
+    let mut changed = false;
+    loop {
+        let mut worst: Option<(f32, usize, usize, i32)> = None;
+        for view in 0..scenes.len() {
+            for piece in 0..scenes[view].states.len() {
+                let Ok(order) = scenes[view].states[piece].order else { continue };
+                if tried[view][piece] {
+                    continue;
+                }
+                let evidence = evidence(scenes, view, piece, order, cache);
+                if evidence.cameras < CONTESTED && worst.is_none_or(|x| evidence.all < x.0) {
+                    worst = Some((evidence.all, view, piece, order));
+                }
+            }
+        }
+        let Some((own, view, piece, order)) = worst else { return changed };
+        tried[view][piece] = true;
+        let all = weigh(scenes, view, piece, cache);
+        let state = match leader(&all) {
+            Some((best, margin)) if best.order != order && margin >= MIN_MARGIN[1] && best.agree > 0 => {
+                State { order: Ok(best.order), margin }
+            }
+            Some((best, margin)) if best.order == order && margin >= MIN_MARGIN[1] && own >= MIN_EVIDENCE => {
+                State { order: Ok(order), margin }
+            }
+            _ => State { order: Err(Refusal::Contradicted), margin: 0.0 },
+        };
+        if state.order != Ok(order) {
+            changed = true;
+        }
+        scenes[view].states[piece] = state;
+    }
+}
+
+/// Evidence for every order of a piece that is worth a look.
+fn weigh(scenes: &[Scene<'_>], view: usize, piece: usize, cache: &mut Cache) -> Vec<Evidence> {
+    let orders = orders(&scenes[view], piece);
+    orders.into_iter().map(|order| evidence(scenes, view, piece, order, cache)).collect()
+}
+
+/// Orders that put a piece into the volume.
+fn orders(scene: &Scene<'_>, piece: usize) -> Vec<i32> {
+    let samples = samples(scene, piece);
+    let pair = scene.triangulator.pair();
+    let inside = samples.iter().step_by(samples.len().div_ceil(FIRST_SAMPLES).max(1)).filter_map(|&node| {
+        let (u, v, phase) = scene.place(node);
+        super::volume::orders_inside(pair, u, v, phase)
+    });
+    inside
+        .reduce(|a, b| *a.start().min(b.start())..=*a.end().max(b.end()))
+        .map_or_else(Vec::new, Iterator::collect)
+}
+
+/// The nodes of a piece that are tried, evenly.
+fn samples(scene: &Scene<'_>, piece: usize) -> Vec<u32> {
+    let nodes = &scene.pieces.nodes[piece];
+    let size = |node: &&u32| scene.witness.cells.nodes[**node as usize].size;
+    let large: Vec<u32> = nodes.iter().filter(|x| size(x) >= MIN_SAMPLE_NODE_PX).copied().collect();
+    let step = large.len().div_ceil(SAMPLES).max(1);
+    large.into_iter().step_by(step).collect()
+}
+
+impl Scene<'_> {
+    /// Frame pixel of a node and its phase in its piece, rad.
+    pub fn place(&self, node: u32) -> (usize, usize, f32) {
+        let pixel = self.witness.cells.nodes[node as usize].pixel as usize;
+        let (roi, turns) = (self.witness.roi, self.pieces.turns[node as usize]);
+        let phase = self.witness.phase.as_slice()[pixel] + std::f32::consts::TAU * turns as f32;
+        (roi.u + pixel % roi.width, roi.v + pixel / roi.width, phase)
+    }
+
+    /// Whole turns that make a node's phases absolute, where its piece is settled.
+    pub fn turns_of(&self, node: u32) -> Option<i32> {
+        let order = self.states[self.pieces.of[node as usize] as usize].order.ok()?;
+        Some(order + self.pieces.turns[node as usize])
+    }
+}
+
+/// What all other cameras have where a node would be at an order, appended to `out`. False outside the volume.
+pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut Sights) -> bool {
+    let scene = &scenes[view];
+    let (u, v, phase) = scene.place(node);
+    let phase = f64::from(phase) + std::f64::consts::TAU * f64::from(order);
+    let point = scene.triangulator.point(u, v, phase);
+    let Some((_, world)) = point.filter(|(_, world)| scene.triangulator.pair().in_volume(world)) else {
+        return false;
+    };
+    for (other, scene) in scenes.iter().enumerate().filter(|(other, _)| *other != view) {
+        out.push((other as u8, scene.witness.look(&world)));
+    }
+    true
+}
+
+/// What a sight says, as far as the other camera's pieces are settled.
+pub fn verdict(scenes: &[Scene<'_>], other: u8, sight: Sight) -> Verdict {
+    let scene = &scenes[usize::from(other)];
+    match sight {
+        Sight::Nothing => Verdict::Nothing,
+        Sight::Past => Verdict::Past,
+        Sight::Node(node, ahead) => match scene.turns_of(node) {
+            Some(turns) => scene.witness.judge(ahead + std::f32::consts::TAU * turns as f32),
+            None => Verdict::Nothing,
+        },
+    }
+}
+
+fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: &mut Cache) -> Evidence {
+    let sights = cache.entry((view, piece, order)).or_insert_with(|| {
+        let (mut out, mut inside) = (Vec::new(), 0);
+        for (i, &node) in samples(&scenes[view], piece).iter().enumerate() {
+            if i == FIRST_SAMPLES && inside == 0 {
+                break;
+            }
+            inside += u32::from(look(scenes, view, node, order, &mut out));
+        }
+        out
+    });
+    // Per camera: agreeing, before, behind, past.
+    let mut counts = vec![[0u32; 4]; scenes.len()];
+    for &(other, sight) in sights.iter() {
+        let count = &mut counts[usize::from(other)];
+        match verdict(scenes, other, sight) {
+            Verdict::Nothing => {}
+            Verdict::Agrees => count[0] += 1,
+            Verdict::Before => count[1] += 1,
+            Verdict::Behind => count[2] += 1,
+            Verdict::Past => count[3] += 1,
+        }
+    }
+    let mut found = Evidence { order, ..Evidence::default() };
+    for (scene, [agree, before, behind, past]) in scenes.iter().zip(counts) {
+        // The head's other camera stands beside this one and sees most of the same; for the others to be hidden is
+        // common, and what faces away from their projector is dark for them.
+        let partner = scene.witness.head == scenes[view].witness.head;
+        let (behind_weight, past_weight) = if partner { (0.5, 1.0) } else { (0.0, 0.5) };
+        let seen = agree + before + past + if partner { behind } else { 0 };
+        if seen < MIN_WITNESS {
+            continue;
+        }
+        let word = agree as f32 - before as f32 - past_weight * past as f32 - behind_weight * behind as f32;
+        found.cameras += word / seen as f32 * (seen as f32 / FULL_WITNESS).min(1.0);
+        found.agree += agree;
+    }
+    let scene = &scenes[view];
+    found.all = found.cameras;
+    if let Some(votes) = scene.pieces.votes[piece].get(&order) {
+        found.all += (*votes as f32 / FULL_VOTES).min(2.0);
+    }
+    for (other, contact) in &scene.pieces.contacts[piece] {
+        let Ok(settled) = scene.states[*other as usize].order else { continue };
+        for &(turns, good) in &contact.good {
+            // The other's phases plus `turns` continue this piece's.
+            if settled - turns == order {
+                found.all += good as f32 / contact.all as f32 * (good as f32 / FULL_CONTACT_PAIRS).min(1.0);
+            }
+        }
+    }
+    found
+}
