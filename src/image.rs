@@ -33,6 +33,12 @@ impl<T: Copy> Plane<T> {
         self.data.resize(width * height, value);
     }
 
+    /// Makes it a plane of this size whose values are any: those that it had, or `value`. For stages that write all.
+    pub fn reshape(&mut self, width: usize, height: usize, value: T) {
+        (self.width, self.height) = (width, height);
+        self.data.resize(width * height, value);
+    }
+
     /// Columns.
     pub fn width(&self) -> usize {
         self.width

@@ -1,8 +1,7 @@
 //! Connected components of a mask.
 
-use super::period::runs;
+use super::runs::Runs;
 use crate::image::Plane;
-use std::ops::Range;
 
 /// Components of a mask: `label` holds 0 outside and 1.. inside, `area` the pixels of each label (entry 0
 /// unused).
@@ -14,52 +13,77 @@ pub struct Components {
     pub area: Vec<u32>,
 }
 
-/// A run of one row's non-zero pixels.
-struct Run {
-    columns: Range<usize>,
-    label: u32,
+/// A component of runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Piece {
+    /// Its pixels.
+    pub area: u32,
+    /// First row.
+    pub first: u32,
+    /// Last row.
+    pub last: u32,
 }
 
-/// Labels the 8-connected components of the non-zero pixels, in the order of their first pixel. Runs are joined, not
-/// pixels: a row of a mask has few.
+impl Piece {
+    /// Rows that it spans.
+    pub fn rows(&self) -> f32 {
+        (self.last - self.first + 1) as f32
+    }
+}
+
+/// Labels the 8-connected components of the non-zero pixels of a mask of zeros and ones, in the order of their first
+/// pixel.
 pub fn label(mask: &Plane<u8>) -> Components {
-    let (width, height) = (mask.width(), mask.height());
-    let mut parent: Vec<u32> = Vec::new();
-    let mut all: Vec<Vec<Run>> = Vec::with_capacity(height);
-    for v in 0..height {
-        let above = all.last().map_or(&[][..], Vec::as_slice);
-        let (mut row, mut first) = (Vec::new(), 0);
-        for columns in runs(mask.row(v)) {
+    let runs = Runs::of(mask);
+    let (piece, pieces) = connect(&runs);
+    let mut label = Plane::filled(mask.width(), mask.height(), 0u32);
+    for v in 0..runs.height() {
+        for place in runs.places(v) {
+            label.row_mut(v)[runs.all()[place].columns()].fill(piece[place] + 1);
+        }
+    }
+    let area = std::iter::once(0).chain(pieces.iter().map(|piece| piece.area)).collect();
+    Components { label, area }
+}
+
+/// The 8-connected components of runs: the component of each run, and the components in the order of their first
+/// pixel. Runs are joined, not pixels: a row of a mask has few.
+pub fn connect(runs: &Runs) -> (Vec<u32>, Vec<Piece>) {
+    let mut parent: Vec<u32> = Vec::with_capacity(runs.all().len());
+    let mut above = 0..0;
+    for v in 0..runs.height() {
+        let places = runs.places(v);
+        let mut first = above.start;
+        for place in places.clone() {
+            let own = runs.all()[place];
+            parent.push(place as u32);
             // A run above touches this one where their columns overlap or are next to each other.
-            while above.get(first).is_some_and(|other| other.columns.end < columns.start) {
+            while first < above.end && runs.all()[first].end() < own.start() {
                 first += 1;
             }
-            let mut own = None;
-            for other in above[first..].iter().take_while(|other| other.columns.start <= columns.end) {
-                own = Some(own.map_or(other.label, |own| join(&mut parent, own, other.label)));
+            let touching = runs.all()[first..above.end].iter().take_while(|run| run.start() <= own.end());
+            for other in first..first + touching.count() {
+                join(&mut parent, other as u32, place as u32);
             }
-            let label = own.unwrap_or_else(|| {
-                parent.push(parent.len() as u32);
-                parent.len() as u32 - 1
-            });
-            row.push(Run { columns, label });
         }
-        all.push(row);
+        above = places;
     }
-    let mut label = Plane::filled(width, height, 0u32);
-    let (mut number, mut area) = (vec![0u32; parent.len()], vec![0u32]);
-    for (v, row) in all.iter().enumerate() {
-        for run in row {
-            let root = find(&mut parent, run.label) as usize;
-            if number[root] == 0 {
-                number[root] = area.len() as u32;
-                area.push(0);
+    // The smallest run is a component's root: its number is known before that of its others.
+    let (mut piece, mut pieces) = (vec![0u32; parent.len()], Vec::<Piece>::new());
+    for v in 0..runs.height() {
+        for place in runs.places(v) {
+            let root = find(&mut parent, place as u32) as usize;
+            if root == place {
+                piece[place] = pieces.len() as u32;
+                pieces.push(Piece { area: 0, first: v as u32, last: v as u32 });
             }
-            area[number[root] as usize] += run.columns.len() as u32;
-            label.row_mut(v)[run.columns.clone()].fill(number[root]);
+            piece[place] = piece[root];
+            let piece = &mut pieces[piece[root] as usize];
+            piece.area += runs.all()[place].columns().len() as u32;
+            piece.last = v as u32;
         }
     }
-    Components { label, area }
+    (piece, pieces)
 }
 
 fn find(parent: &mut [u32], mut x: u32) -> u32 {

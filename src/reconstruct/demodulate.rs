@@ -12,7 +12,9 @@
 //! It is insensitive to a wrong period to first order. Linear interpolation between pixels weakens S and C by
 //! different factors that depend on P only: both are divided by them ([`Gains`]).
 
-use super::period::runs;
+use super::runs::{Run, Runs};
+use super::sample::{self, LANES, Lanes, PAD};
+use super::{angle, simd};
 use crate::image::{Mono8, Plane};
 use std::f32::consts::TAU;
 
@@ -48,6 +50,9 @@ pub struct Gains(Vec<[f32; 2]>);
 const GAIN_STEP_PX: f32 = 1.0 / 32.0;
 const GAIN_MAX_PX: f32 = 40.0;
 
+/// Half of the longest period that is demodulated, px.
+const MAX_HALF: f32 = GAIN_MAX_PX / 2.0;
+
 impl Gains {
     /// The table, from the interpolated cosine and sine themselves.
     pub fn new() -> Self {
@@ -71,6 +76,7 @@ impl Gains {
     }
 
     /// Factors for S and C.
+    #[inline(always)]
     fn at(&self, period: f32) -> [f32; 2] {
         self.0[((period / GAIN_STEP_PX + 0.5) as usize).min(self.0.len() - 1)]
     }
@@ -83,6 +89,7 @@ impl Default for Gains {
 }
 
 /// (S, C) of seven samples.
+#[inline(always)]
 pub(super) fn sums(i: &[f32; 7]) -> (f32, f32) {
     const ROOT3: f32 = 1.732_050_8;
     let s = ROOT3 * (i[1] + i[2] - i[4] - i[5]) + (i[6] - i[0]) / ROOT3;
@@ -90,8 +97,24 @@ pub(super) fn sums(i: &[f32; 7]) -> (f32, f32) {
     (s, c)
 }
 
-/// Demodulates every mask pixel whose window of one period lies within its run of the mask. `sign` is that of
-/// the phase along the columns: the formula alone always yields a phase that grows with the column.
+/// Four rows of [`Phasors`], to be written.
+pub(super) struct PhasorRow<'a> {
+    pub c: &'a mut [f32],
+    pub s: &'a mut [f32],
+    pub mean: &'a mut [f32],
+    pub misfit: &'a mut [f32],
+}
+
+impl Phasors {
+    /// Phasors that are all unknown.
+    pub fn unknown(width: usize, height: usize) -> Self {
+        let blank = || Plane::filled(width, height, 0f32);
+        Self { c: blank(), s: blank(), mean: blank(), misfit: blank() }
+    }
+}
+
+/// Demodulates every mask pixel whose window of one period lies within its run of the mask of zeros and ones. `sign`
+/// is that of the phase along the columns: the formula alone always yields a phase that grows with the column.
 pub fn demodulate(
     image: Mono8<'_>,
     mask: &Plane<u8>,
@@ -99,55 +122,113 @@ pub fn demodulate(
     gains: &Gains,
     sign: f32,
 ) -> Phasors {
-    let (w, h) = (image.width(), image.height());
-    let blank = || Plane::filled(w, h, 0f32);
-    let mut out = Phasors { c: blank(), s: blank(), mean: blank(), misfit: blank() };
-    for v in 0..h {
-        let row = image.row(v);
-        for run in runs(mask.row(v)) {
-            for u in run.clone() {
-                let p = period.at(u, v);
-                let (left, right) = ((u - run.start) as f32, (run.end - 1 - u) as f32);
-                if p <= 0.0 || p / 2.0 > left.min(right) {
-                    continue;
-                }
-                let sample = samples(row, u, p);
-                let [gain_s, gain_c] = gains.at(p);
-                let (s, c) = sums(&sample);
-                let (s, c) = (s * gain_s, c * gain_c);
-                let (mean, misfit) = remainder(&sample, s / 6.0, c / 6.0);
-                out.s.set(u, v, sign * s);
-                out.c.set(u, v, c);
-                out.mean.set(u, v, mean);
-                out.misfit.set(u, v, misfit);
+    let runs = Runs::of(mask);
+    let mut out = Phasors::unknown(image.width(), image.height());
+    let mut light = Vec::new();
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..image.height() {
+                let row = PhasorRow {
+                    c: out.c.row_mut(v),
+                    s: out.s.row_mut(v),
+                    mean: out.mean.row_mut(v),
+                    misfit: out.misfit.row_mut(v),
+                };
+                demodulate_row(image.row(v), runs.row(v), period.row(v), gains, sign, &mut light, row);
             }
-        }
-    }
+        },
+    );
     out
 }
 
-/// The seven samples around column `u`, linearly interpolated. The window must lie in the row.
-fn samples(row: &[u8], u: usize, period: f32) -> [f32; 7] {
-    std::array::from_fn(|k| {
-        let x = (u as f32 + (k as f32 - 3.0) * period / 6.0).max(0.0);
-        let i = (x as usize).min(row.len() - 1);
-        let (a, b) = (f32::from(row[i]), f32::from(row[(i + 1).min(row.len() - 1)]));
-        a + (x - i as f32) * (b - a)
-    })
+/// [`demodulate`] for one row; `light` is memory to use.
+#[inline(always)]
+pub(super) fn demodulate_row(
+    image: &[u8],
+    runs: &[Run],
+    period: &[f32],
+    gains: &Gains,
+    sign: f32,
+    light: &mut Vec<f32>,
+    out: PhasorRow<'_>,
+) {
+    let PhasorRow { c, s, mean, misfit } = out;
+    sample::reserve(light, image.len());
+    for row in [&mut *c, &mut *s, &mut *mean, &mut *misfit] {
+        row.fill(0.0);
+    }
+    for run in runs {
+        let columns = run.columns();
+        for (light, &x) in light[PAD + columns.start..].iter_mut().zip(&image[columns.clone()]) {
+            *light = f32::from(x);
+        }
+        for first in columns.clone().step_by(LANES) {
+            let end = columns.end.min(first + LANES);
+            let period = sample::load(period, first);
+            let inside = (first - columns.start, columns.end - 1 - first);
+            let block = demodulate_block(light, first, inside, &period, gains, sign);
+            for (row, lanes) in [&mut *c, &mut *s, &mut *mean, &mut *misfit].into_iter().zip(&block) {
+                sample::store(row, first, end - first, lanes);
+            }
+        }
+    }
+}
+
+/// c, s, mean and misfit of a block whose first pixel has `inside` pixels of its run before and behind it.
+#[inline(always)]
+fn demodulate_block(
+    light: &[f32],
+    first: usize,
+    inside: (usize, usize),
+    period: &Lanes,
+    gains: &Gains,
+    sign: f32,
+) -> [Lanes; 4] {
+    let at = |k: f32| sample::between(light, first, &sample::distances(period, k / 6.0));
+    let samples = [at(-3.0), at(-2.0), at(-1.0), sample::load(&light[PAD..], first), at(1.0), at(2.0), at(3.0)];
+    let (mut gain_s, mut gain_c) = ([0f32; LANES], [0f32; LANES]);
+    for i in 0..LANES {
+        [gain_s[i], gain_c[i]] = gains.at(period[i]);
+    }
+    let [mut out_c, mut out_s, mut out_mean, mut out_misfit] = [[0f32; LANES]; 4];
+    let (left, right) = (inside.0 as f32, inside.1 as f32);
+    for i in 0..LANES {
+        let sample = [0, 1, 2, 3, 4, 5, 6].map(|k: usize| samples[k][i]);
+        let (s, c) = sums(&sample);
+        let (s, c) = (s * gain_s[i], c * gain_c[i]);
+        let (mean, misfit) = remainder(&sample, s / 6.0, c / 6.0);
+        let half = period[i] / 2.0;
+        let known = (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
+        out_c[i] = if known { c } else { 0.0 };
+        out_s[i] = if known { sign * s } else { 0.0 };
+        out_mean[i] = if known { mean } else { 0.0 };
+        out_misfit[i] = if known { misfit } else { 0.0 };
+    }
+    [out_c, out_s, out_mean, out_misfit]
 }
 
 /// Mean light of the window, and the RMS of what offset, slope and fringe `c cos - s sin` leave, relative to
 /// the fringe's amplitude.
+#[inline(always)]
 fn remainder(samples: &[f32; 7], s: f32, c: f32) -> (f32, f32) {
     // cos and sin of k * 60 degrees, k = -3..3.
     const COS: [f32; 7] = [-1.0, -0.5, 0.5, 1.0, 0.5, -0.5, -1.0];
     const SIN: [f32; 7] = [0.0, -0.866_025_4, -0.866_025_4, 0.0, 0.866_025_4, 0.866_025_4, 0.0];
     let slope = (samples[6] - samples[0]) / 6.0;
-    let rest: [f32; 7] =
-        std::array::from_fn(|k| samples[k] - c * COS[k] + s * SIN[k] - slope * (k as f32 - 3.0));
-    let mean = rest.iter().sum::<f32>() / 7.0;
-    let power = rest.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>() / 7.0;
-    (mean, (power / (s * s + c * c).max(1e-6)).sqrt())
+    let mut rest = [0f32; 7];
+    let mut sum = 0.0;
+    for k in 0..7 {
+        rest[k] = samples[k] - c * COS[k] + s * SIN[k] - slope * (k as f32 - 3.0);
+        sum += rest[k];
+    }
+    let mean = sum / 7.0;
+    let mut power = 0.0;
+    for x in rest {
+        power += (x - mean) * (x - mean);
+    }
+    let strength = s * s + c * c;
+    (mean, (power / 7.0 / if strength > 1e-6 { strength } else { 1e-6 }).sqrt())
 }
 
 /// Mean phasor of up to five rows; the rows above and below take part in pairs, so that the mean stays centred.
@@ -158,49 +239,98 @@ fn remainder(samples: &[f32; 7], s: f32, c: f32) -> (f32, f32) {
 pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
     let (w, h) = (phasors.c.width(), phasors.c.height());
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
-    let misfit = &phasors.misfit;
-    for v in 1..h.saturating_sub(1) {
-        let reach = ROWS_EACH_SIDE.min(v).min(h - 1 - v);
-        let (out_c, out_s) = (phasors.c.row_mut(v), phasors.s.row_mut(v));
-        for u in 0..w {
-            if skip.at(u, v) != 0 || (out_c[u] == 0.0 && out_s[u] == 0.0) {
-                continue;
-            }
-            let (mut sum_c, mut sum_s) = (out_c[u], out_s[u]);
-            let (mut length, mut rows) = (size(sum_c, sum_s), 1.0);
-            let max_misfit = misfit.at(u, v) + MORE_MISFIT;
-            for k in 1..=reach {
-                let (above, below) = (v - k, v + k);
-                let (a, b) = ((c.at(u, above), s.at(u, above)), (c.at(u, below), s.at(u, below)));
-                let (size_a, size_b) = (size(a.0, a.1), size(b.0, b.1));
-                let weaker = size_a.min(size_b);
-                if weaker == 0.0 || misfit.at(u, above).max(misfit.at(u, below)) > max_misfit {
-                    continue;
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..h {
+                let row = |v: usize| [c.row(v), s.row(v), phasors.misfit.row(v)];
+                let reach = row_reach(v, h);
+                let pairs: [_; ROWS_EACH_SIDE] =
+                    std::array::from_fn(|k| [row(v - reach.min(k + 1)), row(v + reach.min(k + 1))]);
+                let (out_c, out_s) = (phasors.c.row_mut(v), phasors.s.row_mut(v));
+                for first in (0..w).step_by(LANES) {
+                    let end = w.min(first + LANES);
+                    let [c, s] = average_block(row(v), &pairs[..reach], skip.row(v), first);
+                    sample::store(out_c, first, end - first, &c);
+                    sample::store(out_s, first, end - first, &s);
                 }
-                let (scale_a, scale_b) = (weaker / size_a, weaker / size_b);
-                sum_c += scale_a * a.0 + scale_b * b.0;
-                sum_s += scale_a * a.1 + scale_b * b.1;
-                length += 2.0 * weaker;
-                rows += 2.0;
             }
-            if size(sum_c, sum_s) > MIN_COHERENCE * length {
-                out_c[u] = sum_c / rows;
-                out_s[u] = sum_s / rows;
-            }
-        }
-    }
+        },
+    );
 }
 
+/// Rows to each side of row `v` of `h` that [`average_rows`] looks at.
+pub(super) fn row_reach(v: usize, h: usize) -> usize {
+    ROWS_EACH_SIDE.min(v).min(h - 1 - v)
+}
+
+/// Rows of C, S and misfit.
+pub(super) type Rows<'a> = [&'a [f32]; 3];
+
+/// [`average_rows`] for one block: from its own row, and the rows above and below in pairs.
+#[inline(always)]
+pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8], first: usize) -> [Lanes; 2] {
+    let load = |rows: Rows<'_>| rows.map(|row| sample::load(row, first));
+    let [c, s, misfit] = load(own);
+    let (mut sum_c, mut sum_s, mut length, mut rows) = (c, s, [0f32; LANES], [1f32; LANES]);
+    for i in 0..LANES {
+        length[i] = size(c[i], s[i]);
+    }
+    for pair in pairs {
+        let ([c_a, s_a, misfit_a], [c_b, s_b, misfit_b]) = (load(pair[0]), load(pair[1]));
+        for i in 0..LANES {
+            let (size_a, size_b) = (size(c_a[i], s_a[i]), size(c_b[i], s_b[i]));
+            let weaker = if size_a < size_b { size_a } else { size_b };
+            let most = misfit[i] + MORE_MISFIT;
+            let takes_part = (weaker > 0.0) & (misfit_a[i] <= most) & (misfit_b[i] <= most);
+            let (scale_a, scale_b) = (weaker / size_a, weaker / size_b);
+            sum_c[i] += if takes_part { scale_a * c_a[i] + scale_b * c_b[i] } else { 0.0 };
+            sum_s[i] += if takes_part { scale_a * s_a[i] + scale_b * s_b[i] } else { 0.0 };
+            length[i] += if takes_part { 2.0 * weaker } else { 0.0 };
+            rows[i] += if takes_part { 2.0 } else { 0.0 };
+        }
+    }
+    let mut out = [c, s];
+    let mut skipped = [0u8; LANES];
+    match skip[first..].first_chunk() {
+        Some(all) => skipped = *all,
+        None => skipped[..skip.len() - first].copy_from_slice(&skip[first..]),
+    }
+    for i in 0..LANES {
+        let known = (c[i] != 0.0) | (s[i] != 0.0);
+        let coherent = size(sum_c[i], sum_s[i]) > MIN_COHERENCE * length[i];
+        let averaged = (skipped[i] == 0) & known & coherent;
+        out[0][i] = if averaged { sum_c[i] / rows[i] } else { c[i] };
+        out[1][i] = if averaged { sum_s[i] / rows[i] } else { s[i] };
+    }
+    out
+}
+
+#[inline(always)]
 fn size(c: f32, s: f32) -> f32 {
     (c * c + s * s).sqrt()
 }
 
 /// Wm: the phase of each phasor in (-pi, pi]; NaN where it is unknown.
 pub fn wrapped(phasors: &Phasors) -> Plane<f32> {
-    let (w, h) = (phasors.c.width(), phasors.c.height());
-    let angle = |(&c, &s): (&f32, &f32)| if c == 0.0 && s == 0.0 { f32::NAN } else { s.atan2(c) };
-    let data = phasors.c.as_slice().iter().zip(phasors.s.as_slice()).map(angle).collect();
-    Plane::from_vec(w, h, data).unwrap_or_else(|| Plane::filled(0, 0, 0.0))
+    let mut out = Plane::filled(phasors.c.width(), phasors.c.height(), f32::NAN);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            let phasors = phasors.c.as_slice().iter().zip(phasors.s.as_slice());
+            for (out, (&c, &s)) in out.as_mut_slice().iter_mut().zip(phasors) {
+                *out = phase(c, s);
+            }
+        },
+    );
+    out
+}
+
+/// The phase of a phasor; NaN where it is 0.
+#[inline(always)]
+pub(super) fn phase(c: f32, s: f32) -> f32 {
+    let known = (c != 0.0) | (s != 0.0);
+    if known { angle::atan2(s, c) } else { f32::NAN }
 }
 
 #[cfg(test)]

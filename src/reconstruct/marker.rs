@@ -7,9 +7,11 @@
 //! pixels (|W| < pi/2) are separated from those of the next fringe, so that a connected component follows ONE
 //! fringe by construction; it must be at least [`MIN_DASHES`] dashes long.
 
-use super::components::{self, Components};
+use super::components::{self, Piece};
 use super::pair::Pair;
-use super::period::runs;
+use super::runs::{Run, Runs};
+use super::sample::{self, LANES, Lanes, PAD};
+use super::simd;
 use crate::image::{Mono8, Plane};
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -19,119 +21,228 @@ const MIN_DASHES: f32 = 2.5;
 /// A marker's lateral contrast must reach this share of the modulation that is projected: blur takes the rest.
 const MIN_CONTRAST: f32 = 0.25;
 
+/// Half of the longest period whose mean is taken, px.
+const MAX_HALF: f32 = 20.0;
+
 /// Energy beside the marker counts this much against it.
 const LATERAL_WEIGHT: f32 = 1.5;
 
-/// Where markers may be, before any phase is looked at.
-#[derive(Debug)]
-pub struct Ridges {
-    /// Modulation along the column at the marker's period, relative to the local light.
-    pub energy: Plane<f32>,
-    /// 1 where that stands out laterally, in pieces that are long enough.
-    pub ridge: Plane<u8>,
+/// What [`ridges`] uses again from frame to frame.
+#[derive(Debug, Default)]
+pub struct Buffers {
+    /// Light without the carrier, of as many rows as the band pass has taps.
+    light: Vec<Vec<f32>>,
+    energy: Vec<f32>,
+    sums: Vec<f32>,
+    found: Runs,
 }
 
-/// Finds where the light has the marker's modulation along the column, in ridges.
-pub fn ridges(image: Mono8<'_>, mask: &Plane<u8>, period: &Plane<f32>, pair: &Pair) -> Ridges {
-    let light = carrier_free(image, mask, period);
-    let energy = column_energy(&light, pair.marker_period_px);
+/// Finds where the light has the marker's modulation along the column, in ridges that are long enough: their pixels.
+/// `energy`, where it is asked for, becomes that modulation relative to the local light, NaN where it is not known.
+pub fn ridges(
+    image: Mono8<'_>,
+    runs: &Runs,
+    period: &Plane<f32>,
+    pair: &Pair,
+    buffers: &mut Buffers,
+    mut energy: Option<&mut Plane<f32>>,
+) -> Runs {
+    let (w, h) = (image.width(), image.height());
+    let band = Band::new(pair.marker_period_px);
+    let half = band.taps.len() - 1;
     let threshold = MIN_CONTRAST * pair.marker_contrast;
-    let mut ridge = Plane::filled(mask.width(), mask.height(), 0u8);
-    for v in 0..mask.height() {
-        let (energy, period) = (energy.row(v), period.row(v));
-        for (u, ridge) in ridge.row_mut(v).iter_mut().enumerate() {
-            *ridge = u8::from(energy[u] > threshold && lateral_contrast(energy, u, period[u]) > threshold);
+    let ring = 2 * half + 1;
+    buffers.light.resize(ring, Vec::new());
+    buffers.found.clear();
+    if let Some(energy) = energy.as_deref_mut() {
+        energy.reset(w, h, f32::NAN);
+    }
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for next in 0..h + half {
+                let Buffers { light, energy: row, sums, found } = &mut *buffers;
+                if next < h {
+                    let light = &mut light[next % ring];
+                    carrier_free_row(image.row(next), runs.row(next), period.row(next), sums, light);
+                }
+                let Some(v) = next.checked_sub(half) else { continue };
+                if v >= half && next < h {
+                    row.clear();
+                    row.resize(w, f32::NAN);
+                    for run in runs.row(v) {
+                        band.energy(light, v, run, row);
+                    }
+                    ridges_of_row(row, runs.row(v), period.row(v), threshold, found);
+                    if let Some(energy) = energy.as_deref_mut() {
+                        energy.row_mut(v).copy_from_slice(row);
+                    }
+                }
+                found.end_row();
+            }
+        },
+    );
+    select(&buffers.found, |_, piece| piece.rows() >= MIN_DASHES * pair.marker_period_px)
+}
+
+/// The ridges' pixels on the core of one fringe. `wrapped` must already be that of the marker's mean light
+/// (see [`super::marker_phase`]): between its dashes a darkened marker has no core of its own.
+pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &Pair) -> Runs {
+    let mut core = Runs::default();
+    for v in 0..ridges.height() {
+        let wrapped = wrapped.row(v);
+        for run in ridges.row(v) {
+            push_where(run, |u| wrapped[u].abs() < FRAC_PI_2, &mut core);
+        }
+        core.end_row();
+    }
+    let (piece, pieces) = components::connect(&core);
+    let mut widths = vec![0f32; pieces.len()];
+    for v in 0..core.height() {
+        for place in core.places(v) {
+            let period = &period.row(v)[core.all()[place].columns()];
+            widths[piece[place] as usize] += period.iter().sum::<f32>();
         }
     }
-    let long = |piece: &Piece| piece.rows() >= MIN_DASHES * pair.marker_period_px;
-    let ridge = select(&components::label(&ridge), long);
-    Ridges { energy, ridge }
-}
-
-/// 1 on the ridges' pixels on the core of one fringe. `wrapped` must already be that of the marker's mean light
-/// (see [`super::marker_phase`]): between its dashes a darkened marker has no core of its own.
-pub fn detect(ridges: &Ridges, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &Pair) -> Plane<u8> {
-    let mut core = ridges.ridge.clone();
-    for (core, phase) in core.as_mut_slice().iter_mut().zip(wrapped.as_slice()) {
-        *core &= u8::from(phase.abs() < FRAC_PI_2);
-    }
-    let found = components::label(&core);
-    let mut widths = vec![0f32; found.area.len()];
-    for (&label, &p) in found.label.as_slice().iter().zip(period.as_slice()) {
-        widths[label as usize] += p;
-    }
-    select(&found, |piece| {
-        let mean_period = widths[piece.number] / piece.area;
-        piece.rows() >= MIN_DASHES * pair.marker_period_px && piece.area / piece.rows() <= 0.9 * mean_period
+    select(&core, |number, piece| {
+        let area = piece.area as f32;
+        piece.rows() >= MIN_DASHES * pair.marker_period_px
+            && area / piece.rows() <= 0.9 * widths[number] / area
     })
 }
 
-/// Light averaged over exactly one local period along the row; NaN where that window leaves the mask.
-fn carrier_free(image: Mono8<'_>, mask: &Plane<u8>, period: &Plane<f32>) -> Plane<f32> {
-    let (w, h) = (image.width(), image.height());
-    let mut out = Plane::filled(w, h, f32::NAN);
-    let mut prefix = vec![0u32; w + 1];
-    for v in 0..h {
-        for (i, &x) in image.row(v).iter().enumerate() {
-            prefix[i + 1] = prefix[i] + u32::from(x);
-        }
-        // The integral of the row up to x, where pixel i spans [i - 1/2, i + 1/2]. Exact in f32: below 2^24.
-        let integral = |x: f32| {
-            let i = (x + 0.5) as usize;
-            let fraction = x + 0.5 - i as f32;
-            prefix[i] as f32 + fraction * (prefix[(i + 1).min(w)] - prefix[i.min(w)]) as f32
-        };
-        for run in runs(mask.row(v)) {
-            let (first, last) = (run.start as f32 - 0.5, run.end as f32 - 0.5);
-            for u in run {
-                let half = period.at(u, v) / 2.0;
-                let (a, b) = (u as f32 - half, u as f32 + half);
-                if half > 0.0 && a >= first && b < last {
-                    out.set(u, v, (integral(b) - integral(a)) / (2.0 * half));
-                }
+/// The pixels of a run for which `is` holds.
+#[inline(always)]
+fn push_where(run: &Run, is: impl Fn(usize) -> bool, out: &mut Runs) {
+    let mut start = None;
+    for u in run.columns() {
+        match (is(u), start) {
+            (true, None) => start = Some(u),
+            (false, Some(first)) => {
+                out.push(Run::new(first, u));
+                start = None;
             }
+            _ => {}
         }
     }
-    out
+    if let Some(first) = start {
+        out.push(Run::new(first, run.end()));
+    }
 }
 
-/// Amplitude of the component of `period` rows along the column, relative to the mean: a Hann window two
-/// periods long. NaN where the window holds NaN.
-fn column_energy(light: &Plane<f32>, period: f32) -> Plane<f32> {
-    let (w, h) = (light.width(), light.height());
-    let half = period.round().max(2.0) as usize;
-    let taps: Vec<[f32; 3]> = (0..=2 * half)
-        .map(|i| {
-            let x = i as f32 - half as f32;
+/// Light averaged over exactly one local period along the row; NaN where that window leaves the run.
+#[inline(always)]
+fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f32>, out: &mut Vec<f32>) {
+    // Blocks may begin anywhere in the row and reach beyond its end.
+    out.clear();
+    out.resize(image.len() + LANES, f32::NAN);
+    sample::reserve(sums, image.len() + 1);
+    for run in runs {
+        let columns = run.columns();
+        // The integral of the run up to each pixel's left side. Exact in f32: below 2^24.
+        let mut sum = 0u32;
+        sums[PAD + columns.start] = 0.0;
+        for (out, &x) in sums[PAD + columns.start + 1..].iter_mut().zip(&image[columns.clone()]) {
+            sum += u32::from(x);
+            *out = sum as f32;
+        }
+        for first in columns.clone().step_by(LANES) {
+            let count = LANES.min(columns.end - first);
+            let period = sample::load(period, first);
+            // Pixel i spans [i - 1/2, i + 1/2].
+            let (mut left, mut right) = (sample::distances(&period, -0.5), sample::distances(&period, 0.5));
+            for i in 0..LANES {
+                left[i] += 0.5;
+                right[i] += 0.5;
+            }
+            let (left, right) = (sample::between(sums, first, &left), sample::between(sums, first, &right));
+            let (before, behind) = ((first - columns.start) as f32, (columns.end - 1 - first) as f32);
+            let mut mean: Lanes = [0.0; LANES];
+            for i in 0..LANES {
+                let half = period[i] / 2.0;
+                let inside = (half > 0.0)
+                    & (half <= before + i as f32 + 0.5)
+                    & (half < behind - i as f32 + 0.5)
+                    & (half < MAX_HALF);
+                mean[i] = if inside { (right[i] - left[i]) / (2.0 * half) } else { f32::NAN };
+            }
+            sample::store(out, first, count, &mean);
+        }
+    }
+}
+
+/// The band pass along the column: a Hann window two periods of the marker long.
+struct Band {
+    /// Weights of the mean, of the cosine and of the sine, at the middle row and at each distance from it.
+    taps: Vec<[f32; 3]>,
+    /// What of the mean the cosine lets through.
+    leak: f32,
+}
+
+impl Band {
+    fn new(period: f32) -> Self {
+        let half = period.round().max(2.0) as usize;
+        let tap = |i: usize| {
+            let x = i as f32;
             let weight = 0.5 + 0.5 * (TAU * x / (2.0 * half as f32 + 2.0)).cos();
             let (sin, cos) = (TAU * x / period).sin_cos();
             [weight, weight * cos, weight * sin]
-        })
-        .collect();
-    let total: f32 = taps.iter().map(|t| t[0]).sum();
-    let leak: f32 = taps.iter().map(|t| t[1]).sum::<f32>() / total;
-    let mut out = Plane::filled(w, h, f32::NAN);
-    let mut sums = vec![[0f32; 3]; w];
-    for v in half..h.saturating_sub(half) {
-        sums.fill([0.0; 3]);
-        for (i, tap) in taps.iter().enumerate() {
-            for (sum, &x) in sums.iter_mut().zip(light.row(v + i - half)) {
-                sum[0] += tap[0] * x;
-                sum[1] += tap[1] * x;
-                sum[2] += tap[2] * x;
+        };
+        let taps: Vec<[f32; 3]> = (0..=half).map(tap).collect();
+        let sum = |k: usize| 2.0 * taps.iter().map(|tap| tap[k]).sum::<f32>() - taps[0][k];
+        let leak = sum(1) / sum(0);
+        Self { taps, leak }
+    }
+
+    /// Amplitude of the band around row `v` relative to the mean, for one of its runs. NaN where the window holds
+    /// NaN.
+    #[inline(always)]
+    fn energy(&self, light: &[Vec<f32>], v: usize, run: &Run, out: &mut [f32]) {
+        let ring = light.len();
+        for first in run.columns().step_by(LANES) {
+            let (mut mean, mut real, mut imaginary): (Lanes, Lanes, Lanes) =
+                (sample::load(&light[v % ring], first), [0.0; LANES], [0.0; LANES]);
+            let [weight, cosine, _] = self.taps[0];
+            for i in 0..LANES {
+                real[i] = cosine * mean[i];
+                mean[i] *= weight;
             }
-        }
-        for (out, [mean, real, imaginary]) in out.row_mut(v).iter_mut().zip(&sums) {
-            let real = real - leak * mean;
-            *out = 2.0 * (real * real + imaginary * imaginary).sqrt() / mean.max(1.0);
+            for (k, &[weight, cosine, sine]) in self.taps.iter().enumerate().skip(1) {
+                let above = sample::load(&light[(v - k) % ring], first);
+                let below = sample::load(&light[(v + k) % ring], first);
+                for i in 0..LANES {
+                    let (sum, difference) = (below[i] + above[i], below[i] - above[i]);
+                    mean[i] += weight * sum;
+                    real[i] += cosine * sum;
+                    imaginary[i] += sine * difference;
+                }
+            }
+            for i in 0..LANES {
+                let real = real[i] - self.leak * mean[i];
+                let light = if mean[i] < 1.0 { 1.0 } else { mean[i] };
+                mean[i] = 2.0 * (real * real + imaginary[i] * imaginary[i]).sqrt() / light;
+            }
+            sample::store(out, first, LANES.min(run.end() - first), &mean);
         }
     }
-    out
+}
+
+/// The pixels of a row whose energy stands out of that beside it.
+#[inline(always)]
+fn ridges_of_row(energy: &[f32], runs: &[Run], period: &[f32], threshold: f32, found: &mut Runs) {
+    for run in runs {
+        push_where(
+            run,
+            |u| energy[u] > threshold && lateral_contrast(energy, u, period[u]) > threshold,
+            found,
+        );
+    }
 }
 
 /// Energy at `u` less that 1.25 periods to either side; negative where neither side is known.
+#[inline(always)]
 fn lateral_contrast(energy: &[f32], u: usize, period: f32) -> f32 {
-    let step = (1.25 * period).round() as usize;
+    let step = (1.25 * period + 0.5) as usize;
     let left = u.checked_sub(step).map_or(f32::NAN, |x| energy[x]);
     let right = energy.get(u + step).copied().unwrap_or(f32::NAN);
     if left.is_nan() && right.is_nan() {
@@ -140,39 +251,16 @@ fn lateral_contrast(energy: &[f32], u: usize, period: f32) -> f32 {
     energy[u] - LATERAL_WEIGHT * left.max(right)
 }
 
-/// A component.
-struct Piece {
-    number: usize,
-    area: f32,
-    first: usize,
-    last: usize,
-}
-
-impl Piece {
-    /// Rows that it spans.
-    fn rows(&self) -> f32 {
-        (self.last - self.first + 1) as f32
-    }
-}
-
-/// 1 on the components for which `keep` holds.
-fn select(found: &Components, keep: impl Fn(&Piece) -> bool) -> Plane<u8> {
-    let label = &found.label;
-    let mut rows = vec![(usize::MAX, 0usize); found.area.len()];
-    for v in 0..label.height() {
-        for &label in label.row(v).iter().filter(|&&label| label != 0) {
-            let (first, last) = &mut rows[label as usize];
-            (*first, *last) = ((*first).min(v), (*last).max(v));
+/// The components for which `keep` holds, given their number.
+fn select(runs: &Runs, keep: impl Fn(usize, &Piece) -> bool) -> Runs {
+    let (piece, pieces) = components::connect(runs);
+    let kept: Vec<bool> = pieces.iter().enumerate().map(|(number, piece)| keep(number, piece)).collect();
+    let mut out = Runs::default();
+    for v in 0..runs.height() {
+        for place in runs.places(v).filter(|&place| kept[piece[place] as usize]) {
+            out.push(runs.all()[place]);
         }
+        out.end_row();
     }
-    let kept = |number: usize| {
-        let (first, last) = rows[number];
-        number != 0 && keep(&Piece { number, area: found.area[number] as f32, first, last })
-    };
-    let kept: Vec<bool> = (0..found.area.len()).map(kept).collect();
-    let mut selected = Plane::filled(label.width(), label.height(), 0u8);
-    for (selected, label) in selected.as_mut_slice().iter_mut().zip(label.as_slice()) {
-        *selected = u8::from(kept[*label as usize]);
-    }
-    selected
+    out
 }

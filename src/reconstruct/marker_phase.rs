@@ -1,14 +1,15 @@
 //! The phase under and beside the marker, where the fringe is not a sine.
 //!
 //! Within one period of the marker its modulation shifts the phase, by up to pi between the dashes of a
-//! darkened marker. [`average`] takes the mean phasor over one period of the modulation along the column, with
+//! darkened marker. [`Average`] takes the mean phasor over one period of the modulation along the column, with
 //! the fringe's local tilt taken out: that of a zero-mean marker has no bias left. The mean light of a darkened
 //! marker is known too, lobe times `1 - depth / 2`, so its bias is a function of the phase alone: [`Bias`]
 //! tabulates it from the formula itself and takes it off.
 
-use super::demodulate::{Phasors, sums};
+use super::demodulate::sums;
 use super::pair::Pair;
-use super::period::runs;
+use super::runs::Runs;
+use super::sample::{self, LANES, Lanes};
 use crate::image::Plane;
 use crate::pattern::{Marker, Pattern};
 use std::f32::consts::{PI, TAU};
@@ -19,25 +20,31 @@ const REACH_PERIODS: f32 = 1.0;
 /// Below this coherence the mean over the marker's period means nothing.
 const MIN_COHERENCE: f32 = 0.5;
 
-/// The pixels whose demodulation window touches the marker: the ridge, widened along the rows.
-pub fn zone(ridge: &Plane<u8>, period: &Plane<f32>) -> Plane<u8> {
-    let mut zone = Plane::filled(ridge.width(), ridge.height(), 0u8);
-    for v in 0..ridge.height() {
-        for u in (0..ridge.width()).filter(|&u| ridge.at(u, v) != 0) {
-            let reach = (REACH_PERIODS * period.at(u, v)).ceil() as usize;
-            let end = (u + reach + 1).min(ridge.width());
-            zone.row_mut(v)[u.saturating_sub(reach)..end].fill(1);
+/// The pixels whose demodulation window touches the marker: the ridge's, widened along the rows.
+pub fn zone(ridges: &Runs, period: &Plane<f32>) -> Plane<u8> {
+    let mut zone = Plane::filled(period.width(), period.height(), 0u8);
+    for v in 0..ridges.height() {
+        for run in ridges.row(v) {
+            // The reaches of neighbours overlap: together they leave no gap.
+            let (mut start, mut end) = (run.start(), run.end());
+            for u in run.columns() {
+                let reach = (REACH_PERIODS * period.at(u, v)).ceil() as usize;
+                start = start.min(u.saturating_sub(reach));
+                end = end.max((u + reach + 1).min(period.width()));
+            }
+            zone.row_mut(v)[start..end].fill(1);
         }
     }
     zone
 }
 
-/// Crossings of the median cannot be counted where a lobe is missing: in the zone the period becomes the mean
-/// of those beside it.
-pub fn bridge_period(period: &mut Plane<f32>, zone: &Plane<u8>, nominal_px: f32) {
+/// Crossings cannot be counted where a lobe is missing: in the zone, given by its runs, the period becomes the mean of
+/// those beside it.
+pub fn bridge_period(period: &mut Plane<f32>, zone: &Runs, nominal_px: f32) {
     let beside = (1.5 * nominal_px).round() as usize;
     for v in 0..zone.height() {
-        for run in runs(zone.row(v)) {
+        for run in zone.row(v) {
+            let run = run.columns();
             let row = period.row_mut(v);
             let left = run.start.checked_sub(beside).map_or(0.0, |u| row[u]);
             let right = row.get(run.end - 1 + beside).copied().unwrap_or(0.0);
@@ -55,38 +62,74 @@ pub fn bridge_period(period: &mut Plane<f32>, zone: &Plane<u8>, nominal_px: f32)
     }
 }
 
-/// Replaces the phasors in the zone by their mean over one period of the modulation; those for which that
-/// mean is not to be had become unknown.
-pub fn average(phasors: &mut Phasors, zone: &Plane<u8>, pair: &Pair) {
-    let (c, s) = (phasors.c.clone(), phasors.s.clone());
-    let taps = taps(pair.marker_period_px);
-    let half = taps.len() / 2;
-    for v in 0..zone.height() {
-        for u in 0..zone.width() {
-            if zone.at(u, v) == 0 || (c.at(u, v) == 0.0 && s.at(u, v) == 0.0) {
-                continue;
+/// Mean phasors over one period of the modulation along the column.
+#[derive(Debug)]
+pub(super) struct Average {
+    taps: Vec<f32>,
+}
+
+/// Rows of C and S in a ring: row `v` is the entry `v % length`.
+pub(super) struct Ring<'a> {
+    pub c: &'a [Vec<f32>],
+    pub s: &'a [Vec<f32>],
+}
+
+impl Ring<'_> {
+    #[inline(always)]
+    fn load(&self, v: usize, first: usize) -> [Lanes; 2] {
+        [sample::load(&self.c[v % self.c.len()], first), sample::load(&self.s[v % self.s.len()], first)]
+    }
+}
+
+impl Average {
+    pub(super) fn new(pair: &Pair) -> Self {
+        Self { taps: taps(pair.marker_period_px) }
+    }
+
+    /// Rows that it needs on each side.
+    pub(super) fn reach(&self) -> usize {
+        self.taps.len() / 2
+    }
+
+    /// C and S of a block around row `v`, whose window must lie in the frame; both 0 where that mean is not to be
+    /// had.
+    #[inline(always)]
+    pub(super) fn block(&self, ring: &Ring<'_>, v: usize, first: usize) -> [Lanes; 2] {
+        let half = self.reach();
+        let tilt = tilt(ring, v, half, first);
+        // What turns a phasor back by the tilt of one row, and what turns that of the first row.
+        let (mut turn_c, mut turn_s): (Lanes, Lanes) = ([1.0; LANES], [0.0; LANES]);
+        for _ in 0..half {
+            for i in 0..LANES {
+                (turn_c[i], turn_s[i]) = (
+                    turn_c[i] * tilt[0][i] - turn_s[i] * tilt[1][i],
+                    turn_c[i] * tilt[1][i] + turn_s[i] * tilt[0][i],
+                );
             }
-            let (mut re, mut im, mut length) = (0.0, 0.0, 0.0);
-            if v >= half && v + half < zone.height() {
-                let tilt = tilt(&c, &s, u, v, half);
-                for (k, tap) in taps.iter().enumerate() {
-                    let (x, y) = (c.at(u, v + k - half), s.at(u, v + k - half));
-                    if x == 0.0 && y == 0.0 {
-                        (re, im) = (0.0, 0.0);
-                        break;
-                    }
-                    let (sin, cos) = (-tilt * (k as f32 - half as f32)).sin_cos();
-                    re += tap * (x * cos - y * sin);
-                    im += tap * (x * sin + y * cos);
-                    length += tap * (x * x + y * y).sqrt();
-                }
-            }
-            let coherent = (re * re + im * im).sqrt() > MIN_COHERENCE * length;
-            phasors.c.set(u, v, if coherent { re } else { 0.0 });
-            phasors.s.set(u, v, if coherent { im } else { 0.0 });
-            // A lobe of other height than its neighbours is no misfit here.
-            phasors.misfit.set(u, v, 0.0);
         }
+        let [mut re, mut im, mut length] = [[0f32; LANES]; 3];
+        let mut least: Lanes = [f32::INFINITY; LANES];
+        for (k, &tap) in self.taps.iter().enumerate() {
+            let [c, s] = ring.load(v + k - half, first);
+            for i in 0..LANES {
+                let power = c[i] * c[i] + s[i] * s[i];
+                least[i] = if power < least[i] { power } else { least[i] };
+                re[i] += tap * (c[i] * turn_c[i] - s[i] * turn_s[i]);
+                im[i] += tap * (c[i] * turn_s[i] + s[i] * turn_c[i]);
+                length[i] += tap * power.sqrt();
+                (turn_c[i], turn_s[i]) = (
+                    turn_c[i] * tilt[0][i] + turn_s[i] * tilt[1][i],
+                    turn_s[i] * tilt[0][i] - turn_c[i] * tilt[1][i],
+                );
+            }
+        }
+        for i in 0..LANES {
+            let mean = (re[i] * re[i] + im[i] * im[i]).sqrt();
+            let coherent = (least[i] > 0.0) & (mean > MIN_COHERENCE * length[i]);
+            re[i] = if coherent { re[i] } else { 0.0 };
+            im[i] = if coherent { im[i] } else { 0.0 };
+        }
+        [re, im]
     }
 }
 
@@ -97,15 +140,26 @@ fn taps(period: f32) -> Vec<f32> {
     (0..=2 * half).map(|k| if k == 0 || k == 2 * half { end / period } else { 1.0 / period }).collect()
 }
 
-/// Mean phase step from one row to the next around a pixel, rad.
-fn tilt(c: &Plane<f32>, s: &Plane<f32>, u: usize, v: usize, half: usize) -> f32 {
-    let (mut re, mut im) = (0.0, 0.0);
-    for row in v - half..v + half {
-        let (a, b) = ((c.at(u, row), s.at(u, row)), (c.at(u, row + 1), s.at(u, row + 1)));
-        re += a.0 * b.0 + a.1 * b.1;
-        im += a.0 * b.1 - a.1 * b.0;
+/// Mean phase step from one row to the next around a block, as cosine and sine.
+#[inline(always)]
+fn tilt(ring: &Ring<'_>, v: usize, half: usize, first: usize) -> [Lanes; 2] {
+    let [mut re, mut im] = [[0f32; LANES]; 2];
+    let mut above = ring.load(v - half, first);
+    for row in v - half + 1..=v + half {
+        let below = ring.load(row, first);
+        for i in 0..LANES {
+            re[i] += above[0][i] * below[0][i] + above[1][i] * below[1][i];
+            im[i] += above[0][i] * below[1][i] - above[1][i] * below[0][i];
+        }
+        above = below;
     }
-    if re == 0.0 && im == 0.0 { 0.0 } else { im.atan2(re) }
+    for i in 0..LANES {
+        let size = (re[i] * re[i] + im[i] * im[i]).sqrt();
+        let known = size > 0.0;
+        re[i] = if known { re[i] / size } else { 1.0 };
+        im[i] = if known { im[i] / size } else { 0.0 };
+    }
+    [re, im]
 }
 
 /// The bias of the seven-point formula around a darkened marker, by the biased phase relative to the marker.

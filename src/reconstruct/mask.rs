@@ -4,11 +4,16 @@
 //! component, so that dark hair and detached hands survive; [`otsu`] is the paper's: Otsu on the raw image,
 //! dilation and erosion, largest segment.
 
-use super::components;
+use super::runs::Runs;
+use super::{components, simd};
 use crate::image::{Mono8, Plane};
+use std::ops::Range;
 
 /// Pixels at or above this value are over-exposed: their phase means nothing.
 pub const SATURATED: u8 = 250;
+
+/// Side of the square that opens the mask, px.
+const OPENING_PX: usize = 5;
 
 /// Smallest component that [`envelope`] keeps, px.
 const MIN_COMPONENT_PX: u32 = 400;
@@ -20,23 +25,130 @@ const MIN_ABOVE_BLACK_DN: u8 = 6;
 /// that weak, and Otsu's threshold, drawn by the mass of bright skin, lies above them.
 const MAX_ABOVE_BLACK_DN: u8 = 8;
 
+/// Planes and rows that [`envelope`] uses again from frame to frame.
+#[derive(Debug, Default)]
+pub struct Buffers {
+    smooth: Plane<u8>,
+    eroded: Plane<u8>,
+    closed: [Vec<u8>; 3],
+    sorted: [Vec<u8>; 3],
+    row: Vec<u8>,
+    scratch: Scratch,
+    runs: Runs,
+}
+
 /// The default mask: 1 on the object, 0 elsewhere and on over-exposed pixels. `period_px` is the nominal
 /// fringe period in the image.
 pub fn envelope(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
-    let width = (1.2 * period_px).ceil() as usize | 1;
-    let mut closed = Plane::filled(image.width(), image.height(), 0u8);
-    let (mut scratch, mut raised) = (Scratch::default(), vec![0; image.width()]);
-    for v in 0..image.height() {
-        scratch.sliding(image.row(v), &mut raised, width, u8::max);
-        scratch.sliding(&raised, closed.row_mut(v), width, u8::min);
-    }
-    let smooth = median3x3(&closed);
-    let level = log_threshold(&smooth);
-    let mut mask = threshold(&smooth, level);
-    mask = open(&mask, 5);
-    keep_large(&mut mask);
-    remove_saturated(&mut mask, image);
+    let mut mask = Plane::default();
+    envelope_into(image, period_px, &mut Buffers::default(), &mut mask);
     mask
+}
+
+/// [`envelope`] in memory that is used again.
+pub fn envelope_into(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, mask: &mut Plane<u8>) {
+    let (w, h) = (image.width(), image.height());
+    buffers.smooth.reshape(w, h, 0);
+    buffers.eroded.reshape(w, h, 0);
+    mask.reshape(w, h, 0);
+    simd::dispatch(
+        #[inline(always)]
+        || smooth_envelope(image, (1.2 * period_px).ceil() as usize | 1, buffers),
+    );
+    let level = log_threshold(&buffers.smooth);
+    simd::dispatch(
+        #[inline(always)]
+        || open(level, buffers, mask),
+    );
+    keep_large(mask, &mut buffers.runs);
+    simd::dispatch(
+        #[inline(always)]
+        || remove_saturated(mask, image),
+    );
+}
+
+/// Row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
+#[inline(always)]
+fn smooth_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
+    let (w, h) = (image.width(), image.height());
+    let Buffers { smooth, closed, sorted, row: raised, scratch, .. } = buffers;
+    for row in closed.iter_mut().chain(sorted.iter_mut()).chain([&mut *raised]) {
+        row.resize(w, 0);
+    }
+    for v in 0..h {
+        let next = if v == 0 { 0..h.min(2) } else { v + 1..h.min(v + 2) };
+        for v in next {
+            scratch.sliding(image.row(v), raised, width, u8::max);
+            scratch.sliding(raised, &mut closed[v % 3], width, u8::min);
+        }
+        let (above, own, below) = (&closed[(v + 2) % 3], &closed[v % 3], &closed[(v + 1) % 3]);
+        let out = smooth.row_mut(v);
+        out.copy_from_slice(own);
+        if v > 0 && v + 1 < h && w >= 3 {
+            median3x3([above, own, below], sorted, &mut out[1..w - 1]);
+        }
+    }
+}
+
+/// 3 x 3 median of three rows: the median of the largest of the column minima, the median of the column medians and
+/// the smallest of the column maxima. The first and the last column have none.
+#[inline(always)]
+fn median3x3([above, own, below]: [&[u8]; 3], [low, middle, high]: &mut [Vec<u8>; 3], out: &mut [u8]) {
+    let w = own.len();
+    let (above, below) = (&above[..w], &below[..w]);
+    let (low, middle, high) = (&mut low[..w], &mut middle[..w], &mut high[..w]);
+    for u in 0..w {
+        let (a, b, c) = (above[u], own[u], below[u]);
+        let (less, more) = (a.min(b), a.max(b));
+        low[u] = less.min(c);
+        middle[u] = less.max(more.min(c));
+        high[u] = more.max(c);
+    }
+    let median = |x: u8, y: u8, z: u8| x.min(y).max(x.max(y).min(z));
+    let (low, middle, high) = (&low[..], &middle[..], &high[..]);
+    let (l0, l1, l2) = (&low[..w - 2], &low[1..w - 1], &low[2..]);
+    let (m0, m1, m2) = (&middle[..w - 2], &middle[1..w - 1], &middle[2..]);
+    let (h0, h1, h2) = (&high[..w - 2], &high[1..w - 1], &high[2..]);
+    let out = &mut out[..w - 2];
+    for u in 0..w - 2 {
+        let low = l0[u].max(l1[u]).max(l2[u]);
+        let high = h0[u].min(h1[u]).min(h2[u]);
+        out[u] = median(low, median(m0[u], m1[u], m2[u]), high);
+    }
+}
+
+/// What lies above `level`, opened by a square of [`OPENING_PX`].
+#[inline(always)]
+fn open(level: u8, buffers: &mut Buffers, mask: &mut Plane<u8>) {
+    let Buffers { smooth, eroded, row, scratch, .. } = buffers;
+    let h = smooth.height();
+    row.resize(smooth.width(), 0);
+    for v in 0..h {
+        for (row, &x) in row.iter_mut().zip(smooth.row(v)) {
+            *row = u8::from(x > level);
+        }
+        scratch.sliding(row, eroded.row_mut(v), OPENING_PX, u8::min);
+    }
+    // What is smooth is no longer needed: its memory takes what both passes have eroded, then widened along the row.
+    const HALF: usize = OPENING_PX / 2;
+    for v in 0..h {
+        over_rows(eroded, v.saturating_sub(HALF)..(v + HALF + 1).min(h), row, u8::min);
+        scratch.sliding(row, smooth.row_mut(v), OPENING_PX, u8::max);
+    }
+    for v in 0..h {
+        over_rows(smooth, v.saturating_sub(HALF)..(v + HALF + 1).min(h), mask.row_mut(v), u8::max);
+    }
+}
+
+/// Extreme of some rows, column by column.
+#[inline(always)]
+fn over_rows(plane: &Plane<u8>, rows: Range<usize>, out: &mut [u8], extreme: impl Fn(u8, u8) -> u8 + Copy) {
+    out.copy_from_slice(plane.row(rows.start));
+    for v in rows.skip(1) {
+        for (a, &b) in out.iter_mut().zip(plane.row(v)) {
+            *a = extreme(*a, b);
+        }
+    }
 }
 
 /// The paper's mask: Otsu on the raw image without over-exposed pixels, dilation and erosion by one fringe
@@ -63,10 +175,7 @@ pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
 
 /// Threshold on the envelope: Otsu on its logarithm, but never within the noise of the black level.
 fn log_threshold(envelope: &Plane<u8>) -> u8 {
-    let mut counts = [0u32; 256];
-    for &value in envelope.as_slice() {
-        counts[usize::from(value)] += 1;
-    }
+    let counts = histogram(envelope.as_slice());
     let black = (0..256).max_by_key(|&i| (counts[i], 256 - i)).unwrap_or(0) as u8;
     let mut logarithmic = [0u32; 256];
     let bin = |value: usize| ((value as f32 + 1.0).log2() * 31.0) as usize;
@@ -100,27 +209,40 @@ fn otsu_level(histogram: &[u32; 256]) -> usize {
     best.1
 }
 
-fn threshold(image: &Plane<u8>, level: u8) -> Plane<u8> {
-    let data = image.as_slice().iter().map(|&x| u8::from(x > level)).collect();
-    Plane::from_vec(image.width(), image.height(), data).unwrap_or_else(|| Plane::filled(0, 0, 0))
+/// How often each value occurs. Four counts for neighbouring pixels: they are often equal, and a count that has just
+/// been written is slow to read.
+fn histogram(values: &[u8]) -> [u32; 256] {
+    let mut counts = [[0u32; 256]; 4];
+    let (fours, rest) = values.as_chunks::<4>();
+    for four in fours {
+        for (counts, &value) in counts.iter_mut().zip(four) {
+            counts[usize::from(value)] += 1;
+        }
+    }
+    for &value in rest {
+        counts[0][usize::from(value)] += 1;
+    }
+    std::array::from_fn(|i| counts.iter().map(|counts| counts[i]).sum())
 }
 
+#[inline(always)]
 fn remove_saturated(mask: &mut Plane<u8>, image: Mono8<'_>) {
     for (pixel, &value) in mask.as_mut_slice().iter_mut().zip(image.as_slice()) {
         *pixel &= u8::from(value < SATURATED);
     }
 }
 
-fn keep_large(mask: &mut Plane<u8>) {
-    let found = components::label(mask);
-    for (pixel, &label) in mask.as_mut_slice().iter_mut().zip(found.label.as_slice()) {
-        *pixel = u8::from(label != 0 && found.area[label as usize] >= MIN_COMPONENT_PX);
+/// Clears the components of less than [`MIN_COMPONENT_PX`].
+fn keep_large(mask: &mut Plane<u8>, runs: &mut Runs) {
+    runs.find(mask);
+    let (piece, pieces) = components::connect(runs);
+    for v in 0..runs.height() {
+        for place in runs.places(v) {
+            if pieces[piece[place] as usize].area < MIN_COMPONENT_PX {
+                mask.row_mut(v)[runs.all()[place].columns()].fill(0);
+            }
+        }
     }
-}
-
-/// Morphological opening with a square of `width` (odd) pixels.
-fn open(mask: &Plane<u8>, width: usize) -> Plane<u8> {
-    square(&square(mask, width, u8::min), width, u8::max)
 }
 
 /// Sliding extreme over a square of `width` (odd) pixels.
@@ -147,12 +269,13 @@ fn square(image: &Plane<u8>, width: usize, extreme: impl Fn(u8, u8) -> u8 + Copy
 }
 
 /// Buffers of the sliding extremes: the passes go from one to the other, so that nothing overlaps.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Scratch([Vec<u8>; 2]);
 
 impl Scratch {
     /// `out[i]` = extreme of `row[i - width/2 ..= i + width/2]`; the ends repeat. Doubling: log2(width) passes
     /// of plain slice operations, which the compiler vectorises.
+    #[inline(always)]
     fn sliding(&mut self, row: &[u8], out: &mut [u8], width: usize, extreme: impl Fn(u8, u8) -> u8 + Copy) {
         let (Some(&first), Some(&last)) = (row.first(), row.last()) else { return };
         let half = width / 2;
@@ -175,43 +298,9 @@ impl Scratch {
     }
 }
 
-/// 3 x 3 median; the outermost pixels are copied.
-fn median3x3(image: &Plane<u8>) -> Plane<u8> {
-    let (w, h) = (image.width(), image.height());
-    let mut out = image.clone();
-    for v in 1..h.saturating_sub(1) {
-        if w < 3 {
-            break;
-        }
-        // Nine slices of equal length: the compiler takes many pixels at once.
-        let (a, b, c) = (image.row(v - 1), image.row(v), image.row(v + 1));
-        let (a0, a1, a2) = (&a[..w - 2], &a[1..w - 1], &a[2..]);
-        let (b0, b1, b2) = (&b[..w - 2], &b[1..w - 1], &b[2..]);
-        let (c0, c1, c2) = (&c[..w - 2], &c[1..w - 1], &c[2..]);
-        let out = &mut out.row_mut(v)[1..w - 1];
-        for u in 0..w - 2 {
-            out[u] = median9([a0[u], b0[u], c0[u]], [a1[u], b1[u], c1[u]], [a2[u], b2[u], c2[u]]);
-        }
-    }
-    out
-}
-
-/// Median of nine: the median of the largest of the column minima, the median of the column medians and the
-/// smallest of the column maxima.
-#[inline(always)]
-fn median9(left: [u8; 3], middle: [u8; 3], right: [u8; 3]) -> u8 {
-    let sorted = |[a, b, c]: [u8; 3]| {
-        let (low, high) = (a.min(b), a.max(b));
-        (low.min(c), low.max(high.min(c)), high.max(c))
-    };
-    let ((l0, m0, h0), (l1, m1, h1), (l2, m2, h2)) = (sorted(left), sorted(middle), sorted(right));
-    let median3 = |x: u8, y: u8, z: u8| x.min(y).max(x.max(y).min(z));
-    median3(l0.max(l1).max(l2), median3(m0, m1, m2), h0.min(h1).min(h2))
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Scratch, envelope, median9, otsu};
+    use super::{Scratch, envelope, median3x3, otsu};
     use crate::image::{Mono8, Plane};
     use proptest::prelude::{any, prop_assert_eq, proptest};
 
@@ -256,11 +345,15 @@ mod tests {
         }
 
         #[test]
-        fn median_of_nine_is_the_fifth(values in proptest::array::uniform9(any::<u8>())) {
-            let mut sorted = values;
-            sorted.sort_unstable();
-            let [left, middle, right] = [0, 1, 2].map(|i| [values[i], values[3 + i], values[6 + i]]);
-            prop_assert_eq!(median9(left, middle, right), sorted[4]);
+        fn median_of_nine_is_the_fifth(values in proptest::collection::vec(any::<u8>(), 3 * 40)) {
+            let rows = [&values[..40], &values[40..80], &values[80..]];
+            let (mut sorted, mut out) = (std::array::from_fn(|_| vec![0; 40]), vec![0; 38]);
+            median3x3(rows, &mut sorted, &mut out);
+            for (u, &found) in out.iter().enumerate() {
+                let mut nine: Vec<u8> = rows.iter().flat_map(|row| row[u..u + 3].to_vec()).collect();
+                nine.sort_unstable();
+                prop_assert_eq!(found, nine[4]);
+            }
         }
     }
 }

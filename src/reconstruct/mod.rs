@@ -5,6 +5,7 @@
 
 /// Absolute phase: selection of the pixels that become points, Equation 5.
 pub mod absolute;
+mod angle;
 /// A session to clouds on disk.
 pub mod batch;
 /// Connected components of a mask.
@@ -17,6 +18,8 @@ pub mod demodulate;
 pub mod dump;
 /// Phase at edges of colour, and the error to expect of it.
 pub mod edges;
+/// From a photograph and its mask to wrapped phases and the marker.
+pub mod front;
 /// Marker map Mm.
 pub mod marker;
 /// Which of several markers it is.
@@ -35,14 +38,20 @@ pub mod order;
 pub mod pair;
 /// Fringe period Pm, amplitude Am, stability Sm.
 pub mod period;
+/// Fringe period Pm of the default method.
+pub mod period_fast;
 /// One frame to one directional cloud.
 pub mod pipeline;
 /// Frames from PNG files.
 pub mod png_source;
+mod pool;
 /// Verticality Vm, border distance Bm, quality Qm.
 pub mod quality;
 /// The part of a frame that holds the object.
 pub mod roi;
+/// Runs of a mask's pixels.
+pub mod runs;
+mod sample;
 /// Bias of the phase under a gradient of light.
 pub mod shading;
 /// Vectors as wide as the processor has.

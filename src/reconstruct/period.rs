@@ -11,7 +11,11 @@ use std::ops::Range;
 pub const PERIOD_RANGE_PX: std::ops::RangeInclusive<f32> = 5.0..=24.0;
 
 /// A crossing counts once the intensity has left the median by this share of the window's range.
-const HYSTERESIS: f32 = 0.12;
+pub(super) const HYSTERESIS: f32 = 0.12;
+
+/// Half sides of the box over which the period is smoothed, px.
+pub(super) const SMOOTH_COLUMNS: usize = 6;
+pub(super) const SMOOTH_ROWS: usize = 1;
 
 /// The maps of this stage.
 #[derive(Debug)]
@@ -33,7 +37,7 @@ pub fn measure(image: Mono8<'_>, mask: &Plane<u8>, nominal_px: f32) -> Periods {
             measure_run(image.row(v), run, half, raw.row_mut(v), amplitude.row_mut(v));
         }
     }
-    Periods { period: box_mean_of_valid(&raw, mask, 6, 1), amplitude }
+    Periods { period: box_mean_of_valid(&raw, mask, SMOOTH_COLUMNS, SMOOTH_ROWS), amplitude }
 }
 
 /// The runs of non-zero pixels of one row.

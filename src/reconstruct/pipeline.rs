@@ -1,14 +1,16 @@
 //! One frame to one directional cloud: the stages in their order, each timed.
 
 use super::demodulate::{Gains, Phasors};
+use super::front::{self, Front};
 use super::marker_phase::Bias;
 use super::order::{self, Regions, View};
+use super::pool::Pool;
 use super::roi::Roi;
 use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
 use super::{
-    absolute, curvature, demodulate, edges, marker, marker_number, marker_phase, mask, normals, period,
-    quality, shading, unwrap, unwrap_paper,
+    absolute, curvature, demodulate, edges, marker_number, mask, normals, period, quality, unwrap,
+    unwrap_paper,
 };
 use crate::export::Cloud;
 use crate::image::{Mono8, Plane};
@@ -88,6 +90,15 @@ pub struct Pipeline {
     bias: Bias,
     method: Method,
     keep_maps: bool,
+    buffers: Pool<Buffers>,
+}
+
+/// What the stages of one frame use again for the next.
+#[derive(Debug, Default)]
+struct Buffers {
+    object: Plane<u8>,
+    mask: mask::Buffers,
+    front: front::Buffers,
 }
 
 /// Runs stages and keeps their times.
@@ -158,7 +169,7 @@ impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
-        Self { triangulator, gains: Gains::new(), bias, method, keep_maps }
+        Self { triangulator, gains: Gains::new(), bias, method, keep_maps, buffers: Pool::default() }
     }
 
     /// What it triangulates with.
@@ -195,7 +206,13 @@ impl Pipeline {
             return Err(refused(clock, counts, reason));
         }
         let object = clock.time("mask", || match self.method {
-            Method::Anchored => mask::envelope(image, pair.period_px),
+            Method::Anchored => {
+                let mut buffers = self.buffers.take();
+                let mut object = std::mem::take(&mut buffers.object);
+                mask::envelope_into(image, pair.period_px, &mut buffers.mask, &mut object);
+                self.buffers.give(buffers);
+                object
+            }
             Method::Paper => mask::otsu(image, pair.period_px),
         });
         let Some(roi) = Roi::of(&object) else {
@@ -267,56 +284,45 @@ impl Pipeline {
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let mut periods = clock.time("period", || period::measure(image, object, pair.period_px));
-        let ridges = clock.time("marker", || marker::ridges(image, object, &periods.period, pair));
-        let zone = marker_phase::zone(&ridges.ridge, &periods.period);
-        marker_phase::bridge_period(&mut periods.period, &zone, pair.period_px);
-        let period = &periods.period;
-        let mut phasors = clock
-            .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
-        clock.time("shading", || shading::correct(&mut phasors, period, &zone, pair.sign));
-        clock.time("average", || {
-            marker_phase::average(&mut phasors, &zone, pair);
-            demodulate::average_rows(&mut phasors, &zone);
-        });
-        let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
-        counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let marker = clock.time("anchors", || {
-            let mut marker = marker::detect(&ridges, period, &wrapped, pair);
-            marker_number::assign(&mut marker, roi, pair);
-            marker
-        });
+        let mut buffers = self.buffers.take();
+        let front =
+            front::run(image, object, pair, &self.gains, self.keep_maps, &mut buffers.front, clock);
+        self.buffers.give(buffers);
+        let Front { period, phasors, wrapped, zone, mut marker, energy, known } = front;
+        clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
+        counts.phase = known;
         counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
         let unwrapped = clock.time("unwrap", || {
-            unwrap::unwrap(&wrapped, period, &phasors.misfit, &marker, pair, &unwrap::Settings::default())
+            unwrap::unwrap(&wrapped, &period, &phasors.misfit, &marker, pair, &unwrap::Settings::default())
         });
         counts.refused = unwrapped.refused_px;
         counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
         if self.keep_maps {
-            let stability = period::stability(period, pair.period_px);
-            let vertical = quality::verticality(image, period);
+            let amplitude = period::measure(image, object, pair.period_px).amplitude;
+            let stability = period::stability(&period, pair.period_px);
+            let vertical = quality::verticality(image, &period);
             let border = quality::border(object);
-            let amplitude = quality::normalized_amplitude(&periods.amplitude, object);
-            let quality = quality::quality([&border, &amplitude, &vertical, &stability]);
+            let normalized = quality::normalized_amplitude(&amplitude, object);
+            let quality = quality::quality([&border, &normalized, &vertical, &stability]);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
             planes = vec![
                 ("Om", number(object)),
-                ("Pm", periods.period.clone()),
-                ("Am", number(&periods.amplitude)),
+                ("Pm", period.clone()),
+                ("Am", number(&amplitude)),
                 ("Sm", stability),
                 ("Wm", wrapped),
                 ("Vm", vertical),
                 ("Bm", border),
                 ("Qm", quality),
-                ("Em", ridges.energy),
+                ("Em", energy.unwrap_or_default()),
                 ("Mm", number(&marker)),
                 ("Um", unwrapped.absolute.clone()),
                 ("misfit", phasors.misfit.clone()),
             ];
         }
         let (absolute, open) = (unwrapped.absolute, unwrapped.open);
-        Resolved { absolute, open, marker, phasors, period: periods.period, zone, planes }
+        Resolved { absolute, open, marker, phasors, period, zone, planes }
     }
 
     /// Section 4.1 of the paper as it stands.

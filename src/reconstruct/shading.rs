@@ -17,6 +17,9 @@
 //! not enough, the misfit of the fringe model tells, and [`super::edges`] deals with it.
 
 use super::demodulate::Phasors;
+use super::runs::Run;
+use super::sample::{self, LANES, Lanes, PAD};
+use super::simd;
 use crate::image::Plane;
 
 /// `2 / sqrt(3)` and `sqrt(3) / 36`: what a gradient adds to S through the mean light, and turns (C, S) by.
@@ -39,52 +42,98 @@ const MAX_CHANGE: f32 = 1.0;
 /// Takes the first-order bias off all phasors but those with a non-zero `skip`, whose light is not used either:
 /// there the marker changes it. `sign` is that of the phase along the columns.
 pub fn correct(phasors: &mut Phasors, period: &Plane<f32>, skip: &Plane<u8>, sign: f32) {
-    for v in 0..period.height() {
-        let (mean, period, skip) = (phasors.mean.row(v), period.row(v), skip.row(v));
-        let (c_row, s_row) = (phasors.c.row_mut(v), phasors.s.row_mut(v));
-        for (u, (c, s)) in c_row.iter_mut().zip(s_row).enumerate() {
-            let light = mean[u];
-            if light <= 0.0 || skip[u] != 0 {
-                continue;
+    let all = [Run::new(0, period.width())];
+    let mut light = Vec::new();
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..period.height() {
+                let phasor = (phasors.c.row_mut(v), phasors.s.row_mut(v));
+                correct_row(phasor, phasors.mean.row(v), period.row(v), skip.row(v), &all, sign, &mut light);
             }
-            // The formula's own S: the phasor's imaginary part carries the sign of the phase.
-            let (sin, cos) = (*s * sign, *c);
-            let ripple = RIPPLE * (sin / (6.0 * light)).clamp(-1.0, 1.0);
-            let half = period[u] / 2.0;
-            let after = light_at(mean, skip, u as f32 + half).map(|x| (x - light) / (1.0 + ripple));
-            let before = light_at(mean, skip, u as f32 - half).map(|x| (light - x) / (1.0 - ripple));
-            let Some(change) = slope(before, after, SLOPE_FLOOR * light) else { continue };
-            let q = (change / light).clamp(-MAX_CHANGE, MAX_CHANGE);
-            *s = sign * (sin + q * (FROM_MEAN * light + TURN * cos));
-            *c = cos - q * TURN * sin;
+        },
+    );
+}
+
+/// [`correct`] for one row's runs; `light` is memory to use.
+#[inline(always)]
+pub(super) fn correct_row(
+    (c, s): (&mut [f32], &mut [f32]),
+    mean: &[f32],
+    period: &[f32],
+    skip: &[u8],
+    runs: &[Run],
+    sign: f32,
+    light: &mut Vec<f32>,
+) {
+    let ([first, ..], [.., last]) = (runs, runs) else { return };
+    let span = first.start()..last.end();
+    sample::reserve(light, mean.len());
+    light[span.start..span.end + 2 * PAD + LANES].fill(f32::NAN);
+    let known = mean[span.clone()].iter().zip(&skip[span.clone()]);
+    for (light, (&mean, &skip)) in light[PAD + span.start..].iter_mut().zip(known) {
+        *light = if (mean > 0.0) & (skip == 0) { mean } else { f32::NAN };
+    }
+    for run in runs {
+        for first in run.columns().step_by(LANES) {
+            let end = run.end().min(first + LANES);
+            let period = sample::load(period, first);
+            let phasor = (sample::load(c, first), sample::load(s, first));
+            let block = correct_block(phasor, light, first, &period, sign);
+            sample::store(c, first, end - first, &block[0]);
+            sample::store(s, first, end - first, &block[1]);
         }
     }
 }
 
-/// Light of the window around column `x`, interpolated; `None` where one of its neighbours has none.
-fn light_at(mean: &[f32], skip: &[u8], x: f32) -> Option<f32> {
-    if x < 0.0 {
-        return None;
+/// C and S of a block without the bias. `light` is NaN where it is not known or must not be used.
+#[inline(always)]
+fn correct_block(
+    (c, s): (Lanes, Lanes),
+    light: &[f32],
+    first: usize,
+    period: &Lanes,
+    sign: f32,
+) -> [Lanes; 2] {
+    let after = sample::between(light, first, &sample::distances(period, 0.5));
+    let before = sample::between(light, first, &sample::distances(period, -0.5));
+    let light = sample::load(&light[PAD..], first);
+    let mut out = [c, s];
+    for i in 0..LANES {
+        let light = light[i];
+        // The formula's own S: the phasor's imaginary part carries the sign of the phase.
+        let (sin, cos) = (s[i] * sign, c[i]);
+        let ripple = RIPPLE * (sin / (6.0 * light)).clamp(-1.0, 1.0);
+        let after = (after[i] - light) / (1.0 + ripple);
+        let before = (light - before[i]) / (1.0 - ripple);
+        let change = slope(before, after, SLOPE_FLOOR * light);
+        let q = (change / light).clamp(-MAX_CHANGE, MAX_CHANGE);
+        // NaN: its light is unknown, or that on both sides.
+        out[0][i] = if q.is_nan() { c[i] } else { cos - q * TURN * sin };
+        out[1][i] = if q.is_nan() { s[i] } else { sign * (sin + q * (FROM_MEAN * light + TURN * cos)) };
     }
-    let i = x as usize;
-    let (a, b) = (*mean.get(i)?, *mean.get(i + 1)?);
-    let known = a > 0.0 && b > 0.0 && skip[i] == 0 && skip[i + 1] == 0;
-    known.then_some(a + (x - i as f32) * (b - a))
+    out
 }
 
 /// Change over one period from the changes over the half periods before and after. Their sum, but limited by the
 /// smaller one: a step of colour that only one of them has seen is not in the pixel's own window. Where there is
-/// only one, twice that.
-fn slope(before: Option<f32>, after: Option<f32>, floor: f32) -> Option<f32> {
-    let (before, after) = match (before, after) {
-        (Some(before), Some(after)) => (before, after),
-        (Some(one), None) | (None, Some(one)) => return Some(2.0 * one),
-        (None, None) => return None,
-    };
+/// only one (the other is NaN), twice that; NaN where there is none.
+#[inline(always)]
+fn slope(before: f32, after: f32, floor: f32) -> f32 {
     let sum = before + after;
-    let smaller = if sum < 0.0 { -before.max(after) } else { before.min(after) };
-    let limit = (MAX_STEEPENING * smaller).max(0.0) + floor;
-    Some(sum.clamp(-limit, limit))
+    let (low, high) = if before < after { (before, after) } else { (after, before) };
+    let smaller = if sum < 0.0 { -high } else { low };
+    let steepened = MAX_STEEPENING * smaller;
+    let limit = if steepened > 0.0 { steepened } else { 0.0 } + floor;
+    let limited = if sum > limit { limit } else { sum };
+    let limited = if limited < -limit { -limit } else { limited };
+    if before.is_nan() {
+        2.0 * after
+    } else if after.is_nan() {
+        2.0 * before
+    } else {
+        limited
+    }
 }
 
 #[cfg(test)]
@@ -152,11 +201,11 @@ mod tests {
 
     #[test]
     fn slopes_are_limited_by_the_smaller_side() {
-        assert_eq!(slope(Some(2.0), Some(3.0), 0.1), Some(5.0));
-        assert_eq!(slope(Some(-2.0), Some(-3.0), 0.1), Some(-5.0));
-        assert_eq!(slope(Some(0.0), Some(30.0), 0.1), Some(0.1));
-        assert_eq!(slope(Some(-30.0), Some(1.0), 0.1), Some(-0.1));
-        assert_eq!(slope(None, Some(3.0), 0.1), Some(6.0));
-        assert_eq!(slope(None, None, 0.1), None);
+        assert_eq!(slope(2.0, 3.0, 0.1), 5.0);
+        assert_eq!(slope(-2.0, -3.0, 0.1), -5.0);
+        assert_eq!(slope(0.0, 30.0, 0.1), 0.1);
+        assert_eq!(slope(-30.0, 1.0, 0.1), -0.1);
+        assert_eq!(slope(f32::NAN, 3.0, 0.1), 6.0);
+        assert!(slope(f32::NAN, f32::NAN, 0.1).is_nan());
     }
 }

@@ -1,0 +1,222 @@
+//! The front end of the default method: from a photograph and its mask to wrapped phases and the marker.
+//!
+//! Two passes over the rows. The first gives the period and finds the marker's ridges, which decide where the second
+//! takes its means. That one demodulates row after row and keeps what the following stages look back at in rings of
+//! rows, which stay in the cache: only finished rows go to the planes.
+
+use super::demodulate::{self, Gains, PhasorRow, Phasors};
+use super::marker_phase::{self, Ring};
+use super::pair::Pair;
+use super::pipeline::Clock;
+use super::runs::Runs;
+use super::sample::{self, LANES};
+use super::{marker, period_fast, shading, simd};
+use crate::image::{Mono8, Plane};
+
+/// What the front end gives, on the region of interest.
+#[derive(Debug)]
+pub struct Front {
+    /// Pm, px; 0 where it is unknown.
+    pub period: Plane<f32>,
+    /// Phasors of Wm.
+    pub phasors: Phasors,
+    /// Wm, rad; NaN where it is unknown.
+    pub wrapped: Plane<f32>,
+    /// Around the marker: not 0.
+    pub zone: Plane<u8>,
+    /// 1 on the marker's core.
+    pub marker: Plane<u8>,
+    /// The marker's modulation relative to the light, where it was asked for.
+    pub energy: Option<Plane<f32>>,
+    /// Pixels with a wrapped phase.
+    pub known: usize,
+}
+
+/// Rows that are used again from frame to frame.
+#[derive(Debug, Default)]
+pub struct Buffers {
+    period: period_fast::Buffers,
+    marker: marker::Buffers,
+    /// C and S of each row as demodulated, and with the marker's means.
+    raw: [Vec<Vec<f32>>; 2],
+    bridged: [Vec<Vec<f32>>; 2],
+    light: Vec<f32>,
+}
+
+/// Rows of `bridged`: five that are averaged.
+const BRIDGED: usize = demodulate::ROWS;
+
+/// Runs the front end on the part of a frame that holds the object; `object` is a mask of zeros and ones.
+pub(super) fn run(
+    image: Mono8<'_>,
+    object: &Plane<u8>,
+    pair: &Pair,
+    gains: &Gains,
+    keep_energy: bool,
+    buffers: &mut Buffers,
+    clock: &mut Clock,
+) -> Front {
+    let (w, h) = (image.width(), image.height());
+    let mut period = Plane::default();
+    let runs = clock.time("period", || {
+        let runs = Runs::of(object);
+        period_fast::measure(image, &runs, pair.period_px, &mut buffers.period, &mut period);
+        runs
+    });
+    let mut energy = keep_energy.then(Plane::default);
+    let (ridges, zone) = clock.time("marker", || {
+        let ridges = marker::ridges(image, &runs, &period, pair, &mut buffers.marker, energy.as_mut());
+        let zone = marker_phase::zone(&ridges, &period);
+        marker_phase::bridge_period(&mut period, &Runs::of(&zone), pair.period_px);
+        (ridges, zone)
+    });
+    let mut phasors = Phasors { c: empty(w, h), s: empty(w, h), mean: empty(w, h), misfit: empty(w, h) };
+    let mut wrapped = empty(w, h);
+    clock.time("phase", || {
+        let input = Input { image, runs: &runs, period: &period, zone: &zone, pair, gains };
+        simd::dispatch(
+            #[inline(always)]
+            || input.phases(buffers, &mut phasors, &mut wrapped),
+        );
+    });
+    let marker = clock.time("anchors", || {
+        let cores = marker::detect(&ridges, &period, &wrapped, pair);
+        let mut marker = Plane::filled(w, h, 0u8);
+        for v in 0..cores.height() {
+            for run in cores.row(v) {
+                marker.row_mut(v)[run.columns()].fill(1);
+            }
+        }
+        marker
+    });
+    let known = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
+    Front { period, phasors, wrapped, zone, marker, energy, known }
+}
+
+/// A plane for a stage that writes every value.
+fn empty(width: usize, height: usize) -> Plane<f32> {
+    Plane::filled(width, height, 0.0)
+}
+
+/// What the second pass reads.
+struct Input<'a> {
+    image: Mono8<'a>,
+    runs: &'a Runs,
+    period: &'a Plane<f32>,
+    zone: &'a Plane<u8>,
+    pair: &'a Pair,
+    gains: &'a Gains,
+}
+
+impl Input<'_> {
+    /// The second pass: phasors and wrapped phases of all rows.
+    #[inline(always)]
+    fn phases(&self, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut Plane<f32>) {
+        let (w, h) = (self.image.width(), self.image.height());
+        let average = marker_phase::Average::new(self.pair);
+        let zone_runs = Runs::of(self.zone);
+        let reach = average.reach();
+        for (rings, length) in [(&mut buffers.raw, 2 * reach + 1), (&mut buffers.bridged, BRIDGED)] {
+            for ring in rings {
+                ring.resize(length, Vec::new());
+                ring.iter_mut().for_each(|row| row.resize(w, 0.0));
+            }
+        }
+        const LATER: usize = demodulate::ROWS / 2;
+        for next in 0..h + reach + LATER {
+            if next < h {
+                self.demodulate(next, buffers, phasors);
+            }
+            if let Some(v) = next.checked_sub(reach)
+                && v < h
+            {
+                bridge(v, h, &average, &zone_runs, buffers, phasors.misfit.row_mut(v));
+            }
+            if let Some(v) = next.checked_sub(reach + LATER) {
+                self.finish(v, buffers, phasors, wrapped.row_mut(v));
+            }
+        }
+    }
+
+    /// Demodulates row `v` and takes off the bias of shading.
+    #[inline(always)]
+    fn demodulate(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors) {
+        let Buffers { raw: [c, s], light, .. } = buffers;
+        let at = v % c.len();
+        let (c, s, mean) = (&mut c[at][..], &mut s[at][..], phasors.mean.row_mut(v));
+        let out = PhasorRow { c, s, mean, misfit: phasors.misfit.row_mut(v) };
+        let (runs, period) = (self.runs.row(v), self.period.row(v));
+        demodulate::demodulate_row(
+            self.image.row(v),
+            runs,
+            period,
+            self.gains,
+            self.pair.sign,
+            light,
+            out,
+        );
+        shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, light);
+    }
+
+    /// Averages row `v` with those around it, and takes its phases.
+    #[inline(always)]
+    fn finish(&self, v: usize, buffers: &Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
+        let [c, s] = &buffers.bridged;
+        let Phasors { c: out_c, s: out_s, misfit, .. } = phasors;
+        let rows = |v: usize| [&c[v % BRIDGED][..], &s[v % BRIDGED][..], misfit.row(v)];
+        let reach = demodulate::row_reach(v, misfit.height());
+        let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
+        let (out_c, out_s) = (out_c.row_mut(v), out_s.row_mut(v));
+        out_c.fill(0.0);
+        out_s.fill(0.0);
+        wrapped.fill(f32::NAN);
+        for run in self.runs.row(v) {
+            for first in run.columns().step_by(LANES) {
+                let count = LANES.min(run.end() - first);
+                let [c, s] = demodulate::average_block(rows(v), &pairs[..reach], self.zone.row(v), first);
+                let mut phases = [0.0; LANES];
+                for i in 0..LANES {
+                    phases[i] = demodulate::phase(c[i], s[i]);
+                }
+                sample::store(out_c, first, count, &c);
+                sample::store(out_s, first, count, &s);
+                sample::store(wrapped, first, count, &phases);
+            }
+        }
+    }
+}
+
+/// Row `v` of the phasors with the marker's means in its zone.
+#[inline(always)]
+fn bridge(
+    v: usize,
+    height: usize,
+    average: &marker_phase::Average,
+    zone: &Runs,
+    buffers: &mut Buffers,
+    misfit: &mut [f32],
+) {
+    let Buffers { raw: [raw_c, raw_s], bridged: [c, s], .. } = buffers;
+    let (from, to, reach) = (v % raw_c.len(), v % BRIDGED, average.reach());
+    c[to].copy_from_slice(&raw_c[from]);
+    s[to].copy_from_slice(&raw_s[from]);
+    let whole = v >= reach && v + reach < height;
+    let ring = Ring { c: raw_c, s: raw_s };
+    for run in zone.row(v) {
+        for first in run.columns().step_by(LANES) {
+            let count = LANES.min(run.end() - first);
+            let mut block = if whole { average.block(&ring, v, first) } else { [[0.0; LANES]; 2] };
+            for i in 0..count {
+                let known = (raw_c[from][first + i] != 0.0) | (raw_s[from][first + i] != 0.0);
+                for lanes in &mut block {
+                    lanes[i] = if known { lanes[i] } else { 0.0 };
+                }
+                // A lobe of other height than its neighbours is no misfit here.
+                let at = &mut misfit[first + i];
+                *at = if known { 0.0 } else { *at };
+            }
+            sample::store(&mut c[to], first, count, &block[0]);
+            sample::store(&mut s[to], first, count, &block[1]);
+        }
+    }
+}

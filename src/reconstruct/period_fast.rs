@@ -1,0 +1,257 @@
+//! The fringe period Pm of the default method: the paper's count of crossings, found once for a run.
+//!
+//! The paper's window has a median of its own for each pixel, so that crossings are sought anew in each
+//! ([`super::period`]). Here the threshold is the mean over the same window: a sine less its sliding mean is a sine of
+//! the same period, so that the distance of crossings of equal direction is unbiased where the period does not change,
+//! and one list of crossings serves all windows of a run. Which of them lie in a window changes a few times in a
+//! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
+
+use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
+use super::runs::{Run, Runs};
+use super::simd;
+use crate::image::{Mono8, Plane};
+
+/// Steps of a pixel in which distances are summed.
+const STEPS: f32 = 4096.0;
+
+/// Bits of a sum that count how many distances it has; above are the distances.
+const COUNT_BITS: u32 = 8;
+
+/// Rows that [`measure`] uses again from frame to frame.
+#[derive(Debug, Default)]
+pub struct Buffers {
+    /// Largest and smallest value from each pixel on, and what they are made from.
+    high: [Vec<u8>; 2],
+    low: [Vec<u8>; 2],
+    /// Sums of the run's pixels before each.
+    sums: Vec<u32>,
+    /// Windows' thresholds and margins, times the window's length.
+    threshold: Vec<i32>,
+    margin: Vec<i32>,
+    /// 1 above the threshold; above it, and below it, by more than the margin.
+    sides: Vec<u8>,
+    crossings: Vec<Crossing>,
+    /// Distances and their count, of the last rows.
+    raw: Vec<Vec<u32>>,
+    column_sums: Vec<u32>,
+    row_sums: Vec<u32>,
+}
+
+/// Where the light crosses the threshold.
+#[derive(Debug, Clone, Copy)]
+struct Crossing {
+    /// Column in the run, with its fraction.
+    at: f32,
+    /// Column in the run where it was certain.
+    certain: u32,
+}
+
+/// Period of each mask pixel, px; 0 where it is unknown and off the mask. Windows never leave the mask's runs.
+pub fn measure(image: Mono8<'_>, runs: &Runs, nominal_px: f32, buffers: &mut Buffers, period: &mut Plane<f32>) {
+    let (w, h) = (image.width(), image.height());
+    period.reshape(w, h, 0.0);
+    let half = (1.3 * nominal_px).round() as usize;
+    const RING: usize = 2 * SMOOTH_ROWS + 1;
+    buffers.raw.resize(RING, Vec::new());
+    for row in &mut buffers.raw {
+        row.clear();
+        row.resize(w, 0);
+    }
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..h + SMOOTH_ROWS {
+                let mut raw = std::mem::take(&mut buffers.raw[v % RING]);
+                raw.fill(0);
+                if v < h {
+                    for run in runs.row(v) {
+                        measure_run(&image.row(v)[run.columns()], half, buffers, &mut raw[run.columns()]);
+                    }
+                }
+                buffers.raw[v % RING] = raw;
+                if let Some(v) = v.checked_sub(SMOOTH_ROWS) {
+                    smooth(runs.row(v), buffers, period.row_mut(v));
+                }
+            }
+        },
+    );
+}
+
+/// Periods of one run before they are smoothed: distance in [`STEPS`] and a count of 1, or 0.
+#[inline(always)]
+fn measure_run(row: &[u8], half: usize, buffers: &mut Buffers, raw: &mut [u32]) {
+    let length = (2 * half + 1).min(row.len());
+    let windows = row.len() - length + 1;
+    thresholds(row, length, buffers);
+    find_crossings(row, half, length, buffers);
+    let crossings = &buffers.crossings[..];
+    // Window `start` holds the crossings `first .. end`.
+    let (mut start, mut first, mut end) = (0, 0, 0);
+    while start < windows {
+        while crossings.get(first).is_some_and(|x| x.at < start as f32) {
+            first += 1;
+        }
+        while crossings.get(end).is_some_and(|x| (x.certain as usize) < start + length) {
+            end += 1;
+        }
+        let leaves = crossings.get(first).map_or(usize::MAX, |x| x.at as usize + 1);
+        let enters = crossings.get(end).map_or(usize::MAX, |x| x.certain as usize + 1 - length);
+        let next = leaves.min(enters).min(windows).max(start + 1);
+        let value = mean_distance(crossings.get(first..end).unwrap_or(&[]));
+        // Near the run's ends the window is shifted, not cut: two whole periods are needed.
+        let from = if start == 0 { 0 } else { (start + half).min(row.len()) };
+        let to = if next == windows { row.len() } else { (next + half).min(row.len()) };
+        raw[from..to].fill(value);
+        start = next;
+    }
+}
+
+/// Mean distance of each crossing to the next but one, which has its direction, in the form of [`measure_run`].
+#[inline(always)]
+fn mean_distance(crossings: &[Crossing]) -> u32 {
+    // All distances but those of the ends cancel.
+    let [a, b, .., c, d] = crossings else {
+        let [a, _, c] = crossings else { return 0 };
+        return packed(c.at - a.at);
+    };
+    packed((d.at + c.at - b.at - a.at) / (crossings.len() - 2) as f32)
+}
+
+#[inline(always)]
+fn packed(distance: f32) -> u32 {
+    if PERIOD_RANGE_PX.contains(&distance) { ((distance * STEPS) as u32) << COUNT_BITS | 1 } else { 0 }
+}
+
+/// Mean and range of each window.
+#[inline(always)]
+fn thresholds(row: &[u8], length: usize, buffers: &mut Buffers) {
+    let Buffers { high, low, sums, threshold, margin, .. } = buffers;
+    let windows = row.len() - length + 1;
+    extremes(row, length, high, u8::max);
+    extremes(row, length, low, u8::min);
+    sums.clear();
+    let mut sum = 0;
+    sums.push(sum);
+    for &x in row {
+        sum += u32::from(x);
+        sums.push(sum);
+    }
+    threshold.resize(windows, 0);
+    margin.resize(windows, 0);
+    let scale = HYSTERESIS * length as f32;
+    let (starts, ends) = (&sums[..windows], &sums[length..length + windows]);
+    let (high, low) = (&high[0][..windows], &low[0][..windows]);
+    for i in 0..windows {
+        threshold[i] = (ends[i] - starts[i]) as i32;
+        margin[i] = (scale * f32::from(high[i] - low[i])) as i32;
+    }
+}
+
+/// `out[0][i]` = extreme of `row[i .. i + length]`, by doubling.
+#[inline(always)]
+fn extremes(row: &[u8], length: usize, out: &mut [Vec<u8>; 2], extreme: impl Fn(u8, u8) -> u8 + Copy) {
+    let [from, to] = out;
+    from.clear();
+    from.extend_from_slice(row);
+    to.resize(row.len(), 0);
+    let mut covered = 1;
+    while covered < length {
+        let step = covered.min(length - covered);
+        let n = row.len() + 1 - covered - step;
+        for ((to, &a), &b) in to[..n].iter_mut().zip(&from[..n]).zip(&from[step..step + n]) {
+            *to = extreme(a, b);
+        }
+        std::mem::swap(from, to);
+        covered += step;
+    }
+}
+
+/// The crossings of a run: a change of sign counts once the light has left the threshold by the margin on the other
+/// side.
+#[inline(always)]
+fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers) {
+    let Buffers { threshold, margin, sides, crossings, .. } = buffers;
+    let last = threshold.len() - 1;
+    crossings.clear();
+    let value = |i: usize| {
+        i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)]
+    };
+    const ABOVE: u8 = 1;
+    const FAR: u8 = 2;
+    sides.resize(row.len(), 0);
+    let side = |value: i32, margin: i32| u8::from(value > 0) * ABOVE | u8::from(value.abs() > margin) * FAR;
+    let middle = half.min(row.len())..(half + last + 1).min(row.len());
+    for i in (0..middle.start).chain(middle.end..row.len()) {
+        sides[i] = side(value(i), margin[i.saturating_sub(half).min(last)]);
+    }
+    let n = middle.len();
+    let (row_middle, sides_middle) = (&row[middle.clone()], &mut sides[middle]);
+    for i in 0..n {
+        sides_middle[i] = side(i32::from(row_middle[i]) * length as i32 - threshold[i], margin[i]);
+    }
+    let (mut settled, mut seen) = (None, 0);
+    let mut before = sides[0] & ABOVE;
+    for (i, &now) in sides.iter().enumerate() {
+        if now & ABOVE != before {
+            (before, seen) = (now & ABOVE, i);
+        }
+        if now & FAR != 0 && settled != Some(before) {
+            if settled.is_some() {
+                let (a, b) = (value(seen - 1) as f32, value(seen) as f32);
+                crossings.push(Crossing { at: seen as f32 - b / (b - a), certain: i as u32 });
+            }
+            settled = Some(before);
+        }
+    }
+}
+
+/// Mean of the known values in the box around each pixel of a row's runs, from the ring of rows.
+#[inline(always)]
+fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
+    let w = period.len();
+    period.fill(0.0);
+    let ([first, ..], [.., last]) = (runs, runs) else { return };
+    let from = first.start().saturating_sub(SMOOTH_COLUMNS);
+    let to = (last.end() + SMOOTH_COLUMNS).min(w);
+    let Buffers { raw, column_sums, row_sums, .. } = buffers;
+    column_sums.clear();
+    column_sums.resize(to - from, 0);
+    for row in raw {
+        for (sum, &x) in column_sums.iter_mut().zip(&row[from..to]) {
+            *sum += x;
+        }
+    }
+    // The sum over a whole row does not fit; that of a box does, and differences of what wraps are right.
+    row_sums.clear();
+    let mut sum = 0u32;
+    row_sums.push(sum);
+    for &x in &*column_sums {
+        sum = sum.wrapping_add(x);
+        row_sums.push(sum);
+    }
+    let place = |u: usize| u.clamp(from, to) - from;
+    for run in runs {
+        let columns = run.columns();
+        let inner = columns.start.max(from + SMOOTH_COLUMNS)..columns.end.min(to.saturating_sub(SMOOTH_COLUMNS));
+        let inner = inner.start.min(columns.end)..inner.end.max(inner.start.min(columns.end));
+        for u in (columns.start..inner.start).chain(inner.end..columns.end) {
+            let end = row_sums[place(u + SMOOTH_COLUMNS + 1)];
+            period[u] = mean_of(end.wrapping_sub(row_sums[place(u.saturating_sub(SMOOTH_COLUMNS))]));
+        }
+        if inner.is_empty() {
+            continue;
+        }
+        let start = inner.start - SMOOTH_COLUMNS - from;
+        let starts = &row_sums[start..start + inner.len()];
+        let ends = &row_sums[start + 2 * SMOOTH_COLUMNS + 1..][..inner.len()];
+        for ((out, start), end) in period[inner].iter_mut().zip(starts).zip(ends) {
+            *out = mean_of(end.wrapping_sub(*start));
+        }
+    }
+}
+
+#[inline(always)]
+fn mean_of(sum: u32) -> f32 {
+    let count = (sum & ((1 << COUNT_BITS) - 1)) as i32 as f32;
+    (sum >> COUNT_BITS) as i32 as f32 / STEPS / count.max(1.0)
+}

@@ -1,0 +1,161 @@
+//! Runs of a mask's pixels: stages touch these alone, not the rectangle around them.
+
+use crate::image::Plane;
+use std::ops::Range;
+
+/// Pixels of one row that lie side by side.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Run {
+    start: u32,
+    end: u32,
+}
+
+impl Run {
+    /// The columns `start .. end`.
+    pub fn new(start: usize, end: usize) -> Self {
+        Self { start: start as u32, end: end as u32 }
+    }
+
+    /// Its columns.
+    pub fn columns(&self) -> Range<usize> {
+        self.start as usize..self.end as usize
+    }
+
+    /// First column.
+    pub fn start(&self) -> usize {
+        self.start as usize
+    }
+
+    /// Column after the last.
+    pub fn end(&self) -> usize {
+        self.end as usize
+    }
+}
+
+/// The runs of all rows, from left to right and from top to bottom.
+#[derive(Debug, Clone, Default)]
+pub struct Runs {
+    runs: Vec<Run>,
+    /// Where the runs of each row end.
+    ends: Vec<usize>,
+}
+
+impl Runs {
+    /// The runs of a mask of zeros and ones.
+    pub fn of(mask: &Plane<u8>) -> Self {
+        let mut runs = Self::default();
+        runs.find(mask);
+        runs
+    }
+
+    /// Replaces these by the runs of a mask of zeros and ones.
+    pub fn find(&mut self, mask: &Plane<u8>) {
+        self.clear();
+        for v in 0..mask.height() {
+            let mut start = None;
+            transitions(mask.row(v), |u| match start.take() {
+                None => start = Some(u),
+                Some(first) => self.push(Run::new(first, u)),
+            });
+            if let Some(first) = start {
+                self.push(Run::new(first, mask.width()));
+            }
+            self.end_row();
+        }
+    }
+
+    /// Forgets all runs and rows.
+    pub fn clear(&mut self) {
+        self.runs.clear();
+        self.ends.clear();
+    }
+
+    /// Adds a run to the row that is being built.
+    pub fn push(&mut self, run: Run) {
+        self.runs.push(run);
+    }
+
+    /// Ends the row that is being built.
+    pub fn end_row(&mut self) {
+        self.ends.push(self.runs.len());
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// The places of row `v`'s runs among [`Runs::all`].
+    pub fn places(&self, v: usize) -> Range<usize> {
+        let start = if v == 0 { 0 } else { self.ends[v - 1] };
+        start..self.ends[v]
+    }
+
+    /// The runs of row `v`.
+    pub fn row(&self, v: usize) -> &[Run] {
+        &self.runs[self.places(v)]
+    }
+
+    /// All runs.
+    pub fn all(&self) -> &[Run] {
+        &self.runs
+    }
+
+    /// Pixels of all runs.
+    pub fn area(&self) -> usize {
+        self.runs.iter().map(|run| run.columns().len()).sum()
+    }
+
+    /// From the first to the last pixel of row `v`; empty where it has none.
+    pub fn span(&self, v: usize) -> Range<usize> {
+        match self.row(v) {
+            [] => 0..0,
+            [first, .., last] => first.start()..last.end(),
+            [only] => only.columns(),
+        }
+    }
+}
+
+/// Calls `at` with each column whose value differs from that before it; before the first is 0. Eight at a time.
+fn transitions(row: &[u8], mut at: impl FnMut(usize)) {
+    const ONES: u64 = 0x0101_0101_0101_0101;
+    let (mut u, mut inside) = (0, false);
+    while u < row.len() {
+        if let Some(eight) = row[u..].first_chunk() {
+            let differ = u64::from_le_bytes(*eight) ^ if inside { ONES } else { 0 };
+            if differ == 0 {
+                u += 8;
+                continue;
+            }
+            u += differ.trailing_zeros() as usize / 8;
+        } else if (row[u] != 0) == inside {
+            u += 1;
+            continue;
+        }
+        inside = !inside;
+        at(u);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Runs;
+    use crate::image::Plane;
+    use crate::reconstruct::period;
+    use proptest::prelude::{prop_assert_eq, proptest};
+
+    proptest! {
+        #[test]
+        fn runs_are_those_of_a_plain_search(bits in proptest::collection::vec(0u8..2, 37 * 5), long in 0usize..37) {
+            let mut mask = Plane::from_vec(37, 5, bits).expect("185 pixels");
+            mask.row_mut(2)[..long].fill(1);
+            mask.row_mut(3)[long..].fill(0);
+            let found = Runs::of(&mask);
+            for v in 0..5 {
+                let plain: Vec<_> = period::runs(mask.row(v)).collect();
+                let found: Vec<_> = found.row(v).iter().map(|run| run.columns()).collect();
+                prop_assert_eq!(found, plain);
+            }
+        }
+    }
+}
