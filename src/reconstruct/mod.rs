@@ -7,6 +7,8 @@
 pub mod absolute;
 /// A session to clouds on disk.
 pub mod batch;
+/// From absolute phase to the cloud.
+pub mod cloud;
 /// Connected components of a mask.
 pub mod components;
 /// Bias of the phase on curved surfaces.
@@ -37,6 +39,8 @@ pub mod pipeline;
 pub mod png_source;
 /// Verticality Vm, border distance Bm, quality Qm.
 pub mod quality;
+/// What triangulation comes to along every line of sight.
+pub mod rays;
 /// Fringe orders from the head's other camera.
 pub mod resolve;
 /// The part of a frame that holds the object.
@@ -46,6 +50,7 @@ pub mod shading;
 /// Vectors as wide as the processor has.
 pub mod simd;
 mod source;
+mod support;
 /// From absolute phase to points.
 pub mod triangulate;
 /// The anchored spanning forest.
