@@ -16,6 +16,8 @@ pub struct Cloud {
     pub pixel: Vec<[u16; 2]>,
     /// Source camera: its place in the calibration. Empty in a directional cloud.
     pub camera: Vec<u8>,
+    /// Standard uncertainty of the place along the line of sight, metres. Empty where it was not asked for.
+    pub sigma_m: Vec<f32>,
 }
 
 impl Cloud {
@@ -40,6 +42,7 @@ impl Cloud {
         self.normal.extend_from_slice(&directional.normal);
         self.intensity.extend_from_slice(&directional.intensity);
         self.pixel.extend_from_slice(&directional.pixel);
+        self.sigma_m.extend_from_slice(&directional.sigma_m);
         self.camera.resize(self.position_m.len(), camera);
     }
 }

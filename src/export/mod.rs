@@ -1,6 +1,7 @@
 //! Point clouds and pictures on their way out: PLY, MCAP, PNG.
 
 mod cloud;
+mod phase_map;
 /// Binary PLY files.
 pub mod ply;
 /// Sequences of clouds as MCAP.
@@ -9,3 +10,4 @@ pub mod sequence;
 pub mod view;
 
 pub use cloud::{Cloud, NO_CAMERA};
+pub use phase_map::{PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_of, doubt_rad};

@@ -213,6 +213,7 @@ mod tests {
             intensity: (0..points).map(|i| i as f32 / points as f32).collect(),
             pixel: (0..points).map(|i| [i as u16, 1199]).collect(),
             camera: if merged { (0..points).map(|i| (i % 8) as u8).collect() } else { Vec::new() },
+            sigma_m: Vec::new(),
         }
     }
 

@@ -252,6 +252,7 @@ mod tests {
             intensity: vec![0.5],
             pixel: vec![[3, 4]],
             camera: vec![6],
+            sigma_m: Vec::new(),
         }
     }
 

@@ -7,7 +7,10 @@
 //! derivatives are taken from the absolute phase itself over a wider base and the bias is taken off.
 
 use super::demodulate::Phasors;
+use super::simd;
+use super::support::Support;
 use crate::image::Plane;
+use std::cell::RefCell;
 
 /// Mean and ripple of the formula's bias, per second difference over half a period to each side.
 const MEAN: f32 = 0.176;
@@ -27,6 +30,13 @@ const NOISE_RAD_DN: f32 = 1.0;
 const REACH_ROWS: usize = 6;
 const MAX_BEND_ROWS: f32 = 1.0;
 
+/// Columns beyond the ends of a row that may be asked for; no period is longer.
+const PAD: usize = 64;
+
+thread_local! {
+    static SUPPORT: RefCell<Support> = RefCell::default();
+}
+
 /// Takes the bias off `absolute` (NaN: unknown). Phasors are means of `rows` rows, of `marker_rows` where `zone`
 /// is not zero.
 pub fn correct(
@@ -36,71 +46,110 @@ pub fn correct(
     zone: &Plane<u8>,
     (rows, marker_rows): (f32, f32),
 ) {
-    // What may support: the phase where it is known and looks like a fringe.
-    let mut support = absolute.clone();
-    for (x, misfit) in support.as_mut_slice().iter_mut().zip(phasors.misfit.as_slice()) {
-        if *misfit > MAX_MISFIT {
-            *x = f32::NAN;
-        }
-    }
     let per_bend = |rows: f32| (rows * rows - 1.0) / 24.0 / (REACH_ROWS * REACH_ROWS) as f32;
     let weight = [per_bend(rows), per_bend(marker_rows)];
-    for v in 0..absolute.height() {
-        let row = support.row(v);
-        let above = v.checked_sub(REACH_ROWS).map(|above| support.row(above));
-        let below = (v + REACH_ROWS < support.height()).then(|| support.row(v + REACH_ROWS));
-        let columns = above.zip(below);
-        let (c, s) = (phasors.c.row(v), phasors.s.row(v));
-        let (period, zone) = (period.row(v), zone.row(v));
-        for (u, phase) in absolute.row_mut(v).iter_mut().enumerate() {
-            if phase.is_nan() {
-                continue;
+    SUPPORT.with_borrow_mut(|support| {
+        simd::dispatch(|| {
+            support.begin(absolute, REACH_ROWS, PAD);
+            for v in 0..absolute.height() {
+                // What may support: the phase where it is known and looks like a fringe.
+                support.advance(v, absolute, |v, u| !(phasors.misfit.row(v)[u] > MAX_MISFIT));
+                let phase = absolute.row_mut(v);
+                let Some(first) = phase.iter().position(|x| !x.is_nan()) else { continue };
+                let end = phase.iter().rposition(|x| !x.is_nan()).map_or(first, |last| last + 1);
+                let part = first..end;
+                correct_row(
+                    &mut phase[part.clone()],
+                    [0, REACH_ROWS, 2 * REACH_ROWS].map(|below| &support.row(v, below)[first..end + 2 * PAD]),
+                    [phasors.c.row(v), phasors.s.row(v), period.row(v)].map(|row| &row[part.clone()]),
+                    &zone.row(v)[part.clone()],
+                    weight,
+                );
             }
-            let power = c[u] * c[u] + s[u] * s[u];
+        });
+    });
+}
+
+/// Takes the bias off a stretch of a row. `support`: that of the rows above, here and below, which begin [`PAD`]
+/// columns before it.
+#[inline(always)]
+fn correct_row(
+    phase: &mut [f32],
+    support: [&[f32]; 3],
+    [c, s, period]: [&[f32]; 3],
+    zone: &[u8],
+    weight: [f32; 2],
+) {
+    const LANES: usize = 16;
+    let [above, row, below] = support;
+    for at in (0..phase.len()).step_by(LANES) {
+        let count = LANES.min(phase.len() - at);
+        let lanes = |from: &[f32]| {
+            let mut to = [0f32; LANES];
+            to[..count].copy_from_slice(&from[at..at + count]);
+            to
+        };
+        let (x, c, s, period) = (lanes(phase), lanes(c), lanes(s), lanes(period));
+        let (above, below) = (lanes(&above[PAD..]), lanes(&below[PAD..]));
+        let (mut wide, mut stretch, mut marked) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
+        for i in 0..count {
+            // The slope along the row has no part in a difference to both sides: whole columns do.
+            let k = columns(period[i]);
+            wide[i] = row[at + i + PAD - k] - 2.0 * x[i] + row[at + i + PAD + k];
+            stretch[i] = period[i] / k as f32;
+            marked[i] = f32::from(u8::from(zone[at + i] != 0));
+        }
+        let mut bias = [0f32; LANES];
+        let mut steep = false;
+        for i in 0..LANES {
+            let power = c[i] * c[i] + s[i] * s[i];
             let noise = 6.0 * NOISE_RAD_DN / power.sqrt().max(3.0);
             // cos 2 phi = cos^2 - sin^2.
-            let per_bend = MEAN - RIPPLE * (c[u] * c[u] - s[u] * s[u]) / power.max(1.0);
-            let mut bias = per_bend * bend_across(row, u, *phase, period[u], noise);
-            if let Some((above, below)) = columns {
-                let bend = above[u] - 2.0 * *phase + below[u];
-                if bend.abs() < MAX_BEND_ROWS {
-                    bias += weight[usize::from(zone[u] != 0)] * shrunk(bend, noise);
-                }
+            let per_bend = MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / power.max(1.0);
+            let smooth = wide[i].abs() < 4.0 * MAX_BEND;
+            let bend = if smooth { shrunk(wide[i] * stretch[i] * stretch[i], noise) / 4.0 } else { 0.0 };
+            let along = above[i] - 2.0 * x[i] + below[i];
+            let factor = weight[0] + marked[i] * (weight[1] - weight[0]);
+            let along = if along.abs() < MAX_BEND_ROWS { factor * shrunk(along, noise) } else { 0.0 };
+            bias[i] = per_bend * bend + along;
+            steep |= !smooth & !x[i].is_nan();
+        }
+        if steep {
+            for i in (0..count).filter(|&i| !x[i].is_nan() && !(wide[i].abs() < 4.0 * MAX_BEND)) {
+                let power = c[i] * c[i] + s[i] * s[i];
+                let noise = 6.0 * NOISE_RAD_DN / power.sqrt().max(3.0);
+                let per_bend = MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / power.max(1.0);
+                bias[i] += per_bend * bend_beside(row, at + i + PAD, x[i], period[i], noise);
             }
-            *phase -= bias;
+        }
+        for (x, bias) in phase[at..at + count].iter_mut().zip(bias) {
+            *x -= bias;
         }
     }
 }
 
-/// Second difference of the phase over half a period to each side, less the noise: measured over a whole period
-/// where that is possible, else over half a period, else beside the pixel; 0 where it is not known.
-fn bend_across(row: &[f32], u: usize, phase: f32, period: f32, noise: f32) -> f32 {
-    let at = |x: f32| phase_at(row, u as f32 + x);
-    let far = (at(-period), at(period));
-    let wide = far.0 - 2.0 * phase + far.1;
-    if wide.abs() < 4.0 * MAX_BEND {
-        return shrunk(wide, noise) / 4.0;
-    }
-    let near = (at(-period / 2.0), at(period / 2.0));
-    let narrow = [near.0 - 2.0 * phase + near.1, phase - 2.0 * near.1 + far.1, phase - 2.0 * near.0 + far.0];
-    narrow.into_iter().find(|bend| bend.abs() < MAX_BEND).map_or(0.0, |bend| shrunk(bend, noise))
+/// A period in whole columns.
+#[inline(always)]
+fn columns(period: f32) -> usize {
+    // Not 0 for NaN or nothing, either.
+    ((period + 0.5) as usize).clamp(1, PAD)
 }
 
-/// Phase at column `x`, interpolated; NaN where one of its neighbours is unknown.
-fn phase_at(row: &[f32], x: f32) -> f32 {
-    if x < 0.0 {
-        return f32::NAN;
-    }
-    let i = x as usize;
-    match (row.get(i), row.get(i + 1)) {
-        (Some(a), Some(b)) => a + (x - i as f32) * (b - a),
-        _ => f32::NAN,
-    }
+/// Second difference of the phase over half a period to each side, less the noise, where that over a whole one is of
+/// no use: measured over half a period, else beside the pixel; 0 where it is not known.
+fn bend_beside(row: &[f32], at: usize, phase: f32, period: f32, noise: f32) -> f32 {
+    let half = columns(period / 2.0).min(PAD / 2);
+    let stretch = period / 2.0 / half as f32;
+    let x = [at - 2 * half, at - half, at + half, at + 2 * half].map(|at| row[at]);
+    let bends = [x[1] - 2.0 * phase + x[2], phase - 2.0 * x[2] + x[3], phase - 2.0 * x[1] + x[0]];
+    let bend = bends.into_iter().map(|bend| bend * stretch * stretch).find(|bend| bend.abs() < MAX_BEND);
+    bend.map_or(0.0, |bend| shrunk(bend, noise))
 }
 
 /// `x` nearer to 0 by `noise`.
+#[inline(always)]
 fn shrunk(x: f32, noise: f32) -> f32 {
-    x.signum() * (x.abs() - noise).max(0.0)
+    (x.abs() - noise).max(0.0).copysign(x)
 }
 
 #[cfg(test)]

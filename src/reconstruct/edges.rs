@@ -9,7 +9,10 @@
 //! misfit grows too, they do not, and the pixel keeps its own. What remains uncertain beyond a bound is dropped.
 
 use super::demodulate::Phasors;
+use super::simd;
+use super::support::Support;
 use crate::image::Plane;
+use std::cell::RefCell;
 use std::f32::consts::TAU;
 
 /// Settings of this stage. Its trade-off is tabulated in `docs/design/reconstruction.md`.
@@ -56,9 +59,14 @@ const MIN_RESIDUAL: f32 = 0.003;
 /// Pixels this far from the carrier are on another surface, rad.
 const SAME_SURFACE: f32 = 1.5;
 
+thread_local! {
+    static SUPPORT: RefCell<(Support, Vec<usize>)> = RefCell::default();
+}
+
 /// Gives pixels of doubtful misfit the phase of the good ones around where that is more certain, and drops those
 /// (NaN) of which a larger error than the bound is to be expected. Pixels of `zone`, around the marker, stay.
-/// Returns how many were dropped.
+/// The error to expect of the doubtful ones goes to `expected`, where it is given, rad. Returns how many were
+/// dropped.
 pub fn refine(
     absolute: &mut Plane<f32>,
     phasors: &Phasors,
@@ -66,41 +74,68 @@ pub fn refine(
     zone: &Plane<u8>,
     sign: f32,
     settings: &Settings,
+    mut expected: Option<&mut Plane<f32>>,
 ) -> usize {
-    let mut good = absolute.clone();
-    let misfit = phasors.misfit.as_slice();
-    for ((x, misfit), zone) in good.as_mut_slice().iter_mut().zip(misfit).zip(zone.as_slice()) {
-        if *misfit > settings.good_misfit || *zone != 0 {
-            *x = f32::NAN;
+    let outside = zone;
+    SUPPORT.with_borrow_mut(|(support, doubtful)| {
+        simd::dispatch(|| {
+            support.begin(absolute, REACH.1, REACH.0);
+            let mut dropped = 0;
+            for v in 0..absolute.height() {
+                let (misfit, zone) = (phasors.misfit.row(v), zone.row(v));
+                support.advance(v, absolute, |v, u| {
+                    (phasors.misfit.row(v)[u] <= settings.good_misfit) & (outside.row(v)[u] == 0)
+                });
+                list_doubtful(absolute.row(v), misfit, zone, settings.doubtful_misfit, doubtful);
+                for &u in doubtful.iter() {
+                    let amplitude = size(phasors.c.at(u, v), phasors.s.at(u, v)) / 6.0;
+                    let mut error = own_error(misfit[u], amplitude);
+                    let (phase, carrier) = (absolute.at(u, v), sign * TAU / period.at(u, v));
+                    if let Some(plane) = lay_plane(support, (u, v), phase, carrier)
+                        && plane.error < error
+                    {
+                        absolute.set(u, v, plane.phase);
+                        error = plane.error;
+                    }
+                    if let Some(expected) = expected.as_deref_mut() {
+                        expected.set(u, v, error);
+                    }
+                    if error > settings.max_error {
+                        absolute.set(u, v, f32::NAN);
+                        dropped += 1;
+                    }
+                }
+            }
+            dropped
+        })
+    })
+}
+
+/// Columns whose phase is known and doubtful.
+#[inline(always)]
+fn list_doubtful(phase: &[f32], misfit: &[f32], zone: &[u8], from: f32, list: &mut Vec<usize>) {
+    const LANES: usize = 32;
+    list.clear();
+    let parts = phase.chunks(LANES).zip(misfit.chunks(LANES)).zip(zone.chunks(LANES));
+    for (part, ((phase, misfit), zone)) in parts.enumerate() {
+        let doubtful = |i: usize| !phase[i].is_nan() & (misfit[i] >= from) & (zone[i] == 0);
+        let (mut any, count) = (false, phase.len().min(misfit.len()).min(zone.len()));
+        for i in 0..count {
+            any |= doubtful(i);
+        }
+        if any {
+            list.extend((0..count).filter(|&i| doubtful(i)).map(|i| part * LANES + i));
         }
     }
-    let mut dropped = 0;
-    for v in 0..absolute.height() {
-        let (misfit, zone) = (phasors.misfit.row(v), zone.row(v));
-        for u in 0..absolute.width() {
-            let phase = absolute.at(u, v);
-            if phase.is_nan() || misfit[u] < settings.doubtful_misfit || zone[u] != 0 {
-                continue;
-            }
-            let amplitude = phasors.c.at(u, v).hypot(phasors.s.at(u, v)) / 6.0;
-            let mut error = own_error(misfit[u], amplitude);
-            let carrier = sign * TAU / period.at(u, v);
-            if let Some(plane) = lay_plane(&good, (u, v), phase, carrier)
-                && plane.error < error
-            {
-                absolute.set(u, v, plane.phase);
-                error = plane.error;
-            }
-            if error > settings.max_error {
-                absolute.set(u, v, f32::NAN);
-                dropped += 1;
-            }
-        }
-    }
-    dropped
+}
+
+#[inline(always)]
+fn size(c: f32, s: f32) -> f32 {
+    (c * c + s * s).sqrt()
 }
 
 /// The RMS error to expect of a phase from its window's misfit and the fringe's amplitude, rad.
+#[inline(always)]
 pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
     let noise = NOISE_DN / amplitude.max(0.5);
     ERROR_PER_MISFIT * (misfit * misfit - noise * noise).max(0.0).sqrt()
@@ -112,30 +147,54 @@ struct Laid {
     error: f32,
 }
 
+/// Samples that a plane is laid through, at most, and that number rounded up to whole vectors.
+const COLUMNS: usize = 2 * REACH.0 / COLUMN_STEP + 1;
+const SAMPLES: usize = COLUMNS * (2 * REACH.1 + 1);
+const LANES: usize = 8;
+const VECTORS: usize = SAMPLES.div_ceil(LANES);
+
+/// Columns and rows of the samples from the pixel.
+const PLACES: [[[f32; LANES]; VECTORS]; 2] = places();
+
+const fn places() -> [[[f32; LANES]; VECTORS]; 2] {
+    let mut places = [[[0.0; LANES]; VECTORS]; 2];
+    let mut i = 0;
+    while i < SAMPLES {
+        places[0][i / LANES][i % LANES] = (i % COLUMNS * COLUMN_STEP) as f32 - REACH.0 as f32;
+        places[1][i / LANES][i % LANES] = (i / COLUMNS) as f32 - REACH.1 as f32;
+        i += 1;
+    }
+    places
+}
+
 /// The least-squares plane through the good phases around (u, v), those on the surface of `phase`.
-fn lay_plane(good: &Plane<f32>, (u, v): (usize, usize), phase: f32, carrier: f32) -> Option<Laid> {
+#[inline(always)]
+fn lay_plane(good: &Support, (u, v): (usize, usize), phase: f32, carrier: f32) -> Option<Laid> {
+    let mut samples = [f32::NAN; LANES * VECTORS];
+    for (below, to) in samples[..SAMPLES].chunks_exact_mut(COLUMNS).enumerate() {
+        let row = &good.row(v, below)[u..=u + 2 * REACH.0];
+        for (k, to) in to.iter_mut().enumerate() {
+            *to = row[k * COLUMN_STEP];
+        }
+    }
     // Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
-    let (mut n, mut x1, mut y1, mut xx, mut xy, mut yy) = (0f32, 0f32, 0f32, 0f32, 0f32, 0f32);
-    let (mut z1, mut xz, mut yz, mut zz) = (0f32, 0f32, 0f32, 0f32);
-    let first = u as isize - REACH.0 as isize;
-    for row in v.saturating_sub(REACH.1)..(v + REACH.1 + 1).min(good.height()) {
-        let y = row as f32 - v as f32;
-        let phases = good.row(row);
-        for k in 0..=2 * REACH.0 / COLUMN_STEP {
-            let column = first + (k * COLUMN_STEP) as isize;
-            let Some(&other) = usize::try_from(column).ok().and_then(|column| phases.get(column)) else {
-                continue;
-            };
-            let x = (k * COLUMN_STEP) as f32 - REACH.0 as f32;
-            let z = other - phase - carrier * x;
+    let mut sums = [[0f32; LANES]; 10];
+    for ((z, x), y) in samples.as_chunks::<LANES>().0.iter().zip(&PLACES[0]).zip(&PLACES[1]) {
+        for i in 0..LANES {
+            let (x, y) = (x[i], y[i]);
+            let z = z[i] - phase - carrier * x;
             // Not so for NaN.
-            if z.abs() < SAME_SURFACE {
-                (n, x1, y1) = (n + 1.0, x1 + x, y1 + y);
-                (xx, xy, yy) = (xx + x * x, xy + x * y, yy + y * y);
-                (z1, xz, yz, zz) = (z1 + z, xz + x * z, yz + y * z, zz + z * z);
+            let same = z.abs() < SAME_SURFACE;
+            let one = if same { 1.0 } else { 0.0 };
+            let z = if same { z } else { 0.0 };
+            let terms = [one, one * x, one * y, one * x * x, one * x * y, one * y * y, z, x * z, y * z, z * z];
+            for (sum, term) in sums.iter_mut().zip(terms) {
+                sum[i] += term;
             }
         }
     }
+    // Always in the same order, whatever the width of the processor's vectors.
+    let [n, x1, y1, xx, xy, yy, z1, xz, yz, zz] = sums.map(|sum| sum.iter().fold(0.0, |a, b| a + b));
     if n < MIN_SUPPORT as f32 {
         return None;
     }
@@ -236,7 +295,7 @@ mod tests {
         demodulate::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
         curvature::correct(&mut phase, &phasors, &period, &none, (5.0, 12.0));
-        refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default());
+        refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default(), None);
         [before, score(&phase)]
     }
 
@@ -266,7 +325,7 @@ mod tests {
         phasors.misfit.row_mut(60)[100..110].fill(0.01);
         let mut phase = wrapped(&phasors);
         let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let dropped = refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default());
+        let dropped = refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default(), None);
         assert_eq!(dropped, known - 10);
         assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));
     }

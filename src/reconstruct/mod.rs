@@ -8,6 +8,8 @@ pub mod absolute;
 mod angle;
 /// A session to clouds on disk.
 pub mod batch;
+/// From absolute phase to the cloud.
+pub mod cloud;
 /// Connected components of a mask.
 pub mod components;
 /// Bias of the phase on curved surfaces.
@@ -47,6 +49,8 @@ pub mod png_source;
 mod pool;
 /// Verticality Vm, border distance Bm, quality Qm.
 pub mod quality;
+/// What triangulation comes to along every line of sight.
+pub mod rays;
 /// The part of a frame that holds the object.
 pub mod roi;
 /// Runs of a mask's pixels.
@@ -57,6 +61,7 @@ pub mod shading;
 /// Vectors as wide as the processor has.
 pub mod simd;
 mod source;
+mod support;
 /// From absolute phase to points.
 pub mod triangulate;
 /// The anchored spanning forest.

@@ -1,90 +1,176 @@
 //! Normals from the points of neighbouring pixels.
+//!
+//! A normal is the cross product of two differences of points: along the row and along the column, over three pixels
+//! to each side, over one where a neighbour at three is missing or on another surface, to one side where only that
+//! has a neighbour.
 
-use crate::image::Plane;
+use super::rays::RayTable;
 
 /// Pixels to the neighbours whose points span the tangent plane; nearer ones where these are missing.
 const REACH_PX: [usize; 2] = [3, 1];
 
+/// The larger of them.
+pub(super) const REACH: usize = REACH_PX[0];
+
 /// Neighbours this much further away than the pixel spacing allows are on another surface.
 const MAX_STRETCH: f32 = 6.0;
 
-/// The unit normal of pixel (u, v), towards the camera at the origin, from points in camera axes (NaN: none).
-/// `None` where the neighbours do not span a plane.
-pub fn normal(points: &Plane<[f32; 3]>, u: usize, v: usize, focal_px: f32) -> Option<[f32; 3]> {
-    let centre = points.at(u, v);
-    let spacing = centre[2] / focal_px;
-    let across = tangent(points, centre, spacing, |k| {
-        (u.checked_sub(k).map(|x| (x, v)), (u + k < points.width()).then_some((u + k, v)))
-    })?;
-    let along = tangent(points, centre, spacing, |k| {
-        (v.checked_sub(k).map(|y| (u, y)), (v + k < points.height()).then_some((u, v + k)))
-    })?;
-    let n = [
-        across[1] * along[2] - across[2] * along[1],
-        across[2] * along[0] - across[0] * along[2],
-        across[0] * along[1] - across[1] * along[0],
-    ];
-    let length = dot(n, n).sqrt();
-    // Towards the camera: against the direction of view.
-    let facing = if dot(n, centre) > 0.0 { -1.0 } else { 1.0 };
-    (length > 0.0).then(|| n.map(|x| facing * x / length))
+/// Pixels that are worked on at once.
+pub(super) const LANES: usize = 16;
+
+/// One coordinate of some points.
+type Lanes = [f32; LANES];
+
+/// The points of a row, in the world, with room to either side; NaN: none.
+#[derive(Debug, Default)]
+pub(super) struct Points {
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    pub z: Vec<f32>,
 }
 
-type Place = Option<(usize, usize)>;
-
-/// Difference of the points before and after, of one of them to the centre where the other is missing.
-fn tangent(
-    points: &Plane<[f32; 3]>,
-    centre: [f32; 3],
-    spacing: f32,
-    places: impl Fn(usize) -> (Place, Place),
-) -> Option<[f32; 3]> {
-    REACH_PX.iter().find_map(|&k| {
-        let limit = MAX_STRETCH * spacing * k as f32;
-        let near = |place: Place| {
-            let point = place.map(|(u, v)| points.at(u, v))?;
-            let d = sub(point, centre);
-            (dot(d, d) <= limit * limit).then_some(point)
+impl Points {
+    #[inline(always)]
+    fn at(&self, place: usize) -> [Lanes; 3] {
+        let lanes = |from: &[f32]| {
+            let mut to = [0f32; LANES];
+            to.copy_from_slice(&from[place..place + LANES]);
+            to
         };
-        let (before, after) = places(k);
-        match (near(before), near(after)) {
-            (Some(a), Some(b)) => Some(sub(b, a)),
-            (Some(a), None) => Some(sub(centre, a)),
-            (None, Some(b)) => Some(sub(b, centre)),
-            (None, None) => None,
-        }
-    })
+        [lanes(&self.x), lanes(&self.y), lanes(&self.z)]
+    }
 }
 
+/// Some points with their unit normals.
+pub(super) struct Oriented {
+    pub point: [Lanes; 3],
+    pub normal: [Lanes; 3],
+    /// Whether there is a point whose normal is known and that the projector sees from before.
+    pub good: [bool; LANES],
+}
+
+/// The points at `place ..` of the middle row with their normals, towards the camera. `rows` are those at -3, -1, 0,
+/// 1 and 3. A point without a normal, or that faces away from the projector that is supposed to light it, is no good.
+#[inline(always)]
+pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Oriented {
+    let centre = rows[2].at(place);
+    let mut limit = [0f32; LANES];
+    for i in 0..LANES {
+        let sight = from(table.centre, &centre, i);
+        let spacing = MAX_STRETCH * dot(sight, table.forward) / table.focal_px;
+        limit[i] = spacing * spacing;
+    }
+    let [far, near] = REACH_PX;
+    let ends = |k: usize| [rows[2].at(place - k), rows[2].at(place + k)];
+    let across = tangent(&centre, &limit, [ends(far), ends(near)]);
+    let along = tangent(
+        &centre,
+        &limit,
+        [[rows[0].at(place), rows[4].at(place)], [rows[1].at(place), rows[3].at(place)]],
+    );
+    let mut out = Oriented { point: centre, normal: [[0.0; LANES]; 3], good: [false; LANES] };
+    for i in 0..LANES {
+        let (a, b) = (pick(&across, i), pick(&along, i));
+        let n = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+        let length = dot(n, n).sqrt();
+        // Towards the camera: against the direction of view.
+        let facing = if dot(n, from(table.centre, &centre, i)) > 0.0 { -1.0 } else { 1.0 };
+        let scale = facing / length;
+        let n = [n[0] * scale, n[1] * scale, n[2] * scale];
+        // Not so where a tangent is missing: all of it is NaN.
+        out.good[i] = (length > 0.0) & (dot(n, from(table.projector, &centre, i)) < 0.0);
+        out.normal[0][i] = n[0];
+        out.normal[1][i] = n[1];
+        out.normal[2][i] = n[2];
+    }
+    out
+}
+
+/// Difference of the points before and after, of one of them to the centre where the other is missing, with the
+/// first reach for which there is one. `limit`: the square of the largest distance for a reach of 1. NaN where there
+/// is none.
+#[inline(always)]
+fn tangent(centre: &[Lanes; 3], limit: &Lanes, ends: [[[Lanes; 3]; 2]; 2]) -> [Lanes; 3] {
+    let mut out = [[f32::NAN; LANES]; 3];
+    for (reach, [before, after]) in REACH_PX.into_iter().zip(&ends).rev() {
+        let squared = (reach * reach) as f32;
+        for i in 0..LANES {
+            let c = pick(centre, i);
+            let (a, b) = (pick(before, i), pick(after, i));
+            let (da, db) = (sub(a, c), sub(b, c));
+            // Not so for NaN.
+            let has_a = dot(da, da) <= limit[i] * squared;
+            let has_b = dot(db, db) <= limit[i] * squared;
+            for axis in 0..3 {
+                let end = if has_b { b[axis] } else { c[axis] };
+                let start = if has_a { a[axis] } else { c[axis] };
+                out[axis][i] = if has_a | has_b { end - start } else { out[axis][i] };
+            }
+        }
+    }
+    out
+}
+
+/// From `origin` to point `i`.
+#[inline(always)]
+fn from(origin: [f32; 3], points: &[Lanes; 3], i: usize) -> [f32; 3] {
+    sub(pick(points, i), origin)
+}
+
+#[inline(always)]
+fn pick(points: &[Lanes; 3], i: usize) -> [f32; 3] {
+    [points[0][i], points[1][i], points[2][i]]
+}
+
+#[inline(always)]
 fn sub(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// Scalar product.
-pub(super) fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+#[inline(always)]
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[cfg(test)]
 mod tests {
-    use super::normal;
-    use crate::image::Plane;
+    use super::{LANES, Points, orient};
+    use crate::reconstruct::rays::RayTable;
+    use crate::reconstruct::triangulate::tests::strong_lenses;
+    use nalgebra::{Point3, Vector3};
 
-    /// A plane x + z = 3 before the camera, and a hole.
+    /// A tilted plane before the camera, with a hole.
     #[test]
     fn a_tilted_plane_has_its_normal_up_to_its_edges() {
-        let mut points = Plane::filled(20, 20, [f32::NAN; 3]);
-        for v in 0..20 {
-            for u in 0..20 {
-                let x = (u as f32 - 10.0) * 0.001;
-                points.set(u, v, [x, (v as f32 - 10.0) * 0.001, 3.0 - x]);
-            }
-        }
-        points.set(10, 10, [f32::NAN; 3]);
+        let pair = strong_lenses();
+        let table = RayTable::new(&pair);
+        let camera = pair.camera.world_from_device.isometry();
+        let world = |x: f64, y: f64| camera.transform_point(&Point3::new(x, y, 3.0 - x));
+        let rows: Vec<Points> = (0..20)
+            .map(|v| {
+                let mut row = Points::default();
+                for u in -3..3 + 2 * LANES as i32 {
+                    let point = world(f64::from(u - 10) * 1e-3, f64::from(v - 10) * 1e-3).cast::<f32>();
+                    let hole = (u, v) == (10, 10) || !(0..20).contains(&u);
+                    row.x.push(if hole { f32::NAN } else { point.x });
+                    row.y.push(if hole { f32::NAN } else { point.y });
+                    row.z.push(if hole { f32::NAN } else { point.z });
+                }
+                row
+            })
+            .collect();
+        let none = || vec![f32::NAN; 6 + 2 * LANES];
+        let empty = Points { x: none(), y: none(), z: none() };
+        let expected = (camera.rotation * Vector3::new(-1.0, 0.0, -1.0).normalize()).cast::<f32>();
         for (u, v) in [(0, 0), (19, 19), (9, 10), (13, 10), (5, 5)] {
-            let n = normal(&points, u, v, 2000.0).expect("a plane");
-            let expected = -std::f32::consts::FRAC_1_SQRT_2;
-            assert!((n[0] - expected).abs() < 1e-3 && (n[2] - expected).abs() < 1e-3, "{n:?}");
+            let row = |dv: i32| usize::try_from(v + dv).ok().and_then(|v| rows.get(v)).unwrap_or(&empty);
+            let place = 3 + u / LANES * LANES;
+            let found = orient([row(-3), row(-1), row(0), row(1), row(3)], place, &table);
+            let i = u % LANES;
+            let n = Vector3::from(found.normal.map(|axis| axis[i]));
+            assert!((n - expected).norm() < 2e-3 && found.good[i], "({u}, {v}): {n:?}, not {expected:?}");
         }
+        let found = orient([&empty, &empty, &rows[5], &empty, &empty], 3, &table);
+        assert_eq!(found.good, [false; LANES]);
     }
 }

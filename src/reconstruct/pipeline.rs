@@ -5,16 +5,15 @@ use super::front::{self, Front};
 use super::marker_phase::Bias;
 use super::order::{self, Regions, View};
 use super::pool::Pool;
+use super::rays::RayTable;
 use super::roi::Roi;
 use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
 use super::{
-    absolute, curvature, demodulate, edges, marker_number, mask, normals, period, quality, unwrap,
-    unwrap_paper,
+    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, unwrap, unwrap_paper,
 };
 use crate::export::Cloud;
 use crate::image::{Mono8, Plane};
-use nalgebra::Point3;
 use std::time::{Duration, Instant};
 
 /// How the absolute phase is found.
@@ -86,6 +85,7 @@ pub struct Maps {
 #[derive(Debug)]
 pub struct Pipeline {
     triangulator: Triangulator,
+    table: RayTable,
     gains: Gains,
     bias: Bias,
     method: Method,
@@ -169,7 +169,8 @@ impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
-        Self { triangulator, gains: Gains::new(), bias, method, keep_maps, buffers: Pool::default() }
+        let table = RayTable::new(triangulator.pair());
+        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, buffers: Pool::default() }
     }
 
     /// What it triangulates with.
@@ -258,12 +259,14 @@ impl Pipeline {
             });
             counts.dropped += clock.time("edges", || {
                 let settings = edges::Settings::default();
-                edges::refine(&mut absolute, &phasors, &period, &zone, pair.sign, &settings)
+                edges::refine(&mut absolute, &phasors, &period, &zone, pair.sign, &settings, None)
             });
         }
-        let points = clock.time("triangulate", || self.triangulate(&absolute, roi));
-        let cloud = clock.time("normals", || self.cloud(&points, &phasors, roi));
         let frame = (pair.camera.width, pair.camera.height);
+        let map = clock.time("quantize", || {
+            cloud::phase_map(&absolute, &phasors.mean, None, roi, [frame.0 as u16, frame.1 as u16])
+        });
+        let cloud = clock.time("points", || cloud::make(&self.table, &map));
         planes.push(("Fm", absolute));
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),
@@ -377,55 +380,6 @@ impl Pipeline {
         let open = OpenTrees::none(absolute.width(), absolute.height());
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
         Resolved { absolute, open, marker: segment, phasors, period: periods.period, zone, planes }
-    }
-
-    /// Points in camera axes, m; NaN where there is none.
-    fn triangulate(&self, absolute: &Plane<f32>, roi: Roi) -> Plane<[f32; 3]> {
-        let pair = self.triangulator.pair();
-        let mut points = Plane::filled(roi.width, roi.height, [f32::NAN; 3]);
-        for v in 0..roi.height {
-            let mut bend = 0.0;
-            for (u, &phase) in absolute.row(v).iter().enumerate() {
-                if phase.is_nan() {
-                    continue;
-                }
-                let point = self.triangulator.point_after(roi.u + u, roi.v + v, f64::from(phase), &mut bend);
-                let Some((camera, world)) = point else { continue };
-                if pair.in_volume(&world) {
-                    points.set(u, v, [camera.x as f32, camera.y as f32, camera.z as f32]);
-                }
-            }
-        }
-        points
-    }
-
-    /// The cloud in the world frame. A point without a normal, or that faces away from the projector that
-    /// is supposed to light it, is dropped.
-    fn cloud(&self, points: &Plane<[f32; 3]>, phasors: &Phasors, roi: Roi) -> Cloud {
-        let pair = self.triangulator.pair();
-        let world_from_camera = pair.camera.world_from_device.isometry().cast::<f32>();
-        let projector = pair.camera.device_point(&pair.projector.centre()).cast::<f32>();
-        let mut cloud = Cloud::default();
-        for v in 0..roi.height {
-            for u in 0..roi.width {
-                let p = points.at(u, v);
-                if p[0].is_nan() {
-                    continue;
-                }
-                let Some(n) = normals::normal(points, u, v, pair.camera.lens.fx as f32) else { continue };
-                let light = [projector.x - p[0], projector.y - p[1], projector.z - p[2]];
-                if normals::dot(n, light) <= 0.0 {
-                    continue;
-                }
-                let world = world_from_camera.transform_point(&Point3::from(p));
-                let normal = world_from_camera.transform_vector(&n.into());
-                cloud.position_m.push(world.coords.into());
-                cloud.normal.push(normal.into());
-                cloud.intensity.push((phasors.mean.at(u, v) / 255.0).clamp(0.0, 1.0));
-                cloud.pixel.push([(roi.u + u) as u16, (roi.v + v) as u16]);
-            }
-        }
-        cloud
     }
 }
 

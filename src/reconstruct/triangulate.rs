@@ -116,7 +116,7 @@ impl Triangulator {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::Triangulator;
     use crate::calibrate::Calibration;
     use crate::config::Rig;
@@ -125,14 +125,18 @@ mod tests {
     use std::path::Path;
 
     /// The first pair of the shipped rig, with strong lenses.
-    fn triangulator() -> Triangulator {
+    pub(crate) fn strong_lenses() -> Pair {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
         let mut calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         let head = &mut calibration.heads[0];
         head.projector.lens.distortion = [-0.12, 0.08, 4e-4, -3e-4, 0.01];
         head.cameras[0].device.lens.distortion = [-0.11, 0.09, -3e-4, 2e-4, -0.01];
         let head = &calibration.heads[0];
-        Triangulator::new(Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair"))
+        Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair")
+    }
+
+    fn triangulator() -> Triangulator {
+        Triangulator::new(strong_lenses())
     }
 
     proptest! {

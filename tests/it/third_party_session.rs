@@ -186,6 +186,7 @@ fn a_sequence_of_clouds_reads_back_in_python() {
             intensity: numbers.clone().map(|_| 0.25).collect(),
             pixel: numbers.clone().map(|i| [i, k]).collect(),
             camera: numbers.map(|i| (i % 8) as u8).collect(),
+            sigma_m: Vec::new(),
         };
         writer.push(1_790_000_000_000_000_000 + u64::from(k) * 8_333_333, &cloud).expect("written");
     }

@@ -1,0 +1,283 @@
+//! From absolute phase to the cloud: what is known of a frame in whole steps, then points and normals.
+//!
+//! Rows of points go through a ring of seven, as many as a normal needs, which stays in the cache. The steps come
+//! first so that a cloud made of a stored phase map has the same bytes.
+
+use super::normals::{LANES, Oriented, Points, REACH, orient};
+use super::rays::{NODE_PX, PointRow, RayTable};
+use super::roi::Roi;
+use super::simd;
+use crate::export::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_rad};
+use crate::image::Plane;
+use std::cell::RefCell;
+use std::f32::consts::TAU;
+
+/// Rows in the ring: a normal reaches three up and three down.
+const RING: usize = 2 * REACH + 1;
+
+/// Room to either side of a row of points, for the reach of normals and for lanes beyond its end.
+const PAD: usize = 2 * LANES;
+
+/// Adding and taking away this rounds a float below 2^22 to the nearest whole number.
+const ROUNDER: f32 = 12_582_912.0;
+
+/// Fringes beyond this are no phase.
+const MAX_STEPS: f32 = 4e6;
+
+/// Puts the known pixels of a frame together: `absolute` phase, rad (NaN: unknown), and `light`, DN, on the region of
+/// interest. `doubt` holds the standard uncertainty of the phase, as a byte, where it is asked for.
+pub fn phase_map(
+    absolute: &Plane<f32>,
+    light: &Plane<f32>,
+    doubt: Option<&Plane<u8>>,
+    roi: Roi,
+    frame: [u16; 2],
+) -> PhaseMap {
+    let mut map = PhaseMap { frame, ..PhaseMap::default() };
+    let known = absolute.as_slice().iter().filter(|x| !x.is_nan()).count();
+    map.phase.reserve_exact(known);
+    map.light.reserve_exact(known);
+    map.doubt.reserve_exact(if doubt.is_some() { known } else { 0 });
+    simd::dispatch(|| {
+        for v in 0..roi.height {
+            let row = absolute.row(v);
+            let mut end = 0;
+            while let Some(start) = row[end..].iter().position(|x| !x.is_nan()).map(|at| end + at) {
+                end = row[start..].iter().position(|x| x.is_nan()).map_or(row.len(), |at| start + at);
+                map.runs.push(Run {
+                    row: (roi.v + v) as u16,
+                    first: (roi.u + start) as u16,
+                    length: (end - start) as u16,
+                });
+                map.phase.extend(row[start..end].iter().map(|&x| steps(x)));
+                map.light.extend(light.row(v)[start..end].iter().map(|&x| light_steps(x)));
+                if let Some(doubt) = doubt {
+                    map.doubt.extend_from_slice(&doubt.row(v)[start..end]);
+                }
+            }
+        }
+    });
+    map
+}
+
+/// A phase, rad, in whole steps.
+#[inline(always)]
+fn steps(phase: f32) -> i32 {
+    let steps = (phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS);
+    (steps + ROUNDER - ROUNDER) as i32
+}
+
+#[inline(always)]
+fn light_steps(light: f32) -> u16 {
+    let steps = (light * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL);
+    (steps + ROUNDER - ROUNDER) as u16
+}
+
+/// Memory that a thread keeps from cloud to cloud.
+#[derive(Default)]
+struct Scratch {
+    line: Vec<[f32; 9]>,
+    /// Absolute phase of a row, in fringes.
+    fringes: Vec<f32>,
+    ring: [RingRow; RING],
+}
+
+/// A row of points.
+#[derive(Default)]
+struct RingRow {
+    points: Points,
+    metres_per_rad: Vec<f32>,
+    /// What is written of it: all else is NaN.
+    written: std::ops::Range<usize>,
+}
+
+impl RingRow {
+    fn resize(&mut self, width: usize) {
+        for plane in [&mut self.points.x, &mut self.points.y, &mut self.points.z, &mut self.metres_per_rad] {
+            plane.clear();
+            plane.resize(width, f32::NAN);
+        }
+        self.written = 0..0;
+    }
+
+    #[inline(always)]
+    fn clear(&mut self) {
+        for plane in [&mut self.points.x, &mut self.points.y, &mut self.points.z] {
+            plane[self.written.clone()].fill(f32::NAN);
+        }
+        self.written = 0..0;
+    }
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// The cloud of a frame, in the world. Pixels whose point lies outside the volume, has no normal or faces away from
+/// the projector that is supposed to light it, give none. The map must be of the table's camera
+/// ([`RayTable::fits`]).
+pub fn make(table: &RayTable, map: &PhaseMap) -> Cloud {
+    SCRATCH.with_borrow_mut(|scratch| {
+        if map.doubt.is_empty() {
+            simd::dispatch(|| make_with::<false>(table, map, scratch))
+        } else {
+            simd::dispatch(|| make_with::<true>(table, map, scratch))
+        }
+    })
+}
+
+#[inline(always)]
+fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut Scratch) -> Cloud {
+    let mut cloud = Cloud::default();
+    let (Some(first), Some(last)) = (map.runs.first(), map.runs.last()) else { return cloud };
+    reserve(&mut cloud, map.phase.len(), SIGMA);
+    let left = map.runs.iter().map(|run| usize::from(run.first)).min().unwrap_or(0) / NODE_PX;
+    let right = map.runs.iter().map(Run::end).max().unwrap_or(0).div_ceil(NODE_PX);
+    let width = (right - left) * NODE_PX + 2 * PAD;
+    scratch.fringes.clear();
+    scratch.fringes.resize(width, f32::NAN);
+    scratch.ring.iter_mut().for_each(|row| row.resize(width));
+    // The runs and pixels whose points are made next, and those whose normals are.
+    let (mut run_in, mut pixel_in, mut run_out, mut pixel_out) = (0, 0, 0, 0);
+    for v in usize::from(first.row)..=usize::from(last.row) + REACH {
+        let ring = &mut scratch.ring[v % RING];
+        ring.clear();
+        let runs = runs_of_row(map, &mut run_in, v);
+        if !runs.is_empty() {
+            let phase = &map.phase[pixel_in..];
+            pixel_in += points::<SIGMA>(table, v, runs, phase, left, &mut scratch.fringes, &mut scratch.line, ring);
+        }
+        let Some(v) = v.checked_sub(REACH) else { continue };
+        let runs = runs_of_row(map, &mut run_out, v);
+        if !runs.is_empty() {
+            // Row v - 3 is where v + 4 will be.
+            let row = |dv: usize| &scratch.ring[(v + RING + dv - REACH) % RING];
+            let rows = [row(0), row(2), row(3), row(4), row(6)];
+            pixel_out += emit::<SIGMA>(table, map, rows, runs, pixel_out, left, &mut cloud);
+        }
+    }
+    cloud
+}
+
+fn reserve(cloud: &mut Cloud, points: usize, sigma: bool) {
+    // Lanes are appended sixteen at a time.
+    cloud.position_m.reserve_exact(points);
+    cloud.normal.reserve_exact(points);
+    cloud.intensity.reserve_exact(points);
+    cloud.pixel.reserve_exact(points);
+    cloud.sigma_m.reserve_exact(if sigma { points } else { 0 });
+}
+
+/// The runs of row `v`, from `next` on, which moves behind them.
+#[inline(always)]
+fn runs_of_row<'a>(map: &'a PhaseMap, next: &mut usize, v: usize) -> &'a [Run] {
+    let from = *next;
+    while map.runs.get(*next).is_some_and(|run| usize::from(run.row) == v) {
+        *next += 1;
+    }
+    &map.runs[from..*next]
+}
+
+/// The points of a row. `phase` begins with its pixels; returns how many these are.
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the parts of the scratch are borrowed one by one")]
+fn points<const SCALE: bool>(
+    table: &RayTable,
+    v: usize,
+    runs: &[Run],
+    phase: &[i32],
+    left: usize,
+    fringes: &mut [f32],
+    line: &mut Vec<[f32; 9]>,
+    ring: &mut RingRow,
+) -> usize {
+    let place = |u: usize| u - left * NODE_PX + PAD;
+    let mut pixel = 0;
+    for run in runs {
+        let to = &mut fringes[place(usize::from(run.first))..place(run.end())];
+        for (to, &steps) in to.iter_mut().zip(&phase[pixel..]) {
+            *to = steps as f32 * (1.0 / STEPS_PER_FRINGE);
+        }
+        pixel += usize::from(run.length);
+    }
+    let start = runs.first().map_or(0, |run| usize::from(run.first) / NODE_PX);
+    let end = runs.last().map_or(0, |run| run.end().div_ceil(NODE_PX));
+    table.line(v, start, end - start, line);
+    let written = place(start * NODE_PX)..place(end * NODE_PX);
+    let scale = if SCALE { written.clone() } else { 0..0 };
+    let mut out = PointRow {
+        x: &mut ring.points.x[written.clone()],
+        y: &mut ring.points.y[written.clone()],
+        z: &mut ring.points.z[written.clone()],
+        metres_per_rad: &mut ring.metres_per_rad[scale],
+    };
+    table.points::<SCALE>(line, &fringes[written.clone()], &mut out);
+    fringes[written.clone()].fill(f32::NAN);
+    ring.written = written;
+    pixel
+}
+
+/// Appends the points of a row, whose pixels begin with `pixel`; returns how many pixels these are.
+#[inline(always)]
+fn emit<const SIGMA: bool>(
+    table: &RayTable,
+    map: &PhaseMap,
+    rows: [&RingRow; 5],
+    runs: &[Run],
+    pixel: usize,
+    left: usize,
+    cloud: &mut Cloud,
+) -> usize {
+    let points = rows.map(|row| &row.points);
+    let mut done = 0;
+    for run in runs {
+        for offset in (0..usize::from(run.length)).step_by(LANES) {
+            let u = usize::from(run.first) + offset;
+            let place = u - left * NODE_PX + PAD;
+            let count = LANES.min(usize::from(run.length) - offset);
+            let oriented = orient(points, place, table);
+            let from = pixel + done + offset;
+            let light = &map.light[from..from + count];
+            let at = [u as u16, run.row];
+            if count == LANES && oriented.good == [true; LANES] {
+                append_all(cloud, &oriented, light, at);
+            } else {
+                append_good(cloud, &oriented, light, at);
+            }
+            if SIGMA {
+                let doubt = map.doubt[from..from + count].iter();
+                let scale = &rows[2].metres_per_rad[place..place + count];
+                let sigma = doubt.zip(scale).map(|(&doubt, scale)| doubt_rad(doubt) * scale);
+                let good = sigma.zip(oriented.good).filter(|(_, good)| *good);
+                cloud.sigma_m.extend(good.map(|(sigma, _)| sigma));
+            }
+        }
+        done += usize::from(run.length);
+    }
+    done
+}
+
+#[inline(always)]
+fn intensity(light: u16) -> f32 {
+    f32::from(light) * (1.0 / (255.0 * STEPS_PER_LEVEL))
+}
+
+#[inline(always)]
+fn append_all(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
+    let (p, n) = (&oriented.point, &oriented.normal);
+    cloud.position_m.extend((0..LANES).map(|i| [p[0][i], p[1][i], p[2][i]]));
+    cloud.normal.extend((0..LANES).map(|i| [n[0][i], n[1][i], n[2][i]]));
+    cloud.intensity.extend(light.iter().map(|&light| intensity(light)));
+    cloud.pixel.extend((0..LANES).map(|i| [u + i as u16, v]));
+}
+
+#[inline(always)]
+fn append_good(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
+    let (p, n) = (&oriented.point, &oriented.normal);
+    for (i, &light) in light.iter().enumerate().filter(|(i, _)| oriented.good[*i]) {
+        cloud.position_m.push([p[0][i], p[1][i], p[2][i]]);
+        cloud.normal.push([n[0][i], n[1][i], n[2][i]]);
+        cloud.intensity.push(intensity(light));
+        cloud.pixel.push([u + i as u16, v]);
+    }
+}

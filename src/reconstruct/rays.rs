@@ -1,0 +1,278 @@
+//! Points of whole rows of pixels without solving for any: what triangulation comes to, tabulated.
+//!
+//! Along the line of sight of one pixel the inverse of the depth is a smooth function of the panel column, nearly a
+//! straight line, bent by the quotient of [`super::triangulate`] and by the projector's lens. At every node of a grid
+//! of 8 px it is the polynomial of degree 5 through six exact points inside the working volume: the forward way, from
+//! depth to column, needs no iteration. Between nodes its coefficients, and the direction of sight, are interpolated
+//! linearly. Against the exact solution the points are off by less than 0.01 mm over the whole volume (test).
+
+use super::pair::Pair;
+use nalgebra::{Point3, Vector3};
+use std::f64::consts::TAU;
+
+/// Pixels between nodes, which is also the number of pixels that are worked on at once.
+pub const NODE_PX: usize = 8;
+
+/// Coefficients of the polynomial.
+const TERMS: usize = 6;
+
+/// A node: direction of sight in the world (camera z = 1), then the polynomial from its constant term on.
+type Node = [f32; 3 + TERMS];
+
+/// Columns of the panel run from -1 to 1; the polynomial is laid through points up to this far out.
+const PANEL_MARGIN: f64 = 1.2;
+
+/// Depths that are tried to find the part of a line of sight that the panel can light.
+const TRIED_DEPTHS: usize = 17;
+
+/// No surface is nearer to a camera, m.
+const NEAREST_M: f64 = 0.2;
+
+/// The lines of sight of one camera, with what its projector's columns do on them.
+#[derive(Debug)]
+pub struct RayTable {
+    nodes: Vec<Node>,
+    columns: usize,
+    /// The camera's centre and its forward axis in the world.
+    pub(super) centre: [f32; 3],
+    pub(super) forward: [f32; 3],
+    /// Centre of the projector in the world.
+    pub(super) projector: [f32; 3],
+    /// Focal length of the camera, px.
+    pub(super) focal_px: f32,
+    /// From fringes to the panel's -1 .. 1.
+    per_fringe: f32,
+    volume: [[f32; 3]; 2],
+}
+
+/// Coordinates of points in a row of the table's blocks; NaN where there is none.
+#[derive(Debug)]
+pub(super) struct PointRow<'a> {
+    pub x: &'a mut [f32],
+    pub y: &'a mut [f32],
+    pub z: &'a mut [f32],
+    /// Metres along the line of sight per rad of phase; empty where it is not asked for.
+    pub metres_per_rad: &'a mut [f32],
+}
+
+impl RayTable {
+    /// Tabulates a pair of camera and projector.
+    pub fn new(pair: &Pair) -> Self {
+        let camera = pair.camera.world_from_device.isometry();
+        let columns = pair.camera.width.div_ceil(NODE_PX) + 1;
+        let rows = pair.camera.height.div_ceil(NODE_PX) + 1;
+        let sight = Sight::new(pair);
+        let node = |i: usize| {
+            let (u, v) = ((i % columns * NODE_PX) as f64, (i / columns * NODE_PX) as f64);
+            sight.node(u, v).unwrap_or([f32::NAN; 3 + TERMS])
+        };
+        let half = pair.projector.width as f64 / 2.0;
+        Self {
+            nodes: (0..columns * rows).map(node).collect(),
+            columns,
+            centre: pair.camera.centre().cast::<f32>().coords.into(),
+            forward: (camera.rotation * Vector3::z()).cast::<f32>().into(),
+            projector: pair.projector.centre().cast::<f32>().coords.into(),
+            focal_px: pair.camera.lens.fx as f32,
+            per_fringe: (pair.pattern.period_px / half) as f32,
+            volume: [pair.volume_min_m, pair.volume_max_m].map(|corner| corner.map(|x| x as f32)),
+        }
+    }
+
+    /// Nodes of row `v` for blocks `first .. first + blocks` of 8 px, and the node after them, into `line`.
+    #[inline(always)]
+    pub(super) fn line(&self, v: usize, first: usize, blocks: usize, line: &mut Vec<Node>) {
+        let above = v / NODE_PX * self.columns + first;
+        let t = (v % NODE_PX) as f32 / NODE_PX as f32;
+        let (a, b) = (&self.nodes[above..=above + blocks], &self.nodes[above + self.columns..]);
+        line.clear();
+        line.extend(a.iter().zip(b).map(|(a, b)| std::array::from_fn(|k| a[k] + t * (b[k] - a[k]))));
+    }
+
+    /// The points of the pixels of some blocks. `fringes`: absolute phase of each pixel in fringes, NaN where it is
+    /// not known. `line`: their nodes and the one after. All of `out` is written.
+    #[inline(always)]
+    pub(super) fn points<const SCALE: bool>(&self, line: &[Node], fringes: &[f32], out: &mut PointRow<'_>) {
+        let ([x0, y0, z0], [x1, y1, z1]) = (self.volume[0], self.volume[1]);
+        for (block, (nodes, fringes)) in line.windows(2).zip(fringes.as_chunks::<NODE_PX>().0).enumerate() {
+            let at = block * NODE_PX..(block + 1) * NODE_PX;
+            let (x, y, z) = (&mut out.x[at.clone()], &mut out.y[at.clone()], &mut out.z[at.clone()]);
+            let mut known = false;
+            for fringe in fringes {
+                known |= !fringe.is_nan();
+            }
+            if !known {
+                x.fill(f32::NAN);
+                y.fill(f32::NAN);
+                z.fill(f32::NAN);
+                continue;
+            }
+            let step: Node = std::array::from_fn(|k| (nodes[1][k] - nodes[0][k]) / NODE_PX as f32);
+            let node = nodes[0];
+            for i in 0..NODE_PX {
+                let t = i as f32;
+                let c = |k: usize| node[k] + t * step[k];
+                let s = fringes[i] * self.per_fringe - 1.0;
+                let w = ((((c(8) * s + c(7)) * s + c(6)) * s + c(5)) * s + c(4)) * s + c(3);
+                let depth = 1.0 / w;
+                let [dx, dy, dz] = [c(0), c(1), c(2)];
+                let px = self.centre[0] + depth * dx;
+                let py = self.centre[1] + depth * dy;
+                let pz = self.centre[2] + depth * dz;
+                let good = (s >= -1.0)
+                    & (s < 1.0)
+                    & (w > 0.0)
+                    & (px >= x0)
+                    & (px <= x1)
+                    & (py >= y0)
+                    & (py <= y1)
+                    & (pz >= z0)
+                    & (pz <= z1);
+                x[i] = if good { px } else { f32::NAN };
+                y[i] = if good { py } else { f32::NAN };
+                z[i] = if good { pz } else { f32::NAN };
+                if SCALE {
+                    let slope =
+                        (((5.0 * c(8) * s + 4.0 * c(7)) * s + 3.0 * c(6)) * s + 2.0 * c(5)) * s + c(4);
+                    let length = (dx * dx + dy * dy + dz * dz).sqrt();
+                    let per_rad = self.per_fringe / TAU as f32;
+                    out.metres_per_rad[at.start + i] = (slope * per_rad).abs() * depth * depth * length;
+                }
+            }
+        }
+    }
+}
+
+/// The geometry of a pair while it is tabulated.
+struct Sight<'a> {
+    pair: &'a Pair,
+    /// Inverse depths between which the volume lies.
+    inverse: [f64; 2],
+}
+
+impl<'a> Sight<'a> {
+    fn new(pair: &'a Pair) -> Self {
+        let (min, max) = (pair.volume_min_m, pair.volume_max_m);
+        let mut depths = [f64::INFINITY, 0f64];
+        for corner in 0..8 {
+            let side = |i: usize| if corner >> i & 1 == 0 { min[i] } else { max[i] };
+            let point = Point3::new(side(0), side(1), side(2));
+            let depth = pair.camera.device_point(&point).z;
+            depths = [depths[0].min(depth), depths[1].max(depth)];
+        }
+        let [near, far] = depths.map(|depth| depth.max(NEAREST_M));
+        Self { pair, inverse: [1.0 / far, 1.0 / near] }
+    }
+
+    /// The node of pixel (u, v); `None` where its line of sight does not exist or the panel cannot light it.
+    fn node(&self, u: f64, v: f64) -> Option<Node> {
+        let [x, y] = self.pair.camera.lens.undistort(u, v)?;
+        let camera = self.pair.camera.world_from_device.isometry();
+        let direction = camera.rotation * Vector3::new(x, y, 1.0);
+        let centre = self.pair.camera.centre();
+        let column = |inverse: f64| {
+            let [u, _] = self.pair.projector.project(&(centre + direction / inverse))?;
+            let column = (u + 0.5) / (self.pair.projector.width as f64 / 2.0) - 1.0;
+            (column.abs() <= PANEL_MARGIN).then_some(column)
+        };
+        let [far, near] = self.inverse;
+        let tried = |i: usize| far + (near - far) * i as f64 / (TRIED_DEPTHS - 1) as f64;
+        let first = (0..TRIED_DEPTHS).find(|&i| column(tried(i)).is_some())?;
+        let last = (first..TRIED_DEPTHS).take_while(|&i| column(tried(i)).is_some()).last()?;
+        let (low, high) = (tried(first), tried(last));
+        let mut at = [[0.0; 2]; TERMS];
+        for (j, at) in at.iter_mut().enumerate() {
+            // Chebyshev's points.
+            let place = 0.5 - 0.5 * (TAU / 4.0 * (2 * j + 1) as f64 / TERMS as f64).cos();
+            let inverse = low + (high - low) * place;
+            *at = [column(inverse)?, inverse];
+        }
+        let polynomial = through(&at).filter(|terms| terms.iter().all(|x| x.is_finite()))?;
+        let mut node = [0f32; 3 + TERMS];
+        node[..3].copy_from_slice(direction.cast::<f32>().as_slice());
+        for (to, from) in node[3..].iter_mut().zip(polynomial) {
+            *to = from as f32;
+        }
+        Some(node)
+    }
+}
+
+/// The polynomial through points (x, y), from its constant term on: divided differences after Newton, multiplied out.
+fn through(points: &[[f64; 2]; TERMS]) -> Option<[f64; TERMS]> {
+    let mut difference = points.map(|[_, y]| y);
+    for order in 1..TERMS {
+        for i in (order..TERMS).rev() {
+            let span = points[i][0] - points[i - order][0];
+            if span == 0.0 {
+                return None;
+            }
+            difference[i] = (difference[i] - difference[i - 1]) / span;
+        }
+    }
+    let mut terms = [0.0; TERMS];
+    for i in (0..TERMS).rev() {
+        for k in (0..TERMS).rev() {
+            let below = if k > 0 { terms[k - 1] } else { 0.0 };
+            terms[k] = below - points[i][0] * terms[k];
+        }
+        terms[0] += difference[i];
+    }
+    Some(terms)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{NODE_PX, PointRow, RayTable};
+    use crate::reconstruct::triangulate::Triangulator;
+    use crate::reconstruct::triangulate::tests::strong_lenses;
+
+    #[test]
+    fn rows_agree_with_the_exact_solution_over_the_whole_volume() {
+        let pair = strong_lenses();
+        let (triangulator, table) = (Triangulator::new(pair.clone()), RayTable::new(&pair));
+        let blocks = pair.camera.width / NODE_PX;
+        let width = blocks * NODE_PX;
+        let (mut line, mut worst, mut known, mut scales) = (Vec::new(), 0f64, 0usize, 0f64);
+        for v in (3..pair.camera.height).step_by(37) {
+            table.line(v, 0, blocks, &mut line);
+            for k in 0..60 {
+                // Panel columns from edge to edge, shifted from pixel to pixel.
+                let fringe = |u: usize, more: f32| {
+                    let share = ((k as f32 + u as f32 * 0.618).fract() + k as f32) / 60.0;
+                    share * (pair.projector.width as f64 / pair.pattern.period_px) as f32 + more
+                };
+                let points = |more: f32| {
+                    let fringes: Vec<f32> = (0..width).map(|u| fringe(u, more)).collect();
+                    let mut found = [(); 4].map(|()| vec![0f32; width]);
+                    let [x, y, z, scale] = &mut found;
+                    let mut out = PointRow { x, y, z, metres_per_rad: scale };
+                    table.points::<true>(&line, &fringes, &mut out);
+                    found
+                };
+                let ([x, y, z, scale], next) = (points(0.0), points(0.01));
+                for u in (k % 7..width).step_by(7) {
+                    let phase = f64::from(fringe(u, 0.0)) * std::f64::consts::TAU;
+                    let exact = triangulator.point(u, v, phase).map(|(_, world)| world);
+                    let Some(exact) = exact.filter(|world| pair.in_volume(world)) else { continue };
+                    let found = nalgebra::Point3::new(x[u], y[u], z[u]).cast::<f64>();
+                    // Rounding decides on points that lie on the volume's faces.
+                    if found.x.is_nan() {
+                        let inner = exact + (nalgebra::Point3::new(0.0, 0.0, 1.0) - exact) * 1e-4;
+                        assert!(!pair.in_volume(&inner) || phase < 0.1, "{u} {v}: {exact} is missing");
+                        continue;
+                    }
+                    worst = worst.max((found - exact).norm());
+                    let moved = (next[0][u] - x[u]).hypot(next[1][u] - y[u]).hypot(next[2][u] - z[u]);
+                    if !moved.is_nan() {
+                        let ratio = moved / (0.01 * std::f32::consts::TAU * scale[u]);
+                        scales = scales.max(f64::from(ratio - 1.0).abs());
+                    }
+                    known += 1;
+                }
+            }
+        }
+        println!("{known} points, worst {:.5} mm, scale off by {scales}", worst * 1e3);
+        assert!(known > 50_000 && worst < 1e-5, "{known} points, worst {worst} m");
+        assert!(scales < 0.03, "{scales}");
+    }
+}
