@@ -96,7 +96,7 @@ fn photographs_become_a_calibration_a_report_and_flat_boards() {
 
 /// Every model with its figures; seven positions, of which six are left when one is left out.
 #[test]
-#[ignore = "forty-eight calibrations: a minute or more"]
+#[ignore = "forty-eight calibrations, minutes: cargo test --release --test it lens_models_are_compared -- --ignored"]
 fn lens_models_are_compared() {
     let files = Files::new(0..14);
     for model in compared(&json(0, &words(&files.arguments(&["--compare-models"])))) {

@@ -544,7 +544,7 @@ fn a_new_fit_corrects_what_ids_alone_could_not_know() {
 
 /// The rate of mistakes on seeds that no rule was tuned on; see docs/benchmarks.md, "Clocks".
 #[test]
-#[ignore = "a figure for docs/benchmarks.md: 8000 sessions"]
+#[ignore = "8000 sessions, minutes; a figure for docs/benchmarks.md: cargo test --release --lib fresh_seeds -- --ignored --nocapture"]
 fn mistakes_on_fresh_seeds_are_rare() {
     let (mut faults, mut sessions) = (0, 0);
     for seed in 90_000_000..90_008_000 {
