@@ -30,7 +30,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Raised whenever the same frame may give other points.
 const ALGORITHM: u32 = 4;
@@ -50,6 +50,8 @@ pub struct Plan {
     pub method: Method,
     /// Where the maps of every frame go, if anywhere.
     pub maps: Option<PathBuf>,
+    /// Makes the clouds and keeps none, and merges nothing: for measurements of the reconstruction itself.
+    pub discard: bool,
 }
 
 impl Plan {
@@ -118,6 +120,9 @@ pub struct Timings {
     pub stage_ms: BTreeMap<&'static str, f64>,
     /// Sum of all stages, ms.
     pub total_ms: f64,
+    /// Sum of the time from asking for a frame to its points and normals in memory, in the thread that did it, ms. With one
+    /// thread this is the whole cost of the frames; with more, what a thread took on meanwhile is in it.
+    pub frame_ms: f64,
 }
 
 impl Timings {
@@ -128,6 +133,10 @@ impl Timings {
             *self.stage_ms.entry(stage).or_default() += ms;
             self.total_ms += ms;
         }
+    }
+
+    fn add_frame_time(&mut self, time: Duration) {
+        self.frame_ms += time.as_secs_f64() * 1e3;
     }
 }
 
@@ -299,6 +308,11 @@ impl Job<'_> {
         let results: Result<Vec<Vec<(FrameSummary, Cloud)>>, String> =
             self.heads.par_iter().with_max_len(1).map(|head| self.head(head, trigger)).collect();
         let results: Vec<(FrameSummary, Cloud)> = results?.into_iter().flatten().collect();
+        let frames = || results.iter().map(|(summary, _)| summary.clone()).collect();
+        if self.plan.discard {
+            let merged_points = results.iter().map(|(_, cloud)| cloud.len()).sum();
+            return Ok(TriggerSummary { trigger, merged_points, frames: frames() });
+        }
         let cameras = || self.heads.iter().flatten();
         let merged = merge(cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)));
         let mut comments = self.comments(trigger);
@@ -306,8 +320,16 @@ impl Job<'_> {
         comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
         let path = merged_path(&self.plan.out, trigger);
         ply::save(&path, &merged, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
-        let frames = results.into_iter().map(|(summary, _)| summary).collect();
-        Ok(TriggerSummary { trigger, merged_points: merged.len(), frames })
+        Ok(TriggerSummary { trigger, merged_points: merged.len(), frames: frames() })
+    }
+
+    /// Runs a part of what makes a frame a cloud, and keeps its time.
+    fn timed<T>(&self, work: impl FnOnce() -> T) -> T {
+        let began = Instant::now();
+        let result = work();
+        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        timings.add_frame_time(began.elapsed());
+        result
     }
 
     /// The cameras of one head together: each may give fringe orders to the other.
@@ -317,12 +339,15 @@ impl Job<'_> {
         if let Some(finished) = finished {
             return Ok(finished);
         }
-        let mut stages: Vec<Stage> = head.par_iter().map(|camera| self.prepare(camera, trigger)).collect();
+        let mut stages: Vec<Stage> =
+            head.par_iter().map(|camera| self.timed(|| self.prepare(camera, trigger))).collect();
         if self.plan.method == Method::Anchored {
-            help_each_other(head, &mut stages);
+            self.timed(|| help_each_other(head, &mut stages));
         }
         let work = head.par_iter().zip(stages).map(|(camera, stage)| match stage {
-            Stage::Prepared(prepared) => self.save(head, camera, trigger, camera.pipeline.finish(*prepared)),
+            Stage::Prepared(prepared) => {
+                self.save(head, camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)))
+            }
             Stage::Refused(result) => self.save(head, camera, trigger, *result),
             Stage::Missing(outcome, reason) => {
                 let camera = camera.id.clone();
@@ -381,8 +406,10 @@ impl Job<'_> {
             Outcome::Refused(reason) => ("refused", Some(reason)),
         };
         comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
-        let path = cloud_path(&self.plan.out, id, trigger);
-        ply::save(&path, &result.cloud, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        if !self.plan.discard {
+            let path = cloud_path(&self.plan.out, id, trigger);
+            ply::save(&path, &result.cloud, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        }
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         timings.add(&result.stages);
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
@@ -394,7 +421,7 @@ impl Job<'_> {
     /// asked for.
     fn finished(&self, head: &[Camera], camera: &Camera, trigger: u64) -> Option<(FrameSummary, Cloud)> {
         let camera = &camera.id;
-        if self.plan.maps.is_some() {
+        if self.plan.maps.is_some() || self.plan.discard {
             return None;
         }
         let path = cloud_path(&self.plan.out, camera, trigger);
