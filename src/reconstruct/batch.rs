@@ -123,6 +123,8 @@ pub struct Timings {
     /// Sum of the time from asking for a frame to its points and normals in memory, in the thread that did it, ms. With one
     /// thread this is the whole cost of the frames; with more, what a thread took on meanwhile is in it.
     pub frame_ms: f64,
+    /// From the first frame to the last on the wall's clock, ms.
+    pub wall_ms: f64,
 }
 
 impl Timings {
@@ -260,6 +262,7 @@ pub fn run(
     let job = Job { source, plan, calibration, parameters, heads, timings: Mutex::default() };
     let done = AtomicUsize::new(0);
     let triggers: Vec<u64> = plan.shard_triggers().collect();
+    let began = Instant::now();
     let triggers: Result<Vec<TriggerSummary>, String> = triggers
         .into_par_iter()
         .with_max_len(1)
@@ -269,8 +272,10 @@ pub fn run(
             summary
         })
         .collect();
+    let wall_ms = began.elapsed().as_secs_f64() * 1e3;
     let summary = summarize(triggers?, &job);
-    let timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    timings.wall_ms = wall_ms;
     Ok((summary, timings))
 }
 
