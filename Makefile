@@ -5,6 +5,8 @@
 #   make lint      formatting and lints, all fatal
 #   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
+#   make bench-reconstruct     milliseconds a frame, stage by stage, beside other programs (PEERS=0 leaves these out)
+#   make poses     fringe orders on 224 camera frames of moving mannequins
 #   make validate  the paper's section 5: calibrated, Table 3, girths, spacing, beside the paper's figures
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make third-party   others' programs that take minutes to build
@@ -13,7 +15,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint bench-ingest validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test lint bench-ingest bench-reconstruct poses validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -47,6 +49,16 @@ bench-ingest: packages
 	$(CARGO) build --release --workspace
 	$(CARGO) build --release --example ingest_buffered
 	scripts/bench-ingest.sh
+
+bench-reconstruct: packages
+	@scripts/install-packages.sh python3-venv
+	$(CARGO) build --release --workspace
+	$(CARGO) build --release --example wrapped_phase
+	scripts/bench-reconstruct.sh
+
+poses: packages
+	$(CARGO) build --release --workspace
+	scripts/poses.sh
 
 validate: packages
 	$(CARGO) build --release --workspace

@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 seconds=$1
 shift
 targets=("$@")
-[ ${#targets[@]} -gt 0 ] || targets=(hsu_decoder hsu_unit gvcp recording config)
+[ ${#targets[@]} -gt 0 ] || targets=(hsu_decoder hsu_unit gvcp recording config reconstruct)
 export PATH=$PWD/target/tools/bin:$PATH
 command -v cargo-fuzz >/dev/null || cargo install cargo-fuzz --locked --quiet --root target/tools
 # A sanitizer makes this build large (1.8 GB) and slow; it does not share anything with ordinary builds.

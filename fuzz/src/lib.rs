@@ -6,6 +6,7 @@
 pub mod config;
 pub mod gvcp;
 pub mod hsu;
+pub mod reconstruct;
 pub mod recording;
 
 /// Takes values off the front of the fuzzer's bytes.

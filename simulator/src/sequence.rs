@@ -10,6 +10,7 @@ use crate::true_rig::{smaller_jitter, smaller_rig, true_calibration};
 use crate::truth;
 use fourdbody::calibrate::Calibration;
 use fourdbody::config::{ConfigError, Rig};
+use fourdbody::pattern::Marker;
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{self, Write};
@@ -22,6 +23,8 @@ pub struct Changes {
     pub mesh: Option<PathBuf>,
     /// Another number of instants.
     pub instants: Option<usize>,
+    /// Another marker than the rig's. The exposure is changed with it, so that the other fringes stay as bright as they are.
+    pub marker: Option<Marker>,
     /// Divide the resolution of cameras and panels by this (0 and 1: do not).
     pub size_divisor: usize,
 }
@@ -93,6 +96,14 @@ const SOURCES: [&str; 20] = [
     include_str!("true_rig.rs"),
 ];
 
+/// Light on the ridges of all fringes but the marker, as a share of full light.
+fn ridge_light(marker: Marker) -> f64 {
+    match marker {
+        Marker::Darkened { .. } => 1.0,
+        Marker::ZeroMean { amplitude } => 1.0 / (1.0 + amplitude),
+    }
+}
+
 impl Run {
     /// Reads a scenario and what it names.
     pub fn load(scenario: &Path, changes: &Changes) -> Result<Self, RenderError> {
@@ -109,6 +120,11 @@ impl Run {
         if let Some(instants) = changes.instants {
             scenario.instants = instants.max(1);
         }
+        let mut rig = rig.clone();
+        if let Some(marker) = changes.marker {
+            scenario.optics.exposure_dn *= ridge_light(rig.pattern.marker) / ridge_light(marker);
+            rig.pattern.marker = marker;
+        }
         let divisor = changes.size_divisor.max(1);
         let smallest = rig.cameras().flat_map(|(head, camera)| [&camera.device, &head.projector]);
         let smallest = smallest.map(|device| device.width.min(device.height)).min().unwrap_or(0);
@@ -119,7 +135,7 @@ impl Run {
             )));
         }
         let jitter = smaller_jitter(&scenario.geometry, divisor);
-        let rig = smaller_rig(rig, divisor);
+        let rig = smaller_rig(&rig, divisor);
         let calibration = true_calibration(&rig, &jitter, scenario.seed);
         let rate_hz = scenario.rate_hz.unwrap_or(rig.trigger_rate_hz);
         let io_error = |path: &Path, source| RenderError::Io { path: path.to_owned(), source };

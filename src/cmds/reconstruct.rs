@@ -54,6 +54,9 @@ pub struct Args {
     /// Write every map of every frame as a PNG image to this directory.
     #[arg(long, value_name = "DIR")]
     dump_maps: Option<PathBuf>,
+    /// Keep no cloud, only summary.json and the timings: for measurements.
+    #[arg(long, conflicts_with = "dump_maps")]
+    discard: bool,
     /// Print the summary as JSON.
     #[arg(long)]
     json: bool,
@@ -104,6 +107,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             MethodName::Paper => Method::Paper,
         },
         maps: args.dump_maps.clone(),
+        discard: args.discard,
     };
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.jobs.unwrap_or(0))
@@ -119,9 +123,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     };
     let run = pool.install(|| batch::run(source.as_ref(), &calibration, &plan, progress));
     let (summary, timings) = run.map_err(|e| Failure::new(Exit::Failure, e))?;
-    let sequence = args.out.join(shard_name("sequence", "mcap", args.shard));
-    batch::write_sequence(source.as_ref(), &plan, args.rate_hz, &sequence)
-        .map_err(|e| Failure::new(Exit::Failure, e))?;
+    if !args.discard {
+        let sequence = args.out.join(shard_name("sequence", "mcap", args.shard));
+        batch::write_sequence(source.as_ref(), &plan, args.rate_hz, &sequence)
+            .map_err(|e| Failure::new(Exit::Failure, e))?;
+    }
     write_json(&args.out.join(shard_name("summary", "json", args.shard)), &summary)?;
     if let Some(path) = &args.timings {
         write_json(path, &timings)?;

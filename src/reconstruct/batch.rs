@@ -30,7 +30,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Raised whenever the same frame may give other points.
 const ALGORITHM: u32 = 5;
@@ -50,6 +50,8 @@ pub struct Plan {
     pub method: Method,
     /// Where the maps of every frame go, if anywhere.
     pub maps: Option<PathBuf>,
+    /// Makes the clouds and keeps none, and merges nothing: for measurements of the reconstruction itself.
+    pub discard: bool,
 }
 
 impl Plan {
@@ -118,6 +120,11 @@ pub struct Timings {
     pub stage_ms: BTreeMap<&'static str, f64>,
     /// Sum of all stages, ms.
     pub total_ms: f64,
+    /// Sum of the time from asking for a frame to its points and normals in memory, in the thread that did it, ms. With one
+    /// thread this is the whole cost of the frames; with more, what a thread took on meanwhile is in it.
+    pub frame_ms: f64,
+    /// From the first frame to the last on the wall's clock, ms.
+    pub wall_ms: f64,
 }
 
 impl Timings {
@@ -128,6 +135,10 @@ impl Timings {
             *self.stage_ms.entry(stage).or_default() += ms;
             self.total_ms += ms;
         }
+    }
+
+    fn add_frame_time(&mut self, time: Duration) {
+        self.frame_ms += time.as_secs_f64() * 1e3;
     }
 }
 
@@ -240,6 +251,7 @@ pub fn run(
     let job = Job { source, plan, calibration, parameters, heads, timings: Mutex::default() };
     let done = AtomicUsize::new(0);
     let triggers: Vec<u64> = plan.shard_triggers().collect();
+    let began = Instant::now();
     let triggers: Result<Vec<TriggerSummary>, String> = triggers
         .into_par_iter()
         .with_max_len(1)
@@ -249,8 +261,10 @@ pub fn run(
             summary
         })
         .collect();
+    let wall_ms = began.elapsed().as_secs_f64() * 1e3;
     let summary = summarize(triggers?, &job);
-    let timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    timings.wall_ms = wall_ms;
     Ok((summary, timings))
 }
 
@@ -286,6 +300,11 @@ fn summarize(triggers: Vec<TriggerSummary>, job: &Job<'_>) -> Summary {
 impl Job<'_> {
     fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
         let results = self.clouds(trigger)?;
+        let frames = || results.iter().map(|(summary, _)| summary.clone()).collect();
+        if self.plan.discard {
+            let merged_points = results.iter().map(|(_, cloud)| cloud.len()).sum();
+            return Ok(TriggerSummary { trigger, merged_points, frames: frames() });
+        }
         let cameras = || self.heads.iter().flatten();
         let merged = merge(cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)));
         let mut comments = self.comments(trigger);
@@ -293,8 +312,16 @@ impl Job<'_> {
         comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
         let path = merged_path(&self.plan.out, trigger);
         ply::save(&path, &merged, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
-        let frames = results.into_iter().map(|(summary, _)| summary).collect();
-        Ok(TriggerSummary { trigger, merged_points: merged.len(), frames })
+        Ok(TriggerSummary { trigger, merged_points: merged.len(), frames: frames() })
+    }
+
+    /// Runs a part of what makes a frame a cloud, and keeps its time.
+    fn timed<T>(&self, work: impl FnOnce() -> T) -> T {
+        let began = Instant::now();
+        let result = work();
+        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        timings.add_frame_time(began.elapsed());
+        result
     }
 
     /// The directional clouds of all cameras together: each frame may give fringe orders to the others.
@@ -306,13 +333,15 @@ impl Job<'_> {
         if let Some(finished) = finished {
             return Ok(finished);
         }
-        let prepare = |(_, camera): &(usize, &Camera)| self.prepare(camera, trigger);
+        let prepare = |(_, camera): &(usize, &Camera)| self.timed(|| self.prepare(camera, trigger));
         let mut stages: Vec<Stage> = cameras.par_iter().with_max_len(1).map(prepare).collect();
         if self.plan.method == Method::Anchored {
-            help_each_other(&cameras, &mut stages);
+            self.timed(|| help_each_other(&cameras, &mut stages));
         }
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
-            Stage::Prepared(prepared) => self.save(camera, trigger, camera.pipeline.finish(*prepared)),
+            Stage::Prepared(prepared) => {
+                self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)))
+            }
             Stage::Refused(result) => self.save(camera, trigger, *result),
             Stage::Missing(outcome, reason) => {
                 let camera = camera.id.clone();
@@ -376,8 +405,10 @@ impl Job<'_> {
             Outcome::Refused(reason) => ("refused", Some(reason)),
         };
         comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
-        let path = cloud_path(&self.plan.out, id, trigger);
-        ply::save(&path, &result.cloud, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        if !self.plan.discard {
+            let path = cloud_path(&self.plan.out, id, trigger);
+            ply::save(&path, &result.cloud, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        }
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         timings.add(&result.stages);
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
@@ -389,7 +420,7 @@ impl Job<'_> {
     /// asked for.
     fn finished(&self, camera: &Camera, trigger: u64) -> Option<(FrameSummary, Cloud)> {
         let camera = &camera.id;
-        if self.plan.maps.is_some() {
+        if self.plan.maps.is_some() || self.plan.discard {
             return None;
         }
         let path = cloud_path(&self.plan.out, camera, trigger);

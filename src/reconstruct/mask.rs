@@ -176,7 +176,6 @@ pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
 /// Threshold on the envelope: Otsu on its logarithm, but never within the noise of the black level.
 fn log_threshold(envelope: &Plane<u8>) -> u8 {
     let counts = histogram(envelope.as_slice());
-    let black = (0..256).max_by_key(|&i| (counts[i], 256 - i)).unwrap_or(0) as u8;
     let mut logarithmic = [0u32; 256];
     let bin = |value: usize| ((value as f32 + 1.0).log2() * 31.0) as usize;
     for (value, &count) in counts.iter().enumerate() {
@@ -184,6 +183,8 @@ fn log_threshold(envelope: &Plane<u8>) -> u8 {
     }
     let level = otsu_level(&logarithmic);
     let from_otsu = (0..256).rev().find(|&value| bin(value) <= level).unwrap_or(0) as u8;
+    // The most frequent level of the darker class: that of the whole frame is the object's where it fills the frame.
+    let black = (0..=usize::from(from_otsu)).max_by_key(|&i| (counts[i], 256 - i)).unwrap_or(0) as u8;
     from_otsu.clamp(black.saturating_add(MIN_ABOVE_BLACK_DN), black.saturating_add(MAX_ABOVE_BLACK_DN))
 }
 

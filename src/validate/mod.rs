@@ -8,6 +8,8 @@ mod edge;
 pub mod girth;
 /// Points by cell: neighbours within a short reach.
 mod grid;
+/// Which pixels of a photograph carry usable fringes.
+pub mod light;
 /// Plane fits of the board.
 pub mod plane;
 /// The circles of the board in a directional cloud.

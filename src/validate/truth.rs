@@ -8,6 +8,7 @@
 //! than pi from that of the true surface at its pixel. A point whose pixel sees no surface counts as wrong too
 //! (`off_surface`).
 
+use super::light::{Classes, Light, LightScore};
 use crate::export::Cloud;
 use crate::geometry::Device;
 use crate::image::Plane;
@@ -74,6 +75,21 @@ impl Truth {
             }
         }
         Ok(Self { origin: [u0, v0], points, lit, focal_px: camera.lens.fx })
+    }
+
+    /// First column and row of the crop.
+    pub(super) fn origin(&self) -> [usize; 2] {
+        self.origin
+    }
+
+    /// True points of the crop in camera axes, m; NaN where there is nothing.
+    pub(super) fn points(&self) -> &Plane<[f64; 3]> {
+        &self.points
+    }
+
+    /// Whether the projector lights the pixels of the crop: not 0.
+    pub(super) fn lit(&self) -> &Plane<u8> {
+        &self.lit
     }
 
     /// Place of a frame pixel in the crop.
@@ -235,6 +251,8 @@ pub struct Tally {
     lit_right: usize,
     /// Distances of the points that have a surface, m, with whether their order is right.
     distances: Vec<(f32, bool)>,
+    /// Counts by modulation, where photographs are given.
+    classes: Classes,
 }
 
 impl Tally {
@@ -247,12 +265,31 @@ impl Tally {
         truth: &Truth,
         reference: Reference<'_>,
     ) {
+        self.add_with_light(cloud, select, truth, reference, None);
+    }
+
+    /// The same, counting by the modulation in the photograph, too.
+    pub fn add_with_light(
+        &mut self,
+        cloud: &Cloud,
+        select: impl Fn(usize) -> bool,
+        truth: &Truth,
+        reference: Reference<'_>,
+        light: Option<&Light>,
+    ) {
+        if let Some(light) = light {
+            self.classes.add_pixels(light);
+        }
         self.lit += truth.lit.as_slice().iter().filter(|&&x| x != 0).count();
         for i in (0..cloud.len()).filter(|&i| select(i)) {
             self.points += 1;
             match truth.judge(cloud, i, reference) {
                 Verdict::OffSurface => self.off_surface += 1,
                 Verdict::On { right, lit, distance_m } => {
+                    let place = truth.place(cloud.pixel[i]);
+                    if let Some(pixel) = light.zip(place).and_then(|(light, place)| light.at(place)) {
+                        self.classes.add_point(pixel, right);
+                    }
                     self.wrong_order += usize::from(!right);
                     self.lit_right += usize::from(right && lit);
                     if distance_m.is_finite() {
@@ -271,6 +308,7 @@ impl Tally {
         self.lit += other.lit;
         self.lit_right += other.lit_right;
         self.distances.extend_from_slice(&other.distances);
+        self.classes.join(&other.classes);
     }
 
     /// The figures.
@@ -297,6 +335,7 @@ impl Tally {
             off_surface_share: share(self.off_surface, self.points),
             completeness_of_lit: share(self.lit_right, self.lit),
             lit_px: self.lit,
+            by_modulation: self.classes.score(self.lit),
         }
     }
 }
@@ -322,6 +361,9 @@ pub struct Score {
     pub completeness_of_lit: f64,
     /// Number of lit pixels.
     pub lit_px: usize,
+    /// Completeness and wrong points by modulation; empty without photographs.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub by_modulation: Vec<LightScore>,
 }
 
 #[cfg(test)]

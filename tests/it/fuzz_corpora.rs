@@ -17,12 +17,13 @@ use std::path::{Path, PathBuf};
 
 type Body = fn(&[u8]);
 
-const TARGETS: [(&str, Body); 5] = [
+const TARGETS: [(&str, Body); 6] = [
     ("hsu_decoder", bodies::hsu::decoder),
     ("hsu_unit", bodies::hsu::unit),
     ("gvcp", bodies::gvcp::control),
     ("recording", bodies::recording::reader),
     ("config", bodies::config::files),
+    ("reconstruct", bodies::reconstruct::photograph),
 ];
 
 fn seeds_of(target: &str) -> PathBuf {
@@ -77,6 +78,11 @@ fn config_seeds() {
 }
 
 #[test]
+fn reconstruct_seeds() {
+    run_seeds("reconstruct");
+}
+
+#[test]
 fn every_target_has_its_body_and_its_file() {
     let fuzz = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz");
     let manifest: toml::Table =
@@ -94,6 +100,7 @@ fn write_seeds() {
     gvcp_seeds_from_sessions();
     recording_seeds_from_writer();
     config_seeds_from_shipped();
+    reconstruct_seeds_by_hand();
 }
 
 fn write(target: &str, name: &str, data: &[u8]) {
@@ -388,4 +395,28 @@ fn config_seeds_from_shipped() {
         let text = read(&format!("scenarios/{name}.toml")).replace("../rig.toml", "rig.toml");
         seed(&format!("scenario_{name}"), "s", &text);
     }
+}
+
+/// Scripts for the target `reconstruct`: changes of the calibration (which, how, by), then of the frame (kind, value, u, v,
+/// width, height).
+fn reconstruct_seeds_by_hand() {
+    let whole = [0, 0, 255, 255];
+    let frame = |kind: u8, value: u8, place: [u8; 4]| [[kind, value].as_slice(), &place].concat();
+    let seeds: [(&str, Vec<u8>); 14] = [
+        ("good", vec![0]),
+        ("good_by_the_papers_method", vec![0x80]),
+        ("good_with_maps", vec![0x40]),
+        ("black", [vec![0], frame(0, 0, whole)].concat()),
+        ("white", [vec![0x80], frame(0, 255, whole)].concat()),
+        ("saturated", [vec![0], frame(1, 3, whole)].concat()),
+        ("dark", [vec![0], frame(2, 60, whole)].concat()),
+        ("noisy", [vec![0x40], frame(3, 90, whole)].concat()),
+        ("hand_before_it", [vec![0], frame(0, 120, [60, 10, 40, 60])].concat()),
+        ("without_marker", [vec![0], frame(0, 2, [88, 0, 20, 80])].concat()),
+        ("no_number", vec![1, 0, 0, 0, 0]),
+        ("short_focus", vec![1, 0, 5, 0, 0]),
+        ("twisted_lens", vec![2, 4, 9, 0, 240, 14, 9, 9, 2]),
+        ("other_period", [vec![1, 18, 6, 0, 64], frame(3, 30, whole)].concat()),
+    ];
+    seeds.iter().for_each(|(name, data)| write("reconstruct", name, data));
 }

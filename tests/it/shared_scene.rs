@@ -161,6 +161,7 @@ fn a_batch_gives_the_same_bytes_for_any_threads_and_resumes() {
             shard: (0, 1),
             method: Method::Anchored,
             maps: None,
+            discard: false,
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let done = pool.install(|| batch::run(&source, &calibration, &plan, |_| ())).expect("runs");

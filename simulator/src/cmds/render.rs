@@ -3,6 +3,7 @@
 use super::failure;
 use crate::sequence::{Changes, Run};
 use fourdbody::cmds::{Exit, Failure};
+use fourdbody::pattern::Marker;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -26,6 +27,9 @@ pub struct Args {
     /// Another number of instants than the scenario's.
     #[arg(long)]
     instants: Option<usize>,
+    /// Another marker than the rig's, equally bright elsewhere: `darkened=DEPTH` or `zero_mean=AMPLITUDE`.
+    #[arg(long, value_name = "KIND=STRENGTH", value_parser = parse_marker)]
+    marker: Option<Marker>,
     /// Divide the resolution of cameras and panels by this, for tests.
     #[arg(long, default_value_t = 1)]
     size_divisor: usize,
@@ -36,8 +40,12 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let changes =
-        Changes { mesh: args.mesh.clone(), instants: args.instants, size_divisor: args.size_divisor };
+    let changes = Changes {
+        mesh: args.mesh.clone(),
+        instants: args.instants,
+        marker: args.marker,
+        size_divisor: args.size_divisor,
+    };
     let run = Run::load(&args.scenario, &changes).map_err(failure)?;
     let began = Instant::now();
     let mut shown = began;
@@ -67,4 +75,33 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         println!("{}: up to date, {instants} instants of {cameras} cameras", args.out.display());
     }
     Ok(Exit::Done)
+}
+
+fn parse_marker(text: &str) -> Result<Marker, String> {
+    let parsed = text.split_once('=').and_then(|(kind, strength)| {
+        let strength = strength.parse().ok().filter(|x| (0.05..=1.0).contains(x))?;
+        match kind {
+            "darkened" => Some(Marker::Darkened { depth: strength }),
+            "zero_mean" => Some(Marker::ZeroMean { amplitude: strength }),
+            _ => None,
+        }
+    });
+    parsed.ok_or_else(|| {
+        format!("expected darkened=DEPTH or zero_mean=AMPLITUDE, 0.05 to 1, for instance darkened=0.8, found {text:?}")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::parse_marker;
+    use fourdbody::pattern::Marker;
+
+    #[test]
+    fn markers_have_a_kind_and_a_strength() {
+        assert_eq!(parse_marker("darkened=0.8"), Ok(Marker::Darkened { depth: 0.8 }));
+        assert_eq!(parse_marker("zero_mean=0.3"), Ok(Marker::ZeroMean { amplitude: 0.3 }));
+        for bad in ["", "darkened", "dark=0.5", "darkened=2", "zero_mean=nan"] {
+            assert!(parse_marker(bad).is_err(), "{bad}");
+        }
+    }
 }

@@ -245,7 +245,9 @@ mod tests {
                 let (low, high) = mesh.bounds().expect("a body");
                 assert_eq!(mesh.open_edges(), 0, "{name} at {cycles}");
                 assert!(low[2].abs() < 0.001, "{name} at {cycles}: lowest point {}", low[2]);
-                assert!((1.68..1.80).contains(&high[2]), "{name} at {cycles}: height {}", high[2]);
+                // Whoever bends is smaller.
+                let smallest = if motion == Motion::Bend { 1.3 } else { 1.68 };
+                assert!((smallest..1.80).contains(&high[2]), "{name} at {cycles}: height {}", high[2]);
                 let litres = 1000.0 * mesh.volume();
                 assert!((50.0..90.0).contains(&litres), "{name} at {cycles}: {litres} l");
                 assert!(low[0] > -0.75 && low[1] > -0.95 && high[0] < 0.75 && high[1] < 0.95, "{name}");

@@ -18,16 +18,22 @@ pub enum Motion {
     Twist,
     /// Forearms across the trunk, rocking a little.
     ArmsCrossed,
+    /// Hands on the hips, elbows out, turning the trunk a little.
+    HandsOnHips,
+    /// Bends forwards from the hips, arms hanging, and straightens up again.
+    Bend,
 }
 
 impl Motion {
     /// All motions by their names in scenarios.
-    pub const NAMES: [(&'static str, Self); 5] = [
+    pub const NAMES: [(&'static str, Self); 7] = [
         ("stand", Self::Stand),
         ("arm_raise", Self::ArmRaise),
         ("walk_in_place", Self::WalkInPlace),
         ("twist", Self::Twist),
         ("arms_crossed", Self::ArmsCrossed),
+        ("hands_on_hips", Self::HandsOnHips),
+        ("bend", Self::Bend),
     ];
 
     /// The posture at `cycles` repetitions (0: the beginning, 1: the same again).
@@ -58,6 +64,8 @@ impl Motion {
                 }
             }
             Self::ArmsCrossed => cross_arms(&mut posture, swing),
+            Self::HandsOnHips => rest_hands(&mut posture, swing),
+            Self::Bend => bend(&mut posture, rise),
         }
         posture
     }
@@ -109,4 +117,38 @@ fn cross_arms(posture: &mut Posture, swing: f64) {
         forward(posture, forearm, bend);
     }
     forward(posture, Bone::Head, 4.0 + 2.0 * swing);
+}
+
+fn rest_hands(posture: &mut Posture, swing: f64) {
+    // Elbows out by 42 degrees and forearms at a right angle put the wrists beside the waist.
+    let sides = [
+        (1.0, Bone::UpperArmL, Bone::ForearmL, Bone::HandL),
+        (-1.0, Bone::UpperArmR, Bone::ForearmR, Bone::HandR),
+    ];
+    for (side, arm, forearm, hand) in sides {
+        posture.turn(arm, Vector3::x(), side * (42.0 + 2.0 * swing).to_radians());
+        posture.turn(forearm, Vector3::x(), -side * (88.0 + 2.0 * swing).to_radians());
+        forward(posture, forearm, 6.0);
+        // Fingers down along the hip.
+        posture.turn(hand, Vector3::x(), side * 38f64.to_radians());
+    }
+    for (bone, degrees) in [(Bone::Spine, 5.0), (Bone::Chest, 6.0), (Bone::Head, -8.0)] {
+        posture.turn(bone, Vector3::z(), (degrees * swing).to_radians());
+    }
+}
+
+fn bend(posture: &mut Posture, rise: f64) {
+    let total = 55.0 * rise;
+    // What the pelvis leans forwards, the thighs turn back: the legs stay upright.
+    forward(posture, Bone::Pelvis, -0.45 * total);
+    forward(posture, Bone::ThighL, 0.45 * total);
+    forward(posture, Bone::ThighR, 0.45 * total);
+    forward(posture, Bone::Spine, -0.3 * total);
+    forward(posture, Bone::Chest, -0.25 * total);
+    forward(posture, Bone::Head, -0.1 * total);
+    spread_arms(posture, 14.0);
+    // The arms go on hanging, a little to the front.
+    forward(posture, Bone::UpperArmL, 1.1 * total);
+    forward(posture, Bone::UpperArmR, 1.1 * total);
+    bend_elbows(posture, 12.0);
 }

@@ -2,9 +2,13 @@
 
 use super::{load_calibration, load_cloud, open_clouds};
 use crate::calibrate::Calibration;
+use crate::cmds::reconstruct::open_source;
 use crate::cmds::{Exit, Failure};
 use crate::export::Cloud;
-use crate::image::write_png_rgb;
+use crate::ids::{CameraId, TriggerIndex};
+use crate::image::{Mono8, write_png_rgb};
+use crate::reconstruct::{Frame, FrameSource};
+use crate::validate::light::{Light, USABLE_DN};
 use crate::validate::solid::{Mesh, SolidScore, Sphere, score_mesh, score_sphere};
 use crate::validate::truth::{Reference, Score, Tally, Truth};
 use nalgebra::Point3;
@@ -39,6 +43,9 @@ pub struct Args {
     /// Score against a mesh instead: a closed surface as Wavefront OBJ, world axes, m.
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
+    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness is told by modulation, too.
+    #[arg(long, value_name = "SESSION", requires = "truth")]
+    images: Option<PathBuf>,
     /// Print one JSON object instead of a table.
     #[arg(long)]
     json: bool,
@@ -128,6 +135,9 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let cameras: Vec<_> = calibration.cameras().collect();
     let files = truth_files(directory, &calibration)?;
     let set = open_clouds(&args.clouds)?;
+    let ids: Vec<CameraId> = cameras.iter().map(|(_, camera)| camera.id.clone()).collect();
+    let images = args.images.as_deref().map(|path| open_source(path, &ids)).transpose();
+    let images = images.map_err(|e| Failure::new(Exit::Usage, e))?;
     let mut per_camera: BTreeMap<usize, Tally> = BTreeMap::new();
     let (mut merged, mut merged_clouds) = (Tally::default(), 0);
     let mut loaded: Option<(u64, Option<Cloud>)> = None;
@@ -138,7 +148,10 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
             Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
         let path = set.directional.get(&(trigger, camera.id.to_string()));
         let cloud = path.map(|path| load_cloud(path)).transpose()?.unwrap_or_default();
-        per_camera.entry(number).or_default().add(&cloud, |_| true, &truth, reference);
+        let light = images.as_deref().map(|images| light_of(images, &camera.id, trigger, &truth, reference));
+        let light = light.transpose()?;
+        let tally = per_camera.entry(number).or_default();
+        tally.add_with_light(&cloud, |_| true, &truth, reference, light.as_ref());
         if let Some(folder) = &args.pictures {
             let (width, height, rgb) = truth.picture(&cloud, reference);
             let path = folder.join(format!("{}_{trigger:06}.png", camera.id));
@@ -163,6 +176,23 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let merged = (merged_clouds > 0).then(|| merged.score());
     print(args.json, &rows, &all.score(), merged.as_ref());
     Ok(Exit::Done)
+}
+
+/// The fringes in a photograph.
+fn light_of(
+    images: &dyn FrameSource,
+    camera: &CameraId,
+    trigger: u64,
+    truth: &Truth,
+    reference: Reference<'_>,
+) -> Result<Light, Failure> {
+    let fail = |why: String| Failure::new(Exit::Usage, format!("photograph {trigger} of {camera}: {why}"));
+    let light = match images.frame(camera, TriggerIndex(trigger)).map_err(fail)? {
+        Frame::Image(image) => Light::measure(truth, image, reference),
+        Frame::Owned(image) => Light::measure(truth, Mono8::from(&image), reference),
+        Frame::Gap(cause) => Err(format!("there is none ({cause})")),
+    };
+    light.map_err(fail)
 }
 
 /// All truth files, by trigger and camera.
@@ -208,5 +238,27 @@ fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Scor
             100.0 * score.off_surface_share,
             100.0 * score.completeness_of_lit,
         );
+    }
+    if all.by_modulation.is_empty() {
+        return;
+    }
+    println!("\ndirectional, by modulation; whole: a whole fringe around the pixel is on one lit surface");
+    println!(
+        "{:<16} {:>9} {:>10} {:>9} | {:>9} {:>10} {:>9}",
+        "at least", "of lit %", "complete %", "wrong %", "whole %", "complete %", "wrong %"
+    );
+    for class in &all.by_modulation {
+        let usable = if class.min_modulation_dn == USABLE_DN { "  usable" } else { "" };
+        let percent = [
+            class.share_of_lit,
+            class.completeness,
+            class.wrong_share,
+            class.whole_share_of_lit,
+            class.whole_completeness,
+            class.whole_wrong_share,
+        ];
+        let [a, b, c, d, e, f] = percent.map(|share| 100.0 * share);
+        let bound = format!("{} DN{usable}", class.min_modulation_dn);
+        println!("{bound:<16} {a:>9.2} {b:>10.2} {c:>9.3} | {d:>9.2} {e:>10.2} {f:>9.3}");
     }
 }

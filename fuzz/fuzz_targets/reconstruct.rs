@@ -1,0 +1,5 @@
+//! Fuzz target `reconstruct`; what it does is in `fuzz/src`.
+
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| fourdbody_fuzz::reconstruct::photograph(data));

@@ -1,0 +1,41 @@
+#!/bin/bash
+# Fringe orders on moving mannequins in seven poses, two instants and eight cameras each, with either marker: 224 camera
+# frames, each scored against its truth. Table on the screen and in target/poses/table.md, figures in
+# target/poses/summary.json; light is kept for the next run, clouds are not.
+# Settings: POSES ("arms_crossed walking ..."), MARKERS ("zero_mean=0.3 darkened=0.8"), METHOD (anchored or paper), OUT,
+# KEEP=1 (keeps the clouds and draws where they are right, wrong or missing).
+set -euo pipefail
+cd "$(dirname "$0")/.."
+bin=${BIN:-target/release}
+out=${OUT:-target/poses}
+method=${METHOD:-anchored}
+markers=${MARKERS:-"zero_mean=0.3 darkened=0.8"}
+all=$(cd config/scenarios/poses && ls ./*.toml | sed 's|^\./||; s|\.toml$||')
+poses=${POSES:-$all}
+
+. scripts/laboratory.sh
+
+rm -rf "$out/scores"
+mkdir -p "$out/scores"
+for marker in $markers; do
+    kind=${marker%%=*}
+    for pose in $poses; do
+        step "$pose, marker $marker"
+        here=$out/$kind/$pose
+        $bin/fourdbody-sim render --scenario "config/scenarios/poses/$pose.toml" --marker "$marker" --out "$here/light"
+        rm -rf "$here"/{images,clouds,pictures}
+        $bin/fourdbody-sim export-png --frames "$here/light" --out "$here/images"
+        # 3: a frame is missing; refused frames are no failure, and count as pixels without a point.
+        $bin/fourdbody reconstruct "$here/images" --calibration "$here/light/calibration.json" --out "$here/clouds" \
+            --method "$method"
+        score=(--clouds "$here/clouds" --truth "$here/light/truth" --calibration "$here/light/calibration.json"
+            --images "$here/images")
+        [ -z "${KEEP:-}" ] || score+=(--pictures "$here/pictures")
+        $bin/fourdbody validate truth "${score[@]}" --json >"$out/scores/$kind.$pose.json"
+        [ -n "${KEEP:-}" ] || rm -rf "$here"/{images,clouds}
+    done
+done
+
+step "figures, kept in $out/summary.json"
+python3 scripts/summarize_poses.py --scores "$out/scores" --method "$method" --commit "$(git rev-parse HEAD)" \
+    --table "$out/table.md" --out "$out/summary.json"
