@@ -101,8 +101,17 @@ fn measure_run(row: &[u8], half: usize, buffers: &mut Buffers, raw: &mut [u32]) 
         // Near the run's ends the window is shifted, not cut: two whole periods are needed.
         let from = if start == 0 { 0 } else { (start + half).min(row.len()) };
         let to = if next == windows { row.len() } else { (next + half).min(row.len()) };
-        raw[from..to].fill(value);
+        fill(raw, from, to, value);
         start = next;
+    }
+}
+
+/// Fills `from .. to`, a few pixels, and may write beyond: what follows is written next.
+#[inline(always)]
+fn fill(raw: &mut [u32], from: usize, to: usize, value: u32) {
+    match raw[from..].first_chunk_mut::<8>() {
+        Some(eight) if to - from <= 8 => *eight = [value; 8],
+        _ => raw[from..to].fill(value),
     }
 }
 
@@ -129,12 +138,12 @@ fn thresholds(row: &[u8], length: usize, buffers: &mut Buffers) {
     let windows = row.len() - length + 1;
     extremes(row, length, high, u8::max);
     extremes(row, length, low, u8::min);
-    sums.clear();
+    sums.resize(row.len() + 1, 0);
+    sums[0] = 0;
     let mut sum = 0;
-    sums.push(sum);
-    for &x in row {
+    for (out, &x) in sums[1..].iter_mut().zip(row) {
         sum += u32::from(x);
-        sums.push(sum);
+        *out = sum;
     }
     threshold.resize(windows, 0);
     margin.resize(windows, 0);
@@ -222,12 +231,12 @@ fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
         }
     }
     // The sum over a whole row does not fit; that of a box does, and differences of what wraps are right.
-    row_sums.clear();
+    row_sums.resize(column_sums.len() + 1, 0);
+    row_sums[0] = 0;
     let mut sum = 0u32;
-    row_sums.push(sum);
-    for &x in &*column_sums {
+    for (out, &x) in row_sums[1..].iter_mut().zip(&*column_sums) {
         sum = sum.wrapping_add(x);
-        row_sums.push(sum);
+        *out = sum;
     }
     let place = |u: usize| u.clamp(from, to) - from;
     for run in runs {
@@ -254,4 +263,105 @@ fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
 fn mean_of(sum: u32) -> f32 {
     let count = (sum & ((1 << COUNT_BITS) - 1)) as i32 as f32;
     (sum >> COUNT_BITS) as i32 as f32 / STEPS / count.max(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Buffers, measure};
+    use crate::image::{Mono8, Plane};
+    use crate::reconstruct::period;
+    use crate::reconstruct::runs::Runs;
+    use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
+
+    fn measured(image: &Plane<u8>, mask: &Plane<u8>, nominal: f32) -> Plane<f32> {
+        let mut found = Plane::filled(1, 1, f32::NAN);
+        measure(Mono8::from(image), &Runs::of(mask), nominal, &mut Buffers::default(), &mut found);
+        found
+    }
+
+    /// The same figure by its definition: for each pixel, the crossings in its window.
+    fn plain_row(row: &[u8], half: usize) -> Vec<f64> {
+        let length = (2 * half + 1).min(row.len());
+        let start = |u: usize| u.saturating_sub(half).min(row.len() - length);
+        let value = |u: usize| {
+            let window = &row[start(u)..start(u) + length];
+            let sum: i64 = window.iter().map(|&x| i64::from(x)).sum();
+            let range = window.iter().max().unwrap_or(&0) - window.iter().min().unwrap_or(&0);
+            let margin = (0.12f32 * length as f32 * f32::from(range)) as i64;
+            (i64::from(row[u]) * length as i64 - sum, margin)
+        };
+        let (mut crossings, mut settled, mut seen) = (Vec::new(), 0, 0);
+        for u in 0..row.len() {
+            let (now, margin) = value(u);
+            if u > 0 && (now > 0) != (value(u - 1).0 > 0) {
+                seen = u;
+            }
+            let side = if now > 0 { 1 } else { -1 };
+            if now.abs() > margin && side != settled {
+                if settled != 0 {
+                    let (a, b) = (value(seen - 1).0 as f64, value(seen).0 as f64);
+                    crossings.push((seen as f64 - b / (b - a), u));
+                }
+                settled = side;
+            }
+        }
+        let at = |u: usize| {
+            let window = start(u)..start(u) + length;
+            let inside = crossings.iter().filter(|x| x.0 >= window.start as f64 && x.1 < window.end);
+            let inside: Vec<f64> = inside.map(|x| x.0).collect();
+            let distances: Vec<f64> = inside.windows(3).map(|x| x[2] - x[0]).collect();
+            let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
+            if (5.0..=24.0).contains(&mean) { mean } else { 0.0 }
+        };
+        (0..row.len()).map(at).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn the_period_of_a_noisy_sine_is_found(period in 6.0f32..18.0, phase in -3.0f32..3.0, amplitude in 15.0f32..100.0) {
+            let mut image = Plane::filled(200, 3, 0u8);
+            for v in 0..3 {
+                for u in 0..200 {
+                    let noise = ((u * 7919 + v * 104_729) % 13) as f32 / 6.5 - 1.0;
+                    let wave = (std::f32::consts::TAU * u as f32 / period + phase).cos();
+                    image.set(u, v, (110.0 + amplitude * wave + noise) as u8);
+                }
+            }
+            let found = measured(&image, &Plane::filled(200, 3, 1), 11.0);
+            for u in 20..180 {
+                let p = found.at(u, 1);
+                prop_assert!((p / period - 1.0).abs() < 0.03, "{p} at {u}, true {period}");
+            }
+        }
+
+        /// Whatever the light, runs and window: the box mean of what the definition gives.
+        #[test]
+        fn periods_are_those_of_the_definition(
+            values in proptest::collection::vec(any::<u8>(), 120),
+            gap in 20usize..100,
+            nominal in 4.0f32..14.0,
+            period in 5.5f32..20.0,
+            noise in 0.0f32..1.0,
+        ) {
+            let fringe = |u: usize| 120.0 + 100.0 * (std::f32::consts::TAU * u as f32 / period).cos();
+            let light = |(u, &x): (usize, &u8)| (fringe(u) * (1.0 - noise) + noise * f32::from(x)) as u8;
+            let row: Vec<u8> = values.iter().enumerate().map(light).collect();
+            let mut mask = Plane::filled(120, 1, 1u8);
+            mask.set(gap, 0, 0);
+            let mut raw = vec![0.0; 120];
+            let half = (1.3 * nominal).round() as usize;
+            for run in period::runs(mask.row(0)) {
+                raw[run.clone()].copy_from_slice(&plain_row(&row[run], half));
+            }
+            let found = measured(&Plane::from_vec(120, 1, row).expect("120 pixels"), &mask, nominal);
+            for u in (0..120).filter(|&u| u != gap) {
+                let near = raw[u.saturating_sub(6)..(u + 7).min(120)].iter().filter(|x| **x > 0.0);
+                let (sum, count) = near.fold((0.0, 0), |(sum, count), x| (sum + x, count + 1));
+                let expected = if count > 0 { sum / f64::from(count) } else { 0.0 };
+                prop_assert!((f64::from(found.at(u, 0)) - expected).abs() < 1e-3, "{} {expected} at {u}", found.at(u, 0));
+            }
+            prop_assert!(found.at(gap, 0) == 0.0);
+        }
+    }
 }

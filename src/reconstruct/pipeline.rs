@@ -1,7 +1,7 @@
 //! One frame to one directional cloud: the stages in their order, each timed.
 
 use super::demodulate::{Gains, Phasors};
-use super::front::{self, Front};
+use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
 use super::pool::Pool;
 use super::roi::Roi;
@@ -87,6 +87,7 @@ pub struct Pipeline {
     method: Method,
     keep_maps: bool,
     buffers: Pool<Buffers>,
+    planes: Planes,
 }
 
 /// What the stages of one frame use again for the next.
@@ -146,7 +147,7 @@ impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
-        Self { triangulator, gains: Gains::new(), bias, method, keep_maps, buffers: Pool::default() }
+        Self { triangulator, gains: Gains::new(), bias, method, keep_maps, buffers: Pool::default(), planes: Planes::default() }
     }
 
     /// What it triangulates with.
@@ -186,7 +187,13 @@ impl Pipeline {
         let Some(roi) = Roi::of(&object) else {
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
-        let (image, object) = (roi.cut_image(image), roi.cut(&object));
+        let whole = object;
+        let (image, object) = (roi.cut_image(image), roi.cut(&whole));
+        if self.method == Method::Anchored {
+            let mut buffers = self.buffers.take();
+            buffers.object = whole;
+            self.buffers.give(buffers);
+        }
         counts.object = object.as_slice().iter().filter(|&&x| x != 0).count();
         let resolved = match self.method {
             Method::Anchored => self.anchored(&image, &object, &mut clock, &mut counts),
@@ -218,6 +225,8 @@ impl Pipeline {
         let points = clock.time("triangulate", || self.triangulate(&absolute, roi));
         let cloud = clock.time("normals", || self.cloud(&points, &phasors, roi));
         let frame = (pair.camera.width, pair.camera.height);
+        self.planes.give_phasors(phasors);
+        self.planes.give(period);
         planes.push(("Fm", absolute));
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),
@@ -238,8 +247,8 @@ impl Pipeline {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
         let mut buffers = self.buffers.take();
-        let front =
-            front::run(image, object, pair, &self.gains, self.keep_maps, &mut buffers.front, clock);
+        let memory = (&mut buffers.front, &self.planes);
+        let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
         self.buffers.give(buffers);
         let Front { period, phasors, wrapped, zone, marker, energy, known } = front;
         [counts.phase, counts.marker] = known;
@@ -262,7 +271,7 @@ impl Pipeline {
                 ("Pm", period.clone()),
                 ("Am", number(&amplitude)),
                 ("Sm", stability),
-                ("Wm", wrapped),
+                ("Wm", wrapped.clone()),
                 ("Vm", vertical),
                 ("Bm", border),
                 ("Qm", quality),
@@ -272,6 +281,7 @@ impl Pipeline {
                 ("misfit", phasors.misfit.clone()),
             ];
         }
+        self.planes.give(wrapped);
         let (absolute, open) = (unwrapped.absolute, unwrapped.open);
         Resolved { absolute, open, phasors, period, zone, planes }
     }
