@@ -186,7 +186,8 @@ fn demodulate_block(
     sign: f32,
 ) -> [Lanes; 4] {
     let at = |k: f32| sample::between(light, first, &sample::distances(period, k / 6.0));
-    let samples = [at(-3.0), at(-2.0), at(-1.0), sample::load(&light[PAD..], first), at(1.0), at(2.0), at(3.0)];
+    let samples =
+        [at(-3.0), at(-2.0), at(-1.0), sample::load(&light[PAD..], first), at(1.0), at(2.0), at(3.0)];
     let (mut gain_s, mut gain_c) = ([0f32; LANES], [0f32; LANES]);
     for i in 0..LANES {
         [gain_s[i], gain_c[i]] = gains.at(period[i]);
@@ -199,7 +200,8 @@ fn demodulate_block(
         let (s, c) = (s * gain_s[i], c * gain_c[i]);
         let (mean, misfit) = remainder(&sample, s / 6.0, c / 6.0);
         let half = period[i] / 2.0;
-        let known = (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
+        let known =
+            (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
         out_c[i] = if known { c } else { 0.0 };
         out_s[i] = if known { sign * s } else { 0.0 };
         out_mean[i] = if known { mean } else { 0.0 };

@@ -167,15 +167,7 @@ impl Input<'_> {
         let (c, s, mean) = (&mut c[at][..], &mut s[at][..], phasors.mean.row_mut(v));
         let out = PhasorRow { c, s, mean, misfit: phasors.misfit.row_mut(v) };
         let (runs, period) = (self.runs.row(v), self.period.row(v));
-        demodulate::demodulate_row(
-            self.image.row(v),
-            runs,
-            period,
-            self.gains,
-            self.pair.sign,
-            light,
-            out,
-        );
+        demodulate::demodulate_row(self.image.row(v), runs, period, self.gains, self.pair.sign, light, out);
         shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, light);
     }
 

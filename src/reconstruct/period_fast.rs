@@ -1,7 +1,7 @@
 //! The fringe period Pm of the default method: the paper's count of crossings, found once for a run.
 //!
 //! The paper's window has a median of its own for each pixel, so that crossings are sought anew in each
-//! ([`super::period`]). Here the threshold is the mean over the same window: a sine less its sliding mean is a sine of
+//! ([`super::period`]). Here the threshold is a sliding mean: a sine less its sliding mean is a sine of
 //! the same period, so that the distance of crossings of equal direction is unbiased where the period does not change,
 //! and one list of crossings serves all windows of a run. Which of them lie in a window changes a few times in a
 //! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
@@ -10,6 +10,10 @@ use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
 use super::runs::{Run, Runs};
 use super::simd;
 use crate::image::{Mono8, Plane};
+
+/// The threshold is the mean over this many nominal periods to each side. Shorter than the window: where the light
+/// falls off towards an outline, the fringes at its dark end would not reach a mean of all.
+const LIGHT_PERIODS: f32 = 0.8;
 
 /// Steps of a pixel in which distances are summed.
 const STEPS: f32 = 4096.0;
@@ -25,7 +29,7 @@ pub struct Buffers {
     low: [Vec<u8>; 2],
     /// Sums of the run's pixels before each.
     sums: Vec<u32>,
-    /// Windows' thresholds and margins, times the window's length.
+    /// Thresholds and margins, times the length of what they are taken from.
     threshold: Vec<i32>,
     margin: Vec<i32>,
     /// 1 above the threshold; above it, and below it, by more than the margin.
@@ -47,10 +51,17 @@ struct Crossing {
 }
 
 /// Period of each mask pixel, px; 0 where it is unknown and off the mask. Windows never leave the mask's runs.
-pub fn measure(image: Mono8<'_>, runs: &Runs, nominal_px: f32, buffers: &mut Buffers, period: &mut Plane<f32>) {
+pub fn measure(
+    image: Mono8<'_>,
+    runs: &Runs,
+    nominal_px: f32,
+    buffers: &mut Buffers,
+    period: &mut Plane<f32>,
+) {
     let (w, h) = (image.width(), image.height());
     period.reshape(w, h, 0.0);
     let half = (1.3 * nominal_px).round() as usize;
+    let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
     const RING: usize = 2 * SMOOTH_ROWS + 1;
     buffers.raw.resize(RING, Vec::new());
     for row in &mut buffers.raw {
@@ -65,7 +76,13 @@ pub fn measure(image: Mono8<'_>, runs: &Runs, nominal_px: f32, buffers: &mut Buf
                 raw.fill(0);
                 if v < h {
                     for run in runs.row(v) {
-                        measure_run(&image.row(v)[run.columns()], half, buffers, &mut raw[run.columns()]);
+                        measure_run(
+                            &image.row(v)[run.columns()],
+                            half,
+                            reach,
+                            buffers,
+                            &mut raw[run.columns()],
+                        );
                     }
                 }
                 buffers.raw[v % RING] = raw;
@@ -77,13 +94,15 @@ pub fn measure(image: Mono8<'_>, runs: &Runs, nominal_px: f32, buffers: &mut Buf
     );
 }
 
-/// Periods of one run before they are smoothed: distance in [`STEPS`] and a count of 1, or 0.
+/// Periods of one run before they are smoothed, from windows of +-`half` and thresholds of +-`reach`: distance in
+/// [`STEPS`] and a count of 1, or 0.
 #[inline(always)]
-fn measure_run(row: &[u8], half: usize, buffers: &mut Buffers, raw: &mut [u32]) {
+fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw: &mut [u32]) {
     let length = (2 * half + 1).min(row.len());
     let windows = row.len() - length + 1;
-    thresholds(row, length, buffers);
-    find_crossings(row, half, length, buffers);
+    let light_length = (2 * reach + 1).min(row.len());
+    thresholds(row, light_length, buffers);
+    find_crossings(row, reach, light_length, buffers);
     let crossings = &buffers.crossings[..];
     // Window `start` holds the crossings `first .. end`.
     let (mut start, mut first, mut end) = (0, 0, 0);
@@ -182,13 +201,12 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let Buffers { threshold, margin, sides, crossings, .. } = buffers;
     let last = threshold.len() - 1;
     crossings.clear();
-    let value = |i: usize| {
-        i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)]
-    };
+    let value = |i: usize| i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)];
     const ABOVE: u8 = 1;
     const FAR: u8 = 2;
     sides.resize(row.len(), 0);
-    let side = |value: i32, margin: i32| u8::from(value > 0) * ABOVE | u8::from(value.abs() > margin) * FAR;
+    let side =
+        |value: i32, margin: i32| (u8::from(value > 0) * ABOVE) | (u8::from(value.abs() > margin) * FAR);
     let middle = half.min(row.len())..(half + last + 1).min(row.len());
     for i in (0..middle.start).chain(middle.end..row.len()) {
         sides[i] = side(value(i), margin[i.saturating_sub(half).min(last)]);
@@ -241,7 +259,8 @@ fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
     let place = |u: usize| u.clamp(from, to) - from;
     for run in runs {
         let columns = run.columns();
-        let inner = columns.start.max(from + SMOOTH_COLUMNS)..columns.end.min(to.saturating_sub(SMOOTH_COLUMNS));
+        let inner =
+            columns.start.max(from + SMOOTH_COLUMNS)..columns.end.min(to.saturating_sub(SMOOTH_COLUMNS));
         let inner = inner.start.min(columns.end)..inner.end.max(inner.start.min(columns.end));
         for u in (columns.start..inner.start).chain(inner.end..columns.end) {
             let end = row_sums[place(u + SMOOTH_COLUMNS + 1)];
@@ -267,7 +286,7 @@ fn mean_of(sum: u32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Buffers, measure};
+    use super::{Buffers, LIGHT_PERIODS, measure};
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::period;
     use crate::reconstruct::runs::Runs;
@@ -280,11 +299,16 @@ mod tests {
     }
 
     /// The same figure by its definition: for each pixel, the crossings in its window.
-    fn plain_row(row: &[u8], half: usize) -> Vec<f64> {
-        let length = (2 * half + 1).min(row.len());
-        let start = |u: usize| u.saturating_sub(half).min(row.len() - length);
+    fn plain_row(row: &[u8], nominal: f32) -> Vec<f64> {
+        let window = |u: usize, periods: f32| {
+            let half = (periods * nominal).round() as usize;
+            let length = (2 * half + 1).min(row.len());
+            let start = u.saturating_sub(half).min(row.len() - length);
+            start..start + length
+        };
         let value = |u: usize| {
-            let window = &row[start(u)..start(u) + length];
+            let window = &row[window(u, LIGHT_PERIODS)];
+            let length = window.len();
             let sum: i64 = window.iter().map(|&x| i64::from(x)).sum();
             let range = window.iter().max().unwrap_or(&0) - window.iter().min().unwrap_or(&0);
             let margin = (0.12f32 * length as f32 * f32::from(range)) as i64;
@@ -306,7 +330,7 @@ mod tests {
             }
         }
         let at = |u: usize| {
-            let window = start(u)..start(u) + length;
+            let window = window(u, 1.3);
             let inside = crossings.iter().filter(|x| x.0 >= window.start as f64 && x.1 < window.end);
             let inside: Vec<f64> = inside.map(|x| x.0).collect();
             let distances: Vec<f64> = inside.windows(3).map(|x| x[2] - x[0]).collect();
@@ -350,9 +374,8 @@ mod tests {
             let mut mask = Plane::filled(120, 1, 1u8);
             mask.set(gap, 0, 0);
             let mut raw = vec![0.0; 120];
-            let half = (1.3 * nominal).round() as usize;
             for run in period::runs(mask.row(0)) {
-                raw[run.clone()].copy_from_slice(&plain_row(&row[run], half));
+                raw[run.clone()].copy_from_slice(&plain_row(&row[run], nominal));
             }
             let found = measured(&Plane::from_vec(120, 1, row).expect("120 pixels"), &mask, nominal);
             for u in (0..120).filter(|&u| u != gap) {

@@ -7,9 +7,7 @@ use super::pool::Pool;
 use super::roi::Roi;
 use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
-use super::{
-    absolute, curvature, demodulate, edges, mask, normals, period, quality, unwrap, unwrap_paper,
-};
+use super::{absolute, curvature, demodulate, edges, mask, normals, period, quality, unwrap, unwrap_paper};
 use crate::export::Cloud;
 use crate::image::{Mono8, Plane};
 use nalgebra::Point3;
@@ -147,7 +145,15 @@ impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
-        Self { triangulator, gains: Gains::new(), bias, method, keep_maps, buffers: Pool::default(), planes: Planes::default() }
+        Self {
+            triangulator,
+            gains: Gains::new(),
+            bias,
+            method,
+            keep_maps,
+            buffers: Pool::default(),
+            planes: Planes::default(),
+        }
     }
 
     /// What it triangulates with.
