@@ -11,9 +11,9 @@ use super::runs::{Run, Runs};
 use super::simd;
 use crate::image::{Mono8, Plane};
 
-/// The threshold is the mean over this many nominal periods to each side. Shorter than the window: where the light
-/// falls off towards an outline, the fringes at its dark end would not reach a mean of all.
-const LIGHT_PERIODS: f32 = 0.8;
+/// The threshold is the mean over this many nominal periods to each side. Shorter means find more crossings where the
+/// light falls off towards an outline, and more wrong ones (docs/design/reconstruction.md).
+const LIGHT_PERIODS: f32 = 1.3;
 
 /// Steps of a pixel in which distances are summed.
 const STEPS: f32 = 4096.0;
