@@ -48,10 +48,15 @@ pub struct Buffers {
 const BRIDGED: usize = demodulate::ROWS;
 
 /// Planes that are used again from frame to frame, by whichever stage comes next.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Planes(Pool<Plane<f32>>);
 
 impl Planes {
+    /// None yet.
+    pub(super) const fn new() -> Self {
+        Self(Pool::new())
+    }
+
     /// A plane for a stage that writes every value: those that it holds are any.
     fn take(&self, width: usize, height: usize) -> Plane<f32> {
         let mut plane = self.0.take();

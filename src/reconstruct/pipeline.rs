@@ -84,8 +84,6 @@ pub struct Pipeline {
     bias: Bias,
     method: Method,
     keep_maps: bool,
-    buffers: Pool<Buffers>,
-    planes: Planes,
 }
 
 /// What the stages of one frame use again for the next.
@@ -95,6 +93,10 @@ struct Buffers {
     mask: mask::Buffers,
     front: front::Buffers,
 }
+
+/// Of all cameras: a thread that goes from one to the next finds its memory there.
+static BUFFERS: Pool<Buffers> = Pool::new();
+static PLANES: Planes = Planes::new();
 
 /// Runs stages and keeps their times.
 #[derive(Debug, Default)]
@@ -145,15 +147,7 @@ impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
-        Self {
-            triangulator,
-            gains: Gains::new(),
-            bias,
-            method,
-            keep_maps,
-            buffers: Pool::default(),
-            planes: Planes::default(),
-        }
+        Self { triangulator, gains: Gains::new(), bias, method, keep_maps }
     }
 
     /// What it triangulates with.
@@ -182,10 +176,10 @@ impl Pipeline {
         }
         let object = clock.time("mask", || match self.method {
             Method::Anchored => {
-                let mut buffers = self.buffers.take();
+                let mut buffers = BUFFERS.take();
                 let mut object = std::mem::take(&mut buffers.object);
                 mask::envelope_into(image, pair.period_px, &mut buffers.mask, &mut object);
-                self.buffers.give(buffers);
+                BUFFERS.give(buffers);
                 object
             }
             Method::Paper => mask::otsu(image, pair.period_px),
@@ -196,9 +190,9 @@ impl Pipeline {
         let whole = object;
         let (image, object) = (roi.cut_image(image), roi.cut(&whole));
         if self.method == Method::Anchored {
-            let mut buffers = self.buffers.take();
+            let mut buffers = BUFFERS.take();
             buffers.object = whole;
-            self.buffers.give(buffers);
+            BUFFERS.give(buffers);
         }
         counts.object = object.as_slice().iter().filter(|&&x| x != 0).count();
         let resolved = match self.method {
@@ -231,8 +225,10 @@ impl Pipeline {
         let points = clock.time("triangulate", || self.triangulate(&absolute, roi));
         let cloud = clock.time("normals", || self.cloud(&points, &phasors, roi));
         let frame = (pair.camera.width, pair.camera.height);
-        self.planes.give_phasors(phasors);
-        self.planes.give(period);
+        if self.method == Method::Anchored {
+            PLANES.give_phasors(phasors);
+            PLANES.give(period);
+        }
         planes.push(("Fm", absolute));
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),
@@ -252,10 +248,10 @@ impl Pipeline {
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let mut buffers = self.buffers.take();
-        let memory = (&mut buffers.front, &self.planes);
+        let mut buffers = BUFFERS.take();
+        let memory = (&mut buffers.front, &PLANES);
         let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
-        self.buffers.give(buffers);
+        BUFFERS.give(buffers);
         let Front { period, phasors, wrapped, zone, marker, energy, known } = front;
         [counts.phase, counts.marker] = known;
         let unwrapped = clock.time("unwrap", || {
@@ -287,7 +283,7 @@ impl Pipeline {
                 ("misfit", phasors.misfit.clone()),
             ];
         }
-        self.planes.give(wrapped);
+        PLANES.give(wrapped);
         let (absolute, open) = (unwrapped.absolute, unwrapped.open);
         Resolved { absolute, open, phasors, period, zone, planes }
     }
