@@ -27,13 +27,14 @@ pub(super) fn atan2(s: f32, c: f32) -> f32 {
 mod tests {
     use super::atan2;
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
+    use std::f32::consts::PI;
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(20_000))]
         #[test]
-        fn angles_are_those_of_f64(angle in -3.141_592f32..3.141_592, size in -3f32..4.0) {
+        fn angles_are_those_of_f64(angle in -0.999_999f32..0.999_999, size in -3f32..4.0) {
             let size = 10f32.powf(size);
-            let (s, c) = (size * angle.sin(), size * angle.cos());
+            let (s, c) = (size * (PI * angle).sin(), size * (PI * angle).cos());
             let error = f64::from(atan2(s, c)) - f64::from(s).atan2(f64::from(c));
             prop_assert!(error.abs() < 5e-7, "{error}");
         }
@@ -41,7 +42,7 @@ mod tests {
 
     #[test]
     fn the_axes_are_exact_enough() {
-        use std::f32::consts::{FRAC_PI_2, PI};
+        use std::f32::consts::FRAC_PI_2;
         let found = [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 0.0), (-0.0, -2.0)];
         let found = found.map(|(s, c)| atan2(s, c));
         assert_eq!(found, [0.0, FRAC_PI_2, PI, -FRAC_PI_2, 0.0, PI]);

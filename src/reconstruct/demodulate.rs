@@ -186,7 +186,8 @@ fn demodulate_block(
     sign: f32,
 ) -> [Lanes; 4] {
     let at = |k: f32| sample::between(light, first, &sample::distances(period, k / 6.0));
-    let samples = [at(-3.0), at(-2.0), at(-1.0), sample::load(&light[PAD..], first), at(1.0), at(2.0), at(3.0)];
+    let samples =
+        [at(-3.0), at(-2.0), at(-1.0), sample::load(&light[PAD..], first), at(1.0), at(2.0), at(3.0)];
     let (mut gain_s, mut gain_c) = ([0f32; LANES], [0f32; LANES]);
     for i in 0..LANES {
         [gain_s[i], gain_c[i]] = gains.at(period[i]);
@@ -199,7 +200,8 @@ fn demodulate_block(
         let (s, c) = (s * gain_s[i], c * gain_c[i]);
         let (mean, misfit) = remainder(&sample, s / 6.0, c / 6.0);
         let half = period[i] / 2.0;
-        let known = (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
+        let known =
+            (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
         out_c[i] = if known { c } else { 0.0 };
         out_s[i] = if known { sign * s } else { 0.0 };
         out_mean[i] = if known { mean } else { 0.0 };
@@ -335,7 +337,7 @@ pub(super) fn phase(c: f32, s: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Gains, average_rows, demodulate, wrapped};
+    use super::{Gains, Phasors, average_rows, demodulate, wrapped};
     use crate::image::{Mono8, Plane};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
@@ -384,6 +386,90 @@ mod tests {
             let light = |x: f32| 120.0 + 100.0 * (x.cos() + second * (2.0 * x).cos() + third * (3.0 * x).cos());
             let error = worst(period, period, 1.0, light);
             prop_assert!(error < 0.03, "{error}");
+        }
+    }
+
+    /// C, S and mean of the definition, in f64, where the window lies in columns 0 .. `WIDTH`.
+    fn plain(row: &[u8], u: usize, period: f64, gains: &Gains) -> Option<[f64; 3]> {
+        if period / 2.0 > u.min(WIDTH - 1 - u) as f64 {
+            return None;
+        }
+        let sample = |k: i32| {
+            let x = u as f64 + f64::from(k) * period / 6.0;
+            let at = |x: f64| f64::from(row[(x as usize).min(WIDTH - 1)]);
+            (1.0 - x.fract()) * at(x) + x.fract() * at(x + 1.0)
+        };
+        let i = [-3, -2, -1, 0, 1, 2, 3].map(sample);
+        let s = 3f64.sqrt() * (i[1] + i[2] - i[4] - i[5]) + (i[6] - i[0]) / 3f64.sqrt();
+        let c = -i[0] - i[1] + i[2] + 2.0 * i[3] + i[4] - i[5] - i[6];
+        let [gain_s, gain_c] = gains.at(period as f32).map(f64::from);
+        let mean = (i.iter().sum::<f64>() + c * gain_c / 6.0) / 7.0;
+        Some([c * gain_c, s * gain_s, mean])
+    }
+
+    /// The mean of a pixel's rows, one pair after the other, as [`average_rows`] says.
+    fn plain_average(rows: &[[f32; 3]; 5]) -> [f32; 2] {
+        let size = |row: &[f32; 3]| row[0].hypot(row[1]);
+        let own = rows[2];
+        let (mut sum, mut length, mut count) = ([own[0], own[1]], size(&own), 1.0);
+        for (a, b) in [(rows[1], rows[3]), (rows[0], rows[4])] {
+            let weaker = size(&a).min(size(&b));
+            if weaker > 0.0 && a[2].max(b[2]) <= own[2] + 0.03 {
+                for k in 0..2 {
+                    sum[k] += weaker * (a[k] / size(&a) + b[k] / size(&b));
+                }
+                (length, count) = (length + 2.0 * weaker, count + 2.0);
+            }
+        }
+        let averaged = size(&own) > 0.0 && sum[0].hypot(sum[1]) > 0.9 * length;
+        if averaged { sum.map(|x| x / count) } else { [own[0], own[1]] }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn blocks_of_pixels_are_as_pixels_alone(
+            values in proptest::collection::vec(proptest::num::u8::ANY, WIDTH),
+            start in 5.0f32..24.0,
+            step in -0.15f32..0.15,
+        ) {
+            let image = Plane::from_vec(WIDTH, 1, values).expect("a row");
+            let mut period = Plane::filled(WIDTH, 1, 0f32);
+            for u in 0..WIDTH {
+                period.set(u, 0, (start + step * u as f32).clamp(5.0, 24.0));
+            }
+            let mask = Plane::filled(WIDTH, 1, 1u8);
+            let found = demodulate(Mono8::from(&image), &mask, &period, &Gains::new(), -1.0);
+            for u in 0..WIDTH {
+                let plain = plain(image.row(0), u, f64::from(period.at(u, 0)), &Gains::new());
+                let [c, s, mean] = plain.unwrap_or_default();
+                let error = (f64::from(found.c.at(u, 0)) - c).abs() + (f64::from(found.s.at(u, 0)) + s).abs();
+                prop_assert!(error < 0.02, "{error} at {u}");
+                prop_assert!((f64::from(found.mean.at(u, 0)) - mean).abs() < 0.01, "{} {mean}", found.mean.at(u, 0));
+            }
+        }
+
+        #[test]
+        fn rows_are_averaged_as_the_definition_says(
+            values in proptest::collection::vec(-1.0f32..1.0, 3 * 5 * 40),
+            coherent in proptest::bool::ANY,
+        ) {
+            let value = |i: usize, scale: f32, offset: f32| {
+                let data = values[i * 200..(i + 1) * 200].iter();
+                let data = data.map(|&x| if x.abs() < 0.1 { 0.0 } else { x * scale + offset });
+                Plane::from_vec(40, 5, data.collect()).expect("200 pixels")
+            };
+            let offset = if coherent { 4.0 } else { 0.0 };
+            let (c, s, misfit) = (value(0, 1.0, offset), value(1, 1.0, 0.0), value(2, 0.04, 0.05));
+            let mut phasors = Phasors { c, s, mean: misfit.clone(), misfit };
+            let of = |v: usize, u: usize| [phasors.c.at(u, v), phasors.s.at(u, v), phasors.misfit.at(u, v)];
+            let expected: Vec<_> =
+                (0..40).map(|u| plain_average(&std::array::from_fn(|v| of(v, u)))).collect();
+            average_rows(&mut phasors, &Plane::filled(40, 5, 0));
+            for (u, expected) in expected.iter().enumerate() {
+                let error = (phasors.c.at(u, 2) - expected[0]).hypot(phasors.s.at(u, 2) - expected[1]);
+                prop_assert!(error < 1e-5, "{error} at {u}");
+            }
         }
     }
 

@@ -8,6 +8,7 @@ use super::demodulate::{self, Gains, PhasorRow, Phasors};
 use super::marker_phase::{self, Ring};
 use super::pair::Pair;
 use super::pipeline::Clock;
+use super::pool::Pool;
 use super::runs::Runs;
 use super::sample::{self, LANES};
 use super::{marker, period_fast, shading, simd};
@@ -46,6 +47,35 @@ pub struct Buffers {
 /// Rows of `bridged`: five that are averaged.
 const BRIDGED: usize = demodulate::ROWS;
 
+/// Planes that are used again from frame to frame, by whichever stage comes next.
+#[derive(Debug)]
+pub(super) struct Planes(Pool<Plane<f32>>);
+
+impl Planes {
+    /// None yet.
+    pub(super) const fn new() -> Self {
+        Self(Pool::new())
+    }
+
+    /// A plane for a stage that writes every value: those that it holds are any.
+    fn take(&self, width: usize, height: usize) -> Plane<f32> {
+        let mut plane = self.0.take();
+        plane.reshape(width, height, 0.0);
+        plane
+    }
+
+    /// Gives a plane back.
+    pub(super) fn give(&self, plane: Plane<f32>) {
+        self.0.give(plane);
+    }
+
+    /// Gives the planes of phasors back.
+    pub(super) fn give_phasors(&self, phasors: Phasors) {
+        let Phasors { c, s, mean, misfit } = phasors;
+        [c, s, mean, misfit].into_iter().for_each(|plane| self.give(plane));
+    }
+}
+
 /// Runs the front end on the part of a frame that holds the object; `object` is a mask of zeros and ones.
 pub(super) fn run(
     image: Mono8<'_>,
@@ -53,11 +83,11 @@ pub(super) fn run(
     pair: &Pair,
     gains: &Gains,
     keep_energy: bool,
-    buffers: &mut Buffers,
+    (buffers, planes): (&mut Buffers, &Planes),
     clock: &mut Clock,
 ) -> Front {
     let (w, h) = (image.width(), image.height());
-    let mut period = Plane::default();
+    let mut period = planes.take(w, h);
     let runs = clock.time("period", || {
         let runs = Runs::of(object);
         period_fast::measure(image, &runs, pair.period_px, &mut buffers.period, &mut period);
@@ -70,8 +100,9 @@ pub(super) fn run(
         marker_phase::bridge_period(&mut period, &Runs::of(&zone), pair.period_px);
         (ridges, zone)
     });
-    let mut phasors = Phasors { c: empty(w, h), s: empty(w, h), mean: empty(w, h), misfit: empty(w, h) };
-    let mut wrapped = empty(w, h);
+    let plane = || planes.take(w, h);
+    let mut phasors = Phasors { c: plane(), s: plane(), mean: plane(), misfit: plane() };
+    let mut wrapped = plane();
     clock.time("phase", || {
         let input = Input { image, runs: &runs, period: &period, zone: &zone, pair, gains };
         simd::dispatch(
@@ -91,11 +122,6 @@ pub(super) fn run(
     });
     let known = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
     Front { period, phasors, wrapped, zone, marker, energy, known }
-}
-
-/// A plane for a stage that writes every value.
-fn empty(width: usize, height: usize) -> Plane<f32> {
-    Plane::filled(width, height, 0.0)
 }
 
 /// What the second pass reads.
@@ -146,15 +172,7 @@ impl Input<'_> {
         let (c, s, mean) = (&mut c[at][..], &mut s[at][..], phasors.mean.row_mut(v));
         let out = PhasorRow { c, s, mean, misfit: phasors.misfit.row_mut(v) };
         let (runs, period) = (self.runs.row(v), self.period.row(v));
-        demodulate::demodulate_row(
-            self.image.row(v),
-            runs,
-            period,
-            self.gains,
-            self.pair.sign,
-            light,
-            out,
-        );
+        demodulate::demodulate_row(self.image.row(v), runs, period, self.gains, self.pair.sign, light, out);
         shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, light);
     }
 

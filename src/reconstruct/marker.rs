@@ -264,3 +264,71 @@ fn select(runs: &Runs, keep: impl Fn(usize, &Piece) -> bool) -> Runs {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Band, carrier_free_row};
+    use crate::reconstruct::runs::Run;
+    use proptest::prelude::{ProptestConfig, prop_assert, prop_assert_eq, proptest};
+    use std::f64::consts::TAU;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn the_carrier_free_light_is_the_mean_over_one_period(
+            image in proptest::collection::vec(proptest::num::u8::ANY, 150),
+            start in 6.0f32..20.0,
+            step in -0.05f32..0.05,
+            from in 0usize..40,
+        ) {
+            let period: Vec<f32> = (0..150).map(|u| (start + step * u as f32).max(5.0)).collect();
+            let mut found = Vec::new();
+            carrier_free_row(&image, &[Run::new(from, 141)], &period, &mut Vec::new(), &mut found);
+            for u in 0..150 {
+                let half = f64::from(period[u]) / 2.0;
+                let (a, b) = (u as f64 - half + 0.5, u as f64 + half + 0.5);
+                if u < from || u >= 141 || a < from as f64 || b >= 141.0 {
+                    prop_assert!(found[u].is_nan());
+                    continue;
+                }
+                // Pixel i spans i .. i + 1 here.
+                let share = |i: usize| ((i + 1) as f64).min(b) - (i as f64).max(a);
+                let sum: f64 = (0..150).map(|i| share(i).max(0.0) * f64::from(image[i])).sum();
+                prop_assert!((f64::from(found[u]) - sum / (b - a)).abs() < 0.02, "{} {}", found[u], sum / (b - a));
+            }
+        }
+
+        #[test]
+        fn the_band_is_that_of_a_plain_sum(
+            values in proptest::collection::vec(20.0f32..200.0, 64 * 60),
+            period in 6.0f32..14.0,
+            gap in 0usize..60,
+        ) {
+            let band = Band::new(period);
+            let half = band.taps.len() - 1;
+            let mut rows: Vec<Vec<f32>> = values.chunks(60).map(|row| [row, &[0.0; 40]].concat()).collect();
+            rows[30][gap] = f32::NAN;
+            let v = 31;
+            let mut found = vec![f32::NAN; 60];
+            let ring: Vec<_> = (0..=2 * half).map(|i| (v - half..=v + half).find(|row| row % (2 * half + 1) == i)).collect();
+            let ring: Vec<Vec<f32>> = ring.into_iter().map(|row| rows[row.expect("a row")].clone()).collect();
+            band.energy(&ring, v, &Run::new(3, 58), &mut found);
+            for u in 0..60 {
+                let sum = |weight: &dyn Fn(f64) -> f64| -> f64 {
+                    let row = |i: usize| f64::from(rows[v + i - half][u]) * weight(i as f64 - half as f64);
+                    (0..=2 * half).map(row).sum()
+                };
+                let window = |x: f64| 0.5 + 0.5 * (TAU * x / (2.0 * half as f64 + 2.0)).cos();
+                let turn = TAU / f64::from(period);
+                let (mean, real) = (sum(&window), sum(&|x| window(x) * (turn * x).cos()));
+                let imaginary = sum(&|x| window(x) * (turn * x).sin());
+                let expected = 2.0 * (real - f64::from(band.leak) * mean).hypot(imaginary) / mean;
+                if u == gap || !(3..58).contains(&u) {
+                    prop_assert_eq!(found[u].is_nan(), true);
+                } else {
+                    prop_assert!((f64::from(found[u]) - expected).abs() < 1e-4, "{} {expected}", found[u]);
+                }
+            }
+        }
+    }
+}

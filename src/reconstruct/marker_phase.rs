@@ -225,10 +225,12 @@ impl Bias {
 
 #[cfg(test)]
 mod tests {
-    use super::{Bias, taps};
+    use super::{Bias, Ring, taps};
     use crate::image::Plane;
     use crate::pattern::{Marker, Pattern};
     use crate::reconstruct::demodulate::sums;
+    use crate::reconstruct::sample::LANES;
+    use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
 
     #[test]
@@ -261,6 +263,46 @@ mod tests {
             after = after.max((plane.at(0, 0) - truth).abs());
         }
         assert!(before > 0.15 && after < 0.01, "{before} {after}");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        /// A phasor whose phase rises steadily along the column keeps its phase, whatever the modulation of zero mean.
+        #[test]
+        fn the_mean_over_the_modulation_has_the_tilt_taken_out(
+            phase in -3.0f32..3.0,
+            tilt in -0.15f32..0.15,
+            depth in 0.0f32..0.3,
+            gap in 0usize..64,
+        ) {
+            let period = 11.0;
+            let average = super::Average { taps: taps(period) };
+            let rows = average.taps.len();
+            let (mut c, mut s) = (vec![vec![0f32; LANES]; rows], vec![vec![0f32; LANES]; rows]);
+            let middle = average.reach();
+            for v in 0..rows {
+                for u in 0..LANES {
+                    let x = v as f32 - middle as f32;
+                    let size = 300.0 * (1.0 + depth * (TAU * x / period + u as f32).cos());
+                    let at = phase + 0.05 * u as f32 + tilt * x;
+                    (c[v][u], s[v][u]) = (size * at.cos(), size * at.sin());
+                }
+            }
+            if gap < LANES {
+                (c[1][gap], s[1][gap]) = (0.0, 0.0);
+            }
+            let [re, im] = average.block(&Ring { c: &c, s: &s }, middle, 0);
+            for u in 0..LANES {
+                if u == gap {
+                    prop_assert!(re[u] == 0.0 && im[u] == 0.0);
+                    continue;
+                }
+                let error = im[u].atan2(re[u]) - (phase + 0.05 * u as f32);
+                let size = re[u].hypot(im[u]);
+                prop_assert!(error.sin().abs() < 0.002 && error.cos() > 0.0, "{error}");
+                prop_assert!((size / 300.0 - 1.0).abs() < 0.01, "{size}");
+            }
+        }
     }
 
     #[test]

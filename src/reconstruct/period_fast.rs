@@ -1,7 +1,7 @@
 //! The fringe period Pm of the default method: the paper's count of crossings, found once for a run.
 //!
 //! The paper's window has a median of its own for each pixel, so that crossings are sought anew in each
-//! ([`super::period`]). Here the threshold is the mean over the same window: a sine less its sliding mean is a sine of
+//! ([`super::period`]). Here the threshold is a sliding mean: a sine less its sliding mean is a sine of
 //! the same period, so that the distance of crossings of equal direction is unbiased where the period does not change,
 //! and one list of crossings serves all windows of a run. Which of them lie in a window changes a few times in a
 //! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
@@ -10,6 +10,10 @@ use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
 use super::runs::{Run, Runs};
 use super::simd;
 use crate::image::{Mono8, Plane};
+
+/// The threshold is the mean over this many nominal periods to each side. Shorter means find more crossings where the
+/// light falls off towards an outline, and more wrong ones (docs/design/reconstruction.md).
+const LIGHT_PERIODS: f32 = 1.3;
 
 /// Steps of a pixel in which distances are summed.
 const STEPS: f32 = 4096.0;
@@ -25,7 +29,7 @@ pub struct Buffers {
     low: [Vec<u8>; 2],
     /// Sums of the run's pixels before each.
     sums: Vec<u32>,
-    /// Windows' thresholds and margins, times the window's length.
+    /// Thresholds and margins, times the length of what they are taken from.
     threshold: Vec<i32>,
     margin: Vec<i32>,
     /// 1 above the threshold; above it, and below it, by more than the margin.
@@ -47,10 +51,17 @@ struct Crossing {
 }
 
 /// Period of each mask pixel, px; 0 where it is unknown and off the mask. Windows never leave the mask's runs.
-pub fn measure(image: Mono8<'_>, runs: &Runs, nominal_px: f32, buffers: &mut Buffers, period: &mut Plane<f32>) {
+pub fn measure(
+    image: Mono8<'_>,
+    runs: &Runs,
+    nominal_px: f32,
+    buffers: &mut Buffers,
+    period: &mut Plane<f32>,
+) {
     let (w, h) = (image.width(), image.height());
     period.reshape(w, h, 0.0);
     let half = (1.3 * nominal_px).round() as usize;
+    let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
     const RING: usize = 2 * SMOOTH_ROWS + 1;
     buffers.raw.resize(RING, Vec::new());
     for row in &mut buffers.raw {
@@ -65,7 +76,13 @@ pub fn measure(image: Mono8<'_>, runs: &Runs, nominal_px: f32, buffers: &mut Buf
                 raw.fill(0);
                 if v < h {
                     for run in runs.row(v) {
-                        measure_run(&image.row(v)[run.columns()], half, buffers, &mut raw[run.columns()]);
+                        measure_run(
+                            &image.row(v)[run.columns()],
+                            half,
+                            reach,
+                            buffers,
+                            &mut raw[run.columns()],
+                        );
                     }
                 }
                 buffers.raw[v % RING] = raw;
@@ -77,13 +94,15 @@ pub fn measure(image: Mono8<'_>, runs: &Runs, nominal_px: f32, buffers: &mut Buf
     );
 }
 
-/// Periods of one run before they are smoothed: distance in [`STEPS`] and a count of 1, or 0.
+/// Periods of one run before they are smoothed, from windows of +-`half` and thresholds of +-`reach`: distance in
+/// [`STEPS`] and a count of 1, or 0.
 #[inline(always)]
-fn measure_run(row: &[u8], half: usize, buffers: &mut Buffers, raw: &mut [u32]) {
+fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw: &mut [u32]) {
     let length = (2 * half + 1).min(row.len());
     let windows = row.len() - length + 1;
-    thresholds(row, length, buffers);
-    find_crossings(row, half, length, buffers);
+    let light_length = (2 * reach + 1).min(row.len());
+    thresholds(row, light_length, buffers);
+    find_crossings(row, reach, light_length, buffers);
     let crossings = &buffers.crossings[..];
     // Window `start` holds the crossings `first .. end`.
     let (mut start, mut first, mut end) = (0, 0, 0);
@@ -101,8 +120,17 @@ fn measure_run(row: &[u8], half: usize, buffers: &mut Buffers, raw: &mut [u32]) 
         // Near the run's ends the window is shifted, not cut: two whole periods are needed.
         let from = if start == 0 { 0 } else { (start + half).min(row.len()) };
         let to = if next == windows { row.len() } else { (next + half).min(row.len()) };
-        raw[from..to].fill(value);
+        fill(raw, from, to, value);
         start = next;
+    }
+}
+
+/// Fills `from .. to`, a few pixels, and may write beyond: what follows is written next.
+#[inline(always)]
+fn fill(raw: &mut [u32], from: usize, to: usize, value: u32) {
+    match raw[from..].first_chunk_mut::<8>() {
+        Some(eight) if to - from <= 8 => *eight = [value; 8],
+        _ => raw[from..to].fill(value),
     }
 }
 
@@ -129,12 +157,12 @@ fn thresholds(row: &[u8], length: usize, buffers: &mut Buffers) {
     let windows = row.len() - length + 1;
     extremes(row, length, high, u8::max);
     extremes(row, length, low, u8::min);
-    sums.clear();
+    sums.resize(row.len() + 1, 0);
+    sums[0] = 0;
     let mut sum = 0;
-    sums.push(sum);
-    for &x in row {
+    for (out, &x) in sums[1..].iter_mut().zip(row) {
         sum += u32::from(x);
-        sums.push(sum);
+        *out = sum;
     }
     threshold.resize(windows, 0);
     margin.resize(windows, 0);
@@ -173,13 +201,12 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let Buffers { threshold, margin, sides, crossings, .. } = buffers;
     let last = threshold.len() - 1;
     crossings.clear();
-    let value = |i: usize| {
-        i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)]
-    };
+    let value = |i: usize| i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)];
     const ABOVE: u8 = 1;
     const FAR: u8 = 2;
     sides.resize(row.len(), 0);
-    let side = |value: i32, margin: i32| u8::from(value > 0) * ABOVE | u8::from(value.abs() > margin) * FAR;
+    let side =
+        |value: i32, margin: i32| (u8::from(value > 0) * ABOVE) | (u8::from(value.abs() > margin) * FAR);
     let middle = half.min(row.len())..(half + last + 1).min(row.len());
     for i in (0..middle.start).chain(middle.end..row.len()) {
         sides[i] = side(value(i), margin[i.saturating_sub(half).min(last)]);
@@ -222,17 +249,18 @@ fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
         }
     }
     // The sum over a whole row does not fit; that of a box does, and differences of what wraps are right.
-    row_sums.clear();
+    row_sums.resize(column_sums.len() + 1, 0);
+    row_sums[0] = 0;
     let mut sum = 0u32;
-    row_sums.push(sum);
-    for &x in &*column_sums {
+    for (out, &x) in row_sums[1..].iter_mut().zip(&*column_sums) {
         sum = sum.wrapping_add(x);
-        row_sums.push(sum);
+        *out = sum;
     }
     let place = |u: usize| u.clamp(from, to) - from;
     for run in runs {
         let columns = run.columns();
-        let inner = columns.start.max(from + SMOOTH_COLUMNS)..columns.end.min(to.saturating_sub(SMOOTH_COLUMNS));
+        let inner =
+            columns.start.max(from + SMOOTH_COLUMNS)..columns.end.min(to.saturating_sub(SMOOTH_COLUMNS));
         let inner = inner.start.min(columns.end)..inner.end.max(inner.start.min(columns.end));
         for u in (columns.start..inner.start).chain(inner.end..columns.end) {
             let end = row_sums[place(u + SMOOTH_COLUMNS + 1)];
@@ -254,4 +282,109 @@ fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
 fn mean_of(sum: u32) -> f32 {
     let count = (sum & ((1 << COUNT_BITS) - 1)) as i32 as f32;
     (sum >> COUNT_BITS) as i32 as f32 / STEPS / count.max(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Buffers, LIGHT_PERIODS, measure};
+    use crate::image::{Mono8, Plane};
+    use crate::reconstruct::period;
+    use crate::reconstruct::runs::Runs;
+    use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
+
+    fn measured(image: &Plane<u8>, mask: &Plane<u8>, nominal: f32) -> Plane<f32> {
+        let mut found = Plane::filled(1, 1, f32::NAN);
+        measure(Mono8::from(image), &Runs::of(mask), nominal, &mut Buffers::default(), &mut found);
+        found
+    }
+
+    /// The same figure by its definition: for each pixel, the crossings in its window.
+    fn plain_row(row: &[u8], nominal: f32) -> Vec<f64> {
+        let window = |u: usize, periods: f32| {
+            let half = (periods * nominal).round() as usize;
+            let length = (2 * half + 1).min(row.len());
+            let start = u.saturating_sub(half).min(row.len() - length);
+            start..start + length
+        };
+        let value = |u: usize| {
+            let window = &row[window(u, LIGHT_PERIODS)];
+            let length = window.len();
+            let sum: i64 = window.iter().map(|&x| i64::from(x)).sum();
+            let range = window.iter().max().unwrap_or(&0) - window.iter().min().unwrap_or(&0);
+            let margin = (0.12f32 * length as f32 * f32::from(range)) as i64;
+            (i64::from(row[u]) * length as i64 - sum, margin)
+        };
+        let (mut crossings, mut settled, mut seen) = (Vec::new(), 0, 0);
+        for u in 0..row.len() {
+            let (now, margin) = value(u);
+            if u > 0 && (now > 0) != (value(u - 1).0 > 0) {
+                seen = u;
+            }
+            let side = if now > 0 { 1 } else { -1 };
+            if now.abs() > margin && side != settled {
+                if settled != 0 {
+                    let (a, b) = (value(seen - 1).0 as f64, value(seen).0 as f64);
+                    crossings.push((seen as f64 - b / (b - a), u));
+                }
+                settled = side;
+            }
+        }
+        let at = |u: usize| {
+            let window = window(u, 1.3);
+            let inside = crossings.iter().filter(|x| x.0 >= window.start as f64 && x.1 < window.end);
+            let inside: Vec<f64> = inside.map(|x| x.0).collect();
+            let distances: Vec<f64> = inside.windows(3).map(|x| x[2] - x[0]).collect();
+            let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
+            if (5.0..=24.0).contains(&mean) { mean } else { 0.0 }
+        };
+        (0..row.len()).map(at).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn the_period_of_a_noisy_sine_is_found(period in 6.0f32..18.0, phase in -3.0f32..3.0, amplitude in 15.0f32..100.0) {
+            let mut image = Plane::filled(200, 3, 0u8);
+            for v in 0..3 {
+                for u in 0..200 {
+                    let noise = ((u * 7919 + v * 104_729) % 13) as f32 / 6.5 - 1.0;
+                    let wave = (std::f32::consts::TAU * u as f32 / period + phase).cos();
+                    image.set(u, v, (110.0 + amplitude * wave + noise) as u8);
+                }
+            }
+            let found = measured(&image, &Plane::filled(200, 3, 1), 11.0);
+            for u in 20..180 {
+                let p = found.at(u, 1);
+                prop_assert!((p / period - 1.0).abs() < 0.03, "{p} at {u}, true {period}");
+            }
+        }
+
+        /// Whatever the light, runs and window: the box mean of what the definition gives.
+        #[test]
+        fn periods_are_those_of_the_definition(
+            values in proptest::collection::vec(any::<u8>(), 120),
+            gap in 20usize..100,
+            nominal in 4.0f32..14.0,
+            period in 5.5f32..20.0,
+            noise in 0.0f32..1.0,
+        ) {
+            let fringe = |u: usize| 120.0 + 100.0 * (std::f32::consts::TAU * u as f32 / period).cos();
+            let light = |(u, &x): (usize, &u8)| (fringe(u) * (1.0 - noise) + noise * f32::from(x)) as u8;
+            let row: Vec<u8> = values.iter().enumerate().map(light).collect();
+            let mut mask = Plane::filled(120, 1, 1u8);
+            mask.set(gap, 0, 0);
+            let mut raw = vec![0.0; 120];
+            for run in period::runs(mask.row(0)) {
+                raw[run.clone()].copy_from_slice(&plain_row(&row[run], nominal));
+            }
+            let found = measured(&Plane::from_vec(120, 1, row).expect("120 pixels"), &mask, nominal);
+            for u in (0..120).filter(|&u| u != gap) {
+                let near = raw[u.saturating_sub(6)..(u + 7).min(120)].iter().filter(|x| **x > 0.0);
+                let (sum, count) = near.fold((0.0, 0), |(sum, count), x| (sum + x, count + 1));
+                let expected = if count > 0 { sum / f64::from(count) } else { 0.0 };
+                prop_assert!((f64::from(found.at(u, 0)) - expected).abs() < 1e-3, "{} {expected} at {u}", found.at(u, 0));
+            }
+            prop_assert!(found.at(gap, 0) == 0.0);
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! One frame to one directional cloud: the stages in their order, each timed.
 
 use super::demodulate::{Gains, Phasors};
-use super::front::{self, Front};
+use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
 use super::order::{self, Regions, View};
 use super::pool::Pool;
@@ -90,7 +90,6 @@ pub struct Pipeline {
     bias: Bias,
     method: Method,
     keep_maps: bool,
-    buffers: Pool<Buffers>,
 }
 
 /// What the stages of one frame use again for the next.
@@ -100,6 +99,10 @@ struct Buffers {
     mask: mask::Buffers,
     front: front::Buffers,
 }
+
+/// Of all cameras: a thread that goes from one to the next finds its memory there.
+static BUFFERS: Pool<Buffers> = Pool::new();
+static PLANES: Planes = Planes::new();
 
 /// Runs stages and keeps their times.
 #[derive(Debug, Default)]
@@ -170,7 +173,7 @@ impl Pipeline {
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
         let table = RayTable::new(triangulator.pair());
-        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, buffers: Pool::default() }
+        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps }
     }
 
     /// What it triangulates with.
@@ -208,10 +211,10 @@ impl Pipeline {
         }
         let object = clock.time("mask", || match self.method {
             Method::Anchored => {
-                let mut buffers = self.buffers.take();
+                let mut buffers = BUFFERS.take();
                 let mut object = std::mem::take(&mut buffers.object);
                 mask::envelope_into(image, pair.period_px, &mut buffers.mask, &mut object);
-                self.buffers.give(buffers);
+                BUFFERS.give(buffers);
                 object
             }
             Method::Paper => mask::otsu(image, pair.period_px),
@@ -219,7 +222,13 @@ impl Pipeline {
         let Some(roi) = Roi::of(&object) else {
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
-        let (image, object) = (roi.cut_image(image), roi.cut(&object));
+        let whole = object;
+        let (image, object) = (roi.cut_image(image), roi.cut(&whole));
+        if self.method == Method::Anchored {
+            let mut buffers = BUFFERS.take();
+            buffers.object = whole;
+            BUFFERS.give(buffers);
+        }
         counts.object = object.as_slice().iter().filter(|&&x| x != 0).count();
         let resolved = match self.method {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
@@ -267,6 +276,10 @@ impl Pipeline {
             cloud::phase_map(&absolute, &phasors.mean, None, roi, [frame.0 as u16, frame.1 as u16])
         });
         let cloud = clock.time("points", || cloud::make(&self.table, &map));
+        if self.method == Method::Anchored {
+            PLANES.give_phasors(phasors);
+            PLANES.give(period);
+        }
         planes.push(("Fm", absolute));
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),
@@ -287,10 +300,10 @@ impl Pipeline {
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let mut buffers = self.buffers.take();
-        let front =
-            front::run(image, object, pair, &self.gains, self.keep_maps, &mut buffers.front, clock);
-        self.buffers.give(buffers);
+        let mut buffers = BUFFERS.take();
+        let memory = (&mut buffers.front, &PLANES);
+        let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
+        BUFFERS.give(buffers);
         let Front { period, phasors, wrapped, zone, mut marker, energy, known } = front;
         clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
@@ -314,7 +327,7 @@ impl Pipeline {
                 ("Pm", period.clone()),
                 ("Am", number(&amplitude)),
                 ("Sm", stability),
-                ("Wm", wrapped),
+                ("Wm", wrapped.clone()),
                 ("Vm", vertical),
                 ("Bm", border),
                 ("Qm", quality),
@@ -324,6 +337,7 @@ impl Pipeline {
                 ("misfit", phasors.misfit.clone()),
             ];
         }
+        PLANES.give(wrapped);
         let (absolute, open) = (unwrapped.absolute, unwrapped.open);
         Resolved { absolute, open, marker, phasors, period, zone, planes }
     }

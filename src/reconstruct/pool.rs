@@ -1,10 +1,17 @@
-//! Memory that is used again from frame to frame, by whichever thread comes next.
+//! Memory that is used again from frame to frame, by whichever thread and camera comes next.
 
 use std::sync::{Mutex, PoisonError};
 
 /// Values that are lent out one at a time. There are as many as were ever lent at once.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Pool<T>(Mutex<Vec<T>>);
+
+impl<T> Pool<T> {
+    /// An empty pool.
+    pub(super) const fn new() -> Self {
+        Self(Mutex::new(Vec::new()))
+    }
+}
 
 impl<T: Default> Pool<T> {
     /// One that was given back, or a new one.

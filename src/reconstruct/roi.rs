@@ -22,9 +22,20 @@ impl Roi {
         let (mut top, mut bottom) = (usize::MAX, 0);
         for v in 0..mask.height() {
             let row = mask.row(v);
-            let Some(first) = row.iter().position(|&x| x != 0) else { continue };
-            let last = row.iter().rposition(|&x| x != 0).unwrap_or(first);
-            (left, right) = (left.min(first), right.max(last));
+            // Whole rows and most of the margins are empty: sixteen pixels at once.
+            let (chunks, rest) = row.as_chunks::<16>();
+            let shows = |chunk: &[u8; 16]| u128::from_le_bytes(*chunk) != 0;
+            let Some(first) = chunks.iter().position(shows).map_or_else(
+                || rest.iter().position(|&x| x != 0).map(|u| 16 * chunks.len() + u),
+                |i| chunks[i].iter().position(|&x| x != 0).map(|u| 16 * i + u),
+            ) else {
+                continue;
+            };
+            let last = rest.iter().rposition(|&x| x != 0).map(|u| 16 * chunks.len() + u).or_else(|| {
+                let i = chunks.iter().rposition(shows)?;
+                chunks[i].iter().rposition(|&x| x != 0).map(|u| 16 * i + u)
+            });
+            (left, right) = (left.min(first), right.max(last.unwrap_or(first)));
             (top, bottom) = (top.min(v), v);
         }
         (left <= right).then(|| Self { u: left, v: top, width: right - left + 1, height: bottom - top + 1 })
