@@ -51,6 +51,9 @@ pub struct Args {
     /// the paper to the letter.
     #[arg(long, value_enum, default_value = "anchored")]
     method: MethodName,
+    /// Give every point its standard uncertainty along the line of sight, `sigma` (float, metres) in PLY files.
+    #[arg(long)]
+    uncertainty: bool,
     /// Write every map of every frame as a PNG image to this directory.
     #[arg(long, value_name = "DIR")]
     dump_maps: Option<PathBuf>,
@@ -73,8 +76,22 @@ pub(super) fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn F
     Ok(Box::new(SessionReader::open(path).map_err(|e| e.to_string())?))
 }
 
+/// Lets the allocator keep what a frame gives back for the next one. By default blocks of this size go back to the
+/// system each time, and every page of them is cleared and mapped anew: a quarter of the time.
+fn keep_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: mallopt may be called at any time; it only sets parameters of the allocator.
+    unsafe {
+        libc::mallopt(libc::M_MMAP_THRESHOLD, 1 << 30);
+        libc::mallopt(libc::M_TRIM_THRESHOLD, i32::MAX);
+        // Only the first arena keeps blocks of any size.
+        libc::mallopt(libc::M_ARENA_MAX, 1);
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
+    keep_freed_memory();
     let calibration = Calibration::load(&args.calibration).map_err(|e| Failure::new(Exit::Usage, e))?;
     let cameras = chosen_cameras(args, &calibration)?;
     let source = open_source(&args.session, &cameras).map_err(|e| Failure::new(Exit::Usage, e))?;
@@ -99,6 +116,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             MethodName::Anchored => Method::Anchored,
             MethodName::Paper => Method::Paper,
         },
+        uncertainty: args.uncertainty,
         maps: args.dump_maps.clone(),
     };
     let pool = rayon::ThreadPoolBuilder::new()

@@ -11,7 +11,6 @@
 //! version of this program; a finished cloud with the same hash is not made again.
 
 use super::dump;
-use super::merge::merge;
 use super::pair::Pair;
 use super::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
 use super::resolve::resolve;
@@ -33,7 +32,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 4;
+const ALGORITHM: u32 = 5;
 
 /// What to do.
 #[derive(Debug)]
@@ -48,6 +47,8 @@ pub struct Plan {
     pub shard: (u64, u64),
     /// How the absolute phase is found.
     pub method: Method,
+    /// Whether every point gets its standard uncertainty.
+    pub uncertainty: bool,
     /// Where the maps of every frame go, if anywhere.
     pub maps: Option<PathBuf>,
 }
@@ -209,10 +210,9 @@ pub fn write_sequence(
     let file = std::fs::File::create(&partial).map_err(|e| fail(&e))?;
     let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(|e| fail(&e))?;
     for trigger in plan.shard_triggers() {
-        let (_, cloud) = ply::load(&merged_path(&plan.out, trigger)).map_err(|e| e.to_string())?;
         let time = source.trigger_time_ns(TriggerIndex(trigger));
         let time = time.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64);
-        writer.push(time, &cloud).map_err(|e| fail(&e))?;
+        writer.push_ply(time, &merged_path(&plan.out, trigger)).map_err(|e| fail(&e))?;
     }
     let buffer = writer.finish().map_err(|e| fail(&e))?;
     buffer.into_inner().map_err(|e| fail(&e.into_error()))?;
@@ -236,7 +236,8 @@ pub fn run(
         if plan.cameras.contains(&camera.id) {
             let number = u8::try_from(number).map_err(|_| "more than 255 cameras".to_owned())?;
             let triangulator = Triangulator::new(Pair::new(head, camera, calibration)?);
-            let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
+            let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some())
+                .with_uncertainty(plan.uncertainty);
             if last != Some(&head.id) {
                 heads.push(Vec::new());
                 last = Some(&head.id);
@@ -271,6 +272,7 @@ fn parameters(calibration: &Calibration, plan: &Plan) -> Result<String, String> 
         "algorithm": ALGORITHM,
         "version": env!("CARGO_PKG_VERSION"),
         "method": method_name(plan.method),
+        "uncertainty": plan.uncertainty,
         "calibration": calibration,
     });
     let text = serde_json::to_string(&value).map_err(|e| e.to_string())?;
@@ -300,14 +302,16 @@ impl Job<'_> {
             self.heads.par_iter().with_max_len(1).map(|head| self.head(head, trigger)).collect();
         let results: Vec<(FrameSummary, Cloud)> = results?.into_iter().flatten().collect();
         let cameras = || self.heads.iter().flatten();
-        let merged = merge(cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)));
+        let parts: Vec<ply::Part<'_>> =
+            cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)).collect();
         let mut comments = self.comments(trigger);
         let names = cameras().map(|c| format!("{}={}", c.number, c.id));
         comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
         let path = merged_path(&self.plan.out, trigger);
-        ply::save(&path, &merged, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        ply::save_merged(&path, &parts, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        let merged_points = parts.iter().map(|(_, cloud)| cloud.len()).sum();
         let frames = results.into_iter().map(|(summary, _)| summary).collect();
-        Ok(TriggerSummary { trigger, merged_points: merged.len(), frames })
+        Ok(TriggerSummary { trigger, merged_points, frames })
     }
 
     /// The cameras of one head together: each may give fringe orders to the other.

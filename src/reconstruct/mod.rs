@@ -25,8 +25,6 @@ pub mod marker;
 pub mod marker_phase;
 /// Object mask Om.
 pub mod mask;
-/// Directional clouds to a merged cloud.
-pub mod merge;
 /// Normals from neighbouring points.
 pub mod normals;
 /// What the pipeline must know of a camera and its projector.
@@ -53,6 +51,8 @@ mod source;
 mod support;
 /// From absolute phase to points.
 pub mod triangulate;
+/// Standard uncertainty of every phase.
+pub mod uncertainty;
 /// The anchored spanning forest.
 pub mod unwrap;
 /// The paper's spanning tree and marker.

@@ -8,7 +8,7 @@ use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker, marker_phase, mask, period, quality, shading,
-    unwrap, unwrap_paper,
+    uncertainty, unwrap, unwrap_paper,
 };
 use crate::export::Cloud;
 use crate::image::{Mono8, Plane};
@@ -86,6 +86,7 @@ pub struct Pipeline {
     bias: Bias,
     method: Method,
     keep_maps: bool,
+    uncertainty: bool,
 }
 
 /// Runs stages and keeps their times.
@@ -138,7 +139,13 @@ impl Pipeline {
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
         let table = RayTable::new(triangulator.pair());
-        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps }
+        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
+    }
+
+    /// Also gives every point its standard uncertainty.
+    #[must_use]
+    pub fn with_uncertainty(self, uncertainty: bool) -> Self {
+        Self { uncertainty, ..self }
     }
 
     /// What it triangulates with.
@@ -187,6 +194,9 @@ impl Pipeline {
         let Prepared { roi, mut absolute, mut counts, phasors, period, zone, mut planes, mut clock, .. } =
             prepared;
         let pair = self.triangulator.pair();
+        // What the edges find, where uncertainties are asked for.
+        let mut expected =
+            self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
         if self.method == Method::Anchored {
             counts.dropped = clock.time("select", || {
                 self.bias.correct(&mut absolute);
@@ -197,13 +207,17 @@ impl Pipeline {
                 curvature::correct(&mut absolute, &phasors, &period, &zone, rows);
             });
             counts.dropped += clock.time("edges", || {
-                let settings = edges::Settings::default();
-                edges::refine(&mut absolute, &phasors, &period, &zone, pair.sign, &settings, None)
+                let (settings, expected) = (edges::Settings::default(), expected.as_mut());
+                edges::refine(&mut absolute, &phasors, &period, &zone, pair.sign, &settings, expected)
             });
         }
+        let doubts = expected.map(|expected| {
+            let rows = pair.marker_period_px;
+            clock.time("uncertainty", || uncertainty::doubts(&absolute, &phasors, &expected, &zone, rows))
+        });
         let frame = (pair.camera.width, pair.camera.height);
         let map = clock.time("quantize", || {
-            cloud::phase_map(&absolute, &phasors.mean, None, roi, [frame.0 as u16, frame.1 as u16])
+            cloud::phase_map(&absolute, &phasors.mean, doubts.as_ref(), roi, [frame.0 as u16, frame.1 as u16])
         });
         let cloud = clock.time("points", || cloud::make(&self.table, &map));
         planes.push(("Fm", absolute));

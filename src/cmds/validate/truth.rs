@@ -7,6 +7,7 @@ use crate::export::Cloud;
 use crate::image::write_png_rgb;
 use crate::validate::solid::{Mesh, SolidScore, Sphere, score_mesh, score_sphere};
 use crate::validate::truth::{Reference, Score, Tally, Truth};
+use crate::validate::uncertainty::{Class, Points};
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -45,6 +46,9 @@ pub struct Args {
     /// Draw where each directional cloud is right (grey), wrong (red, magenta) or missing (blue).
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
+    /// Hold the predicted uncertainties (`fourdbody reconstruct --uncertainty`) against the errors, by classes.
+    #[arg(long, requires = "truth")]
+    uncertainty: bool,
 }
 
 /// A truth file: its camera's number in the calibration, and its trigger.
@@ -130,6 +134,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let set = open_clouds(&args.clouds)?;
     let mut per_camera: BTreeMap<usize, Tally> = BTreeMap::new();
     let (mut merged, mut merged_clouds) = (Tally::default(), 0);
+    let mut predicted = Points::default();
     let mut loaded: Option<(u64, Option<Cloud>)> = None;
     for (&(trigger, number), path) in &files {
         let (head, camera) = cameras[number];
@@ -139,6 +144,9 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
         let path = set.directional.get(&(trigger, camera.id.to_string()));
         let cloud = path.map(|path| load_cloud(path)).transpose()?.unwrap_or_default();
         per_camera.entry(number).or_default().add(&cloud, |_| true, &truth, reference);
+        if args.uncertainty {
+            predicted.add(&cloud, &truth, reference);
+        }
         if let Some(folder) = &args.pictures {
             let (width, height, rgb) = truth.picture(&cloud, reference);
             let path = folder.join(format!("{}_{trigger:06}.png", camera.id));
@@ -161,7 +169,12 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let rows = per_camera.iter().map(|(&number, tally)| (cameras[number].1.id.to_string(), tally.score()));
     let rows: Vec<(String, Score)> = rows.collect();
     let merged = (merged_clouds > 0).then(|| merged.score());
-    print(args.json, &rows, &all.score(), merged.as_ref());
+    if args.uncertainty && predicted.is_empty() {
+        let message = "no cloud has uncertainties: reconstruct with --uncertainty first";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let classes = if args.uncertainty { predicted.classes() } else { Vec::new() };
+    print(args.json, &rows, &all.score(), merged.as_ref(), &classes);
     Ok(Exit::Done)
 }
 
@@ -184,11 +197,15 @@ fn truth_files(directory: &Path, calibration: &Calibration) -> Result<BTreeMap<K
     Ok(files)
 }
 
-fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Score>) {
+fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Score>, classes: &[Class]) {
     if json {
         let cameras: serde_json::Map<_, _> =
             rows.iter().map(|(name, score)| (name.clone(), serde_json::json!(score))).collect();
-        println!("{}", serde_json::json!({"cameras": cameras, "directional": all, "merged": merged}));
+        let mut report = serde_json::json!({"cameras": cameras, "directional": all, "merged": merged});
+        if !classes.is_empty() {
+            report["uncertainty"] = serde_json::json!(classes);
+        }
+        println!("{report}");
         return;
     }
     println!(
@@ -207,6 +224,24 @@ fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Scor
             100.0 * score.wrong_order_share,
             100.0 * score.off_surface_share,
             100.0 * score.completeness_of_lit,
+        );
+    }
+    if !classes.is_empty() {
+        println!(
+            "\n{:<14} {:>14} {:>9} {:>13} {:>10} {:>6} {:>11}",
+            "class by", "from .. to", "points", "predicted mm", "robust mm", "ratio", "within 2 %"
+        );
+    }
+    for class in classes {
+        println!(
+            "{:<14} {:>14} {:>9} {:>13.3} {:>10.3} {:>6.2} {:>11.1}",
+            class.by,
+            format!("{} .. {}", class.from, class.to),
+            class.points,
+            class.predicted_mm,
+            class.robust_mm,
+            class.ratio,
+            100.0 * class.within_two,
         );
     }
 }
