@@ -10,7 +10,7 @@
 
 use super::demodulate::Phasors;
 use super::simd;
-use super::support::Support;
+use super::support::{Support, known_part};
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
@@ -88,8 +88,11 @@ pub fn refine(
                     support.advance(v, absolute, |v, u| {
                         (phasors.misfit.row(v)[u] <= settings.good_misfit) & (outside.row(v)[u] == 0)
                     });
-                    list_doubtful(absolute.row(v), misfit, zone, settings.doubtful_misfit, doubtful);
-                    for &u in doubtful.iter() {
+                    let part = known_part(absolute.row(v));
+                    let first = part.start;
+                    let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
+                    list_doubtful(stretch, settings.doubtful_misfit, doubtful);
+                    for u in doubtful.iter().map(|u| first + u) {
                         let amplitude = size(phasors.c.at(u, v), phasors.s.at(u, v)) / 6.0;
                         let mut error = own_error(misfit[u], amplitude);
                         let (phase, carrier) = (absolute.at(u, v), sign * TAU / period.at(u, v));
@@ -116,7 +119,7 @@ pub fn refine(
 
 /// Columns whose phase is known and doubtful.
 #[inline(always)]
-fn list_doubtful(phase: &[f32], misfit: &[f32], zone: &[u8], from: f32, list: &mut Vec<usize>) {
+fn list_doubtful((phase, misfit, zone): (&[f32], &[f32], &[u8]), from: f32, list: &mut Vec<usize>) {
     const LANES: usize = 32;
     list.clear();
     let parts = phase.chunks(LANES).zip(misfit.chunks(LANES)).zip(zone.chunks(LANES));

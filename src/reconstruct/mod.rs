@@ -48,6 +48,8 @@ pub mod shading;
 /// Vectors as wide as the processor has.
 pub mod simd;
 mod source;
+/// Stored phase maps to clouds.
+pub mod stored;
 mod support;
 /// From absolute phase to points.
 pub mod triangulate;

@@ -10,7 +10,7 @@ use super::{
     absolute, cloud, curvature, demodulate, edges, marker, marker_phase, mask, period, quality, shading,
     uncertainty, unwrap, unwrap_paper,
 };
-use crate::export::Cloud;
+use crate::export::{Cloud, PhaseMap};
 use crate::image::{Mono8, Plane};
 use std::time::{Duration, Instant};
 
@@ -56,6 +56,8 @@ pub struct Counts {
 pub struct Reconstruction {
     /// The directional cloud, in the world frame.
     pub cloud: Cloud,
+    /// What the cloud follows from, given the calibration.
+    pub phase: PhaseMap,
     /// Whether there is one.
     pub outcome: Outcome,
     /// How it went.
@@ -224,6 +226,7 @@ impl Pipeline {
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),
             cloud,
+            phase: map,
             counts,
             stages: clock.0,
             maps: self.keep_maps.then_some(Maps { roi, frame, planes }),
@@ -355,6 +358,7 @@ fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
 fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> {
     Box::new(Reconstruction {
         cloud: Cloud::default(),
+        phase: PhaseMap::default(),
         outcome: Outcome::Refused(reason),
         counts,
         stages: clock.0,

@@ -13,7 +13,6 @@
 //! rendered truth.
 
 use super::demodulate::Phasors;
-use super::edges;
 use super::simd;
 use crate::export::doubt_of;
 use crate::image::Plane;
@@ -41,8 +40,15 @@ const DEFAULT_NOISE_DN: f32 = 1.0;
 /// What the formula is off by on every surface: panel pixels, rounding, harmonics that are left, rad.
 const FLOOR_RAD: f32 = 0.002;
 
-/// Share of the error by misfit that is left where no edge is.
-const MISFIT_SHARE: f32 = 0.5;
+/// Standard uncertainty per misfit beyond that of noise, rad.
+const PER_MISFIT: f32 = 0.4;
+
+/// Twice the mean square of the misfit that a sample's variance of 1 DN^2 gives a fringe of 1 DN: three of seven
+/// degrees of freedom are left.
+const MISFIT_OF_NOISE: f32 = 2.0 * 3.0 / 7.0;
+
+/// The errors that `edges` expects are RMS values over long tails; their core is narrower.
+const CORE_SHARE: f32 = 0.55;
 
 /// Rows that `demodulate::average_rows` takes from on each side, and its bound.
 const ROWS_EACH_SIDE: usize = 2;
@@ -75,11 +81,13 @@ pub fn doubts(
                     }
                     let amplitude = ((c[u] * c[u] + s[u] * s[u]).sqrt() / 6.0).max(0.1);
                     let rows = if zone[u] != 0 { marker_rows.max(1.0) } else { rows[u] };
-                    let random = NOISE_GAIN * noise.variance(mean[u]).sqrt() / amplitude / rows.sqrt();
+                    let relative = noise.variance(mean[u]) / (amplitude * amplitude);
+                    let random = NOISE_GAIN * (relative / rows).sqrt();
                     let shape = if expected[u].is_nan() {
-                        MISFIT_SHARE * edges::own_error(misfit[u], amplitude)
+                        let beyond = misfit[u] * misfit[u] - MISFIT_OF_NOISE * relative;
+                        PER_MISFIT * beyond.max(0.0).sqrt()
                     } else {
-                        expected[u]
+                        CORE_SHARE * expected[u]
                     };
                     *doubt = doubt_of((random * random + shape * shape + FLOOR_RAD * FLOOR_RAD).sqrt());
                 }
