@@ -1,11 +1,12 @@
 //! The standard uncertainty of every phase, from what the frame itself shows.
 //!
-//! - **Noise.** What offset, slope and fringe leave of seven samples is noise where it is least: its lower quartile
-//!   among pixels of equal light gives the noise of a sample by light, shot and read noise, fixed pattern and rounding
-//!   together, without anything being stated of the sensor. The formula turns noise `s` into `0.561 s / B` rad (B:
-//!   amplitude), the mean of n rows divides by `sqrt(n)`.
+//! - **Noise.** Fourth differences of the phase along the column know nothing of slope and curvature: they are noise.
+//!   Their median among pixels of equal light, times the amplitude B, gives the noise of one row by light: shot and
+//!   read noise, fixed pattern and rounding together, without anything being stated of the sensor. The mean of n rows
+//!   divides it by `sqrt(n)`.
 //! - **Shape.** What windows and rows do where neither light nor slope is constant is taken off to first order
-//!   (`shading`, `curvature`); what is left grows with the misfit of the window.
+//!   (`shading`, `curvature`); what is left grows with the misfit of the window, beyond the misfit that most pixels
+//!   of equal light have from noise and from harmonics, which do no harm.
 //! - **Doubt.** At edges of colour `edges` says what error to expect.
 //!
 //! These are independent. Not in it: the calibration, which moves all points of a camera together, and wrong fringe
@@ -17,9 +18,6 @@ use super::simd;
 use crate::export::doubt_of;
 use crate::image::Plane;
 
-/// Standard uncertainty of the seven-point formula's phase for noise of 1 DN and an amplitude of 1 DN, rad.
-const NOISE_GAIN: f32 = 0.561;
-
 /// Classes of light, and their width in DN.
 const CLASSES: usize = 16;
 const CLASS_DN: f32 = 16.0;
@@ -27,15 +25,22 @@ const CLASS_DN: f32 = 16.0;
 /// Pixels that a class needs for its noise to be taken from it.
 const MIN_PIXELS: u32 = 200;
 
-/// Variance of a sample over the lower quartile of the mean square of seven residuals with three degrees of freedom
-/// (7 / 1.2125).
-const PER_QUARTILE: f32 = 5.77;
+/// Variance of one row's phase over the median square of a fourth difference of means of five rows: these are
+/// `[1, -3, 3, -1, 0, -1, 3, -3, 1] / 5` of the rows, and the median of a squared normal number is 0.4549.
+const PER_MEDIAN: f32 = 1.0 / (1.6 * 0.4549);
+
+/// Fourth differences beyond this are steps, rad; pixels of more misfit than this are at edges.
+const MAX_DIFFERENCE: f32 = 0.5;
+const MAX_MISFIT: f32 = 0.05;
+
+/// Mean square of the residual over its lower quartile, for three degrees of freedom.
+const PER_QUARTILE: f32 = 3.0 / 1.2125;
 
 /// Bins of residuals: four in every factor of two from 2^-10 DN^2.
 const BINS: usize = 96;
 
-/// Noise of a sample where no class has enough pixels, DN.
-const DEFAULT_NOISE_DN: f32 = 1.0;
+/// Noise of one row's phase times the amplitude, where no class has enough pixels, rad DN.
+const DEFAULT_NOISE: f32 = 0.6;
 
 /// What the formula is off by on every surface: panel pixels, rounding, harmonics that are left, rad.
 const FLOOR_RAD: f32 = 0.002;
@@ -43,9 +48,8 @@ const FLOOR_RAD: f32 = 0.002;
 /// Standard uncertainty per misfit beyond that of noise, rad.
 const PER_MISFIT: f32 = 0.4;
 
-/// Twice the mean square of the misfit that a sample's variance of 1 DN^2 gives a fringe of 1 DN: three of seven
-/// degrees of freedom are left.
-const MISFIT_OF_NOISE: f32 = 2.0 * 3.0 / 7.0;
+/// So many times the usual square of the misfit is nothing unusual yet.
+const USUAL: f32 = 2.0;
 
 /// The errors that `edges` expects are RMS values over long tails; their core is narrower.
 const CORE_SHARE: f32 = 0.55;
@@ -81,10 +85,10 @@ pub fn doubts(
                     }
                     let amplitude = ((c[u] * c[u] + s[u] * s[u]).sqrt() / 6.0).max(0.1);
                     let rows = if zone[u] != 0 { marker_rows.max(1.0) } else { rows[u] };
-                    let relative = noise.variance(mean[u]) / (amplitude * amplitude);
-                    let random = NOISE_GAIN * (relative / rows).sqrt();
+                    let [variance, usual] = noise.at(mean[u]).map(|x| x / (amplitude * amplitude));
+                    let random = (variance / rows).sqrt();
                     let shape = if expected[u].is_nan() {
-                        let beyond = misfit[u] * misfit[u] - MISFIT_OF_NOISE * relative;
+                        let beyond = misfit[u] * misfit[u] - USUAL * usual;
                         PER_MISFIT * beyond.max(0.0).sqrt()
                     } else {
                         CORE_SHARE * expected[u]
@@ -114,49 +118,64 @@ fn averaged_rows(phasors: &Phasors, v: usize, rows: &mut [f32]) {
     }
 }
 
-/// Variance of a sample by light.
-struct Noise([f32; CLASSES]);
+/// By light: variance of one row's phase, rad^2, and usual mean square of the misfit, both times the square of the
+/// amplitude.
+struct Noise([[f32; 2]; CLASSES]);
+
+type Counts = [[u32; BINS]; CLASSES];
 
 impl Noise {
     fn of(absolute: &Plane<f32>, phasors: &Phasors) -> Self {
-        let mut counts = [[0u32; BINS]; CLASSES];
-        for v in 0..absolute.height() {
-            let (c, s, misfit) = (phasors.c.row(v), phasors.s.row(v), phasors.misfit.row(v));
-            for (u, (phase, mean)) in absolute.row(v).iter().zip(phasors.mean.row(v)).enumerate() {
-                if !phase.is_nan() {
-                    let left = misfit[u] * misfit[u] * (c[u] * c[u] + s[u] * s[u]) / 36.0;
-                    counts[class(*mean)][bin(left)] += 1;
+        let (mut differences, mut residuals): (Counts, Counts) = ([[0; BINS]; CLASSES], [[0; BINS]; CLASSES]);
+        for v in 2..absolute.height().saturating_sub(2) {
+            let rows: [&[f32]; 5] = std::array::from_fn(|k| absolute.row(v + k - 2));
+            let (c, s) = (phasors.c.row(v), phasors.s.row(v));
+            let (misfit, mean) = (phasors.misfit.row(v), phasors.mean.row(v));
+            for u in 0..absolute.width() {
+                let difference = rows[0][u] + rows[4][u] - 4.0 * (rows[1][u] + rows[3][u]) + 6.0 * rows[2][u];
+                // Not so for NaN.
+                if (difference.abs() < MAX_DIFFERENCE) & (misfit[u] < MAX_MISFIT) {
+                    let power = (c[u] * c[u] + s[u] * s[u]) / 36.0;
+                    let class = class(mean[u]);
+                    differences[class][bin(difference * difference * power)] += 1;
+                    residuals[class][bin(misfit[u] * misfit[u] * power)] += 1;
                 }
             }
         }
-        let mut variance = counts.map(|counts| {
-            let all: u32 = counts.iter().sum();
-            let mut below = 0;
-            let quartile = counts.iter().position(|count| {
-                below += count;
-                4 * below >= all
-            });
-            let enough = all >= MIN_PIXELS;
-            quartile.filter(|_| enough).map_or(f32::NAN, |bin| PER_QUARTILE * bin_value(bin))
-        });
-        // Classes with few pixels take what the nearest darker one has, the darkest that of the next brighter one.
-        let first = variance.iter().copied().find(|x| !x.is_nan());
-        let mut last = first.unwrap_or(DEFAULT_NOISE_DN * DEFAULT_NOISE_DN);
-        for x in &mut variance {
-            last = if x.is_nan() { last } else { *x };
-            *x = last;
-        }
-        Self(variance)
+        let variance = by_class(&differences, 2, PER_MEDIAN, DEFAULT_NOISE * DEFAULT_NOISE);
+        let usual = by_class(&residuals, 4, PER_QUARTILE, 1.0);
+        Self(std::array::from_fn(|i| [variance[i], usual[i]]))
     }
 
-    /// Variance at a mean light, DN^2, between the middles of the classes.
+    /// Both at a mean light, DN, between the middles of the classes.
     #[inline(always)]
-    fn variance(&self, light: f32) -> f32 {
+    fn at(&self, light: f32) -> [f32; 2] {
         let place = (light / CLASS_DN - 0.5).clamp(0.0, (CLASSES - 1) as f32);
         let below = (place as usize).min(CLASSES - 2);
         let t = place - below as f32;
-        self.0[below] + t * (self.0[below + 1] - self.0[below])
+        let (a, b) = (self.0[below], self.0[below + 1]);
+        [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]
     }
+}
+
+/// `factor` times the value that one in `part` of each class does not exceed. Classes with few pixels take what the
+/// nearest darker one has, the darkest that of the next brighter one.
+fn by_class(counts: &Counts, part: u32, factor: f32, default: f32) -> [f32; CLASSES] {
+    let mut values = counts.map(|counts| {
+        let all: u32 = counts.iter().sum();
+        let mut below = 0;
+        let found = counts.iter().position(|count| {
+            below += count;
+            part * below >= all
+        });
+        found.filter(|_| all >= MIN_PIXELS).map_or(f32::NAN, |bin| factor * bin_value(bin))
+    });
+    let mut last = values.iter().copied().find(|x| !x.is_nan()).unwrap_or(default);
+    for x in &mut values {
+        last = if x.is_nan() { last } else { *x };
+        *x = last;
+    }
+    values
 }
 
 fn class(light: f32) -> usize {
