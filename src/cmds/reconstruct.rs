@@ -51,7 +51,7 @@ pub struct Args {
     /// the paper to the letter.
     #[arg(long, value_enum, default_value = "anchored")]
     method: MethodName,
-    /// What to write: `ply` point clouds, or `phase` maps in phases/, a fifteenth of the bytes, of which
+    /// What to write: `ply` point clouds, or `phase` maps in phases/, a twentieth of the bytes, of which
     /// `fourdbody export` makes the very same clouds.
     #[arg(long, value_enum, default_value = "ply")]
     format: FormatName,

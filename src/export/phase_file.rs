@@ -1,4 +1,4 @@
-//! Phase maps as files: all that a cloud follows from, given the calibration, in a fifteenth of its bytes.
+//! Phase maps as files: all that a cloud follows from, given the calibration, in a twentieth of its bytes.
 //!
 //! ```text
 //! 8 bytes   "4dphase1"

@@ -43,7 +43,7 @@ const BINS: usize = 96;
 const DEFAULT_NOISE: f32 = 0.6;
 
 /// What the formula is off by on every surface: panel pixels, rounding, harmonics that are left, rad.
-const FLOOR_RAD: f32 = 0.002;
+const FLOOR_RAD: f32 = 0.0055;
 
 /// Standard uncertainty per misfit beyond that of noise, rad.
 const PER_MISFIT: f32 = 0.4;
