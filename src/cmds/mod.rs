@@ -14,6 +14,7 @@ pub mod cameras;
 pub mod capture;
 pub mod check_config;
 pub mod doctor;
+pub mod export;
 pub mod import;
 pub mod info;
 pub mod node;

@@ -1,6 +1,8 @@
 //! Point clouds and pictures on their way out: PLY, MCAP, PNG.
 
 mod cloud;
+/// Phase maps as files.
+pub mod phase_file;
 mod phase_map;
 /// Binary PLY files.
 pub mod ply;

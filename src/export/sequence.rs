@@ -6,6 +6,7 @@
 //! <https://github.com/foxglove/foxglove-sdk/blob/main/schemas/proto/foxglove/PointCloud.proto>.
 
 use super::cloud::Cloud;
+use super::ply;
 use mcap::records::MessageHeader;
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
@@ -32,6 +33,8 @@ pub struct SequenceWriter<W: Write + Seek> {
     writer: mcap::Writer<W>,
     channel: u16,
     count: u32,
+    /// The message under construction: its memory is kept.
+    message: Vec<u8>,
 }
 
 impl<W: Write + Seek> SequenceWriter<W> {
@@ -41,11 +44,49 @@ impl<W: Write + Seek> SequenceWriter<W> {
         let mut writer = options.create(out)?;
         let schema = writer.add_schema("foxglove.PointCloud", "protobuf", &schema())?;
         let channel = writer.add_channel(schema, "/cloud", "protobuf", &BTreeMap::new())?;
-        Ok(Self { writer, channel, count: 0 })
+        Ok(Self { writer, channel, count: 0, message: Vec::new() })
     }
 
     /// Appends a cloud. `time_ns` must not go back.
     pub fn push(&mut self, time_ns: u64, cloud: &Cloud) -> Result<(), mcap::McapError> {
+        start_message(&mut self.message, time_ns, cloud.len());
+        let points = cloud.position_m.iter().zip(&cloud.normal).zip(&cloud.intensity);
+        for (i, ((position, normal), intensity)) in points.enumerate() {
+            for x in position.iter().chain([intensity]).chain(normal) {
+                self.message.extend_from_slice(&x.to_le_bytes());
+            }
+            self.message.push(cloud.camera.get(i).copied().unwrap_or(super::NO_CAMERA));
+        }
+        self.write(time_ns)
+    }
+
+    /// Appends the cloud of a PLY file, whose points are packed nearly as those of a message are.
+    pub fn push_ply(&mut self, time_ns: u64, path: &std::path::Path) -> Result<(), String> {
+        let message = &mut self.message;
+        start_message(message, time_ns, 0);
+        let mut started = false;
+        ply::stream(path, |points, bytes, stride| {
+            if !std::mem::replace(&mut started, true) {
+                start_message(message, time_ns, points);
+            }
+            let from = message.len();
+            message.resize(from + bytes.len() / stride * STRIDE, 0);
+            for (to, point) in message[from..].chunks_exact_mut(STRIDE).zip(bytes.chunks_exact(stride)) {
+                to[..STRIDE - 1].copy_from_slice(&point[..STRIDE - 1]);
+                // After the source pixel; without a camera there may be other properties.
+                to[STRIDE - 1] = if (stride - ply::POINT_BYTES) % 4 == 1 {
+                    point[ply::POINT_BYTES]
+                } else {
+                    super::NO_CAMERA
+                };
+            }
+            Ok(())
+        })
+        .map_err(|e| e.to_string())?;
+        self.write(time_ns).map_err(|e| e.to_string())
+    }
+
+    fn write(&mut self, time_ns: u64) -> Result<(), mcap::McapError> {
         let header = MessageHeader {
             channel_id: self.channel,
             sequence: self.count,
@@ -53,7 +94,7 @@ impl<W: Write + Seek> SequenceWriter<W> {
             publish_time: time_ns,
         };
         self.count = self.count.wrapping_add(1);
-        self.writer.write_to_known_channel(&header, &message(time_ns, cloud))
+        self.writer.write_to_known_channel(&header, &self.message)
     }
 
     /// Completes the file and gives back what it was written to.
@@ -106,25 +147,21 @@ impl Message {
     }
 }
 
-fn message(time_ns: u64, cloud: &Cloud) -> Vec<u8> {
+/// All of a message but its points.
+fn start_message(out: &mut Vec<u8>, time_ns: u64, points: usize) {
     let time = Message::default().integer(1, time_ns / 1_000_000_000).integer(2, time_ns % 1_000_000_000);
     let identity =
         Message::default().message(1, Message::default()).message(2, Message::default().double(4, 1.0));
-    let mut data = Vec::with_capacity(cloud.len() * STRIDE);
-    let points = cloud.position_m.iter().zip(&cloud.normal).zip(&cloud.intensity);
-    for (i, ((position, normal), intensity)) in points.enumerate() {
-        for x in position.iter().chain([intensity]).chain(normal) {
-            data.extend_from_slice(&x.to_le_bytes());
-        }
-        data.push(cloud.camera.get(i).copied().unwrap_or(super::NO_CAMERA));
-    }
-    let mut out =
+    let mut head =
         Message::default().message(1, time).bytes(2, b"world").message(3, identity).fixed32(4, STRIDE as u32);
     for (name, offset, kind) in FIELDS {
         let field = Message::default().bytes(1, name.as_bytes()).fixed32(2, offset).integer(3, kind);
-        out = out.message(5, field);
+        head = head.message(5, field);
     }
-    out.bytes(6, &data).0
+    head.varint(6 << 3 | 2);
+    head.varint((points * STRIDE) as u64);
+    out.clear();
+    out.extend_from_slice(&head.0);
 }
 
 /// Kinds of fields, as `google.protobuf.FieldDescriptorProto.Type` numbers them.
@@ -241,7 +278,7 @@ fn kind(name: &str, fields: &[Field]) -> Message {
 
 #[cfg(test)]
 mod tests {
-    use super::{SequenceWriter, message};
+    use super::SequenceWriter;
     use crate::export::Cloud;
     use std::io::Cursor;
 
@@ -258,7 +295,14 @@ mod tests {
 
     #[test]
     fn a_message_has_the_bytes_of_the_wire_format() {
-        let bytes = message(2_000_000_001, &cloud());
+        let mut writer = SequenceWriter::new(Cursor::new(Vec::new())).expect("memory");
+        writer.push(2_000_000_001, &cloud()).expect("memory");
+        let bytes = writer.message.clone();
+        // The same from a file.
+        let file = tempfile::NamedTempFile::new().expect("a temporary file");
+        crate::export::ply::save(file.path(), &cloud(), &[]).expect("writable");
+        writer.push_ply(2_000_000_001, file.path()).expect("intact");
+        assert_eq!(writer.message, bytes);
         // timestamp {1: 2, 2: 1}, frame_id "world", pose {1: {}, 2: {4: 1.0}}, point_stride 29.
         let head = [10, 4, 8, 2, 16, 1, 18, 5, b'w', b'o', b'r', b'l', b'd', 26, 13, 10, 0, 18, 9, 33];
         assert_eq!(&bytes[..head.len()], head);

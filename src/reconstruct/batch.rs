@@ -4,6 +4,7 @@
 //! OUT/clouds/CAMERA_INDEX.ply   one directional cloud (without points where the frame was refused)
 //! OUT/merged/INDEX.ply          all cameras of one trigger
 //! OUT/sequence.mcap             the merged clouds, for viewers
+//! OUT/phases/CAMERA_INDEX.phase   instead of all these, where it is asked for: what they follow from
 //! OUT/summary.json              what became of every frame
 //! ```
 //!
@@ -11,20 +12,21 @@
 //! version of this program; a finished cloud with the same hash is not made again.
 
 use super::dump;
-use super::merge::merge;
 use super::order::{self, View};
 use super::pair::Pair;
 use super::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
 use super::source::{Frame, FrameSource};
+use super::stored::{self, phase_path};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
-use crate::export::sequence::SequenceWriter;
+use crate::export::phase_file::{self, Statement};
 use crate::export::{Cloud, ply};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
 use rayon::prelude::*;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -34,6 +36,15 @@ use std::time::{Duration, Instant};
 
 /// Raised whenever the same frame may give other points.
 const ALGORITHM: u32 = 5;
+
+/// What is written of each frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Clouds, merged clouds and the sequence.
+    Ply,
+    /// Phase maps, of which `stored::export` makes the same clouds.
+    Phase,
+}
 
 /// What to do.
 #[derive(Debug)]
@@ -48,6 +59,10 @@ pub struct Plan {
     pub shard: (u64, u64),
     /// How the absolute phase is found.
     pub method: Method,
+    /// What is written.
+    pub format: Format,
+    /// Whether every point gets its standard uncertainty.
+    pub uncertainty: bool,
     /// Where the maps of every frame go, if anywhere.
     pub maps: Option<PathBuf>,
     /// Makes the clouds and keeps none, and merges nothing: for measurements of the reconstruction itself.
@@ -165,6 +180,8 @@ struct Job<'a> {
     plan: &'a Plan,
     calibration: &'a Calibration,
     parameters: String,
+    /// What stored phase maps state of the calibration.
+    calibration_statement: (String, [[f64; 3]; 2]),
     /// The cameras asked for, by head.
     heads: Vec<Vec<Camera>>,
     timings: Mutex<Timings>,
@@ -204,19 +221,12 @@ pub fn write_sequence(
     rate_hz: f64,
     path: &Path,
 ) -> Result<(), String> {
-    let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
-    let partial = path.with_extension("mcap.partial");
-    let file = std::fs::File::create(&partial).map_err(|e| fail(&e))?;
-    let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(|e| fail(&e))?;
-    for trigger in plan.shard_triggers() {
-        let (_, cloud) = ply::load(&merged_path(&plan.out, trigger)).map_err(|e| e.to_string())?;
+    let clouds = plan.shard_triggers().map(|trigger| {
         let time = source.trigger_time_ns(TriggerIndex(trigger));
-        let time = time.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64);
-        writer.push(time, &cloud).map_err(|e| fail(&e))?;
-    }
-    let buffer = writer.finish().map_err(|e| fail(&e))?;
-    buffer.into_inner().map_err(|e| fail(&e.into_error()))?;
-    std::fs::rename(&partial, path).map_err(|e| fail(&e))
+        let by_index = (trigger as f64 * 1e9 / rate_hz).round() as u64;
+        (time.unwrap_or(by_index), merged_path(&plan.out, trigger))
+    });
+    stored::write_sequence(clouds, path)
 }
 
 /// Runs the plan on the current rayon pool. `progress` is told the number of triggers done.
@@ -226,7 +236,11 @@ pub fn run(
     plan: &Plan,
     progress: impl Fn(usize) + Sync,
 ) -> Result<(Summary, Timings), String> {
-    for folder in ["clouds", "merged"] {
+    let folders: &[&str] = match plan.format {
+        Format::Ply => &["clouds", "merged"],
+        Format::Phase => &["phases"],
+    };
+    for folder in folders {
         let path = plan.out.join(folder);
         std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     }
@@ -236,7 +250,8 @@ pub fn run(
         if plan.cameras.contains(&camera.id) {
             let number = u8::try_from(number).map_err(|_| "more than 255 cameras".to_owned())?;
             let triangulator = Triangulator::new(Pair::new(head, camera, calibration)?);
-            let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
+            let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some())
+                .with_uncertainty(plan.uncertainty);
             if last != Some(&head.id) {
                 heads.push(Vec::new());
                 last = Some(&head.id);
@@ -248,7 +263,9 @@ pub fn run(
         }
     }
     let parameters = parameters(calibration, plan)?;
-    let job = Job { source, plan, calibration, parameters, heads, timings: Mutex::default() };
+    let calibration_statement = stored::statement_of(calibration);
+    let timings = Mutex::default();
+    let job = Job { source, plan, calibration, parameters, calibration_statement, heads, timings };
     let done = AtomicUsize::new(0);
     let triggers: Vec<u64> = plan.shard_triggers().collect();
     let began = Instant::now();
@@ -274,6 +291,7 @@ fn parameters(calibration: &Calibration, plan: &Plan) -> Result<String, String> 
         "algorithm": ALGORITHM,
         "version": env!("CARGO_PKG_VERSION"),
         "method": method_name(plan.method),
+        "uncertainty": plan.uncertainty,
         "calibration": calibration,
     });
     let text = serde_json::to_string(&value).map_err(|e| e.to_string())?;
@@ -306,13 +324,15 @@ impl Job<'_> {
             return Ok(TriggerSummary { trigger, merged_points, frames: frames() });
         }
         let cameras = || self.heads.iter().flatten();
-        let merged = merge(cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)));
-        let mut comments = self.comments(trigger);
-        let names = cameras().map(|c| format!("{}={}", c.number, c.id));
-        comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
-        let path = merged_path(&self.plan.out, trigger);
-        ply::save(&path, &merged, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
-        Ok(TriggerSummary { trigger, merged_points: merged.len(), frames: frames() })
+        let parts: Vec<ply::Part<'_>> =
+            cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)).collect();
+        if self.plan.format == Format::Ply {
+            let path = merged_path(&self.plan.out, trigger);
+            ply::save_merged(&path, &parts, &self.merged_comments(trigger))
+                .map_err(|e| format!("{}: {e}", path.display()))?;
+        }
+        let merged_points = results.iter().map(|(summary, _)| summary.points).sum();
+        Ok(TriggerSummary { trigger, merged_points, frames: frames() })
     }
 
     /// Runs a part of what makes a frame a cloud, and keeps its time.
@@ -368,6 +388,13 @@ impl Job<'_> {
         ]
     }
 
+    fn merged_comments(&self, trigger: u64) -> Vec<String> {
+        let mut comments = self.comments(trigger);
+        let names = self.heads.iter().flatten().map(|c| format!("{}={}", c.number, c.id));
+        comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
+        comments
+    }
+
     fn prepare(&self, camera: &Camera, trigger: u64) -> Stage {
         let frame = match self.source.frame(&camera.id, TriggerIndex(trigger)) {
             Err(reason) => return Stage::Missing("damaged", reason),
@@ -400,20 +427,53 @@ impl Job<'_> {
         comments.push(format!("camera {id}"));
         comments.push(self.together());
         comments.push(format!("unresolved_px {}", result.counts.refused));
-        let (outcome, reason) = match result.outcome {
+        let (outcome, reason) = match &result.outcome {
             Outcome::Cloud => ("cloud", None),
-            Outcome::Refused(reason) => ("refused", Some(reason)),
+            Outcome::Refused(reason) => ("refused", Some(reason.clone())),
         };
         comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
         if !self.plan.discard {
-            let path = cloud_path(&self.plan.out, id, trigger);
-            ply::save(&path, &result.cloud, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+            self.write(camera, trigger, &result, comments)?;
         }
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         timings.add(&result.stages);
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
         let summary = FrameSummary { camera: id.clone(), outcome, reason, points, unresolved_px };
         Ok((summary, result.cloud))
+    }
+
+    /// Writes what the plan asks for of a frame.
+    fn write(
+        &self,
+        camera: &Camera,
+        trigger: u64,
+        result: &Reconstruction,
+        comments: Vec<String>,
+    ) -> Result<(), String> {
+        if self.plan.format == Format::Ply {
+            let path = cloud_path(&self.plan.out, &camera.id, trigger);
+            return ply::save(&path, &result.cloud, &comments)
+                .map_err(|e| format!("{}: {e}", path.display()));
+        }
+        let device = &camera.pipeline.triangulator().pair().camera;
+        let mut map = Cow::Borrowed(&result.phase);
+        if map.runs.is_empty() {
+            // A frame refused before it was looked at closely.
+            map.to_mut().frame = [device.width as u16, device.height as u16];
+        }
+        let (geometry_sha256, volume_m) = self.calibration_statement.clone();
+        let statement = Statement {
+            camera: camera.id.to_string(),
+            trigger,
+            time_ns: self.source.trigger_time_ns(TriggerIndex(trigger)),
+            geometry_sha256,
+            volume_m,
+            points: result.cloud.len(),
+            comments,
+            merged_comments: self.merged_comments(trigger),
+        };
+        let path = phase_path(&self.plan.out, camera.id.as_str(), trigger);
+        phase_file::save(&path, &statement, &map).map_err(|e| format!("{}: {e}", path.display()))
     }
 
     /// The finished cloud of a frame, where there is one made with the same parameters, and no maps are
@@ -424,18 +484,37 @@ impl Job<'_> {
             return None;
         }
         let path = cloud_path(&self.plan.out, camera, trigger);
-        let header = ply::load_header(&path).ok()?;
+        let stored = match self.plan.format {
+            Format::Ply => None,
+            Format::Phase => {
+                let path = phase_path(&self.plan.out, camera.as_str(), trigger);
+                Some(phase_file::load_statement(&path).ok()?)
+            }
+        };
+        let header = match &stored {
+            None => ply::load_header(&path).ok()?,
+            Some(stored) => ply::Header {
+                points: stored.points,
+                merged: false,
+                sigma: false,
+                comments: stored.comments.clone(),
+            },
+        };
         let same = header.comment("parameters") == Some(&self.parameters);
         if !same || !header.comments.contains(&self.together()) {
             return None;
         }
-        let (header, cloud) = ply::load(&path).ok()?;
+        // Merged clouds are made when the maps are exported: only the number of points is needed.
+        let (points, cloud) = match stored {
+            Some(stored) => (stored.points, Cloud::default()),
+            None => ply::load(&path).map(|(_, cloud)| (cloud.len(), cloud)).ok()?,
+        };
         let reason = header.comment("refused").map(str::to_owned);
         let summary = FrameSummary {
             camera: camera.clone(),
             outcome: if reason.is_some() { "refused" } else { "cloud" },
             reason,
-            points: cloud.len(),
+            points,
             unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
         };
         Some((summary, cloud))

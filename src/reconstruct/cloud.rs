@@ -38,25 +38,28 @@ pub fn phase_map(
     map.phase.reserve_exact(known);
     map.light.reserve_exact(known);
     map.doubt.reserve_exact(if doubt.is_some() { known } else { 0 });
-    simd::dispatch(|| {
-        for v in 0..roi.height {
-            let row = absolute.row(v);
-            let mut end = 0;
-            while let Some(start) = row[end..].iter().position(|x| !x.is_nan()).map(|at| end + at) {
-                end = row[start..].iter().position(|x| x.is_nan()).map_or(row.len(), |at| start + at);
-                map.runs.push(Run {
-                    row: (roi.v + v) as u16,
-                    first: (roi.u + start) as u16,
-                    length: (end - start) as u16,
-                });
-                map.phase.extend(row[start..end].iter().map(|&x| steps(x)));
-                map.light.extend(light.row(v)[start..end].iter().map(|&x| light_steps(x)));
-                if let Some(doubt) = doubt {
-                    map.doubt.extend_from_slice(&doubt.row(v)[start..end]);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..roi.height {
+                let row = absolute.row(v);
+                let mut end = 0;
+                while let Some(start) = row[end..].iter().position(|x| !x.is_nan()).map(|at| end + at) {
+                    end = row[start..].iter().position(|x| x.is_nan()).map_or(row.len(), |at| start + at);
+                    map.runs.push(Run {
+                        row: (roi.v + v) as u16,
+                        first: (roi.u + start) as u16,
+                        length: (end - start) as u16,
+                    });
+                    map.phase.extend(row[start..end].iter().map(|&x| steps(x)));
+                    map.light.extend(light.row(v)[start..end].iter().map(|&x| light_steps(x)));
+                    if let Some(doubt) = doubt {
+                        map.doubt.extend_from_slice(&doubt.row(v)[start..end]);
+                    }
                 }
             }
-        }
-    });
+        },
+    );
     map
 }
 
@@ -119,9 +122,15 @@ thread_local! {
 pub fn make(table: &RayTable, map: &PhaseMap) -> Cloud {
     SCRATCH.with_borrow_mut(|scratch| {
         if map.doubt.is_empty() {
-            simd::dispatch(|| make_with::<false>(table, map, scratch))
+            simd::dispatch(
+                #[inline(always)]
+                || make_with::<false>(table, map, scratch),
+            )
         } else {
-            simd::dispatch(|| make_with::<true>(table, map, scratch))
+            simd::dispatch(
+                #[inline(always)]
+                || make_with::<true>(table, map, scratch),
+            )
         }
     })
 }
@@ -145,7 +154,8 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
         let runs = runs_of_row(map, &mut run_in, v);
         if !runs.is_empty() {
             let phase = &map.phase[pixel_in..];
-            pixel_in += points::<SIGMA>(table, v, runs, phase, left, &mut scratch.fringes, &mut scratch.line, ring);
+            pixel_in +=
+                points::<SIGMA>(table, v, runs, phase, left, &mut scratch.fringes, &mut scratch.line, ring);
         }
         let Some(v) = v.checked_sub(REACH) else { continue };
         let runs = runs_of_row(map, &mut run_out, v);

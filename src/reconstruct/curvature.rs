@@ -8,7 +8,7 @@
 
 use super::demodulate::Phasors;
 use super::simd;
-use super::support::Support;
+use super::support::{Support, known_part};
 use crate::image::Plane;
 use std::cell::RefCell;
 
@@ -49,24 +49,27 @@ pub fn correct(
     let per_bend = |rows: f32| (rows * rows - 1.0) / 24.0 / (REACH_ROWS * REACH_ROWS) as f32;
     let weight = [per_bend(rows), per_bend(marker_rows)];
     SUPPORT.with_borrow_mut(|support| {
-        simd::dispatch(|| {
-            support.begin(absolute, REACH_ROWS, PAD);
-            for v in 0..absolute.height() {
-                // What may support: the phase where it is known and looks like a fringe.
-                support.advance(v, absolute, |v, u| !(phasors.misfit.row(v)[u] > MAX_MISFIT));
-                let phase = absolute.row_mut(v);
-                let Some(first) = phase.iter().position(|x| !x.is_nan()) else { continue };
-                let end = phase.iter().rposition(|x| !x.is_nan()).map_or(first, |last| last + 1);
-                let part = first..end;
-                correct_row(
-                    &mut phase[part.clone()],
-                    [0, REACH_ROWS, 2 * REACH_ROWS].map(|below| &support.row(v, below)[first..end + 2 * PAD]),
-                    [phasors.c.row(v), phasors.s.row(v), period.row(v)].map(|row| &row[part.clone()]),
-                    &zone.row(v)[part.clone()],
-                    weight,
-                );
-            }
-        });
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                support.begin(absolute, REACH_ROWS, PAD);
+                for v in 0..absolute.height() {
+                    // What may support: the phase where it is known and looks like a fringe.
+                    support.advance(v, absolute, |v, u| !(phasors.misfit.row(v)[u] > MAX_MISFIT));
+                    let phase = absolute.row_mut(v);
+                    let part = known_part(phase);
+                    let (first, end) = (part.start, part.end);
+                    correct_row(
+                        &mut phase[part.clone()],
+                        [0, REACH_ROWS, 2 * REACH_ROWS]
+                            .map(|below| &support.row(v, below)[first..end + 2 * PAD]),
+                        [phasors.c.row(v), phasors.s.row(v), period.row(v)].map(|row| &row[part.clone()]),
+                        &zone.row(v)[part.clone()],
+                        weight,
+                    );
+                }
+            },
+        );
     });
 }
 

@@ -10,7 +10,7 @@
 
 use super::demodulate::Phasors;
 use super::simd;
-use super::support::Support;
+use super::support::{Support, known_part};
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
@@ -78,42 +78,48 @@ pub fn refine(
 ) -> usize {
     let outside = zone;
     SUPPORT.with_borrow_mut(|(support, doubtful)| {
-        simd::dispatch(|| {
-            support.begin(absolute, REACH.1, REACH.0);
-            let mut dropped = 0;
-            for v in 0..absolute.height() {
-                let (misfit, zone) = (phasors.misfit.row(v), zone.row(v));
-                support.advance(v, absolute, |v, u| {
-                    (phasors.misfit.row(v)[u] <= settings.good_misfit) & (outside.row(v)[u] == 0)
-                });
-                list_doubtful(absolute.row(v), misfit, zone, settings.doubtful_misfit, doubtful);
-                for &u in doubtful.iter() {
-                    let amplitude = size(phasors.c.at(u, v), phasors.s.at(u, v)) / 6.0;
-                    let mut error = own_error(misfit[u], amplitude);
-                    let (phase, carrier) = (absolute.at(u, v), sign * TAU / period.at(u, v));
-                    if let Some(plane) = lay_plane(support, (u, v), phase, carrier)
-                        && plane.error < error
-                    {
-                        absolute.set(u, v, plane.phase);
-                        error = plane.error;
-                    }
-                    if let Some(expected) = expected.as_deref_mut() {
-                        expected.set(u, v, error);
-                    }
-                    if error > settings.max_error {
-                        absolute.set(u, v, f32::NAN);
-                        dropped += 1;
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                support.begin(absolute, REACH.1, REACH.0);
+                let mut dropped = 0;
+                for v in 0..absolute.height() {
+                    let (misfit, zone) = (phasors.misfit.row(v), zone.row(v));
+                    support.advance(v, absolute, |v, u| {
+                        (phasors.misfit.row(v)[u] <= settings.good_misfit) & (outside.row(v)[u] == 0)
+                    });
+                    let part = known_part(absolute.row(v));
+                    let first = part.start;
+                    let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
+                    list_doubtful(stretch, settings.doubtful_misfit, doubtful);
+                    for u in doubtful.iter().map(|u| first + u) {
+                        let amplitude = size(phasors.c.at(u, v), phasors.s.at(u, v)) / 6.0;
+                        let mut error = own_error(misfit[u], amplitude);
+                        let (phase, carrier) = (absolute.at(u, v), sign * TAU / period.at(u, v));
+                        if let Some(plane) = lay_plane(support, (u, v), phase, carrier)
+                            && plane.error < error
+                        {
+                            absolute.set(u, v, plane.phase);
+                            error = plane.error;
+                        }
+                        if let Some(expected) = expected.as_deref_mut() {
+                            expected.set(u, v, error);
+                        }
+                        if error > settings.max_error {
+                            absolute.set(u, v, f32::NAN);
+                            dropped += 1;
+                        }
                     }
                 }
-            }
-            dropped
-        })
+                dropped
+            },
+        )
     })
 }
 
 /// Columns whose phase is known and doubtful.
 #[inline(always)]
-fn list_doubtful(phase: &[f32], misfit: &[f32], zone: &[u8], from: f32, list: &mut Vec<usize>) {
+fn list_doubtful((phase, misfit, zone): (&[f32], &[f32], &[u8]), from: f32, list: &mut Vec<usize>) {
     const LANES: usize = 32;
     list.clear();
     let parts = phase.chunks(LANES).zip(misfit.chunks(LANES)).zip(zone.chunks(LANES));
@@ -187,7 +193,8 @@ fn lay_plane(good: &Support, (u, v): (usize, usize), phase: f32, carrier: f32) -
             let same = z.abs() < SAME_SURFACE;
             let one = if same { 1.0 } else { 0.0 };
             let z = if same { z } else { 0.0 };
-            let terms = [one, one * x, one * y, one * x * x, one * x * y, one * y * y, z, x * z, y * z, z * z];
+            let terms =
+                [one, one * x, one * y, one * x * x, one * x * y, one * y * y, z, x * z, y * z, z * z];
             for (sum, term) in sums.iter_mut().zip(terms) {
                 sum[i] += term;
             }

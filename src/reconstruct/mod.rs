@@ -30,8 +30,6 @@ pub mod marker_number;
 pub mod marker_phase;
 /// Object mask Om.
 pub mod mask;
-/// Directional clouds to a merged cloud.
-pub mod merge;
 /// Normals from neighbouring points.
 pub mod normals;
 /// Fringe orders of all views of one instant.
@@ -61,9 +59,13 @@ pub mod shading;
 /// Vectors as wide as the processor has.
 pub mod simd;
 mod source;
+/// Stored phase maps to clouds.
+pub mod stored;
 mod support;
 /// From absolute phase to points.
 pub mod triangulate;
+/// Standard uncertainty of every phase.
+pub mod uncertainty;
 /// The anchored spanning forest.
 pub mod unwrap;
 /// The paper's spanning tree and marker.

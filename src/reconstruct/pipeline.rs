@@ -10,9 +10,10 @@ use super::roi::Roi;
 use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
 use super::{
-    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, unwrap, unwrap_paper,
+    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, uncertainty, unwrap,
+    unwrap_paper,
 };
-use crate::export::Cloud;
+use crate::export::{Cloud, PhaseMap};
 use crate::image::{Mono8, Plane};
 use std::time::{Duration, Instant};
 
@@ -60,6 +61,8 @@ pub struct Counts {
 pub struct Reconstruction {
     /// The directional cloud, in the world frame.
     pub cloud: Cloud,
+    /// What the cloud follows from, given the calibration.
+    pub phase: PhaseMap,
     /// Whether there is one.
     pub outcome: Outcome,
     /// How it went.
@@ -90,6 +93,7 @@ pub struct Pipeline {
     bias: Bias,
     method: Method,
     keep_maps: bool,
+    uncertainty: bool,
 }
 
 /// What the stages of one frame use again for the next.
@@ -173,7 +177,13 @@ impl Pipeline {
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
         let table = RayTable::new(triangulator.pair());
-        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps }
+        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
+    }
+
+    /// Also gives every point its standard uncertainty.
+    #[must_use]
+    pub fn with_uncertainty(self, uncertainty: bool) -> Self {
+        Self { uncertainty, ..self }
     }
 
     /// What it triangulates with.
@@ -257,6 +267,9 @@ impl Pipeline {
         let Prepared { roi, mut absolute, mut counts, phasors, period, zone, mut planes, mut clock, .. } =
             prepared;
         let pair = self.triangulator.pair();
+        // What the edges find, where uncertainties are asked for.
+        let mut expected =
+            self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
         if self.method == Method::Anchored {
             counts.dropped = clock.time("select", || {
                 self.bias.correct(&mut absolute);
@@ -267,13 +280,17 @@ impl Pipeline {
                 curvature::correct(&mut absolute, &phasors, &period, &zone, rows);
             });
             counts.dropped += clock.time("edges", || {
-                let settings = edges::Settings::default();
-                edges::refine(&mut absolute, &phasors, &period, &zone, pair.sign, &settings, None)
+                let (settings, expected) = (edges::Settings::default(), expected.as_mut());
+                edges::refine(&mut absolute, &phasors, &period, &zone, pair.sign, &settings, expected)
             });
         }
+        let doubts = expected.map(|expected| {
+            let rows = pair.marker_period_px;
+            clock.time("uncertainty", || uncertainty::doubts(&absolute, &phasors, &expected, &zone, rows))
+        });
         let frame = (pair.camera.width, pair.camera.height);
         let map = clock.time("quantize", || {
-            cloud::phase_map(&absolute, &phasors.mean, None, roi, [frame.0 as u16, frame.1 as u16])
+            cloud::phase_map(&absolute, &phasors.mean, doubts.as_ref(), roi, [frame.0 as u16, frame.1 as u16])
         });
         let cloud = clock.time("points", || cloud::make(&self.table, &map));
         if self.method == Method::Anchored {
@@ -284,6 +301,7 @@ impl Pipeline {
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),
             cloud,
+            phase: map,
             counts,
             stages: clock.0,
             maps: self.keep_maps.then_some(Maps { roi, frame, planes }),
@@ -410,6 +428,7 @@ fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
 fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> {
     Box::new(Reconstruction {
         cloud: Cloud::default(),
+        phase: PhaseMap::default(),
         outcome: Outcome::Refused(reason),
         counts,
         stages: clock.0,

@@ -22,3 +22,5 @@ pub mod solid;
 pub mod spacing;
 /// Clouds against rendered ground truth.
 pub mod truth;
+/// Predicted uncertainty against actual error.
+pub mod uncertainty;

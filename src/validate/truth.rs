@@ -122,6 +122,16 @@ impl Truth {
         }
     }
 
+    /// How far point `i` of a cloud of this camera lies behind the true surface, along its pixel's line of sight, m.
+    /// `None` where there is no surface or the fringe order is wrong.
+    pub fn error_along_sight(&self, cloud: &Cloud, i: usize, reference: Reference<'_>) -> Option<f64> {
+        let Verdict::On { right: true, .. } = self.judge(cloud, i, reference) else { return None };
+        let (u, v) = self.place(cloud.pixel[i])?;
+        let surface = Vector3::from(self.points.at(u, v));
+        let point = reference.camera.device_point(&Point3::from(cloud.position_m[i]).cast::<f64>());
+        Some((point.z - surface.z) * surface.norm() / surface.z)
+    }
+
     /// Where a cloud of this camera is right, wrong or missing: columns, rows and RGB of the crop. Blue: lit,
     /// but no point; grey: right, the darker the further from the surface (black at 1 mm); red: wrong order;
     /// magenta: no surface there.

@@ -2,6 +2,7 @@
 
 mod analytic_scene;
 mod architecture;
+mod back_end;
 mod bad_photographs;
 mod board_photographs;
 mod board_to_plane;

@@ -160,6 +160,8 @@ fn a_batch_gives_the_same_bytes_for_any_threads_and_resumes() {
             cameras: cameras.clone(),
             shard: (0, 1),
             method: Method::Anchored,
+            format: batch::Format::Ply,
+            uncertainty: false,
             maps: None,
             discard: false,
         };

@@ -11,6 +11,7 @@ use crate::reconstruct::{Frame, FrameSource};
 use crate::validate::light::{Light, USABLE_DN};
 use crate::validate::solid::{Mesh, SolidScore, Sphere, score_mesh, score_sphere};
 use crate::validate::truth::{Reference, Score, Tally, Truth};
+use crate::validate::uncertainty::{Class, Points};
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -52,6 +53,9 @@ pub struct Args {
     /// Draw where each directional cloud is right (grey), wrong (red, magenta) or missing (blue).
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
+    /// Hold the predicted uncertainties (`fourdbody reconstruct --uncertainty`) against the errors, by classes.
+    #[arg(long, requires = "truth")]
+    uncertainty: bool,
 }
 
 /// A truth file: its camera's number in the calibration, and its trigger.
@@ -140,6 +144,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let images = images.map_err(|e| Failure::new(Exit::Usage, e))?;
     let mut per_camera: BTreeMap<usize, Tally> = BTreeMap::new();
     let (mut merged, mut merged_clouds) = (Tally::default(), 0);
+    let mut predicted = Points::default();
     let mut loaded: Option<(u64, Option<Cloud>)> = None;
     for (&(trigger, number), path) in &files {
         let (head, camera) = cameras[number];
@@ -152,6 +157,9 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
         let light = light.transpose()?;
         let tally = per_camera.entry(number).or_default();
         tally.add_with_light(&cloud, |_| true, &truth, reference, light.as_ref());
+        if args.uncertainty {
+            predicted.add(&cloud, &truth, reference);
+        }
         if let Some(folder) = &args.pictures {
             let (width, height, rgb) = truth.picture(&cloud, reference);
             let path = folder.join(format!("{}_{trigger:06}.png", camera.id));
@@ -174,7 +182,12 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let rows = per_camera.iter().map(|(&number, tally)| (cameras[number].1.id.to_string(), tally.score()));
     let rows: Vec<(String, Score)> = rows.collect();
     let merged = (merged_clouds > 0).then(|| merged.score());
-    print(args.json, &rows, &all.score(), merged.as_ref());
+    if args.uncertainty && predicted.is_empty() {
+        let message = "no cloud has uncertainties: reconstruct with --uncertainty first";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let classes = if args.uncertainty { predicted.classes() } else { Vec::new() };
+    print(args.json, &rows, &all.score(), merged.as_ref(), &classes);
     Ok(Exit::Done)
 }
 
@@ -214,11 +227,15 @@ fn truth_files(directory: &Path, calibration: &Calibration) -> Result<BTreeMap<K
     Ok(files)
 }
 
-fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Score>) {
+fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Score>, classes: &[Class]) {
     if json {
         let cameras: serde_json::Map<_, _> =
             rows.iter().map(|(name, score)| (name.clone(), serde_json::json!(score))).collect();
-        println!("{}", serde_json::json!({"cameras": cameras, "directional": all, "merged": merged}));
+        let mut report = serde_json::json!({"cameras": cameras, "directional": all, "merged": merged});
+        if !classes.is_empty() {
+            report["uncertainty"] = serde_json::json!(classes);
+        }
+        println!("{report}");
         return;
     }
     println!(
@@ -239,6 +256,11 @@ fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Scor
             100.0 * score.completeness_of_lit,
         );
     }
+    print_modulation(all);
+    print_uncertainty(classes);
+}
+
+fn print_modulation(all: &Score) {
     if all.by_modulation.is_empty() {
         return;
     }
@@ -260,5 +282,26 @@ fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Scor
         let [a, b, c, d, e, f] = percent.map(|share| 100.0 * share);
         let bound = format!("{} DN{usable}", class.min_modulation_dn);
         println!("{bound:<16} {a:>9.2} {b:>10.2} {c:>9.3} | {d:>9.2} {e:>10.2} {f:>9.3}");
+    }
+}
+
+fn print_uncertainty(classes: &[Class]) {
+    if !classes.is_empty() {
+        println!(
+            "\n{:<14} {:>14} {:>9} {:>13} {:>10} {:>6} {:>11}",
+            "class by", "from .. to", "points", "predicted mm", "robust mm", "ratio", "within 2 %"
+        );
+    }
+    for class in classes {
+        println!(
+            "{:<14} {:>14} {:>9} {:>13.3} {:>10.3} {:>6.2} {:>11.1}",
+            class.by,
+            format!("{} .. {}", class.from, class.to),
+            class.points,
+            class.predicted_mm,
+            class.robust_mm,
+            class.ratio,
+            100.0 * class.within_two,
+        );
     }
 }

@@ -1,0 +1,176 @@
+//! Stored phase maps to cloud files: the very bytes that `reconstruct` would have written itself.
+//!
+//! ```text
+//! IN/phases/CAMERA_INDEX.phase   one phase map, as `fourdbody reconstruct --format phase` writes it
+//! ```
+
+use super::batch::{cloud_path, merged_path};
+use super::cloud;
+use super::pair::Pair;
+use super::rays::RayTable;
+use crate::calibrate::Calibration;
+use crate::export::phase_file::{self, Statement};
+use crate::export::sequence::SequenceWriter;
+use crate::export::{Cloud, ply};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Where a phase map is.
+pub fn phase_path(out: &Path, camera: &str, trigger: u64) -> PathBuf {
+    out.join("phases").join(format!("{camera}_{trigger:06}.phase"))
+}
+
+/// What a map states of the calibration that clouds are made with.
+pub fn statement_of(calibration: &Calibration) -> (String, [[f64; 3]; 2]) {
+    (calibration.geometry_sha256(), [calibration.volume_min_m, calibration.volume_max_m])
+}
+
+/// What became of an export.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct Exported {
+    /// Directional clouds written.
+    pub clouds: usize,
+    /// Points of all merged clouds.
+    pub merged_points: usize,
+    /// Triggers.
+    pub triggers: usize,
+}
+
+/// One trigger's maps: places of their cameras in the calibration, and files.
+type Maps = Vec<(usize, PathBuf)>;
+
+/// Makes the clouds of all phase maps in `from`, on the current rayon pool: directional ones, merged ones, and the
+/// sequence, where triggers without a time of their own are placed by index at `rate_hz`. An error for maps made with
+/// another calibration.
+pub fn export(from: &Path, calibration: &Calibration, out: &Path, rate_hz: f64) -> Result<Exported, String> {
+    let triggers = list(from, calibration)?;
+    for folder in ["clouds", "merged"] {
+        let path = out.join(folder);
+        std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+    }
+    let heads_and_cameras: Vec<_> = calibration.cameras().collect();
+    let tables: Result<Vec<RayTable>, String> = heads_and_cameras
+        .par_iter()
+        .map(|(head, camera)| Pair::new(head, camera, calibration).map(|pair| RayTable::new(&pair)))
+        .collect();
+    let tables = tables?;
+    let made: Result<Vec<(u64, Option<u64>, usize)>, String> = triggers
+        .par_iter()
+        .map(|(&trigger, maps)| export_trigger(trigger, maps, calibration, &tables, out))
+        .collect();
+    let made = made?;
+    let path = out.join("sequence.mcap");
+    let times = made.iter().map(|&(trigger, time, _)| {
+        (time.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64), merged_path(out, trigger))
+    });
+    write_sequence(times, &path)?;
+    Ok(Exported {
+        clouds: triggers.values().map(Vec::len).sum(),
+        merged_points: made.iter().map(|(_, _, points)| points).sum(),
+        triggers: made.len(),
+    })
+}
+
+/// Packs merged clouds with their times, ns, into one MCAP file.
+pub fn write_sequence(clouds: impl Iterator<Item = (u64, PathBuf)>, path: &Path) -> Result<(), String> {
+    let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+    let partial = path.with_extension("mcap.partial");
+    let file = std::fs::File::create(&partial).map_err(|e| fail(&e))?;
+    let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(|e| fail(&e))?;
+    for (time, cloud) in clouds {
+        writer.push_ply(time, &cloud).map_err(|e| fail(&e))?;
+    }
+    let buffer = writer.finish().map_err(|e| fail(&e))?;
+    buffer.into_inner().map_err(|e| fail(&e.into_error()))?;
+    std::fs::rename(&partial, path).map_err(|e| fail(&e))
+}
+
+/// The maps by trigger, in the calibration's order.
+fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, String> {
+    let folder = from.join("phases");
+    let fail = |e: std::io::Error| {
+        format!(
+            "{}: {e}; expected phases/ as `fourdbody reconstruct --format phase` writes it",
+            folder.display()
+        )
+    };
+    let mut triggers: BTreeMap<u64, Maps> = BTreeMap::new();
+    for entry in std::fs::read_dir(&folder).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        let Some(stem) = path.file_name().and_then(|n| n.to_str()?.strip_suffix(".phase")) else { continue };
+        let named = stem.rsplit_once('_').and_then(|(camera, index)| Some((camera, index.parse().ok()?)));
+        let Some((camera, trigger)) = named else { continue };
+        let number = calibration.cameras().position(|(_, known)| known.id.as_str() == camera);
+        let number =
+            number.ok_or_else(|| format!("{}: the calibration has no such camera", path.display()))?;
+        triggers.entry(trigger).or_default().push((number, path));
+    }
+    triggers.values_mut().for_each(|maps| maps.sort());
+    if triggers.is_empty() {
+        return Err(format!("{}: expected CAMERA_INDEX.phase files, found none", folder.display()));
+    }
+    Ok(triggers)
+}
+
+fn export_trigger(
+    trigger: u64,
+    maps: &Maps,
+    calibration: &Calibration,
+    tables: &[RayTable],
+    out: &Path,
+) -> Result<(u64, Option<u64>, usize), String> {
+    let made: Result<Vec<(u8, Cloud, Statement)>, String> = maps
+        .par_iter()
+        .with_max_len(1)
+        .map(|(number, path)| {
+            let (statement, cloud) = read_cloud(path, calibration, *number, &tables[*number])?;
+            let path = cloud_path(out, &statement.camera.as_str().into(), trigger);
+            ply::save(&path, &cloud, &statement.comments).map_err(|e| format!("{}: {e}", path.display()))?;
+            let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
+            Ok((number, cloud, statement))
+        })
+        .collect();
+    let made = made?;
+    let parts: Vec<ply::Part<'_>> = made.iter().map(|(number, cloud, _)| (*number, cloud)).collect();
+    let path = merged_path(out, trigger);
+    let comments = made.first().map_or(&[][..], |(_, _, statement)| &statement.merged_comments);
+    ply::save_merged(&path, &parts, comments).map_err(|e| format!("{}: {e}", path.display()))?;
+    let time = made.iter().find_map(|(_, _, statement)| statement.time_ns);
+    Ok((trigger, time, parts.iter().map(|(_, cloud)| cloud.len()).sum()))
+}
+
+/// The cloud of a stored map; `number`: the place of its camera in the calibration.
+fn read_cloud(
+    path: &Path,
+    calibration: &Calibration,
+    number: usize,
+    table: &RayTable,
+) -> Result<(Statement, Cloud), String> {
+    let fail = |reason: String| format!("{}: {reason}", path.display());
+    let (statement, map) = phase_file::load(path).map_err(|e| e.to_string())?;
+    let (geometry, volume) = statement_of(calibration);
+    if (&statement.geometry_sha256, statement.volume_m) != (&geometry, volume) {
+        return Err(fail(format!(
+            "made with the calibration {}, not with {geometry}; give the calibration that it was reconstructed with",
+            statement.geometry_sha256
+        )));
+    }
+    let camera = calibration.cameras().nth(number).map(|(_, camera)| camera);
+    let fits = camera.is_some_and(|camera| {
+        let frame = map.frame.map(usize::from);
+        camera.id.as_str() == statement.camera && [camera.device.width, camera.device.height] == frame
+    });
+    if !fits {
+        return Err(fail(format!(
+            "a map of camera {} with {:?} pixels, which is not what the file's name and the calibration say",
+            statement.camera, map.frame
+        )));
+    }
+    let cloud = cloud::make(table, &map);
+    if cloud.len() != statement.points {
+        let (found, stated) = (cloud.len(), statement.points);
+        return Err(fail(format!("gives {found} points, {stated} are stated: made by another version")));
+    }
+    Ok((statement, cloud))
+}

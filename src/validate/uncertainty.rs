@@ -1,0 +1,99 @@
+//! Predicted standard uncertainty against the actual error, by classes.
+//!
+//! The error is that along the line of sight, in the plane of which the prediction is made: found less true depth at
+//! the point's pixel, along the ray. In each class the ratio is 1.4826 times the median of error over prediction: 1
+//! where the prediction is right, larger where it promises too much. Points of wrong fringe order are left out: no
+//! standard uncertainty describes them.
+
+use super::truth::{Reference, Truth};
+use crate::export::Cloud;
+use serde::Serialize;
+
+/// Upper bounds of the classes of light (mean over a fringe; the modulation is proportional to it), DN.
+const LIGHT_DN: [f32; 7] = [8.0, 16.0, 32.0, 48.0, 64.0, 96.0, 256.0];
+
+/// Upper bounds of the classes of predicted uncertainty, mm.
+const SIGMA_MM: [f32; 8] = [0.03, 0.045, 0.06, 0.09, 0.15, 0.3, 0.6, f32::INFINITY];
+
+/// Errors and predictions of points, which add up over clouds.
+#[derive(Debug, Clone, Default)]
+pub struct Points {
+    /// Light DN, predicted mm, actual mm.
+    points: Vec<[f32; 3]>,
+}
+
+/// One class.
+#[derive(Debug, Clone, Serialize)]
+pub struct Class {
+    /// `light DN` or `predicted mm`.
+    pub by: &'static str,
+    /// Lower bound.
+    pub from: f32,
+    /// Upper bound.
+    pub to: f32,
+    /// Number of points.
+    pub points: usize,
+    /// Median of the prediction, mm.
+    pub predicted_mm: f32,
+    /// 1.4826 times the median of the error's size, mm.
+    pub robust_mm: f32,
+    /// 1.4826 times the median of the error's size over its prediction.
+    pub ratio: f32,
+    /// Share of the errors within twice the prediction; 0.954 where they are normally distributed.
+    pub within_two: f32,
+}
+
+impl Points {
+    /// Adds the points of a cloud that carry an uncertainty.
+    pub fn add(&mut self, cloud: &Cloud, truth: &Truth, reference: Reference<'_>) {
+        for (i, sigma) in cloud.sigma_m.iter().enumerate() {
+            if let Some(error) = truth.error_along_sight(cloud, i, reference) {
+                self.points.push([cloud.intensity[i] * 255.0, sigma * 1e3, (error * 1e3) as f32]);
+            }
+        }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    /// The table: classes of light, then of prediction, then all.
+    pub fn classes(&self) -> Vec<Class> {
+        let bounds = |by, bounds: &[f32], of: usize| {
+            let lower = std::iter::once(0.0).chain(bounds.iter().copied());
+            let classes = lower.zip(bounds.iter().copied());
+            classes
+                .map(|(from, to)| {
+                    let chosen = self.points.iter().filter(|x| (from..to).contains(&x[of]));
+                    class(by, from, to, chosen)
+                })
+                .filter(|class| class.points > 0)
+                .collect::<Vec<_>>()
+        };
+        let mut table = bounds("light DN", &LIGHT_DN, 0);
+        table.extend(bounds("predicted mm", &SIGMA_MM, 1));
+        table.push(class("all", 0.0, f32::INFINITY, self.points.iter()));
+        table
+    }
+}
+
+fn class<'a>(by: &'static str, from: f32, to: f32, points: impl Iterator<Item = &'a [f32; 3]>) -> Class {
+    let points: Vec<_> = points.collect();
+    let median = |value: &dyn Fn(&[f32; 3]) -> f32| {
+        let mut values: Vec<f32> = points.iter().map(|x| value(x)).collect();
+        values.sort_unstable_by(f32::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(f32::NAN)
+    };
+    let within = points.iter().filter(|x| x[2].abs() <= 2.0 * x[1]).count();
+    Class {
+        by,
+        from,
+        to,
+        points: points.len(),
+        predicted_mm: median(&|x| x[1]),
+        robust_mm: 1.4826 * median(&|x| x[2].abs()),
+        ratio: 1.4826 * median(&|x| x[2].abs() / x[1]),
+        within_two: within as f32 / points.len().max(1) as f32,
+    }
+}
