@@ -92,20 +92,15 @@ pub struct Pipeline {
 
 /// Runs stages and keeps their times.
 #[derive(Debug, Default)]
-pub(super) struct Clock(Vec<(&'static str, Duration)>);
+struct Clock(Vec<(&'static str, Duration)>);
 
 impl Clock {
     /// Runs one stage.
-    pub(super) fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
+    fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = work();
         self.0.push((stage, start.elapsed()));
         result
-    }
-
-    /// Notes a frame's share of work that was done for several.
-    pub(super) fn share(&mut self, stage: &'static str, time: Duration) {
-        self.0.push((stage, time));
     }
 }
 
@@ -132,13 +127,18 @@ pub struct Prepared {
     /// Around the marker: not 0.
     zone: Plane<u8>,
     planes: Vec<(&'static str, Plane<f32>)>,
-    pub(super) clock: Clock,
+    clock: Clock,
 }
 
 impl Prepared {
     /// Fringe period Pm, px.
-    pub(super) fn period(&self) -> &Plane<f32> {
+    pub fn period(&self) -> &Plane<f32> {
         &self.period
+    }
+
+    /// Notes a frame's share of work that was done for several.
+    pub fn add_time(&mut self, stage: &'static str, time: Duration) {
+        self.clock.0.push((stage, time));
     }
 }
 

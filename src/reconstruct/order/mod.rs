@@ -5,7 +5,8 @@
 //! pieces    patches grown to pieces of surface, joined only along whole borders
 //! witness   what another camera has at the place where a piece would be
 //! settle    marker, neighbours and other cameras weighed: each piece gets an order, or is refused
-//! prune     parts of settled pieces that the other cameras contradict
+//! split     pieces that have grown over two surfaces, parted
+//! prune     places of settled pieces that the other cameras contradict
 //! ```
 //!
 //! One view cannot tell an arm that lies parallel to the hip at a whole number of fringes from one surface. What it can
@@ -16,6 +17,7 @@ mod cells;
 mod pieces;
 mod prune;
 mod settle;
+mod split;
 mod volume;
 mod witness;
 
@@ -24,6 +26,7 @@ use super::triangulate::Triangulator;
 use crate::image::Plane;
 use cells::Cells;
 use pieces::Pieces;
+use prune::Standing;
 use settle::{Refusal, Scene, State};
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
@@ -65,7 +68,8 @@ pub fn settle(views: &mut [View<'_>]) {
     let results: Vec<Outcome> = {
         let mut scenes: Vec<Scene<'_>> = views.iter().map(scene).collect();
         settle::settle(&mut scenes);
-        let pruned = prune::contradicted(&scenes);
+        let pruned: Vec<Vec<Standing>> =
+            (0..scenes.len()).map(|view| prune::standings(&scenes, view)).collect();
         scenes.into_iter().zip(pruned).map(|(scene, pruned)| outcome(scene, &pruned)).collect()
     };
     for (view, result) in views.iter_mut().zip(results) {
@@ -83,7 +87,7 @@ pub fn settle(views: &mut [View<'_>]) {
         view.prepared.regions = result.regions;
     }
     let share = start.elapsed() / views.len().max(1) as u32;
-    views.iter_mut().for_each(|view| view.prepared.clock.share("order", share));
+    views.iter_mut().for_each(|view| view.prepared.add_time("order", share));
 }
 
 struct Outcome {
@@ -127,7 +131,7 @@ fn votes(cells: &Cells, phase: &Plane<f32>, marker: &Plane<u8>, marker_index: i3
     votes.into_iter().map(|((node, order), n)| (node, order, n)).collect()
 }
 
-fn outcome(scene: Scene<'_>, pruned: &[bool]) -> Outcome {
+fn outcome(scene: Scene<'_>, standings: &[Standing]) -> Outcome {
     let mut absolute = scene.witness.phase.clone();
     let mut regions = Regions::none(absolute.width(), absolute.height());
     regions.margin.extend(scene.states.iter().map(|x| x.margin));
@@ -141,9 +145,10 @@ fn outcome(scene: Scene<'_>, pruned: &[bool]) -> Outcome {
         .filter(|((_, x), _)| **x != 0)
     {
         let piece = scene.pieces.of[node as usize - 1] as usize;
-        let against = pruned[node as usize - 1] || scene.states[piece].order == Err(Refusal::Contradicted);
+        let standing = &standings[node as usize - 1];
+        let against = standing.contradicted() || scene.states[piece].order == Err(Refusal::Contradicted);
         match scene.turns_of(node - 1) {
-            Some(turns) if !against => {
+            Some(turns) if !against && !standing.unsupported() => {
                 *phase += TAU * turns as f32;
                 *id = u16::try_from(piece + 1).unwrap_or(u16::MAX);
             }

@@ -17,6 +17,9 @@ const FULL_NODE_PX: u32 = 60;
 /// Pixel pairs on which a node must agree with the piece that takes it in.
 const GROW_PAIRS: u32 = 4;
 
+/// Pairs on which it agrees must outnumber those on which it does not so many times.
+const GROW_SHARE: u32 = 3;
+
 /// Share of a common border that must agree before two pieces become one.
 const MIN_GOOD_SHARE: f32 = 0.85;
 
@@ -58,6 +61,12 @@ pub struct Pieces {
     pub turns: Vec<i32>,
     /// Nodes of each piece.
     pub nodes: Vec<Vec<u32>>,
+    /// Which piece each was part of before it was parted.
+    pub origin: Vec<u32>,
+    /// Whether a node lies two cells or more away from any step.
+    pub core: Vec<bool>,
+    /// Marker votes of single nodes: node, order, number.
+    node_votes: Vec<(u32, i32, u32)>,
     /// Marker votes of each piece: for each order, how many.
     pub votes: Vec<BTreeMap<i32, u32>>,
     /// Contacts of each piece with others: turns to add to the other.
@@ -76,7 +85,46 @@ impl Pieces {
         grow(&mut links, &core, cells, &neighbours);
         let mut pieces = collect(&mut links, cells, votes);
         pieces.join(min_votes);
-        pieces.compact()
+        let mut pieces = pieces.compact();
+        pieces.origin = (0..pieces.nodes.len() as u32).collect();
+        pieces.core = core;
+        pieces
+    }
+
+    /// Counts votes and contacts anew.
+    fn count(&mut self, cells: &Cells) {
+        self.votes = vec![BTreeMap::new(); self.nodes.len()];
+        self.contacts = vec![BTreeMap::new(); self.nodes.len()];
+        for &(node, order, count) in &self.node_votes {
+            let (piece, turns) = (self.of[node as usize], self.turns[node as usize]);
+            *self.votes[piece as usize].entry(order - turns).or_default() += count;
+        }
+        for x in &cells.borders {
+            let (a, b) = (self.of[x.a as usize], self.of[x.b as usize]);
+            if a == b {
+                continue;
+            }
+            let turns = self.turns[x.a as usize] + x.turns - self.turns[x.b as usize];
+            self.contacts[a as usize].entry(b).or_default().add(turns, x.good, x.good + x.bad);
+            self.contacts[b as usize].entry(a).or_default().add(-turns, x.good, x.good + x.bad);
+        }
+    }
+
+    /// Makes pieces of the parts of one: the first keeps its number, the others get new ones.
+    pub fn part(&mut self, piece: usize, parts: Vec<Vec<u32>>, cells: &Cells) {
+        for (i, nodes) in parts.into_iter().enumerate() {
+            let number = if i == 0 { piece } else { self.nodes.len() };
+            for &node in &nodes {
+                self.of[node as usize] = number as u32;
+            }
+            if i == 0 {
+                self.nodes[piece] = nodes;
+            } else {
+                self.nodes.push(nodes);
+                self.origin.push(self.origin[piece]);
+            }
+        }
+        self.count(cells);
     }
 
     /// Joins pieces whose common border agrees, the longest first.
@@ -208,15 +256,16 @@ fn grow(links: &mut Links, core: &[bool], cells: &Cells, neighbours: &Neighbours
             // All of a ring are decided before any is taken in: the result does not depend on their order.
             let mut ring = Vec::new();
             for &node in &next {
-                let mut sums: BTreeMap<(usize, i32), (u32, u32, u32)> = BTreeMap::new();
-                for &(other, turns, good, _) in
+                let mut sums: BTreeMap<(usize, i32), (u32, u32, u32, u32)> = BTreeMap::new();
+                for &(other, turns, good, bad) in
                     neighbours[node as usize].iter().filter(|x| taken[x.0 as usize])
                 {
                     let (root, own) = links.find(other as usize);
                     let sum = sums.entry((root, own - turns)).or_default();
-                    *sum = (sum.0 + good, other, turns as u32);
+                    *sum = (sum.0 + good, other, turns as u32, sum.3 + bad);
                 }
-                let best = sums.into_values().max_by_key(|x| x.0).filter(|x| x.0 >= pairs);
+                let best = sums.into_values().max_by_key(|x| x.0);
+                let best = best.filter(|x| x.0 >= pairs && (pairs == 1 || x.0 >= GROW_SHARE * x.3));
                 ring.extend(best.map(|x| (node, x.1, x.2 as i32)));
             }
             for &(node, other, turns) in &ring {
@@ -252,6 +301,9 @@ fn collect(links: &mut Links, cells: &Cells, votes: &[(u32, i32, u32)]) -> Piece
         of: vec![0; n],
         turns: vec![0; n],
         nodes: Vec::new(),
+        origin: Vec::new(),
+        core: Vec::new(),
+        node_votes: votes.to_vec(),
         votes: Vec::new(),
         contacts: Vec::new(),
     };
@@ -265,21 +317,7 @@ fn collect(links: &mut Links, cells: &Cells, votes: &[(u32, i32, u32)]) -> Piece
         pieces.turns[node] = turns;
         pieces.nodes[number[root] as usize].push(node as u32);
     }
-    pieces.votes = vec![BTreeMap::new(); pieces.nodes.len()];
-    pieces.contacts = vec![BTreeMap::new(); pieces.nodes.len()];
-    for &(node, order, count) in votes {
-        let (piece, turns) = (pieces.of[node as usize], pieces.turns[node as usize]);
-        *pieces.votes[piece as usize].entry(order - turns).or_default() += count;
-    }
-    for x in &cells.borders {
-        let (a, b) = (pieces.of[x.a as usize], pieces.of[x.b as usize]);
-        if a == b {
-            continue;
-        }
-        let turns = pieces.turns[x.a as usize] + x.turns - pieces.turns[x.b as usize];
-        pieces.contacts[a as usize].entry(b).or_default().add(turns, x.good, x.good + x.bad);
-        pieces.contacts[b as usize].entry(a).or_default().add(-turns, x.good, x.good + x.bad);
-    }
+    pieces.count(cells);
     pieces
 }
 
