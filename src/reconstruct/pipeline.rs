@@ -63,6 +63,8 @@ pub struct Reconstruction {
     pub outcome: Outcome,
     /// How it went.
     pub counts: Counts,
+    /// Pieces of surface and how certain their fringe orders are; for each point see [`Regions::margin_at`].
+    pub regions: Regions,
     /// Time of each stage, in order.
     pub stages: Vec<(&'static str, Duration)>,
     /// The maps, where they were asked for.
@@ -227,8 +229,18 @@ impl Pipeline {
 
     /// Makes the cloud of an unwrapped frame.
     pub fn finish(&self, prepared: Prepared) -> Reconstruction {
-        let Prepared { roi, mut absolute, mut counts, phasors, period, zone, mut planes, mut clock, .. } =
-            prepared;
+        let Prepared {
+            roi,
+            mut absolute,
+            regions,
+            mut counts,
+            phasors,
+            period,
+            zone,
+            mut planes,
+            mut clock,
+            ..
+        } = prepared;
         let pair = self.triangulator.pair();
         if self.method == Method::Anchored {
             counts.dropped = clock.time("select", || {
@@ -252,6 +264,7 @@ impl Pipeline {
             outcome: outcome_of(&cloud, &counts),
             cloud,
             counts,
+            regions,
             stages: clock.0,
             maps: self.keep_maps.then_some(Maps { roi, frame, planes }),
         }
@@ -433,6 +446,7 @@ fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> 
         cloud: Cloud::default(),
         outcome: Outcome::Refused(reason),
         counts,
+        regions: Regions::none(0, 0),
         stages: clock.0,
         maps: None,
     })

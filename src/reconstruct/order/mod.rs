@@ -27,6 +27,7 @@ use crate::image::Plane;
 use cells::Cells;
 use pieces::Pieces;
 use prune::Standing;
+use rayon::prelude::*;
 use settle::{Refusal, Scene, State};
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
@@ -47,6 +48,8 @@ pub struct View<'a> {
 /// Pieces of a view's surface with one fringe order each, and how certain these are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Regions {
+    /// Column and row of the frame at which `id` begins.
+    pub origin: (usize, usize),
     /// Region of each pixel, 0 where there is none.
     pub id: Plane<u16>,
     /// How far the evidence for each region's order leads that for any other: 1 is the full word of one camera, or 60
@@ -57,7 +60,14 @@ pub struct Regions {
 impl Regions {
     /// No regions.
     pub fn none(width: usize, height: usize) -> Self {
-        Self { id: Plane::filled(width, height, 0), margin: vec![0.0] }
+        Self { origin: (0, 0), id: Plane::filled(width, height, 0), margin: vec![0.0] }
+    }
+
+    /// The margin of the order at a pixel of the frame, such as a cloud's `pixel`; 0 where there is no region.
+    pub fn margin_at(&self, [u, v]: [u16; 2]) -> f32 {
+        let place = usize::from(u).checked_sub(self.origin.0).zip(usize::from(v).checked_sub(self.origin.1));
+        let id = place.filter(|(u, v)| *u < self.id.width() && *v < self.id.height());
+        id.and_then(|(u, v)| self.margin.get(usize::from(self.id.at(u, v))).copied()).unwrap_or(0.0)
     }
 }
 
@@ -66,10 +76,10 @@ impl Regions {
 pub fn settle(views: &mut [View<'_>]) {
     let start = Instant::now();
     let results: Vec<Outcome> = {
-        let mut scenes: Vec<Scene<'_>> = views.iter().map(scene).collect();
+        let mut scenes: Vec<Scene<'_>> = views.par_iter().map(scene).collect();
         settle::settle(&mut scenes);
         let pruned: Vec<Vec<Standing>> =
-            (0..scenes.len()).map(|view| prune::standings(&scenes, view)).collect();
+            (0..scenes.len()).into_par_iter().map(|view| prune::standings(&scenes, view)).collect();
         scenes.into_iter().zip(pruned).map(|(scene, pruned)| outcome(scene, &pruned)).collect()
     };
     for (view, result) in views.iter_mut().zip(results) {
@@ -134,6 +144,7 @@ fn votes(cells: &Cells, phase: &Plane<f32>, marker: &Plane<u8>, marker_index: i3
 fn outcome(scene: Scene<'_>, standings: &[Standing]) -> Outcome {
     let mut absolute = scene.witness.phase.clone();
     let mut regions = Regions::none(absolute.width(), absolute.height());
+    regions.origin = (scene.witness.roi.u, scene.witness.roi.v);
     regions.margin.extend(scene.states.iter().map(|x| x.margin));
     let mut contradicted = 0;
     let nodes = scene.witness.cells.node.as_slice();

@@ -17,10 +17,15 @@ const MIN_AGAINST: i32 = 3;
 /// A node this many steps from its piece's core hangs on a narrow part.
 const FAR_STEPS: u8 = 4;
 
+/// From here on a node's own word counts: seams lie away from the cores.
+const EDGE_STEPS: u8 = 2;
+
 /// What speaks for a node.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Standing {
-    /// Words of the other cameras for the nodes around it, and against.
+    /// Words of the other cameras for it and against.
+    pub own: (i32, i32),
+    /// Those for the nodes around it.
     pub words: (i32, i32),
     /// Steps over nodes of its piece to the piece's core; [`FAR_STEPS`] where it takes more.
     pub steps: u8,
@@ -30,7 +35,8 @@ impl Standing {
     /// Whether the other cameras contradict.
     pub fn contradicted(&self) -> bool {
         let (good, bad) = self.words;
-        bad >= MIN_AGAINST && bad > good
+        let here = self.steps >= EDGE_STEPS && self.own.1 > 0 && self.own.1 >= self.own.0;
+        here || (bad >= MIN_AGAINST && bad > good)
     }
 
     /// Whether nothing vouches for it.
@@ -44,12 +50,14 @@ pub fn standings(scenes: &[Scene<'_>], view: usize) -> Vec<Standing> {
     let scene = &scenes[view];
     // By piece and cell: words for and against.
     let mut words: BTreeMap<(u32, usize, usize), (i32, i32)> = BTreeMap::new();
+    let mut own = vec![(0, 0); scene.pieces.of.len()];
     let mut sights = Vec::new();
     for (node, &piece) in scene.pieces.of.iter().enumerate() {
         let Ok(order) = scene.states[piece as usize].order else { continue };
         sights.clear();
         look(scenes, view, node as u32, order, &mut sights);
         let (good, bad) = words_of(scenes, view, &sights);
+        own[node] = (good, bad);
         let (x, y) = cell(scene, node as u32);
         let sum = words.entry((piece, x, y)).or_default();
         *sum = (sum.0 + good, sum.1 + bad);
@@ -66,7 +74,7 @@ pub fn standings(scenes: &[Scene<'_>], view: usize) -> Vec<Standing> {
     let steps = steps(scene);
     let standing = |(node, &piece): (usize, &u32)| {
         let (x, y) = cell(scene, node as u32);
-        Standing { words: around(piece, x, y), steps: steps[node] }
+        Standing { own: own[node], words: around(piece, x, y), steps: steps[node] }
     };
     scene.pieces.of.iter().enumerate().map(standing).collect()
 }
