@@ -2,7 +2,7 @@
 
 use super::demodulate::{Gains, Phasors};
 use super::marker_phase::Bias;
-use super::order::{self, Regions, View};
+use super::order::Regions;
 use super::roi::Roi;
 use super::triangulate::Triangulator;
 use super::unwrap::OpenTrees;
@@ -106,7 +106,7 @@ impl Clock {
     }
 }
 
-/// A frame whose phase is unwrapped as far as the camera alone can. [`order::settle`] weighs its orders
+/// A frame whose phase is unwrapped as far as the camera alone can. [`super::order::settle`] weighs its orders
 /// before [`Pipeline::finish`] makes the cloud.
 #[derive(Debug)]
 pub struct Prepared {
@@ -168,19 +168,10 @@ impl Pipeline {
         &self.triangulator
     }
 
-    /// Reconstructs one frame by itself.
+    /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
         match self.prepare(image) {
-            Ok(mut prepared) => {
-                if self.method == Method::Anchored {
-                    order::settle(&mut [View {
-                        triangulator: &self.triangulator,
-                        head: 0,
-                        prepared: &mut prepared,
-                    }]);
-                }
-                self.finish(prepared)
-            }
+            Ok(prepared) => self.finish(prepared),
             Err(refused) => *refused,
         }
     }

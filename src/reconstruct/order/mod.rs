@@ -72,8 +72,12 @@ impl Regions {
 }
 
 /// Gives every piece of every view its fringe order, or refuses it: afterwards `absolute` holds only what is certain.
-/// All views must show the same instant. The result does not depend on threads.
+/// All views must show the same instant. The result does not depend on threads. One view alone has no witnesses: what its
+/// own marker says stands, without regions.
 pub fn settle(views: &mut [View<'_>]) {
+    if views.len() < 2 {
+        return;
+    }
     let start = Instant::now();
     let results: Vec<Outcome> = {
         let mut scenes: Vec<Scene<'_>> = views.par_iter().map(scene).collect();

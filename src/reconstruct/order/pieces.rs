@@ -359,3 +359,59 @@ impl Links {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Cells, Pieces};
+    use crate::image::Plane;
+    use std::f32::consts::TAU;
+
+    const W: usize = 240;
+    const H: usize = 240;
+    const PERIOD: f32 = 10.0;
+
+    /// Pieces of at least ten nodes of a phase that rises by a fringe every ten columns, plus `extra`.
+    fn pieces(extra: impl Fn(usize, usize) -> f32) -> (Cells, Pieces, Vec<usize>) {
+        let data = (0..W * H).map(|i| (i % W) as f32 * TAU / PERIOD + extra(i % W, i / W)).collect();
+        let phase = Plane::from_vec(W, H, data).expect("the plane's size");
+        let cells = Cells::new(&phase, &Plane::filled(W, H, PERIOD), 1.0);
+        let pieces = Pieces::new(&cells, &[], 20);
+        let large = (0..pieces.nodes.len()).filter(|&i| pieces.nodes[i].len() >= 10).collect();
+        (cells, pieces, large)
+    }
+
+    #[test]
+    fn a_smooth_surface_is_one_piece_though_its_trees_differ_by_whole_turns() {
+        let (_, pieces, large) = pieces(|u, v| {
+            let bend = ((u as f32 / 60.0).sin() + (v as f32 / 50.0).cos()) * 2.0;
+            bend + if v > 120 { 3.0 * TAU } else { 0.0 }
+        });
+        assert_eq!(large.len(), 1);
+        let (upper, lower) = (pieces.turns[0], pieces.turns[pieces.turns.len() - 1]);
+        assert_eq!(upper - lower, 3);
+    }
+
+    /// Along their border, the phases of the two halves drift through two whole turns: over some 20 px, twice, they agree
+    /// to 0.3 rad. Neighbouring pixels alone cannot tell that this is chance.
+    #[test]
+    fn surfaces_that_agree_over_part_of_their_border_stay_apart() {
+        let (_, pieces, large) =
+            pieces(|u, v| if v >= 120 { (u as f32 / W as f32 - 0.5) * 2.0 * TAU } else { 0.0 });
+        assert_eq!(large.len(), 2, "{:?}", large.iter().map(|&i| pieces.nodes[i].len()).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn parts_keep_their_nodes_and_know_where_they_come_from() {
+        let (cells, mut pieces, large) = pieces(|_, _| 0.0);
+        let piece = large[0];
+        let nodes = pieces.nodes[piece].clone();
+        let (left, right): (Vec<u32>, Vec<u32>) = nodes.iter().partition(|&&x| x % 30 < 15);
+        pieces.part(piece, vec![left.clone(), right.clone()], &cells);
+        let new = pieces.nodes.len() - 1;
+        assert_eq!((&pieces.nodes[piece], &pieces.nodes[new]), (&left, &right));
+        assert_eq!(pieces.origin[new], pieces.origin[piece]);
+        assert!(right.iter().all(|&x| pieces.of[x as usize] as usize == new));
+        let contact = &pieces.contacts[piece][&(new as u32)];
+        assert_eq!(contact.best(), (0, contact.all));
+    }
+}
