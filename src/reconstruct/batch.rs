@@ -88,8 +88,10 @@ pub struct FrameSummary {
     pub reason: Option<String>,
     /// Points of the directional cloud.
     pub points: usize,
-    /// Object pixels left out because nothing anchors their fringe order.
+    /// Object pixels left out because their fringe order is not certain.
     pub unresolved_px: usize,
+    /// Of these, pixels for whose order the evidence contradicts itself; the others have too little.
+    pub contradicted_px: usize,
 }
 
 /// What became of one trigger.
@@ -366,7 +368,8 @@ impl Job<'_> {
             Stage::Missing(outcome, reason) => {
                 let camera = camera.id.clone();
                 let reason = Some(reason);
-                let summary = FrameSummary { camera, outcome, reason, points: 0, unresolved_px: 0 };
+                let summary =
+                    FrameSummary { camera, outcome, reason, points: 0, unresolved_px: 0, contradicted_px: 0 };
                 Ok((summary, Cloud::default()))
             }
         });
@@ -427,6 +430,7 @@ impl Job<'_> {
         comments.push(format!("camera {id}"));
         comments.push(self.together());
         comments.push(format!("unresolved_px {}", result.counts.refused));
+        comments.push(format!("contradicted_px {}", result.counts.contradicted));
         let (outcome, reason) = match &result.outcome {
             Outcome::Cloud => ("cloud", None),
             Outcome::Refused(reason) => ("refused", Some(reason.clone())),
@@ -438,7 +442,9 @@ impl Job<'_> {
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         timings.add(&result.stages);
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
-        let summary = FrameSummary { camera: id.clone(), outcome, reason, points, unresolved_px };
+        let contradicted_px = result.counts.contradicted;
+        let summary =
+            FrameSummary { camera: id.clone(), outcome, reason, points, unresolved_px, contradicted_px };
         Ok((summary, result.cloud))
     }
 
@@ -516,6 +522,7 @@ impl Job<'_> {
             reason,
             points,
             unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
+            contradicted_px: header.comment("contradicted_px").and_then(|x| x.parse().ok()).unwrap_or(0),
         };
         Some((summary, cloud))
     }

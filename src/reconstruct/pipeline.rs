@@ -3,7 +3,7 @@
 use super::demodulate::{Gains, Phasors};
 use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
-use super::order::{self, Regions, View};
+use super::order::Regions;
 use super::pool::Pool;
 use super::rays::RayTable;
 use super::roi::Roi;
@@ -67,6 +67,8 @@ pub struct Reconstruction {
     pub outcome: Outcome,
     /// How it went.
     pub counts: Counts,
+    /// Pieces of surface and how certain their fringe orders are; for each point see [`Regions::margin_at`].
+    pub regions: Regions,
     /// Time of each stage, in order.
     pub stages: Vec<(&'static str, Duration)>,
     /// The maps, where they were asked for.
@@ -120,14 +122,9 @@ impl Clock {
         self.0.push((stage, start.elapsed()));
         result
     }
-
-    /// Notes a frame's share of work that was done for several.
-    pub(super) fn share(&mut self, stage: &'static str, time: Duration) {
-        self.0.push((stage, time));
-    }
 }
 
-/// A frame whose phase is unwrapped as far as the camera alone can. [`order::settle`] weighs its orders
+/// A frame whose phase is unwrapped as far as the camera alone can. [`super::order::settle`] weighs its orders
 /// before [`Pipeline::finish`] makes the cloud.
 #[derive(Debug)]
 pub struct Prepared {
@@ -150,13 +147,18 @@ pub struct Prepared {
     /// Around the marker: not 0.
     zone: Plane<u8>,
     planes: Vec<(&'static str, Plane<f32>)>,
-    pub(super) clock: Clock,
+    clock: Clock,
 }
 
 impl Prepared {
     /// Fringe period Pm, px.
-    pub(super) fn period(&self) -> &Plane<f32> {
+    pub fn period(&self) -> &Plane<f32> {
         &self.period
+    }
+
+    /// Notes a frame's share of work that was done for several.
+    pub fn add_time(&mut self, stage: &'static str, time: Duration) {
+        self.clock.0.push((stage, time));
     }
 }
 
@@ -191,19 +193,10 @@ impl Pipeline {
         &self.triangulator
     }
 
-    /// Reconstructs one frame by itself.
+    /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
         match self.prepare(image) {
-            Ok(mut prepared) => {
-                if self.method == Method::Anchored {
-                    order::settle(&mut [View {
-                        triangulator: &self.triangulator,
-                        head: 0,
-                        prepared: &mut prepared,
-                    }]);
-                }
-                self.finish(prepared)
-            }
+            Ok(prepared) => self.finish(prepared),
             Err(refused) => *refused,
         }
     }
@@ -264,8 +257,18 @@ impl Pipeline {
 
     /// Makes the cloud of an unwrapped frame.
     pub fn finish(&self, prepared: Prepared) -> Reconstruction {
-        let Prepared { roi, mut absolute, mut counts, phasors, period, zone, mut planes, mut clock, .. } =
-            prepared;
+        let Prepared {
+            roi,
+            mut absolute,
+            regions,
+            mut counts,
+            phasors,
+            period,
+            zone,
+            mut planes,
+            mut clock,
+            ..
+        } = prepared;
         let pair = self.triangulator.pair();
         // What the edges find, where uncertainties are asked for.
         let mut expected =
@@ -303,6 +306,7 @@ impl Pipeline {
             cloud,
             phase: map,
             counts,
+            regions,
             stages: clock.0,
             maps: self.keep_maps.then_some(Maps { roi, frame, planes }),
         }
@@ -431,6 +435,7 @@ fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> 
         phase: PhaseMap::default(),
         outcome: Outcome::Refused(reason),
         counts,
+        regions: Regions::none(0, 0),
         stages: clock.0,
         maps: None,
     })

@@ -5,7 +5,8 @@
 //! pieces    patches grown to pieces of surface, joined only along whole borders
 //! witness   what another camera has at the place where a piece would be
 //! settle    marker, neighbours and other cameras weighed: each piece gets an order, or is refused
-//! prune     parts of settled pieces that the other cameras contradict
+//! split     pieces that have grown over two surfaces, parted
+//! prune     places of settled pieces that the other cameras contradict
 //! ```
 //!
 //! One view cannot tell an arm that lies parallel to the hip at a whole number of fringes from one surface. What it can
@@ -16,6 +17,7 @@ mod cells;
 mod pieces;
 mod prune;
 mod settle;
+mod split;
 mod volume;
 mod witness;
 
@@ -24,6 +26,8 @@ use super::triangulate::Triangulator;
 use crate::image::Plane;
 use cells::Cells;
 use pieces::Pieces;
+use prune::Standing;
+use rayon::prelude::*;
 use settle::{Refusal, Scene, State};
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
@@ -44,6 +48,8 @@ pub struct View<'a> {
 /// Pieces of a view's surface with one fringe order each, and how certain these are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Regions {
+    /// Column and row of the frame at which `id` begins.
+    pub origin: (usize, usize),
     /// Region of each pixel, 0 where there is none.
     pub id: Plane<u16>,
     /// How far the evidence for each region's order leads that for any other: 1 is the full word of one camera, or 60
@@ -54,18 +60,30 @@ pub struct Regions {
 impl Regions {
     /// No regions.
     pub fn none(width: usize, height: usize) -> Self {
-        Self { id: Plane::filled(width, height, 0), margin: vec![0.0] }
+        Self { origin: (0, 0), id: Plane::filled(width, height, 0), margin: vec![0.0] }
+    }
+
+    /// The margin of the order at a pixel of the frame, such as a cloud's `pixel`; 0 where there is no region.
+    pub fn margin_at(&self, [u, v]: [u16; 2]) -> f32 {
+        let place = usize::from(u).checked_sub(self.origin.0).zip(usize::from(v).checked_sub(self.origin.1));
+        let id = place.filter(|(u, v)| *u < self.id.width() && *v < self.id.height());
+        id.and_then(|(u, v)| self.margin.get(usize::from(self.id.at(u, v))).copied()).unwrap_or(0.0)
     }
 }
 
 /// Gives every piece of every view its fringe order, or refuses it: afterwards `absolute` holds only what is certain.
-/// All views must show the same instant. The result does not depend on threads.
+/// All views must show the same instant. The result does not depend on threads. One view alone has no witnesses: what its
+/// own marker says stands, without regions.
 pub fn settle(views: &mut [View<'_>]) {
+    if views.len() < 2 {
+        return;
+    }
     let start = Instant::now();
     let results: Vec<Outcome> = {
-        let mut scenes: Vec<Scene<'_>> = views.iter().map(scene).collect();
+        let mut scenes: Vec<Scene<'_>> = views.par_iter().map(scene).collect();
         settle::settle(&mut scenes);
-        let pruned = prune::contradicted(&scenes);
+        let pruned: Vec<Vec<Standing>> =
+            (0..scenes.len()).into_par_iter().map(|view| prune::standings(&scenes, view)).collect();
         scenes.into_iter().zip(pruned).map(|(scene, pruned)| outcome(scene, &pruned)).collect()
     };
     for (view, result) in views.iter_mut().zip(results) {
@@ -83,7 +101,7 @@ pub fn settle(views: &mut [View<'_>]) {
         view.prepared.regions = result.regions;
     }
     let share = start.elapsed() / views.len().max(1) as u32;
-    views.iter_mut().for_each(|view| view.prepared.clock.share("order", share));
+    views.iter_mut().for_each(|view| view.prepared.add_time("order", share));
 }
 
 struct Outcome {
@@ -127,9 +145,10 @@ fn votes(cells: &Cells, phase: &Plane<f32>, marker: &Plane<u8>, marker_index: i3
     votes.into_iter().map(|((node, order), n)| (node, order, n)).collect()
 }
 
-fn outcome(scene: Scene<'_>, pruned: &[bool]) -> Outcome {
+fn outcome(scene: Scene<'_>, standings: &[Standing]) -> Outcome {
     let mut absolute = scene.witness.phase.clone();
     let mut regions = Regions::none(absolute.width(), absolute.height());
+    regions.origin = (scene.witness.roi.u, scene.witness.roi.v);
     regions.margin.extend(scene.states.iter().map(|x| x.margin));
     let mut contradicted = 0;
     let nodes = scene.witness.cells.node.as_slice();
@@ -141,9 +160,10 @@ fn outcome(scene: Scene<'_>, pruned: &[bool]) -> Outcome {
         .filter(|((_, x), _)| **x != 0)
     {
         let piece = scene.pieces.of[node as usize - 1] as usize;
-        let against = pruned[node as usize - 1] || scene.states[piece].order == Err(Refusal::Contradicted);
+        let standing = &standings[node as usize - 1];
+        let against = standing.contradicted() || scene.states[piece].order == Err(Refusal::Contradicted);
         match scene.turns_of(node - 1) {
-            Some(turns) if !against => {
+            Some(turns) if !against && !standing.unsupported() => {
                 *phase += TAU * turns as f32;
                 *id = u16::try_from(piece + 1).unwrap_or(u16::MAX);
             }

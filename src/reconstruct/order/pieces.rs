@@ -17,6 +17,9 @@ const FULL_NODE_PX: u32 = 60;
 /// Pixel pairs on which a node must agree with the piece that takes it in.
 const GROW_PAIRS: u32 = 4;
 
+/// Pairs on which it agrees must outnumber those on which it does not so many times.
+const GROW_SHARE: u32 = 3;
+
 /// Share of a common border that must agree before two pieces become one.
 const MIN_GOOD_SHARE: f32 = 0.85;
 
@@ -58,6 +61,12 @@ pub struct Pieces {
     pub turns: Vec<i32>,
     /// Nodes of each piece.
     pub nodes: Vec<Vec<u32>>,
+    /// Which piece each was part of before it was parted.
+    pub origin: Vec<u32>,
+    /// Whether a node lies two cells or more away from any step.
+    pub core: Vec<bool>,
+    /// Marker votes of single nodes: node, order, number.
+    node_votes: Vec<(u32, i32, u32)>,
     /// Marker votes of each piece: for each order, how many.
     pub votes: Vec<BTreeMap<i32, u32>>,
     /// Contacts of each piece with others: turns to add to the other.
@@ -76,7 +85,46 @@ impl Pieces {
         grow(&mut links, &core, cells, &neighbours);
         let mut pieces = collect(&mut links, cells, votes);
         pieces.join(min_votes);
-        pieces.compact()
+        let mut pieces = pieces.compact();
+        pieces.origin = (0..pieces.nodes.len() as u32).collect();
+        pieces.core = core;
+        pieces
+    }
+
+    /// Counts votes and contacts anew.
+    fn count(&mut self, cells: &Cells) {
+        self.votes = vec![BTreeMap::new(); self.nodes.len()];
+        self.contacts = vec![BTreeMap::new(); self.nodes.len()];
+        for &(node, order, count) in &self.node_votes {
+            let (piece, turns) = (self.of[node as usize], self.turns[node as usize]);
+            *self.votes[piece as usize].entry(order - turns).or_default() += count;
+        }
+        for x in &cells.borders {
+            let (a, b) = (self.of[x.a as usize], self.of[x.b as usize]);
+            if a == b {
+                continue;
+            }
+            let turns = self.turns[x.a as usize] + x.turns - self.turns[x.b as usize];
+            self.contacts[a as usize].entry(b).or_default().add(turns, x.good, x.good + x.bad);
+            self.contacts[b as usize].entry(a).or_default().add(-turns, x.good, x.good + x.bad);
+        }
+    }
+
+    /// Makes pieces of the parts of one: the first keeps its number, the others get new ones.
+    pub fn part(&mut self, piece: usize, parts: Vec<Vec<u32>>, cells: &Cells) {
+        for (i, nodes) in parts.into_iter().enumerate() {
+            let number = if i == 0 { piece } else { self.nodes.len() };
+            for &node in &nodes {
+                self.of[node as usize] = number as u32;
+            }
+            if i == 0 {
+                self.nodes[piece] = nodes;
+            } else {
+                self.nodes.push(nodes);
+                self.origin.push(self.origin[piece]);
+            }
+        }
+        self.count(cells);
     }
 
     /// Joins pieces whose common border agrees, the longest first.
@@ -208,15 +256,16 @@ fn grow(links: &mut Links, core: &[bool], cells: &Cells, neighbours: &Neighbours
             // All of a ring are decided before any is taken in: the result does not depend on their order.
             let mut ring = Vec::new();
             for &node in &next {
-                let mut sums: BTreeMap<(usize, i32), (u32, u32, u32)> = BTreeMap::new();
-                for &(other, turns, good, _) in
+                let mut sums: BTreeMap<(usize, i32), (u32, u32, u32, u32)> = BTreeMap::new();
+                for &(other, turns, good, bad) in
                     neighbours[node as usize].iter().filter(|x| taken[x.0 as usize])
                 {
                     let (root, own) = links.find(other as usize);
                     let sum = sums.entry((root, own - turns)).or_default();
-                    *sum = (sum.0 + good, other, turns as u32);
+                    *sum = (sum.0 + good, other, turns as u32, sum.3 + bad);
                 }
-                let best = sums.into_values().max_by_key(|x| x.0).filter(|x| x.0 >= pairs);
+                let best = sums.into_values().max_by_key(|x| x.0);
+                let best = best.filter(|x| x.0 >= pairs && (pairs == 1 || x.0 >= GROW_SHARE * x.3));
                 ring.extend(best.map(|x| (node, x.1, x.2 as i32)));
             }
             for &(node, other, turns) in &ring {
@@ -252,6 +301,9 @@ fn collect(links: &mut Links, cells: &Cells, votes: &[(u32, i32, u32)]) -> Piece
         of: vec![0; n],
         turns: vec![0; n],
         nodes: Vec::new(),
+        origin: Vec::new(),
+        core: Vec::new(),
+        node_votes: votes.to_vec(),
         votes: Vec::new(),
         contacts: Vec::new(),
     };
@@ -265,21 +317,7 @@ fn collect(links: &mut Links, cells: &Cells, votes: &[(u32, i32, u32)]) -> Piece
         pieces.turns[node] = turns;
         pieces.nodes[number[root] as usize].push(node as u32);
     }
-    pieces.votes = vec![BTreeMap::new(); pieces.nodes.len()];
-    pieces.contacts = vec![BTreeMap::new(); pieces.nodes.len()];
-    for &(node, order, count) in votes {
-        let (piece, turns) = (pieces.of[node as usize], pieces.turns[node as usize]);
-        *pieces.votes[piece as usize].entry(order - turns).or_default() += count;
-    }
-    for x in &cells.borders {
-        let (a, b) = (pieces.of[x.a as usize], pieces.of[x.b as usize]);
-        if a == b {
-            continue;
-        }
-        let turns = pieces.turns[x.a as usize] + x.turns - pieces.turns[x.b as usize];
-        pieces.contacts[a as usize].entry(b).or_default().add(turns, x.good, x.good + x.bad);
-        pieces.contacts[b as usize].entry(a).or_default().add(-turns, x.good, x.good + x.bad);
-    }
+    pieces.count(cells);
     pieces
 }
 
@@ -319,5 +357,61 @@ impl Links {
             self.parent[y] = x as u32;
             self.turns[y] = turns_a + turns - turns_b;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Cells, Pieces};
+    use crate::image::Plane;
+    use std::f32::consts::TAU;
+
+    const W: usize = 240;
+    const H: usize = 240;
+    const PERIOD: f32 = 10.0;
+
+    /// Pieces of at least ten nodes of a phase that rises by a fringe every ten columns, plus `extra`.
+    fn pieces(extra: impl Fn(usize, usize) -> f32) -> (Cells, Pieces, Vec<usize>) {
+        let data = (0..W * H).map(|i| (i % W) as f32 * TAU / PERIOD + extra(i % W, i / W)).collect();
+        let phase = Plane::from_vec(W, H, data).expect("the plane's size");
+        let cells = Cells::new(&phase, &Plane::filled(W, H, PERIOD), 1.0);
+        let pieces = Pieces::new(&cells, &[], 20);
+        let large = (0..pieces.nodes.len()).filter(|&i| pieces.nodes[i].len() >= 10).collect();
+        (cells, pieces, large)
+    }
+
+    #[test]
+    fn a_smooth_surface_is_one_piece_though_its_trees_differ_by_whole_turns() {
+        let (_, pieces, large) = pieces(|u, v| {
+            let bend = ((u as f32 / 60.0).sin() + (v as f32 / 50.0).cos()) * 2.0;
+            bend + if v > 120 { 3.0 * TAU } else { 0.0 }
+        });
+        assert_eq!(large.len(), 1);
+        let (upper, lower) = (pieces.turns[0], pieces.turns[pieces.turns.len() - 1]);
+        assert_eq!(upper - lower, 3);
+    }
+
+    /// Along their border, the phases of the two halves drift through two whole turns: over some 20 px, twice, they agree
+    /// to 0.3 rad. Neighbouring pixels alone cannot tell that this is chance.
+    #[test]
+    fn surfaces_that_agree_over_part_of_their_border_stay_apart() {
+        let (_, pieces, large) =
+            pieces(|u, v| if v >= 120 { (u as f32 / W as f32 - 0.5) * 2.0 * TAU } else { 0.0 });
+        assert_eq!(large.len(), 2, "{:?}", large.iter().map(|&i| pieces.nodes[i].len()).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn parts_keep_their_nodes_and_know_where_they_come_from() {
+        let (cells, mut pieces, large) = pieces(|_, _| 0.0);
+        let piece = large[0];
+        let nodes = pieces.nodes[piece].clone();
+        let (left, right): (Vec<u32>, Vec<u32>) = nodes.iter().partition(|&&x| x % 30 < 15);
+        pieces.part(piece, vec![left.clone(), right.clone()], &cells);
+        let new = pieces.nodes.len() - 1;
+        assert_eq!((&pieces.nodes[piece], &pieces.nodes[new]), (&left, &right));
+        assert_eq!(pieces.origin[new], pieces.origin[piece]);
+        assert!(right.iter().all(|&x| pieces.of[x as usize] as usize == new));
+        let contact = &pieces.contacts[piece][&(new as u32)];
+        assert_eq!(contact.best(), (0, contact.all));
     }
 }

@@ -50,6 +50,18 @@ const FULL_VOTES: f32 = 60.0;
 /// A settled piece is contested when the other cameras' word falls below.
 const CONTESTED: f32 = -0.3;
 
+/// Smaller pieces are not parted, px.
+const MIN_PARTED_PX: u32 = 600;
+
+/// Sampled places that must agree at an order for a part of it to be sought.
+const MIN_PARTED_AGREE: u32 = 4;
+
+/// Orders that a piece is parted by, at most.
+const MAX_PARTS: usize = 5;
+
+/// Rounds of settling and parting, at most.
+const MAX_ROUNDS: usize = 3;
+
 /// Why a piece has no order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
@@ -84,7 +96,7 @@ pub struct Scene<'a> {
 }
 
 /// What the other cameras have at the sampled places of a piece at one order.
-type Sights = Vec<(u8, Sight)>;
+pub type Sights = Vec<(u8, Sight)>;
 
 /// Sights by view, piece and order, each looked up once.
 type Cache = BTreeMap<(usize, usize, i32), Sights>;
@@ -97,6 +109,8 @@ struct Evidence {
     cameras: f32,
     /// Places on which another camera agrees.
     agree: u32,
+    /// Places at which another camera contradicts.
+    against: u32,
     /// Everything together.
     all: f32,
 }
@@ -104,19 +118,67 @@ struct Evidence {
 /// Settles all pieces of all views.
 pub fn settle(scenes: &mut [Scene<'_>]) {
     for scene in scenes.iter_mut() {
-        for (piece, votes) in scene.pieces.votes.iter().enumerate() {
-            let all: u32 = votes.values().sum();
-            let Some((&order, &most)) = votes.iter().max_by_key(|x| (x.1, x.0)) else { continue };
-            if most >= MIN_VOTES && most as f32 >= MIN_VOTE_SHARE * all as f32 {
-                scene.states[piece] = State { order: Ok(order), margin: most as f32 / FULL_VOTES };
-            }
-        }
+        scene.states = scene.pieces.votes.iter().map(by_marker).collect();
     }
     let mut cache = Cache::new();
-    spread(scenes, &mut cache);
-    if verify(scenes, &mut cache) {
+    for _ in 0..MAX_ROUNDS {
         spread(scenes, &mut cache);
-        verify(scenes, &mut cache);
+        let moved = verify(scenes, &mut cache);
+        let parted = part(scenes, &mut cache);
+        if !moved && !parted {
+            break;
+        }
+    }
+    spread(scenes, &mut cache);
+    verify(scenes, &mut cache);
+}
+
+/// Parts pieces that agree with the other cameras at different orders in different places. Whether there were any.
+fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
+    let mut parted = false;
+    for view in 0..scenes.len() {
+        for piece in 0..scenes[view].states.len() {
+            if scenes[view].px[piece] < MIN_PARTED_PX {
+                continue;
+            }
+            if let Ok(order) = scenes[view].states[piece].order {
+                let own = evidence(scenes, view, piece, order, cache);
+                if own.against * 8 < own.agree {
+                    continue;
+                }
+            }
+            let mut all = weigh(scenes, view, piece, cache);
+            all.retain(|x| x.agree >= MIN_PARTED_AGREE);
+            all.sort_by_key(|x| (std::cmp::Reverse(x.agree), x.order));
+            let orders: Vec<i32> = all.iter().take(MAX_PARTS).map(|x| x.order).collect();
+            if orders.len() < 2 {
+                continue;
+            }
+            let Some(parts) = super::split::parts(scenes, view, piece, &orders) else { continue };
+            let scene = &mut scenes[view];
+            let first = scene.states.len();
+            scene.pieces.part(piece, parts, &scene.witness.cells);
+            let size = |x: &Vec<u32>| x.iter().map(|&x| scene.witness.cells.nodes[x as usize].size).sum();
+            scene.px = scene.pieces.nodes.iter().map(size).collect();
+            scene.states.resize(scene.px.len(), State { order: Err(Refusal::NoEvidence), margin: 0.0 });
+            for new in std::iter::once(piece).chain(first..scene.px.len()) {
+                scene.states[new] = by_marker(&scene.pieces.votes[new]);
+            }
+            *cache = std::mem::take(cache).into_iter().filter(|x| (x.0.0, x.0.1) != (view, piece)).collect();
+            parted = true;
+        }
+    }
+    parted
+}
+
+/// What the marker alone says of a piece.
+fn by_marker(votes: &BTreeMap<i32, u32>) -> State {
+    let all: u32 = votes.values().sum();
+    match votes.iter().max_by_key(|x| (x.1, x.0)) {
+        Some((&order, &most)) if most >= MIN_VOTES && most as f32 >= MIN_VOTE_SHARE * all as f32 => {
+            State { order: Ok(order), margin: most as f32 / FULL_VOTES }
+        }
+        _ => State { order: Err(Refusal::NoEvidence), margin: 0.0 },
     }
 }
 
@@ -168,7 +230,9 @@ fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
                     continue;
                 }
                 let evidence = evidence(scenes, view, piece, order, cache);
-                if evidence.cameras < CONTESTED && worst.is_none_or(|x| evidence.all < x.0) {
+                if (evidence.cameras < CONTESTED || evidence.against > evidence.agree)
+                    && worst.is_none_or(|x| evidence.all < x.0)
+                {
                     worst = Some((evidence.all, view, piece, order));
                 }
             }
@@ -300,6 +364,7 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
         let word = agree as f32 - before as f32 - past_weight * past as f32 - behind_weight * behind as f32;
         found.cameras += word / seen as f32 * (seen as f32 / FULL_WITNESS).min(1.0);
         found.agree += agree;
+        found.against += seen - agree;
     }
     let scene = &scenes[view];
     found.all = found.cameras;
@@ -308,6 +373,10 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
     }
     for (other, contact) in &scene.pieces.contacts[piece] {
         let Ok(settled) = scene.states[*other as usize].order else { continue };
+        // What was parted continues each other by definition.
+        if scene.pieces.origin[*other as usize] == scene.pieces.origin[piece] {
+            continue;
+        }
         for &(turns, good) in &contact.good {
             // The other's phases plus `turns` continue this piece's.
             if settled - turns == order {

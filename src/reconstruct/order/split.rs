@@ -1,0 +1,176 @@
+//! Pieces that have grown over two surfaces, parted by what the other cameras say about their nodes.
+//!
+//! A seam along which two surfaces agree by chance does not show in the view itself. But their nodes agree with the other
+//! cameras at different orders. Nodes whose surroundings clearly agree at one order are seeds of it; from them the orders
+//! spread over the piece, through its wide parts first, so that they meet at its necks.
+
+use super::cells::{CELL_PX, Cells};
+use super::settle::{Scene, look, verdict};
+use super::witness::Verdict;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+
+/// Cells to each side over which the words for and against an order are summed.
+const REACH: usize = 2;
+
+/// Words for an order that make a seed.
+const MIN_FOR: i32 = 4;
+
+/// Words for must outnumber those against, and those for any other order, so many times.
+const LEAD: i32 = 3;
+
+/// Nodes that are asked at most.
+const MAX_ASKED: usize = 1600;
+
+/// Pixel pairs that must continue for an order to spread.
+const SPREAD_PAIRS: u32 = 4;
+
+/// The smallest part, nodes.
+const MIN_PART: usize = 6;
+
+/// Parts a piece of a view into those that agree with the other cameras at different ones of `orders`: for each part its
+/// nodes. `None` where there are no two.
+pub fn parts(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> Option<Vec<Vec<u32>>> {
+    let scene = &scenes[view];
+    let seeds = seeds(scenes, view, piece, orders);
+    let mut found: Vec<usize> = seeds.values().copied().collect();
+    found.sort_unstable();
+    found.dedup();
+    if found.len() < 2 {
+        return None;
+    }
+    let label = spread(scene, piece, &seeds);
+    let mut parts = vec![Vec::new(); orders.len() + 1];
+    for &node in &scene.pieces.nodes[piece] {
+        parts[label.get(&node).map_or(orders.len(), |x| *x)].push(node);
+    }
+    parts.retain(|x| !x.is_empty());
+    let large = parts.iter().filter(|x| x.len() >= MIN_PART).count();
+    (large >= 2).then_some(parts)
+}
+
+/// Nodes that agree with the other cameras, and the place of their order in `orders`.
+fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTreeMap<u32, usize> {
+    let scene = &scenes[view];
+    let nodes = &scene.pieces.nodes[piece];
+    let step = nodes.len().div_ceil(MAX_ASKED).max(1);
+    let asked: Vec<u32> = nodes.iter().step_by(step).copied().collect();
+    let mut words: BTreeMap<(usize, usize), Vec<(i32, i32)>> = BTreeMap::new();
+    let mut sights = Vec::new();
+    for &node in &asked {
+        let cell = words.entry(cell(scene, node)).or_insert_with(|| vec![(0, 0); orders.len()]);
+        for (word, &order) in cell.iter_mut().zip(orders) {
+            sights.clear();
+            if !look(scenes, view, node, order, &mut sights) {
+                word.1 += 1;
+            }
+            let (good, bad) = words_of(scenes, view, &sights);
+            *word = (word.0 + good, word.1 + bad);
+        }
+    }
+    let mut seeds = BTreeMap::new();
+    for &node in &asked {
+        let (x, y) = cell(scene, node);
+        let mut sums = vec![(0, 0); orders.len()];
+        for (_, words) in words
+            .range((x.saturating_sub(REACH), 0)..=(x + REACH, usize::MAX))
+            .filter(|((_, at), _)| at.abs_diff(y) <= REACH)
+        {
+            for (sum, word) in sums.iter_mut().zip(words) {
+                *sum = (sum.0 + word.0, sum.1 + word.1);
+            }
+        }
+        let Some((best, &(good, bad))) = sums.iter().enumerate().max_by_key(|x| (x.1.0, Reverse(x.0))) else {
+            continue;
+        };
+        let second = sums.iter().enumerate().filter(|x| x.0 != best).map(|x| x.1.0).max().unwrap_or(0);
+        if good >= MIN_FOR && good >= LEAD * bad && good >= LEAD * second {
+            seeds.insert(node, best);
+        }
+    }
+    seeds
+}
+
+/// Place of a node in the grid of cells.
+pub fn cell(scene: &Scene<'_>, node: u32) -> (usize, usize) {
+    let pixel = scene.witness.cells.nodes[node as usize].pixel as usize;
+    let width = scene.witness.phase.width();
+    (pixel % width / CELL_PX, pixel / width / CELL_PX)
+}
+
+/// What the other cameras say for and against a place.
+pub fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[(u8, super::witness::Sight)]) -> (i32, i32) {
+    let (mut good, mut bad) = (0, 0);
+    for &(other, sight) in sights {
+        let partner = scenes[usize::from(other)].witness.head == scenes[view].witness.head;
+        match verdict(scenes, other, sight) {
+            Verdict::Agrees => good += 1,
+            Verdict::Before => bad += 1,
+            Verdict::Behind | Verdict::Past => bad += i32::from(partner),
+            Verdict::Nothing => {}
+        }
+    }
+    (good, bad)
+}
+
+/// Spreads the seeds' labels over the piece, from wide parts to narrow ones.
+fn spread(scene: &Scene<'_>, piece: usize, seeds: &BTreeMap<u32, usize>) -> BTreeMap<u32, usize> {
+    let borders = borders(&scene.witness.cells, scene, piece);
+    let clearance = clearance(&borders);
+    let mut label = BTreeMap::new();
+    let mut heap = BinaryHeap::new();
+    for (&node, &seed) in seeds {
+        heap.push((clearance.get(&node).copied().unwrap_or(0), Reverse(0u32), Reverse(node), seed));
+    }
+    while let Some((_, Reverse(distance), Reverse(node), seed)) = heap.pop() {
+        if label.contains_key(&node) {
+            continue;
+        }
+        label.insert(node, seed);
+        for &next in borders.get(&node).map_or(&[][..], Vec::as_slice) {
+            // A seed keeps its own label.
+            if !label.contains_key(&next) && !seeds.contains_key(&next) {
+                let room = clearance.get(&next).copied().unwrap_or(0);
+                heap.push((room, Reverse(distance + 1), Reverse(next), seed));
+            }
+        }
+    }
+    label
+}
+
+/// For each node of a piece, the nodes of it that it continues.
+fn borders(cells: &Cells, scene: &Scene<'_>, piece: usize) -> BTreeMap<u32, Vec<u32>> {
+    let mut borders: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    let of = &scene.pieces.of;
+    for x in &cells.borders {
+        let inside = of[x.a as usize] as usize == piece && of[x.b as usize] as usize == piece;
+        let turns = &scene.pieces.turns;
+        let same = x.turns == turns[x.b as usize] - turns[x.a as usize];
+        if inside && same && x.good >= SPREAD_PAIRS && x.good > x.bad {
+            borders.entry(x.a).or_default().push(x.b);
+            borders.entry(x.b).or_default().push(x.a);
+        }
+    }
+    borders
+}
+
+/// Steps from each node to the nearest that does not continue on all four sides.
+fn clearance(borders: &BTreeMap<u32, Vec<u32>>) -> BTreeMap<u32, u32> {
+    let mut front: Vec<u32> = borders.iter().filter(|x| x.1.len() < 4).map(|x| *x.0).collect();
+    let mut clearance: BTreeMap<u32, u32> = front.iter().map(|x| (*x, 0)).collect();
+    let mut steps = 0;
+    while !front.is_empty() {
+        steps += 1;
+        let mut next = Vec::new();
+        for node in front {
+            for &other in &borders[&node] {
+                if let std::collections::btree_map::Entry::Vacant(slot) = clearance.entry(other) {
+                    slot.insert(steps);
+                    next.push(other);
+                }
+            }
+        }
+        front = next;
+    }
+    clearance
+}
