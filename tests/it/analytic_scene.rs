@@ -12,21 +12,26 @@ use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
 /// First hit of a ray: the point and its outward normal.
-type Hit = Option<(Point3<f64>, Vector3<f64>)>;
+pub type Hit = Option<(Point3<f64>, Vector3<f64>)>;
 
 fn pair(marker: Option<Marker>) -> Pair {
+    pair_of(0, 0, marker)
+}
+
+/// A camera of the shipped rig, distortion added to the projectors.
+pub fn pair_of(head: usize, camera: usize, marker: Option<Marker>) -> Pair {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let mut rig = Rig::load(&path).expect("the shipped rig");
     rig.pattern.marker = marker.unwrap_or(rig.pattern.marker);
     let mut calibration = Calibration::nominal(&rig);
-    calibration.heads[0].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
-    let head = &calibration.heads[0];
-    Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair")
+    calibration.heads[head].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
+    let head = &calibration.heads[head];
+    Pair::new(head, &head.cameras[camera], &calibration).expect("a usable pair")
 }
 
 /// Photographs a convex surface; every second of the projector's pixels is not modelled, its light is a
 /// continuous function of place.
-fn photograph(pair: &Pair, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
+pub fn photograph(pair: &Pair, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
     photograph_painted(pair, surface, |_| 1.0, &[0.0])
 }
 
@@ -57,7 +62,8 @@ fn photograph_painted(
     image
 }
 
-fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
+/// A ball.
+pub fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
     move |ray| {
         let along = (centre - ray.origin).dot(&ray.direction);
         let nearest = (ray.at(along) - centre).norm_squared();

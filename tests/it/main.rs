@@ -2,6 +2,7 @@
 
 mod analytic_scene;
 mod architecture;
+mod bad_frames;
 mod bad_photographs;
 mod board_photographs;
 mod board_to_plane;
@@ -43,6 +44,7 @@ mod refusals;
 mod session_faults;
 mod shared_calibration;
 mod shared_scene;
+mod simd_paths;
 mod third_party_camera;
 mod third_party_loss;
 mod third_party_mcap;
