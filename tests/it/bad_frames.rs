@@ -13,6 +13,9 @@ use fourdbody::reconstruct::triangulate::Triangulator;
 use nalgebra::Point3;
 use std::sync::OnceLock;
 
+/// Makes a calibration unusable.
+type Spoil = fn(&mut Calibration);
+
 const RADIUS_M: f64 = 0.20;
 /// Further from the ball than this is wrong, m.
 const WRONG_M: f64 = 0.005;
@@ -198,7 +201,7 @@ fn crosstalk_of_a_neighbour_makes_no_wrong_points() {
 #[test]
 fn numbers_that_are_none_in_a_calibration_are_refused() {
     let calibration = nominal();
-    let broken: [(&str, fn(&mut Calibration)); 6] = [
+    let broken: [(&str, Spoil); 6] = [
         ("focal length", |c| c.heads[0].cameras[0].device.lens.fx = f64::NAN),
         ("principal point", |c| c.heads[0].cameras[0].device.lens.cx = f64::INFINITY),
         ("distortion", |c| c.heads[0].cameras[0].device.lens.distortion[1] = f64::NAN),
