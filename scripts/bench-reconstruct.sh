@@ -44,11 +44,13 @@ for scene in $scenes; do
     $bin/fourdbody-sim export-png --frames "$here/light" --out "$here/images"
     $bin/fourdbody import --rig "$here/light/rig.toml" --images "$here/images" --out "$here/session"
     $bin/fourdbody reconstruct "$here/session" --calibration "$here/light/calibration.json" --out "$here/clouds" \
-        >"$out/scores/$scene.txt" || [ $? -eq 3 ]
+        --json >"$out/runs/$scene.summary" || [ $? -eq 3 ]
+    # Only some scenes have a truth.
+    ls "$here"/light/truth/*.npz >/dev/null 2>&1 || continue
     $bin/fourdbody validate truth --clouds "$here/clouds" --truth "$here/light/truth" \
         --calibration "$here/light/calibration.json" --images "$here/session" --json >"$out/scores/$scene.json"
-    rm -rf "$here/clouds"
 done
+for scene in $scenes; do rm -rf "$out/$scene/clouds"; done
 
 # Turn by turn, so that what else the machine does is spread over all.
 for run in $(seq "$repeat"); do

@@ -38,14 +38,16 @@ def slope_and_base(pairs):
     return slope, mean_y - slope * mean_x
 
 
+def points_per_frame(args, scene):
+    made = json.loads((args.runs / f"{scene}.summary").read_text())
+    return made["merged_points"] / made["frames"]
+
+
 def add_scene(summary, args, scene):
-    """Time of one scene beside the number of its lit pixels."""
+    """Time of one scene beside the number of its points; views without any (the back of a board) are frames, too."""
     runs = runs_of(args.runs, "one", scene)
-    score = json.loads((args.scores / f"{scene}.json").read_text())
-    frames = runs[0]["timings"]["frames"]
     median_and_least(summary, f"{scene}_ms_per_frame_1_thread", [per_frame(run) for run in runs])
-    summary[f"{scene}_lit_px_per_frame"] = score["directional"]["lit_px"] / frames
-    summary[f"{scene}_points_per_frame"] = score["directional"]["points"] / frames
+    summary[f"{scene}_points_per_frame"] = points_per_frame(args, scene)
 
 
 def add_body(summary, args):
@@ -70,7 +72,7 @@ def add_body(summary, args):
         values = [per_frame(run) for run in runs_of(args.runs, kind, body)]
         if values:
             median_and_least(summary, f"pipeline_{kind}_ms_per_frame_1_thread", values)
-    summary["points_per_frame"] = score["points"] / runs[0]["timings"]["frames"]
+    summary["points_per_frame"] = points_per_frame(args, body)
     summary["completeness_of_lit"] = score["completeness_of_lit"]
     summary["wrong_order_share"] = score["wrong_order_share"]
     summary["body_robust_mm"] = score["robust_mm"]
@@ -121,12 +123,12 @@ def main():
     summary = {"commit": args.commit, "machine": machine(), "seed": seed, "load_1_min": os.getloadavg()[0]}
     summary["repetitions"] = len(runs_of(args.runs, "one", args.body))
     add_body(summary, args)
-    scenes = sorted(path.stem for path in args.scores.glob("*.json"))
+    scenes = sorted(path.stem for path in args.runs.glob("*.summary"))
     for scene in scenes:
         add_scene(summary, args, scene)
-    pairs = [(1e-6 * summary[f"{s}_lit_px_per_frame"], summary[f"{s}_ms_per_frame_1_thread_least"]) for s in scenes]
+    pairs = [(1e-6 * summary[f"{s}_points_per_frame"], summary[f"{s}_ms_per_frame_1_thread_least"]) for s in scenes]
     if len(pairs) > 1:
-        summary["ms_per_million_lit_px"], summary["ms_per_frame_without_object"] = slope_and_base(pairs)
+        summary["ms_per_million_points"], summary["ms_per_frame_without_points"] = slope_and_base(pairs)
     for path, add in ((args.peers, add_peers), (args.real, add_real)):
         if path.exists():
             add(summary, path)

@@ -134,6 +134,9 @@ def phase_error(found, true, where):
 def figures(error, where):
     """RMS, robust spread (1.4826 MAD), 95 %, share beyond 0.3 rad, and share of `where` that has a phase."""
     known = error[where & np.isfinite(error)]
+    if known.size == 0:
+        keys = ("rms_rad", "robust_rad", "p95_rad", "beyond_0_3_rad_share")
+        return dict.fromkeys(keys, float("nan")) | {"coverage": 0.0}
     size = np.abs(known)
     return {
         "rms_rad": float(np.sqrt(np.mean(known**2))),

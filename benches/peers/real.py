@@ -21,7 +21,10 @@ def ours(program, image, period):
     with tempfile.TemporaryDirectory() as folder:
         picture, maps = Path(folder) / "image.png", Path(folder) / "maps.npz"
         cv2.imwrite(str(picture), image)
-        answer = subprocess.run([program, picture, maps, "--period", str(period)], check=True, capture_output=True)
+        answer = subprocess.run([program, picture, maps, "--period", str(period)], capture_output=True, text=True)
+        if answer.returncode != 0:
+            print(f"fourdbody refuses a photograph: {answer.stderr.strip()}")
+            return np.full(image.shape, np.nan), {}
         stages = json.loads(answer.stdout)["stages"]
         with np.load(maps) as file:
             return file["wrapped"].astype(float), stages

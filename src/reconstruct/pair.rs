@@ -56,6 +56,14 @@ impl Pair {
                 camera.id
             ));
         }
+        let marker_period_px = pattern.marker_period_px / along[1].abs().max(1e-3);
+        // What filters the marker is as long as this.
+        if !(2.0..=200.0).contains(&marker_period_px) {
+            return Err(format!(
+                "camera {}: expected a marker that changes along itself with a period of 2 to 200 px in the image, found {marker_period_px:.1} px; check the pattern's marker_period_px",
+                camera.id
+            ));
+        }
         let marker_contrast = match pattern.marker {
             // Mean 1 - depth / 2, amplitude depth / 2.
             Marker::Darkened { depth } => depth / 2.0 / (1.0 - depth / 2.0),
@@ -66,7 +74,7 @@ impl Pair {
             projector: head.projector.clone(),
             sign: across[0].signum() as f32,
             period_px: period_px as f32,
-            marker_period_px: (pattern.marker_period_px / along[1].abs().max(1e-3)) as f32,
+            marker_period_px: marker_period_px as f32,
             marker_contrast: marker_contrast as f32,
             markers: pattern.markers(head.projector.width),
             pattern,

@@ -12,25 +12,30 @@ use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
 /// First hit of a ray: the point and its outward normal.
-type Hit = Option<(Point3<f64>, Vector3<f64>)>;
+pub type Hit = Option<(Point3<f64>, Vector3<f64>)>;
 
 fn pair(marker: Option<Marker>) -> Pair {
-    pair_with(|pattern| pattern.marker = marker.unwrap_or(pattern.marker))
+    pair_of(0, 0, marker)
 }
 
-fn pair_with(change: impl FnOnce(&mut Pattern)) -> Pair {
+/// A camera of the shipped rig, distortion added to the projectors.
+pub fn pair_of(head: usize, camera: usize, marker: Option<Marker>) -> Pair {
+    pair_with((head, camera), |pattern| pattern.marker = marker.unwrap_or(pattern.marker))
+}
+
+fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) -> Pair {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let mut rig = Rig::load(&path).expect("the shipped rig");
     change(&mut rig.pattern);
     let mut calibration = Calibration::nominal(&rig);
-    calibration.heads[0].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
-    let head = &calibration.heads[0];
-    Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair")
+    calibration.heads[head].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
+    let head = &calibration.heads[head];
+    Pair::new(head, &head.cameras[camera], &calibration).expect("a usable pair")
 }
 
 /// Photographs a convex surface; every second of the projector's pixels is not modelled, its light is a
 /// continuous function of place.
-fn photograph(pair: &Pair, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
+pub fn photograph(pair: &Pair, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
     photograph_painted(pair, surface, |_| 1.0, &[0.0])
 }
 
@@ -61,7 +66,8 @@ fn photograph_painted(
     image
 }
 
-fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
+/// A ball.
+pub fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
     move |ray| {
         let along = (centre - ray.origin).dot(&ray.direction);
         let nearest = (ray.at(along) - centre).norm_squared();
@@ -164,7 +170,7 @@ fn a_sphere_beside_the_marker_is_refused() {
 fn several_markers_reach_what_one_does_not() {
     for marker in [Marker::ZeroMean { amplitude: 0.3 }, Marker::Darkened { depth: 0.8 }] {
         for height in [0.45, 1.0, 1.45] {
-            let pair = pair_with(|pattern| (pattern.marker, pattern.marker_every) = (marker, 41));
+            let pair = pair_with((0, 0), |pattern| (pattern.marker, pattern.marker_every) = (marker, 41));
             assert_eq!(pair.markers, [39, 80, 121]);
             let centre = Point3::new(0.0, 0.0, height);
             let image = photograph(&pair, sphere(centre, 0.20));

@@ -3,6 +3,7 @@
 mod analytic_scene;
 mod architecture;
 mod back_end;
+mod bad_frames;
 mod bad_photographs;
 mod board_photographs;
 mod board_to_plane;
@@ -44,6 +45,7 @@ mod refusals;
 mod session_faults;
 mod shared_calibration;
 mod shared_scene;
+mod simd_paths;
 mod third_party_camera;
 mod third_party_loss;
 mod third_party_mcap;

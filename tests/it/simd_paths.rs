@@ -1,0 +1,96 @@
+//! The same bytes from any number of threads, any shard and any width of vectors.
+//!
+//! Two photographs of a mannequin by each camera of one head at half size, reconstructed by child processes: the width is
+//! chosen once per process.
+
+use fourdbody::config::Rig;
+use fourdbody_simulator::cache::{CachedImages, Manifest};
+use fourdbody_simulator::scenario::Scenario;
+use fourdbody_simulator::sequence::{Changes, Run};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Everything that a run leaves beside its summary, by name.
+type Files = BTreeMap<String, Vec<u8>>;
+
+/// Renders the light; returns the images' directory.
+fn render(dir: &Path) -> PathBuf {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/scenarios/poses/arms_crossed.toml");
+    let mut scenario = Scenario::load(&path).expect("a valid scenario");
+    scenario.optics.exposure_samples = 1;
+    let mut rig = Rig::load(&scenario.rig).expect("a valid rig");
+    rig.heads.truncate(1);
+    let changes = Changes { size_divisor: 2, instants: Some(2), ..Changes::default() };
+    Run::new(scenario, &rig, &changes).expect("fits").render(dir, |_, _| {}).expect("rendered");
+    let (manifest, images) = (Manifest::load(dir).expect("complete"), dir.join("images"));
+    for camera in &manifest.cameras {
+        let (cached, folder) = (
+            CachedImages::open(dir, &manifest, &camera.id).expect("complete"),
+            images.join(camera.id.as_str()),
+        );
+        std::fs::create_dir_all(&folder).expect("writable");
+        for instant in 0..2 {
+            let image = cached.image(instant).expect("an image");
+            fourdbody::image::write_png_grey(&folder.join(format!("{instant:06}.png")), image)
+                .expect("writable");
+        }
+    }
+    images
+}
+
+/// Reconstructs into `dir/name`, once for each list of options.
+fn reconstruct(dir: &Path, name: &str, simd: Option<&str>, options: &[&[&str]]) -> Files {
+    let out = dir.join(name);
+    for options in options {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fourdbody"));
+        command.args(["reconstruct".as_ref(), dir.join("images").as_os_str(), "--calibration".as_ref()]);
+        command.args([dir.join("calibration.json").as_os_str(), "--out".as_ref(), out.as_os_str()]);
+        command.args(*options).env_remove("FOURDBODY_SIMD");
+        if let Some(simd) = simd {
+            command.env("FOURDBODY_SIMD", simd);
+        }
+        let made = command.output().expect("starts");
+        assert!(made.status.success(), "{name}: {}", String::from_utf8_lossy(&made.stderr));
+    }
+    let mut files = Files::new();
+    for folder in ["clouds", "merged"] {
+        for entry in std::fs::read_dir(out.join(folder)).expect("a directory") {
+            let path = entry.expect("an entry").path();
+            let name = format!("{folder}/{}", path.file_name().expect("a name").to_string_lossy());
+            files.insert(name, std::fs::read(path).expect("readable"));
+        }
+    }
+    files
+}
+
+#[test]
+fn threads_shards_and_vectors_give_the_same_bytes() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    render(dir.path());
+    let run = |name: &str, simd, options: &[&[&str]]| reconstruct(dir.path(), name, simd, options);
+    let one = run("one", None, &[&["--jobs", "1"]]);
+    assert_eq!(one.len(), 6, "{:?}", one.keys());
+    assert!(one.values().map(Vec::len).sum::<usize>() > 1_000_000, "there is something to compare");
+    let shards: [&[&str]; 2] = [&["--shard", "0/2", "--jobs", "1"], &["--shard", "1/2", "--jobs", "2"]];
+    let paper: [&[&str]; 1] = [&["--jobs", "1", "--method", "paper"]];
+    let two = |simd| run(simd, Some(simd), &[&["--jobs", "2"]]);
+    for (name, files) in [
+        ("two threads", run("two", None, &[&["--jobs", "2"]])),
+        ("two shards", run("shards", None, &shards)),
+        ("portable", two("portable")),
+        ("avx2", two("avx2")),
+        ("avx512", two("avx512")),
+    ] {
+        assert_same(name, &one, &files);
+    }
+    let plain = run("paper", None, &paper);
+    assert_same("paper, portable", &plain, &run("paper-portable", Some("portable"), &paper));
+}
+
+fn assert_same(name: &str, expected: &Files, found: &Files) {
+    assert!(expected.keys().eq(found.keys()), "{name}: {:?}", found.keys());
+    for (file, bytes) in expected {
+        assert!(found[file] == *bytes, "{name}: {file} differs");
+    }
+}
