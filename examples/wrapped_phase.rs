@@ -93,6 +93,7 @@ fn side_by_side(width: usize, height: usize, period_px: f64) -> Result<Pair, Fai
         period_px,
         // Beyond the panel: these photographs have no marker.
         marker_index: 1_000_000,
+        marker_every: 0,
         marker: Marker::Darkened { depth: 0.8 },
         marker_period_px: period_px,
         low: 0.0,

@@ -190,7 +190,6 @@ fn runs_of_row<'a>(map: &'a PhaseMap, next: &mut usize, v: usize) -> &'a [Run] {
 
 /// The points of a row. `phase` begins with its pixels; returns how many these are.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "the parts of the scratch are borrowed one by one")]
 fn points<const SCALE: bool>(
     table: &RayTable,
     v: usize,

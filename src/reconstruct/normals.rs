@@ -55,10 +55,10 @@ pub(super) struct Oriented {
 pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Oriented {
     let centre = rows[2].at(place);
     let mut limit = [0f32; LANES];
-    for i in 0..LANES {
+    for (i, limit) in limit.iter_mut().enumerate() {
         let sight = from(table.centre, &centre, i);
         let spacing = MAX_STRETCH * dot(sight, table.forward) / table.focal_px;
-        limit[i] = spacing * spacing;
+        *limit = spacing * spacing;
     }
     let [far, near] = REACH_PX;
     let ends = |k: usize| [rows[2].at(place - k), rows[2].at(place + k)];

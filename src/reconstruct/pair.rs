@@ -1,7 +1,7 @@
 //! One camera with the projector of its head: what the phase pipeline must know of the geometry.
 
 use crate::calibrate::{CalibratedCamera, CalibratedHead, Calibration};
-use crate::geometry::Device;
+use crate::geometry::{Device, Ray};
 use crate::pattern::{Marker, Pattern};
 use nalgebra::{Point3, Vector3};
 
@@ -83,9 +83,8 @@ impl Pair {
         })
     }
 
-    /// Least and largest projector column that the ray of pixel (u, v) meets within the volume, px; `None` where it
-    /// misses the volume or the projector does not see what it meets.
-    pub fn columns_in_volume(&self, u: usize, v: usize) -> Option<[f64; 2]> {
+    /// The ray of pixel (u, v), and the distances, m, between which it is in the volume; `None` where it misses it.
+    pub fn distances_in_volume(&self, u: usize, v: usize) -> Option<(Ray, [f64; 2])> {
         let ray = self.camera.ray(u as f64, v as f64)?;
         let (from, to) = (ray.at(0.0), ray.at(1.0));
         let (mut near, mut far) = (NEAREST_M, f64::INFINITY);
@@ -94,12 +93,16 @@ impl Pair {
                 [self.volume_min_m[i], self.volume_max_m[i]].map(|x| (x - from[i]) / (to[i] - from[i]));
             (near, far) = (near.max(ends[0].min(ends[1])), far.min(ends[0].max(ends[1])));
         }
-        if near > far {
-            return None;
-        }
-        let column = |distance: f64| self.projector.project(&ray.at(distance)).map(|[column, _]| column);
-        let (a, b) = (column(near)?, column(far)?);
-        Some([a.min(b), a.max(b)])
+        (near <= far).then_some((ray, [near, far]))
+    }
+
+    /// Least and largest projector column that the ray of pixel (u, v) meets within the volume, px; `None` where it
+    /// misses the volume or the projector does not see what it meets.
+    pub fn columns_in_volume(&self, u: usize, v: usize) -> Option<[f64; 2]> {
+        let (ray, distances) = self.distances_in_volume(u, v)?;
+        let [near, far] = distances.map(|x| self.projector.project(&ray.at(x)).map(|[column, _]| column));
+        let (near, far) = (near?, far?);
+        Some([near.min(far), near.max(far)])
     }
 
     /// Whether a world point lies in the volume.

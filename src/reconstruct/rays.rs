@@ -119,8 +119,7 @@ impl RayTable {
                 let px = self.centre[0] + depth * dx;
                 let py = self.centre[1] + depth * dy;
                 let pz = self.centre[2] + depth * dz;
-                let good = (s >= -1.0)
-                    & (s < 1.0)
+                let good = (s.abs() < 1.0)
                     & (w > 0.0)
                     & (px >= x0)
                     & (px <= x1)

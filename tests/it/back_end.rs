@@ -124,7 +124,17 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
         let run = |name: &str, format| {
             let cameras = cameras.clone();
             let (method, shard, out) = (Method::Anchored, (0, 1), out(name));
-            let plan = Plan { out, triggers: 0..1, cameras, shard, method, format, uncertainty, maps: None };
+            let plan = Plan {
+                out,
+                triggers: 0..1,
+                cameras,
+                shard,
+                method,
+                format,
+                uncertainty,
+                maps: None,
+                discard: false,
+            };
             let (summary, _) = batch::run(&source, &calibration, &plan, |_| ()).expect("runs");
             if format == Format::Ply {
                 let path = plan.out.join("sequence.mcap");

@@ -124,7 +124,7 @@ fn scene<'a>(view: &'a View<'_>) -> Scene<'a> {
         }
     }
     let cells = Cells::new(&phase, prepared.period(), pair.sign);
-    let votes = votes(&cells, &phase, &prepared.marker, pair.pattern.marker_index as i32);
+    let votes = votes(&cells, &phase, &prepared.marker, &pair.markers);
     let pieces = Pieces::new(&cells, &votes, settle::MIN_VOTES);
     let px =
         pieces.nodes.iter().map(|nodes| nodes.iter().map(|&x| cells.nodes[x as usize].size).sum()).collect();
@@ -135,12 +135,13 @@ fn scene<'a>(view: &'a View<'_>) -> Scene<'a> {
 }
 
 /// The orders that marker pixels give their nodes: node, order, pixels.
-fn votes(cells: &Cells, phase: &Plane<f32>, marker: &Plane<u8>, marker_index: i32) -> Vec<(u32, i32, u32)> {
+fn votes(cells: &Cells, phase: &Plane<f32>, marker: &Plane<u8>, markers: &[u32]) -> Vec<(u32, i32, u32)> {
     let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
     let pixels = marker.as_slice().iter().zip(phase.as_slice()).zip(cells.node.as_slice());
-    for ((_, phase), node) in pixels.filter(|((marker, _), node)| **marker != 0 && **node != 0) {
+    for ((marker, phase), node) in pixels.filter(|((marker, _), node)| **marker != 0 && **node != 0) {
         // On the marker's core the wrapped phase is small: the nearest whole turn is the node's own.
-        *votes.entry((node - 1, marker_index - (phase / TAU).round() as i32)).or_default() += 1;
+        let order = markers[usize::from(marker - 1)] as i32 - (phase / TAU).round() as i32;
+        *votes.entry((node - 1, order)).or_default() += 1;
     }
     votes.into_iter().map(|((node, order), n)| (node, order, n)).collect()
 }

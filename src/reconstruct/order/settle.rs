@@ -223,9 +223,9 @@ fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
     let mut changed = false;
     loop {
         let mut worst: Option<(f32, usize, usize, i32)> = None;
-        for view in 0..scenes.len() {
-            for piece in 0..scenes[view].states.len() {
-                let Ok(order) = scenes[view].states[piece].order else { continue };
+        for (view, scene) in scenes.iter().enumerate() {
+            for (piece, state) in scene.states.iter().enumerate() {
+                let Ok(order) = state.order else { continue };
                 if tried[view][piece] {
                     continue;
                 }
