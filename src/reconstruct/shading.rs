@@ -174,12 +174,13 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn a_gradient_of_light_costs_little(period in 7.0f32..16.0, change in 0.15f32..0.35, up in proptest::bool::ANY, rising in proptest::bool::ANY) {
+        fn a_gradient_of_light_costs_little(period in 7.0f32..16.0, change in 0.18f32..0.35, up in proptest::bool::ANY, rising in proptest::bool::ANY) {
             let (sign, change) = (if up { 1.0 } else { -1.0 }, if rising { change } else { -change });
             let light = |u: f32| 110.0 * (change * (u - 60.0) / period).exp().clamp(0.3, 2.0);
             let [before, after] = worst(period, sign, 50..70, light);
-            // Rounding and interpolation leave up to 0.02 rad to one row; 600 cases: at most 0.42 of before.
-            prop_assert!(before > 0.03 && after < 0.5 * before && after < 0.03, "{before} {after}");
+            // Rounding and interpolation leave up to 0.02 rad to one row, half of what 0.16 costs; from 0.18 on, 8000
+            // cases: at most 0.35 of before, and at least 0.047 before.
+            prop_assert!(before > 0.04 && after < 0.45 * before && after < 0.03, "{before} {after}");
         }
     }
 

@@ -9,6 +9,7 @@
 //! fringe order is never guessed.
 
 use super::pair::Pair;
+use super::simd;
 use crate::image::Plane;
 use std::f32::consts::{PI, TAU};
 
@@ -86,20 +87,14 @@ pub fn unwrap(
     settings: &Settings,
 ) -> Unwrapped {
     let costs = Costs::new(wrapped, period, misfit, pair.sign);
-    let edges = costs.sorted_edges(settings);
+    let edges = costs.sorted_edges(wrapped, period, settings);
     let mut forest = Forest::new(anchor, &pair.markers);
     let phase = wrapped.as_slice();
-    let width = wrapped.width();
     let mut contradictions = 0;
     for edge in edges {
-        let (a, vertical) = ((edge >> 1) as usize, edge & 1 == 1);
-        let b = if vertical { a + width } else { a + 1 };
-        let step = phase[b] - phase[a];
-        let expected = if vertical { 0.0 } else { costs.expected(period, a) };
-        let turns = nearest((expected - step) / TAU);
-        let doubtful = costs.at(a, vertical) > settings.doubtful_residual
-            || costs.stretch_at(a, vertical) > settings.doubtful_stretch;
-        contradictions += usize::from(!forest.merge(a, b, turns, doubtful, settings));
+        let a = edge.pixel();
+        let b = if edge.is_vertical() { a + wrapped.width() } else { a + 1 };
+        contradictions += usize::from(!forest.merge(a, b, edge.turns(), edge.is_doubtful(), settings));
     }
     let mut refused_px = 0;
     let mut absolute = Plane::filled(wrapped.width(), wrapped.height(), f32::NAN);
@@ -151,17 +146,23 @@ impl Costs {
         let mut right = Plane::filled(w, h, f32::NAN);
         let mut down = Plane::filled(w, h, f32::NAN);
         let carrier = sign * TAU;
-        for v in 0..h {
-            let (row, p) = (wrapped.row(v), period.row(v));
-            for (u, out) in right.row_mut(v).iter_mut().enumerate().take(w.saturating_sub(1)) {
-                *out = wrap(row[u + 1] - row[u] - 2.0 * carrier / (p[u] + p[u + 1]));
-            }
-            if v + 1 < h {
-                for ((out, a), b) in down.row_mut(v).iter_mut().zip(row).zip(wrapped.row(v + 1)) {
-                    *out = wrap(b - a);
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for v in 0..h {
+                    let (row, p) = (wrapped.row(v), period.row(v));
+                    let (steps, periods) = (row.windows(2), p.windows(2));
+                    for ((out, x), p) in right.row_mut(v).iter_mut().zip(steps).zip(periods) {
+                        *out = wrap(x[1] - x[0] - 2.0 * carrier / (p[0] + p[1]));
+                    }
+                    if v + 1 < h {
+                        for ((out, a), b) in down.row_mut(v).iter_mut().zip(row).zip(wrapped.row(v + 1)) {
+                            *out = wrap(b - a);
+                        }
+                    }
                 }
-            }
-        }
+            },
+        );
         let (right, right_stretch) = cost(&right, ALONG_RIGHT);
         let (down, down_stretch) = cost(&down, ALONG_DOWN);
         let mut costs = Self { right, down, right_stretch, down_stretch, carrier };
@@ -173,28 +174,13 @@ impl Costs {
         costs
     }
 
-    fn at(&self, pixel: usize, vertical: bool) -> f32 {
-        if vertical { self.down.as_slice()[pixel] } else { self.right.as_slice()[pixel] }
-    }
-
-    fn stretch_at(&self, pixel: usize, vertical: bool) -> f32 {
-        if vertical { self.down_stretch.as_slice()[pixel] } else { self.right_stretch.as_slice()[pixel] }
-    }
-
-    /// The step that the period predicts between a pixel and the next in its row.
-    fn expected(&self, period: &Plane<f32>, pixel: usize) -> f32 {
-        let p = period.as_slice();
-        2.0 * self.carrier / (p[pixel] + p[pixel + 1])
-    }
-
-    /// Edges as `2 * pixel + (down ? 1 : 0)`, by rising cost; ties in the order of the pixels.
-    fn sorted_edges(&self, settings: &Settings) -> Vec<u32> {
+    /// The edges by rising cost; ties in the order of the pixels.
+    fn sorted_edges(&self, wrapped: &Plane<f32>, period: &Plane<f32>, settings: &Settings) -> Vec<Edge> {
         // The cast takes what is negative to 0.
         let bucket = |cost: f32| ((cost - SURE_RAD) / BUCKET_RAD) as usize;
         let buckets = bucket(settings.max_residual) + 1;
         let mut start = vec![0u32; buckets + 1];
-        let right = self.right.as_slice();
-        let down = self.down.as_slice();
+        let (right, down) = (self.right.as_slice(), self.down.as_slice());
         for &cost in right.iter().chain(down) {
             if cost <= settings.max_residual {
                 start[bucket(cost) + 1] += 1;
@@ -203,12 +189,24 @@ impl Costs {
         for i in 0..buckets {
             start[i + 1] += start[i];
         }
-        let mut edges = vec![0u32; start[buckets] as usize];
+        let stretches = [self.right_stretch.as_slice(), self.down_stretch.as_slice()];
+        let (phase, period) = (wrapped.as_slice(), period.as_slice());
+        let mut edges = vec![Edge(0); start[buckets] as usize];
         for pixel in 0..right.len() {
-            for (cost, bit) in [(right[pixel], 0), (down[pixel], 1)] {
+            for (cost, stretch, vertical) in
+                [(right[pixel], stretches[0][pixel], false), (down[pixel], stretches[1][pixel], true)]
+            {
                 if cost <= settings.max_residual {
+                    // The step that the period predicts to the next in the row; none down the column.
+                    let (next, expected) = if vertical {
+                        (pixel + wrapped.width(), 0.0)
+                    } else {
+                        (pixel + 1, 2.0 * self.carrier / (period[pixel] + period[pixel + 1]))
+                    };
+                    let turns = nearest((expected - (phase[next] - phase[pixel])) / TAU);
+                    let doubtful = cost > settings.doubtful_residual || stretch > settings.doubtful_stretch;
                     let place = &mut start[bucket(cost)];
-                    edges[*place as usize] = (2 * pixel + bit) as u32;
+                    edges[*place as usize] = Edge::new(pixel, vertical, doubtful, turns);
                     *place += 1;
                 }
             }
@@ -217,75 +215,138 @@ impl Costs {
     }
 }
 
+/// An edge in one word: everything that a merge must know, so that it looks nowhere else.
+#[derive(Clone, Copy)]
+struct Edge(u32);
+
+impl Edge {
+    /// From `pixel` to the right or down, over `turns` whole turns: -1, 0 or 1, because phases are wrapped.
+    fn new(pixel: usize, vertical: bool, doubtful: bool, turns: i32) -> Self {
+        Self((pixel as u32) << 4 | ((turns + 1) as u32) << 2 | u32::from(doubtful) << 1 | u32::from(vertical))
+    }
+
+    fn pixel(self) -> usize {
+        (self.0 >> 4) as usize
+    }
+
+    fn turns(self) -> i32 {
+        (self.0 >> 2 & 3) as i32 - 1
+    }
+
+    fn is_doubtful(self) -> bool {
+        self.0 & 2 != 0
+    }
+
+    fn is_vertical(self) -> bool {
+        self.0 & 1 != 0
+    }
+}
+
 /// How far each step is from the local mean step, averaged along the boundary: the larger of that mean and of
 /// the edge's own. Second, the mean over a wider stretch.
 fn cost(step: &Plane<f32>, along: (usize, usize)) -> (Plane<f32>, Plane<f32>) {
-    let mean = box_mean_of_known(step, MEAN_STEP_BOX);
+    let mean = box_mean(&packed(step), MEAN_STEP_BOX);
     let mut own = step.clone();
-    for (x, mean) in own.as_mut_slice().iter_mut().zip(mean.as_slice()) {
-        *x = wrap(*x - mean).abs();
-    }
-    let averaged = box_mean_of_known(&own, along);
-    let stretch = box_mean_of_known(&own, STRETCH);
-    for (x, averaged) in own.as_mut_slice().iter_mut().zip(averaged.as_slice()) {
-        // NaN stays: there is no edge.
-        if *x < *averaged {
-            *x = *averaged;
-        }
-    }
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for (x, mean) in own.as_mut_slice().iter_mut().zip(mean.as_slice()) {
+                *x = wrap(*x - mean).abs();
+            }
+        },
+    );
+    let values = packed(&own);
+    let averaged = box_mean(&values, along);
+    let stretch = box_mean(&values, STRETCH);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for (x, averaged) in own.as_mut_slice().iter_mut().zip(averaged.as_slice()) {
+                // NaN stays: there is no edge.
+                *x = if *x < *averaged { *averaged } else { *x };
+            }
+        },
+    );
     (own, stretch)
 }
 
-/// Mean of the values that are not NaN in a box of +-`half` (columns, rows); 0 where there are none.
-fn box_mean_of_known(values: &Plane<f32>, half: (usize, usize)) -> Plane<f32> {
+/// Bits of a packed sum that count its values: boxes have fewer than 512 pixels.
+const COUNT_BITS: u32 = 9;
+
+/// A whole number of thousandths (1024ths) and a count of one in the same word; 0 for NaN. Sums of them are sums of both, and
+/// what is added and taken off again cancels exactly. A box of [`STRETCH`] with pi in every pixel is below 2^31.
+fn packed(values: &Plane<f32>) -> Plane<i32> {
+    let mut out = Plane::filled(values.width(), values.height(), 0i32);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for (out, &x) in out.as_mut_slice().iter_mut().zip(values.as_slice()) {
+                let whole = (nearest(x * 1024.0) << COUNT_BITS) | 1;
+                *out = if x.is_nan() { 0 } else { whole };
+            }
+        },
+    );
+    out
+}
+
+/// Mean of the packed values in a box of +-`half` (columns, rows); 0 where there are none.
+fn box_mean(values: &Plane<i32>, half: (usize, usize)) -> Plane<f32> {
     let (w, h) = (values.width(), values.height());
     let mut out = Plane::filled(w, h, 0f32);
-    // Sums over the rows of the box, kept up to date as the box moves down. Whole thousandths, so that what
-    // is added and taken off again cancels exactly.
-    let mut sums = vec![(0i32, 0i32); w];
-    let add = |sums: &mut [(i32, i32)], row: &[f32], sign: i32| {
-        for (sum, &x) in sums.iter_mut().zip(row) {
-            if !x.is_nan() {
-                sum.0 += sign * nearest(x * 1024.0);
-                sum.1 += sign;
+    // Sums over the rows of the box, kept up to date as the box moves down.
+    let mut sums = vec![0i32; w];
+    // Running sums along the row with `half` columns of nothing before, and of the last sum behind.
+    let mut running = vec![0i32; w + 2 * half.0 + 1];
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..half.1.min(h) {
+                add(&mut sums, values.row(v));
             }
-        }
-    };
-    for v in 0..half.1.min(h) {
-        add(&mut sums, values.row(v), 1);
-    }
-    for v in 0..h {
-        if v + half.1 < h {
-            add(&mut sums, values.row(v + half.1), 1);
-        }
-        if v > half.1 {
-            add(&mut sums, values.row(v - half.1 - 1), -1);
-        }
-        let (mut sum, mut count) = (0i32, 0i32);
-        for x in &sums[..half.0.min(w)] {
-            (sum, count) = (sum + x.0, count + x.1);
-        }
-        for (u, out) in out.row_mut(v).iter_mut().enumerate() {
-            if let Some(x) = sums.get(u + half.0) {
-                (sum, count) = (sum + x.0, count + x.1);
+            for v in 0..h {
+                if v + half.1 < h {
+                    add(&mut sums, values.row(v + half.1));
+                }
+                if v > half.1 {
+                    take(&mut sums, values.row(v - half.1 - 1));
+                }
+                let mut sum = 0i32;
+                for (running, x) in running[half.0 + 1..].iter_mut().zip(&sums) {
+                    sum = sum.wrapping_add(*x);
+                    *running = sum;
+                }
+                running[half.0 + 1 + w..].fill(sum);
+                let ends = running.iter().zip(&running[2 * half.0 + 1..]);
+                for (out, (before, last)) in out.row_mut(v).iter_mut().zip(ends) {
+                    let packed = last.wrapping_sub(*before);
+                    let count = packed & ((1 << COUNT_BITS) - 1);
+                    *out = (packed >> COUNT_BITS) as f32 / (1024 * count.max(1)) as f32;
+                }
             }
-            if u > half.0 {
-                let x = sums[u - half.0 - 1];
-                (sum, count) = (sum - x.0, count - x.1);
-            }
-            *out = sum as f32 / (1024.0 * count.max(1) as f32);
-        }
-    }
+        },
+    );
     out
+}
+
+#[inline(always)]
+fn add(sums: &mut [i32], row: &[i32]) {
+    sums.iter_mut().zip(row).for_each(|(sum, x)| *sum = sum.wrapping_add(*x));
+}
+
+#[inline(always)]
+fn take(sums: &mut [i32], row: &[i32]) {
+    sums.iter_mut().zip(row).for_each(|(sum, x)| *sum = sum.wrapping_sub(*x));
 }
 
 /// To the nearest whole number, halves away from zero; 0 for NaN. What `f32::round` does is a call into the C library
 /// on processors that may lack SSE 4.1.
+#[inline(always)]
 fn nearest(x: f32) -> i32 {
     (x + 0.5f32.copysign(x)) as i32
 }
 
 /// To (-pi, pi].
+#[inline(always)]
 fn wrap(x: f32) -> f32 {
     let y = x - nearest(x / TAU) as f32 * TAU;
     if y <= -PI { y + TAU } else { y }
@@ -293,51 +354,69 @@ fn wrap(x: f32) -> f32 {
 
 /// Union-find whose links carry whole turns, and whose roots carry the marker's votes.
 struct Forest {
-    parent: Vec<u32>,
-    /// Turns of a pixel relative to its parent.
-    turns: Vec<i32>,
-    size: Vec<u32>,
+    links: Vec<Link>,
+    /// Of the roots.
+    trees: Vec<Tree>,
+}
+
+/// A pixel's way to its root.
+#[derive(Clone, Copy)]
+struct Link {
+    parent: u32,
+    /// Turns of the pixel relative to its parent.
+    turns: i32,
+}
+
+/// What a root knows of its tree.
+#[derive(Clone, Copy)]
+struct Tree {
+    size: u32,
     /// Order that the votes give the root, and how many they are.
-    order: Vec<i32>,
-    votes: Vec<u32>,
+    order: i32,
+    votes: u32,
 }
 
 impl Forest {
     /// Every pixel by itself. An anchor is the place of its marker in `markers`, from 1; the wrapped phase of a
     /// marker's core is that of its ridge.
     fn new(anchor: &Plane<u8>, markers: &[u32]) -> Self {
-        let n = anchor.as_slice().len();
-        let order =
-            |&anchor: &u8| anchor.checked_sub(1).map_or(0, |place| markers[usize::from(place)] as i32);
+        let order = |anchor: u8| anchor.checked_sub(1).map_or(0, |place| markers[usize::from(place)] as i32);
+        let tree = |&anchor: &u8| Tree { size: 1, order: order(anchor), votes: u32::from(anchor != 0) };
+        let pixels = 0..anchor.as_slice().len() as u32;
         Self {
-            parent: (0..n as u32).collect(),
-            turns: vec![0; n],
-            size: vec![1; n],
-            order: anchor.as_slice().iter().map(order).collect(),
-            votes: anchor.as_slice().iter().map(|&x| u32::from(x != 0)).collect(),
+            links: pixels.map(|parent| Link { parent, turns: 0 }).collect(),
+            trees: anchor.as_slice().iter().map(tree).collect(),
         }
     }
 
     /// Root of a pixel, and the pixel's turns relative to it.
     fn find(&mut self, pixel: usize) -> (usize, i32) {
         let (mut root, mut turns) = (pixel, 0);
-        while self.parent[root] as usize != root {
-            turns += self.turns[root];
-            root = self.parent[root] as usize;
+        loop {
+            let link = self.links[root];
+            if link.parent as usize == root {
+                break;
+            }
+            turns += link.turns;
+            root = link.parent as usize;
         }
         // Second pass: every pixel on the way points at the root.
         let (mut at, mut rest) = (pixel, turns);
-        while self.parent[at] as usize != root && at != root {
-            let (next, own) = (self.parent[at] as usize, self.turns[at]);
-            (self.parent[at], self.turns[at]) = (root as u32, rest);
-            rest -= own;
-            at = next;
+        while at != root {
+            let link = self.links[at];
+            if link.parent as usize == root {
+                break;
+            }
+            self.links[at] = Link { parent: root as u32, turns: rest };
+            rest -= link.turns;
+            at = link.parent as usize;
         }
         (root, turns)
     }
 
     fn order(&self, root: usize, min_votes: u32) -> Option<i32> {
-        (self.votes[root] >= min_votes).then_some(self.order[root])
+        let tree = self.trees[root];
+        (tree.votes >= min_votes).then_some(tree.order)
     }
 
     /// Merges the trees of `a` and `b`, where `b` has `turns` more whole turns than `a`. False when the votes
@@ -348,34 +427,35 @@ impl Forest {
         if root == other {
             return true;
         }
-        if doubtful && self.size[root].min(self.size[other]) > settings.small_tree_px {
+        let (mut tree, mut small) = (self.trees[root], self.trees[other]);
+        if doubtful && tree.size.min(small.size) > settings.small_tree_px {
             return true;
         }
         // Turns of `other` relative to `root`.
         let mut shift = turns_a + turns - turns_b;
-        if self.size[root] < self.size[other] {
+        if tree.size < small.size {
             (root, other, shift) = (other, root, -shift);
+            std::mem::swap(&mut tree, &mut small);
         }
-        let (votes, votes_other) = (self.votes[root], self.votes[other]);
         // The order that the other tree's votes give this root.
-        let order_other = self.order[other] - shift;
-        if votes > 0 && votes_other > 0 && self.order[root] != order_other {
-            if votes.min(votes_other) >= settings.min_votes {
+        let order_other = small.order - shift;
+        if tree.votes > 0 && small.votes > 0 && tree.order != order_other {
+            if tree.votes.min(small.votes) >= settings.min_votes {
                 return false;
             }
-            if votes_other > votes {
-                self.order[root] = order_other;
+            if small.votes > tree.votes {
+                tree.order = order_other;
             }
-            self.votes[root] = votes.abs_diff(votes_other);
+            tree.votes = tree.votes.abs_diff(small.votes);
         } else {
-            if votes == 0 {
-                self.order[root] = order_other;
+            if tree.votes == 0 {
+                tree.order = order_other;
             }
-            self.votes[root] = votes + votes_other;
+            tree.votes += small.votes;
         }
-        self.parent[other] = root as u32;
-        self.turns[other] = shift;
-        self.size[root] += self.size[other];
+        tree.size += small.size;
+        self.trees[root] = tree;
+        self.links[other] = Link { parent: root as u32, turns: shift };
         true
     }
 }
