@@ -169,7 +169,7 @@ fn a_sphere_beside_the_marker_is_refused() {
 #[test]
 fn several_markers_reach_what_one_does_not() {
     for marker in [Marker::ZeroMean { amplitude: 0.3 }, Marker::Darkened { depth: 0.8 }] {
-        for height in [0.45, 1.0, 1.45] {
+        for height in [0.45, 1.0, 1.5] {
             let pair = pair_with((0, 0), |pattern| (pattern.marker, pattern.marker_every) = (marker, 41));
             assert_eq!(pair.markers, [39, 80, 121]);
             let centre = Point3::new(0.0, 0.0, height);

@@ -79,7 +79,8 @@ fn assert_fewer(name: &str, found: &Reconstruction, least: f64) {
 
 /// A number from 0 to 255 that depends on the pixel alone.
 fn noise(u: usize, v: usize) -> u8 {
-    let mixed = (u as u64 * 0x9e37_79b9_7f4a_7c15) ^ (v as u64 * 0xc2b2_ae3d_27d4_eb4f);
+    let mixed =
+        (u as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (v as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
     (mixed.wrapping_mul(0xff51_afd7_ed55_8ccd) >> 56) as u8
 }
 

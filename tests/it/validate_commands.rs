@@ -231,9 +231,12 @@ fn plane_and_distance_measure_the_board() {
     let plane = json(0, &[&["validate", "plane"], &shared[..]].concat());
     assert!(number(&plane, "/rms_mm") < 0.12 && number(&plane, "/per_head/0/robust_mm") < 0.06, "{plane:#}");
     assert_eq!(plane["per_head"][0]["found_by"], "circles", "{plane:#}");
-    for (from, more) in [("photographs", &["--session", images][..]), ("intensities and pattern", &[])] {
+    // At the corners the light is 35 DN: a few points more or less at a dark circle's edge move what their intensities
+    // say by half a millimetre. Photographs have every pixel.
+    let photographs = ("photographs", &["--session", images][..], 0.05);
+    for (from, more, most_mm) in [photographs, ("intensities and pattern", &[], 0.35)] {
         let distance = json(0, &[&["validate", "distance"], &shared[..], more].concat());
-        assert!(number(&distance, "/rms_mm") < 0.15, "{distance:#}");
+        assert!(number(&distance, "/rms_mm") < most_mm, "{distance:#}");
         assert_eq!((&distance["edges_from"], &distance["missing"]), (&from.into(), &serde_json::json!([])));
         for key in ["error_mm", "edges_mm", "diagonal_mm", "ends"] {
             assert_eq!(distance["per_head"][0][key].as_array().map(Vec::len), Some(2), "{key}: {distance:#}");
