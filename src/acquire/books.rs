@@ -259,7 +259,14 @@ impl Books {
         if number < self.table.end() {
             return;
         }
-        let tolerance_ns = i128::from(self.options.period_ns / 8);
+        let period_ns = i128::from(self.options.period_ns);
+        let tolerance_ns = period_ns / 8;
+        // A train is never faster than its period: a number that comes too early for its count is one too high.
+        let ahead = i128::from(number - self.table.end() + 1);
+        let earliest = |latest: u64| i128::from(latest) + ahead * period_ns - period_ns / 4;
+        if self.table.latest_ns().is_some_and(|latest| hsu_ns < earliest(latest)) {
+            return;
+        }
         let agrees =
             |(other, other_ns): (i64, i128)| other == number && (other_ns - hsu_ns).abs() <= tolerance_ns;
         let others = self.lanes.iter().enumerate().filter(|(other, _)| *other != camera);

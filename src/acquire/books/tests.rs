@@ -177,3 +177,29 @@ fn one_camera_gives_up_what_it_cannot_tell() {
         assert_eq!(outcome, expected, "{trigger}");
     }
 }
+
+/// Both cameras' ids jump by one at trigger 42 while the reports of 40 to 59 are held up: they agree, and are wrong. But no
+/// train fires a trigger before its time.
+#[test]
+fn cameras_that_agree_on_a_trigger_before_its_time_are_not_believed() {
+    let mut desk = Desk::new(2);
+    let block = |trigger: u64| trigger + 1 + u64::from(trigger >= 42);
+    for trigger in 0..100 {
+        if trigger == 60 {
+            (40..60).for_each(|late| desk.report(late, due(late)));
+        }
+        if !(40..60).contains(&trigger) {
+            desk.report(trigger, due(trigger));
+        }
+        (0..2).for_each(|camera| desk.frame(camera, 0, block(trigger), due(trigger)));
+        if (40..60).contains(&trigger) {
+            desk.last_call();
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 200);
+    for ((trigger, camera), outcome) in outcomes {
+        assert!(outcome.is_err() || outcome == Ok(block(trigger)), "camera {camera}, {trigger}: {outcome:?}");
+        assert!((42..60).contains(&trigger) || outcome.is_ok(), "camera {camera}, {trigger}: {outcome:?}");
+    }
+}
