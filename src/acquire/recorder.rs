@@ -4,8 +4,10 @@
 //! a second one owns the recording.
 
 use super::books::Books;
+use super::dry_run::DryRun;
 use super::latency::Latencies;
 use super::matcher::Matcher;
+use super::preview::{Taps, Tapped};
 use super::receiver::Arrival;
 use super::ring::{Ring, Sink};
 pub use crate::config::WhenFull;
@@ -188,6 +190,14 @@ pub struct LaneSetup {
     pub matcher: Matcher,
 }
 
+/// Where frames go.
+pub enum Destination {
+    /// To the disk.
+    Recording(Box<Recording>),
+    /// Nowhere: they are counted.
+    DryRun(Box<DryRun>),
+}
+
 /// The recorder's side of a session.
 pub struct Recorder {
     books: Books,
@@ -199,9 +209,11 @@ pub struct Recorder {
 pub(super) const TICK: Duration = Duration::from_millis(10);
 
 impl Recorder {
-    /// Starts the threads. The handle is that of the first one, which waits for the second.
+    /// Starts the threads. The handle is that of the first one, which waits for the second. Previews may look at the frames
+    /// through `taps`.
     pub fn start(
-        recording: Recording,
+        destination: Destination,
+        taps: Arc<Taps>,
         lanes: Vec<LaneSetup>,
         options: RecorderOptions,
         progress: Arc<Progress>,
@@ -209,7 +221,11 @@ impl Recorder {
         commands: Receiver<ToRecorder>,
         events: Sender<FromRecorder>,
     ) -> std::io::Result<JoinHandle<()>> {
-        Self::start_with(Box::new(recording), lanes, options, progress, arrivals, commands, events)
+        let sink: Box<dyn Sink> = match destination {
+            Destination::Recording(recording) => recording,
+            Destination::DryRun(run) => run,
+        };
+        Self::start_with(Box::new(Tapped { sink, taps }), lanes, options, progress, arrivals, commands, events)
     }
 
     pub(super) fn start_with(

@@ -78,6 +78,9 @@ pub struct SessionStatus {
     /// This node's recording.
     #[schema(value_type = String)]
     pub directory: PathBuf,
+    /// Nothing was written: `directory` does not exist.
+    #[serde(default)]
+    pub dry_run: bool,
     /// Triggers asked for; 0: until stopped.
     pub triggers_asked: u64,
     /// Triggers that the HSU reported so far.

@@ -7,8 +7,13 @@ use crate::calibrate::joined::Joined;
 use crate::calibrate::{Board, Calibration, Finding, Position, views};
 use crate::ids::CameraId;
 use crate::reconstruct::FrameSource;
-use crate::session::capture::{CaptureOptions, capture};
+use super::capture::stop_on_ctrl_c;
+use crate::api::client::NodeClient;
+use crate::session::capture::{Control, Wish, capture};
+use crate::session::participant::Participant;
+use crate::session::state::Fault;
 use std::io::{BufRead, Write};
+use std::sync::Arc;
 
 /// How the captures are made.
 pub struct Live<'a> {
@@ -25,6 +30,9 @@ pub fn run(live: &Live<'_>, nominal: &Calibration, board: &Board) -> Result<Join
     let cameras: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
     let mut guide = Guide::new(nominal, board);
     let mut joined = Joined::default();
+    let control = Arc::new(Control::default());
+    stop_on_ctrl_c(&control)
+        .map_err(|fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message })?;
     let mut input = std::io::stdin().lock();
     // Sessions that were undone keep their names.
     let mut number = 0;
@@ -53,7 +61,7 @@ pub fn run(live: &Live<'_>, nominal: &Calibration, board: &Board) -> Result<Join
         }
         number += 1;
         // What was captured before is worth too much to be lost with one session that fails.
-        let parts = match one_session(live, number, &cameras) {
+        let parts = match one_session(live, number, &cameras, &control) {
             Ok(parts) => parts,
             Err(failure) => {
                 say(&format!("this position does not count: {}", failure.message));
@@ -90,18 +98,18 @@ fn one_session(
     live: &Live<'_>,
     number: usize,
     cameras: &[CameraId],
+    control: &Control,
 ) -> Result<Vec<Box<dyn FrameSource>>, Failure> {
-    let options = CaptureOptions {
-        nodes: live.nodes.to_vec(),
-        duration_s: None,
+    let failure = |fault: Fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message };
+    let nodes: Vec<Box<dyn Participant>> =
+        live.nodes.iter().map(|url| Box::new(NodeClient::new(url)) as Box<dyn Participant>).collect();
+    let wish = Wish {
         triggers: Some(live.triggers),
         name: Some(format!("{}-p{number:03}", live.base)),
-        subject: None,
         note: Some("calibration, one position of the board".to_owned()),
+        ..Wish::default()
     };
-    let captured = capture(&options, |_| ());
-    let captured =
-        captured.map_err(|fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message })?;
+    let captured = capture(&nodes, &wish, control, |_| ()).map_err(failure)?;
     let open = |directory: std::path::PathBuf| {
         open_source(&directory, cameras).map_err(|e| {
             let message = format!(

@@ -1,10 +1,16 @@
-//! `fourdbody capture`: one session on all nodes, from preparation to the verdict.
+//! `fourdbody capture`: sessions on all nodes, from preparation to the verdict.
 
 use super::{Exit, Failure};
-use crate::session::capture::{CaptureOptions, capture};
+use crate::api::client::NodeClient;
+use crate::session::capture::{Control, Wish};
+use crate::session::captured::Captured;
+use crate::session::participant::Participant;
+use crate::session::series::{self, Series};
+use crate::session::state::Fault;
 use std::path::PathBuf;
+use std::sync::Arc;
 
-/// Capture one session on all nodes; live progress; the verdict at the end.
+/// Capture sessions on all nodes; live progress; the verdict at the end.
 ///
 /// No trigger is emitted unless every camera of every node is armed and verified. Ctrl-C ends the train after
 /// the current trigger and keeps what was recorded. Exit code 3 when frames are missing (each has a gap record).
@@ -31,44 +37,115 @@ pub struct Args {
     /// Free text kept with the session.
     #[arg(long)]
     note: Option<String>,
+    /// Captures in a row; their names end in -01, -02, ...
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    takes: u32,
+    /// Seconds from the end of a take to the preparation of the next.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pause: u32,
+    /// Seconds from the moment at which every node is ready to the first trigger.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    countdown: u32,
+    /// Do all but write: triggers, frames and verdict are real, nothing is recorded.
+    #[arg(long)]
+    dry_run: bool,
     /// Print one JSON object at the end instead of text.
     #[arg(long)]
     json: bool,
 }
 
+impl Args {
+    fn series(&self) -> Series {
+        let wish = Wish {
+            duration_s: self.duration,
+            triggers: self.triggers,
+            name: self.name.clone(),
+            subject: self.subject.clone(),
+            note: self.note.clone(),
+            dry_run: self.dry_run,
+            countdown_s: self.countdown,
+        };
+        Series { wish, takes: self.takes, pause_s: self.pause }
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    if args.duration.is_some_and(|s| !(s > 0.0 && s < 1e6)) {
-        return Err(Failure::new(Exit::Usage, "--duration: expected seconds above 0"));
-    }
-    let options = CaptureOptions {
-        nodes: args.nodes.clone(),
-        duration_s: args.duration,
-        triggers: args.triggers,
-        name: args.name.clone(),
-        subject: args.subject.clone(),
-        note: args.note.clone(),
-    };
+    let failure = |fault: Fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message };
+    let nodes: Vec<Box<dyn Participant>> =
+        args.nodes.iter().map(|url| Box::new(NodeClient::new(url)) as Box<dyn Participant>).collect();
+    let control = Arc::new(Control::default());
+    stop_on_ctrl_c(&control).map_err(failure)?;
     let show_progress = !args.json && std::io::IsTerminal::is_terminal(&std::io::stderr());
-    let captured = capture(&options, |line| {
-        if show_progress {
-            eprint!("\r{line}\x1b[K");
+    let show = |take: u32, stage: &crate::session::capture::Stage| {
+        if show_progress && args.takes > 1 {
+            eprint!("\rtake {take} of {}: {stage}\x1b[K", args.takes);
+        } else if show_progress {
+            eprint!("\r{stage}\x1b[K");
         }
-    });
-    if show_progress {
+    };
+    let tell = |captured: &Captured| {
+        if show_progress {
+            eprintln!();
+        }
+        if !args.json {
+            captured.lines().iter().for_each(|line| println!("{line}"));
+            print_directories(&captured.directories());
+        }
+    };
+    let (takes, fault) = match series::run(&nodes, &args.series(), &control, show, tell) {
+        Ok(takes) => (takes, None),
+        Err((takes, fault)) => (takes, Some(fault)),
+    };
+    if show_progress && fault.is_some() {
         eprintln!();
     }
-    let captured =
-        captured.map_err(|fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message })?;
     if args.json {
-        println!("{}", captured.to_json());
-    } else {
-        captured.lines().iter().for_each(|line| println!("{line}"));
-        print_directories(&captured.directories());
+        print_json(&takes, args.takes);
     }
-    Ok(captured.exit())
+    if let Some(fault) = fault {
+        return Err(failure(fault));
+    }
+    let worst = takes.iter().map(Captured::exit).find(|exit| *exit != Exit::Done);
+    Ok(worst.unwrap_or(Exit::Done))
+}
+
+/// One take is an object, several are a list in one.
+fn print_json(takes: &[Captured], asked: u32) {
+    match takes {
+        [] if asked == 1 => {}
+        [take] if asked == 1 => println!("{}", take.to_json()),
+        takes => {
+            let takes: Vec<_> = takes.iter().map(Captured::to_json).collect();
+            println!("{}", serde_json::json!({ "takes_asked": asked, "takes": takes }));
+        }
+    }
 }
 
 fn print_directories(directories: &[PathBuf]) {
     directories.iter().for_each(|directory| println!("recording: {}", directory.display()));
+}
+
+/// From here on Ctrl-C ends the capture, not the process; unless nobody has taken notice of the one before.
+pub(super) fn stop_on_ctrl_c(control: &Arc<Control>) -> Result<(), Fault> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let control = Arc::clone(control);
+    let cannot = |e| Fault::new(Exit::Failure, format!("cannot watch for Ctrl-C: {e}"));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(cannot)?;
+    // Registered before the thread runs: from here on no Ctrl-C kills the process.
+    let mut interrupts = {
+        let _inside = runtime.enter();
+        signal(SignalKind::interrupt()).map_err(cannot)?
+    };
+    std::thread::spawn(move || {
+        runtime.block_on(async {
+            while interrupts.recv().await.is_some() {
+                if control.ends() {
+                    std::process::exit(i32::from(Exit::Failure as u8));
+                }
+                control.stop();
+            }
+        });
+    });
+    Ok(())
 }

@@ -1,6 +1,6 @@
 //! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
 
-use super::layout::{GapCause, MAX_TRIGGERS};
+use super::layout::{GapCause, MAX_TRIGGERS, RecordingHeader};
 use crate::ids::{CameraId, TriggerIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -67,6 +67,34 @@ impl Verdict {
     /// Gap records of all cameras.
     pub fn gaps(&self) -> u64 {
         self.cameras.iter().fold(0, |sum, camera| sum.saturating_add(camera.gap_count()))
+    }
+
+    /// How many triggers a session had: what was seen, reported or counted, whichever is most.
+    pub(crate) fn triggers(tallies: &[CameraTally], reported: u64, end: &SessionEnd) -> u64 {
+        let seen = tallies.iter().map(|tally| tally.seen().end()).max().unwrap_or(0);
+        seen.max(reported).max(end.triggers_emitted.unwrap_or(0)).min(MAX_TRIGGERS)
+    }
+
+    /// The verdict on what was counted.
+    pub(crate) fn of(
+        header: &RecordingHeader,
+        tallies: &[CameraTally],
+        triggers: u64,
+        refused: u64,
+        end: SessionEnd,
+    ) -> Self {
+        let named = header.cameras.iter().zip(tallies);
+        let mut verdict = Self {
+            status: Status::Incomplete,
+            triggers,
+            triggers_expected: header.expected_triggers,
+            triggers_emitted: end.triggers_emitted,
+            cameras: named.map(|(camera, tally)| tally.verdict(&camera.id)).collect(),
+            refused,
+            aborted: end.aborted,
+        };
+        verdict.status = verdict.judge();
+        verdict
     }
 
     /// Derives the status from everything else.

@@ -10,7 +10,7 @@ use super::layout::{
 };
 use super::segment::{Closing, JsonChannel, Segment};
 use super::statistics::{Histogram, WriteStatistics};
-use super::verdict::{CameraTally, SessionEnd, Status, Verdict};
+use super::verdict::{CameraTally, SessionEnd, Verdict};
 use super::window::QUEUE;
 use crate::acquire::pool::Block;
 use crate::ids::{CameraId, TriggerIndex};
@@ -319,8 +319,7 @@ impl Recording {
     /// everything on the medium.
     pub fn finish(mut self, end: SessionEnd) -> Result<Verdict, RecordError> {
         self.time_ns = self.time_ns.max(end.host_time_ns);
-        let seen = self.tallies.iter().map(|tally| tally.seen().end()).max().unwrap_or(0);
-        let triggers = seen.max(self.triggers_end).max(end.triggers_emitted.unwrap_or(0)).min(MAX_TRIGGERS);
+        let triggers = Verdict::triggers(&self.tallies, self.triggers_end, &end);
         for camera in 0..self.tallies.len() {
             for range in self.tallies[camera].seen().absent(triggers) {
                 for trigger in range {
@@ -333,7 +332,7 @@ impl Recording {
         let _ = self.sync();
         let _ = self.settle_all();
         let closed = self.join_closing();
-        let verdict = self.verdict(triggers, end);
+        let verdict = Verdict::of(&self.header, &self.tallies, triggers, self.refused, end);
         let result = closed.and(self.close(&verdict));
         result.map_err(|source| RecordError::Unfinished {
             path: self.dir.clone(),
@@ -341,21 +340,6 @@ impl Recording {
             verdict: Box::new(verdict.clone()),
         })?;
         Ok(verdict)
-    }
-
-    fn verdict(&self, triggers: u64, end: SessionEnd) -> Verdict {
-        let named = self.header.cameras.iter().zip(&self.tallies);
-        let mut verdict = Verdict {
-            status: Status::Incomplete,
-            triggers,
-            triggers_expected: self.header.expected_triggers,
-            triggers_emitted: end.triggers_emitted,
-            cameras: named.map(|(camera, tally)| tally.verdict(&camera.id)).collect(),
-            refused: self.refused,
-            aborted: end.aborted,
-        };
-        verdict.status = verdict.judge();
-        verdict
     }
 
     fn close(&mut self, verdict: &Verdict) -> io::Result<()> {

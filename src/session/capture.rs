@@ -1,165 +1,174 @@
-//! One session on all nodes, as the operator's client sees it: prepare all, start, follow, verdict.
+//! One session on all nodes, as whoever coordinates it sees it: prepare all, count down, start, follow, verdict.
 //!
 //! Two phases: nothing starts unless every node is ready, and the HSU itself refuses a start until every
 //! link has armed the same session. Whatever fails on the way, every node is told to give the session up.
 
+use super::captured::{Captured, ended_early, failure_of_all};
+use super::participant::Participant;
 use super::state::{Fault, Phase, SessionRequest};
-use crate::api::client::NodeClient;
 use crate::api::dto::{NodeStatus, Outcome, SessionStatus};
 use crate::cmds::Exit;
 use crate::ids::SessionName;
-use std::path::PathBuf;
-use std::sync::Arc;
+use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// What to capture.
-#[derive(Debug, Clone)]
-pub struct CaptureOptions {
-    /// The nodes' URLs.
-    pub nodes: Vec<String>,
-    /// Seconds; or `triggers`.
+/// What to capture: one take.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Wish {
+    /// Seconds; or `triggers`; or neither: until stopped.
     pub duration_s: Option<f64>,
     /// Triggers, 0 until stopped; or `duration_s`.
     pub triggers: Option<u64>,
-    /// By default made from the time.
+    /// Also the session's directory; by default made from the time.
     pub name: Option<String>,
     /// Pseudonymous.
     pub subject: Option<String>,
     /// Free text.
     pub note: Option<String>,
+    /// Everything but the recording.
+    pub dry_run: bool,
+    /// Seconds from the moment at which every node is ready to the first trigger.
+    pub countdown_s: u32,
 }
 
-/// A session that ended on every node.
-#[derive(Debug)]
-pub struct Captured {
-    name: String,
-    /// Per node: its name, and its session as it ended.
-    nodes: Vec<(String, SessionStatus)>,
+/// Nodes that are ready wait for 120 s.
+pub const COUNTDOWN_MAX_S: u32 = 60;
+
+/// How whoever waits for a capture may end it.
+#[derive(Debug, Default)]
+pub struct Control {
+    stop: AtomicBool,
+    abort: Mutex<Option<String>>,
 }
 
-impl Captured {
-    /// 0 when every frame of every camera is there, 3 otherwise.
-    pub fn exit(&self) -> Exit {
-        if self.nodes.iter().all(|(_, session)| status_word(session) == "complete") {
-            Exit::Done
-        } else {
-            Exit::DataLoss
-        }
+impl Control {
+    /// After the current trigger; what was recorded is a session as any other. Before the start: nothing is recorded.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Release);
     }
 
-    /// The recordings.
-    pub fn directories(&self) -> Vec<PathBuf> {
-        self.nodes.iter().map(|(_, session)| session.directory.clone()).collect()
+    /// Now; what was recorded is kept and says why it ended.
+    pub fn abort(&self, reason: &str) {
+        let mut abort = self.abort.lock().unwrap_or_else(PoisonError::into_inner);
+        abort.get_or_insert_with(|| reason.to_owned());
     }
 
-    /// For people.
-    pub fn lines(&self) -> Vec<String> {
-        let mut lines = vec![format!("session {}: {}", self.name, self.verdict())];
-        for (node, session) in &self.nodes {
-            lines.push(format!("  node {node}: {}, {} triggers", status_word(session), session.triggers));
-            match &session.outcome {
-                Some(Outcome::Recorded(verdict)) => lines.extend(camera_lines(verdict)),
-                _ => lines.push("    nothing recorded".to_owned()),
+    /// Whether either was asked for; a stop is not forgotten.
+    pub fn ends(&self) -> bool {
+        self.stop.load(Ordering::Acquire)
+            || self.abort.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
+    fn take_abort(&self) -> Option<String> {
+        self.abort.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+/// How far a capture is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "stage")]
+pub enum Stage {
+    /// Cameras and HSU of all nodes.
+    Preparing,
+    /// Every node is ready.
+    CountingDown {
+        /// Until the first trigger.
+        left_s: u32,
+    },
+    /// Triggers are coming, or their frames are.
+    Recording {
+        /// Triggers so far.
+        triggers: u64,
+        /// Triggers asked for; 0: until stopped.
+        asked: u64,
+        /// Frames of all cameras.
+        frames: u64,
+        /// Gap records of all cameras.
+        gaps: u64,
+    },
+    /// A stop was asked for.
+    Stopping,
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Preparing => write!(f, "preparing cameras and HSU on all nodes"),
+            Self::CountingDown { left_s } => write!(f, "every node is ready; {left_s} s to the first trigger"),
+            Self::Recording { triggers, asked: 0, frames, gaps } => {
+                write!(f, "trigger {triggers}: {frames} frames, {gaps} gaps")
             }
-            if let Some(reason) = aborted(session) {
-                lines.push(format!("    ended early: {reason}"));
+            Self::Recording { triggers, asked, frames, gaps } => {
+                write!(f, "trigger {triggers} of {asked}: {frames} frames, {gaps} gaps")
             }
-        }
-        lines
-    }
-
-    /// For scripts.
-    pub fn to_json(&self) -> serde_json::Value {
-        let nodes =
-            self.nodes.iter().map(|(node, session)| serde_json::json!({ "node": node, "session": session }));
-        serde_json::json!({ "name": self.name, "verdict": self.verdict(), "nodes": nodes.collect::<Vec<_>>() })
-    }
-
-    fn verdict(&self) -> &'static str {
-        let words: Vec<&str> = self.nodes.iter().map(|(_, session)| status_word(session)).collect();
-        let is = |word| words.contains(&word);
-        if is("failed") || is("aborted") {
-            "aborted"
-        } else if is("incomplete") {
-            "incomplete"
-        } else {
-            "complete"
+            Self::Stopping => write!(f, "stopping after the current trigger"),
         }
     }
 }
 
-/// One line a camera of a node's verdict, with the causes of its gaps.
-fn camera_lines(verdict: &serde_json::Value) -> Vec<String> {
-    let line = |camera: &serde_json::Value| {
-        let causes = camera["gaps"].as_object().into_iter().flatten();
-        let causes: Vec<String> = causes.map(|(cause, count)| format!("{count} {cause}")).collect();
-        let gaps =
-            if causes.is_empty() { "no gaps".to_owned() } else { format!("gaps: {}", causes.join(", ")) };
-        format!("    {}: {} frames, {gaps}", camera["camera"].as_str().unwrap_or("?"), camera["frames"])
-    };
-    verdict["cameras"].as_array().into_iter().flatten().map(line).collect()
-}
+/// Nodes of one session.
+pub type Nodes<'a> = &'a [Box<dyn Participant>];
 
-fn status_word(session: &SessionStatus) -> &str {
-    match &session.outcome {
-        Some(Outcome::Recorded(verdict)) => verdict["status"].as_str().unwrap_or("incomplete"),
-        Some(Outcome::Failed(_)) | None => "failed",
-    }
-}
-
-fn aborted(session: &SessionStatus) -> Option<&str> {
-    match &session.outcome {
-        Some(Outcome::Recorded(verdict)) => verdict["aborted"].as_str(),
-        Some(Outcome::Failed(fault)) => Some(&fault.message),
-        None => None,
-    }
-}
-
-/// Runs a session; `progress` gets a line to show now and then.
-pub fn capture(options: &CaptureOptions, mut progress: impl FnMut(&str)) -> Result<Captured, Fault> {
-    let nodes: Vec<NodeClient> = options.nodes.iter().map(|url| NodeClient::new(url)).collect();
-    let statuses = nodes.iter().map(NodeClient::status).collect::<Result<Vec<_>, _>>()?;
-    let request = request(options, &statuses)?;
-    let stop = stop_on_ctrl_c()?;
-    progress("preparing cameras and HSU on all nodes");
-    if let Err(fault) = prepare_all(&nodes, &statuses, &request) {
-        abort_all(&nodes, request.session_id, "another node could not get ready");
+/// Runs a session; `progress` is told now and then.
+pub fn capture(
+    nodes: Nodes<'_>,
+    wish: &Wish,
+    control: &Control,
+    mut progress: impl FnMut(&Stage),
+) -> Result<Captured, Fault> {
+    let statuses = nodes.iter().map(|node| node.status()).collect::<Result<Vec<_>, _>>()?;
+    let request = request(wish, &statuses)?;
+    progress(&Stage::Preparing);
+    if let Err(fault) = prepare_all(nodes, &statuses, &request) {
+        abort_all(nodes, request.session_id, "another node could not get ready");
         return Err(fault);
     }
-    if stop.load(Ordering::Acquire) {
-        abort_all(&nodes, request.session_id, "stopped by the operator before the start");
-        return Err(Fault::new(Exit::Failure, "stopped before the start; nothing was recorded"));
+    count_down(wish.countdown_s, control, &mut progress);
+    if control.ends() {
+        let reason = control.take_abort();
+        let reason = reason.unwrap_or_else(|| "stopped by the operator before the start".to_owned());
+        abort_all(nodes, request.session_id, &reason);
+        return Err(Fault::new(
+            Exit::Failure,
+            format!("stopped before the start; nothing was recorded ({reason})"),
+        ));
     }
-    if let Err(fault) = nodes[0].start(request.session_id) {
-        abort_all(&nodes, request.session_id, &fault.message);
+    let first = nodes.first().ok_or_else(|| Fault::new(Exit::Usage, "no nodes"))?;
+    if let Err(fault) = first.start(request.session_id) {
+        abort_all(nodes, request.session_id, &fault.message);
         return Err(fault);
     }
-    let sessions = follow(&nodes, &request, &stop, &mut progress)?;
+    let sessions = follow(nodes, &request, control, &mut progress)?;
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
-    let captured = Captured { name: request.name, nodes: named.collect() };
-    match failure_of_all(&captured.nodes) {
+    let captured = Captured::new(request.name, wish.dry_run, named.collect());
+    match failure_of_all(captured.nodes()) {
         Some(fault) => Err(fault),
         None => Ok(captured),
     }
 }
 
-/// A session that recorded nothing anywhere is a failure, not a verdict. Every node's reason is told: one of them may
-/// only know that the train was empty, which is what the failure of another looks like from there.
-fn failure_of_all(nodes: &[(String, SessionStatus)]) -> Option<Fault> {
-    let failure = |(node, session): &(String, SessionStatus)| match &session.outcome {
-        Some(Outcome::Failed(fault)) => Some((fault.exit, format!("node {node}: {}", fault.message))),
-        _ => None,
-    };
-    let (exits, messages): (Vec<u8>, Vec<String>) =
-        nodes.iter().map(failure).collect::<Option<Vec<_>>>()?.into_iter().unzip();
-    let device = Exit::Device as u8;
-    let first = exits.first().copied()?;
-    let exit = exits.into_iter().find(|exit| *exit != device).unwrap_or(first);
-    Some(Fault { exit, message: messages.join("; ") })
+fn count_down(seconds: u32, control: &Control, progress: &mut impl FnMut(&Stage)) {
+    const STEP: Duration = Duration::from_millis(50);
+    let begin = Instant::now();
+    let whole = Duration::from_secs(seconds.min(COUNTDOWN_MAX_S).into());
+    let mut told = None;
+    while let Some(left) = whole.checked_sub(begin.elapsed()).filter(|left| !left.is_zero()) {
+        if control.ends() {
+            return;
+        }
+        let left_s = left.as_secs_f64().ceil() as u32;
+        if told.replace(left_s) != Some(left_s) {
+            progress(&Stage::CountingDown { left_s });
+        }
+        std::thread::sleep(STEP.min(left));
+    }
 }
 
-fn request(options: &CaptureOptions, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault> {
+fn request(wish: &Wish, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault> {
     let usage = |message: String| Fault::new(Exit::Usage, message);
     for (i, status) in statuses.iter().enumerate() {
         if status.phase != Phase::Idle {
@@ -169,7 +178,7 @@ fn request(options: &CaptureOptions, statuses: &[NodeStatus]) -> Result<SessionR
             )));
         }
         if statuses[..i].iter().any(|other| other.node == status.node) {
-            return Err(usage(format!("node {} is named twice in --nodes", status.node)));
+            return Err(usage(format!("node {} is named twice", status.node)));
         }
         if status.rig != statuses[0].rig
             || (status.trigger_rate_hz - statuses[0].trigger_rate_hz).abs() > 1e-9
@@ -185,12 +194,13 @@ fn request(options: &CaptureOptions, statuses: &[NodeStatus]) -> Result<SessionR
             )));
         }
     }
+    if wish.countdown_s > COUNTDOWN_MAX_S {
+        return Err(usage(format!("a countdown of {} s; expected at most {COUNTDOWN_MAX_S}", wish.countdown_s)));
+    }
     let rate = statuses.first().map_or(1.0, |status| status.trigger_rate_hz);
-    let triggers = options
-        .triggers
-        .unwrap_or_else(|| (options.duration_s.unwrap_or(0.0) * rate).round().max(1.0) as u64);
+    let triggers = triggers(wish, rate).map_err(usage)?;
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let name = options.name.clone().unwrap_or_else(|| format!("session-{}", now.as_secs()));
+    let name = wish.name.clone().unwrap_or_else(|| format!("session-{}", now.as_secs()));
     let name = SessionName::parse(&name).map_err(usage)?;
     let nodes = statuses.iter().map(|status| status.node.clone()).collect();
     Ok(SessionRequest {
@@ -198,9 +208,23 @@ fn request(options: &CaptureOptions, statuses: &[NodeStatus]) -> Result<SessionR
         name: name.0,
         triggers,
         nodes,
-        subject: options.subject.clone(),
-        note: options.note.clone(),
+        subject: wish.subject.clone(),
+        note: wish.note.clone(),
+        dry_run: wish.dry_run,
     })
+}
+
+/// Triggers asked for, 0: until stopped.
+fn triggers(wish: &Wish, rate_hz: f64) -> Result<u64, String> {
+    match (wish.triggers, wish.duration_s) {
+        (Some(_), Some(_)) => Err("both triggers and a duration; expected one of them".to_owned()),
+        (Some(triggers), None) => Ok(triggers),
+        (None, Some(seconds)) if seconds > 0.0 && seconds < 1e6 => {
+            Ok((seconds * rate_hz).round().max(1.0) as u64)
+        }
+        (None, Some(seconds)) => Err(format!("a duration of {seconds} s; expected seconds above 0")),
+        (None, None) => Ok(0),
+    }
 }
 
 /// Two sessions must not share an id: the hasher's keys are random per process.
@@ -209,7 +233,7 @@ fn random_id(now: Duration) -> u64 {
     RandomState::new().hash_one((now, std::process::id())).max(1)
 }
 
-fn prepare_all(nodes: &[NodeClient], statuses: &[NodeStatus], request: &SessionRequest) -> Result<(), Fault> {
+fn prepare_all(nodes: Nodes<'_>, statuses: &[NodeStatus], request: &SessionRequest) -> Result<(), Fault> {
     std::thread::scope(|scope| {
         let asked: Vec<_> = nodes.iter().map(|node| scope.spawn(move || node.prepare(request))).collect();
         let mut first = Ok(());
@@ -224,42 +248,46 @@ fn prepare_all(nodes: &[NodeClient], statuses: &[NodeStatus], request: &SessionR
     })
 }
 
-fn abort_all(nodes: &[NodeClient], session_id: u64, reason: &str) {
+fn abort_all(nodes: Nodes<'_>, session_id: u64, reason: &str) {
     for node in nodes {
         // A node that is not in this session says so; there is nothing more to do for it.
         if let Err(fault) = node.abort(session_id, reason) {
-            tracing::debug!(url = node.url(), "abort: {}", fault.message);
+            tracing::debug!(place = node.place(), "abort: {}", fault.message);
         }
     }
 }
 
 /// A node that is silent about the session for this long is lost.
-const LOST_PATIENCE: Duration = Duration::from_secs(5);
+pub const LOST_PATIENCE: Duration = Duration::from_secs(5);
 
-fn lost(node: &NodeClient) -> Fault {
+fn lost(node: &dyn Participant) -> Fault {
     let message = format!(
         "the node at {} does not answer any more; what it recorded is on its disk, see `fourdbody verify` there",
-        node.url()
+        node.place()
     );
     Fault::new(Exit::Device, message)
 }
 
 /// Polls until every node has an outcome for this session.
 fn follow(
-    nodes: &[NodeClient],
+    nodes: Nodes<'_>,
     request: &SessionRequest,
-    stop: &AtomicBool,
-    progress: &mut impl FnMut(&str),
+    control: &Control,
+    progress: &mut impl FnMut(&Stage),
 ) -> Result<Vec<SessionStatus>, Fault> {
     const POLL: Duration = Duration::from_millis(100);
     let mut seen = vec![Instant::now(); nodes.len()];
     let mut latest: Vec<Option<SessionStatus>> = vec![None; nodes.len()];
     let mut told = false;
     loop {
-        if stop.swap(false, Ordering::AcqRel) {
-            progress("stopping after the current trigger");
+        if control.stop.swap(false, Ordering::AcqRel) {
+            progress(&Stage::Stopping);
             // Any link will do: the first node may be the one that is gone.
             nodes.iter().map(|node| node.stop(request.session_id)).find(Result::is_ok).unwrap_or(Ok(()))?;
+        }
+        if let Some(reason) = control.take_abort() {
+            told = true;
+            abort_all(nodes, request.session_id, &reason);
         }
         for (i, node) in nodes.iter().enumerate() {
             if latest[i].as_ref().is_some_and(|session| session.outcome.is_some()) {
@@ -275,10 +303,10 @@ fn follow(
                 _ if seen[i].elapsed() < LOST_PATIENCE => {}
                 // It died, or was restarted and knows nothing of the session.
                 _ => match &mut latest[i] {
-                    Some(session) => session.outcome = Some(Outcome::Failed(lost(node))),
+                    Some(session) => session.outcome = Some(Outcome::Failed(lost(node.as_ref()))),
                     None => {
                         abort_all(nodes, request.session_id, "the other node does not answer any more");
-                        return Err(lost(node));
+                        return Err(lost(node.as_ref()));
                     }
                 },
             }
@@ -288,42 +316,50 @@ fn follow(
             return Ok(latest.into_iter().flatten().collect());
         }
         // A node that broke off ends the session for all: frames of some cameras alone are of no use.
-        let broken = latest.iter().flatten().find_map(aborted);
+        let broken = latest.iter().flatten().find_map(ended_early);
         if let Some(reason) = broken.filter(|_| !told) {
             let reason = format!("another node ended early: {reason}");
             told = true;
             abort_all(nodes, request.session_id, &reason);
         }
-        let triggers = latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0);
-        let frames: u64 = latest.iter().flatten().flat_map(|s| &s.cameras).map(|c| c.frames).sum();
-        let gaps: u64 = latest.iter().flatten().flat_map(|s| &s.cameras).map(|c| c.gaps).sum();
-        let of = if request.triggers == 0 { String::new() } else { format!(" of {}", request.triggers) };
-        progress(&format!("trigger {triggers}{of}: {frames} frames, {gaps} gaps"));
+        let sum = |count: fn(&crate::api::dto::CameraProgress) -> u64| -> u64 {
+            latest.iter().flatten().flat_map(|s| &s.cameras).map(count).sum()
+        };
+        progress(&Stage::Recording {
+            triggers: latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0),
+            asked: request.triggers,
+            frames: sum(|c| c.frames),
+            gaps: sum(|c| c.gaps),
+        });
         std::thread::sleep(POLL);
     }
 }
 
-/// A flag that Ctrl-C sets.
-fn stop_on_ctrl_c() -> Result<Arc<AtomicBool>, Fault> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let set = Arc::clone(&flag);
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .map_err(|e| Fault::new(Exit::Failure, format!("cannot watch for Ctrl-C: {e}")))?;
-    // Registered before the thread runs: from here on no Ctrl-C kills the process.
-    let mut interrupts = {
-        let _inside = runtime.enter();
-        use tokio::signal::unix::{SignalKind, signal};
-        signal(SignalKind::interrupt())
-            .map_err(|e| Fault::new(Exit::Failure, format!("cannot watch for Ctrl-C: {e}")))?
-    };
-    std::thread::spawn(move || {
-        runtime.block_on(async {
-            while interrupts.recv().await.is_some() {
-                set.store(true, Ordering::Release);
-            }
+#[cfg(test)]
+mod tests {
+    use super::{Control, Wish, count_down, triggers};
+
+    #[test]
+    fn a_wish_without_an_end_runs_until_it_is_stopped() {
+        let wish = |triggers, duration_s| Wish { triggers, duration_s, ..Wish::default() };
+        assert_eq!(triggers(&wish(None, None), 120.0), Ok(0));
+        assert_eq!(triggers(&wish(None, Some(0.5)), 120.0), Ok(60));
+        assert_eq!(triggers(&wish(None, Some(1e-9)), 120.0), Ok(1));
+        assert_eq!(triggers(&wish(Some(7), None), 120.0), Ok(7));
+        for bad in [wish(Some(1), Some(1.0)), wish(None, Some(0.0)), wish(None, Some(f64::NAN))] {
+            assert!(triggers(&bad, 120.0).is_err(), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn a_countdown_ends_when_the_operator_does_not_want_it_any_more() {
+        let control = Control::default();
+        let mut told = Vec::new();
+        count_down(60, &control, &mut |stage| {
+            told.push(stage.clone());
+            control.stop();
         });
-    });
-    Ok(flag)
+        assert_eq!(told.len(), 1);
+        assert!(control.ends());
+    }
 }

@@ -7,10 +7,10 @@ use super::silence::SilenceWatch;
 use super::state::SessionRequest;
 use crate::acquire::latency::Histogram;
 use crate::acquire::realtime;
-use crate::acquire::recorder::{FromRecorder, Progress, ToRecorder};
+use crate::acquire::recorder::{Destination, FromRecorder, Progress, ToRecorder};
 use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
 use crate::hsu::Hsu;
-use crate::record::{Latency, NodeEvent, Recording};
+use crate::record::{Latency, NodeEvent};
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver, Sender, never, unbounded};
 use std::path::PathBuf;
@@ -24,7 +24,7 @@ pub(super) struct Session {
     pub(super) request: SessionRequest,
     pub(super) dir: PathBuf,
     pub(super) cameras: Vec<PreparedCamera>,
-    pub(super) recording: Option<Recording>,
+    pub(super) destination: Option<Destination>,
     pub(super) progress: Arc<Progress>,
     pub(super) to_recorder: Option<Sender<ToRecorder>>,
     pub(super) from_recorder: Receiver<FromRecorder>,
@@ -57,7 +57,7 @@ impl Session {
             request,
             dir,
             cameras: Vec::new(),
-            recording: None,
+            destination: None,
             progress: Arc::new(Progress::new(cameras)),
             to_recorder: None,
             from_recorder: never(),
@@ -130,6 +130,7 @@ impl Session {
             session_id: self.request.session_id,
             name: self.request.name.clone(),
             directory: self.dir.clone(),
+            dry_run: self.request.dry_run,
             triggers_asked: self.request.triggers,
             triggers: load(&self.progress.triggers),
             cameras: cameras.collect(),

@@ -3,6 +3,7 @@
 use super::current::Session;
 use super::devices::Devices;
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
+use crate::acquire::preview::Taps;
 use crate::acquire::recorder::ToRecorder;
 use crate::acquire::{heap, realtime};
 use crate::api::dto::{NodeStatus, Outcome, SessionCommand};
@@ -23,6 +24,7 @@ use std::time::{Duration, Instant};
 pub struct Driver {
     commands: Sender<Command>,
     status: SharedStatus,
+    taps: Arc<Taps>,
     stop: Sender<()>,
     thread: JoinHandle<()>,
 }
@@ -55,11 +57,13 @@ impl Driver {
             session: None,
         }));
         let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);
+        let taps = Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone())));
         let node = Node {
             machine: Machine::new(period),
             config,
             devices,
             session: None,
+            taps: Arc::clone(&taps),
             pending: None,
             status: Arc::clone(&status),
             origin: Instant::now(),
@@ -67,7 +71,7 @@ impl Driver {
         };
         let thread =
             std::thread::Builder::new().name("node".to_owned()).spawn(move || node.run(&inbox, &stopped))?;
-        Ok(Self { commands, status, stop, thread })
+        Ok(Self { commands, status, taps, stop, thread })
     }
 
     /// Where the API sends commands.
@@ -78,6 +82,11 @@ impl Driver {
     /// The status as the node's thread last published it.
     pub fn status(&self) -> SharedStatus {
         Arc::clone(&self.status)
+    }
+
+    /// Where previews get their samples.
+    pub fn taps(&self) -> Arc<Taps> {
+        Arc::clone(&self.taps)
     }
 
     /// Asks for the end: a session in progress is ended with its verdict, then the thread. Does not wait.
@@ -105,6 +114,7 @@ pub(super) struct Node {
     pub(super) devices: Devices,
     pub(super) machine: Machine,
     pub(super) session: Option<Session>,
+    pub(super) taps: Arc<Taps>,
     /// Whoever waits for the preparation.
     pending: Option<Reply>,
     status: SharedStatus,

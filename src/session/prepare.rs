@@ -7,7 +7,8 @@ use super::link::{LinkKeeper, LinkSetup};
 use super::state::Fault;
 use crate::acquire::matcher::{ClockRelation, Matcher};
 use crate::acquire::receiver::{Arrival, ReceiverSetup};
-use crate::acquire::recorder::{LaneSetup, Recorder, RecorderOptions, ToRecorder};
+use crate::acquire::dry_run::DryRun;
+use crate::acquire::recorder::{Destination, LaneSetup, Recorder, RecorderOptions, ToRecorder};
 use crate::camera::AppliedSetting;
 use crate::cmds::Exit;
 use crate::config::FeatureSetting;
@@ -68,19 +69,23 @@ impl Node {
             reserve_bytes: self.config.reserve_bytes,
             ..WriterOptions::default()
         };
+        if request.dry_run {
+            session.destination = Some(Destination::DryRun(Box::new(DryRun::new(header))));
+            return Ok(());
+        }
         let recording = Recording::create(&session.dir, header, options).map_err(|error| {
             remove_if_empty(&session.dir);
             let exit = if matches!(error, RecordError::Exists { .. }) { Exit::Usage } else { Exit::Failure };
             Fault::new(exit, error)
         })?;
-        session.recording = Some(recording);
+        session.destination = Some(Destination::Recording(Box::new(recording)));
         Ok(())
     }
 
     /// Relates the clocks, starts the recorder, then the streams and the attendants.
     pub(super) fn start_streams(&mut self) -> Result<(), Fault> {
         let Some(session) = &mut self.session else { return Ok(()) };
-        let Some(recording) = session.recording.take() else { return Ok(()) };
+        let Some(destination) = session.destination.take() else { return Ok(()) };
         let samples = self.devices.clock_burst(&session.clock);
         let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
         let lane = |camera: &PreparedCamera| LaneSetup {
@@ -98,8 +103,10 @@ impl Node {
             |e: std::io::Error| Fault::new(Exit::Failure, format!("cannot start a thread: {e}"));
         let progress = Arc::clone(&session.progress);
         let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
-        let recorder = Recorder::start(recording, lanes, options, progress, arrivals, commands, events)
-            .map_err(thread_error)?;
+        let taps = Arc::clone(&self.taps);
+        let recorder =
+            Recorder::start(destination, taps, lanes, options, progress, arrivals, commands, events)
+                .map_err(thread_error)?;
         session.recorder = Some(recorder);
         session.from_recorder = from_recorder;
         samples.into_iter().for_each(|sample| drop(to_recorder.send(ToRecorder::Clock(sample))));
@@ -188,7 +195,10 @@ impl Node {
     pub(super) fn discard_recording(&mut self) -> Result<(), Fault> {
         let Some(session) = &mut self.session else { return Ok(()) };
         session.end_recorder();
-        session.recording = None;
+        session.destination = None;
+        if session.request.dry_run {
+            return Ok(());
+        }
         let removed = std::fs::remove_dir_all(&session.dir);
         remove_if_empty(&session.dir);
         removed.map_err(|e| {

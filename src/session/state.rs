@@ -33,6 +33,9 @@ pub struct SessionRequest {
     pub subject: Option<String>,
     /// Free text.
     pub note: Option<String>,
+    /// Everything but the recording: frames are counted and judged, nothing is written.
+    #[serde(default)]
+    pub dry_run: bool,
 }
 
 /// Why something failed, with the exit code that it means on the command line.
@@ -349,6 +352,7 @@ mod tests {
             nodes: vec![NodeId::from("a"), NodeId::from("b")],
             subject: None,
             note: None,
+            dry_run: false,
         }
     }
 

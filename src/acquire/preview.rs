@@ -1,0 +1,163 @@
+//! What previews see of the frames: now and then a quarter of one, copied where the writer's thread hands it on.
+//!
+//! The cost is bounded whatever previews do: a camera's frame is copied only when one was asked for, every fourth row of
+//! it, into memory that is kept; nothing is waited for. Without a request it is one load of a flag a frame.
+
+use super::ring::{Sink, ToWriter};
+use crate::ids::CameraId;
+use crate::record::{FrameMeta, RecordError, SessionEnd, Verdict};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, TryLockError};
+
+/// Every so many rows one is copied.
+pub const ROW_STEP: usize = 4;
+
+/// Rows of a frame, whole.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Sample {
+    /// Of which trigger.
+    pub trigger: u64,
+    /// When the frame arrived, host clock, ns.
+    pub host_time_ns: u64,
+    /// Columns.
+    pub width: usize,
+    /// Rows 0, 4, 8, ... of the frame, `width` bytes each.
+    pub pixels: Vec<u8>,
+}
+
+/// Where the recorder leaves samples, and previews take them.
+#[derive(Debug)]
+pub struct Taps {
+    taps: Vec<Tap>,
+}
+
+#[derive(Debug)]
+struct Tap {
+    camera: CameraId,
+    wanted: AtomicBool,
+    sample: Mutex<Slot>,
+}
+
+/// One buffer on its way to previews, one on its way back.
+#[derive(Debug, Default)]
+struct Slot {
+    fresh: Option<Sample>,
+    spare: Option<Sample>,
+}
+
+impl Taps {
+    /// For cameras in the order in which the recorder numbers them.
+    pub fn new(cameras: impl IntoIterator<Item = CameraId>) -> Self {
+        let tap = |camera| Tap { camera, wanted: AtomicBool::new(false), sample: Mutex::default() };
+        Self { taps: cameras.into_iter().map(tap).collect() }
+    }
+
+    /// The cameras, in the recorder's order.
+    pub fn cameras(&self) -> impl Iterator<Item = &CameraId> {
+        self.taps.iter().map(|tap| &tap.camera)
+    }
+
+    /// Asks for a sample of the next frame of a camera.
+    pub fn ask(&self, camera: usize) {
+        if let Some(tap) = self.taps.get(camera) {
+            tap.wanted.store(true, Ordering::Release);
+        }
+    }
+
+    /// Exchanges the sample that was left last for one that is done with; `None` when there is no new one.
+    pub fn take(&self, camera: usize, done: &mut Option<Sample>) -> Option<Sample> {
+        let mut slot = match self.taps.get(camera)?.sample.lock() {
+            Ok(slot) => slot,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        let fresh = slot.fresh.take()?;
+        slot.spare = done.take();
+        Some(fresh)
+    }
+
+    /// Leaves a sample of a frame if one is wanted. Never waits: while a preview takes the last one, the next frame will do.
+    fn offer(&self, camera: usize, meta: &FrameMeta, pixels: &[u8]) {
+        let Some(tap) = self.taps.get(camera) else { return };
+        if !tap.wanted.load(Ordering::Acquire) {
+            return;
+        }
+        let mut slot = match tap.sample.try_lock() {
+            Ok(slot) => slot,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return,
+        };
+        tap.wanted.store(false, Ordering::Release);
+        let mut sample = slot.fresh.take().or_else(|| slot.spare.take()).unwrap_or_default();
+        sample.trigger = meta.trigger.0;
+        sample.host_time_ns = meta.host_time_ns;
+        sample.width = meta.width as usize;
+        sample.pixels.clear();
+        let rows = pixels.chunks_exact(sample.width.max(1)).step_by(ROW_STEP);
+        rows.for_each(|row| sample.pixels.extend_from_slice(row));
+        slot.fresh = Some(sample);
+    }
+}
+
+/// A sink whose frames previews may look at before they are passed on.
+pub(super) struct Tapped {
+    pub(super) sink: Box<dyn Sink>,
+    pub(super) taps: Arc<Taps>,
+}
+
+impl Sink for Tapped {
+    fn write(&mut self, item: ToWriter) -> Result<(), RecordError> {
+        if let ToWriter::Frame(frame) = &item {
+            self.taps.offer(frame.camera, &frame.meta, frame.block.pixels());
+        }
+        self.sink.write(item)
+    }
+
+    fn tick(&mut self) -> Result<(), RecordError> {
+        self.sink.tick()
+    }
+
+    fn finish(self: Box<Self>, end: SessionEnd) -> Result<Verdict, RecordError> {
+        self.sink.finish(end)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Sample, Taps};
+    use crate::ids::{BlockId, CameraId, TriggerIndex};
+    use crate::record::FrameMeta;
+
+    fn meta(trigger: u64) -> FrameMeta {
+        FrameMeta {
+            trigger: TriggerIndex(trigger),
+            block: BlockId(1),
+            camera_time_ns: 0,
+            host_time_ns: trigger,
+            width: 2,
+            height: 5,
+            pixels_crc: 0,
+        }
+    }
+
+    #[test]
+    fn only_what_was_asked_for_is_copied_and_the_newest_counts() {
+        let taps = Taps::new([CameraId::from("h0_up")]);
+        let pixels: Vec<u8> = (0..10).collect();
+        taps.offer(0, &meta(0), &pixels);
+        assert_eq!(taps.take(0, &mut None), None);
+        taps.ask(0);
+        taps.offer(0, &meta(1), &pixels);
+        taps.offer(0, &meta(2), &pixels);
+        let expected = Sample { trigger: 1, host_time_ns: 1, width: 2, pixels: vec![0, 1, 8, 9] };
+        assert_eq!(taps.take(0, &mut None), Some(expected));
+        taps.ask(0);
+        taps.offer(0, &meta(3), &pixels);
+        taps.ask(0);
+        taps.offer(0, &meta(4), &pixels);
+        assert_eq!(taps.take(0, &mut None).map(|sample| sample.trigger), Some(4));
+        assert_eq!(taps.take(0, &mut None), None);
+        taps.ask(7);
+        taps.offer(7, &meta(5), &pixels);
+        assert_eq!(taps.take(7, &mut None), None, "a camera that is not there");
+    }
+}
