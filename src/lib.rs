@@ -29,6 +29,8 @@ pub mod doctor;
 pub mod export;
 /// Lens models, rigid transforms and the triangulating devices.
 pub mod geometry;
+/// Histograms of durations.
+pub mod histogram;
 /// The serial link to the hardware synchronization unit.
 pub mod hsu;
 /// Identifiers that must not be mixed up.
@@ -43,6 +45,8 @@ pub mod reconstruct;
 pub mod record;
 /// One capture on one node: the state machine and its driver.
 pub mod session;
+/// What a running node counts: metrics, and thresholds that judge them.
+pub mod telemetry;
 /// The host's clocks.
 pub mod time;
 /// Figures of merit: clouds against the truth.

@@ -32,6 +32,7 @@ enum Command {
     Pattern(cmds::pattern::Args),
     Reconstruct(cmds::reconstruct::Args),
     Recover(cmds::recover::Args),
+    Token(cmds::token::Args),
     Validate(cmds::validate::Args),
     View(cmds::view::Args),
 }
@@ -67,6 +68,7 @@ fn run(command: &Command) -> Result<Exit, Failure> {
         Command::Pattern(args) => cmds::pattern::run(args),
         Command::Reconstruct(args) => cmds::reconstruct::run(args),
         Command::Recover(args) => cmds::recover::run(args),
+        Command::Token(args) => cmds::token::run(args),
         Command::Validate(args) => cmds::validate::run(args),
         Command::View(args) => cmds::view::run(args),
     }

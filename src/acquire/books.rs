@@ -448,7 +448,7 @@ impl Books {
     }
 
     fn count_gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) {
-        self.progress.gaps[camera].fetch_add(1, Ordering::Relaxed);
+        self.progress.gap(camera, cause);
         self.ring.small(ToWriter::Gap(camera, trigger, cause));
     }
 

@@ -7,7 +7,7 @@ use super::books::Books;
 use super::dry_run::DryRun;
 use super::latency::Latencies;
 use super::matcher::Matcher;
-use super::preview::{Taps, Tapped};
+use super::preview::{Tapped, Taps};
 use super::receiver::Arrival;
 use super::ring::{Ring, Sink};
 pub use crate::config::WhenFull;
@@ -16,7 +16,7 @@ use crate::record::{ClockSample, GapCause, NodeEvent, Recording, TriggerRecord, 
 use crate::session::state::Fault;
 use crossbeam_channel::{Receiver, Sender, after, select};
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -93,6 +93,12 @@ pub struct Progress {
     pub frames: Vec<AtomicU64>,
     /// Gap records written, per camera.
     pub gaps: Vec<AtomicU64>,
+    /// The same by cause, per camera: in the order of [`GapCause::ALL`].
+    pub causes: Vec<[AtomicU64; GapCause::ALL.len()]>,
+    /// Times that the thread which keeps the books went round: grows as long as it lives.
+    pub recorder_turns: AtomicU64,
+    /// Times that the writer's thread went round.
+    pub writer_turns: AtomicU64,
     /// Most frames that were waiting at any time, in the ring or before it.
     pub high_water: AtomicU64,
     /// Most frames that were in the ring at any time.
@@ -101,6 +107,16 @@ pub struct Progress {
     pub dropped: AtomicU64,
     /// How long frames took.
     pub latencies: Latencies,
+}
+
+impl Progress {
+    /// Counts a gap record.
+    pub(super) fn gap(&self, camera: usize, cause: GapCause) {
+        if let Some((gaps, causes)) = self.gaps.get(camera).zip(self.causes.get(camera)) {
+            gaps.fetch_add(1, Ordering::Relaxed);
+            causes[cause as usize].fetch_add(1, Ordering::Relaxed);
+        }
+    }
 }
 
 impl Progress {
@@ -113,6 +129,9 @@ impl Progress {
             received: zeros(),
             frames: zeros(),
             gaps: zeros(),
+            causes: (0..cameras).map(|_| Default::default()).collect(),
+            recorder_turns: AtomicU64::new(0),
+            writer_turns: AtomicU64::new(0),
             high_water: AtomicU64::new(0),
             ring_high_water: AtomicU64::new(0),
             dropped: AtomicU64::new(0),
@@ -201,6 +220,7 @@ pub enum Destination {
 /// The recorder's side of a session.
 pub struct Recorder {
     books: Books,
+    progress: Arc<Progress>,
     arrivals: Receiver<Arrival>,
     commands: Receiver<ToRecorder>,
 }
@@ -225,7 +245,15 @@ impl Recorder {
             Destination::Recording(recording) => recording,
             Destination::DryRun(run) => run,
         };
-        Self::start_with(Box::new(Tapped { sink, taps }), lanes, options, progress, arrivals, commands, events)
+        Self::start_with(
+            Box::new(Tapped { sink, taps }),
+            lanes,
+            options,
+            progress,
+            arrivals,
+            commands,
+            events,
+        )
     }
 
     pub(super) fn start_with(
@@ -239,8 +267,8 @@ impl Recorder {
     ) -> std::io::Result<JoinHandle<()>> {
         let capacity = options.ring_sets() * lanes.len().max(1);
         let ring = Ring::start(sink, capacity, Arc::clone(&progress), events.clone())?;
-        let books = Books::new(lanes, options, progress, ring, events);
-        let recorder = Self { books, arrivals, commands };
+        let books = Books::new(lanes, options, Arc::clone(&progress), ring, events);
+        let recorder = Self { books, progress, arrivals, commands };
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
             super::realtime::enter_configured("recorder");
             recorder.run()
@@ -251,6 +279,7 @@ impl Recorder {
         loop {
             let waiting = self.arrivals.len();
             self.books.turn();
+            self.progress.recorder_turns.fetch_add(1, Ordering::Relaxed);
             select! {
                 recv(self.arrivals) -> arrival => match arrival {
                     Ok(arrival) => {

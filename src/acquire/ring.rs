@@ -156,6 +156,7 @@ struct Writer {
 impl Writer {
     fn run(mut self) {
         loop {
+            self.progress.writer_turns.fetch_add(1, Ordering::Relaxed);
             match self.inbox.recv_timeout(TICK) {
                 Ok(ToWriter::End(end)) => {
                     let verdict = self.sink.finish(end).map_err(|e| Fault::new(Exit::DataLoss, e));
@@ -179,10 +180,12 @@ impl Writer {
     fn frame(&mut self, frame: ReadyFrame) {
         let (camera, taken, entered) = (frame.camera, frame.taken, frame.since);
         let written = self.sink.write(ToWriter::Frame(frame));
-        let count = if written.is_ok() { &self.progress.frames } else { &self.progress.gaps };
-        // The recording has accounted for a frame that it could not write.
-        if let Some(count) = count.get(camera) {
-            count.fetch_add(1, Ordering::Relaxed);
+        match self.progress.frames.get(camera).filter(|_| written.is_ok()) {
+            Some(frames) => {
+                frames.fetch_add(1, Ordering::Relaxed);
+            }
+            // The recording has accounted for a frame that it could not write.
+            None => self.progress.gap(camera, GapCause::DroppedDisk),
         }
         self.frames.fetch_sub(1, Ordering::Relaxed);
         self.progress.latencies.written.record(entered.elapsed());

@@ -1,10 +1,12 @@
 //! What goes over the API.
 
 use super::tokens::Role;
-use crate::camera::CameraIdentity;
+use crate::camera::{AppliedSetting, CameraIdentity};
+use crate::config::{FeatureSetting, OnLoss, SocketMode, WhenFull};
 use crate::ids::{CameraId, NodeId};
 use crate::record::{Interrupted, Latency};
 use crate::session::state::{Fault, Phase};
+use crate::telemetry::{Family, Judgement};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use utoipa::ToSchema;
@@ -40,6 +42,19 @@ pub struct NodeStatus {
     pub interrupted: Vec<Interrupted>,
     /// The session in progress, or the last one.
     pub session: Option<SessionStatus>,
+    /// What is measured, judged by the thresholds of `fourdbody::telemetry`.
+    #[serde(default)]
+    pub judgements: Vec<Judgement>,
+}
+
+impl NodeStatus {
+    /// What keeps the node from capturing, each with the device's name.
+    pub fn problems(&self) -> Vec<String> {
+        let cameras = self.cameras.iter();
+        let cameras = cameras.filter_map(|c| c.problem.as_ref().map(|p| format!("camera {}: {p}", c.id)));
+        let hsu = self.hsu.problem.iter().map(|p| format!("HSU at {}: {p}", self.hsu.device.display()));
+        cameras.chain(hsu).collect()
+    }
 }
 
 /// One camera.
@@ -146,6 +161,80 @@ pub enum Via {
     Nothing,
 }
 
+/// Whether the node can take a session.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Health {
+    /// It can.
+    pub healthy: bool,
+    /// Why it cannot.
+    pub reasons: Vec<String>,
+}
+
+/// The node's devices.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Devices {
+    /// Its cameras, in the rig's order.
+    pub cameras: Vec<CameraStatus>,
+    /// Its link to the HSU.
+    pub hsu: HsuStatus,
+}
+
+/// What is configured, and what cameras made of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Settings {
+    /// The node's name in the rig.
+    pub node: String,
+    /// The rig's name.
+    pub rig: String,
+    /// Triggers per second.
+    pub trigger_rate_hz: f64,
+    /// Where sessions are recorded.
+    pub sessions_dir: String,
+    /// The disk is never filled beyond this many free bytes.
+    pub reserve_bytes: u64,
+    /// A segment is closed at the first trigger after this many bytes.
+    pub segment_bytes: u64,
+    /// Frame buffers per camera.
+    pub buffers_per_camera: usize,
+    /// GVSP packet size, bytes.
+    pub packet_bytes: u32,
+    /// How packets are received.
+    pub socket: SocketMode,
+    /// Before arming no camera may send for this long.
+    pub silence_gate_ms: u64,
+    /// When frames come faster than the disk takes them.
+    pub when_full: WhenFull,
+    /// When a camera stops answering.
+    pub on_camera_lost: OnLoss,
+    /// When the link to the HSU breaks during a train.
+    pub on_link_lost: OnLoss,
+    /// Its cameras, in the rig's order.
+    pub cameras: Vec<CameraSettings>,
+}
+
+/// One camera's settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CameraSettings {
+    /// Its name in the rig.
+    #[schema(value_type = String)]
+    pub id: CameraId,
+    /// As configured.
+    pub address: String,
+    /// Columns and rows of its images, by the rig.
+    pub size: [usize; 2],
+    /// Set in this order before every session.
+    pub configured: Vec<FeatureSetting>,
+    /// As read back when a session was last prepared; none before the first.
+    pub read_back: Option<Vec<AppliedSetting>>,
+}
+
+/// All metrics.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Metrics {
+    /// The same families as in the text for Prometheus.
+    pub families: Vec<Family>,
+}
+
 /// Who the node takes a caller for.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Identity {
@@ -183,6 +272,16 @@ pub mod path {
     pub const LOGOUT: &str = "/api/v1/logout";
     /// GET: [`super::Identity`].
     pub const IDENTITY: &str = "/api/v1/identity";
+    /// GET: [`super::Health`]; 503 when a session could not start.
+    pub const HEALTH: &str = "/api/v1/health";
+    /// GET: [`super::Devices`].
+    pub const DEVICES: &str = "/api/v1/devices";
+    /// GET: [`super::Settings`].
+    pub const SETTINGS: &str = "/api/v1/settings";
+    /// GET: metrics as Prometheus reads them.
+    pub const METRICS: &str = "/api/v1/metrics";
+    /// GET: [`super::Metrics`].
+    pub const METRICS_JSON: &str = "/api/v1/metrics.json";
     /// GET: the API's description (OpenAPI).
     pub const OPENAPI: &str = "/api/v1/openapi.json";
 }

@@ -1,7 +1,7 @@
 //! `fourdbody capture`: sessions on all nodes, from preparation to the verdict.
 
+use super::connect::Connect;
 use super::{Exit, Failure};
-use crate::api::client::NodeClient;
 use crate::session::capture::{Control, Wish};
 use crate::session::captured::Captured;
 use crate::session::participant::Participant;
@@ -19,9 +19,8 @@ use std::sync::Arc;
     after_help = "Example:\n  fourdbody capture --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --duration 10 --name walk-01"
 )]
 pub struct Args {
-    /// The nodes' URLs, separated by commas.
-    #[arg(long, value_name = "URL,URL", value_delimiter = ',', required = true)]
-    nodes: Vec<String>,
+    #[command(flatten)]
+    connect: Connect,
     /// Seconds to capture; the number of triggers follows from the rig's rate.
     #[arg(long, value_name = "S", conflicts_with = "triggers", required_unless_present = "triggers")]
     duration: Option<f64>,
@@ -72,8 +71,9 @@ impl Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let failure = |fault: Fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message };
+    let nodes = args.connect.clients().map_err(failure)?;
     let nodes: Vec<Box<dyn Participant>> =
-        args.nodes.iter().map(|url| Box::new(NodeClient::new(url)) as Box<dyn Participant>).collect();
+        nodes.into_iter().map(|node| Box::new(node) as Box<dyn Participant>).collect();
     let control = Arc::new(Control::default());
     stop_on_ctrl_c(&control).map_err(failure)?;
     let show_progress = !args.json && std::io::IsTerminal::is_terminal(&std::io::stderr());

@@ -16,8 +16,11 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 #[command(after_help = "Example:\n  fourdbody node --config config/node-a.toml")]
 pub struct Args {
     /// The node file.
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "print_openapi")]
+    config: Option<PathBuf>,
+    /// Print the description of the control API (OpenAPI, JSON) and end.
+    #[arg(long)]
+    print_openapi: bool,
 }
 
 /// How long the API answers after the end for whoever has not fetched the verdict yet: a capture asks ten times a
@@ -27,7 +30,12 @@ const READ_PATIENCE: Duration = Duration::from_secs(5);
 /// Runs the command until SIGTERM or SIGINT. A session in progress is ended and gets its verdict, and the API answers
 /// until that was fetched; a second signal ends the process at once.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let config = NodeConfig::load(&args.config)?;
+    let Some(config) = args.config.as_deref().filter(|_| !args.print_openapi) else {
+        let text = serde_json::to_string_pretty(&server::description());
+        println!("{}", text.map_err(|e| Failure::new(Exit::Failure, e))?);
+        return Ok(Exit::Done);
+    };
+    let config = NodeConfig::load(config)?;
     let backend = backend()?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
@@ -47,7 +55,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let driver = Driver::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
     driver.status().write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
     let read = server::OutcomeRead::default();
-    let handle = NodeHandle { commands: driver.commands(), status: driver.status(), read: Arc::clone(&read) };
+    let handle = NodeHandle {
+        commands: driver.commands(),
+        status: driver.status(),
+        read: Arc::clone(&read),
+        telemetry: driver.telemetry(),
+    };
     let (listen, socket) =
         (config.api.listen, config.api.socket.as_ref().map(|s| s.path.display().to_string()));
     let shared = Shared::new(config, handle, auth, &listeners)

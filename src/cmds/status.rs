@@ -1,29 +1,33 @@
 //! `fourdbody status`: the health of the nodes.
 
+use super::connect::Connect;
 use super::{Exit, Failure};
-use crate::api::client::NodeClient;
 use crate::api::dto::NodeStatus;
+use crate::session::state::Fault;
+use crate::telemetry::Grade;
 
 /// Show the health of the nodes: cameras, HSU link, disk, session.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody status --nodes http://127.0.0.1:7401,http://127.0.0.1:7402")]
 pub struct Args {
-    /// The nodes' URLs, separated by commas.
-    #[arg(long, value_name = "URL,URL", value_delimiter = ',', required = true)]
-    nodes: Vec<String>,
+    #[command(flatten)]
+    connect: Connect,
     /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
 }
 
-/// Runs the command. Exit code 5 when a node does not answer or misses a device.
+/// Runs the command. Exit code 5 when a node does not answer or misses a device; what is judged bad besides is shown, and
+/// changes no exit code.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut exit = Exit::Done;
     let mut answers = Vec::new();
-    for url in &args.nodes {
-        match NodeClient::new(url).status() {
+    let failure = |fault: Fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message };
+    let clients = args.connect.clients().map_err(failure)?;
+    for (url, client) in args.connect.nodes.iter().zip(clients) {
+        match client.status() {
             Ok(status) => {
-                if !problems(&status).is_empty() {
+                if !status.problems().is_empty() {
                     exit = Exit::Device;
                 }
                 answers.push(serde_json::json!({ "url": url, "status": status }));
@@ -46,14 +50,6 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(exit)
 }
 
-/// What keeps a node from capturing, each with the device's name.
-fn problems(status: &NodeStatus) -> Vec<String> {
-    let cameras = status.cameras.iter();
-    let cameras = cameras.filter_map(|c| c.problem.as_ref().map(|p| format!("camera {}: {p}", c.id)));
-    let hsu = status.hsu.problem.iter().map(|p| format!("HSU at {}: {p}", status.hsu.device.display()));
-    cameras.chain(hsu).collect()
-}
-
 fn print(status: &NodeStatus) {
     let good = status.cameras.iter().filter(|c| c.problem.is_none()).count();
     println!(
@@ -67,7 +63,7 @@ fn print(status: &NodeStatus) {
         status.free_bytes as f64 / 1e9,
         status.sessions_dir.display()
     );
-    for problem in problems(status) {
+    for problem in status.problems() {
         println!("  problem: {problem}");
     }
     for warning in &status.warnings {
@@ -87,5 +83,18 @@ fn print(status: &NodeStatus) {
         let frames: u64 = session.cameras.iter().map(|c| c.frames).sum();
         let gaps: u64 = session.cameras.iter().map(|c| c.gaps).sum();
         println!("  session {}: {} triggers, {frames} frames, {gaps} gaps", session.name, session.triggers);
+    }
+    for judged in &status.judgements {
+        let word = match judged.grade {
+            Grade::Good => "good",
+            Grade::Fair => "fair",
+            Grade::Bad => "BAD",
+        };
+        let (value, unit) = (judged.value, &judged.unit);
+        let (good, bad) = (judged.good, judged.bad);
+        println!(
+            "  {word:<4} {:<16} {value:.1} {unit} (good {good}, bad {bad}): {}",
+            judged.name, judged.meaning
+        );
     }
 }

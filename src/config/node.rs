@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// A GenICam feature's value as written in the configuration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(untagged)]
 pub enum FeatureValue {
     /// For booleans.
@@ -26,7 +26,7 @@ pub enum FeatureValue {
 }
 
 /// One feature to set, in the order given (selectors first).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FeatureSetting {
     /// SFNC name, for instance `TriggerMode`.
     pub feature: String,
@@ -46,7 +46,7 @@ pub struct CameraConfig {
 }
 
 /// How Aravis receives packets.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SocketMode {
     /// A packet socket where the process may open one (CAP_NET_RAW), an ordinary UDP socket otherwise.
@@ -56,7 +56,7 @@ pub enum SocketMode {
 }
 
 /// What the loss of a device means for a session.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnLoss {
     /// The session goes on; what is missing becomes gap records.
@@ -66,7 +66,7 @@ pub enum OnLoss {
 }
 
 /// What a full ring of frames means for a session.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WhenFull {
     /// The newest whole frame set is dropped, with a gap record for each of its frames.

@@ -173,6 +173,25 @@ pub enum GapCause {
     Unknown,
 }
 
+impl GapCause {
+    /// All of them; a cause's place is `cause as usize`.
+    pub const ALL: [Self; 13] = [
+        Self::MissingPackets,
+        Self::Timeout,
+        Self::NotTriggered,
+        Self::DroppedRingFull,
+        Self::DroppedDisk,
+        Self::Unplugged,
+        Self::ControlLost,
+        Self::Aborted,
+        Self::SizeMismatch,
+        Self::IdentityMismatch,
+        Self::NotRecorded,
+        Self::Damaged,
+        Self::Unknown,
+    ];
+}
+
 impl fmt::Display for GapCause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         // The serialized name is the name everywhere.

@@ -32,7 +32,7 @@ pub use layout::{
 };
 pub use reader::{ReadError, RecordedFrame, RecordingReader, SegmentReader};
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
-pub use statistics::{DiskAccess, Latency, WriteStatistics};
+pub use statistics::{DiskAccess, DiskProgress, Latency, WriteStatistics};
 pub(crate) use verdict::CameraTally;
 pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

@@ -9,7 +9,7 @@ use super::layout::{
     ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
 };
 use super::segment::{Closing, JsonChannel, Segment};
-use super::statistics::{Histogram, WriteStatistics};
+use super::statistics::{DiskProgress, WriteStatistics};
 use super::verdict::{CameraTally, SessionEnd, Verdict};
 use super::window::QUEUE;
 use crate::acquire::pool::Block;
@@ -20,6 +20,7 @@ use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 mod error;
@@ -48,12 +49,8 @@ pub(crate) const REFUSED: &str = "refused";
 
 type OpenStore = Arc<dyn Fn(&Path) -> io::Result<Box<dyn Store>> + Send + Sync>;
 
-/// From the handing over of frames until the disk had them.
-#[derive(Default)]
-struct Latencies {
-    written: Histogram,
-    durable: Histogram,
-}
+/// Shared with whoever looks.
+type Latencies = Arc<DiskProgress>;
 
 /// A recording being written.
 pub struct Recording {
@@ -218,9 +215,15 @@ impl Recording {
         let more = entry.segment.bytes() - before;
         self.unsynced += more;
         self.unlooked += more;
+        self.latencies.bytes.fetch_add(more, Ordering::Relaxed);
         result.or_else(|source| self.fail(source))?;
         self.after_record(place)?;
         self.split_if_due()
+    }
+
+    /// How the disk keeps up, to be looked at while this is written.
+    pub fn progress(&self) -> Arc<DiskProgress> {
+        Arc::clone(&self.latencies)
     }
 
     /// How the disk keeps up.

@@ -5,12 +5,11 @@ use super::devices::PreparedCamera;
 use super::link::LinkKeeper;
 use super::silence::SilenceWatch;
 use super::state::SessionRequest;
-use crate::acquire::latency::Histogram;
 use crate::acquire::realtime;
 use crate::acquire::recorder::{Destination, FromRecorder, Progress, ToRecorder};
 use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
 use crate::hsu::Hsu;
-use crate::record::{Latency, NodeEvent};
+use crate::record::NodeEvent;
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver, Sender, never, unbounded};
 use std::path::PathBuf;
@@ -135,18 +134,9 @@ impl Session {
             triggers: load(&self.progress.triggers),
             cameras: cameras.collect(),
             ring_high_water_frames: load(&self.progress.high_water),
-            written: latency_of(&self.progress.latencies.written),
-            total: latency_of(&self.progress.latencies.total),
+            written: self.progress.latencies.written.summary(),
+            total: self.progress.latencies.total.summary(),
             outcome: self.outcome.clone(),
         }
-    }
-}
-
-fn latency_of(histogram: &Histogram) -> Latency {
-    let us = |ms: f64| (ms * 1e3) as u64;
-    Latency {
-        p50_us: us(histogram.quantile_ms(0.5)),
-        p99_us: us(histogram.quantile_ms(0.99)),
-        max_us: us(histogram.max_ms()),
     }
 }

@@ -4,7 +4,7 @@ use super::current::Session;
 use super::devices::Devices;
 use super::state::{Action, Event, Fault, Machine, Phase, SessionRequest};
 use crate::acquire::preview::Taps;
-use crate::acquire::recorder::ToRecorder;
+use crate::acquire::recorder::{RecorderOptions, ToRecorder};
 use crate::acquire::{heap, realtime};
 use crate::api::dto::{NodeStatus, Outcome, SessionCommand};
 use crate::api::server::{Command, Reply, SharedStatus};
@@ -14,8 +14,10 @@ use crate::config::NodeConfig;
 use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId};
 use crate::ids::{CameraId, SessionName};
 use crate::record::{NodeEvent, free_bytes};
+use crate::telemetry::{Current, Telemetry};
 use crossbeam_channel::{Receiver, Sender, bounded, never, select};
 use std::collections::VecDeque;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -25,6 +27,7 @@ pub struct Driver {
     commands: Sender<Command>,
     status: SharedStatus,
     taps: Arc<Taps>,
+    telemetry: Arc<Telemetry>,
     stop: Sender<()>,
     thread: JoinHandle<()>,
 }
@@ -55,15 +58,18 @@ impl Driver {
             free_bytes: 0,
             interrupted: Vec::new(),
             session: None,
+            judgements: Vec::new(),
         }));
         let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);
         let taps = Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone())));
+        let telemetry = Arc::new(Telemetry::default());
         let node = Node {
             machine: Machine::new(period),
             config,
             devices,
             session: None,
             taps: Arc::clone(&taps),
+            telemetry: Arc::clone(&telemetry),
             pending: None,
             status: Arc::clone(&status),
             origin: Instant::now(),
@@ -71,7 +77,7 @@ impl Driver {
         };
         let thread =
             std::thread::Builder::new().name("node".to_owned()).spawn(move || node.run(&inbox, &stopped))?;
-        Ok(Self { commands, status, taps, stop, thread })
+        Ok(Self { commands, status, taps, telemetry, stop, thread })
     }
 
     /// Where the API sends commands.
@@ -87,6 +93,11 @@ impl Driver {
     /// Where previews get their samples.
     pub fn taps(&self) -> Arc<Taps> {
         Arc::clone(&self.taps)
+    }
+
+    /// What the node's threads count.
+    pub fn telemetry(&self) -> Arc<Telemetry> {
+        Arc::clone(&self.telemetry)
     }
 
     /// Asks for the end: a session in progress is ended with its verdict, then the thread. Does not wait.
@@ -115,6 +126,7 @@ pub(super) struct Node {
     pub(super) machine: Machine,
     pub(super) session: Option<Session>,
     pub(super) taps: Arc<Taps>,
+    pub(super) telemetry: Arc<Telemetry>,
     /// Whoever waits for the preparation.
     pending: Option<Reply>,
     status: SharedStatus,
@@ -157,6 +169,7 @@ impl Node {
     }
 
     fn tick(&mut self) {
+        self.telemetry.node_turns.fetch_add(1, Ordering::Relaxed);
         let asleep = std::mem::replace(&mut self.ticked, Instant::now()).elapsed();
         if asleep > ASLEEP {
             // What came meanwhile has not been heard yet: nobody was silent but this node.
@@ -204,8 +217,21 @@ impl Node {
         let dir = self.config.sessions_dir.join(name.as_str()).join(format!("node-{}", self.config.node));
         tracing::info!(session = request.name, triggers = request.triggers, "preparing");
         self.pending = Some(reply);
-        self.session = Some(Session::new(request.clone(), dir, self.config.cameras.len()));
+        let session = Session::new(request.clone(), dir, self.config.cameras.len());
+        self.telemetry.begin(Current {
+            progress: Arc::clone(&session.progress),
+            disk: None,
+            ring_capacity: self.ring_frames(),
+        });
+        self.session = Some(session);
         self.take(Event::Prepare(request));
+    }
+
+    /// Frames that fit into the ring of a session.
+    fn ring_frames(&self) -> u64 {
+        let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
+        let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
+        (options.ring_sets() * self.config.cameras.len()) as u64
     }
 
     fn session_command(&mut self, command: &SessionCommand, reply: Reply, event: Event) {
@@ -260,6 +286,9 @@ impl Node {
         match action {
             Action::PrepareDevices => {
                 let cameras = self.devices.prepare()?;
+                for camera in &cameras {
+                    self.telemetry.applied(&camera.id, camera.settings.clone());
+                }
                 self.in_session(|session| session.has_cameras(cameras));
                 Ok(())
             }

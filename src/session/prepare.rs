@@ -5,9 +5,9 @@ use super::devices::{PreparedCamera, unique_id};
 use super::driver::{Node, hsu_session};
 use super::link::{LinkKeeper, LinkSetup};
 use super::state::Fault;
+use crate::acquire::dry_run::DryRun;
 use crate::acquire::matcher::{ClockRelation, Matcher};
 use crate::acquire::receiver::{Arrival, ReceiverSetup};
-use crate::acquire::dry_run::DryRun;
 use crate::acquire::recorder::{Destination, LaneSetup, Recorder, RecorderOptions, ToRecorder};
 use crate::camera::AppliedSetting;
 use crate::cmds::Exit;
@@ -78,6 +78,7 @@ impl Node {
             let exit = if matches!(error, RecordError::Exists { .. }) { Exit::Usage } else { Exit::Failure };
             Fault::new(exit, error)
         })?;
+        self.telemetry.recording(recording.progress());
         session.destination = Some(Destination::Recording(Box::new(recording)));
         Ok(())
     }

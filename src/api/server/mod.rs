@@ -27,8 +27,9 @@ pub use transport::{Link, Listeners, TransportError};
 
 use super::dto::{NodeStatus, SessionCommand};
 use crate::cmds::Exit;
-use crate::config::NodeConfig;
+use crate::config::{NodeConfig, RigCamera};
 use crate::session::state::{Fault, SessionRequest};
+use crate::telemetry::{NodeFacts, Telemetry};
 use axum::Router;
 use axum::http::StatusCode;
 use axum::middleware::from_fn_with_state;
@@ -70,6 +71,8 @@ pub struct NodeHandle {
     pub status: SharedStatus,
     /// Gets the id of every session whose outcome was fetched.
     pub read: OutcomeRead,
+    /// What the node's threads count.
+    pub telemetry: Arc<Telemetry>,
 }
 
 /// What all requests share.
@@ -126,7 +129,22 @@ impl Shared {
         status.warnings.extend(self.transport_warnings.iter().cloned());
         status.warnings.extend(self.auth.warning());
         status.warnings.extend(self.audit.warning());
+        status.judgements = self.node.telemetry.judgements(&self.facts(&status));
         status
+    }
+
+    /// What telemetry must be told of the node.
+    fn facts(&self, status: &NodeStatus) -> NodeFacts {
+        let config = &self.config;
+        let bytes = |(_, camera): (_, &RigCamera)| camera.device.width * camera.device.height;
+        let frame_set: usize = config.rig.cameras_of(&config.node).map(bytes).sum();
+        NodeFacts {
+            cameras: status.cameras.iter().map(|c| (c.id.clone(), c.problem.is_none())).collect(),
+            hsu: status.hsu.problem.is_none(),
+            free_bytes: status.free_bytes,
+            reserve_bytes: config.reserve_bytes,
+            bytes_per_second: frame_set as f64 * config.rig.trigger_rate_hz,
+        }
     }
 
     /// Has the node carry a command out; returns when it has, or why it has not.
@@ -155,6 +173,9 @@ fn api() -> OpenApiRouter<Shared> {
     OpenApiRouter::with_openapi(openapi::base())
         .merge(routes::status::routes())
         .merge(routes::session::routes())
+        .merge(routes::devices::routes())
+        .merge(routes::health::routes())
+        .merge(routes::metrics::routes())
         .merge(routes::login::routes())
         .merge(routes::description::routes())
 }

@@ -116,7 +116,8 @@ impl OpenSegment {
                 for record in &group.records {
                     let Unwritten::Frame { since, .. } = record else { continue };
                     let time = milestone.at.saturating_duration_since(*since);
-                    if milestone.durable { latencies.durable.add(time) } else { latencies.written.add(time) }
+                    let histogram = if milestone.durable { &latencies.durable } else { &latencies.written };
+                    histogram.record(time);
                 }
                 group.written = true;
             }

@@ -1,6 +1,9 @@
 //! The API's routes, a file per resource; each has `routes()` with handlers and their description.
 
 pub(super) mod description;
+pub(super) mod devices;
+pub(super) mod health;
 pub(super) mod login;
+pub(super) mod metrics;
 pub(super) mod session;
 pub(super) mod status;

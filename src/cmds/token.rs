@@ -1,0 +1,123 @@
+//! `fourdbody token`: who may do what on a node.
+
+use super::{Exit, Failure};
+use crate::api::tokens::{
+    Role, SecretHash, Token, TokenError, TokenList, random_text, token_name, write_private,
+};
+use std::path::{Path, PathBuf};
+
+/// Make, renew, revoke and list the tokens of a node.
+///
+/// The node keeps names, roles and hashes (api.tokens in the node file); the secret lies only in the file that is given to
+/// its user. A running node notices changes within a second.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  fourdbody token new --tokens /etc/fourdbody/tokens --role operate --name anna --file anna.token\n  fourdbody status --nodes https://node-a.lab:7401 --token-file anna.token\n  fourdbody token new --tokens /etc/fourdbody/tokens --role operate --name anna --file anna.token --replace\n  fourdbody token revoke --tokens /etc/fourdbody/tokens --name anna"
+)]
+pub struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand)]
+enum Action {
+    /// Make a token: its hash goes into the node's list, the secret into a file of its own.
+    New {
+        /// The node's list (api.tokens); made when it is not there.
+        #[arg(long, value_name = "FILE")]
+        tokens: PathBuf,
+        /// What its bearer may do: view, operate, admin; or peer, for another node.
+        #[arg(long)]
+        role: Role,
+        /// Whose it is; the audit log says so.
+        #[arg(long, value_parser = token_name)]
+        name: String,
+        /// Where the secret goes, mode 0600.
+        #[arg(long, value_name = "FILE")]
+        file: PathBuf,
+        /// Renew: a token of this name, and the file, give way.
+        #[arg(long)]
+        replace: bool,
+    },
+    /// Take a token back: who shows it is refused, and logins with it end.
+    Revoke {
+        /// The node's list (api.tokens).
+        #[arg(long, value_name = "FILE")]
+        tokens: PathBuf,
+        /// Whose it is.
+        #[arg(long)]
+        name: String,
+    },
+    /// Show names and roles.
+    List {
+        /// The node's list (api.tokens).
+        #[arg(long, value_name = "FILE")]
+        tokens: PathBuf,
+        /// Print JSON instead of text.
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    match &args.action {
+        Action::New { tokens, role, name, file, replace } => new(tokens, *role, name, file, *replace),
+        Action::Revoke { tokens, name } => revoke(tokens, name),
+        Action::List { tokens, json } => list(tokens, *json),
+    }
+}
+
+fn usage(error: TokenError) -> Failure {
+    Failure::new(Exit::Usage, error)
+}
+
+fn new(path: &Path, role: Role, name: &str, file: &Path, replace: bool) -> Result<Exit, Failure> {
+    let mut list = if path.exists() { TokenList::load(path).map_err(usage)? } else { TokenList::default() };
+    let known = list.0.iter().position(|token| token.name == name);
+    if known.is_some() && !replace {
+        let message = format!("{} has a token for {name} already; renew it with --replace", path.display());
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let secret = random_text()
+        .map_err(|e| Failure::new(Exit::Failure, format!("the system gives no random numbers: {e}")))?;
+    let token = Token { name: name.to_owned(), role, hash: SecretHash::of(&secret) };
+    match known {
+        Some(place) => list.0[place] = token,
+        None => list.0.push(token),
+    }
+    // A secret that no node knows harms nobody; a node that waits for a lost secret helps nobody.
+    write_private(file, &format!("{secret}\n"), replace).map_err(usage)?;
+    list.save(path).map_err(usage)?;
+    println!("{name} ({role}): the secret is in {}, its hash in {}", file.display(), path.display());
+    Ok(Exit::Done)
+}
+
+fn revoke(path: &Path, name: &str) -> Result<Exit, Failure> {
+    let mut list = TokenList::load(path).map_err(usage)?;
+    let before = list.0.len();
+    list.0.retain(|token| token.name != name);
+    if list.0.len() == before {
+        let names: Vec<&str> = list.0.iter().map(|token| token.name.as_str()).collect();
+        let message = format!("{} has no token for {name}; it has: {}", path.display(), names.join(", "));
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    list.save(path).map_err(usage)?;
+    println!("{name}: revoked");
+    Ok(Exit::Done)
+}
+
+fn list(path: &Path, json: bool) -> Result<Exit, Failure> {
+    let list = TokenList::load(path).map_err(usage)?;
+    if json {
+        let tokens: Vec<_> = list
+            .0
+            .iter()
+            .map(|token| serde_json::json!({ "name": token.name, "role": token.role }))
+            .collect();
+        println!("{}", serde_json::json!({ "tokens": tokens }));
+    } else {
+        list.0.iter().for_each(|token| println!("{} {}", token.name, token.role));
+    }
+    Ok(Exit::Done)
+}
