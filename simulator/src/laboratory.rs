@@ -292,10 +292,12 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, node: &NodeId, port: u16) -
     let mut text = format!(
         "# Written by the simulator: node {node} of the simulated laboratory.\n\
          format = 1\nnode = \"{node}\"\nrig = \"rig.toml\"\n\n\
-         [api]\nlisten = \"127.0.0.1:{port}\"\n\n\
+         [api]\nlisten = \"127.0.0.1:{port}\"\naudit = {}\n\n\
          [hsu]\ndevice = {}\n\n\
          [storage]\nsessions_dir = {}\nreserve_mib = {}\nsegment_mib = {}\n\n\
          [acquisition]\nbuffers_per_camera = {}\npacket_bytes = {}\nsocket = \"{}\"\n",
+        // Not on a disk that may be simulated, and not in the other node's file.
+        quoted(&absolute(&options.run_dir.join(format!("audit-{node}.jsonl")))),
         quoted(&absolute(&hsu_link(options, node))),
         quoted(&absolute(&sessions_dir(options, node))),
         options.reserve_mib,

@@ -3,6 +3,7 @@
 use super::dto::{NodeStatus, SessionCommand, path};
 use super::tokens::read_secret;
 use crate::cmds::Exit;
+use crate::config::PeerConfig;
 use crate::session::state::{Fault, SessionRequest};
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::Bytes;
@@ -95,6 +96,11 @@ impl NodeClient {
             client.authorization = Some(header);
         }
         Ok(client)
+    }
+
+    /// A client of a node that works with another one, as the configuration says (`[[api.peers]]`).
+    pub fn of_peer(peer: &PeerConfig) -> Result<Self, Fault> {
+        Self::with(&peer.url, &Credentials { token_file: peer.token_file.clone(), ca: peer.ca.clone() })
     }
 
     /// The URL.

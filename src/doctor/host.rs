@@ -3,6 +3,7 @@
 use super::{Check, Finding, Load, bytes};
 use crate::api::client::NodeClient;
 use crate::api::dto::NodeStatus;
+use crate::config::ApiConfig;
 use crate::config::SocketMode;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
@@ -31,6 +32,8 @@ pub enum PortUse {
     Free,
     /// A running node.
     Node(Box<NodeStatus>),
+    /// Somebody who wants a token, or TLS: a running node, probably.
+    Closed,
     /// Something else, or it cannot be had at all: the system's words.
     Taken(String),
 }
@@ -68,7 +71,7 @@ pub struct HostFacts {
 
 impl HostFacts {
     /// Looks.
-    pub fn gather(listen: Option<SocketAddr>) -> Self {
+    pub fn gather(api: Option<&ApiConfig>) -> Self {
         Self {
             packet_socket: open_packet_socket().map_err(|e| e.to_string()),
             rmem_max: read_number("/proc/sys/net/core/rmem_max"),
@@ -85,8 +88,8 @@ impl HostFacts {
                 .map(|kib| kib.saturating_mul(1024)),
             governors: governors(),
             clock_source: read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
-            api_port: listen.map(look_at_port),
-            listen,
+            api_port: api.map(look_at_api),
+            listen: api.and_then(|api| api.listen),
         }
     }
 
@@ -137,11 +140,19 @@ fn governors() -> Vec<String> {
     found
 }
 
-fn look_at_port(listen: SocketAddr) -> PortUse {
+/// A node answers on its socket without a token, on its port perhaps not.
+fn look_at_api(api: &ApiConfig) -> PortUse {
+    if let Some(socket) = &api.socket
+        && let Ok(status) = NodeClient::new(&format!("unix:{}", socket.path.display())).status()
+    {
+        return PortUse::Node(Box::new(status));
+    }
+    let Some(listen) = api.listen else { return PortUse::Free };
     match TcpListener::bind(listen) {
         Ok(_) => PortUse::Free,
         Err(error) => match NodeClient::new(&listen.to_string()).status() {
             Ok(status) => PortUse::Node(Box::new(status)),
+            Err(_) if api.tokens.is_some() || api.tls.is_some() => PortUse::Closed,
             Err(_) => PortUse::Taken(error.to_string()),
         },
     }
@@ -305,6 +316,11 @@ fn judge_port(facts: &HostFacts) -> Option<Finding> {
             format!("node {} runs here ({:?}) and has the devices", status.node, status.phase),
             "a free port",
             "what follows is what it says of them; to examine them, stop it first",
+        ),
+        PortUse::Closed => check.warning(
+            "somebody has it who wants a token: probably the node, with the devices".to_owned(),
+            "a free port",
+            "run this as a user of the node's socket (api.socket), or stop the node first",
         ),
         PortUse::Taken(error) => check.failed(
             format!("not to be had ({error})"),

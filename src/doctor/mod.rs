@@ -151,12 +151,12 @@ pub fn examine(
     mut tell: impl FnMut(Finding),
 ) {
     let load = config.map_or_else(Load::reference, Load::of);
-    let facts = host::HostFacts::gather(config.and_then(|config| config.api.listen));
+    let facts = host::HostFacts::gather(config.map(|config| &config.api));
     host::judge(&facts, &load).into_iter().for_each(&mut tell);
     let Some(config) = config else { return };
     let paths = network::gather(config, backend.as_deref_mut());
     network::judge(&paths, &load).into_iter().for_each(&mut tell);
-    let held = matches!(facts.api_port, Some(host::PortUse::Node(_)));
+    let held = matches!(facts.api_port, Some(host::PortUse::Node(_) | host::PortUse::Closed));
     // A test at full speed would take the disk from a session that may be running.
     let disk_time = if held { Duration::ZERO } else { disk_time };
     let disk = disk::DiskFacts::gather(config, disk_time, disk_progress);

@@ -1,6 +1,12 @@
 //! Integration tests of the product: one binary, a module per subject.
 
 mod analytic_scene;
+#[cfg(feature = "aravis")]
+mod api_description;
+#[cfg(feature = "aravis")]
+mod api_node;
+#[cfg(feature = "aravis")]
+mod api_security;
 mod architecture;
 mod back_end;
 mod bad_frames;
@@ -46,6 +52,8 @@ mod session_faults;
 mod shared_calibration;
 mod shared_scene;
 mod simd_paths;
+#[cfg(feature = "aravis")]
+mod telemetry;
 mod third_party_camera;
 mod third_party_loss;
 mod third_party_mcap;

@@ -21,7 +21,7 @@ use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -92,8 +92,11 @@ impl Audit {
         let (lines, inbox) = sync_channel(WAITING_MAX);
         let problem = Arc::new(Mutex::new(None));
         let mut log = Log { path: path.to_owned(), open: None, problem: Arc::clone(&problem) };
-        let opened = log.open_file().map(drop);
-        log.note(log_result(opened, path));
+        // The directory is made with the first line.
+        if path.parent().is_some_and(Path::is_dir) {
+            let opened = log.open_file().map(drop);
+            log.note(log_result(opened, path));
+        }
         std::thread::Builder::new().name("audit".to_owned()).spawn(move || log.run(&inbox))?;
         let (node, unlisted) = (node.to_owned(), AtomicU64::new(0));
         Ok(Self { node, lines, problem, refusals: Buckets::new(REFUSAL_LINES), unlisted })
@@ -275,7 +278,8 @@ impl Log {
             Some(_) => {}
             none => {
                 if let Some(dir) = self.path.parent() {
-                    std::fs::create_dir_all(dir)?;
+                    // As recordings make it: they are nobody else's business either.
+                    std::fs::DirBuilder::new().recursive(true).mode(0o750).create(dir)?;
                 }
                 let file = OpenOptions::new().append(true).create(true).mode(0o640).open(&self.path)?;
                 let size = file.metadata()?.len();
