@@ -7,7 +7,7 @@ use super::books::Books;
 use super::dry_run::DryRun;
 use super::latency::Latencies;
 use super::matcher::Matcher;
-use super::preview::{Taps, Tapped};
+use super::preview::{Tapped, Taps};
 use super::receiver::Arrival;
 use super::ring::{Ring, Sink};
 pub use crate::config::WhenFull;
@@ -225,7 +225,15 @@ impl Recorder {
             Destination::Recording(recording) => recording,
             Destination::DryRun(run) => run,
         };
-        Self::start_with(Box::new(Tapped { sink, taps }), lanes, options, progress, arrivals, commands, events)
+        Self::start_with(
+            Box::new(Tapped { sink, taps }),
+            lanes,
+            options,
+            progress,
+            arrivals,
+            commands,
+            events,
+        )
     }
 
     pub(super) fn start_with(

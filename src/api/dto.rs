@@ -69,6 +69,9 @@ pub struct SessionStatus {
     pub session_id: u64,
     /// As asked for.
     pub name: String,
+    /// The nodes that take part.
+    #[serde(default)]
+    pub nodes: Vec<NodeId>,
     /// This node's recording.
     pub directory: PathBuf,
     /// Nothing was written: `directory` does not exist.

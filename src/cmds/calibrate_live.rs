@@ -1,14 +1,14 @@
 //! `fourdbody calibrate --live`: leads an operator through the positions of the board, one small session each.
 
+use super::capture::stop_on_ctrl_c;
 use super::reconstruct::open_source;
 use super::{Exit, Failure};
+use crate::api::client::NodeClient;
 use crate::calibrate::guide::Guide;
 use crate::calibrate::joined::Joined;
 use crate::calibrate::{Board, Calibration, Finding, Position, views};
 use crate::ids::CameraId;
 use crate::reconstruct::FrameSource;
-use super::capture::stop_on_ctrl_c;
-use crate::api::client::NodeClient;
 use crate::session::capture::{Control, Wish, capture};
 use crate::session::participant::Participant;
 use crate::session::state::Fault;

@@ -98,7 +98,9 @@ impl fmt::Display for Stage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Preparing => write!(f, "preparing cameras and HSU on all nodes"),
-            Self::CountingDown { left_s } => write!(f, "every node is ready; {left_s} s to the first trigger"),
+            Self::CountingDown { left_s } => {
+                write!(f, "every node is ready; {left_s} s to the first trigger")
+            }
             Self::Recording { triggers, asked: 0, frames, gaps } => {
                 write!(f, "trigger {triggers}: {frames} frames, {gaps} gaps")
             }
@@ -195,7 +197,10 @@ fn request(wish: &Wish, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault
         }
     }
     if wish.countdown_s > COUNTDOWN_MAX_S {
-        return Err(usage(format!("a countdown of {} s; expected at most {COUNTDOWN_MAX_S}", wish.countdown_s)));
+        return Err(usage(format!(
+            "a countdown of {} s; expected at most {COUNTDOWN_MAX_S}",
+            wish.countdown_s
+        )));
     }
     let rate = statuses.first().map_or(1.0, |status| status.trigger_rate_hz);
     let triggers = triggers(wish, rate).map_err(usage)?;
