@@ -1,16 +1,19 @@
 //! What goes over the API.
 
+use super::tokens::Role;
 use crate::camera::CameraIdentity;
 use crate::ids::{CameraId, NodeId};
 use crate::record::{Interrupted, Latency};
 use crate::session::state::{Fault, Phase};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use utoipa::ToSchema;
 
 /// Everything that a node tells of itself.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeStatus {
     /// Its name in the rig.
+    #[schema(value_type = String)]
     pub node: NodeId,
     /// Software version.
     pub version: String,
@@ -28,6 +31,7 @@ pub struct NodeStatus {
     #[serde(default)]
     pub warnings: Vec<String>,
     /// Where sessions are recorded.
+    #[schema(value_type = String)]
     pub sessions_dir: PathBuf,
     /// Free space there, bytes.
     pub free_bytes: u64,
@@ -39,9 +43,10 @@ pub struct NodeStatus {
 }
 
 /// One camera.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CameraStatus {
     /// Its name in the rig.
+    #[schema(value_type = String)]
     pub id: CameraId,
     /// As configured.
     pub address: String,
@@ -52,9 +57,10 @@ pub struct CameraStatus {
 }
 
 /// The link to the HSU.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct HsuStatus {
     /// Serial device, as configured.
+    #[schema(value_type = String)]
     pub device: PathBuf,
     /// Who it is, once connected.
     pub identity: Option<String>,
@@ -63,7 +69,7 @@ pub struct HsuStatus {
 }
 
 /// A session's progress, and in the end its outcome.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionStatus {
     /// The same on both nodes.
     pub session_id: u64,
@@ -73,6 +79,7 @@ pub struct SessionStatus {
     #[serde(default)]
     pub nodes: Vec<NodeId>,
     /// This node's recording.
+    #[schema(value_type = String)]
     pub directory: PathBuf,
     /// Nothing was written: `directory` does not exist.
     #[serde(default)]
@@ -96,9 +103,10 @@ pub struct SessionStatus {
 }
 
 /// One camera's frames so far.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct CameraProgress {
     /// Its name in the rig.
+    #[schema(value_type = String)]
     pub id: CameraId,
     /// Frames handed to the writer.
     pub frames: u64,
@@ -107,7 +115,7 @@ pub struct CameraProgress {
 }
 
 /// How a session ended on this node.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// There is a recording, and this is its verdict.
@@ -117,7 +125,7 @@ pub enum Outcome {
 }
 
 /// Which session a command is for: a late command for another one is refused.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SessionCommand {
     /// As in the request.
@@ -125,6 +133,39 @@ pub struct SessionCommand {
     /// For an abort.
     #[serde(default)]
     pub reason: Option<String>,
+}
+
+/// How somebody showed who they are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Via {
+    /// The Unix socket: a user of this machine.
+    Socket,
+    /// A token in the `Authorization` header.
+    Token,
+    /// A browser's cookie, from a login with a token.
+    Cookie,
+    /// Not at all: TCP on a loopback address of a node without tokens.
+    Nothing,
+}
+
+/// Who the node takes a caller for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Identity {
+    /// The token's name, `uid N` of the Unix socket, or the address.
+    pub name: String,
+    /// What they may do.
+    pub role: Role,
+    /// How they showed who they are.
+    pub via: Via,
+}
+
+/// What a browser logs in with.
+#[derive(Clone, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Login {
+    /// The secret, as `fourdbody token new` wrote it.
+    pub token: String,
 }
 
 /// Where the API lies on a node.
@@ -139,4 +180,12 @@ pub mod path {
     pub const STOP: &str = "/api/v1/session/stop";
     /// POST [`super::SessionCommand`].
     pub const ABORT: &str = "/api/v1/session/abort";
+    /// POST [`super::Login`]: a cookie.
+    pub const LOGIN: &str = "/api/v1/login";
+    /// POST: ends the login.
+    pub const LOGOUT: &str = "/api/v1/logout";
+    /// GET: [`super::Identity`].
+    pub const IDENTITY: &str = "/api/v1/identity";
+    /// GET: the API's description (OpenAPI).
+    pub const OPENAPI: &str = "/api/v1/openapi.json";
 }

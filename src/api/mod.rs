@@ -1,8 +1,9 @@
-//! The node's HTTP control API: data transfer objects, server, client.
+//! The node's HTTP control API: data transfer objects, server, client, tokens.
 //!
-//! Loopback only for now (the configuration refuses anything else). JSON in and out; an error is a
-//! [`Fault`](crate::session::state::Fault) with its exit code.
+//! Over a Unix socket for local users, over TCP with TLS and tokens where configured (`docs/design/api.md`). JSON in
+//! and out; an error is a [`Fault`](crate::session::state::Fault) with its exit code.
 
 pub mod client;
 pub mod dto;
 pub mod server;
+pub mod tokens;

@@ -39,7 +39,7 @@ pub struct CameraListing {
 }
 
 /// Who an opened camera says it is.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CameraIdentity {
     /// Manufacturer.
     pub vendor: String,

@@ -1,7 +1,7 @@
 //! `fourdbody node`: the daemon of one acquisition PC.
 
 use super::{Exit, Failure};
-use crate::api::server;
+use crate::api::server::{self, Auth, Listeners, NodeHandle, Shared};
 use crate::config::NodeConfig;
 use crate::record::{Interrupted, interrupted};
 use crate::session::driver::Driver;
@@ -34,11 +34,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .enable_all()
         .build()
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the API's runtime: {e}")))?;
-    let listen = config.listen;
-    let listener = runtime.block_on(tokio::net::TcpListener::bind(listen)).map_err(|e| {
-        let message = format!("cannot listen on {listen} (api.listen): {e}; is another node running?");
-        Failure::new(Exit::Usage, message)
-    })?;
+    let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
+    let auth = Auth::new(&config.api).map_err(|e| usage(&format!("api.tokens: {e}")))?;
+    let listeners = runtime.block_on(Listeners::bind(&config.api)).map_err(|e| usage(&e))?;
     // Before anything is recorded: a recording in progress looks the same.
     let mut unfinished = interrupted(&config.sessions_dir);
     unfinished.retain(|found| found.node == config.node);
@@ -46,10 +44,16 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut signals = runtime
         .block_on(async { StopSignals::watch() })
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
-    let driver = Driver::start(config, backend).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let driver = Driver::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
     driver.status().write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
-    tracing::info!(%listen, "node is up");
-    match runtime.block_on(serve(listener, &driver, &mut signals)) {
+    let read = server::OutcomeRead::default();
+    let handle = NodeHandle { commands: driver.commands(), status: driver.status(), read: Arc::clone(&read) };
+    let (listen, socket) =
+        (config.api.listen, config.api.socket.as_ref().map(|s| s.path.display().to_string()));
+    let shared = Shared::new(config, handle, auth, &listeners)
+        .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the audit log's thread: {e}")))?;
+    tracing::info!(listen = listen.map(tracing::field::display), socket, "node is up");
+    match runtime.block_on(serve(listeners, shared, &driver, &read, &mut signals)) {
         Ended::Orderly(served) => {
             driver.shut_down();
             let failed = |e| Failure::new(Exit::Failure, format!("the control API failed: {e}"));
@@ -80,12 +84,16 @@ enum Ended {
     Forced,
 }
 
-async fn serve(listener: tokio::net::TcpListener, driver: &Driver, signals: &mut StopSignals) -> Ended {
-    let read = server::OutcomeRead::default();
+async fn serve(
+    listeners: Listeners,
+    shared: Shared,
+    driver: &Driver,
+    read: &server::OutcomeRead,
+    signals: &mut StopSignals,
+) -> Ended {
     let (end, ended) = tokio::sync::oneshot::channel::<()>();
     let until_end = async move { drop(ended.await) };
-    let api = server::serve(listener, driver.commands(), driver.status(), Arc::clone(&read), until_end);
-    let mut api = tokio::spawn(api);
+    let mut api = tokio::spawn(listeners.serve(server::router(shared.clone()), until_end));
     let joined =
         |joined: Result<std::io::Result<()>, _>| joined.unwrap_or_else(|e| Err(std::io::Error::other(e)));
     tokio::select! {
@@ -93,9 +101,10 @@ async fn serve(listener: tokio::net::TcpListener, driver: &Driver, signals: &mut
         () = signals.next() => {}
     }
     tracing::info!("stopping; a second signal ends at once");
+    shared.audit.event("stop by a signal", shared.status().session.as_ref().filter(|s| s.outcome.is_none()));
     driver.request_stop();
     let orderly = async {
-        until_fetched(driver, &read).await;
+        until_fetched(driver, read).await;
         drop(end);
         joined(api.await)
     };

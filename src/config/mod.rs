@@ -4,10 +4,12 @@
 //! the node (`node-X.toml`: what one acquisition PC needs). Both go through [`Section`], which notes every
 //! problem under its key path, so that a user repairs a file in one go.
 
+mod api;
 mod node;
 mod rig;
 mod section;
 
+pub use api::{ApiConfig, PeerConfig, SocketConfig, TlsConfig};
 pub use node::{
     CameraConfig, FeatureSetting, FeatureValue, NodeConfig, OnLoss, Realtime, SocketMode, WhenFull,
 };

@@ -1,12 +1,13 @@
 //! What one acquisition PC needs: its cameras' addresses and settings, its serial device, its disk
 //! (`node-X.toml`).
 
+use super::api::{ApiConfig, read_api};
 use super::{ConfigError, Problem, Rig, Section, read_table};
 use crate::ids::{CameraId, NodeId};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
-use std::net::{IpAddr, SocketAddr};
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -101,8 +102,8 @@ pub struct NodeConfig {
     pub rig: Rig,
     /// The rig file's text, kept word for word in every recording.
     pub rig_text: String,
-    /// Where the control API listens.
-    pub listen: SocketAddr,
+    /// How the control API is reached.
+    pub api: ApiConfig,
     /// Serial device of the link to the HSU.
     pub hsu_device: PathBuf,
     /// Sessions are directories below this one.
@@ -184,7 +185,6 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
     root.integer("format", FORMAT..=FORMAT);
     let node = NodeId(root.text("node"));
     let rig_path = base.join(root.text("rig"));
-    let listen = read_listen(&root);
     let hsu_device = root.section("hsu").map(|section| {
         let device = PathBuf::from(section.text("device"));
         section.finish();
@@ -199,6 +199,9 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         section.finish();
         values
     });
+    // Beside what it is about, unless configured otherwise.
+    let audit = storage.as_ref().map(|(sessions_dir, ..)| sessions_dir.join("audit.jsonl"));
+    let api = root.section("api").map(|section| read_api(section, base, audit));
     let acquisition = root.section("acquisition").map(read_acquisition);
     let realtime = root.optional_section("realtime").map_or_else(Realtime::default, read_realtime);
     let common = acquisition.as_ref().map_or(&[][..], |acquisition| &acquisition.settings);
@@ -225,7 +228,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
     Some(NodeConfig {
         node,
         rig_text,
-        listen,
+        api: api?,
         hsu_device: hsu_device?,
         sessions_dir,
         reserve_bytes,
@@ -256,27 +259,6 @@ fn read_realtime(section: Section<'_>) -> Realtime {
     let lock_memory = section.flag_or("lock_memory", true);
     section.finish();
     Realtime { priority: u8::try_from(priority).unwrap_or(0), cpus, lock_memory }
-}
-
-/// Without authentication the API must not be reachable from a network.
-fn read_listen(root: &Section<'_>) -> SocketAddr {
-    let placeholder = SocketAddr::from(([127, 0, 0, 1], 0));
-    let Some(section) = root.section("api") else { return placeholder };
-    let text = section.text("listen");
-    let address = text.parse::<SocketAddr>().ok();
-    match address {
-        Some(address) if !address.ip().is_loopback() => section.problem(
-            "listen",
-            format!("expected a loopback address (the API has no authentication yet), found {address}"),
-        ),
-        None if !text.is_empty() => {
-            section
-                .problem("listen", format!("expected ADDRESS:PORT such as 127.0.0.1:7401, found {text:?}"));
-        }
-        _ => {}
-    }
-    section.finish();
-    address.unwrap_or(placeholder)
 }
 
 fn read_camera(section: Section<'_>, common: &[FeatureSetting]) -> CameraConfig {

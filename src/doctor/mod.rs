@@ -151,7 +151,7 @@ pub fn examine(
     mut tell: impl FnMut(Finding),
 ) {
     let load = config.map_or_else(Load::reference, Load::of);
-    let facts = host::HostFacts::gather(config.map(|config| config.listen));
+    let facts = host::HostFacts::gather(config.and_then(|config| config.api.listen));
     host::judge(&facts, &load).into_iter().for_each(&mut tell);
     let Some(config) = config else { return };
     let paths = network::gather(config, backend.as_deref_mut());

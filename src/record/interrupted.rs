@@ -11,13 +11,16 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// A recording without a verdict.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Interrupted {
     /// Its directory.
+    #[schema(value_type = String)]
     pub path: PathBuf,
     /// Name of the session.
+    #[schema(value_type = String)]
     pub session: SessionName,
     /// The node that recorded.
+    #[schema(value_type = String)]
     pub node: NodeId,
     /// Frames of all cameras in it, not checked.
     pub frames: u64,

@@ -66,7 +66,7 @@ fn upper_bound(class: usize) -> u64 {
 }
 
 /// A distribution of durations, microseconds.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Latency {
     /// Half are not longer.
     pub p50_us: u64,

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 /// What an operator asks for.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SessionRequest {
     /// The same on both nodes, random.
@@ -27,6 +27,7 @@ pub struct SessionRequest {
     /// Exactly this many triggers; 0: until stopped.
     pub triggers: u64,
     /// The nodes that take part: the HSU starts only when all of them have armed.
+    #[schema(value_type = Vec<String>)]
     pub nodes: Vec<NodeId>,
     /// Pseudonymous.
     pub subject: Option<String>,
@@ -38,7 +39,7 @@ pub struct SessionRequest {
 }
 
 /// Why something failed, with the exit code that it means on the command line.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Fault {
     /// As a process exit code (brief, section 7).
     pub exit: u8,
@@ -54,7 +55,7 @@ impl Fault {
 }
 
 /// Where the node is in a session.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
     /// No session.
