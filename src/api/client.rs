@@ -67,6 +67,8 @@ const SYSTEM_CA: &str = "/etc/ssl/certs/ca-certificates.crt";
 pub struct Answer {
     /// HTTP status.
     pub status: StatusCode,
+    /// What the body is.
+    pub content_type: Option<HeaderValue>,
     /// The body.
     pub body: Bytes,
 }
@@ -240,8 +242,9 @@ where
     let answer = async {
         let response = sender.send_request(request).await?;
         let status = response.status();
+        let content_type = response.headers().get(CONTENT_TYPE).cloned();
         let body = Limited::new(response.into_body(), ANSWER_BYTES_MAX).collect().await?.to_bytes();
-        Ok::<_, AnyError>(Answer { status, body })
+        Ok::<_, AnyError>(Answer { status, content_type, body })
     };
     tokio::pin!(answer, connection);
     tokio::select! {

@@ -4,7 +4,7 @@ use crate::acquire::preview::Sample;
 use serde::{Deserialize, Serialize};
 
 /// Light of one frame.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Light {
     /// Share of the lit pixels that are saturated (255), 0 to 1.
     pub saturated: f64,
@@ -19,6 +19,52 @@ pub struct Light {
     pub focus: f64,
     /// The grey value that one lit pixel in a hundred exceeds.
     pub bright_dn: f64,
+}
+
+/// How good a figure is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Grade {
+    /// As it should be.
+    Good,
+    /// It will do; better is possible.
+    Fair,
+    /// Points will be missing.
+    Bad,
+}
+
+/// What the light's figures mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct LightGrades {
+    /// Of [`Light::saturated`]: a saturated fringe has no phase.
+    pub saturated: Grade,
+    /// Of [`Light::modulation_dn`]: the phase's noise goes with its inverse.
+    pub modulation: Grade,
+    /// Of [`Light::lit`]: is there anybody, and light?
+    pub lit: Grade,
+}
+
+/// Shares of saturated pixels up to which they are good, and fair.
+pub const SATURATED: (f64, f64) = (0.002, 0.01);
+/// Amplitudes from which on they are good, and fair, grey values: below 12 a point's uncertainty is above 0.5 mm.
+pub const MODULATION_DN: (f64, f64) = (30.0, 12.0);
+/// Shares of the frame that are lit from which on they are good, and fair.
+pub const LIT: (f64, f64) = (0.02, 0.005);
+
+impl Light {
+    /// Judged by [`SATURATED`], [`MODULATION_DN`] and [`LIT`].
+    pub fn grades(&self) -> LightGrades {
+        let of = |good: bool, fair: bool| match (good, fair) {
+            (true, _) => Grade::Good,
+            (false, true) => Grade::Fair,
+            (false, false) => Grade::Bad,
+        };
+        LightGrades {
+            saturated: of(self.saturated <= SATURATED.0, self.saturated <= SATURATED.1),
+            modulation: of(self.modulation_dn >= MODULATION_DN.0, self.modulation_dn >= MODULATION_DN.1),
+            lit: of(self.lit >= LIT.0, self.lit >= LIT.1),
+        }
+    }
 }
 
 /// Columns over which a fringe shows its whole range: the longest period of the rig is 24 px (docs of optics).
@@ -80,7 +126,7 @@ fn quantile(counts: &[u64], share: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::measure;
+    use super::{Grade, measure};
     use crate::acquire::preview::Sample;
     use std::f64::consts::TAU;
 
@@ -111,13 +157,16 @@ mod tests {
         let light = measure(&fringes(200.0, 200.0, 12.0));
         assert!((light.saturated - 0.41).abs() < 0.06, "{light:?}");
         assert_eq!(light.bright_dn, 255.0);
+        assert_eq!(light.grades().saturated, Grade::Bad);
     }
 
     #[test]
     fn finer_detail_is_better_focus_and_darkness_is_nothing() {
         assert!(measure(&fringes(100.0, 60.0, 8.0)).focus > 2.0 * measure(&fringes(100.0, 60.0, 16.0)).focus);
+        assert_eq!(measure(&fringes(100.0, 60.0, 8.0)).grades().modulation, Grade::Good);
         let dark = measure(&fringes(3.0, 1.0, 12.0));
         assert_eq!((dark.lit, dark.modulation_dn, dark.focus), (0.0, 0.0, 0.0));
+        assert_eq!((dark.grades().lit, dark.grades().modulation), (Grade::Bad, Grade::Bad));
         let nothing = measure(&Sample::default());
         assert_eq!((nothing.lit, nothing.saturated), (0.0, 0.0));
     }

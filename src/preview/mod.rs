@@ -7,7 +7,7 @@ mod light;
 mod picture;
 pub mod quick_look;
 
-pub use light::{Light, measure};
+pub use light::{Grade, Light, LightGrades, measure};
 
 use crate::acquire::preview::{Sample, Taps};
 use crate::acquire::realtime;
@@ -41,9 +41,10 @@ pub struct Picture {
 }
 
 /// What is told of a picture beside it.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
 pub struct PictureFacts {
     /// The camera.
+    #[schema(value_type = String)]
     pub camera: CameraId,
     /// See [`Picture::number`]; 0: there is none yet.
     pub number: u64,
@@ -53,6 +54,8 @@ pub struct PictureFacts {
     pub age_s: f64,
     /// Its light.
     pub light: Option<Light>,
+    /// How good that is.
+    pub grades: Option<LightGrades>,
 }
 
 /// Renders previews.
@@ -104,13 +107,14 @@ impl Previews {
         let now_ns = crate::time::host_time_ns();
         let cameras = self.shared.taps.cameras().cloned().enumerate();
         let fact = |(place, camera): (usize, CameraId)| match self.look(place) {
-            None => PictureFacts { camera, number: 0, trigger: 0, age_s: 0.0, light: None },
+            None => PictureFacts { camera, number: 0, trigger: 0, age_s: 0.0, light: None, grades: None },
             Some(picture) => PictureFacts {
                 camera,
                 number: picture.number,
                 trigger: picture.trigger,
                 age_s: now_ns.saturating_sub(picture.host_time_ns) as f64 / 1e9,
                 light: Some(picture.light.clone()),
+                grades: Some(picture.light.grades()),
             },
         };
         cameras.map(fact).collect()

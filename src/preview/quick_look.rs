@@ -37,7 +37,7 @@ pub struct Settings {
 }
 
 /// How far a look is.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "state")]
 pub enum Progress {
     /// Nobody has asked for it.
@@ -62,7 +62,7 @@ pub enum Progress {
 }
 
 /// A session's look.
-#[derive(Debug, Clone, Default, Serialize)]
+#[derive(Debug, Clone, Default, Serialize, utoipa::ToSchema)]
 pub struct Look {
     /// How far it is.
     #[serde(flatten)]

@@ -14,11 +14,12 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// A node's recording of a session.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CatalogueEntry {
     /// The session's name: its directory's.
     pub name: String,
     /// The recording's directory.
+    #[schema(value_type = String)]
     pub path: PathBuf,
     /// Its size, bytes.
     pub bytes: u64,
