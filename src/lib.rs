@@ -39,6 +39,8 @@ pub mod ids;
 pub mod image;
 /// The projected pattern: sine fringes and the marker.
 pub mod pattern;
+/// Pictures of the cameras while they run, and quick looks at what was recorded.
+pub mod preview;
 /// One frame to one point cloud: the phase pipeline.
 pub mod reconstruct;
 /// Recordings: layout, writer, reader, verification.

@@ -47,6 +47,10 @@ pub struct LaboratoryOptions {
     pub disk: Option<DiskPlan>,
     /// The cameras' images go on from session to session instead of starting anew with each.
     pub carry_on: bool,
+    /// The nodes know each other.
+    pub peers: bool,
+    /// What the nodes take quick looks with.
+    pub calibration: Option<PathBuf>,
 }
 
 impl LaboratoryOptions {
@@ -67,6 +71,8 @@ impl LaboratoryOptions {
             faults: None,
             disk: None,
             carry_on: false,
+            peers: true,
+            calibration: None,
         }
     }
 }
@@ -273,10 +279,12 @@ fn write_node_files(options: &LaboratoryOptions, rig: &Rig) -> Result<Vec<NodeFi
             0 => free_port().map_err(port_error)?,
             first => first.wrapping_add(number),
         };
-        let text = node_text(options, rig, &node, port);
-        std::fs::write(&path, text)
-            .map_err(|source| LaboratoryError::Io { what: path.display().to_string(), source })?;
         files.push(NodeFile { node, path, port });
+    }
+    for file in &files {
+        let text = node_text(options, rig, file, &files);
+        std::fs::write(&file.path, text)
+            .map_err(|source| LaboratoryError::Io { what: file.path.display().to_string(), source })?;
     }
     Ok(files)
 }
@@ -286,7 +294,8 @@ fn free_port() -> io::Result<u16> {
     Ok(std::net::TcpListener::bind("127.0.0.1:0")?.local_addr()?.port())
 }
 
-fn node_text(options: &LaboratoryOptions, rig: &Rig, node: &NodeId, port: u16) -> String {
+fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[NodeFile]) -> String {
+    let NodeFile { node, port, .. } = file;
     let quoted = |path: &Path| format!("{:?}", path.display().to_string());
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let mut text = format!(
@@ -309,6 +318,14 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, node: &NodeId, port: u16) -
             SocketMode::Standard => "standard",
         },
     );
+    // Writing into a String cannot fail.
+    for peer in all.iter().filter(|peer| options.peers && peer.node != *node) {
+        let NodeFile { node, port, .. } = peer;
+        let _ = write!(text, "\n[[api.peers]]\nname = \"{node}\"\nurl = \"http://127.0.0.1:{port}\"\n");
+    }
+    if let Some(calibration) = &options.calibration {
+        let _ = write!(text, "\n[quick_look]\ncalibration = {}\n", quoted(&absolute(calibration)));
+    }
     for (number, (head, camera)) in (0u32..).zip(rig.cameras()) {
         if camera.node != *node {
             continue;
@@ -321,7 +338,6 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, node: &NodeId, port: u16) -
             camera.device.height,
             head.exposure_ns as f64 / 1000.0
         );
-        // Writing into a String cannot fail.
         let _ = write!(
             text,
             "\n[[camera]]\nid = \"{}\"\naddress = \"{}\"\nsettings = [\n{settings}]\n",

@@ -38,6 +38,15 @@ pub fn enter_configured(role: &str) {
     }
 }
 
+/// Lets the calling thread have what the others leave: for work that must not cost a frame.
+pub fn step_back() {
+    const LOWEST: libc::c_int = 19;
+    // SAFETY: on Linux this sets the nice value of the calling thread; it touches no memory.
+    if unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, LOWEST) } != 0 {
+        tracing::debug!("nice value {LOWEST} refused: {}", io::Error::last_os_error());
+    }
+}
+
 /// Keeps a warning, and logs it, unless it is known already.
 pub fn warn(kind: &'static str, message: String) {
     let warning = Warning { kind, message };

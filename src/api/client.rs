@@ -3,7 +3,6 @@
 use super::dto::{NodeStatus, SessionCommand, path};
 use super::tokens::read_secret;
 use crate::cmds::Exit;
-use crate::config::PeerConfig;
 use crate::session::state::{Fault, SessionRequest};
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::Bytes;
@@ -68,6 +67,8 @@ const SYSTEM_CA: &str = "/etc/ssl/certs/ca-certificates.crt";
 pub struct Answer {
     /// HTTP status.
     pub status: StatusCode,
+    /// What the body is.
+    pub content_type: Option<HeaderValue>,
     /// The body.
     pub body: Bytes,
 }
@@ -96,11 +97,6 @@ impl NodeClient {
             client.authorization = Some(header);
         }
         Ok(client)
-    }
-
-    /// A client of a node that works with another one, as the configuration says (`[[api.peers]]`).
-    pub fn of_peer(peer: &PeerConfig) -> Result<Self, Fault> {
-        Self::with(&peer.url, &Credentials { token_file: peer.token_file.clone(), ca: peer.ca.clone() })
     }
 
     /// The URL.
@@ -246,8 +242,9 @@ where
     let answer = async {
         let response = sender.send_request(request).await?;
         let status = response.status();
+        let content_type = response.headers().get(CONTENT_TYPE).cloned();
         let body = Limited::new(response.into_body(), ANSWER_BYTES_MAX).collect().await?.to_bytes();
-        Ok::<_, AnyError>(Answer { status, body })
+        Ok::<_, AnyError>(Answer { status, content_type, body })
     };
     tokio::pin!(answer, connection);
     tokio::select! {

@@ -37,6 +37,12 @@ pub struct NodeStatus {
     pub sessions_dir: PathBuf,
     /// Free space there, bytes.
     pub free_bytes: u64,
+    /// What of it a session may fill, bytes.
+    #[serde(default)]
+    pub usable_bytes: u64,
+    /// What a session writes, bytes a second.
+    #[serde(default)]
+    pub recording_bytes_per_s: u64,
     /// Recordings of this node that were found unfinished when it started.
     #[serde(default)]
     pub interrupted: Vec<Interrupted>,
@@ -90,6 +96,10 @@ pub struct SessionStatus {
     pub session_id: u64,
     /// As asked for.
     pub name: String,
+    /// The nodes that take part.
+    #[serde(default)]
+    #[schema(value_type = Vec<String>)]
+    pub nodes: Vec<NodeId>,
     /// This node's recording.
     #[schema(value_type = String)]
     pub directory: PathBuf,
@@ -254,8 +264,68 @@ pub struct Login {
     pub token: String,
 }
 
+/// A capture has begun.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct CaptureBegun {
+    /// Counts the captures that the node has run since it started.
+    pub number: u64,
+}
+
+/// Why a session is given up.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AbortReason {
+    /// Kept in the recording.
+    #[serde(default)]
+    pub reason: Option<String>,
+}
+
+/// Another node, as this one sees it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PeerState {
+    /// Its name in the rig.
+    #[schema(value_type = String)]
+    pub name: NodeId,
+    /// Where it is.
+    pub url: String,
+    /// What it told.
+    pub status: Option<NodeStatus>,
+    /// Why it told nothing.
+    pub problem: Option<String>,
+}
+
 /// Where the API lies on a node.
 pub mod path {
+    /// GET: the capture that the node runs; POST [`crate::session::series::Series`]: begins one.
+    pub const CAPTURE: &str = "/api/v1/capture";
+    /// POST.
+    pub const CAPTURE_STOP: &str = "/api/v1/capture/stop";
+    /// POST [`super::AbortReason`].
+    pub const CAPTURE_ABORT: &str = "/api/v1/capture/abort";
+    /// GET: what is known of all cameras' pictures.
+    pub const PREVIEWS: &str = "/api/v1/previews";
+    /// GET: a PNG.
+    pub const PICTURE: &str = "/api/v1/previews/{camera}";
+    /// GET: what the node has recorded.
+    pub const SESSIONS: &str = "/api/v1/sessions";
+    /// GET: one recording.
+    pub const SESSION: &str = "/api/v1/sessions/{name}";
+    /// GET: how far the look is; POST: asks for one.
+    pub const QUICK_LOOK: &str = "/api/v1/sessions/{name}/quick-look";
+    /// GET: points.
+    pub const QUICK_LOOK_CLOUD: &str = "/api/v1/sessions/{name}/quick-look/{trigger}";
+    /// GET: the other nodes.
+    pub const PEERS: &str = "/api/v1/peers";
+    /// GET: pictures of another node's cameras.
+    pub const PEER_PREVIEWS: &str = "/api/v1/peers/{peer}/previews";
+    /// GET: a PNG.
+    pub const PEER_PICTURE: &str = "/api/v1/peers/{peer}/previews/{camera}";
+    /// GET: what another node has recorded.
+    pub const PEER_SESSIONS: &str = "/api/v1/peers/{peer}/sessions";
+    /// GET: how far another node's look is; POST: asks it for one.
+    pub const PEER_QUICK_LOOK: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look";
+    /// GET: points.
+    pub const PEER_QUICK_LOOK_CLOUD: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look/{trigger}";
     /// GET: [`super::NodeStatus`].
     pub const STATUS: &str = "/api/v1/status";
     /// POST [`crate::session::state::SessionRequest`]: answers when the node is ready, or why it is not.

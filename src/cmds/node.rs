@@ -1,7 +1,7 @@
 //! `fourdbody node`: the daemon of one acquisition PC.
 
 use super::{Exit, Failure};
-use crate::api::server::{self, Auth, Listeners, NodeHandle, Shared};
+use crate::api::server::{self, Auth, Listeners, NodeHandle, Services, Shared};
 use crate::config::NodeConfig;
 use crate::record::{Interrupted, interrupted};
 use crate::session::driver::Driver;
@@ -63,7 +63,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     };
     let (listen, socket) =
         (config.api.listen, config.api.socket.as_ref().map(|s| s.path.display().to_string()));
-    let shared = Shared::new(config, handle, auth, &listeners)
+    let services = Services::start(&config, driver.commands(), driver.status(), driver.taps())
+        .map_err(|fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message })?;
+    let shared = Shared::new(config, handle, auth, services, &listeners)
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the audit log's thread: {e}")))?;
     tracing::info!(listen = listen.map(tracing::field::display), socket, "node is up");
     match runtime.block_on(serve(listeners, shared, &driver, &read, &mut signals)) {

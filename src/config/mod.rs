@@ -11,7 +11,8 @@ mod section;
 
 pub use api::{ApiConfig, PeerConfig, SocketConfig, TlsConfig};
 pub use node::{
-    CameraConfig, FeatureSetting, FeatureValue, NodeConfig, OnLoss, Realtime, SocketMode, WhenFull,
+    CameraConfig, FeatureSetting, FeatureValue, NodeConfig, OnLoss, QuickLookConfig, Realtime, SocketMode,
+    WhenFull,
 };
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;

@@ -93,6 +93,15 @@ impl Default for Realtime {
     }
 }
 
+/// Quick looks at what was recorded (`[quick_look]`).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct QuickLookConfig {
+    /// The calibration to reconstruct with.
+    pub calibration: PathBuf,
+    /// Frame sets of each session, spread over it.
+    pub frame_sets: usize,
+}
+
 /// The node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeConfig {
@@ -128,6 +137,8 @@ pub struct NodeConfig {
     pub on_link_lost: OnLoss,
     /// Priority, cores and locked memory.
     pub realtime: Realtime,
+    /// Clouds of a few frame sets of every session, for the console.
+    pub quick_look: Option<QuickLookConfig>,
     /// The cameras, in the rig's order.
     pub cameras: Vec<CameraConfig>,
 }
@@ -204,6 +215,14 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
     let api = root.section("api").map(|section| read_api(section, base, audit));
     let acquisition = root.section("acquisition").map(read_acquisition);
     let realtime = root.optional_section("realtime").map_or_else(Realtime::default, read_realtime);
+    let quick_look = root.optional_section("quick_look").map(|section| {
+        let config = QuickLookConfig {
+            calibration: base.join(section.text("calibration")),
+            frame_sets: section.integer_or("frame_sets", 1..=9, 3) as usize,
+        };
+        section.finish();
+        config
+    });
     let common = acquisition.as_ref().map_or(&[][..], |acquisition| &acquisition.settings);
     let cameras: Vec<CameraConfig> =
         root.sections("camera").into_iter().map(|s| read_camera(s, common)).collect();
@@ -241,6 +260,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         on_camera_lost: acquisition.on_camera_lost,
         on_link_lost: acquisition.on_link_lost,
         realtime,
+        quick_look,
         cameras,
         rig,
     })

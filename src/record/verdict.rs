@@ -8,7 +8,7 @@ use std::fmt;
 use std::ops::Range;
 
 /// What a session amounts to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     /// Every camera has a frame for every trigger that was asked for.
@@ -20,13 +20,15 @@ pub enum Status {
 }
 
 /// One camera's outcomes.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct CameraVerdict {
     /// The camera.
+    #[schema(value_type = String)]
     pub camera: CameraId,
     /// Triggers with a frame.
     pub frames: u64,
     /// Triggers with a gap record, by cause.
+    #[schema(value_type = BTreeMap<String, u64>)]
     pub gaps: BTreeMap<GapCause, u64>,
 }
 
@@ -39,7 +41,7 @@ impl CameraVerdict {
 }
 
 /// What one node's recording amounts to.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Verdict {
     /// In one word.
     pub status: Status,

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub type Cast = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>;
 
 /// The capture under way, or the last one.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
 pub struct CaptureState {
     /// Counts the captures that this node has run since it started.
     pub number: u64,

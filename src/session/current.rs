@@ -128,6 +128,7 @@ impl Session {
         SessionStatus {
             session_id: self.request.session_id,
             name: self.request.name.clone(),
+            nodes: self.request.nodes.clone(),
             directory: self.dir.clone(),
             dry_run: self.request.dry_run,
             triggers_asked: self.request.triggers,

@@ -11,6 +11,7 @@ pub mod driver;
 mod events;
 mod link;
 pub mod participant;
+pub mod peer_watch;
 mod prepare;
 pub mod series;
 pub mod silence;

@@ -154,7 +154,8 @@ impl ApiNode {
         let status = self.local().status().expect("alive");
         assert!(status.session.is_none(), "{status:?}");
         let entries = std::fs::read_dir(self.file("sessions")).expect("the audit log is there");
-        let names: Vec<_> = entries.map(|entry| entry.expect("an entry").file_name()).collect();
+        let names = entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned());
+        let names: Vec<String> = names.filter(|name| !name.starts_with('.')).collect();
         assert_eq!(names, ["audit.jsonl"]);
         let done: Vec<AuditLine> = self.audit().into_iter().filter(|line| line.status < 400).collect();
         assert!(done.is_empty(), "{done:#?}");

@@ -95,6 +95,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.segment_mib = args.segment_mib.unwrap_or(options.segment_mib);
     options.packet_bytes = args.packet_bytes;
     options.carry_on = args.carry_on;
+    options.calibration =
+        args.frames.as_ref().map(|frames| frames.join("calibration.json")).filter(|file| file.is_file());
     (options.faults, options.disk) = fault_plans(args)?;
     // A mount outlives its process: a laboratory with disks must end in good order.
     let signals = options.disk.as_ref().map(|_| EndSignals::block());

@@ -72,10 +72,27 @@ pub(super) async fn guard(State(shared): State<Shared>, request: Request, next: 
         Ok(request) => next.run(request).await,
         Err(refusal) => refusal.into_response(),
     };
+    if response.status().is_client_error() && !is_json(&response) {
+        response = as_fault(response).await;
+    }
     for (name, value) in HEADERS {
         response.headers_mut().entry(name).or_insert(HeaderValue::from_static(value));
     }
     response
+}
+
+fn is_json(response: &Response) -> bool {
+    let kind = response.headers().get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok());
+    kind.is_some_and(|kind| kind.starts_with("application/json"))
+}
+
+/// What axum refuses by itself (a path's part, a query) is said in the same way as everything else.
+async fn as_fault(response: Response) -> Response {
+    const TEXT_BYTES_MAX: usize = 4096;
+    let status = response.status();
+    let text = to_bytes(response.into_body(), TEXT_BYTES_MAX).await.unwrap_or_default();
+    let text = String::from_utf8_lossy(&text);
+    Refusal::new(status, if text.is_empty() { status.to_string() } else { text.into_owned() }).into_response()
 }
 
 /// On every answer. The console is served from the node alone: scripts, styles, images and connections are its own.

@@ -9,6 +9,7 @@
 pub mod audit;
 pub mod auth;
 mod body;
+mod console;
 mod guard;
 pub mod limits;
 mod logins;
@@ -16,6 +17,7 @@ mod openapi;
 mod patience;
 mod refusal;
 mod routes;
+pub mod services;
 mod transport;
 
 pub use super::dto::path;
@@ -23,6 +25,7 @@ pub use audit::{Audit, AuditLine};
 pub use auth::{Auth, Caller, Via};
 pub use body::Body;
 pub use refusal::Refusal;
+pub use services::Services;
 pub use transport::{Link, Listeners, TransportError};
 
 use super::dto::{NodeStatus, SessionCommand};
@@ -85,6 +88,8 @@ pub struct State {
     pub auth: Auth,
     /// What was done by whom.
     pub audit: Audit,
+    /// Captures, previews, quick looks, the other nodes.
+    pub services: Services,
     names: Names,
     cookie: String,
     transport_warnings: Vec<String>,
@@ -108,6 +113,7 @@ impl Shared {
         config: NodeConfig,
         node: NodeHandle,
         auth: Auth,
+        services: Services,
         listeners: &Listeners,
     ) -> std::io::Result<Self> {
         let audit = Audit::start(&config.api.audit, config.node.as_str())?;
@@ -116,7 +122,7 @@ impl Shared {
         let plain: String = config.node.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
         let cookie = format!("fourdbody_{plain}");
         let transport_warnings = listeners.warnings().to_vec();
-        Ok(Self(Arc::new(State { node, config, auth, audit, names, cookie, transport_warnings })))
+        Ok(Self(Arc::new(State { node, config, auth, audit, services, names, cookie, transport_warnings })))
     }
 
     /// The status as last published, with the API's own warnings.
@@ -176,13 +182,17 @@ fn api() -> OpenApiRouter<Shared> {
         .merge(routes::devices::routes())
         .merge(routes::health::routes())
         .merge(routes::metrics::routes())
+        .merge(routes::captures::routes())
+        .merge(routes::previews::routes())
+        .merge(routes::sessions::routes())
+        .merge(routes::peers::routes())
         .merge(routes::login::routes())
         .merge(routes::description::routes())
 }
 
 /// The console's page and what belongs to it: open to everybody, since it is what one logs in with.
 fn pages() -> Router<Shared> {
-    Router::new()
+    console::pages()
 }
 
 /// The API's description, as JSON for `/api/v1/openapi.json`.

@@ -5,7 +5,7 @@ use utoipa::OpenApi as _;
 use utoipa::openapi::security::{
     ApiKey, ApiKeyValue, Http, HttpAuthScheme, SecurityRequirement, SecurityScheme,
 };
-use utoipa::openapi::{Components, Content, OpenApi, Ref, ResponseBuilder};
+use utoipa::openapi::{Components, Content, OpenApi, Ref, RefOr, ResponseBuilder};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -56,6 +56,15 @@ pub(super) fn complete(mut api: OpenApi) -> OpenApi {
                 let responses = &mut operation.responses.responses;
                 responses.entry((*status).to_owned()).or_insert_with(|| fault(description).into());
             }
+            for (_, response) in
+                operation.responses.responses.iter_mut().filter(|(status, _)| is_error(status))
+            {
+                if let RefOr::T(response) = response
+                    && response.content.is_empty()
+                {
+                    response.content.insert("application/json".to_owned(), fault_content().into());
+                }
+            }
             if path == super::path::LOGIN {
                 operation.security = Some(Vec::new());
             }
@@ -65,6 +74,13 @@ pub(super) fn complete(mut api: OpenApi) -> OpenApi {
 }
 
 fn fault(description: &str) -> utoipa::openapi::Response {
-    let content = Content::new(Some(Ref::from_schema_name("Fault")));
-    ResponseBuilder::new().description(description).content("application/json", content).build()
+    ResponseBuilder::new().description(description).build()
+}
+
+fn fault_content() -> Content {
+    Content::new(Some(Ref::from_schema_name("Fault")))
+}
+
+fn is_error(status: &str) -> bool {
+    status.starts_with(['4', '5'])
 }

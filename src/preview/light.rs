@@ -1,0 +1,173 @@
+//! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are there.
+
+use crate::acquire::preview::Sample;
+use serde::{Deserialize, Serialize};
+
+/// Light of one frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Light {
+    /// Share of the lit pixels that are saturated (255), 0 to 1.
+    pub saturated: f64,
+    /// Share of the frame that is lit, 0 to 1.
+    pub lit: f64,
+    /// Median fringe amplitude of what is lit, grey values: half of the range over [`WINDOW`] columns.
+    pub modulation_dn: f64,
+    /// The same as a share of the mean there (Michelson's contrast), 0 to 1.
+    pub contrast: f64,
+    /// How fine the detail is: root mean square of the second difference along the row, as a share of the modulation. It has no
+    /// unit and no right value: turn the lens until it is highest.
+    pub focus: f64,
+    /// The grey value that one lit pixel in a hundred exceeds.
+    pub bright_dn: f64,
+}
+
+/// How good a figure is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Grade {
+    /// As it should be.
+    Good,
+    /// It will do; better is possible.
+    Fair,
+    /// Points will be missing.
+    Bad,
+}
+
+/// What the light's figures mean.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct LightGrades {
+    /// Of [`Light::saturated`]: a saturated fringe has no phase.
+    pub saturated: Grade,
+    /// Of [`Light::modulation_dn`]: the phase's noise goes with its inverse.
+    pub modulation: Grade,
+    /// Of [`Light::lit`]: is there anybody, and light?
+    pub lit: Grade,
+}
+
+/// Shares of saturated pixels up to which they are good, and fair.
+pub const SATURATED: (f64, f64) = (0.002, 0.01);
+/// Amplitudes from which on they are good, and fair, grey values: below 12 a point's uncertainty is above 0.5 mm.
+pub const MODULATION_DN: (f64, f64) = (30.0, 12.0);
+/// Shares of the frame that are lit from which on they are good, and fair.
+pub const LIT: (f64, f64) = (0.02, 0.005);
+
+impl Light {
+    /// Judged by [`SATURATED`], [`MODULATION_DN`] and [`LIT`].
+    pub fn grades(&self) -> LightGrades {
+        let of = |good: bool, fair: bool| match (good, fair) {
+            (true, _) => Grade::Good,
+            (false, true) => Grade::Fair,
+            (false, false) => Grade::Bad,
+        };
+        LightGrades {
+            saturated: of(self.saturated <= SATURATED.0, self.saturated <= SATURATED.1),
+            modulation: of(self.modulation_dn >= MODULATION_DN.0, self.modulation_dn >= MODULATION_DN.1),
+            lit: of(self.lit >= LIT.0, self.lit >= LIT.1),
+        }
+    }
+}
+
+/// Columns over which a fringe shows its whole range: the longest period of the rig is 24 px (docs of optics).
+pub const WINDOW: usize = 24;
+/// A window is lit whose brightest pixel is above this.
+const LIT_DN: u8 = 24;
+
+/// Measures a sample of a frame.
+pub fn measure(sample: &Sample) -> Light {
+    let mut counts = [0u64; 256];
+    // Amplitudes in half grey values, contrasts in two-hundredths.
+    let (mut amplitudes, mut contrasts) = ([0u64; 256], [0u64; 201]);
+    let (mut windows, mut bend, mut bends) = (0u64, 0u64, 0u64);
+    for row in sample.pixels.chunks_exact(sample.width.max(1)) {
+        for window in row.chunks_exact(WINDOW) {
+            windows += 1;
+            let (low, high) = window.iter().fold((255u8, 0u8), |(low, high), &x| (low.min(x), high.max(x)));
+            if high <= LIT_DN {
+                continue;
+            }
+            window.iter().for_each(|&x| counts[usize::from(x)] += 1);
+            amplitudes[usize::from(high - low)] += 1;
+            let (range, sum) = (u32::from(high - low), u32::from(high) + u32::from(low));
+            contrasts[(200 * range / sum) as usize] += 1;
+            for three in window.windows(3) {
+                let second = i64::from(three[0]) - 2 * i64::from(three[1]) + i64::from(three[2]);
+                bend += (second * second) as u64;
+                bends += 1;
+            }
+        }
+    }
+    let lit: u64 = amplitudes.iter().sum();
+    let pixels: u64 = counts.iter().sum();
+    let modulation_dn = quantile(&amplitudes, 0.5) / 2.0;
+    let share = |part: u64, whole: u64| if whole == 0 { 0.0 } else { part as f64 / whole as f64 };
+    Light {
+        saturated: share(counts[255], pixels),
+        lit: share(lit, windows),
+        modulation_dn,
+        contrast: quantile(&contrasts, 0.5) / 200.0,
+        focus: if modulation_dn > 0.0 { share(bend, bends).sqrt() / modulation_dn } else { 0.0 },
+        bright_dn: quantile(&counts, 0.99),
+    }
+}
+
+/// The value below or at which this share of the counted lie; 0 without any.
+fn quantile(counts: &[u64], share: f64) -> f64 {
+    let total: u64 = counts.iter().sum();
+    let wanted = (total as f64 * share).ceil() as u64;
+    let mut below = 0;
+    for (value, count) in counts.iter().enumerate() {
+        below += count;
+        if *count > 0 && below >= wanted {
+            return value as f64;
+        }
+    }
+    0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Grade, measure};
+    use crate::acquire::preview::Sample;
+    use std::f64::consts::TAU;
+
+    /// Rows of fringes of this amplitude about a mean, lit over half of the width.
+    fn fringes(mean: f64, amplitude: f64, period: f64) -> Sample {
+        let (width, rows) = (480, 20);
+        let pixel = |i: usize| {
+            let u = i % width;
+            let lit = mean + amplitude * (TAU * u as f64 / period).cos();
+            if u < width / 2 { lit.round().clamp(0.0, 255.0) as u8 } else { 3 }
+        };
+        Sample { trigger: 0, host_time_ns: 0, width, pixels: (0..width * rows).map(pixel).collect() }
+    }
+
+    #[test]
+    fn amplitude_and_contrast_are_those_of_the_fringes() {
+        for period in [8.0, 11.3, 20.0] {
+            let light = measure(&fringes(100.0, 60.0, period));
+            assert!((light.modulation_dn - 60.0).abs() < 3.0, "{period}: {light:?}");
+            assert!((light.contrast - 0.6).abs() < 0.03, "{period}: {light:?}");
+            assert!((light.lit - 0.5).abs() < 1e-9 && light.saturated == 0.0);
+        }
+    }
+
+    #[test]
+    fn saturation_is_a_share_of_what_is_lit() {
+        // A sine of 200 about 200 is cut at 255 where it is above 55: 41 % of the period.
+        let light = measure(&fringes(200.0, 200.0, 12.0));
+        assert!((light.saturated - 0.41).abs() < 0.06, "{light:?}");
+        assert_eq!(light.bright_dn, 255.0);
+        assert_eq!(light.grades().saturated, Grade::Bad);
+    }
+
+    #[test]
+    fn finer_detail_is_better_focus_and_darkness_is_nothing() {
+        assert!(measure(&fringes(100.0, 60.0, 8.0)).focus > 2.0 * measure(&fringes(100.0, 60.0, 16.0)).focus);
+        assert_eq!(measure(&fringes(100.0, 60.0, 8.0)).grades().modulation, Grade::Good);
+        let dark = measure(&fringes(3.0, 1.0, 12.0));
+        assert_eq!((dark.lit, dark.modulation_dn, dark.focus), (0.0, 0.0, 0.0));
+        assert_eq!((dark.grades().lit, dark.grades().modulation), (Grade::Bad, Grade::Bad));
+        let nothing = measure(&Sample::default());
+        assert_eq!((nothing.lit, nothing.saturated), (0.0, 0.0));
+    }
+}

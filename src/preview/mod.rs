@@ -1,0 +1,199 @@
+//! What an operator sees of the cameras while they run: small pictures, and the figures by which exposure and focus are set.
+//!
+//! A thread of low priority renders what the taps of the recorder leave ([`crate::acquire::preview`]), at most four pictures
+//! a second and camera, and only while somebody asks for them. However many look, it renders once.
+
+mod light;
+mod picture;
+pub mod quick_look;
+
+pub use light::{Grade, Light, LightGrades, measure};
+
+use crate::acquire::preview::{Sample, Taps};
+use crate::acquire::realtime;
+use crate::ids::CameraId;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use serde::Serialize;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::{Duration, Instant};
+
+/// Pictures are at least so far apart.
+const PERIOD: Duration = Duration::from_millis(250);
+/// Whoever has not asked for so long does not look any more.
+const INTEREST: Duration = Duration::from_secs(2);
+/// How often the thread looks for samples.
+const POLL: Duration = Duration::from_millis(40);
+
+/// One camera's picture.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    /// Counts this camera's pictures.
+    pub number: u64,
+    /// Of which trigger.
+    pub trigger: u64,
+    /// When the frame arrived, host clock, ns.
+    pub host_time_ns: u64,
+    /// Upright, a quarter of the frame's size, PNG; saturated pixels are red.
+    pub png: Vec<u8>,
+    /// What its light is like.
+    pub light: Light,
+}
+
+/// What is told of a picture beside it.
+#[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
+pub struct PictureFacts {
+    /// The camera.
+    #[schema(value_type = String)]
+    pub camera: CameraId,
+    /// See [`Picture::number`]; 0: there is none yet.
+    pub number: u64,
+    /// Of which trigger.
+    pub trigger: u64,
+    /// How long ago the frame arrived, s.
+    pub age_s: f64,
+    /// Its light.
+    pub light: Option<Light>,
+    /// How good that is.
+    pub grades: Option<LightGrades>,
+}
+
+/// Renders previews.
+#[derive(Clone)]
+pub struct Previews {
+    shared: Arc<Shared>,
+    wake: Sender<()>,
+}
+
+struct Shared {
+    taps: Arc<Taps>,
+    origin: Instant,
+    /// When each camera was last asked for, ms after `origin`, plus one; 0: never.
+    asked: Vec<AtomicU64>,
+    pictures: Vec<RwLock<Option<Arc<Picture>>>>,
+}
+
+impl Previews {
+    /// Starts the thread; it ends with the last clone.
+    pub fn start(taps: Arc<Taps>) -> std::io::Result<Self> {
+        let cameras = taps.cameras().count();
+        let shared = Arc::new(Shared {
+            taps,
+            origin: Instant::now(),
+            asked: (0..cameras).map(|_| AtomicU64::new(0)).collect(),
+            pictures: (0..cameras).map(|_| RwLock::default()).collect(),
+        });
+        let (wake, awake) = bounded(1);
+        let seen = Arc::clone(&shared);
+        std::thread::Builder::new().name("preview".to_owned()).spawn(move || {
+            realtime::step_back();
+            seen.run(&awake);
+        })?;
+        Ok(Self { shared, wake })
+    }
+
+    /// The newest picture of a camera, and the wish for the next one.
+    pub fn latest(&self, camera: &str) -> Result<Option<Arc<Picture>>, UnknownCamera> {
+        let place = self.shared.taps.cameras().position(|known| known.as_str() == camera);
+        let place = place.ok_or_else(|| UnknownCamera {
+            asked: camera.to_owned(),
+            known: self.shared.taps.cameras().map(ToString::to_string).collect(),
+        })?;
+        Ok(self.look(place))
+    }
+
+    /// What is known of all cameras' pictures, and the wish for the next ones.
+    pub fn facts(&self) -> Vec<PictureFacts> {
+        let now_ns = crate::time::host_time_ns();
+        let cameras = self.shared.taps.cameras().cloned().enumerate();
+        let fact = |(place, camera): (usize, CameraId)| match self.look(place) {
+            None => PictureFacts { camera, number: 0, trigger: 0, age_s: 0.0, light: None, grades: None },
+            Some(picture) => PictureFacts {
+                camera,
+                number: picture.number,
+                trigger: picture.trigger,
+                age_s: now_ns.saturating_sub(picture.host_time_ns) as f64 / 1e9,
+                light: Some(picture.light.clone()),
+                grades: Some(picture.light.grades()),
+            },
+        };
+        cameras.map(fact).collect()
+    }
+
+    fn look(&self, place: usize) -> Option<Arc<Picture>> {
+        let now = self.shared.origin.elapsed().as_millis() as u64 + 1;
+        self.shared.asked.get(place)?.store(now, Ordering::Release);
+        // A thread that is awake already needs no second call.
+        let _ = self.wake.try_send(());
+        self.shared.pictures.get(place)?.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// A camera that this node does not have.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no camera {asked:?} at this node; it has {}", known.join(", "))]
+pub struct UnknownCamera {
+    asked: String,
+    known: Vec<String>,
+}
+
+impl Shared {
+    fn run(&self, awake: &Receiver<()>) {
+        let cameras = self.asked.len();
+        let mut next: Vec<Instant> = vec![self.origin; cameras];
+        let mut done: Vec<Option<Sample>> = vec![None; cameras];
+        // Without interest it sleeps here; it ends when nobody can ask any more.
+        while awake.recv().is_ok() {
+            while (0..cameras).any(|camera| self.is_wanted(camera)) {
+                for camera in (0..cameras).filter(|camera| self.is_wanted(*camera)) {
+                    if Instant::now() >= next[camera] {
+                        self.taps.ask(camera);
+                        next[camera] = Instant::now() + PERIOD;
+                    }
+                    if let Some(sample) = self.taps.take(camera, &mut done[camera]) {
+                        self.show(camera, &sample);
+                        done[camera] = Some(sample);
+                    }
+                }
+                std::thread::sleep(POLL);
+            }
+        }
+    }
+
+    fn is_wanted(&self, camera: usize) -> bool {
+        let asked = self.asked[camera].load(Ordering::Acquire);
+        let now = self.origin.elapsed().as_millis() as u64 + 1;
+        asked != 0 && now.saturating_sub(asked) < INTEREST.as_millis() as u64
+    }
+
+    fn show(&self, camera: usize, sample: &Sample) {
+        let mut slot = self.pictures[camera].write().unwrap_or_else(PoisonError::into_inner);
+        let number = slot.as_ref().map_or(0, |picture| picture.number) + 1;
+        match picture::upright_png(sample) {
+            Ok(png) => {
+                let (trigger, host_time_ns) = (sample.trigger, sample.host_time_ns);
+                *slot =
+                    Some(Arc::new(Picture { number, trigger, host_time_ns, png, light: measure(sample) }));
+            }
+            Err(error) => tracing::debug!("a preview could not be encoded: {error}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Previews;
+    use crate::acquire::preview::Taps;
+    use crate::ids::CameraId;
+    use std::sync::Arc;
+
+    #[test]
+    fn a_camera_that_is_not_there_is_named_with_those_that_are() {
+        let taps = Arc::new(Taps::new([CameraId::from("h0_up"), CameraId::from("h0_low")]));
+        let previews = Previews::start(taps).expect("a thread");
+        let error = previews.latest("h9_up").expect_err("not there").to_string();
+        assert!(error.contains("h9_up") && error.contains("h0_up, h0_low"), "{error}");
+        assert!(previews.latest("h0_low").expect("there").is_none(), "no frame yet");
+        assert_eq!(previews.facts().len(), 2);
+    }
+}

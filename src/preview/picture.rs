@@ -1,0 +1,57 @@
+//! A sample as a small upright PNG.
+//!
+//! The cameras are mounted in portrait, columns running down (brief, section 2): the picture is the frame turned clockwise.
+
+use crate::acquire::preview::{ROW_STEP, Sample};
+
+/// Saturated pixels have this grey value, which the palette shows red.
+const RED: u8 = 255;
+
+/// A quarter of the frame's size: means of four columns of every fourth row. A pixel with a saturated one among its four is
+/// red.
+pub fn upright_png(sample: &Sample) -> Result<Vec<u8>, png::EncodingError> {
+    let columns = sample.width / ROW_STEP;
+    let rows = sample.pixels.len().checked_div(sample.width).unwrap_or(0);
+    let (width, height) = (rows, columns);
+    let mut pixels = vec![0u8; width * height];
+    for (v, row) in sample.pixels.chunks_exact(sample.width.max(1)).enumerate() {
+        for (u, four) in row.chunks_exact(ROW_STEP).enumerate() {
+            let sum: u32 = four.iter().map(|&x| u32::from(x)).sum();
+            let grey = (sum / ROW_STEP as u32).min(254) as u8;
+            pixels[u * width + (rows - 1 - v)] = if four.contains(&255) { RED } else { grey };
+        }
+    }
+    let mut png = Vec::new();
+    let side = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    let mut encoder = png::Encoder::new(&mut png, side(width), side(height));
+    encoder.set_color(png::ColorType::Indexed);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut palette: Vec<u8> = (0..=254u8).flat_map(|grey| [grey; 3]).collect();
+    palette.extend([255, 40, 40]);
+    encoder.set_palette(palette);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(&pixels)?;
+    writer.finish()?;
+    Ok(png)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::upright_png;
+    use crate::acquire::preview::Sample;
+
+    #[test]
+    fn the_first_column_is_on_top_and_the_first_row_on_the_right() {
+        // Two rows (of eight) by eight columns: the first row bright on its left half, one saturated pixel in the second.
+        let first = [200, 200, 200, 200, 10, 10, 10, 10];
+        let second = [30, 30, 30, 30, 30, 30, 30, 255];
+        let sample = Sample { width: 8, pixels: [first, second].concat(), ..Sample::default() };
+        let png = upright_png(&sample).expect("encoded");
+        let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().expect("a PNG");
+        assert_eq!((reader.info().width, reader.info().height), (2, 2));
+        let mut pixels = vec![0; 4];
+        reader.next_frame(&mut pixels).expect("pixels");
+        assert_eq!(pixels, [30, 200, 255, 10]);
+    }
+}

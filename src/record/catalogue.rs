@@ -1,0 +1,136 @@
+//! The sessions on a node's disk, newest first: what an operator chooses from.
+//!
+//! Of each recording only the header of its first segment and the summary of its last are looked at.
+
+use super::direct::map_file;
+use super::layout::{KEY_JSON, VERDICT_METADATA};
+use super::metadata::read_header;
+use super::scan::metadata_by_index;
+use super::session::{RecordingFiles, find, node_dir, unfinished};
+use super::verdict::Verdict;
+use crate::ids::NodeId;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// A node's recording of a session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct CatalogueEntry {
+    /// The session's name: its directory's.
+    pub name: String,
+    /// The recording's directory.
+    #[schema(value_type = String)]
+    pub path: PathBuf,
+    /// Its size, bytes.
+    pub bytes: u64,
+    /// When it was begun, host clock, ns; where that cannot be read, when its directory was made.
+    pub created_ns: u64,
+    /// Triggers per second.
+    pub trigger_rate_hz: Option<f64>,
+    /// Cameras of this node.
+    pub cameras: Vec<String>,
+    /// Pseudonymous.
+    pub subject: Option<String>,
+    /// Free text.
+    pub note: Option<String>,
+    /// What it amounts to; `None` when it was not finished.
+    pub verdict: Option<Verdict>,
+    /// Why it counts as unfinished, or what is wrong with it.
+    pub problem: Option<String>,
+}
+
+/// The newest `limit` recordings of a node below `sessions_dir`, newest first.
+pub fn catalogue(sessions_dir: &Path, node: &NodeId, limit: usize) -> Vec<CatalogueEntry> {
+    let entries = std::fs::read_dir(sessions_dir).into_iter().flatten().flatten();
+    let recordings = entries.map(|entry| node_dir(&entry.path(), node)).filter(|path| path.is_dir());
+    let mut dated: Vec<(SystemTime, PathBuf)> =
+        recordings.map(|path| (modified(&path).unwrap_or(UNIX_EPOCH), path)).collect();
+    dated.sort_by(|a, b| b.cmp(a));
+    dated.truncate(limit);
+    let mut entries: Vec<CatalogueEntry> =
+        dated.into_iter().map(|(made, path)| describe(path, made)).collect();
+    entries.sort_by_key(|entry| std::cmp::Reverse(entry.created_ns));
+    entries
+}
+
+/// One recording of a node; `None` when there is none of this name.
+pub fn entry(sessions_dir: &Path, node: &NodeId, name: &str) -> Option<CatalogueEntry> {
+    // A session's name is one component of a path: nothing else is looked up.
+    crate::ids::SessionName::parse(name).ok()?;
+    let path = node_dir(&sessions_dir.join(name), node);
+    let made = modified(&path)?;
+    Some(describe(path, made))
+}
+
+fn modified(path: &Path) -> Option<SystemTime> {
+    std::fs::metadata(path).ok()?.modified().ok()
+}
+
+fn describe(path: PathBuf, made: SystemTime) -> CatalogueEntry {
+    let name = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy().into_owned();
+    let made_ns = made.duration_since(UNIX_EPOCH).map_or(0, |t| u64::try_from(t.as_nanos()).unwrap_or(0));
+    let mut entry = CatalogueEntry {
+        name,
+        bytes: 0,
+        created_ns: made_ns,
+        trigger_rate_hz: None,
+        cameras: Vec::new(),
+        subject: None,
+        note: None,
+        verdict: None,
+        problem: unfinished(&path),
+        path,
+    };
+    match find(&entry.path) {
+        Ok(found) => found.iter().for_each(|files| read(&mut entry, files)),
+        Err(reason) => entry.problem = Some(reason),
+    }
+    entry
+}
+
+fn read(entry: &mut CatalogueEntry, files: &RecordingFiles) {
+    let sizes = files.segments.iter().filter_map(|(_, path)| std::fs::metadata(path).ok());
+    entry.bytes = sizes.map(|metadata| metadata.len()).sum();
+    let first = files.segments.first().and_then(|(_, path)| map_file(path).ok());
+    match first.as_deref().map(read_header) {
+        Some(Ok(stated)) => {
+            entry.created_ns = stated.header.created_ns;
+            entry.trigger_rate_hz = Some(stated.header.trigger_rate_hz);
+            entry.cameras = stated.header.cameras.iter().map(|camera| camera.id.to_string()).collect();
+            entry.subject = stated.header.subject;
+            entry.note = stated.header.note;
+        }
+        Some(Err(reason)) => entry.problem = Some(reason),
+        None => {}
+    }
+    let last = files.segments.last().and_then(|(_, path)| map_file(path).ok());
+    let metadata = last.as_deref().and_then(metadata_by_index).unwrap_or_default();
+    let stated = metadata.iter().find(|(name, _)| *name == VERDICT_METADATA);
+    entry.verdict = stated
+        .and_then(|(_, entries)| entries.get(KEY_JSON))
+        .and_then(|json| serde_json::from_str(json).ok());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{catalogue, entry};
+    use crate::ids::NodeId;
+
+    #[test]
+    fn what_is_not_a_session_of_this_node_is_not_listed() {
+        let dir = tempfile::tempdir().expect("a directory");
+        for path in ["walk/node-a", "other/node-b", "empty"] {
+            std::fs::create_dir_all(dir.path().join(path)).expect("made");
+        }
+        std::fs::write(dir.path().join("walk/node-a/segment-000000.mcap"), b"").expect("written");
+        let listed = catalogue(dir.path(), &NodeId::from("a"), 10);
+        assert_eq!(listed.len(), 1);
+        assert_eq!((listed[0].name.as_str(), &listed[0].verdict), ("walk", &None));
+        assert!(listed[0].problem.as_deref().is_some_and(|problem| problem.contains("empty")), "{listed:?}");
+        assert_eq!(catalogue(dir.path(), &NodeId::from("a"), 0), []);
+        assert!(entry(dir.path(), &NodeId::from("a"), "walk").is_some());
+        for name in ["other", "../walk", "", "walk/node-a"] {
+            assert_eq!(entry(dir.path(), &NodeId::from("a"), name), None, "{name:?}");
+        }
+    }
+}

@@ -1,0 +1,177 @@
+// A point cloud that turns under the mouse: WebGL 2, nothing else. Points come as the API tells them (12 bytes each).
+
+const POINT_BYTES = 12;
+
+const VERTEX = `#version 300 es
+layout(location = 0) in vec3 place;      // tenths of a millimetre
+layout(location = 1) in vec3 normal;     // 127ths
+layout(location = 2) in float intensity; // 0 to 1
+uniform mat4 view;
+uniform float size;
+out vec3 colour;
+void main() {
+  vec4 at = view * vec4(place * 1e-4, 1.0);
+  gl_Position = at;
+  gl_PointSize = clamp(size / at.w, 1.0, 6.0);
+  // Lit from the upper left of the room, as bright as the cameras saw it.
+  float light = 0.45 + 0.55 * max(0.0, dot(normalize(normal), normalize(vec3(0.5, -0.6, 0.7))));
+  colour = mix(vec3(0.35, 0.62, 0.85), vec3(0.95, 0.93, 0.9), clamp(1.6 * intensity, 0.0, 1.0)) * light;
+}`;
+
+const FRAGMENT = `#version 300 es
+precision mediump float;
+in vec3 colour;
+out vec4 pixel;
+void main() { pixel = vec4(colour, 1.0); }`;
+
+/** Draws clouds on a canvas; the mouse, a finger or the arrow keys turn it, the wheel, + and - move it. */
+export class CloudView {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.gl = canvas.getContext("webgl2", { antialias: false, powerPreference: "low-power", preserveDrawingBuffer: true });
+    this.points = 0;
+    this.azimuth = 0.6;
+    this.height = 0.15;
+    this.distance = 3.2;
+    this.middle = [0, 0, 1];
+    if (this.gl) this.prepare();
+    this.listen();
+    new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  /** Whether this browser can draw clouds. */
+  get works() {
+    return Boolean(this.gl);
+  }
+
+  /** Shows these arrays of points, one a node, together. */
+  show(arrays) {
+    if (!this.gl) return 0;
+    const length = arrays.reduce((sum, array) => sum + array.byteLength, 0);
+    const bytes = new Uint8Array(length);
+    let end = 0;
+    for (const array of arrays) {
+      bytes.set(new Uint8Array(array), end);
+      end += array.byteLength;
+    }
+    this.points = Math.floor(length / POINT_BYTES);
+    this.middle = middleOf(new DataView(bytes.buffer), this.points) ?? this.middle;
+    const { gl } = this;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, bytes, gl.STATIC_DRAW);
+    this.draw();
+    return this.points;
+  }
+
+  prepare() {
+    const { gl } = this;
+    const shader = (kind, text) => {
+      const made = gl.createShader(kind);
+      gl.shaderSource(made, text);
+      gl.compileShader(made);
+      return made;
+    };
+    const program = gl.createProgram();
+    gl.attachShader(program, shader(gl.VERTEX_SHADER, VERTEX));
+    gl.attachShader(program, shader(gl.FRAGMENT_SHADER, FRAGMENT));
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+    gl.useProgram(program);
+    this.uniforms = { view: gl.getUniformLocation(program, "view"), size: gl.getUniformLocation(program, "size") };
+    this.buffer = gl.createBuffer();
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
+    const attribute = (place, count, kind, normalized, offset) => {
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, count, kind, normalized, POINT_BYTES, offset);
+    };
+    attribute(0, 3, gl.SHORT, false, 0);
+    attribute(1, 3, gl.BYTE, false, 6);
+    attribute(2, 1, gl.UNSIGNED_BYTE, true, 9);
+    gl.enable(gl.DEPTH_TEST);
+    gl.clearColor(0, 0, 0, 1);
+  }
+
+  draw() {
+    const { gl, canvas } = this;
+    if (!gl || this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => {
+      this.waiting = false;
+      const scale = Math.min(window.devicePixelRatio || 1, 2);
+      canvas.width = Math.max(1, Math.round(canvas.clientWidth * scale));
+      canvas.height = Math.max(1, Math.round(canvas.clientHeight * scale));
+      gl.viewport(0, 0, canvas.width, canvas.height);
+      gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+      gl.uniformMatrix4fv(this.uniforms.view, false, this.matrix(canvas.width / canvas.height));
+      gl.uniform1f(this.uniforms.size, canvas.height * 0.006);
+      if (this.points) gl.drawArrays(gl.POINTS, 0, this.points);
+    });
+  }
+
+  /** World (metres, z up) to clip space, column by column. */
+  matrix(aspect) {
+    const [ca, sa, ch, sh] = [Math.cos(this.azimuth), Math.sin(this.azimuth), Math.cos(this.height), Math.sin(this.height)];
+    const back = [ca * ch, sa * ch, sh];
+    const right = [-sa, ca, 0];
+    const up = [-ca * sh, -sa * sh, ch];
+    const eye = back.map((x, i) => this.middle[i] + this.distance * x);
+    const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    const [near, far, focal] = [0.05, 20, 1.9];
+    const rows = [
+      [...right.map((x) => (x * focal) / aspect), (-dot(right, eye) * focal) / aspect],
+      [...up.map((x) => x * focal), -dot(up, eye) * focal],
+      [0, 0, 0, 0],
+      // The distance along the line of sight.
+      [...back.map((x) => -x), dot(back, eye)],
+    ];
+    // Depth -1 at `near`, 1 at `far`, after division by that distance.
+    rows[2] = rows[3].map((x) => (x * (far + near)) / (far - near));
+    rows[2][3] -= (2 * far * near) / (far - near);
+    return new Float32Array([0, 1, 2, 3].flatMap((column) => rows.map((row) => row[column])));
+  }
+
+  turn(azimuth, height) {
+    this.azimuth += azimuth;
+    this.height = Math.min(1.5, Math.max(-1.5, this.height + height));
+    this.draw();
+  }
+
+  zoom(factor) {
+    this.distance = Math.min(12, Math.max(0.4, this.distance * factor));
+    this.draw();
+  }
+
+  listen() {
+    const { canvas } = this;
+    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+    canvas.addEventListener("pointermove", (event) => {
+      if (event.buttons & 1) this.turn(-event.movementX * 0.008, event.movementY * 0.008);
+    });
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.zoom(event.deltaY > 0 ? 1.1 : 1 / 1.1);
+    }, { passive: false });
+    const keys = {
+      ArrowLeft: () => this.turn(0.1, 0), ArrowRight: () => this.turn(-0.1, 0),
+      ArrowUp: () => this.turn(0, 0.1), ArrowDown: () => this.turn(0, -0.1),
+      "+": () => this.zoom(1 / 1.15), "-": () => this.zoom(1.15),
+    };
+    canvas.addEventListener("keydown", (event) => {
+      const act = keys[event.key];
+      if (!act) return;
+      event.preventDefault();
+      event.stopPropagation();
+      act();
+    });
+  }
+}
+
+/** The middle of the points in metres; null without any. */
+function middleOf(view, points) {
+  if (!points) return null;
+  const sum = [0, 0, 0];
+  for (let i = 0; i < points; i++) {
+    for (let axis = 0; axis < 3; axis++) sum[axis] += view.getInt16(i * POINT_BYTES + 2 * axis, true);
+  }
+  return sum.map((x) => (x / points) * 1e-4);
+}

@@ -1,0 +1,55 @@
+// What the console asks of the node that served it. Other nodes are reached through it, below /api/v1/peers/NAME.
+
+const API = "/api/v1";
+
+/** The node refused a request: `status` is HTTP's, `message` says what was expected. */
+export class Refused extends Error {
+  constructor(status, message) {
+    super(message);
+    this.status = status;
+  }
+}
+
+/** The node does not answer at all. */
+export class Gone extends Error {}
+
+async function ask(path, options = {}, patience_ms = 4000) {
+  let answer;
+  try {
+    answer = await fetch(API + path, { cache: "no-store", signal: AbortSignal.timeout(patience_ms), ...options });
+  } catch {
+    throw new Gone("the node does not answer");
+  }
+  if (!answer.ok) {
+    const fault = await answer.json().catch(() => ({}));
+    throw new Refused(answer.status, fault.message ?? `the node answered ${answer.status}`);
+  }
+  return answer;
+}
+
+const get = (path) => ask(path).then((answer) => answer.json());
+const post = (path, body) =>
+  ask(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body ?? {}) });
+
+/** Path of what node `peer` tells; the empty name is the node that served this page. */
+const at = (peer, path) => (peer ? `/peers/${encodeURIComponent(peer)}${path}` : path);
+const look = (peer, session) => at(peer, `/sessions/${encodeURIComponent(session)}/quick-look`);
+
+export const node = {
+  login: (token) => post("/login", { token }),
+  identity: () => get("/identity"),
+  status: () => get("/status"),
+  peers: () => get("/peers"),
+  capture: () => get("/capture"),
+  begin: (series) => post("/capture", series),
+  stop: () => post("/capture/stop"),
+  abort: (reason) => post("/capture/abort", { reason }),
+  previews: (peer) => get(at(peer, "/previews")),
+  /** A blob, or null before the first picture. */
+  picture: (peer, camera) =>
+    ask(at(peer, `/previews/${encodeURIComponent(camera)}`)).then((answer) => (answer.status === 204 ? null : answer.blob())),
+  sessions: (peer) => get(at(peer, "/sessions")),
+  look: (peer, session) => get(look(peer, session)),
+  askLook: (peer, session) => post(look(peer, session)),
+  cloud: (peer, session, trigger) => ask(`${look(peer, session)}/${trigger}`, {}, 20000).then((answer) => answer.arrayBuffer()),
+};
