@@ -45,6 +45,8 @@ pub mod preview;
 pub mod reconstruct;
 /// Recordings: layout, writer, reader, verification.
 pub mod record;
+/// A session on one page.
+pub mod report;
 /// What the service manager is told.
 pub mod service;
 /// One capture on one node: the state machine and its driver.

@@ -19,7 +19,6 @@ const make = (tag, attributes = {}, ...children) => {
 const known = { status: null, peers: [], capture: null, role: "view" };
 let seen = performance.now();
 let asked = null; // why the last button did not do what it says
-let dismissed = 0; // captures whose verdict was put aside by a new one elsewhere
 
 // ---- state in one word
 
@@ -65,10 +64,11 @@ function stage() {
     const word = phase === "running" ? (session.dry_run ? "DRY RUN" : "RECORDING") : "PREPARING";
     return { kind: word === "PREPARING" ? "warn" : "live", word, detail: `session ${session.name}, begun elsewhere\ntrigger ${session.triggers}${trouble.length ? `\n${trouble.join("\n")}` : ""}`, share: shareOf(session) };
   }
-  if (trouble.length) return { kind: "bad", word: "NOT READY", detail: trouble.join("\n") + lastVerdict() };
-  if (capture && capture.number > dismissed) return ended(capture);
-  const outside = known.status.session;
-  if (outside?.outcome) return endedHere(outside);
+  // The verdict stays until the next session: it is what the operator waits for. What is wrong now stands beside it.
+  const last = capture ? ended(capture) : known.status.session?.outcome ? endedHere(known.status.session) : null;
+  if (last && trouble.length) return { ...last, kind: last.kind === "good" ? "warn" : last.kind, detail: `${last.detail.trim()}\nnot ready for the next: ${trouble.join("; ")}` };
+  if (last) return last;
+  if (trouble.length) return { kind: "bad", word: "NOT READY", detail: trouble.join("\n") };
   return { kind: "good", word: "READY", detail: "every camera and the HSU answer on all nodes" };
 }
 
@@ -125,8 +125,6 @@ function endedHere(session) {
   const kind = { complete: "good", incomplete: "warn", aborted: "bad" }[verdict.status] ?? "bad";
   return { kind, word: verdict.status.toUpperCase(), detail: `${session.name}, at this node\n${causes({ node: known.status.node, session })}` };
 }
-
-const lastVerdict = () => (known.capture?.takes?.length ? `\nlast: ${ended(known.capture).word.toLowerCase()} ${known.capture.takes.at(-1).name}\n${ended(known.capture).detail}` : "");
 
 // ---- showing
 

@@ -25,6 +25,18 @@ pub struct Sample {
     pub pixels: Vec<u8>,
 }
 
+impl Sample {
+    /// Takes the rows of a frame.
+    pub fn fill(&mut self, meta: &FrameMeta, pixels: &[u8]) {
+        self.trigger = meta.trigger.0;
+        self.host_time_ns = meta.host_time_ns;
+        self.width = meta.width as usize;
+        self.pixels.clear();
+        let rows = pixels.chunks_exact(self.width.max(1)).step_by(ROW_STEP);
+        rows.for_each(|row| self.pixels.extend_from_slice(row));
+    }
+}
+
 /// Where the recorder leaves samples, and previews take them.
 #[derive(Debug)]
 pub struct Taps {
@@ -88,12 +100,7 @@ impl Taps {
         };
         tap.wanted.store(false, Ordering::Release);
         let mut sample = slot.fresh.take().or_else(|| slot.spare.take()).unwrap_or_default();
-        sample.trigger = meta.trigger.0;
-        sample.host_time_ns = meta.host_time_ns;
-        sample.width = meta.width as usize;
-        sample.pixels.clear();
-        let rows = pixels.chunks_exact(sample.width.max(1)).step_by(ROW_STEP);
-        rows.for_each(|row| sample.pixels.extend_from_slice(row));
+        sample.fill(meta, pixels);
         slot.fresh = Some(sample);
     }
 }

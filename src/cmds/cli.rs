@@ -2,7 +2,7 @@
 
 use super::{
     Exit, Failure, board, calibrate, cameras, capture, check_config, doctor, export, import, info, node,
-    pattern, reconstruct, recover, status, token, validate, verify, view,
+    pattern, reconstruct, recover, report, status, token, validate, verify, view,
 };
 use clap::{Parser, Subcommand};
 
@@ -37,6 +37,7 @@ pub enum Command {
     Pattern(pattern::Args),
     Reconstruct(reconstruct::Args),
     Recover(recover::Args),
+    Report(report::Args),
     Token(token::Args),
     Validate(validate::Args),
     View(view::Args),
@@ -61,6 +62,7 @@ impl Cli {
             Command::Pattern(args) => pattern::run(args),
             Command::Reconstruct(args) => reconstruct::run(args),
             Command::Recover(args) => recover::run(args),
+            Command::Report(args) => report::run(args),
             Command::Token(args) => token::run(args),
             Command::Validate(args) => validate::run(args),
             Command::View(args) => view::run(args),

@@ -24,6 +24,7 @@ pub mod pattern;
 mod progress;
 pub mod reconstruct;
 pub mod recover;
+pub mod report;
 pub mod status;
 pub mod token;
 pub mod validate;

@@ -8,6 +8,7 @@ mod picture;
 pub mod quick_look;
 
 pub use light::{Light, LightGrades, measure};
+pub use picture::upright_png;
 
 use crate::acquire::preview::{Sample, Taps};
 use crate::acquire::realtime;

@@ -31,7 +31,7 @@ pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NodeEvent, RecordingHeader,
     TriggerRecord,
 };
-pub use reader::{ReadError, RecordedFrame, RecordingReader, SegmentReader};
+pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, Latency, WriteStatistics};
 pub(crate) use verdict::CameraTally;

@@ -119,6 +119,15 @@ pub struct RecordingReader {
     pub(crate) outcomes: Vec<BTreeMap<u64, Outcome>>,
 }
 
+/// Triggers of a camera in a row that have gap records of the same cause.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GapRun {
+    /// The triggers.
+    pub triggers: std::ops::Range<u64>,
+    /// Their cause.
+    pub cause: GapCause,
+}
+
 /// A frame that passed its checks.
 #[derive(Debug, Clone, Copy)]
 pub struct RecordedFrame<'a> {
@@ -129,6 +138,22 @@ pub struct RecordedFrame<'a> {
 }
 
 impl RecordingReader {
+    /// Per camera of the header: what is missing, run by run.
+    pub fn gap_runs(&self) -> Vec<Vec<GapRun>> {
+        let runs = |outcomes: &BTreeMap<u64, Outcome>| {
+            let mut runs: Vec<GapRun> = Vec::new();
+            for (&trigger, outcome) in outcomes {
+                let Outcome::Gap(cause) = *outcome else { continue };
+                match runs.last_mut().filter(|run| run.triggers.end == trigger && run.cause == cause) {
+                    Some(run) => run.triggers.end += 1,
+                    None => runs.push(GapRun { triggers: trigger..trigger + 1, cause }),
+                }
+            }
+            runs
+        };
+        self.outcomes.iter().map(runs).collect()
+    }
+
     /// Maps the segments and walks their records.
     pub(super) fn open(files: &RecordingFiles, what: Extent) -> Result<Self, ReadError> {
         let error = |message: String| ReadError(format!("{}: {message}", files.path.display()));

@@ -1,0 +1,35 @@
+//! `fourdbody report`: a session on one page.
+
+use super::{Exit, Failure};
+use crate::report::{gather, render};
+use std::path::PathBuf;
+
+/// Write a page about a session: verdict, gaps over time, light per camera, latencies, points, a turning cloud.
+///
+/// The page is one HTML file that needs no network. Checksums are not computed: see `fourdbody verify`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html"
+)]
+pub struct Args {
+    /// A session, a recording of one node, or a single segment.
+    session: PathBuf,
+    /// What `fourdbody reconstruct` made of it: adds points per frame and a cloud.
+    #[arg(long, value_name = "DIR")]
+    clouds: Option<PathBuf>,
+    /// The page.
+    #[arg(long, value_name = "HTML")]
+    out: PathBuf,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let missing = if args.session.exists() { Exit::Corrupt } else { Exit::Usage };
+    let report =
+        gather(&args.session, args.clouds.as_deref()).map_err(|error| Failure::new(missing, error))?;
+    let page = render(&report);
+    std::fs::write(&args.out, &page)
+        .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
+    println!("{}: {} KiB, opens in any browser", args.out.display(), page.len() / 1024);
+    Ok(Exit::Done)
+}

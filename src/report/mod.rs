@@ -1,0 +1,177 @@
+//! A session on one page, for whoever asks later what it was worth: verdict, gaps, light, latencies, points, a turning cloud.
+//!
+//! The page is one HTML file that needs nothing else: pictures, points and the script that turns them are inside.
+
+mod page;
+
+pub use page::render;
+
+use crate::acquire::preview::Sample;
+use crate::export::ply;
+use crate::ids::TriggerIndex;
+use crate::preview::quick_look::encode;
+use crate::preview::{Light, measure, upright_png};
+use crate::record::describe::{self, CameraDescription, EventKind};
+use crate::record::{GapRun, RecordingReader, SessionReader, Verdict, WriteStatistics};
+use std::path::{Path, PathBuf};
+
+/// Frames of each camera that are looked at.
+const LOOKS: u64 = 5;
+
+/// One camera of the session.
+#[derive(Debug, Clone)]
+pub struct CameraReport {
+    /// Outcomes and settings.
+    pub described: CameraDescription,
+    /// Runs of triggers without a frame, with their cause.
+    pub gaps: Vec<GapRun>,
+    /// Light of some frames, with their triggers.
+    pub light: Vec<(u64, Light)>,
+    /// A frame of the middle, upright, PNG.
+    pub picture: Option<Vec<u8>>,
+    /// Points of each reconstructed trigger.
+    pub points: Vec<(u64, u64)>,
+}
+
+/// One node's recording.
+#[derive(Debug, Clone)]
+pub struct NodeReport {
+    /// The node.
+    pub node: String,
+    /// Where it lies.
+    pub path: PathBuf,
+    /// What it amounts to; `None`: it was not finished.
+    pub verdict: Option<Verdict>,
+    /// How the disk kept up.
+    pub statistics: Option<WriteStatistics>,
+    /// How long frames took, in the recorder's words.
+    pub latencies: Option<String>,
+    /// What happened, by kind.
+    pub events: Vec<EventKind>,
+    /// What is missing or wrong.
+    pub missing: Vec<String>,
+    /// Its cameras.
+    pub cameras: Vec<CameraReport>,
+}
+
+/// A session.
+#[derive(Debug, Clone)]
+pub struct Report {
+    /// Its name.
+    pub session: String,
+    /// When it was begun, host clock, ns.
+    pub created_ns: u64,
+    /// Pseudonymous.
+    pub subject: Option<String>,
+    /// Free text.
+    pub note: Option<String>,
+    /// Triggers per second.
+    pub trigger_rate_hz: f64,
+    /// Triggers of the session.
+    pub triggers: u64,
+    /// The nodes that recorded it.
+    pub nodes: Vec<NodeReport>,
+    /// Points for the page's cloud (see [`encode`]), and of which trigger.
+    pub cloud: Option<(u64, Vec<u8>)>,
+}
+
+/// Looks at a session, and at what was reconstructed of it in `result` (the directory of `fourdbody reconstruct`).
+pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, String> {
+    let reader = SessionReader::open(session).map_err(|e| e.to_string())?;
+    let points = result.map(points_of).transpose()?.unwrap_or_default();
+    let first = reader.recordings().first().ok_or_else(|| format!("{}: no recording", session.display()))?;
+    let header = &first.header;
+    let nodes = reader.recordings().iter().map(|recording| node(recording, &points)).collect();
+    Ok(Report {
+        session: header.session.to_string(),
+        created_ns: header.created_ns,
+        subject: header.subject.clone(),
+        note: header.note.clone(),
+        trigger_rate_hz: header.trigger_rate_hz,
+        triggers: reader.recordings().iter().map(RecordingReader::triggers_end).max().unwrap_or(0),
+        nodes,
+        cloud: result.map(cloud_of).transpose()?.flatten(),
+    })
+}
+
+fn node(recording: &RecordingReader, points: &[Points]) -> NodeReport {
+    let events = describe::events(recording);
+    let latencies = events.iter().find(|event| event.kind == "latency").map(|e| e.first_message.clone());
+    let gaps = recording.gap_runs();
+    let cameras = describe::cameras(recording).into_iter().zip(gaps).enumerate();
+    NodeReport {
+        node: recording.header.node.to_string(),
+        path: recording.path.clone(),
+        verdict: recording.verdict.clone(),
+        statistics: recording.statistics,
+        latencies,
+        missing: describe::missing(recording),
+        events: events.into_iter().filter(|event| event.kind != "latency").collect(),
+        cameras: cameras
+            .map(|(place, (described, gaps))| {
+                let samples = samples(recording, place);
+                let name = described.header.id.as_str();
+                let own = points.iter().filter(|(_, camera, _)| camera == name);
+                CameraReport {
+                    points: own.map(|(trigger, _, points)| (*trigger, *points)).collect(),
+                    light: samples.iter().map(|sample| (sample.trigger, measure(sample))).collect(),
+                    picture: samples.get(samples.len() / 2).and_then(|sample| upright_png(sample).ok()),
+                    described,
+                    gaps,
+                }
+            })
+            .collect(),
+    }
+}
+
+/// Some frames of a camera, spread over the session; fewer where there are gaps.
+fn samples(recording: &RecordingReader, camera: usize) -> Vec<Sample> {
+    let end = recording.triggers_end();
+    let at = |i: u64| (2 * i + 1) * end / (2 * LOOKS);
+    let mut triggers: Vec<u64> = (0..LOOKS.min(end)).map(at).collect();
+    triggers.dedup();
+    let sample = |trigger: u64| {
+        let frame = recording.frame(camera, TriggerIndex(trigger)).ok()?.ok()?;
+        let mut sample = Sample::default();
+        sample.fill(&frame.meta, frame.image.as_slice());
+        Some(sample)
+    };
+    triggers.into_iter().filter_map(sample).collect()
+}
+
+/// Trigger, camera, points.
+type Points = (u64, String, u64);
+
+/// From `summary.json` of a reconstruction.
+fn points_of(result: &Path) -> Result<Vec<Points>, String> {
+    let path = result.join("summary.json");
+    let text = std::fs::read_to_string(&path).map_err(|e| {
+        format!("{}: {e}; expected the directory of `fourdbody reconstruct --out`", path.display())
+    })?;
+    let summary: serde_json::Value =
+        serde_json::from_str(&text).map_err(|e| format!("{}: {e}", path.display()))?;
+    let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
+    let mut points = Vec::new();
+    for trigger in list(&summary["triggers"]) {
+        let Some(number) = trigger["trigger"].as_u64() else { continue };
+        for frame in list(&trigger["frames"]) {
+            let camera = frame["camera"].as_str().unwrap_or_default().to_owned();
+            points.push((number, camera, frame["points"].as_u64().unwrap_or(0)));
+        }
+    }
+    Ok(points)
+}
+
+/// The merged cloud in the middle of what was reconstructed.
+fn cloud_of(result: &Path) -> Result<Option<(u64, Vec<u8>)>, String> {
+    let dir = result.join("merged");
+    let Ok(entries) = std::fs::read_dir(&dir) else { return Ok(None) };
+    let number = |path: &Path| path.file_stem()?.to_str()?.parse::<u64>().ok();
+    let paths = entries.flatten().map(|entry| entry.path());
+    let mut clouds: Vec<(u64, PathBuf)> =
+        paths.filter_map(|path| number(&path).map(|number| (number, path))).collect();
+    clouds.sort();
+    let Some((trigger, path)) = clouds.get(clouds.len() / 2) else { return Ok(None) };
+    let (_, cloud) = ply::load(path).map_err(|e| e.to_string())?;
+    Ok(Some((*trigger, encode(&cloud))))
+}
