@@ -45,6 +45,8 @@ pub mod preview;
 pub mod reconstruct;
 /// Recordings: layout, writer, reader, verification.
 pub mod record;
+/// What the service manager is told.
+pub mod service;
 /// One capture on one node: the state machine and its driver.
 pub mod session;
 /// What a running node counts: metrics, and thresholds that judge them.

@@ -4,6 +4,7 @@ use super::{Exit, Failure};
 use crate::api::server::{self, Auth, Listeners, NodeHandle, Services, Shared};
 use crate::config::NodeConfig;
 use crate::record::{Interrupted, interrupted};
+use crate::service::Notifier;
 use crate::session::driver::Driver;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
@@ -63,12 +64,14 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     };
     let (listen, socket) =
         (config.api.listen, config.api.socket.as_ref().map(|s| s.path.display().to_string()));
+    let notifier = Notifier::start(driver.status(), driver.telemetry())
+        .map_err(|e| Failure::new(Exit::Failure, format!("cannot start a thread: {e}")))?;
     let services = Services::start(&config, driver.commands(), driver.status(), driver.taps())
         .map_err(|fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message })?;
     let shared = Shared::new(config, handle, auth, services, &listeners)
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the audit log's thread: {e}")))?;
     tracing::info!(listen = listen.map(tracing::field::display), socket, "node is up");
-    match runtime.block_on(serve(listeners, shared, &driver, &read, &mut signals)) {
+    match runtime.block_on(serve(listeners, shared, &driver, notifier, &read, &mut signals)) {
         Ended::Orderly(served) => {
             driver.shut_down();
             let failed = |e| Failure::new(Exit::Failure, format!("the control API failed: {e}"));
@@ -103,6 +106,7 @@ async fn serve(
     listeners: Listeners,
     shared: Shared,
     driver: &Driver,
+    notifier: Option<Notifier>,
     read: &server::OutcomeRead,
     signals: &mut StopSignals,
 ) -> Ended {
@@ -115,6 +119,7 @@ async fn serve(
         failed = &mut api => return Ended::Orderly(joined(failed)),
         () = signals.next() => {}
     }
+    drop(notifier);
     tracing::info!("stopping; a second signal ends at once");
     shared.audit.event("stop by a signal", shared.status().session.as_ref().filter(|s| s.outcome.is_none()));
     driver.request_stop();

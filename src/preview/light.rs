@@ -1,6 +1,8 @@
 //! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are there.
 
 use crate::acquire::preview::Sample;
+use crate::telemetry::Grade;
+use crate::telemetry::thresholds::{LIT, MODULATION, SATURATED};
 use serde::{Deserialize, Serialize};
 
 /// Light of one frame.
@@ -21,18 +23,6 @@ pub struct Light {
     pub bright_dn: f64,
 }
 
-/// How good a figure is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Grade {
-    /// As it should be.
-    Good,
-    /// It will do; better is possible.
-    Fair,
-    /// Points will be missing.
-    Bad,
-}
-
 /// What the light's figures mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LightGrades {
@@ -44,25 +34,13 @@ pub struct LightGrades {
     pub lit: Grade,
 }
 
-/// Shares of saturated pixels up to which they are good, and fair.
-pub const SATURATED: (f64, f64) = (0.002, 0.01);
-/// Amplitudes from which on they are good, and fair, grey values: below 12 a point's uncertainty is above 0.5 mm.
-pub const MODULATION_DN: (f64, f64) = (30.0, 12.0);
-/// Shares of the frame that are lit from which on they are good, and fair.
-pub const LIT: (f64, f64) = (0.02, 0.005);
-
 impl Light {
-    /// Judged by [`SATURATED`], [`MODULATION_DN`] and [`LIT`].
+    /// Judged by the thresholds that `status` and reports show as well.
     pub fn grades(&self) -> LightGrades {
-        let of = |good: bool, fair: bool| match (good, fair) {
-            (true, _) => Grade::Good,
-            (false, true) => Grade::Fair,
-            (false, false) => Grade::Bad,
-        };
         LightGrades {
-            saturated: of(self.saturated <= SATURATED.0, self.saturated <= SATURATED.1),
-            modulation: of(self.modulation_dn >= MODULATION_DN.0, self.modulation_dn >= MODULATION_DN.1),
-            lit: of(self.lit >= LIT.0, self.lit >= LIT.1),
+            saturated: SATURATED.grade(100.0 * self.saturated),
+            modulation: MODULATION.grade(self.modulation_dn),
+            lit: LIT.grade(100.0 * self.lit),
         }
     }
 }
@@ -126,8 +104,9 @@ fn quantile(counts: &[u64], share: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Grade, measure};
+    use super::measure;
     use crate::acquire::preview::Sample;
+    use crate::telemetry::Grade;
     use std::f64::consts::TAU;
 
     /// Rows of fringes of this amplitude about a mean, lit over half of the width.

@@ -7,7 +7,7 @@ mod light;
 mod picture;
 pub mod quick_look;
 
-pub use light::{Grade, Light, LightGrades, measure};
+pub use light::{Light, LightGrades, measure};
 
 use crate::acquire::preview::{Sample, Taps};
 use crate::acquire::realtime;

@@ -224,7 +224,7 @@ impl Inner {
         }
         for (done, trigger) in triggers.iter().copied().enumerate() {
             self.change(name, |look| look.progress = Progress::Working { done, of: triggers.len() });
-            let out = settings.work_dir.join(format!("{name}-{trigger}"));
+            let out = settings.work_dir.join(format!("{name}-{}-{trigger}", self.node));
             let made = self.reconstruct(settings, recording, &cameras, trigger, &out);
             let cloud = made.and_then(|()| read_cloud(&out, trigger).map_err(Ended::Failed));
             // What is left of a look that failed is of no use either.

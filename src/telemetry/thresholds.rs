@@ -95,8 +95,33 @@ pub const DURABLE_P99: Threshold = Threshold {
     meaning: "from the writer until the frame survives a power cut, for 99 of 100 frames; a second is promised",
 };
 
+/// Saturated pixels of a picture.
+pub const SATURATED: Threshold = Threshold {
+    name: "saturated",
+    unit: "%",
+    good: 0.2,
+    bad: 1.0,
+    meaning: "share of a camera's lit pixels that are saturated: a cut fringe has no phase",
+};
+/// Amplitude of the fringes.
+pub const MODULATION: Threshold = Threshold {
+    name: "modulation",
+    unit: "DN",
+    good: 30.0,
+    bad: 12.0,
+    meaning: "median fringe amplitude of what a camera sees lit: the noise of a point goes with its inverse",
+};
+/// How much of the picture is lit.
+pub const LIT: Threshold = Threshold {
+    name: "lit",
+    unit: "%",
+    good: 2.0,
+    bad: 0.5,
+    meaning: "share of a camera's picture that is lit: is there anybody, and light?",
+};
+
 /// All of them, in the order in which they are shown.
-pub const ALL: [Threshold; 8] = [
+pub const ALL: [Threshold; 11] = [
     CAMERAS_MISSING,
     HSU_MISSING,
     DISK_TIME_LEFT,
@@ -105,6 +130,9 @@ pub const ALL: [Threshold; 8] = [
     MATCH_P99,
     WRITE_P99,
     DURABLE_P99,
+    SATURATED,
+    MODULATION,
+    LIT,
 ];
 
 /// A value, judged.
