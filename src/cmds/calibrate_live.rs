@@ -1,9 +1,9 @@
 //! `fourdbody calibrate --live`: leads an operator through the positions of the board, one small session each.
 
 use super::capture::stop_on_ctrl_c;
+use super::connect::by_environment;
 use super::reconstruct::open_source;
 use super::{Exit, Failure};
-use crate::api::client::NodeClient;
 use crate::calibrate::guide::Guide;
 use crate::calibrate::joined::Joined;
 use crate::calibrate::{Board, Calibration, Finding, Position, views};
@@ -101,8 +101,10 @@ fn one_session(
     control: &Control,
 ) -> Result<Vec<Box<dyn FrameSource>>, Failure> {
     let failure = |fault: Fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message };
-    let nodes: Vec<Box<dyn Participant>> =
-        live.nodes.iter().map(|url| Box::new(NodeClient::new(url)) as Box<dyn Participant>).collect();
+    let client = |url: &String| {
+        by_environment(url).map(|client| Box::new(client) as Box<dyn Participant>).map_err(failure)
+    };
+    let nodes = live.nodes.iter().map(client).collect::<Result<Vec<_>, Failure>>()?;
     let wish = Wish {
         triggers: Some(live.triggers),
         name: Some(format!("{}-p{number:03}", live.base)),

@@ -22,10 +22,19 @@ pub struct Connect {
     ca: Option<PathBuf>,
 }
 
+/// A client that shows the token of the environment, if there is one.
+pub fn by_environment(url: &str) -> Result<NodeClient, Fault> {
+    NodeClient::with(url, &Credentials { token_file: token_of_environment(), ca: None })
+}
+
+fn token_of_environment() -> Option<PathBuf> {
+    std::env::var_os(TOKEN_FILE).map(PathBuf::from)
+}
+
 impl Connect {
     /// A client for each node, in the order given.
     pub fn clients(&self) -> Result<Vec<NodeClient>, Fault> {
-        let default = std::env::var_os(TOKEN_FILE).map(PathBuf::from);
+        let default = token_of_environment();
         let client = |(i, url): (usize, &String)| {
             // One file for all, or one for each.
             let own = self.token_file.get(i).or(self.token_file.last());

@@ -156,7 +156,9 @@ mod tests {
     #[test]
     fn the_text_is_what_prometheus_reads() {
         let histogram = Histogram::default();
-        [100, 300, 3_000_000, 60_000_000].map(|us| histogram.record(Duration::from_micros(us)));
+        [100, 300, 3_000_000, 60_000_000]
+            .into_iter()
+            .for_each(|us| histogram.record(Duration::from_micros(us)));
         let families = [
             Family::new(
                 "a_total",

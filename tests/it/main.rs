@@ -7,6 +7,8 @@ mod api_description;
 mod api_node;
 #[cfg(feature = "aravis")]
 mod api_security;
+#[cfg(feature = "aravis")]
+mod api_session;
 mod architecture;
 mod back_end;
 mod bad_frames;

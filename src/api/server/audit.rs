@@ -226,6 +226,9 @@ pub(super) async fn audited(State(shared): State<Shared>, request: Request, next
         None => status.phase != Phase::Idle,
     });
     line.concerns(concerned);
+    // A session that has just been prepared may not be in the status yet.
+    let name = line.request.as_ref().and_then(|request| request.get("name")?.as_str());
+    line.session = line.session.or_else(|| asked.and(name).map(str::to_owned));
     line.session_id = line.session_id.or_else(|| asked.map(|id| format!("{id:016x}")));
     shared.audit.record(line).await;
     response

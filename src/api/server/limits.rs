@@ -109,12 +109,14 @@ pub struct Admitted {
     _permit: OwnedSemaphorePermit,
 }
 
-impl Connections {
+impl Default for Connections {
     /// None yet.
-    pub fn new() -> Self {
+    fn default() -> Self {
         Self { all: Arc::new(Semaphore::new(CONNECTIONS_MAX)), of_one: Arc::default() }
     }
+}
 
+impl Connections {
     /// Counts a connection, if there may be one more.
     pub fn admit(&self, key: Key) -> Option<Admitted> {
         let permit = Arc::clone(&self.all).try_acquire_owned().ok()?;
@@ -192,7 +194,7 @@ mod tests {
 
     #[test]
     fn connections_are_bounded_for_one_and_for_all() {
-        let connections = Connections::new();
+        let connections = Connections::default();
         let of_one: Vec<_> = std::iter::from_fn(|| connections.admit(Key::User(1))).collect();
         assert_eq!(of_one.len(), CONNECTIONS_OF_ONE_MAX);
         let others: Vec<_> = (2..1000).map_while(|uid| connections.admit(Key::User(uid))).collect();

@@ -135,7 +135,7 @@ impl Listeners {
     /// Serves until `shutdown` resolves; answers that are under way are finished.
     pub async fn serve(self, router: Router, shutdown: impl Future<Output = ()>) -> io::Result<()> {
         let (end, ended) = watch::channel(false);
-        let server = Server { router, connections: Connections::new(), ended };
+        let server = Server { router, connections: Connections::default(), ended };
         tokio::select! {
             () = server.accept_unix(self.unix.as_ref()) => {}
             () = server.accept_tcp(self.tcp.as_ref(), self.tls.as_ref()) => {}
@@ -231,7 +231,8 @@ where
         .timer(TokioTimer::new())
         .header_read_timeout(limits::HEADER)
         .max_headers(limits::HEADERS_MAX)
-        .max_buf_size(limits::HEADER_BYTES_MAX)
+        .max_header_size(limits::HEADER_BYTES_MAX)
+        .max_buf_size(2 * limits::HEADER_BYTES_MAX)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
     // What `wait_for` returns holds a lock.

@@ -18,7 +18,7 @@ pub(in crate::api::server) fn routes() -> OpenApiRouter<Shared> {
 
 #[derive(utoipa::IntoResponses)]
 #[expect(dead_code, reason = "the description is made of it")]
-enum Done {
+enum Outcome {
     /// Done.
     #[response(status = 204)]
     Done,
@@ -34,7 +34,7 @@ enum Done {
 }
 
 /// Prepares a session; answers when every camera is armed and verified and the HSU link has armed.
-#[utoipa::path(post, path = path::PREPARE, tag = "session", request_body = SessionRequest, responses(Done))]
+#[utoipa::path(post, path = path::PREPARE, tag = "session", request_body = SessionRequest, responses(Outcome))]
 async fn prepare(
     State(shared): State<Shared>,
     Body(request): Body<SessionRequest>,
@@ -43,7 +43,7 @@ async fn prepare(
 }
 
 /// Starts the train of triggers. The HSU refuses unless every node of the session is ready.
-#[utoipa::path(post, path = path::START, tag = "session", request_body = SessionCommand, responses(Done))]
+#[utoipa::path(post, path = path::START, tag = "session", request_body = SessionCommand, responses(Outcome))]
 async fn start(
     State(shared): State<Shared>,
     Body(command): Body<SessionCommand>,
@@ -52,7 +52,7 @@ async fn start(
 }
 
 /// Ends the train after the current trigger; the recording is closed with its verdict.
-#[utoipa::path(post, path = path::STOP, tag = "session", request_body = SessionCommand, responses(Done))]
+#[utoipa::path(post, path = path::STOP, tag = "session", request_body = SessionCommand, responses(Outcome))]
 async fn stop(
     State(shared): State<Shared>,
     Body(command): Body<SessionCommand>,
@@ -61,7 +61,7 @@ async fn stop(
 }
 
 /// Gives the session up. What was recorded is kept; a session without a trigger leaves nothing.
-#[utoipa::path(post, path = path::ABORT, tag = "session", request_body = SessionCommand, responses(Done))]
+#[utoipa::path(post, path = path::ABORT, tag = "session", request_body = SessionCommand, responses(Outcome))]
 async fn abort(
     State(shared): State<Shared>,
     Body(command): Body<SessionCommand>,
