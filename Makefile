@@ -9,13 +9,14 @@
 #   make poses     fringe orders on 224 camera frames of moving mannequins
 #   make validate  the paper's section 5: calibrated, Table 3, girths, spacing, beside the paper's figures
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
+#   make deb       the Debian package, in target/debian; scripts/try-package.sh tries it in a clean Debian
 #   make third-party   others' programs that take minutes to build
 
 SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint bench-ingest bench-reconstruct poses validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test lint deb bench-ingest bench-reconstruct poses validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -63,6 +64,14 @@ poses: packages
 validate: packages
 	$(CARGO) build --release --workspace
 	scripts/validate.sh
+
+# cargo-deb is built once into target/tools.
+deb: packages
+	@scripts/install-packages.sh dpkg-dev
+	@test -x target/tools/bin/cargo-deb || $(CARGO) install cargo-deb --version 3.6.2 --locked --root target/tools
+	$(CARGO) build --release --workspace
+	$(CARGO) run --release --example manual -- target/manual
+	target/tools/bin/cargo-deb --no-build --no-strip -o target/debian/
 
 FUZZ_SECONDS ?= 180
 fuzz: packages

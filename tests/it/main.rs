@@ -54,6 +54,10 @@ mod recover;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
 #[cfg(feature = "aravis")]
+mod report;
+#[cfg(feature = "aravis")]
+mod service;
+#[cfg(feature = "aravis")]
 mod session_faults;
 mod shared_calibration;
 mod shared_scene;
