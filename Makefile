@@ -26,7 +26,7 @@ packages:
 
 # Third parties that the tests talk to; a test whose program is absent says so and is skipped.
 test-packages: packages
-	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark
+	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver
 	@scripts/make-venv.sh tests/.venv mcap==1.6.0 mcap-protobuf-support==0.5.3
 
 demo: packages

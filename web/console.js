@@ -29,6 +29,12 @@ const nodes = () => [
   ...known.peers.map((peer) => ({ ...peer, peer: peer.name })),
 ];
 
+/** What is wrong with a camera: a session notices within three triggers that it is silent, its driver some seconds later. */
+function problemOf(status, camera) {
+  const silent = status.session && !status.session.outcome && status.session.cameras.some((heard) => heard.id === camera.id && heard.silent);
+  return camera.problem ?? (silent ? `camera ${camera.id} is silent` : null);
+}
+
 function problems() {
   const found = [];
   for (const { name, status, problem } of nodes()) {
@@ -36,7 +42,10 @@ function problems() {
       found.push(`node ${name}: ${problem}`);
       continue;
     }
-    for (const camera of status.cameras) if (camera.problem) found.push(camera.problem);
+    for (const camera of status.cameras) {
+      const problem = problemOf(status, camera);
+      if (problem) found.push(problem);
+    }
     if (status.hsu.problem) found.push(`node ${name}: ${status.hsu.problem}`);
   }
   return found;
@@ -177,13 +186,13 @@ function cameraBox(id) {
 }
 
 function placeCameras() {
-  const wanted = nodes().flatMap(({ peer, status }) => (status ? status.cameras.map((camera) => ({ peer, camera })) : []));
-  for (const { peer, camera } of wanted) {
+  const wanted = nodes().flatMap(({ peer, status }) => (status ? status.cameras.map((camera) => ({ peer, camera, problem: problemOf(status, camera) })) : []));
+  for (const { peer, camera, problem } of wanted) {
     if (!cameras.has(camera.id)) cameras.set(camera.id, { ...cameraBox(camera.id) });
     const shown = cameras.get(camera.id);
     shown.peer = peer;
-    shown.box.classList.toggle("bad", Boolean(camera.problem));
-    text(shown.problem, camera.problem ?? "");
+    shown.box.classList.toggle("bad", Boolean(problem));
+    text(shown.problem, problem ?? "");
   }
   // A column a head: the upper cameras above the lower ones.
   const order = (id) => (id.endsWith("_low") ? `1${id}` : `0${id}`);

@@ -134,6 +134,9 @@ pub struct CameraProgress {
     pub frames: u64,
     /// Gap records so far.
     pub gaps: u64,
+    /// Nothing has been heard of it for some triggers: long before the camera counts as lost.
+    #[serde(default)]
+    pub silent: bool,
 }
 
 /// How a session ended on this node.

@@ -13,6 +13,7 @@ mod calibrate_live;
 pub mod cameras;
 pub mod capture;
 pub mod check_config;
+mod cli;
 pub mod connect;
 pub mod doctor;
 pub mod export;
@@ -28,6 +29,8 @@ pub mod token;
 pub mod validate;
 pub mod verify;
 pub mod view;
+
+pub use cli::{Cli, Command};
 
 /// How a command ended (brief, section 7: a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -124,6 +124,7 @@ impl Session {
             id: camera.id.clone(),
             frames: self.progress.frames.get(i).map_or(0, load),
             gaps: self.progress.gaps.get(i).map_or(0, load),
+            silent: self.outcome.is_none() && self.silence.is_silent(i),
         });
         SessionStatus {
             session_id: self.request.session_id,

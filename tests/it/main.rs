@@ -17,12 +17,16 @@ mod board_photographs;
 mod board_to_plane;
 #[cfg(feature = "aravis")]
 mod breaks;
+#[cfg(feature = "aravis")]
+mod browser;
 mod calibrate_command;
 #[cfg(feature = "aravis")]
 mod calibrate_live;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod chain;
+#[cfg(feature = "aravis")]
+mod console;
 mod crash;
 #[cfg(feature = "aravis")]
 mod disk_faults;
@@ -63,4 +67,6 @@ mod third_party_mcap;
 mod third_party_node;
 #[cfg(feature = "aravis")]
 mod third_party_session;
+#[cfg(feature = "aravis")]
+mod two_nodes;
 mod validate_commands;

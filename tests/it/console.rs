@@ -1,0 +1,172 @@
+//! The operator's console in a real browser, served by real nodes in front of the simulator.
+
+use crate::analytic_scene::{photograph, sphere};
+use crate::api_node::new_token;
+use crate::browser::Browser;
+use crate::lab::{NodeProcess, options, rig_of};
+use fourdbody::api::client::{Credentials, NodeClient};
+use fourdbody::calibrate::Calibration;
+use fourdbody::image::Plane;
+use fourdbody::reconstruct::pair::Pair;
+use fourdbody_simulator::images::ImageSource;
+use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
+use nalgebra::Point3;
+use std::path::Path;
+use std::sync::Arc;
+
+/// One photograph for ever.
+struct Still(Plane<u8>);
+
+impl ImageSource for Still {
+    fn size(&self) -> (usize, usize) {
+        (self.0.width(), self.0.height())
+    }
+
+    fn pixels(&self, _: i64) -> &[u8] {
+        self.0.as_slice()
+    }
+}
+
+/// Eight cameras around a ball, tokens for everybody, nodes that know each other and take quick looks.
+fn laboratory(dir: &Path) -> Laboratory {
+    let rig_text = rig_of(5.0, (1920, 1200));
+    let rig = fourdbody::config::Rig::from_table(&rig_text.parse().expect("TOML")).expect("a rig");
+    let calibration = Calibration::nominal(&rig);
+    let file = dir.join("calibration.json");
+    calibration.save(&file).expect("writable");
+    let mut cameras = calibration.heads.iter().flat_map(|head| head.cameras.iter().map(move |c| (head, c)));
+    let options = LaboratoryOptions { calibration: Some(file), ..options(rig_text, dir, 171) };
+    let options = LaboratoryOptions { socket: fourdbody::config::SocketMode::Standard, ..options };
+    let laboratory = Laboratory::start(&options, |_| {
+        let (head, camera) = cameras.next().expect("eight cameras");
+        let pair = Pair::new(head, camera, &calibration).expect("a usable pair");
+        Arc::new(Still(photograph(&pair, sphere(Point3::new(0.0, 0.0, 1.03), 0.25)))) as _
+    });
+    let laboratory = laboratory.expect("the laboratory starts");
+    for (name, role) in [("otto", "operate"), ("peer", "peer")] {
+        new_token(dir, name, role, false);
+    }
+    for node in &laboratory.nodes {
+        let text = std::fs::read_to_string(&node.path).expect("written");
+        let text = text.replace("[api]\n", "[api]\ntokens = \"tokens\"\n");
+        let text = text.replace("[[api.peers]]\n", "[[api.peers]]\ntoken_file = \"peer.token\"\n");
+        std::fs::write(&node.path, text).expect("writable");
+    }
+    laboratory
+}
+
+fn start_nodes(laboratory: &Laboratory, dir: &Path) -> Vec<NodeProcess> {
+    let start = |node: &fourdbody_simulator::laboratory::NodeFile| {
+        let mut process = NodeProcess::start(&node.path, node.port);
+        let credentials = Credentials { token_file: Some(dir.join("otto.token")), ca: None };
+        process.client =
+            NodeClient::with(&format!("http://127.0.0.1:{}", node.port), &credentials).expect("a client");
+        process
+    };
+    let mut nodes: Vec<NodeProcess> = laboratory.nodes.iter().map(start).collect();
+    nodes.iter_mut().for_each(|node| drop(node.wait_ready()));
+    nodes
+}
+
+/// What every camera's box says of the newest picture.
+const TRIGGERS: &str = "return JSON.stringify([...document.querySelectorAll('.camera')].map((box) =>
+    [box.querySelector('img').naturalWidth, box.querySelectorAll('dd')[3].textContent]))";
+
+#[test]
+fn an_operator_sees_what_happens() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let Some(browser) = Browser::start() else {
+        println!("skipped: no browser (Debian packages chromium and chromium-driver)");
+        return;
+    };
+    let mut laboratory = laboratory(dir.path());
+    let mut nodes = start_nodes(&laboratory, dir.path());
+    browser.open(&format!("http://127.0.0.1:{}/", laboratory.nodes[0].port));
+    log_in(&browser, dir.path());
+    watch_previews(&browser);
+    a_camera_is_unplugged(&browser, &mut laboratory);
+    laboratory.plug(3).expect("the camera starts");
+    browser.wait("no camera in trouble", "return document.querySelectorAll('.camera.bad').length === 0");
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    a_complete_session_is_looked_at(&browser);
+    browser.wait(
+        "both sessions listed",
+        "const rows = document.getElementById('session-rows').innerText;
+         return /broken.*incomplete/.test(rows) && /whole.*complete/.test(rows)",
+    );
+    nodes[0].kill();
+    browser.wait("told that the node is gone", "return !document.getElementById('gone').hidden");
+    browser.keep("node-gone");
+}
+
+fn log_in(browser: &Browser, dir: &Path) {
+    browser.wait("asked for a token", "return !document.getElementById('login').hidden");
+    browser.type_in("token", "wrong");
+    browser.run("document.querySelector('#login button').click()");
+    browser.wait("refused", "return document.getElementById('login-problem').textContent.length > 10");
+    browser.keep("login");
+    let secret = std::fs::read_to_string(dir.join("otto.token")).expect("written");
+    browser.type_in("token", secret.trim());
+    browser.run("document.querySelector('#login button').click()");
+    browser.wait_word("READY");
+    assert_eq!(browser.text("who"), "otto (operate)");
+    assert_eq!(browser.run("return document.cookie"), "", "no script may read the login");
+    browser.keep("ready");
+}
+
+/// Eight pictures, upright, that change; by the keyboard alone.
+fn watch_previews(browser: &Browser) {
+    browser.press("p");
+    browser.wait_word("PREVIEW");
+    let all = "return document.querySelectorAll('.camera').length === 8 && [...document.querySelectorAll('.camera img')]
+        .every((picture) => picture.naturalWidth === 300 && picture.naturalHeight === 480)";
+    browser.wait("eight pictures", all);
+    let first = browser.run(TRIGGERS);
+    browser.wait("pictures that move", &format!("{TRIGGERS} !== {first}"));
+    let lit = "return [...document.querySelectorAll('.camera')].every((box) => box.querySelectorAll('dd')[1].className === 'good')";
+    browser.wait("fringes of a good modulation", lit);
+    browser.keep("preview");
+    browser.press("s");
+    browser.wait_word("READY");
+}
+
+fn a_camera_is_unplugged(browser: &Browser, laboratory: &mut Laboratory) {
+    browser.type_in("name", "broken");
+    browser.type_in("seconds", "600");
+    browser.press("r");
+    browser.wait_word("RECORDING");
+    browser.wait("triggers", "return / [1-9]|[1-9]\\./.test(document.getElementById('word').textContent)");
+    laboratory.unplug(3);
+    let took = browser.wait(
+        "told of the camera",
+        "return document.getElementById('detail').textContent.includes('h1_low') &&
+            document.getElementById('camera-h1_low').classList.contains('bad')",
+    );
+    println!("the page named the unplugged camera after {} ms", took.as_millis());
+    browser.keep("unplugged");
+    browser.press("s");
+    browser.wait_word("INCOMPLETE");
+    let detail = browser.text("detail");
+    assert!(detail.contains("h1_low") && detail.contains("unplugged"), "{detail}");
+    browser.keep("incomplete");
+}
+
+fn a_complete_session_is_looked_at(browser: &Browser) {
+    browser.type_in("name", "whole");
+    browser.type_in("seconds", "1");
+    browser.press("r");
+    browser.wait_word("COMPLETE");
+    let shown = "return Number(document.getElementById('cloud-canvas').dataset.points ?? 0) > 10000";
+    browser.wait("a cloud", shown);
+    let picture = "return document.getElementById('cloud-canvas').toDataURL()";
+    let settled = "await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));";
+    let drawn = || browser.run(&format!("return (async () => {{ {settled} {picture} }})()"));
+    let before = drawn();
+    browser.drag("cloud-canvas", (120, 30));
+    let turned = drawn();
+    assert_ne!(before, turned, "the mouse turns it");
+    browser.run("document.getElementById('cloud-canvas').focus()");
+    browser.press("\u{E012}");
+    assert_ne!(turned, drawn(), "the arrow keys turn it");
+    browser.keep("complete");
+}
