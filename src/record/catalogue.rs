@@ -100,7 +100,9 @@ fn read(entry: &mut CatalogueEntry, files: &RecordingFiles) {
             entry.subject = stated.header.subject;
             entry.note = stated.header.note;
         }
-        Some(Err(reason)) => entry.problem = Some(reason),
+        Some(Err(reason)) => {
+            entry.problem.get_or_insert(reason);
+        }
         None => {}
     }
     let last = files.segments.last().and_then(|(_, path)| map_file(path).ok());
