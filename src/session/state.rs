@@ -272,6 +272,11 @@ impl Machine {
                 self.aborted.get_or_insert(fault.message);
                 Vec::new()
             }
+            // The node that was told first has ended the train for both.
+            (Phase::Draining, Event::Abort(reason)) => {
+                self.aborted.get_or_insert(reason);
+                Vec::new()
+            }
             (Phase::Closing, Event::Closed) => {
                 self.reset();
                 Vec::new()

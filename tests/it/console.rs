@@ -132,7 +132,7 @@ fn watch_previews(browser: &Browser) {
 
 fn a_camera_is_unplugged(browser: &Browser, laboratory: &mut Laboratory) {
     browser.type_in("name", "broken");
-    browser.type_in("seconds", "600");
+    browser.type_in("seconds", "");
     browser.press("r");
     browser.wait_word("RECORDING");
     browser.wait("triggers", "return / [1-9]|[1-9]\\./.test(document.getElementById('word').textContent)");
