@@ -17,6 +17,8 @@ use crate::image::{Mono8, Plane};
 /// What the front end gives, on the region of interest.
 #[derive(Debug)]
 pub struct Front {
+    /// Runs of the object: nothing is known outside of them.
+    pub runs: Runs,
     /// Pm, px; 0 where it is unknown.
     pub period: Plane<f32>,
     /// Phasors of Wm.
@@ -42,6 +44,8 @@ pub struct Buffers {
     raw: [Vec<Vec<f32>>; 2],
     bridged: [Vec<Vec<f32>>; 2],
     light: Vec<f32>,
+    /// Phases found so far.
+    known: usize,
 }
 
 /// Rows of `bridged`: five that are averaged.
@@ -58,7 +62,7 @@ impl Planes {
     }
 
     /// A plane for a stage that writes every value: those that it holds are any.
-    fn take(&self, width: usize, height: usize) -> Plane<f32> {
+    pub(super) fn take(&self, width: usize, height: usize) -> Plane<f32> {
         let mut plane = self.0.take();
         plane.reshape(width, height, 0.0);
         plane
@@ -120,8 +124,8 @@ pub(super) fn run(
         }
         marker
     });
-    let known = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
-    Front { period, phasors, wrapped, zone, marker, energy, known }
+    let known = buffers.known;
+    Front { runs, period, phasors, wrapped, zone, marker, energy, known }
 }
 
 /// What the second pass reads.
@@ -148,6 +152,7 @@ impl Input<'_> {
                 ring.iter_mut().for_each(|row| row.resize(w, 0.0));
             }
         }
+        buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
         for next in 0..h + reach + LATER {
             if next < h {
@@ -178,8 +183,8 @@ impl Input<'_> {
 
     /// Averages row `v` with those around it, and takes its phases.
     #[inline(always)]
-    fn finish(&self, v: usize, buffers: &Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
-        let [c, s] = &buffers.bridged;
+    fn finish(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
+        let Buffers { bridged: [c, s], known, .. } = buffers;
         let Phasors { c: out_c, s: out_s, misfit, .. } = phasors;
         let rows = |v: usize| [&c[v % BRIDGED][..], &s[v % BRIDGED][..], misfit.row(v)];
         let reach = demodulate::row_reach(v, misfit.height());
@@ -200,6 +205,8 @@ impl Input<'_> {
                 sample::store(out_s, first, count, &s);
                 sample::store(wrapped, first, count, &phases);
             }
+            let phases = &wrapped[run.columns()];
+            *known += phases.iter().map(|x| u32::from(!x.is_nan())).sum::<u32>() as usize;
         }
     }
 }
