@@ -39,6 +39,13 @@ impl<T: Copy> Plane<T> {
         self.data.resize(width * height, value);
     }
 
+    /// Makes room for so many values, where there is less. What it holds is lost then.
+    pub fn reserve(&mut self, values: usize) {
+        if self.data.capacity() < values {
+            *self = Self { width: 0, height: 0, data: Vec::with_capacity(values) };
+        }
+    }
+
     /// Columns.
     pub fn width(&self) -> usize {
         self.width

@@ -13,6 +13,7 @@ use super::runs::Runs;
 use super::sample::{self, LANES};
 use super::{marker, period_fast, shading, simd};
 use crate::image::{Mono8, Plane};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What the front end gives, on the region of interest.
 #[derive(Debug)]
@@ -53,26 +54,39 @@ const BRIDGED: usize = demodulate::ROWS;
 
 /// Planes that are used again from frame to frame, by whichever stage comes next.
 #[derive(Debug)]
-pub(super) struct Planes(Pool<Plane<f32>>);
+pub(super) struct Planes<T> {
+    pool: Pool<Plane<T>>,
+    /// Pixels that every plane has room for.
+    room: AtomicUsize,
+}
 
-impl Planes {
+impl<T: Copy + Default> Planes<T> {
     /// None yet.
     pub(super) const fn new() -> Self {
-        Self(Pool::new())
+        Self { pool: Pool::new(), room: AtomicUsize::new(0) }
+    }
+
+    /// From now on planes have room for so many pixels at least, of which memory is taken only as they are used: a
+    /// plane that had to grow with each larger object would be copied to new pages.
+    pub(super) fn make_room(&self, pixels: usize) {
+        self.room.fetch_max(pixels, Ordering::Relaxed);
     }
 
     /// A plane for a stage that writes every value: those that it holds are any.
-    pub(super) fn take(&self, width: usize, height: usize) -> Plane<f32> {
-        let mut plane = self.0.take();
-        plane.reshape(width, height, 0.0);
+    pub(super) fn take(&self, width: usize, height: usize) -> Plane<T> {
+        let mut plane = self.pool.take();
+        plane.reserve(self.room.load(Ordering::Relaxed).max(width * height));
+        plane.reshape(width, height, T::default());
         plane
     }
 
     /// Gives a plane back.
-    pub(super) fn give(&self, plane: Plane<f32>) {
-        self.0.give(plane);
+    pub(super) fn give(&self, plane: Plane<T>) {
+        self.pool.give(plane);
     }
+}
 
+impl Planes<f32> {
     /// Gives the planes of phasors back.
     pub(super) fn give_phasors(&self, phasors: Phasors) {
         let Phasors { c, s, mean, misfit } = phasors;
@@ -87,7 +101,7 @@ pub(super) fn run(
     pair: &Pair,
     gains: &Gains,
     keep_energy: bool,
-    (buffers, planes): (&mut Buffers, &Planes),
+    (buffers, planes): (&mut Buffers, &Planes<f32>),
     clock: &mut Clock,
 ) -> Front {
     let (w, h) = (image.width(), image.height());
@@ -190,8 +204,7 @@ impl Input<'_> {
         let reach = demodulate::row_reach(v, misfit.height());
         let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
         let (out_c, out_s) = (out_c.row_mut(v), out_s.row_mut(v));
-        out_c.fill(0.0);
-        out_s.fill(0.0);
+        // Nobody looks at phasors outside of the runs.
         wrapped.fill(f32::NAN);
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {

@@ -110,8 +110,8 @@ struct Buffers {
 
 /// Of all cameras: a thread that goes from one to the next finds its memory there.
 static BUFFERS: Pool<Buffers> = Pool::new();
-static PLANES: Planes = Planes::new();
-static TREES: Pool<Plane<u32>> = Pool::new();
+static PLANES: Planes<f32> = Planes::new();
+static TREES: Planes<u32> = Planes::new();
 
 /// Runs stages and keeps their times.
 #[derive(Debug, Default)]
@@ -186,6 +186,9 @@ impl Pipeline {
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
         let table = RayTable::new(triangulator.pair());
+        let camera = &triangulator.pair().camera;
+        PLANES.make_room(camera.width * camera.height);
+        TREES.make_room(camera.width * camera.height);
         Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
 
@@ -364,12 +367,12 @@ impl Pipeline {
             let (width, height) = (wrapped.width(), wrapped.height());
             let mut out = Unwrapped {
                 absolute: PLANES.take(width, height),
-                open: OpenTrees { relative: PLANES.take(width, height), tree: TREES.take() },
+                open: OpenTrees { relative: PLANES.take(width, height), tree: TREES.take(width, height) },
                 refused_px: 0,
                 contradictions: 0,
             };
             out.absolute.as_mut_slice().fill(f32::NAN);
-            out.open.tree.reset(width, height, 0);
+            out.open.tree.as_mut_slice().fill(0);
             let misfit = &phasors.misfit;
             let input =
                 unwrap::Input { wrapped: &wrapped, period: &period, misfit, anchor: &marker, runs: &runs };
@@ -383,11 +386,11 @@ impl Pipeline {
         let mut planes = Vec::new();
         if self.keep_maps {
             let amplitude = period::measure(image, object, pair.period_px).amplitude;
-            let stability = period::stability(&period, pair.period_px);
-            let vertical = quality::verticality(image, &period);
-            let border = quality::border(object);
+            let stability = period::stability(&period, &runs, pair.period_px);
+            let vertical = quality::verticality(image, &runs, &period);
+            let border = quality::border(object, &runs);
             let normalized = quality::normalized_amplitude(&amplitude, object);
-            let quality = quality::quality([&border, &normalized, &vertical, &stability]);
+            let quality = quality::quality([&border, &normalized, &vertical, &stability], &runs);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
             planes = vec![
                 ("Om", number(object)),
@@ -423,19 +426,19 @@ impl Pipeline {
         counts.object = runs.area();
         let periods = clock.time("period", || period::measure(image, object, pair.period_px));
         let (period, amplitude) = (&periods.period, &periods.amplitude);
-        let stability = clock.time("stability", || period::stability(period, pair.period_px));
+        let stability = clock.time("stability", || period::stability(period, &runs, pair.period_px));
         let phasors = clock
             .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
         let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
         counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let vertical = clock.time("verticality", || quality::verticality(image, period));
-        let border = clock.time("border", || quality::border(object));
+        let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
+        let border = clock.time("border", || quality::border(object, &runs));
         let quality = clock.time("quality", || {
             let amplitude = quality::normalized_amplitude(amplitude, object);
-            quality::quality([&border, &amplitude, &vertical, &stability])
+            quality::quality([&border, &amplitude, &vertical, &stability], &runs)
         });
-        let unwrapped = clock.time("unwrap", || unwrap_paper::unwrap(&wrapped, &quality));
-        let (energy, segment) = clock.time("marker", || unwrap_paper::marker(image, object, pair));
+        let unwrapped = clock.time("unwrap", || unwrap_paper::unwrap(&wrapped, &quality, &runs));
+        let (energy, segment) = clock.time("marker", || unwrap_paper::marker(image, object, &runs, pair));
         counts.marker = segment.as_slice().iter().filter(|&&x| x != 0).count();
         let shift = unwrap_paper::shift(&unwrapped, &wrapped, &segment, pair);
         let absolute = match shift {
