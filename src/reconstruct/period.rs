@@ -84,18 +84,27 @@ pub fn stability(period: &Plane<f32>, runs: &Runs, nominal_px: f32) -> Plane<f32
         || {
             for v in 0..h {
                 let row = period.row(v);
-                let (mut sum, mut squares, mut count) = (0u32, 0u32, 0u32);
-                for (i, &p) in row.iter().enumerate() {
-                    let p = (p * STEPS) as u32;
-                    sum = sum.wrapping_add(p);
-                    squares = squares.wrapping_add(p * p);
-                    count += u32::from(p > 0);
-                    let at = half + 1 + i;
-                    (sums[0][at], sums[1][at], sums[2][at]) = (sum, squares, count);
+                let [all, squared, counted] = &mut sums;
+                let (mut sum, mut squares, mut count, mut done) = (0u32, 0u32, 0u32, half + 1);
+                for run in runs.row(v) {
+                    let places = run.start() + half + 1..run.end() + half + 1;
+                    all[done..places.start].fill(sum);
+                    squared[done..places.start].fill(squares);
+                    counted[done..places.start].fill(count);
+                    let out = all[places.clone()].iter_mut().zip(&mut squared[places.clone()]);
+                    for ((out, &p), counted) in out.zip(&row[run.columns()]).zip(&mut counted[places.clone()])
+                    {
+                        let p = (p * STEPS) as i32 as u32;
+                        sum = sum.wrapping_add(p);
+                        squares = squares.wrapping_add(p * p);
+                        count += u32::from(p > 0);
+                        (*out.0, *out.1, *counted) = (sum, squares, count);
+                    }
+                    done = places.end;
                 }
-                for (sums, last) in sums.iter_mut().zip([sum, squares, count]) {
-                    sums[half + 1 + w..].fill(last);
-                }
+                all[done..].fill(sum);
+                squared[done..].fill(squares);
+                counted[done..].fill(count);
                 for run in runs.row(v) {
                     let (start, n) = (run.start(), run.columns().len());
                     let [before, last] = [start, start + 2 * half + 1]

@@ -89,33 +89,50 @@ impl Windows {
         }
         // The crossing seen last, and those that counted last: falling, rising.
         let [mut seen, mut fell, mut rose] = [[f32::NAN; LANES]; 3];
-        let [mut side, mut sum, mut count] = [[0f32; LANES]; 3];
+        // Whether the light is above the median for certain, and whether it has been certain at all; as masks, because of
+        // choices the compiler makes branches, and then no vectors.
+        let [mut above, mut settled] = [[0u32; LANES]; 2];
+        let (mut sum, mut count) = ([0f32; LANES], [0u32; LANES]);
         for (k, samples) in self.padded[first..].windows(LANES).take(length).enumerate() {
             for i in 0..LANES {
                 let value = f32::from(samples[i]) - median[i];
-                let crosses = (value > 0.0) != (before[i] > 0.0);
+                let crosses = mask((value > 0.0) != (before[i] > 0.0));
                 let at = k as f32 - value / (value - before[i]);
-                seen[i] = if crosses { at } else { seen[i] };
+                seen[i] = choose(crosses, at, seen[i]);
                 before[i] = value;
-                let now = if value < -margin[i] { -1.0 } else { side[i] };
-                let now = if value > margin[i] { 1.0 } else { now };
-                let counts = (now != side[i]) & (side[i] != 0.0);
-                side[i] = now;
-                let last = if now > 0.0 { rose[i] } else { fell[i] };
-                let (distance, known) = (seen[i] - last, counts & !last.is_nan());
-                sum[i] += if known { distance } else { 0.0 };
-                count[i] += if known { 1.0 } else { 0.0 };
-                rose[i] = if counts & (now > 0.0) { seen[i] } else { rose[i] };
-                fell[i] = if counts & (now < 0.0) { seen[i] } else { fell[i] };
+                let (high, low) = (mask(value > margin[i]), mask(value < -margin[i]));
+                let rises = high & !above[i] & settled[i];
+                let falls = low & above[i] & settled[i];
+                above[i] = (above[i] | high) & !low;
+                settled[i] |= high | low;
+                let rises_again = rises & !mask(rose[i].is_nan());
+                let falls_again = falls & !mask(fell[i].is_nan());
+                // What is not counted adds 0.
+                sum[i] += choose(rises_again, seen[i] - rose[i], 0.0);
+                sum[i] += choose(falls_again, seen[i] - fell[i], 0.0);
+                count[i] += (rises_again | falls_again) & 1;
+                rose[i] = choose(rises, seen[i], rose[i]);
+                fell[i] = choose(falls, seen[i], fell[i]);
             }
         }
         for i in 0..LANES {
-            let mean = sum[i] / if count[i] > 0.0 { count[i] } else { 1.0 };
+            let mean = sum[i] / count[i].max(1) as f32;
             let known =
-                (count[i] > 0.0) & (mean >= *PERIOD_RANGE_PX.start()) & (mean <= *PERIOD_RANGE_PX.end());
+                (count[i] > 0) & (mean >= *PERIOD_RANGE_PX.start()) & (mean <= *PERIOD_RANGE_PX.end());
             self.distance[first + i] = if known { mean } else { 0.0 };
         }
     }
+}
+
+/// All bits or none.
+#[inline(always)]
+fn mask(is: bool) -> u32 {
+    0u32.wrapping_sub(u32::from(is))
+}
+
+#[inline(always)]
+fn choose(mask: u32, a: f32, b: f32) -> f32 {
+    f32::from_bits(a.to_bits() & mask | b.to_bits() & !mask)
 }
 
 #[cfg(test)]

@@ -389,7 +389,7 @@ impl Pipeline {
             let stability = period::stability(&period, &runs, pair.period_px);
             let vertical = quality::verticality(image, &runs, &period);
             let border = quality::border(object, &runs);
-            let normalized = quality::normalized_amplitude(&amplitude, object);
+            let normalized = quality::normalized_amplitude(&amplitude, &runs);
             let quality = quality::quality([&border, &normalized, &vertical, &stability], &runs);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
             planes = vec![
@@ -434,7 +434,7 @@ impl Pipeline {
         let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
         let border = clock.time("border", || quality::border(object, &runs));
         let quality = clock.time("quality", || {
-            let amplitude = quality::normalized_amplitude(amplitude, object);
+            let amplitude = quality::normalized_amplitude(amplitude, &runs);
             quality::quality([&border, &amplitude, &vertical, &stability], &runs)
         });
         let unwrapped = clock.time("unwrap", || unwrap_paper::unwrap(&wrapped, &quality, &runs));

@@ -130,11 +130,13 @@ pub fn border(mask: &Plane<u8>, runs: &Runs) -> Plane<f32> {
     out
 }
 
-/// Am scaled by its 95th percentile on the mask, at most 1.
-pub fn normalized_amplitude(amplitude: &Plane<u8>, mask: &Plane<u8>) -> Plane<f32> {
+/// Am scaled by its 95th percentile on the mask, whose runs these are, at most 1.
+pub fn normalized_amplitude(amplitude: &Plane<u8>, runs: &Runs) -> Plane<f32> {
     let mut counts = [0usize; 256];
-    for (&a, &m) in amplitude.as_slice().iter().zip(mask.as_slice()) {
-        counts[usize::from(a)] += usize::from(m);
+    for v in 0..runs.height() {
+        for run in runs.row(v) {
+            amplitude.row(v)[run.columns()].iter().for_each(|&a| counts[usize::from(a)] += 1);
+        }
     }
     let total: usize = counts.iter().sum();
     let mut seen = 0;
@@ -143,8 +145,14 @@ pub fn normalized_amplitude(amplitude: &Plane<u8>, mask: &Plane<u8>) -> Plane<f3
         seen * 20 >= total * 19
     });
     let scale = 1.0 / percentile.unwrap_or(0).max(1) as f32;
-    let data = amplitude.as_slice().iter().map(|&a| (f32::from(a) * scale).min(1.0)).collect();
-    Plane::from_vec(amplitude.width(), amplitude.height(), data).unwrap_or_else(|| Plane::filled(0, 0, 0.0))
+    let mut out = Plane::filled(amplitude.width(), amplitude.height(), 0f32);
+    for v in 0..runs.height() {
+        for run in runs.row(v) {
+            let pixels = out.row_mut(v)[run.columns()].iter_mut().zip(&amplitude.row(v)[run.columns()]);
+            pixels.for_each(|(out, &a)| *out = (f32::from(a) * scale).min(1.0));
+        }
+    }
+    out
 }
 
 /// Qm: Equation 4, from Bm, Am, Vm and Sm, each 0 to 1, where they are known.

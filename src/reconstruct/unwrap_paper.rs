@@ -13,7 +13,7 @@ use super::runs::Runs;
 use crate::image::{Mono8, Plane};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
-use std::f32::consts::{FRAC_PI_2, TAU};
+use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 /// The marker's band: frequencies from 1 / (this * period) to this / period.
 const BAND: f32 = 1.35;
@@ -70,7 +70,8 @@ impl Edge {
     #[inline(always)]
     fn new(a: u32, b: u32, phases: [f32; 2]) -> Self {
         // -1, 0 or 1: phases are wrapped.
-        let turns = -((phases[1] - phases[0]) / TAU).round() as i32;
+        let step = phases[1] - phases[0];
+        let turns = i32::from(step <= -PI) - i32::from(step >= PI);
         Self([a | ((turns + 1) as u32) << 30, b])
     }
 }

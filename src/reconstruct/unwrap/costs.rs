@@ -406,3 +406,100 @@ fn wrap_units(x: f32) -> f32 {
     const TURN: f32 = TAU * UNITS;
     x - (x * (1.0 / TURN) + ROUND - ROUND) * TURN
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{ALONG, Bounds, Buffers, GOOD_MISFIT, Input, MEAN_STEP, NONE, STRETCH, UNITS, run};
+    use crate::image::Plane;
+    use crate::reconstruct::runs::Runs;
+    use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
+    use std::f64::consts::TAU;
+
+    const W: usize = 70;
+    const H: usize = 40;
+    const PERIOD: f32 = 11.0;
+
+    /// Mean of the known values in a box; `None` where there is none.
+    fn mean(values: &Plane<f64>, (u, v): (usize, usize), half: (usize, usize)) -> f64 {
+        let rows = v.saturating_sub(half.1)..(v + half.1 + 1).min(H);
+        let columns = u.saturating_sub(half.0)..(u + half.0 + 1).min(W);
+        let all = rows.flat_map(|v| values.row(v)[columns.clone()].to_vec());
+        let known: Vec<f64> = all.filter(|x| !x.is_nan()).collect();
+        known.iter().sum::<f64>() / known.len().max(1) as f64
+    }
+
+    fn wrap(x: f64) -> f64 {
+        x - TAU * (x / TAU).round()
+    }
+
+    /// Steps less the carrier's, to the right or down.
+    fn steps(wrapped: &Plane<f32>, down: bool) -> Plane<f64> {
+        let mut out = Plane::filled(W, H, f64::NAN);
+        for v in 0..H - usize::from(down) {
+            for u in 0..W - usize::from(!down) {
+                let next = if down { wrapped.at(u, v + 1) } else { wrapped.at(u + 1, v) };
+                let carrier = if down { 0.0 } else { TAU / f64::from(PERIOD) };
+                out.set(u, v, wrap(f64::from(next) - f64::from(wrapped.at(u, v)) - carrier));
+            }
+        }
+        out
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+        #[test]
+        fn costs_are_those_of_the_definition(
+            noise in proptest::collection::vec(-1.0f32..1.0, W * H),
+            rough in 0.0f32..0.3,
+            holes in proptest::collection::vec((any::<proptest::sample::Index>(), 0usize..30), 0..12),
+        ) {
+            let phase = |i: usize| (i % W) as f32 * std::f32::consts::TAU / PERIOD + 0.1 * (i / W) as f32;
+            let value = |i: usize| phase(i) + rough * noise[i];
+            let mut wrapped = Plane::from_vec(W, H, (0..W * H).map(|i| wrap(f64::from(value(i))) as f32).collect())
+                .expect("its size");
+            for (at, length) in holes {
+                let at = at.index(W * H - 30);
+                wrapped.as_mut_slice()[at..at + length].fill(f32::NAN);
+            }
+            let misfit = Plane::from_vec(W, H, noise.iter().map(|x| 0.3 * x.abs()).collect()).expect("its size");
+            let known = wrapped.as_slice().iter().map(|x| u8::from(!x.is_nan())).collect();
+            let runs = Runs::of(&Plane::from_vec(W, H, known).expect("its size"));
+            let period = Plane::filled(W, H, PERIOD);
+            let input = Input { wrapped: &wrapped, period: &period, misfit: &misfit, runs: &runs, sign: 1.0 };
+            let bounds = Bounds { largest: 1.5 * UNITS, doubtful: 0.04 * UNITS, doubtful_stretch: 0.04 * UNITS };
+            let mut turns = Plane::filled(W, H, 0);
+            let mut found = [Plane::filled(W, H, NONE), Plane::filled(W, H, NONE)];
+            run(&input, &bounds, &mut Buffers::default(), &mut turns, |v, costs, _| {
+                found[0].row_mut(v).copy_from_slice(costs.right);
+                found[1].row_mut(v).copy_from_slice(costs.down);
+            });
+            for (found, down) in found.iter().zip([false, true]) {
+                let steps = steps(&wrapped, down);
+                let mut own = Plane::filled(W, H, f64::NAN);
+                for (v, u) in (0..H).flat_map(|v| (0..W).map(move |u| (v, u))) {
+                    own.set(u, v, wrap(steps.at(u, v) - mean(&steps, (u, v), MEAN_STEP)).abs());
+                }
+                for (v, u) in (0..H).flat_map(|v| (0..W).map(move |u| (v, u))) {
+                    if wrapped.at(u, v).is_nan() {
+                        continue;
+                    }
+                    let code = found.at(u, v);
+                    if own.at(u, v).is_nan() {
+                        prop_assert!(code == NONE, "({u}, {v}): {code}");
+                        continue;
+                    }
+                    let along = mean(&own, (u, v), ALONG[usize::from(down)]);
+                    let excess = f64::from((misfit.at(u, v) - GOOD_MISFIT).max(0.0));
+                    let cost = 1024.0 * (own.at(u, v).max(along) + excess);
+                    // Values, their means and the means of their residuals are rounded to whole units.
+                    prop_assert!((f64::from(code >> 8) - cost).abs() < 3.0, "({u}, {v}): {} {cost}", code >> 8);
+                    let stretch = 1024.0 * mean(&own, (u, v), STRETCH);
+                    let most = cost.max(stretch);
+                    if (most - 40.96).abs() > 3.0 {
+                        prop_assert!((code & 1 != 0) == (most > 40.96), "({u}, {v}): {cost} {stretch}");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -126,7 +126,7 @@ impl Graph {
             self.forest.push(u32::from(segment.end - segment.first));
         }
         self.vote(v, turns.row(v), input);
-        self.join_beside(first, costs.right, settings);
+        // First to the row above, while the segments are small trees, which may be attached where it is doubtful.
         if let Some(above) = v.checked_sub(1) {
             let phases = [input.wrapped.row(above), input.wrapped.row(v)];
             let turns = [turns.row(above), turns.row(v)];
@@ -134,6 +134,7 @@ impl Graph {
                 self.join_below(run, phases, turns, settings);
             }
         }
+        self.join_beside(first, costs.right, settings);
     }
 
     /// Cuts a run into segments.
@@ -252,7 +253,7 @@ impl Graph {
     /// Takes a sure edge, puts another off.
     #[inline(always)]
     fn take(&mut self, edge: Edge, cost: u32, settings: &Settings) {
-        if cost <= SURE && !edge.doubtful {
+        if cost <= SURE {
             self.contradictions += usize::from(!self.forest.merge(edge, settings));
         } else {
             self.later.push(((cost.saturating_sub(SURE) / BUCKET) as u16, edge));
