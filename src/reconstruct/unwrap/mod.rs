@@ -194,7 +194,11 @@ fn write(
         let (root, turns) = graph.forest.find(node as u32);
         match graph.forest.order(root, settings.min_votes) {
             Some(order) => Place { turns: order + turns, tree: 0 },
-            None => Place { turns, tree: root + 1 },
+            // From where the tree begins: trees beside each other must not seem to continue each other.
+            None => {
+                let first = i32::from(graph.segments[root as usize].turns);
+                Place { turns: turns - first, tree: root + 1 }
+            }
         }
     };
     let mut node = 0;

@@ -31,6 +31,8 @@ const DOUBTFUL_SHARE: [u32; 2] = [3, 4];
 pub(super) struct Segment {
     pub first: u16,
     pub end: u16,
+    /// Turns of its first pixel within its run.
+    pub turns: i16,
 }
 
 impl Segment {
@@ -118,7 +120,7 @@ impl Graph {
         }
         let first = self.segments.len();
         for run in input.runs.row(v) {
-            self.cut(run, input.wrapped.row(v), costs.right);
+            self.cut(run, input.wrapped.row(v), turns.row(v), costs.right);
             self.rows[1].down[run.columns()].copy_from_slice(&costs.down[run.columns()]);
         }
         self.ends.push(self.segments.len());
@@ -139,7 +141,7 @@ impl Graph {
 
     /// Cuts a run into segments.
     #[inline(always)]
-    fn cut(&mut self, run: &Run, wrapped: &[f32], right: &[u32]) {
+    fn cut(&mut self, run: &Run, wrapped: &[f32], turns: &[i16], right: &[u32]) {
         let (start, n) = (run.start(), run.columns().len());
         let phase = &wrapped[run.columns()][..n];
         let right = &right[run.columns()][..n];
@@ -159,7 +161,8 @@ impl Graph {
         let mut open = None;
         each_not_0(events, |i| {
             if let Some(first) = open.take() {
-                self.segments.push(Segment { first, end: (start + i) as u16 });
+                let turns = turns[usize::from(first)];
+                self.segments.push(Segment { first, end: (start + i) as u16, turns });
             }
             if starts[i] != 0 {
                 open = Some((start + i) as u16);
@@ -167,7 +170,8 @@ impl Graph {
             }
         });
         if let Some(first) = open {
-            self.segments.push(Segment { first, end: run.end() as u16 });
+            let turns = turns[usize::from(first)];
+            self.segments.push(Segment { first, end: run.end() as u16, turns });
         }
     }
 
