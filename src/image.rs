@@ -7,11 +7,24 @@ use std::io::{self, BufReader, BufWriter};
 use std::path::{Path, PathBuf};
 
 /// An owned plane of `width * height` values, row-major without padding.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Default)]
 pub struct Plane<T> {
     width: usize,
     height: usize,
+    /// The values, and behind them what is left of a larger plane.
     data: Vec<T>,
+}
+
+impl<T: Copy> Clone for Plane<T> {
+    fn clone(&self) -> Self {
+        Self { width: self.width, height: self.height, data: self.as_slice().to_vec() }
+    }
+}
+
+impl<T: Copy + PartialEq> PartialEq for Plane<T> {
+    fn eq(&self, other: &Self) -> bool {
+        (self.width, self.height) == (other.width, other.height) && self.as_slice() == other.as_slice()
+    }
 }
 
 impl<T: Copy> Plane<T> {
@@ -36,7 +49,16 @@ impl<T: Copy> Plane<T> {
     /// Makes it a plane of this size whose values are any: those that it had, or `value`. For stages that write all.
     pub fn reshape(&mut self, width: usize, height: usize, value: T) {
         (self.width, self.height) = (width, height);
-        self.data.resize(width * height, value);
+        if self.data.len() < width * height {
+            self.data.resize(width * height, value);
+        }
+    }
+
+    /// Makes room for so many values, where there is less. What it holds is lost then.
+    pub fn reserve(&mut self, values: usize) {
+        if self.data.capacity() < values {
+            *self = Self { width: 0, height: 0, data: Vec::with_capacity(values) };
+        }
     }
 
     /// Columns.
@@ -51,12 +73,12 @@ impl<T: Copy> Plane<T> {
 
     /// All values, row after row.
     pub fn as_slice(&self) -> &[T] {
-        &self.data
+        &self.data[..self.width * self.height]
     }
 
     /// All values, row after row.
     pub fn as_mut_slice(&mut self) -> &mut [T] {
-        &mut self.data
+        &mut self.data[..self.width * self.height]
     }
 
     /// Row `v`.
@@ -117,7 +139,7 @@ impl<'a> Mono8<'a> {
 
 impl<'a> From<&'a Plane<u8>> for Mono8<'a> {
     fn from(plane: &'a Plane<u8>) -> Self {
-        Self { width: plane.width, height: plane.height, data: &plane.data }
+        Self { width: plane.width, height: plane.height, data: plane.as_slice() }
     }
 }
 

@@ -4,7 +4,10 @@
 //! dropped with a margin: completeness may suffer, truth may not.
 
 use super::demodulate::Phasors;
+use super::runs::{Run, Runs, each_not_0};
+use super::simd;
 use crate::image::Plane;
+use std::cell::RefCell;
 use std::f32::consts::TAU;
 
 /// Settings of the selection.
@@ -16,70 +19,150 @@ pub struct Settings {
     pub min_amplitude: f32,
     /// Largest misfit of the fringe model (see [`Phasors::misfit`]).
     pub max_misfit: f32,
-    /// Rows beside a step that are dropped with it.
-    pub step_rows: usize,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6, step_rows: 1 }
+        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6 }
     }
 }
 
-/// Drops pixels that are faint, do not look like a fringe, or lie near a depth step; `absolute` becomes NaN
-/// there. Returns how many were dropped.
+/// Rows that [`select`] uses again from frame to frame.
+#[derive(Debug, Default)]
+struct Buffers {
+    /// 1 near a step, of three rows.
+    near: [Vec<u8>; 3],
+    /// 1 where the step to the row below is one between surfaces.
+    down: Vec<u8>,
+    /// 1 beside such a step.
+    beside: Vec<u8>,
+    right: Vec<u8>,
+}
+
+thread_local! {
+    static BUFFERS: RefCell<Buffers> = RefCell::default();
+}
+
+/// Drops pixels that are faint, do not look like a fringe, or lie near a depth step; `absolute`, which is known within
+/// `runs` only, becomes NaN there. Returns how many were dropped.
 pub fn select(
     absolute: &mut Plane<f32>,
+    runs: &Runs,
     period: &Plane<f32>,
     phasors: &Phasors,
     sign: f32,
     settings: &Settings,
 ) -> usize {
-    let near_step = steps(absolute, period, sign, settings);
-    let (c, s, misfit) = (phasors.c.as_slice(), phasors.s.as_slice(), phasors.misfit.as_slice());
-    let least = 6.0 * settings.min_amplitude;
-    let mut dropped = 0;
-    for (i, phase) in absolute.as_mut_slice().iter_mut().enumerate() {
-        let good = c[i] * c[i] + s[i] * s[i] >= least * least
-            && misfit[i] <= settings.max_misfit
-            && near_step.as_slice()[i] == 0;
-        if !good && !phase.is_nan() {
-            *phase = f32::NAN;
-            dropped += 1;
+    let (w, h) = (absolute.width(), absolute.height());
+    BUFFERS.with_borrow_mut(|buffers| {
+        for row in buffers.near.iter_mut().chain([&mut buffers.down, &mut buffers.beside, &mut buffers.right])
+        {
+            row.clear();
+            row.resize(w, 0);
         }
-    }
-    dropped
+        let mut dropped = 0;
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for next in 0..h + 1 {
+                    if next < h {
+                        buffers.near[(next + 1) % 3].fill(0);
+                        let below = (next + 1 < h).then(|| absolute.row(next + 1));
+                        for run in runs.row(next) {
+                            let rows = (absolute.row(next), below, period.row(next));
+                            buffers.mark(run, rows, sign, settings.step_rad);
+                        }
+                    }
+                    let Some(v) = next.checked_sub(1) else { continue };
+                    for run in runs.row(v) {
+                        let columns = run.columns();
+                        let phasors = [&phasors.c, &phasors.s, &phasors.misfit];
+                        let phasors = phasors.map(|plane| &plane.row(v)[columns.clone()]);
+                        let near = &buffers.near[v % 3][columns.clone()];
+                        dropped += drop_from(&mut absolute.row_mut(v)[columns], phasors, near, settings);
+                    }
+                }
+            },
+        );
+        dropped
+    })
 }
 
-/// 1 within half a period along the row, or some rows, of a pair of neighbours on different surfaces.
-fn steps(absolute: &Plane<f32>, period: &Plane<f32>, sign: f32, settings: &Settings) -> Plane<u8> {
-    let (w, h) = (absolute.width(), absolute.height());
-    let mut near = Plane::filled(w, h, 0u8);
-    let mut mark = |u: usize, v: usize| {
-        let reach = (period.at(u, v) / 2.0).ceil() as usize;
-        for row in v.saturating_sub(settings.step_rows)..(v + settings.step_rows + 1).min(h) {
-            near.row_mut(row)[u.saturating_sub(reach)..(u + reach + 1).min(w)].fill(1);
+impl Buffers {
+    /// Marks what lies within half a period along the row, in this row and those beside it, of the pixels of a run that
+    /// have a neighbour on another surface. `rows`: the phases of the row and of that below, and the row's periods.
+    #[inline(always)]
+    fn mark(
+        &mut self,
+        run: &Run,
+        (row, below, period): (&[f32], Option<&[f32]>, &[f32]),
+        sign: f32,
+        step_rad: f32,
+    ) {
+        let (start, n) = (run.start(), run.columns().len());
+        let (row, p) = (&row[run.columns()][..n], &period[run.columns()][..n]);
+        let (right, beside) = (&mut self.right[..n], &mut self.beside[..n]);
+        for i in 0..n - 1 {
+            let carrier = sign * 2.0 * TAU / (p[i] + p[i + 1]);
+            right[i] = u8::from((row[i + 1] - row[i] - carrier).abs() > step_rad);
         }
-    };
-    for v in 0..h {
-        let (row, p) = (absolute.row(v), period.row(v));
-        for u in 0..w.saturating_sub(1) {
-            let carrier = sign * 2.0 * TAU / (p[u] + p[u + 1]);
-            if (row[u + 1] - row[u] - carrier).abs() > settings.step_rad {
-                mark(u, v);
-                mark(u + 1, v);
-            }
-        }
-        if v + 1 < h {
-            for (u, (a, b)) in row.iter().zip(absolute.row(v + 1)).enumerate() {
-                if (b - a).abs() > settings.step_rad {
-                    mark(u, v);
-                    mark(u, v + 1);
+        right[n - 1] = 0;
+        // From the row above; only known phases have steps, so that those of other runs are 0.
+        let down = &mut self.down[run.columns()][..n];
+        beside.copy_from_slice(down);
+        match below {
+            None => down.fill(0),
+            Some(below) => {
+                let below = &below[run.columns()][..n];
+                for i in 0..n {
+                    down[i] = u8::from((below[i] - row[i]).abs() > step_rad);
                 }
             }
         }
+        for i in 0..n {
+            beside[i] |= down[i] | right[i];
+        }
+        for i in 1..n {
+            beside[i] |= right[i - 1];
+        }
+        // What is marked so far, of which the row's next may be a part.
+        let (mut first, mut end) = (0, 0);
+        let near = &mut self.near;
+        let mut fill = |first: usize, end: usize| {
+            for row in near.iter_mut() {
+                let end = end.min(row.len());
+                row[first..end].fill(1);
+            }
+        };
+        each_not_0(beside, |i| {
+            let reach = (p[i] / 2.0).ceil() as usize;
+            let from = (start + i).saturating_sub(reach);
+            if from > end {
+                fill(first, end);
+                first = from;
+            }
+            first = first.min(from);
+            end = end.max(start + i + reach + 1);
+        });
+        fill(first, end);
     }
-    near
+}
+
+/// Drops the pixels of a run that are not good; returns how many.
+#[inline(always)]
+fn drop_from(phase: &mut [f32], [c, s, misfit]: [&[f32]; 3], near: &[u8], settings: &Settings) -> usize {
+    let n = phase.len();
+    let (c, s, misfit, near) = (&c[..n], &s[..n], &misfit[..n], &near[..n]);
+    let least = 6.0 * settings.min_amplitude;
+    let mut dropped = 0u32;
+    for i in 0..n {
+        let good = (c[i] * c[i] + s[i] * s[i] >= least * least)
+            & (misfit[i] <= settings.max_misfit)
+            & (near[i] == 0);
+        dropped += u32::from(!good & !phase[i].is_nan());
+        phase[i] = if good { phase[i] } else { f32::NAN };
+    }
+    dropped as usize
 }
 
 /// Equation 5: the whole turns, in rad, that bring the marker's median phase to fringe `marker_index`.

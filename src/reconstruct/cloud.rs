@@ -6,6 +6,7 @@
 use super::normals::{LANES, Oriented, Points, REACH, orient};
 use super::rays::{NODE_PX, PointRow, RayTable};
 use super::roi::Roi;
+use super::runs::{self, Runs};
 use super::simd;
 use crate::export::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_rad};
 use crate::image::Plane;
@@ -24,38 +25,46 @@ const ROUNDER: f32 = 12_582_912.0;
 /// Fringes beyond this are no phase.
 const MAX_STEPS: f32 = 4e6;
 
-/// Puts the known pixels of a frame together: `absolute` phase, rad (NaN: unknown), and `light`, DN, on the region of
-/// interest. `doubt` holds the standard uncertainty of the phase, as a byte, where it is asked for.
+/// Puts the known pixels of a frame together: `absolute` phase, rad (NaN: unknown), known within `runs` only, and `light`,
+/// DN, on the region of interest. `doubt` holds the standard uncertainty of the phase, as a byte, where it is asked for.
 pub fn phase_map(
     absolute: &Plane<f32>,
+    runs: &Runs,
     light: &Plane<f32>,
     doubt: Option<&Plane<u8>>,
     roi: Roi,
     frame: [u16; 2],
 ) -> PhaseMap {
     let mut map = PhaseMap { frame, ..PhaseMap::default() };
-    let known = absolute.as_slice().iter().filter(|x| !x.is_nan()).count();
-    map.phase.reserve_exact(known);
-    map.light.reserve_exact(known);
-    map.doubt.reserve_exact(if doubt.is_some() { known } else { 0 });
+    let most = runs.area();
+    map.phase.reserve_exact(most);
+    map.light.reserve_exact(most);
+    map.doubt.reserve_exact(if doubt.is_some() { most } else { 0 });
+    let mut known = vec![0u8; absolute.width()];
     simd::dispatch(
         #[inline(always)]
         || {
             for v in 0..roi.height {
-                let row = absolute.row(v);
-                let mut end = 0;
-                while let Some(start) = row[end..].iter().position(|x| !x.is_nan()).map(|at| end + at) {
-                    end = row[start..].iter().position(|x| x.is_nan()).map_or(row.len(), |at| start + at);
-                    map.runs.push(Run {
-                        row: (roi.v + v) as u16,
-                        first: (roi.u + start) as u16,
-                        length: (end - start) as u16,
-                    });
-                    map.phase.extend(row[start..end].iter().map(|&x| steps(x)));
-                    map.light.extend(light.row(v)[start..end].iter().map(|&x| light_steps(x)));
-                    if let Some(doubt) = doubt {
-                        map.doubt.extend_from_slice(&doubt.row(v)[start..end]);
+                for run in runs.row(v) {
+                    let phase = &absolute.row(v)[run.columns()];
+                    let known = &mut known[..phase.len()];
+                    for (known, phase) in known.iter_mut().zip(phase) {
+                        *known = u8::from(!phase.is_nan());
                     }
+                    runs::runs_of(known, |start, end| {
+                        let (start, end) = (run.start() + start, run.start() + end);
+                        let (row, first) = ((roi.v + v) as u16, (roi.u + start) as u16);
+                        map.runs.push(Run { row, first, length: (end - start) as u16 });
+                    });
+                }
+            }
+            for run in &map.runs {
+                let v = usize::from(run.row) - roi.v;
+                let columns = usize::from(run.first) - roi.u..run.end() - roi.u;
+                map.phase.extend(absolute.row(v)[columns.clone()].iter().map(|&x| steps(x)));
+                map.light.extend(light.row(v)[columns.clone()].iter().map(|&x| light_steps(x)));
+                if let Some(doubt) = doubt {
+                    map.doubt.extend_from_slice(&doubt.row(v)[columns]);
                 }
             }
         },

@@ -7,8 +7,10 @@
 //! derivatives are taken from the absolute phase itself over a wider base and the bias is taken off.
 
 use super::demodulate::Phasors;
+use super::runs::{Run, Runs};
+use super::sample::{self, LANES, Lanes};
 use super::simd;
-use super::support::{Support, known_part};
+use super::support::Support;
 use crate::image::Plane;
 use std::cell::RefCell;
 
@@ -37,10 +39,11 @@ thread_local! {
     static SUPPORT: RefCell<Support> = RefCell::default();
 }
 
-/// Takes the bias off `absolute` (NaN: unknown). Phasors are means of `rows` rows, of `marker_rows` where `zone`
-/// is not zero.
+/// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phasors are means of `rows` rows, of
+/// `marker_rows` where `zone` is not zero.
 pub fn correct(
     absolute: &mut Plane<f32>,
+    runs: &Runs,
     phasors: &Phasors,
     period: &Plane<f32>,
     zone: &Plane<u8>,
@@ -55,80 +58,116 @@ pub fn correct(
                 support.begin(absolute, REACH_ROWS, PAD);
                 for v in 0..absolute.height() {
                     // What may support: the phase where it is known and looks like a fringe.
-                    support.advance(v, absolute, |v, u| !(phasors.misfit.row(v)[u] > MAX_MISFIT));
-                    let phase = absolute.row_mut(v);
-                    let part = known_part(phase);
-                    let (first, end) = (part.start, part.end);
-                    correct_row(
-                        &mut phase[part.clone()],
-                        [0, REACH_ROWS, 2 * REACH_ROWS]
-                            .map(|below| &support.row(v, below)[first..end + 2 * PAD]),
-                        [phasors.c.row(v), phasors.s.row(v), period.row(v)].map(|row| &row[part.clone()]),
-                        &zone.row(v)[part.clone()],
-                        weight,
+                    support.advance(
+                        v,
+                        absolute,
+                        runs,
+                        #[inline(always)]
+                        |v, run, phase, to| {
+                            let misfit = &phasors.misfit.row(v)[run.columns()];
+                            for ((to, &phase), &misfit) in to.iter_mut().zip(phase).zip(misfit) {
+                                *to = if misfit > MAX_MISFIT { f32::NAN } else { phase };
+                            }
+                        },
                     );
+                    let rows = [phasors.c.row(v), phasors.s.row(v), period.row(v)];
+                    let support = [0, REACH_ROWS, 2 * REACH_ROWS].map(|below| support.row(v, below));
+                    for run in runs.row(v) {
+                        correct_run(absolute.row_mut(v), run, support, rows, zone.row(v), weight);
+                    }
                 }
             },
         );
     });
 }
 
-/// Takes the bias off a stretch of a row. `support`: that of the rows above, here and below, which begin [`PAD`]
-/// columns before it.
+/// Takes the bias off a run. `support`: that of the rows above, here and below, with [`PAD`] columns before them.
 #[inline(always)]
-fn correct_row(
+fn correct_run(
     phase: &mut [f32],
-    support: [&[f32]; 3],
+    run: &Run,
+    [above, row, below]: [&[f32]; 3],
     [c, s, period]: [&[f32]; 3],
     zone: &[u8],
     weight: [f32; 2],
 ) {
-    const LANES: usize = 16;
-    let [above, row, below] = support;
-    for at in (0..phase.len()).step_by(LANES) {
-        let count = LANES.min(phase.len() - at);
-        let lanes = |from: &[f32]| {
-            let mut to = [0f32; LANES];
-            to[..count].copy_from_slice(&from[at..at + count]);
-            to
-        };
-        let (x, c, s, period) = (lanes(phase), lanes(c), lanes(s), lanes(period));
-        let (above, below) = (lanes(&above[PAD..]), lanes(&below[PAD..]));
-        let (mut wide, mut stretch, mut marked) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
-        for i in 0..count {
-            // The slope along the row has no part in a difference to both sides: whole columns do.
-            let k = columns(period[i]);
-            wide[i] = row[at + i + PAD - k] - 2.0 * x[i] + row[at + i + PAD + k];
-            stretch[i] = period[i] / k as f32;
-            marked[i] = f32::from(u8::from(zone[at + i] != 0));
+    for first in run.columns().step_by(LANES) {
+        let count = LANES.min(run.end() - first);
+        let x = sample::load(phase, first);
+        let (c, s, period) = (sample::load(c, first), sample::load(s, first), sample::load(period, first));
+        let (above, below) = (sample::load(above, first + PAD), sample::load(below, first + PAD));
+        let mut marked = [0u8; LANES];
+        match zone[first..].first_chunk() {
+            Some(all) => marked = *all,
+            None => marked[..zone.len() - first].copy_from_slice(&zone[first..]),
         }
-        let mut bias = [0f32; LANES];
-        let mut steep = false;
+        // The slope along the row has no part in a difference to both sides: whole columns do.
+        let mut k = [0i32; LANES];
         for i in 0..LANES {
+            k[i] = columns(period[i]) as i32;
+        }
+        let (before, behind) = beside(row, first + PAD, &k);
+        let (mut wide, mut bias) = ([0f32; LANES], [0f32; LANES]);
+        let mut steep = 0u32;
+        for i in 0..LANES {
+            wide[i] = before[i] - 2.0 * x[i] + behind[i];
+            let stretch = period[i] / k[i] as f32;
             let power = c[i] * c[i] + s[i] * s[i];
-            let noise = 6.0 * NOISE_RAD_DN / power.sqrt().max(3.0);
+            let length = power.sqrt();
+            let noise = 6.0 * NOISE_RAD_DN / if length < 3.0 { 3.0 } else { length };
             // cos 2 phi = cos^2 - sin^2.
-            let per_bend = MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / power.max(1.0);
+            let per_bend =
+                MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / if power < 1.0 { 1.0 } else { power };
             let smooth = wide[i].abs() < 4.0 * MAX_BEND;
-            let bend = if smooth { shrunk(wide[i] * stretch[i] * stretch[i], noise) / 4.0 } else { 0.0 };
+            let bend = if smooth { shrunk(wide[i] * stretch * stretch, noise) / 4.0 } else { 0.0 };
             let along = above[i] - 2.0 * x[i] + below[i];
-            let factor = weight[0] + marked[i] * (weight[1] - weight[0]);
+            let factor = if marked[i] != 0 { weight[1] } else { weight[0] };
             let along = if along.abs() < MAX_BEND_ROWS { factor * shrunk(along, noise) } else { 0.0 };
             bias[i] = per_bend * bend + along;
-            steep |= !smooth & !x[i].is_nan();
+            steep |= u32::from(!smooth & !x[i].is_nan());
         }
-        if steep {
+        if steep != 0 {
             for i in (0..count).filter(|&i| !x[i].is_nan() && !(wide[i].abs() < 4.0 * MAX_BEND)) {
                 let power = c[i] * c[i] + s[i] * s[i];
                 let noise = 6.0 * NOISE_RAD_DN / power.sqrt().max(3.0);
                 let per_bend = MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / power.max(1.0);
-                bias[i] += per_bend * bend_beside(row, at + i + PAD, x[i], period[i], noise);
+                bias[i] += per_bend * bend_beside(row, first + i + PAD, x[i], period[i], noise);
             }
         }
-        for (x, bias) in phase[at..at + count].iter_mut().zip(bias) {
-            *x -= bias;
+        let mut out = [0f32; LANES];
+        for i in 0..LANES {
+            out[i] = x[i] - bias[i];
+        }
+        sample::store(phase, first, count, &out);
+    }
+}
+
+/// The values `k` columns before and behind each pixel of a block.
+#[inline(always)]
+fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> (Lanes, Lanes) {
+    let (mut least, mut most) = (k[0], k[0]);
+    for &k in k {
+        (least, most) = (least.min(k), most.max(k));
+    }
+    let (mut before, mut behind) = ([0f32; LANES], [0f32; LANES]);
+    if most - least <= 1 {
+        let (low, high) = (least as usize, most as usize);
+        let near = (sample::load(row, first - low), sample::load(row, first + low));
+        let far = (sample::load(row, first - high), sample::load(row, first + high));
+        for i in 0..LANES {
+            let choose = |near: f32, far: f32| if k[i] == least { near } else { far };
+            before[i] = choose(near.0[i], far.0[i]);
+            behind[i] = choose(near.1[i], far.1[i]);
+        }
+    } else {
+        for i in 0..LANES {
+            let k = k[i] as usize;
+            before[i] = row[first + i - k];
+            // A block may reach beyond the row's end: what is there is nobody's.
+            behind[i] = row.get(first + i + k).copied().unwrap_or(f32::NAN);
         }
     }
+    (before, behind)
 }
 
 /// A period in whole columns.
@@ -160,6 +199,7 @@ mod tests {
     use super::correct;
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::demodulate::{Gains, ROWS, average_rows, demodulate, wrapped};
+    use crate::reconstruct::runs::Runs;
     use std::f32::consts::TAU;
 
     const W: usize = 160;
@@ -192,7 +232,7 @@ mod tests {
             (squares.sum::<f32>() / 1280.0).sqrt()
         };
         let before = rms(&absolute);
-        correct(&mut absolute, &phasors, &period, &none, (ROWS as f32, 12.0));
+        correct(&mut absolute, &Runs::of(&mask), &phasors, &period, &none, (ROWS as f32, 12.0));
         [before, rms(&absolute)]
     }
 

@@ -185,9 +185,15 @@ fn demodulate_block(
     gains: &Gains,
     sign: f32,
 ) -> [Lanes; 4] {
-    let at = |k: f32| sample::between(light, first, &sample::distances(period, k / 6.0));
-    let samples =
-        [at(-3.0), at(-2.0), at(-1.0), sample::load(&light[PAD..], first), at(1.0), at(2.0), at(3.0)];
+    let samples = [
+        sixths_beside(light, first, period, -3.0),
+        sixths_beside(light, first, period, -2.0),
+        sixths_beside(light, first, period, -1.0),
+        sample::load(&light[PAD..], first),
+        sixths_beside(light, first, period, 1.0),
+        sixths_beside(light, first, period, 2.0),
+        sixths_beside(light, first, period, 3.0),
+    ];
     let (mut gain_s, mut gain_c) = ([0f32; LANES], [0f32; LANES]);
     for i in 0..LANES {
         [gain_s[i], gain_c[i]] = gains.at(period[i]);
@@ -208,6 +214,13 @@ fn demodulate_block(
         out_misfit[i] = if known { misfit } else { 0.0 };
     }
     [out_c, out_s, out_mean, out_misfit]
+}
+
+/// The light so many sixths of a period beside each pixel of a block. (Not a closure: that would be a function of its own,
+/// compiled for the narrowest processor.)
+#[inline(always)]
+fn sixths_beside(light: &[f32], first: usize, period: &Lanes, sixths: f32) -> Lanes {
+    sample::between(light, first, &sample::distances(period, sixths / 6.0))
 }
 
 /// Mean light of the window, and the RMS of what offset, slope and fringe `c cos - s sin` leave, relative to
@@ -272,14 +285,13 @@ pub(super) type Rows<'a> = [&'a [f32]; 3];
 /// [`average_rows`] for one block: from its own row, and the rows above and below in pairs.
 #[inline(always)]
 pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8], first: usize) -> [Lanes; 2] {
-    let load = |rows: Rows<'_>| rows.map(|row| sample::load(row, first));
-    let [c, s, misfit] = load(own);
+    let [c, s, misfit] = load(own, first);
     let (mut sum_c, mut sum_s, mut length, mut rows) = (c, s, [0f32; LANES], [1f32; LANES]);
     for i in 0..LANES {
         length[i] = size(c[i], s[i]);
     }
     for pair in pairs {
-        let ([c_a, s_a, misfit_a], [c_b, s_b, misfit_b]) = (load(pair[0]), load(pair[1]));
+        let ([c_a, s_a, misfit_a], [c_b, s_b, misfit_b]) = (load(pair[0], first), load(pair[1], first));
         for i in 0..LANES {
             let (size_a, size_b) = (size(c_a[i], s_a[i]), size(c_b[i], s_b[i]));
             let weaker = if size_a < size_b { size_a } else { size_b };
@@ -306,6 +318,11 @@ pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8],
         out[1][i] = if averaged { sum_s[i] / rows[i] } else { s[i] };
     }
     out
+}
+
+#[inline(always)]
+fn load([c, s, misfit]: Rows<'_>, first: usize) -> [Lanes; 3] {
+    [sample::load(c, first), sample::load(s, first), sample::load(misfit, first)]
 }
 
 #[inline(always)]

@@ -9,8 +9,9 @@
 //! misfit grows too, they do not, and the pixel keeps its own. What remains uncertain beyond a bound is dropped.
 
 use super::demodulate::Phasors;
+use super::runs::{Runs, each_not_0};
 use super::simd;
-use super::support::{Support, known_part};
+use super::support::Support;
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
@@ -66,9 +67,10 @@ thread_local! {
 /// Gives pixels of doubtful misfit the phase of the good ones around where that is more certain, and drops those
 /// (NaN) of which a larger error than the bound is to be expected. Pixels of `zone`, around the marker, stay.
 /// The error to expect of the doubtful ones goes to `expected`, where it is given, rad. Returns how many were
-/// dropped.
+/// dropped. `absolute` is known within `runs` only.
 pub fn refine(
     absolute: &mut Plane<f32>,
+    runs: &Runs,
     phasors: &Phasors,
     period: &Plane<f32>,
     zone: &Plane<u8>,
@@ -85,14 +87,30 @@ pub fn refine(
                 let mut dropped = 0;
                 for v in 0..absolute.height() {
                     let (misfit, zone) = (phasors.misfit.row(v), zone.row(v));
-                    support.advance(v, absolute, |v, u| {
-                        (phasors.misfit.row(v)[u] <= settings.good_misfit) & (outside.row(v)[u] == 0)
-                    });
-                    let part = known_part(absolute.row(v));
-                    let first = part.start;
-                    let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
-                    list_doubtful(stretch, settings.doubtful_misfit, doubtful);
-                    for u in doubtful.iter().map(|u| first + u) {
+                    support.advance(
+                        v,
+                        absolute,
+                        runs,
+                        #[inline(always)]
+                        |v, run, phase, to| {
+                            let columns = run.columns();
+                            let (misfit, zone) =
+                                (&phasors.misfit.row(v)[columns.clone()], &outside.row(v)[columns]);
+                            for (((to, &phase), &misfit), &zone) in
+                                to.iter_mut().zip(phase).zip(misfit).zip(zone)
+                            {
+                                let good = (misfit <= settings.good_misfit) & (zone == 0);
+                                *to = if good { phase } else { f32::NAN };
+                            }
+                        },
+                    );
+                    doubtful.clear();
+                    for run in runs.row(v) {
+                        let part = run.columns();
+                        let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
+                        list_doubtful(stretch, settings.doubtful_misfit, run.start(), doubtful);
+                    }
+                    for &u in doubtful.iter() {
                         let amplitude = size(phasors.c.at(u, v), phasors.s.at(u, v)) / 6.0;
                         let mut error = own_error(misfit[u], amplitude);
                         let (phase, carrier) = (absolute.at(u, v), sign * TAU / period.at(u, v));
@@ -117,21 +135,24 @@ pub fn refine(
     })
 }
 
-/// Columns whose phase is known and doubtful.
+/// Adds the columns of a run, which begins at `start`, whose phase is known and doubtful.
 #[inline(always)]
-fn list_doubtful((phase, misfit, zone): (&[f32], &[f32], &[u8]), from: f32, list: &mut Vec<usize>) {
-    const LANES: usize = 32;
-    list.clear();
+fn list_doubtful(
+    (phase, misfit, zone): (&[f32], &[f32], &[u8]),
+    from: f32,
+    start: usize,
+    list: &mut Vec<usize>,
+) {
+    const LANES: usize = 64;
     let parts = phase.chunks(LANES).zip(misfit.chunks(LANES)).zip(zone.chunks(LANES));
+    let mut doubtful = [0u8; LANES];
     for (part, ((phase, misfit), zone)) in parts.enumerate() {
-        let doubtful = |i: usize| !phase[i].is_nan() & (misfit[i] >= from) & (zone[i] == 0);
-        let (mut any, count) = (false, phase.len().min(misfit.len()).min(zone.len()));
-        for i in 0..count {
-            any |= doubtful(i);
+        let count = phase.len();
+        let bytes = doubtful[..count].iter_mut().zip(phase).zip(misfit).zip(zone);
+        for (((doubtful, phase), &misfit), &zone) in bytes {
+            *doubtful = u8::from(!phase.is_nan() & (misfit >= from) & (zone == 0));
         }
-        if any {
-            list.extend((0..count).filter(|&i| doubtful(i)).map(|i| part * LANES + i));
-        }
+        each_not_0(&doubtful[..count], |i| list.push(start + part * LANES + i));
     }
 }
 
@@ -228,6 +249,7 @@ mod tests {
     use super::{Settings, refine};
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::demodulate::{self, Gains, demodulate, wrapped};
+    use crate::reconstruct::runs::Runs;
     use crate::reconstruct::{curvature, period, shading};
     use std::f32::consts::TAU;
 
@@ -296,13 +318,14 @@ mod tests {
             let mean = known.iter().map(|e| e * e).sum::<f32>() / known.len() as f32;
             (mean.sqrt(), known.iter().copied().fold(0.0, f32::max), known.len())
         };
+        let runs = Runs::of(&object);
         let mut phasors = demodulate(image, &object, &period, &Gains::new(), 1.0);
         let before = score(&absolute(&phasors));
         shading::correct(&mut phasors, &period, &none, 1.0);
         demodulate::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
-        curvature::correct(&mut phase, &phasors, &period, &none, (5.0, 12.0));
-        refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default(), None);
+        curvature::correct(&mut phase, &runs, &phasors, &period, &none, (5.0, 12.0));
+        refine(&mut phase, &runs, &phasors, &period, &none, 1.0, &Settings::default(), None);
         [before, score(&phase)]
     }
 
@@ -326,13 +349,13 @@ mod tests {
         let image = photograph(1.0);
         let object = Plane::filled(W, H, 1u8);
         let period = Plane::filled(W, H, PERIOD);
-        let none = Plane::filled(W, H, 0u8);
+        let (none, runs) = (Plane::filled(W, H, 0u8), Runs::of(&object));
         let mut phasors = demodulate(Mono8::from(&image), &object, &period, &Gains::new(), 1.0);
         phasors.misfit = Plane::filled(W, H, 0.5);
         phasors.misfit.row_mut(60)[100..110].fill(0.01);
         let mut phase = wrapped(&phasors);
         let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let dropped = refine(&mut phase, &phasors, &period, &none, 1.0, &Settings::default(), None);
+        let dropped = refine(&mut phase, &runs, &phasors, &period, &none, 1.0, &Settings::default(), None);
         assert_eq!(dropped, known - 10);
         assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));
     }

@@ -13,10 +13,13 @@ use super::runs::Runs;
 use super::sample::{self, LANES};
 use super::{marker, period_fast, shading, simd};
 use crate::image::{Mono8, Plane};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What the front end gives, on the region of interest.
 #[derive(Debug)]
 pub struct Front {
+    /// Runs of the object: nothing is known outside of them.
+    pub runs: Runs,
     /// Pm, px; 0 where it is unknown.
     pub period: Plane<f32>,
     /// Phasors of Wm.
@@ -42,6 +45,8 @@ pub struct Buffers {
     raw: [Vec<Vec<f32>>; 2],
     bridged: [Vec<Vec<f32>>; 2],
     light: Vec<f32>,
+    /// Phases found so far.
+    known: usize,
 }
 
 /// Rows of `bridged`: five that are averaged.
@@ -49,26 +54,39 @@ const BRIDGED: usize = demodulate::ROWS;
 
 /// Planes that are used again from frame to frame, by whichever stage comes next.
 #[derive(Debug)]
-pub(super) struct Planes(Pool<Plane<f32>>);
+pub(super) struct Planes<T> {
+    pool: Pool<Plane<T>>,
+    /// Pixels that every plane has room for.
+    room: AtomicUsize,
+}
 
-impl Planes {
+impl<T: Copy + Default> Planes<T> {
     /// None yet.
     pub(super) const fn new() -> Self {
-        Self(Pool::new())
+        Self { pool: Pool::new(), room: AtomicUsize::new(0) }
+    }
+
+    /// From now on planes have room for so many pixels at least, of which memory is taken only as they are used: a
+    /// plane that had to grow with each larger object would be copied to new pages.
+    pub(super) fn make_room(&self, pixels: usize) {
+        self.room.fetch_max(pixels, Ordering::Relaxed);
     }
 
     /// A plane for a stage that writes every value: those that it holds are any.
-    fn take(&self, width: usize, height: usize) -> Plane<f32> {
-        let mut plane = self.0.take();
-        plane.reshape(width, height, 0.0);
+    pub(super) fn take(&self, width: usize, height: usize) -> Plane<T> {
+        let mut plane = self.pool.take();
+        plane.reserve(self.room.load(Ordering::Relaxed).max(width * height));
+        plane.reshape(width, height, T::default());
         plane
     }
 
     /// Gives a plane back.
-    pub(super) fn give(&self, plane: Plane<f32>) {
-        self.0.give(plane);
+    pub(super) fn give(&self, plane: Plane<T>) {
+        self.pool.give(plane);
     }
+}
 
+impl Planes<f32> {
     /// Gives the planes of phasors back.
     pub(super) fn give_phasors(&self, phasors: Phasors) {
         let Phasors { c, s, mean, misfit } = phasors;
@@ -83,7 +101,7 @@ pub(super) fn run(
     pair: &Pair,
     gains: &Gains,
     keep_energy: bool,
-    (buffers, planes): (&mut Buffers, &Planes),
+    (buffers, planes): (&mut Buffers, &Planes<f32>),
     clock: &mut Clock,
 ) -> Front {
     let (w, h) = (image.width(), image.height());
@@ -120,8 +138,8 @@ pub(super) fn run(
         }
         marker
     });
-    let known = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
-    Front { period, phasors, wrapped, zone, marker, energy, known }
+    let known = buffers.known;
+    Front { runs, period, phasors, wrapped, zone, marker, energy, known }
 }
 
 /// What the second pass reads.
@@ -148,6 +166,7 @@ impl Input<'_> {
                 ring.iter_mut().for_each(|row| row.resize(w, 0.0));
             }
         }
+        buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
         for next in 0..h + reach + LATER {
             if next < h {
@@ -178,15 +197,14 @@ impl Input<'_> {
 
     /// Averages row `v` with those around it, and takes its phases.
     #[inline(always)]
-    fn finish(&self, v: usize, buffers: &Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
-        let [c, s] = &buffers.bridged;
+    fn finish(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
+        let Buffers { bridged: [c, s], known, .. } = buffers;
         let Phasors { c: out_c, s: out_s, misfit, .. } = phasors;
         let rows = |v: usize| [&c[v % BRIDGED][..], &s[v % BRIDGED][..], misfit.row(v)];
         let reach = demodulate::row_reach(v, misfit.height());
         let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
         let (out_c, out_s) = (out_c.row_mut(v), out_s.row_mut(v));
-        out_c.fill(0.0);
-        out_s.fill(0.0);
+        // Nobody looks at phasors outside of the runs.
         wrapped.fill(f32::NAN);
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
@@ -200,6 +218,8 @@ impl Input<'_> {
                 sample::store(out_s, first, count, &s);
                 sample::store(wrapped, first, count, &phases);
             }
+            let phases = &wrapped[run.columns()];
+            *known += phases.iter().map(|x| u32::from(!x.is_nan())).sum::<u32>() as usize;
         }
     }
 }

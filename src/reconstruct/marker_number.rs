@@ -7,6 +7,7 @@
 use super::components;
 use super::pair::Pair;
 use super::roi::Roi;
+use super::runs::Runs;
 use crate::image::Plane;
 
 /// Pixels of a piece that are tried.
@@ -18,24 +19,29 @@ const LEAST_SHARE: f32 = 0.9;
 /// The largest share that may allow any other.
 const MOST_OF_ANOTHER: f32 = 0.1;
 
-/// Replaces each piece of `anchor` by the marker that it is, 1 for the first of [`Pair::markers`]; by 0 where that
+/// Replaces each piece of `anchor`, zeros and ones, by the marker that it is, 1 for the first of [`Pair::markers`]; by 0 where that
 /// is not certain. `roi` is where the plane lies in the frame.
 pub fn assign(anchor: &mut Plane<u8>, roi: Roi, pair: &Pair) {
-    let found = components::label(anchor);
-    let mut samples = vec![Vec::new(); found.area.len()];
-    let mut seen = vec![0u32; found.area.len()];
-    for v in 0..anchor.height() {
-        for (u, &label) in found.label.row(v).iter().enumerate().filter(|(_, label)| **label != 0) {
-            let label = label as usize;
-            if seen[label].is_multiple_of(found.area[label].div_ceil(SAMPLES as u32)) {
-                samples[label].push((roi.u + u, roi.v + v));
+    let runs = Runs::of(anchor);
+    let (piece, pieces) = components::connect(&runs);
+    let mut samples = vec![Vec::new(); pieces.len()];
+    let mut seen = vec![0u32; pieces.len()];
+    for v in 0..runs.height() {
+        for place in runs.places(v) {
+            let piece = piece[place] as usize;
+            for u in runs.all()[place].columns() {
+                if seen[piece].is_multiple_of(pieces[piece].area.div_ceil(SAMPLES as u32)) {
+                    samples[piece].push((roi.u + u, roi.v + v));
+                }
+                seen[piece] += 1;
             }
-            seen[label] += 1;
         }
     }
     let numbers: Vec<u8> = samples.iter().map(|samples| number(samples, pair)).collect();
-    for (anchor, &label) in anchor.as_mut_slice().iter_mut().zip(found.label.as_slice()) {
-        *anchor = if label == 0 { 0 } else { numbers[label as usize] };
+    for v in 0..runs.height() {
+        for place in runs.places(v) {
+            anchor.row_mut(v)[runs.all()[place].columns()].fill(numbers[piece[place] as usize]);
+        }
     }
 }
 

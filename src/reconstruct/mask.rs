@@ -154,22 +154,35 @@ fn over_rows(plane: &Plane<u8>, rows: Range<usize>, out: &mut [u8], extreme: imp
 /// The paper's mask: Otsu on the raw image without over-exposed pixels, dilation and erosion by one fringe
 /// period, largest segment.
 pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
-    let mut histogram = [0u32; 256];
-    for &value in image.as_slice().iter().filter(|&&value| value < SATURATED) {
-        histogram[usize::from(value)] += 1;
-    }
-    let level = otsu_level(&histogram) as u8;
-    let data = image.as_slice().iter().map(|&x| u8::from(x > level)).collect();
-    let raw = Plane::from_vec(image.width(), image.height(), data).unwrap_or_else(|| Plane::filled(0, 0, 0));
+    let mut counts = histogram(image.as_slice());
+    counts[usize::from(SATURATED)..].fill(0);
+    let level = otsu_level(&counts) as u8;
+    let (w, h) = (image.width(), image.height());
+    let [mut raw, mut mask, mut rows] = [(); 3].map(|()| Plane::filled(w, h, 0u8));
     let width = (1.2 * period_px).ceil() as usize | 1;
-    let dilated = square(&raw, width, u8::max);
-    let mut mask = square(&dilated, width, u8::min);
-    let found = components::label(&mask);
-    let largest = (1..found.area.len()).max_by_key(|&i| (found.area[i], usize::MAX - i)).unwrap_or(0) as u32;
-    for (pixel, label) in mask.as_mut_slice().iter_mut().zip(found.label.as_slice()) {
-        *pixel = u8::from(*label == largest && largest != 0);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for (raw, &x) in raw.as_mut_slice().iter_mut().zip(image.as_slice()) {
+                *raw = u8::from(x > level);
+            }
+            square(&raw, width, &mut rows, &mut mask, u8::max);
+            square(&mask, width, &mut rows, &mut raw, u8::min);
+        },
+    );
+    let runs = Runs::of(&raw);
+    let (piece, pieces) = components::connect(&runs);
+    let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
+    mask.as_mut_slice().fill(0);
+    for v in 0..h {
+        for place in runs.places(v).filter(|&place| Some(piece[place] as usize) == largest) {
+            mask.row_mut(v)[runs.all()[place].columns()].fill(1);
+        }
     }
-    remove_saturated(&mut mask, image);
+    simd::dispatch(
+        #[inline(always)]
+        || remove_saturated(&mut mask, image),
+    );
     mask
 }
 
@@ -246,27 +259,38 @@ fn keep_large(mask: &mut Plane<u8>, runs: &mut Runs) {
     }
 }
 
-/// Sliding extreme over a square of `width` (odd) pixels.
-fn square(image: &Plane<u8>, width: usize, extreme: impl Fn(u8, u8) -> u8 + Copy) -> Plane<u8> {
-    let (w, h) = (image.width(), image.height());
-    let mut rows = Plane::filled(w, h, 0u8);
+/// Sliding extreme of zeros and ones over a square of `width` (odd, below 256) pixels, which ends at the image's borders.
+/// `rows` is memory to use.
+#[inline(always)]
+fn square(
+    image: &Plane<u8>,
+    width: usize,
+    rows: &mut Plane<u8>,
+    out: &mut Plane<u8>,
+    extreme: impl Fn(u8, u8) -> u8 + Copy,
+) {
+    let (h, half) = (image.height(), width / 2);
     let mut scratch = Scratch::default();
     for v in 0..h {
         scratch.sliding(image.row(v), rows.row_mut(v), width, extreme);
     }
-    let mut out = Plane::filled(w, h, 0u8);
-    let half = width / 2;
-    for v in 0..h {
-        let range = v.saturating_sub(half)..(v + half + 1).min(h);
-        let row = out.row_mut(v);
-        row.copy_from_slice(rows.row(range.start));
-        for other in range.skip(1) {
-            for (a, &b) in row.iter_mut().zip(rows.row(other)) {
-                *a = extreme(*a, b);
+    // The largest is 1 where there is a one in the column, the smallest where there are only ones.
+    let any = extreme(0, 1) == 1;
+    let mut ones = vec![0u8; image.width()];
+    for next in 0..h + half {
+        if next < h {
+            ones.iter_mut().zip(rows.row(next)).for_each(|(sum, x)| *sum += x);
+        }
+        if let Some(gone) = next.checked_sub(width) {
+            ones.iter_mut().zip(rows.row(gone)).for_each(|(sum, x)| *sum -= x);
+        }
+        if let Some(v) = next.checked_sub(half) {
+            let least = if any { 1 } else { (next.min(h - 1) + 1 - v.saturating_sub(half)) as u8 };
+            for (out, &ones) in out.row_mut(v).iter_mut().zip(&ones) {
+                *out = u8::from(ones >= least);
             }
         }
     }
-    out
 }
 
 /// Buffers of the sliding extremes: the passes go from one to the other, so that nothing overlaps.

@@ -40,6 +40,7 @@ pub mod pair;
 pub mod period;
 /// Fringe period Pm of the default method.
 pub mod period_fast;
+mod period_windows;
 /// One frame to one directional cloud.
 pub mod pipeline;
 /// Frames from PNG files.

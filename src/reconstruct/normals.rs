@@ -32,13 +32,15 @@ pub(super) struct Points {
 impl Points {
     #[inline(always)]
     fn at(&self, place: usize) -> [Lanes; 3] {
-        let lanes = |from: &[f32]| {
-            let mut to = [0f32; LANES];
-            to.copy_from_slice(&from[place..place + LANES]);
-            to
-        };
-        [lanes(&self.x), lanes(&self.y), lanes(&self.z)]
+        [lanes(&self.x, place), lanes(&self.y, place), lanes(&self.z, place)]
     }
+}
+
+#[inline(always)]
+fn lanes(from: &[f32], place: usize) -> Lanes {
+    let mut to = [0f32; LANES];
+    to.copy_from_slice(&from[place..place + LANES]);
+    to
 }
 
 /// Some points with their unit normals.
@@ -61,8 +63,12 @@ pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Orie
         *limit = spacing * spacing;
     }
     let [far, near] = REACH_PX;
-    let ends = |k: usize| [rows[2].at(place - k), rows[2].at(place + k)];
-    let across = tangent(&centre, &limit, [ends(far), ends(near)]);
+    let own = rows[2];
+    let across = tangent(
+        &centre,
+        &limit,
+        [[own.at(place - far), own.at(place + far)], [own.at(place - near), own.at(place + near)]],
+    );
     let along = tangent(
         &centre,
         &limit,

@@ -58,10 +58,27 @@ pub fn measure(
     buffers: &mut Buffers,
     period: &mut Plane<f32>,
 ) {
-    let (w, h) = (image.width(), image.height());
-    period.reshape(w, h, 0.0);
     let half = (1.3 * nominal_px).round() as usize;
     let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
+    measure_with(
+        runs,
+        (image.width(), image.height()),
+        buffers,
+        period,
+        #[inline(always)]
+        |v, run, buffers, raw| measure_run(&image.row(v)[run.columns()], half, reach, buffers, raw),
+    );
+}
+
+/// The mean of the periods around each pixel of the runs, where `each` gives those of a run of a row: see [`packed`].
+pub(super) fn measure_with(
+    runs: &Runs,
+    (w, h): (usize, usize),
+    buffers: &mut Buffers,
+    period: &mut Plane<f32>,
+    mut each: impl FnMut(usize, &Run, &mut Buffers, &mut [u32]),
+) {
+    period.reshape(w, h, 0.0);
     const RING: usize = 2 * SMOOTH_ROWS + 1;
     buffers.raw.resize(RING, Vec::new());
     for row in &mut buffers.raw {
@@ -76,13 +93,7 @@ pub fn measure(
                 raw.fill(0);
                 if v < h {
                     for run in runs.row(v) {
-                        measure_run(
-                            &image.row(v)[run.columns()],
-                            half,
-                            reach,
-                            buffers,
-                            &mut raw[run.columns()],
-                        );
+                        each(v, run, buffers, &mut raw[run.columns()]);
                     }
                 }
                 buffers.raw[v % RING] = raw;
@@ -145,8 +156,9 @@ fn mean_distance(crossings: &[Crossing]) -> u32 {
     packed((d.at + c.at - b.at - a.at) / (crossings.len() - 2) as f32)
 }
 
+/// A period, px: in [`STEPS`], with a count of one; 0 where it is none.
 #[inline(always)]
-fn packed(distance: f32) -> u32 {
+pub(super) fn packed(distance: f32) -> u32 {
     if PERIOD_RANGE_PX.contains(&distance) { ((distance * STEPS) as u32) << COUNT_BITS | 1 } else { 0 }
 }
 

@@ -7,8 +7,9 @@ use super::order::Regions;
 use super::pool::Pool;
 use super::rays::RayTable;
 use super::roi::Roi;
+use super::runs::Runs;
 use super::triangulate::Triangulator;
-use super::unwrap::OpenTrees;
+use super::unwrap::{OpenTrees, Unwrapped};
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, uncertainty, unwrap,
     unwrap_paper,
@@ -104,11 +105,13 @@ struct Buffers {
     object: Plane<u8>,
     mask: mask::Buffers,
     front: front::Buffers,
+    unwrap: unwrap::Buffers,
 }
 
 /// Of all cameras: a thread that goes from one to the next finds its memory there.
 static BUFFERS: Pool<Buffers> = Pool::new();
-static PLANES: Planes = Planes::new();
+static PLANES: Planes<f32> = Planes::new();
+static TREES: Planes<u32> = Planes::new();
 
 /// Runs stages and keeps their times.
 #[derive(Debug, Default)]
@@ -142,6 +145,8 @@ pub struct Prepared {
     pub object: Plane<u8>,
     /// How it went so far.
     pub counts: Counts,
+    /// Runs of the object: nothing is known outside of them.
+    runs: Runs,
     phasors: Phasors,
     period: Plane<f32>,
     /// Around the marker: not 0.
@@ -167,6 +172,8 @@ struct Resolved {
     absolute: Plane<f32>,
     open: OpenTrees,
     marker: Plane<u8>,
+    /// Runs of the object: nothing is known outside of them.
+    runs: Runs,
     phasors: Phasors,
     period: Plane<f32>,
     /// Around the marker: not 0.
@@ -179,6 +186,9 @@ impl Pipeline {
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
         let table = RayTable::new(triangulator.pair());
+        let camera = &triangulator.pair().camera;
+        PLANES.make_room(camera.width * camera.height);
+        TREES.make_room(camera.width * camera.height);
         Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
 
@@ -232,13 +242,13 @@ impl Pipeline {
             buffers.object = whole;
             BUFFERS.give(buffers);
         }
-        counts.object = object.as_slice().iter().filter(|&&x| x != 0).count();
         let resolved = match self.method {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
-        let Resolved { absolute, open, marker, phasors, period, zone, planes } = resolved;
-        let regions = Regions::none(absolute.width(), absolute.height());
+        let Resolved { absolute, open, marker, runs, phasors, period, zone, planes } = resolved;
+        // Until all cameras are heard.
+        let regions = Regions::none(0, 0);
         Ok(Prepared {
             roi,
             absolute,
@@ -247,6 +257,7 @@ impl Pipeline {
             marker,
             object,
             counts,
+            runs,
             phasors,
             period,
             zone,
@@ -260,8 +271,10 @@ impl Pipeline {
         let Prepared {
             roi,
             mut absolute,
+            open,
             regions,
             mut counts,
+            runs,
             phasors,
             period,
             zone,
@@ -276,15 +289,22 @@ impl Pipeline {
         if self.method == Method::Anchored {
             counts.dropped = clock.time("select", || {
                 self.bias.correct(&mut absolute);
-                absolute::select(&mut absolute, &period, &phasors, pair.sign, &absolute::Settings::default())
+                absolute::select(
+                    &mut absolute,
+                    &runs,
+                    &period,
+                    &phasors,
+                    pair.sign,
+                    &absolute::Settings::default(),
+                )
             });
             clock.time("curvature", || {
                 let rows = (demodulate::ROWS as f32, pair.marker_period_px);
-                curvature::correct(&mut absolute, &phasors, &period, &zone, rows);
+                curvature::correct(&mut absolute, &runs, &phasors, &period, &zone, rows);
             });
             counts.dropped += clock.time("edges", || {
                 let (settings, expected) = (edges::Settings::default(), expected.as_mut());
-                edges::refine(&mut absolute, &phasors, &period, &zone, pair.sign, &settings, expected)
+                edges::refine(&mut absolute, &runs, &phasors, &period, &zone, pair.sign, &settings, expected)
             });
         }
         let doubts = expected.map(|expected| {
@@ -293,14 +313,27 @@ impl Pipeline {
         });
         let frame = (pair.camera.width, pair.camera.height);
         let map = clock.time("quantize", || {
-            cloud::phase_map(&absolute, &phasors.mean, doubts.as_ref(), roi, [frame.0 as u16, frame.1 as u16])
+            cloud::phase_map(
+                &absolute,
+                &runs,
+                &phasors.mean,
+                doubts.as_ref(),
+                roi,
+                [frame.0 as u16, frame.1 as u16],
+            )
         });
         let cloud = clock.time("points", || cloud::make(&self.table, &map));
         if self.method == Method::Anchored {
             PLANES.give_phasors(phasors);
             PLANES.give(period);
+            PLANES.give(open.relative);
+            TREES.give(open.tree);
         }
-        planes.push(("Fm", absolute));
+        if self.keep_maps {
+            planes.push(("Fm", absolute));
+        } else if self.method == Method::Anchored {
+            PLANES.give(absolute);
+        }
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),
             cloud,
@@ -325,24 +358,39 @@ impl Pipeline {
         let mut buffers = BUFFERS.take();
         let memory = (&mut buffers.front, &PLANES);
         let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
-        BUFFERS.give(buffers);
-        let Front { period, phasors, wrapped, zone, mut marker, energy, known } = front;
+        let Front { runs, period, phasors, wrapped, zone, mut marker, energy, known } = front;
+        counts.object = runs.area();
         clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
         counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
         let unwrapped = clock.time("unwrap", || {
-            unwrap::unwrap(&wrapped, &period, &phasors.misfit, &marker, pair, &unwrap::Settings::default())
+            let (width, height) = (wrapped.width(), wrapped.height());
+            let mut out = Unwrapped {
+                absolute: PLANES.take(width, height),
+                open: OpenTrees { relative: PLANES.take(width, height), tree: TREES.take(width, height) },
+                refused_px: 0,
+                contradictions: 0,
+            };
+            out.absolute.as_mut_slice().fill(f32::NAN);
+            out.open.tree.as_mut_slice().fill(0);
+            let misfit = &phasors.misfit;
+            let input =
+                unwrap::Input { wrapped: &wrapped, period: &period, misfit, anchor: &marker, runs: &runs };
+            let settings = unwrap::Settings::default();
+            unwrap::unwrap_into(&input, pair, &settings, &mut buffers.unwrap, &mut out);
+            out
         });
+        BUFFERS.give(buffers);
         counts.refused = unwrapped.refused_px;
         counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
         if self.keep_maps {
             let amplitude = period::measure(image, object, pair.period_px).amplitude;
-            let stability = period::stability(&period, pair.period_px);
-            let vertical = quality::verticality(image, &period);
-            let border = quality::border(object);
-            let normalized = quality::normalized_amplitude(&amplitude, object);
-            let quality = quality::quality([&border, &normalized, &vertical, &stability]);
+            let stability = period::stability(&period, &runs, pair.period_px);
+            let vertical = quality::verticality(image, &runs, &period);
+            let border = quality::border(object, &runs);
+            let normalized = quality::normalized_amplitude(&amplitude, &runs);
+            let quality = quality::quality([&border, &normalized, &vertical, &stability], &runs);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
             planes = vec![
                 ("Om", number(object)),
@@ -361,7 +409,7 @@ impl Pipeline {
         }
         PLANES.give(wrapped);
         let (absolute, open) = (unwrapped.absolute, unwrapped.open);
-        Resolved { absolute, open, marker, phasors, period, zone, planes }
+        Resolved { absolute, open, marker, runs, phasors, period, zone, planes }
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -374,21 +422,23 @@ impl Pipeline {
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
+        let runs = Runs::of(object);
+        counts.object = runs.area();
         let periods = clock.time("period", || period::measure(image, object, pair.period_px));
         let (period, amplitude) = (&periods.period, &periods.amplitude);
-        let stability = clock.time("stability", || period::stability(period, pair.period_px));
+        let stability = clock.time("stability", || period::stability(period, &runs, pair.period_px));
         let phasors = clock
             .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
         let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
         counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let vertical = clock.time("verticality", || quality::verticality(image, period));
-        let border = clock.time("border", || quality::border(object));
+        let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
+        let border = clock.time("border", || quality::border(object, &runs));
         let quality = clock.time("quality", || {
-            let amplitude = quality::normalized_amplitude(amplitude, object);
-            quality::quality([&border, &amplitude, &vertical, &stability])
+            let amplitude = quality::normalized_amplitude(amplitude, &runs);
+            quality::quality([&border, &amplitude, &vertical, &stability], &runs)
         });
-        let unwrapped = clock.time("unwrap", || unwrap_paper::unwrap(&wrapped, &quality));
-        let (energy, segment) = clock.time("marker", || unwrap_paper::marker(image, object, pair));
+        let unwrapped = clock.time("unwrap", || unwrap_paper::unwrap(&wrapped, &quality, &runs));
+        let (energy, segment) = clock.time("marker", || unwrap_paper::marker(image, object, &runs, pair));
         counts.marker = segment.as_slice().iter().filter(|&&x| x != 0).count();
         let shift = unwrap_paper::shift(&unwrapped, &wrapped, &segment, pair);
         let absolute = match shift {
@@ -415,7 +465,7 @@ impl Pipeline {
         }
         let open = OpenTrees::none(absolute.width(), absolute.height());
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
-        Resolved { absolute, open, marker: segment, phasors, period: periods.period, zone, planes }
+        Resolved { absolute, open, marker: segment, runs, phasors, period: periods.period, zone, planes }
     }
 }
 

@@ -52,14 +52,7 @@ impl Runs {
     pub fn find(&mut self, mask: &Plane<u8>) {
         self.clear();
         for v in 0..mask.height() {
-            let mut start = None;
-            transitions(mask.row(v), |u| match start.take() {
-                None => start = Some(u),
-                Some(first) => self.push(Run::new(first, u)),
-            });
-            if let Some(first) = start {
-                self.push(Run::new(first, mask.width()));
-            }
+            runs_of(mask.row(v), |first, end| self.push(Run::new(first, end)));
             self.end_row();
         }
     }
@@ -116,6 +109,19 @@ impl Runs {
     }
 }
 
+/// Calls `each` with the first column of every run of ones, and the column after its last.
+#[inline(always)]
+pub(super) fn runs_of(row: &[u8], mut each: impl FnMut(usize, usize)) {
+    let mut start = None;
+    transitions(row, |u| match start.take() {
+        None => start = Some(u),
+        Some(first) => each(first, u),
+    });
+    if let Some(first) = start {
+        each(first, row.len());
+    }
+}
+
 /// Calls `at` with each column whose value differs from that before it; before the first is 0. Eight at a time.
 fn transitions(row: &[u8], mut at: impl FnMut(usize)) {
     const ONES: u64 = 0x0101_0101_0101_0101;
@@ -137,14 +143,39 @@ fn transitions(row: &[u8], mut at: impl FnMut(usize)) {
     }
 }
 
+/// Calls `at` with the place of each byte that is not 0. Eight at a time.
+#[inline(always)]
+pub(super) fn each_not_0(bytes: &[u8], mut at: impl FnMut(usize)) {
+    let (eights, rest) = bytes.as_chunks::<8>();
+    for (k, eight) in eights.iter().enumerate() {
+        let mut word = u64::from_le_bytes(*eight);
+        while word != 0 {
+            let i = word.trailing_zeros() as usize / 8;
+            at(8 * k + i);
+            word &= u64::MAX.checked_shl(8 * (i as u32 + 1)).unwrap_or(0);
+        }
+    }
+    for (i, _) in rest.iter().enumerate().filter(|(_, x)| **x != 0) {
+        at(8 * eights.len() + i);
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::Runs;
+    use super::{Runs, each_not_0};
     use crate::image::Plane;
     use crate::reconstruct::period;
     use proptest::prelude::{prop_assert_eq, proptest};
 
     proptest! {
+        #[test]
+        fn bytes_that_are_not_0_are_found(bytes in proptest::collection::vec(0u8..3, 0..60)) {
+            let mut found = Vec::new();
+            each_not_0(&bytes, |i| found.push(i));
+            let plain: Vec<_> = (0..bytes.len()).filter(|&i| bytes[i] != 0).collect();
+            prop_assert_eq!(found, plain);
+        }
+
         #[test]
         fn runs_are_those_of_a_plain_search(bits in proptest::collection::vec(0u8..2, 37 * 5), long in 0usize..37) {
             let mut mask = Plane::from_vec(37, 5, bits).expect("185 pixels");

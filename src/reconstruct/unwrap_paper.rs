@@ -9,10 +9,11 @@
 use super::absolute::shift_of_median;
 use super::components;
 use super::pair::Pair;
+use super::runs::Runs;
 use crate::image::{Mono8, Plane};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
-use std::f32::consts::{FRAC_PI_2, TAU};
+use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 /// The marker's band: frequencies from 1 / (this * period) to this / period.
 const BAND: f32 = 1.35;
@@ -20,150 +21,280 @@ const BAND: f32 = 1.35;
 /// Share of the brightest band energy, relative to the light, that counts as marker.
 const THRESHOLD: f32 = 0.35;
 
-/// Um: the phase unwrapped over the tree of the best pixel; NaN elsewhere.
-pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>) -> Plane<f32> {
-    let (w, phase, q) = (wrapped.width(), wrapped.as_slice(), quality.as_slice());
-    let mut tree = Tree::new(phase.len());
-    for edge in edges_by_quality(wrapped, quality) {
-        let a = (edge >> 1) as usize;
-        let b = if edge & 1 == 1 { a + w } else { a + 1 };
-        tree.merge(a, b, -((phase[b] - phase[a]) / TAU).round() as i32);
+/// Steps in which quality orders the edges.
+const STEPS: usize = 4096;
+
+/// Um: the phase unwrapped over the tree of the best pixel; NaN elsewhere. Phases are known within `runs` only.
+pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>, runs: &Runs) -> Plane<f32> {
+    let mut out = Plane::filled(wrapped.width(), wrapped.height(), f32::NAN);
+    let nodes = Nodes::of(wrapped, quality, runs);
+    let mut tree = Tree::new(nodes.phase.len());
+    for edge in nodes.edges_by_quality(runs) {
+        tree.merge(edge);
     }
-    let best = (0..phase.len())
-        .filter(|&i| !phase[i].is_nan())
-        .max_by(|&a, &b| q[a].total_cmp(&q[b]).then(b.cmp(&a)));
-    let mut out = Plane::filled(w, wrapped.height(), f32::NAN);
-    let Some(best) = best else { return out };
-    let root = tree.find(best).0;
-    for (i, out) in out.as_mut_slice().iter_mut().enumerate() {
-        if !phase[i].is_nan() {
-            let (own, turns) = tree.find(i);
-            if own == root {
-                *out = phase[i] + TAU * turns as f32;
+    let Some(best) = nodes.best() else { return out };
+    let root = tree.find(best as u32).0;
+    let mut node = 0;
+    for v in 0..runs.height() {
+        for run in runs.row(v) {
+            for out in &mut out.row_mut(v)[run.columns()] {
+                let phase = nodes.phase[node];
+                let (own, turns) = tree.find(node as u32);
+                if own == root && !phase.is_nan() {
+                    *out = phase + TAU * turns as f32;
+                }
+                node += 1;
             }
         }
     }
     out
 }
 
-/// Edges as `2 * pixel + (down ? 1 : 0)`, by falling quality in 4096 steps; ties in the order of the pixels.
-fn edges_by_quality(wrapped: &Plane<f32>, quality: &Plane<f32>) -> Vec<u32> {
-    const STEPS: usize = 4096;
-    let (w, h) = (wrapped.width(), wrapped.height());
-    let bucket = |a: f32, b: f32| ((1.0 - a.min(b)).clamp(0.0, 1.0) * (STEPS - 1) as f32) as usize;
-    let mut buckets: Vec<Vec<u32>> = vec![Vec::new(); STEPS];
-    for v in 0..h {
-        for u in 0..w {
-            if wrapped.at(u, v).is_nan() {
-                continue;
+/// The pixels of the runs, one after the other.
+struct Nodes {
+    phase: Vec<f32>,
+    quality: Vec<f32>,
+    /// Quality as the edges are ordered by: 0 is the best.
+    step: Vec<u16>,
+    /// The node that each run begins with.
+    first: Vec<u32>,
+}
+
+/// An edge: its nodes, and in the two highest bits of the first one more than the turns that the second has more.
+#[derive(Clone, Copy, Default)]
+struct Edge([u32; 2]);
+
+impl Edge {
+    const NODE: u32 = (1 << 30) - 1;
+
+    #[inline(always)]
+    fn new(a: u32, b: u32, phases: [f32; 2]) -> Self {
+        // -1, 0 or 1: phases are wrapped.
+        let step = phases[1] - phases[0];
+        let turns = i32::from(step <= -PI) - i32::from(step >= PI);
+        Self([a | ((turns + 1) as u32) << 30, b])
+    }
+}
+
+impl Nodes {
+    fn of(wrapped: &Plane<f32>, quality: &Plane<f32>, runs: &Runs) -> Self {
+        let area = runs.area();
+        let mut nodes = Self {
+            phase: Vec::with_capacity(area),
+            quality: Vec::with_capacity(area),
+            step: Vec::with_capacity(area),
+            first: Vec::with_capacity(runs.all().len()),
+        };
+        for v in 0..runs.height() {
+            for run in runs.row(v) {
+                nodes.first.push(nodes.phase.len() as u32);
+                let quality = &quality.row(v)[run.columns()];
+                nodes.phase.extend_from_slice(&wrapped.row(v)[run.columns()]);
+                nodes.quality.extend_from_slice(quality);
+                let step = |q: &f32| ((1.0 - q).clamp(0.0, 1.0) * (STEPS - 1) as f32) as u16;
+                nodes.step.extend(quality.iter().map(step));
             }
-            let pixel = (v * w + u) as u32;
-            for (x, y, bit) in [(u + 1, v, 0), (u, v + 1, 1)] {
-                if x < w && y < h && !wrapped.at(x, y).is_nan() {
-                    buckets[bucket(quality.at(u, v), quality.at(x, y))].push(2 * pixel + bit);
+        }
+        nodes
+    }
+
+    /// The node of the best quality whose phase is known, the first of them.
+    fn best(&self) -> Option<usize> {
+        let known = (0..self.phase.len()).filter(|&i| !self.phase[i].is_nan());
+        known.max_by(|&a, &b| self.quality[a].total_cmp(&self.quality[b]).then(b.cmp(&a)))
+    }
+
+    /// The edges by falling quality; ties in the order of the pixels, that to the right before that down.
+    fn edges_by_quality(&self, runs: &Runs) -> Vec<Edge> {
+        let mut start = vec![0u32; STEPS + 1];
+        self.each_edge(runs, |step, _, _| start[step + 1] += 1);
+        for i in 0..STEPS {
+            start[i + 1] += start[i];
+        }
+        let mut edges = vec![Edge::default(); start[STEPS] as usize];
+        self.each_edge(runs, |step, a, b| {
+            let place = &mut start[step];
+            edges[*place as usize] = Edge::new(a as u32, b as u32, [self.phase[a], self.phase[b]]);
+            *place += 1;
+        });
+        edges
+    }
+
+    /// Calls `each` with the step of every edge, which is that of its worse node, and its nodes.
+    #[inline(always)]
+    fn each_edge(&self, runs: &Runs, mut each: impl FnMut(usize, usize, usize)) {
+        let mut edge = |a: usize, b: usize| {
+            if !self.phase[a].is_nan() && !self.phase[b].is_nan() {
+                each(usize::from(self.step[a].max(self.step[b])), a, b);
+            }
+        };
+        for v in 0..runs.height() {
+            let mut below = if v + 1 < runs.height() { runs.places(v + 1) } else { 0..0 };
+            for (place, run) in runs.places(v).zip(runs.row(v)) {
+                let first = self.first[place] as usize;
+                for u in run.columns() {
+                    let a = first + u - run.start();
+                    if u + 1 < run.end() {
+                        edge(a, a + 1);
+                    }
+                    while below.start < below.end && runs.all()[below.start].end() <= u {
+                        below.start += 1;
+                    }
+                    if let Some(next) = runs.all()[below.clone()].first().filter(|next| next.start() <= u) {
+                        edge(a, self.first[below.start] as usize + u - next.start());
+                    }
                 }
             }
         }
     }
-    buckets.concat()
 }
 
 /// Union-find whose links carry whole turns.
 struct Tree {
-    parent: Vec<u32>,
-    turns: Vec<i32>,
-    size: Vec<u32>,
+    links: Vec<Link>,
+}
+
+/// A node's way to its root; a root has itself for a parent and, in place of turns, its tree's nodes.
+#[derive(Clone, Copy)]
+struct Link {
+    parent: u32,
+    turns: i32,
 }
 
 impl Tree {
     fn new(n: usize) -> Self {
-        Self { parent: (0..n as u32).collect(), turns: vec![0; n], size: vec![1; n] }
+        Self { links: (0..n as u32).map(|parent| Link { parent, turns: 1 }).collect() }
     }
 
-    /// Root of a pixel, and the pixel's turns relative to it.
-    fn find(&mut self, pixel: usize) -> (usize, i32) {
-        let (mut at, mut turns) = (pixel, 0);
-        while self.parent[at] as usize != at {
-            // Path halving: skip the parent, with its turns.
-            let parent = self.parent[at] as usize;
-            let grandparent = self.parent[parent];
-            if grandparent as usize != parent {
-                self.turns[at] += self.turns[parent];
-                self.parent[at] = grandparent;
+    /// Root of a node, and the node's turns relative to it.
+    #[inline(always)]
+    fn find(&mut self, mut node: u32) -> (u32, i32) {
+        let mut turns = 0;
+        loop {
+            let link = self.links[node as usize];
+            if link.parent == node {
+                return (node, turns);
             }
-            turns += self.turns[at];
-            at = self.parent[at] as usize;
+            let parent = self.links[link.parent as usize];
+            if parent.parent == link.parent {
+                return (link.parent, turns + link.turns);
+            }
+            // Path halving: skip the parent, with its turns.
+            let both = link.turns + parent.turns;
+            self.links[node as usize] = Link { parent: parent.parent, turns: both };
+            turns += both;
+            node = parent.parent;
         }
-        (at, turns)
     }
 
-    /// Merges the trees of `a` and `b`, where `b` has `turns` more whole turns than `a`.
-    fn merge(&mut self, a: usize, b: usize, turns: i32) {
-        let (mut root, turns_a) = self.find(a);
+    #[inline(always)]
+    fn merge(&mut self, Edge([a, b]): Edge) {
+        let more = (a >> 30) as i32 - 1;
+        let (mut root, turns_a) = self.find(a & Edge::NODE);
         let (mut other, turns_b) = self.find(b);
         if root == other {
             return;
         }
-        let mut shift = turns_a + turns - turns_b;
-        if self.size[root] < self.size[other] {
+        let mut shift = turns_a + more - turns_b;
+        if self.links[root as usize].turns < self.links[other as usize].turns {
             (root, other, shift) = (other, root, -shift);
         }
-        self.parent[other] = root as u32;
-        self.turns[other] = shift;
-        self.size[root] += self.size[other];
+        let nodes = self.links[other as usize].turns;
+        self.links[other as usize] = Link { parent: root, turns: shift };
+        self.links[root as usize].turns += nodes;
     }
 }
 
 /// Mm: energy in the marker's band along each column, relative to the local light, and the largest segment of
-/// what exceeds the threshold (1 there).
-pub fn marker(image: Mono8<'_>, mask: &Plane<u8>, pair: &Pair) -> (Plane<f32>, Plane<u8>) {
+/// what exceeds the threshold (1 there). `runs` are the mask's.
+pub fn marker(image: Mono8<'_>, mask: &Plane<u8>, runs: &Runs, pair: &Pair) -> (Plane<f32>, Plane<u8>) {
     let energy = band_energy(image, mask, pair.marker_period_px);
     let threshold = THRESHOLD * pair.marker_contrast;
-    let data = energy.as_slice().iter().map(|&e| u8::from(e > threshold)).collect();
-    let above = Plane::from_vec(mask.width(), mask.height(), data).unwrap_or_else(|| Plane::filled(0, 0, 0));
-    let found = components::label(&above);
-    let largest = (1..found.area.len()).max_by_key(|&i| (found.area[i], usize::MAX - i)).unwrap_or(0) as u32;
-    let mut segment = above;
-    for (pixel, &label) in segment.as_mut_slice().iter_mut().zip(found.label.as_slice()) {
-        *pixel = u8::from(label != 0 && label == largest);
+    let mut segment = Plane::filled(mask.width(), mask.height(), 0u8);
+    for v in 0..runs.height() {
+        for run in runs.row(v) {
+            let above = segment.row_mut(v)[run.columns()].iter_mut().zip(&energy.row(v)[run.columns()]);
+            above.for_each(|(above, &energy)| *above = u8::from(energy > threshold));
+        }
+    }
+    let found = Runs::of(&segment);
+    let (piece, pieces) = components::connect(&found);
+    let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
+    for v in 0..found.height() {
+        for place in found.places(v).filter(|&place| Some(piece[place] as usize) != largest) {
+            segment.row_mut(v)[found.all()[place].columns()].fill(0);
+        }
     }
     (energy, segment)
 }
 
+/// Columns whose light is read, and whose energies are written, together.
+const COLUMNS: usize = 16;
+
 /// Magnitude of each column after a band pass around the marker's frequency (positive frequencies only, so
-/// that the magnitude is the envelope), divided by the mean light of the column's object pixels.
+/// that the magnitude is the envelope), divided by the mean light of the column's object pixels. Columns are continued
+/// with darkness to a length that is quick to transform.
 fn band_energy(image: Mono8<'_>, mask: &Plane<u8>, period: f32) -> Plane<f32> {
     let (w, h) = (image.width(), image.height());
+    let length = quick_length(h);
     let mut planner = FftPlanner::<f32>::new();
-    let (forward, inverse) = (planner.plan_fft_forward(h), planner.plan_fft_inverse(h));
-    let (low, high) = (h as f32 / (period * BAND), h as f32 * BAND / period);
+    let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+    let band = length as f32 / (period * BAND)..=length as f32 * BAND / period;
+    let band = band.start().ceil() as usize..(band.end().floor() as usize + 1).min(length / 2);
+    let zero = Complex::new(0f32, 0.0);
     let mut out = Plane::filled(w, h, 0f32);
-    let mut column = vec![Complex::new(0f32, 0.0); h];
-    for u in 0..w {
-        let (mut sum, mut count) = (0u32, 0u32);
-        for (v, x) in column.iter_mut().enumerate() {
-            let value = if mask.at(u, v) != 0 { image.row(v)[u] } else { 0 };
-            (sum, count) = (sum + u32::from(value), count + u32::from(mask.at(u, v)));
-            *x = Complex::new(f32::from(value), 0.0);
-        }
-        if count == 0 {
-            continue;
-        }
-        forward.process(&mut column);
-        for (k, x) in column.iter_mut().enumerate() {
-            if !(low..=high).contains(&(k as f32)) {
-                *x = Complex::new(0.0, 0.0);
+    let mut columns = vec![zero; COLUMNS / 2 * length];
+    let mut halves = vec![zero; COLUMNS * length];
+    let mut scratch = vec![zero; forward.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len())];
+    for first in (0..w).step_by(COLUMNS) {
+        let count = COLUMNS.min(w - first);
+        // Two columns are one complex one.
+        let (mut sums, mut counts) = ([0u32; COLUMNS], [0u32; COLUMNS]);
+        columns.fill(zero);
+        for v in 0..h {
+            let (image, mask) = (&image.row(v)[first..first + count], &mask.row(v)[first..first + count]);
+            for i in 0..count {
+                let value = image[i] * mask[i];
+                (sums[i], counts[i]) = (sums[i] + u32::from(value), counts[i] + u32::from(mask[i]));
+                let at = &mut columns[i / 2 * length + v];
+                *if i % 2 == 0 { &mut at.re } else { &mut at.im } = f32::from(value);
             }
         }
-        inverse.process(&mut column);
-        let scale = 2.0 / h as f32 / (sum as f32 / count as f32).max(1.0);
-        for (v, x) in column.iter().enumerate() {
-            if mask.at(u, v) != 0 {
-                out.set(u, v, scale * x.norm());
+        if counts == [0; COLUMNS] {
+            continue;
+        }
+        forward.process_with_scratch(&mut columns, &mut scratch);
+        halves.fill(zero);
+        for (pair, halves) in columns.chunks_exact(length).zip(halves.chunks_exact_mut(2 * length)) {
+            for k in band.clone() {
+                let (x, mirrored) = (pair[k], pair[length - k].conj());
+                let (sum, difference) = (x + mirrored, x - mirrored);
+                halves[k] = sum * 0.5;
+                halves[length + k] = Complex::new(difference.im, -difference.re) * 0.5;
+            }
+        }
+        inverse.process_with_scratch(&mut halves, &mut scratch);
+        for v in 0..h {
+            let (out, mask) = (&mut out.row_mut(v)[first..first + count], &mask.row(v)[first..first + count]);
+            for i in 0..count {
+                let mean = (sums[i] as f32 / counts[i].max(1) as f32).max(1.0);
+                let energy = 2.0 / length as f32 / mean * halves[i * length + v].norm_sqr().sqrt();
+                out[i] = if mask[i] != 0 { energy } else { 0.0 };
             }
         }
     }
     out
+}
+
+/// The least length from `n` on that has no other factors than 2 and 3, and at least one 8.
+fn quick_length(n: usize) -> usize {
+    let smooth = |mut n: usize| {
+        while n.is_multiple_of(3) {
+            n /= 3;
+        }
+        n.is_power_of_two()
+    };
+    (n.next_multiple_of(8)..).step_by(8).find(|&n| smooth(n)).unwrap_or(n)
 }
 
 /// Equation 5's shift from the median of the unwrapped phase under the marker's core (|Wm| < pi/2: with the

@@ -1,0 +1,505 @@
+//! Costs of the steps between neighbours: how far each is from what the carrier and the surface around predict.
+//!
+//! Rows go down the image through rings that stay in the cache, and only the runs of the object are touched. All sums are
+//! of whole numbers, so that what is added to a window and taken off again cancels exactly.
+
+use crate::image::Plane;
+use crate::reconstruct::runs::{Run, Runs};
+use std::f32::consts::TAU;
+
+/// Room beside a row on each side, px: no window reaches further.
+pub(super) const PAD: usize = 16;
+
+/// Units of a rad in sums and costs.
+pub(super) const UNITS: f32 = 1024.0;
+
+/// Half sizes (columns, rows) of the box in which the local mean step is taken.
+const MEAN_STEP: (usize, usize) = (5, 3);
+
+/// Half sizes (columns, rows) of the boxes in which residuals are averaged: along the boundary that steps to
+/// the right and steps down cross.
+const ALONG: [(usize, usize); 2] = [(1, 3), (4, 1)];
+
+/// Half sizes (columns, rows) of the box that says whether phases agree over a longer stretch.
+const STRETCH: (usize, usize) = (9, 10);
+
+/// A window that crosses a depth step does not hold a sine: what the misfit of the fringe model has above this
+/// is added to the cost, 1 rad per unit. On smooth skin the misfit stays below it.
+const GOOD_MISFIT: f32 = 0.2;
+
+/// Bits of a packed sum that count its values: boxes have fewer than 512 pixels.
+const COUNT_BITS: u32 = 9;
+
+/// Rows that costs lag behind the steps.
+const LAG: usize = MEAN_STEP.1 + STRETCH.1;
+
+/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
+const ROUND: f32 = 12_582_912.0;
+
+/// A step that is no edge.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Cost of a step as the graph takes it: whole units times 256, plus 1 where it is doubtful.
+#[inline(always)]
+pub(super) const fn code(units: u32, doubtful: bool) -> u32 {
+    units << 8 | doubtful as u32
+}
+
+/// Bounds on residuals, units.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bounds {
+    pub largest: f32,
+    pub doubtful: f32,
+    pub doubtful_stretch: f32,
+}
+
+/// What costs follow from.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Input<'a> {
+    pub wrapped: &'a Plane<f32>,
+    pub period: &'a Plane<f32>,
+    pub misfit: &'a Plane<f32>,
+    /// All known phases lie in these.
+    pub runs: &'a Runs,
+    /// That of the phase along the columns.
+    pub sign: f32,
+}
+
+/// Rows of packed values: a whole number of units and a count of one in the same word, 0 where there is none. Sums of them
+/// are sums of both.
+#[derive(Debug, Default)]
+struct Ring(Vec<Vec<i32>>);
+
+impl Ring {
+    fn begin(&mut self, rows: usize, width: usize) {
+        self.0.resize_with(rows, Vec::new);
+        for row in &mut self.0 {
+            row.clear();
+            row.resize(width + 2 * PAD, 0);
+        }
+    }
+
+    #[inline(always)]
+    fn row(&self, v: usize) -> &[i32] {
+        &self.0[v % self.0.len()]
+    }
+
+    /// Row `v`, all zeros.
+    #[inline(always)]
+    fn fresh(&mut self, v: usize, runs: &Runs) -> &mut [i32] {
+        let rows = self.0.len();
+        let row = &mut self.0[v % rows];
+        if let Some(before) = v.checked_sub(rows) {
+            for run in runs.row(before) {
+                row[padded(run)].fill(0);
+            }
+        }
+        row
+    }
+}
+
+/// Columns of a run in a row with room beside it.
+#[inline(always)]
+fn padded(run: &Run) -> std::ops::Range<usize> {
+    run.start() + PAD..run.end() + PAD
+}
+
+/// Sums over the rows of a box, kept up to date as it moves down.
+#[derive(Debug, Default)]
+struct Window {
+    sums: Vec<i32>,
+    half: (usize, usize),
+}
+
+impl Window {
+    fn begin(&mut self, width: usize, half: (usize, usize)) {
+        self.sums.clear();
+        self.sums.resize(width + 2 * PAD, 0);
+        self.half = half;
+    }
+
+    /// Moves down to where row `last` is the lowest.
+    #[inline(always)]
+    fn advance(&mut self, last: usize, ring: &Ring, runs: &Runs) {
+        if last < runs.height() {
+            for run in runs.row(last) {
+                let row = &ring.row(last)[padded(run)];
+                self.sums[padded(run)].iter_mut().zip(row).for_each(|(sum, x)| *sum = sum.wrapping_add(*x));
+            }
+        }
+        if let Some(first) = last.checked_sub(2 * self.half.1 + 1)
+            && first < runs.height()
+        {
+            for run in runs.row(first) {
+                let row = &ring.row(first)[padded(run)];
+                self.sums[padded(run)].iter_mut().zip(row).for_each(|(sum, x)| *sum = sum.wrapping_sub(*x));
+            }
+        }
+    }
+
+    /// Sums over the boxes around the pixels of a run.
+    #[inline(always)]
+    fn boxes<'a>(&self, run: &Run, taps: &'a mut Taps) -> &'a [i32] {
+        let (half, n) = (self.half.0, run.columns().len());
+        let from = &self.sums[run.start() + PAD - half..run.end() + PAD + half];
+        let Taps { two, four, eight, out } = taps;
+        let out = &mut out[..n];
+        if half == 1 {
+            let (a, b, c) = (&from[..n], &from[1..1 + n], &from[2..2 + n]);
+            for i in 0..n {
+                out[i] = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
+            }
+            return out;
+        }
+        let length = from.len();
+        pairs(from, 1, &mut two[..length - 1]);
+        pairs(&two[..length - 1], 2, &mut four[..length - 3]);
+        let last = &from[2 * half..2 * half + n];
+        let (wide, apart) = if half == 9 {
+            pairs(&four[..length - 3], 4, &mut eight[..length - 7]);
+            (&eight[..], 8)
+        } else {
+            (&four[..], 4)
+        };
+        let (a, b) = (&wide[..n], &wide[apart..apart + n]);
+        if 2 * apart == 2 * half {
+            for i in 0..n {
+                out[i] = a[i].wrapping_add(b[i]).wrapping_add(last[i]);
+            }
+        } else {
+            let c = &two[2 * apart..2 * apart + n];
+            for i in 0..n {
+                out[i] = a[i].wrapping_add(b[i]).wrapping_add(c[i]).wrapping_add(last[i]);
+            }
+        }
+        out
+    }
+}
+
+/// Sums of values that lie `apart`.
+#[inline(always)]
+fn pairs(from: &[i32], apart: usize, out: &mut [i32]) {
+    for ((out, a), b) in out.iter_mut().zip(from).zip(&from[apart..]) {
+        *out = a.wrapping_add(*b);
+    }
+}
+
+/// Rows to add up boxes in: sums of two, four and eight columns.
+#[derive(Debug, Default)]
+struct Taps {
+    two: Vec<i32>,
+    four: Vec<i32>,
+    eight: Vec<i32>,
+    out: Vec<i32>,
+}
+
+/// What is known of the steps to one side.
+#[derive(Debug, Default)]
+struct Side {
+    steps: Ring,
+    residuals: Ring,
+    mean: Window,
+    along: Window,
+    stretch: Window,
+    /// Costs of one row.
+    codes: Vec<u32>,
+}
+
+impl Side {
+    fn begin(&mut self, width: usize, along: (usize, usize)) {
+        // One more than a window has: the row that leaves it.
+        self.steps.begin(2 * MEAN_STEP.1 + 2, width);
+        self.residuals.begin(2 * STRETCH.1 + 2, width);
+        self.mean.begin(width, MEAN_STEP);
+        self.along.begin(width, along);
+        self.stretch.begin(width, STRETCH);
+        self.codes.clear();
+        self.codes.resize(width, NONE);
+    }
+
+    /// How far the steps of row `v` are from the mean around them.
+    #[inline(always)]
+    fn residuals(&mut self, v: usize, runs: &Runs, taps: &mut Taps) {
+        let row = self.residuals.fresh(v, runs);
+        for run in runs.row(v) {
+            let sums = self.mean.boxes(run, taps);
+            let steps = &self.steps.row(v)[padded(run)];
+            for ((out, &step), &sum) in row[padded(run)].iter_mut().zip(steps).zip(sums) {
+                let residual = wrap_units((step >> COUNT_BITS) as f32 - mean(sum)).abs();
+                *out = if step == 0 { 0 } else { whole(residual) << COUNT_BITS | 1 };
+            }
+        }
+    }
+
+    /// Costs of the steps of row `v`.
+    #[inline(always)]
+    fn costs(&mut self, v: usize, input: &Input<'_>, bounds: &Bounds, taps: &mut [Taps; 2]) {
+        let [taps, more] = taps;
+        for run in input.runs.row(v) {
+            let columns = run.columns();
+            let n = columns.len();
+            let own = &self.residuals.row(v)[padded(run)][..n];
+            let along = &self.along.boxes(run, taps)[..n];
+            let stretch = &self.stretch.boxes(run, more)[..n];
+            let misfit = &input.misfit.row(v)[columns.clone()][..n];
+            let out = &mut self.codes[columns][..n];
+            for i in 0..n {
+                let (residual, around) = ((own[i] >> COUNT_BITS) as f32, mean(along[i]));
+                let worse = if residual < around { around } else { residual };
+                let excess = misfit[i] - GOOD_MISFIT;
+                let cost = worse + UNITS * if excess > 0.0 { excess } else { 0.0 };
+                let doubtful = (cost > bounds.doubtful) | (mean(stretch[i]) > bounds.doubtful_stretch);
+                // What is large is no edge; NaN is none, either.
+                let edge = (own[i] != 0) & (cost <= bounds.largest);
+                let units = whole(if edge { cost } else { 0.0 }) as u32;
+                out[i] = if edge { units << 8 | u32::from(doubtful) } else { NONE };
+            }
+        }
+    }
+}
+
+/// Rings and sums that are used again from frame to frame.
+#[derive(Debug, Default)]
+pub(super) struct Buffers {
+    right: Side,
+    down: Side,
+    taps: [Taps; 2],
+    turns: Vec<i16>,
+}
+
+/// Costs of a row's steps to the right and down, by column.
+pub(super) struct Row<'a> {
+    pub right: &'a [u32],
+    pub down: &'a [u32],
+}
+
+/// Takes the costs of all rows, from top to bottom, and hands them to `each`. `turns` receives how many whole turns make
+/// each pixel's phase continue those before it in its run.
+#[inline(always)]
+pub(super) fn run(
+    input: &Input<'_>,
+    bounds: &Bounds,
+    buffers: &mut Buffers,
+    turns: &mut Plane<i16>,
+    mut each: impl FnMut(usize, Row<'_>, &Plane<i16>),
+) {
+    let (w, h) = (input.wrapped.width(), input.wrapped.height());
+    let Buffers { right, down, taps, turns: row_turns } = buffers;
+    right.begin(w, ALONG[0]);
+    down.begin(w, ALONG[1]);
+    for taps in taps.iter_mut() {
+        for row in [&mut taps.two, &mut taps.four, &mut taps.eight, &mut taps.out] {
+            row.resize(w + 2 * PAD, 0);
+        }
+    }
+    row_turns.resize(w, 0);
+    for next in 0..h + LAG {
+        if next < h {
+            steps_right(input, next, right.steps.fresh(next, input.runs), row_turns);
+            add_up(input.runs.row(next), row_turns, turns.row_mut(next));
+            steps_down(input, next, down.steps.fresh(next, input.runs));
+        }
+        for side in [&mut *right, &mut *down] {
+            side.mean.advance(next, &side.steps, input.runs);
+            if let Some(v) = next.checked_sub(MEAN_STEP.1)
+                && v < h
+            {
+                side.residuals(v, input.runs, &mut taps[0]);
+            }
+            // Windows begin above the first row: what lies before it is nothing.
+            let Some(v) = next.checked_sub(MEAN_STEP.1) else { continue };
+            side.stretch.advance(v, &side.residuals, input.runs);
+            if let Some(last) = (v + side.along.half.1).checked_sub(STRETCH.1) {
+                side.along.advance(last, &side.residuals, input.runs);
+            }
+            if let Some(v) = next.checked_sub(LAG) {
+                side.costs(v, input, bounds, taps);
+            }
+        }
+        if let Some(v) = next.checked_sub(LAG) {
+            each(v, Row { right: &right.codes, down: &down.codes }, turns);
+        }
+    }
+}
+
+/// Steps to the right of row `v` less the carrier's, and the whole turns that they lack.
+#[inline(always)]
+fn steps_right(input: &Input<'_>, v: usize, out: &mut [i32], turns: &mut [i16]) {
+    let (row, period) = (input.wrapped.row(v), input.period.row(v));
+    let carrier = 2.0 * input.sign * TAU;
+    for run in input.runs.row(v) {
+        // The last pixel has no step.
+        let n = run.columns().len() - 1;
+        let (start, end) = (run.start(), run.end());
+        let (a, b) = (&row[start..end - 1][..n], &row[start + 1..end][..n]);
+        let (p, q) = (&period[start..end - 1][..n], &period[start + 1..end][..n]);
+        let (out, turns) = (&mut out[padded(run)][..n], &mut turns[start..end - 1][..n]);
+        for i in 0..n {
+            let x = b[i] - a[i] - carrier / (p[i] + q[i]);
+            let rounded = x * (1.0 / TAU) + ROUND - ROUND;
+            let value = packed(x - rounded * TAU);
+            out[i] = value;
+            turns[i] = if value == 0 { 0 } else { -whole(rounded) as i16 };
+        }
+    }
+}
+
+/// Steps down from row `v`.
+#[inline(always)]
+fn steps_down(input: &Input<'_>, v: usize, out: &mut [i32]) {
+    if v + 1 >= input.wrapped.height() {
+        return;
+    }
+    let (row, next) = (input.wrapped.row(v), input.wrapped.row(v + 1));
+    for run in input.runs.row(v) {
+        let n = run.columns().len();
+        let (a, b) = (&row[run.columns()][..n], &next[run.columns()][..n]);
+        let out = &mut out[padded(run)][..n];
+        for i in 0..n {
+            let x = b[i] - a[i];
+            out[i] = packed(x - turns_in(x) * TAU);
+        }
+    }
+}
+
+/// Whole turns in a phase, as a whole number; any where it is NaN.
+#[inline(always)]
+pub(super) fn turns_in(phase: f32) -> f32 {
+    phase * (1.0 / TAU) + ROUND - ROUND
+}
+
+/// Sums of the turns before each pixel of its run.
+#[inline(always)]
+fn add_up(runs: &[Run], steps: &[i16], out: &mut [i16]) {
+    for run in runs {
+        let mut sum = 0i16;
+        for (out, step) in out[run.columns()].iter_mut().zip(&steps[run.columns()]) {
+            *out = sum;
+            sum = sum.wrapping_add(*step);
+        }
+    }
+}
+
+/// A step, rad, in a word; 0 for NaN.
+#[inline(always)]
+fn packed(x: f32) -> i32 {
+    let value = whole(x * UNITS) << COUNT_BITS | 1;
+    if x.is_nan() { 0 } else { value }
+}
+
+/// The nearest whole number of a number below 2^22.
+#[inline(always)]
+pub(super) fn whole(x: f32) -> i32 {
+    ((x + ROUND).to_bits() as i32).wrapping_sub(ROUND.to_bits() as i32)
+}
+
+/// The mean of a packed sum; 0 where there is nothing in it.
+#[inline(always)]
+fn mean(sum: i32) -> f32 {
+    let count = sum & ((1 << COUNT_BITS) - 1);
+    (sum >> COUNT_BITS) as f32 / if count == 0 { 1.0 } else { count as f32 }
+}
+
+/// To half a turn to each side, in units.
+#[inline(always)]
+fn wrap_units(x: f32) -> f32 {
+    const TURN: f32 = TAU * UNITS;
+    x - (x * (1.0 / TURN) + ROUND - ROUND) * TURN
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{ALONG, Bounds, Buffers, GOOD_MISFIT, Input, MEAN_STEP, NONE, STRETCH, UNITS, run};
+    use crate::image::Plane;
+    use crate::reconstruct::runs::Runs;
+    use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
+    use std::f64::consts::TAU;
+
+    const W: usize = 70;
+    const H: usize = 40;
+    const PERIOD: f32 = 11.0;
+
+    /// Mean of the known values in a box; `None` where there is none.
+    fn mean(values: &Plane<f64>, (u, v): (usize, usize), half: (usize, usize)) -> f64 {
+        let rows = v.saturating_sub(half.1)..(v + half.1 + 1).min(H);
+        let columns = u.saturating_sub(half.0)..(u + half.0 + 1).min(W);
+        let all = rows.flat_map(|v| values.row(v)[columns.clone()].to_vec());
+        let known: Vec<f64> = all.filter(|x| !x.is_nan()).collect();
+        known.iter().sum::<f64>() / known.len().max(1) as f64
+    }
+
+    fn wrap(x: f64) -> f64 {
+        x - TAU * (x / TAU).round()
+    }
+
+    /// Steps less the carrier's, to the right or down.
+    fn steps(wrapped: &Plane<f32>, down: bool) -> Plane<f64> {
+        let mut out = Plane::filled(W, H, f64::NAN);
+        for v in 0..H - usize::from(down) {
+            for u in 0..W - usize::from(!down) {
+                let next = if down { wrapped.at(u, v + 1) } else { wrapped.at(u + 1, v) };
+                let carrier = if down { 0.0 } else { TAU / f64::from(PERIOD) };
+                out.set(u, v, wrap(f64::from(next) - f64::from(wrapped.at(u, v)) - carrier));
+            }
+        }
+        out
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+        #[test]
+        fn costs_are_those_of_the_definition(
+            noise in proptest::collection::vec(-1.0f32..1.0, W * H),
+            rough in 0.0f32..0.3,
+            holes in proptest::collection::vec((any::<proptest::sample::Index>(), 0usize..30), 0..12),
+        ) {
+            let phase = |i: usize| (i % W) as f32 * std::f32::consts::TAU / PERIOD + 0.1 * (i / W) as f32;
+            let value = |i: usize| phase(i) + rough * noise[i];
+            let mut wrapped = Plane::from_vec(W, H, (0..W * H).map(|i| wrap(f64::from(value(i))) as f32).collect())
+                .expect("its size");
+            for (at, length) in holes {
+                let at = at.index(W * H - 30);
+                wrapped.as_mut_slice()[at..at + length].fill(f32::NAN);
+            }
+            let misfit = Plane::from_vec(W, H, noise.iter().map(|x| 0.3 * x.abs()).collect()).expect("its size");
+            let known = wrapped.as_slice().iter().map(|x| u8::from(!x.is_nan())).collect();
+            let runs = Runs::of(&Plane::from_vec(W, H, known).expect("its size"));
+            let period = Plane::filled(W, H, PERIOD);
+            let input = Input { wrapped: &wrapped, period: &period, misfit: &misfit, runs: &runs, sign: 1.0 };
+            let bounds = Bounds { largest: 1.5 * UNITS, doubtful: 0.04 * UNITS, doubtful_stretch: 0.04 * UNITS };
+            let mut turns = Plane::filled(W, H, 0);
+            let mut found = [Plane::filled(W, H, NONE), Plane::filled(W, H, NONE)];
+            run(&input, &bounds, &mut Buffers::default(), &mut turns, |v, costs, _| {
+                found[0].row_mut(v).copy_from_slice(costs.right);
+                found[1].row_mut(v).copy_from_slice(costs.down);
+            });
+            for (found, down) in found.iter().zip([false, true]) {
+                let steps = steps(&wrapped, down);
+                let mut own = Plane::filled(W, H, f64::NAN);
+                for (v, u) in (0..H).flat_map(|v| (0..W).map(move |u| (v, u))) {
+                    own.set(u, v, wrap(steps.at(u, v) - mean(&steps, (u, v), MEAN_STEP)).abs());
+                }
+                for (v, u) in (0..H).flat_map(|v| (0..W).map(move |u| (v, u))) {
+                    if wrapped.at(u, v).is_nan() {
+                        continue;
+                    }
+                    let code = found.at(u, v);
+                    if own.at(u, v).is_nan() {
+                        prop_assert!(code == NONE, "({u}, {v}): {code}");
+                        continue;
+                    }
+                    let along = mean(&own, (u, v), ALONG[usize::from(down)]);
+                    let excess = f64::from((misfit.at(u, v) - GOOD_MISFIT).max(0.0));
+                    let cost = 1024.0 * (own.at(u, v).max(along) + excess);
+                    // Values, their means and the means of their residuals are rounded to whole units.
+                    prop_assert!((f64::from(code >> 8) - cost).abs() < 3.0, "({u}, {v}): {} {cost}", code >> 8);
+                    let stretch = 1024.0 * mean(&own, (u, v), STRETCH);
+                    let most = cost.max(stretch);
+                    if (most - 40.96).abs() > 3.0 {
+                        prop_assert!((code & 1 != 0) == (most > 40.96), "({u}, {v}): {cost} {stretch}");
+                    }
+                }
+            }
+        }
+    }
+}
