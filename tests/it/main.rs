@@ -16,6 +16,7 @@ mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod chain;
 mod crash;
+mod crossing_limbs;
 #[cfg(feature = "aravis")]
 mod disk_faults;
 #[cfg(feature = "aravis")]

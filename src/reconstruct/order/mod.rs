@@ -54,7 +54,7 @@ pub struct View<'a> {
 pub struct Regions {
     /// Column and row of the frame at which `id` begins.
     pub origin: (usize, usize),
-    /// Region of each pixel, 0 where there is none.
+    /// Region of each pixel, 0 where there is none: its order has come from its neighbours.
     pub id: Plane<u16>,
     /// How far the evidence for each region's order leads that for any other: 1 is the full word of one camera, or 60
     /// pixels of marker. Entry 0 stands for no region.
@@ -169,7 +169,10 @@ fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
             contradicted += usize::from(label.contradicted);
         } else {
             *phase += TAU * label.turns as f32;
-            *id = u16::try_from(piece + 1).unwrap_or(u16::MAX);
+            // What has grown from elsewhere has not the margin of its piece.
+            if scene.turns_of(node - 1) == Some(label.turns) {
+                *id = u16::try_from(piece + 1).unwrap_or(u16::MAX);
+            }
         }
     }
     Outcome { absolute, regions, contradicted }
