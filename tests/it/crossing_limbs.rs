@@ -1,5 +1,6 @@
-//! Fringe orders where a limb crosses the trunk about one fringe before it: a bar before a post, seen by all cameras of the
-//! shipped rig, rendered here by direct formula with the shadows that one throws on the other.
+//! Fringe orders where a limb crosses the trunk little more than half a fringe before it, along the fringes: a bar before
+//! a post, seen by all cameras of the shipped rig, rendered here by direct formula with the shadows that one throws on the
+//! other.
 
 use fourdbody::calibrate::Calibration;
 use fourdbody::config::Rig;
@@ -46,8 +47,7 @@ fn first_hit(bars: &[Bar], ray: &Ray) -> Option<(f64, Vector3<f64>)> {
     bars.iter().filter_map(|bar| bar.hit(ray)).min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
-/// The photograph, and how many of its pixels are lit.
-fn photograph(pair: &Pair, bars: &[Bar]) -> (Plane<u8>, usize) {
+fn photograph(pair: &Pair, bars: &[Bar]) -> Plane<u8> {
     let (w, h) = (pair.camera.width, pair.camera.height);
     let mut image = Plane::filled(w, h, 2u8);
     let source = pair.projector.centre();
@@ -70,25 +70,23 @@ fn photograph(pair: &Pair, bars: &[Bar]) -> (Plane<u8>, usize) {
         let ends = seen.iter().fold((f64::MAX, f64::MIN), |x, p| (x.0.min(p[i]), x.1.max(p[i])));
         (ends.0.max(0.0) as usize)..(ends.1.max(0.0) as usize).min(size)
     };
-    let mut lit = 0;
     for v in range(1, h) {
         for u in range(0, w) {
             if let Some(light) = light(u, v) {
-                lit += usize::from(light > 0.1);
                 image.set(u, v, (2.0 + 180.0 * light).round() as u8);
             }
         }
     }
-    (image, lit)
+    image
 }
 
-/// Points of all cameras, those of them that are more than 10 mm off, and lit pixels.
-fn count(marker: Marker, together: bool) -> [usize; 3] {
+/// Points of all cameras, and those of them that are more than 10 mm off.
+fn count(marker: Marker, together: bool) -> [usize; 2] {
     let post =
         Bar { middle: Point3::new(0.0, 0.0, 1.0), along: Vector3::z_axis(), half_m: 0.26, radius_m: 0.11 };
     let limb = Bar {
-        middle: Point3::new(0.19, 0.0, 1.06),
-        along: Unit::new_normalize(Vector3::new(0.0, 1.0, -0.35)),
+        middle: Point3::new(0.17, 0.0, 1.0),
+        along: Unit::new_normalize(Vector3::new(0.0, 1.0, -0.05)),
         half_m: 0.24,
         radius_m: 0.036,
     };
@@ -97,13 +95,11 @@ fn count(marker: Marker, together: bool) -> [usize; 3] {
     let mut rig = Rig::load(&path).expect("the shipped rig");
     rig.pattern.marker = marker;
     let calibration = Calibration::nominal(&rig);
-    let mut lit = 0;
     let mut prepared: Vec<(usize, Pipeline, Prepared)> = Vec::new();
     for (number, head) in calibration.heads.iter().enumerate() {
         for camera in &head.cameras {
             let pair = Pair::new(head, camera, &calibration).expect("a usable pair");
-            let (image, pixels) = photograph(&pair, &bars);
-            lit += pixels;
+            let image = photograph(&pair, &bars);
             let pipeline = Pipeline::new(Triangulator::new(pair), Method::Anchored, false);
             let frame = pipeline.prepare(Mono8::from(&image)).expect("an object");
             prepared.push((number, pipeline, frame));
@@ -125,18 +121,17 @@ fn count(marker: Marker, together: bool) -> [usize; 3] {
             wrong += usize::from(bars.iter().all(|bar| bar.distance(&point) > 0.010));
         }
     }
-    [points, wrong, lit]
+    [points, wrong]
 }
 
+/// By itself each camera has 464,100 points, and with the darkened marker 21,600 of them are wrong; together they have 518,500
+/// and 516,800 points, 102 and 133 wrong.
 #[test]
-fn a_bar_a_fringe_before_a_post_has_its_own_order() {
+fn a_bar_along_the_fringes_before_a_post_has_its_own_order() {
     for marker in [Marker::ZeroMean { amplitude: 0.3 }, Marker::Darkened { depth: 0.8 }] {
-        let [points, wrong, lit] = count(marker, true);
-        println!(
-            "{marker:?}: {points} points of {lit} lit pixels, {wrong} wrong; alone {:?}",
-            count(marker, false)
-        );
-        assert!(wrong * 1000 <= points, "{wrong} of {points} points are wrong");
-        assert!(points * 100 >= lit * 80, "{points} points of {lit} lit pixels");
+        let ([points, wrong], alone) = (count(marker, true), count(marker, false));
+        println!("{marker:?}: {points} points, {wrong} wrong; alone {alone:?}");
+        assert!(wrong * 2000 <= points, "{wrong} of {points} points are wrong");
+        assert!(points * 100 >= alone[0] * 109, "{points} points, alone {alone:?}");
     }
 }
