@@ -35,7 +35,7 @@ const LEAD: u32 = 4;
 /// Gives stretches that no other head confirms the order at which other heads see them.
 pub fn seek(scenes: &[Scene<'_>], views: &mut [View]) {
     let known = known(views);
-    views.par_iter_mut().zip(scenes).for_each(|(view, scene)| {
+    views.par_iter_mut().zip(scenes).filter(|(view, _)| view.partnered).for_each(|(view, scene)| {
         // Of what the others say, only what other heads confirm.
         let heads: Vec<Words> = view
             .words

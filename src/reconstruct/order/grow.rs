@@ -72,6 +72,9 @@ pub struct View {
     pub banned: Vec<Vec<i32>>,
     /// What the cameras have at its places.
     pub sights: Sights,
+    /// Whether the head's other camera is there. It is the one that confirms most; a view without it keeps the orders of
+    /// its pieces where they are not contradicted.
+    pub partnered: bool,
 }
 
 /// What became of a node.
@@ -114,12 +117,15 @@ pub fn known(views: &[View]) -> Vec<Vec<i32>> {
     views.iter().map(|view| view.turns.clone()).collect()
 }
 
-/// The cores of the settled pieces.
+/// The cores of the settled pieces, or all of them.
 fn begin(scenes: &[Scene<'_>], view: usize) -> View {
     let scene = &scenes[view];
+    let of_head = scenes.iter().filter(|x| x.witness.head == scene.witness.head).count();
+    let partnered = of_head > 1;
     let order = |node: usize| {
         let state = &scene.states[scene.pieces.of[node] as usize];
-        let order = state.order.ok().filter(|_| state.margin >= MIN_MARGIN && scene.pieces.core[node]);
+        let begins = !partnered || state.margin >= MIN_MARGIN && scene.pieces.core[node];
+        let order = state.order.ok().filter(|_| begins);
         order.map_or(NONE, |order| order + scene.pieces.turns[node])
     };
     let n = scene.pieces.of.len();
@@ -129,6 +135,7 @@ fn begin(scenes: &[Scene<'_>], view: usize) -> View {
         words: vec![Words::default(); n],
         banned: vec![Vec::new(); n],
         sights: Sights::new(scenes, view),
+        partnered,
     }
 }
 
@@ -268,7 +275,7 @@ fn check(scenes: &[Scene<'_>], views: &mut [View]) {
         let gone = |&node: &usize| {
             view.turns[node] != NONE
                 && (contradicted(view.words[node], sum[node], scene.pieces.core[node])
-                    || sum[node].partner <= FIRM && conflict(view, node).0 > 0)
+                    || view.partnered && sum[node].partner <= FIRM && conflict(view, node).0 > 0)
         };
         let gone: Vec<usize> = (0..view.turns.len()).filter(gone).collect();
         for node in gone {
@@ -281,6 +288,9 @@ fn check(scenes: &[Scene<'_>], views: &mut [View]) {
 
 /// Takes the order from nodes that no camera confirms: the next round may reach them from a better side.
 fn drop_unconfirmed(view: &mut View) {
+    if !view.partnered {
+        return;
+    }
     for (turns, words) in view.turns.iter_mut().zip(&mut view.words) {
         if words.good() == 0 {
             (*turns, *words) = (NONE, Words::default());
@@ -306,7 +316,7 @@ fn finish(view: View, scene: &Scene<'_>) -> Vec<Label> {
         if turns == NONE {
             return Label { turns, contradicted: !view.banned[node].is_empty() };
         }
-        Label { turns: if doubtful(node) { NONE } else { turns }, contradicted: false }
+        Label { turns: if view.partnered && doubtful(node) { NONE } else { turns }, contradicted: false }
     };
     (0..view.turns.len()).map(label).collect()
 }
