@@ -28,6 +28,7 @@ mod chain;
 #[cfg(feature = "aravis")]
 mod console;
 mod crash;
+mod crossing_limbs;
 #[cfg(feature = "aravis")]
 mod disk_faults;
 #[cfg(feature = "aravis")]

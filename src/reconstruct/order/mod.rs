@@ -6,7 +6,8 @@
 //! witness   what another camera has at the place where a piece would be
 //! settle    marker, neighbours and other cameras weighed: each piece gets an order, or is refused
 //! split     pieces that have grown over two surfaces, parted
-//! prune     places of settled pieces that the other cameras contradict
+//! grow      from the pieces' cores to every place, as far as the other cameras confirm it
+//! elsewhere where other heads see what is open, or hidden from all of them
 //! ```
 //!
 //! One view cannot tell an arm that lies parallel to the hip at a whole number of fringes from one surface. What it can
@@ -14,19 +15,22 @@
 //! cameras, and are refused where they cannot tell.
 
 mod cells;
+mod elsewhere;
+mod graph;
+mod grow;
 mod pieces;
-mod prune;
 mod settle;
 mod split;
 mod volume;
 mod witness;
+mod words;
 
 use super::pipeline::Prepared;
 use super::triangulate::Triangulator;
 use crate::image::Plane;
 use cells::Cells;
+use grow::{Label, NONE};
 use pieces::Pieces;
-use prune::Standing;
 use rayon::prelude::*;
 use settle::{Refusal, Scene, State};
 use std::collections::BTreeMap;
@@ -50,7 +54,7 @@ pub struct View<'a> {
 pub struct Regions {
     /// Column and row of the frame at which `id` begins.
     pub origin: (usize, usize),
-    /// Region of each pixel, 0 where there is none.
+    /// Region of each pixel, 0 where there is none: its order has come from its neighbours.
     pub id: Plane<u16>,
     /// How far the evidence for each region's order leads that for any other: 1 is the full word of one camera, or 60
     /// pixels of marker. Entry 0 stands for no region.
@@ -82,9 +86,8 @@ pub fn settle(views: &mut [View<'_>]) {
     let results: Vec<Outcome> = {
         let mut scenes: Vec<Scene<'_>> = views.par_iter().map(scene).collect();
         settle::settle(&mut scenes);
-        let pruned: Vec<Vec<Standing>> =
-            (0..scenes.len()).into_par_iter().map(|view| prune::standings(&scenes, view)).collect();
-        scenes.into_iter().zip(pruned).map(|(scene, pruned)| outcome(scene, &pruned)).collect()
+        let labels = grow::labels(&scenes);
+        scenes.into_iter().zip(labels).map(|(scene, labels)| outcome(scene, &labels)).collect()
     };
     for (view, result) in views.iter_mut().zip(results) {
         let counts = &mut view.prepared.counts;
@@ -146,31 +149,29 @@ fn votes(cells: &Cells, phase: &Plane<f32>, marker: &Plane<u8>, markers: &[u32])
     votes.into_iter().map(|((node, order), n)| (node, order, n)).collect()
 }
 
-fn outcome(scene: Scene<'_>, standings: &[Standing]) -> Outcome {
+fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
     let mut absolute = scene.witness.phase.clone();
     let mut regions = Regions::none(absolute.width(), absolute.height());
     regions.origin = (scene.witness.roi.u, scene.witness.roi.v);
     regions.margin.extend(scene.states.iter().map(|x| x.margin));
     let mut contradicted = 0;
-    let nodes = scene.witness.cells.node.as_slice();
     for ((phase, &node), id) in absolute
         .as_mut_slice()
         .iter_mut()
-        .zip(nodes)
+        .zip(scene.witness.cells.node.as_slice())
         .zip(regions.id.as_mut_slice())
         .filter(|((_, x), _)| **x != 0)
     {
         let piece = scene.pieces.of[node as usize - 1] as usize;
-        let standing = &standings[node as usize - 1];
-        let against = standing.contradicted() || scene.states[piece].order == Err(Refusal::Contradicted);
-        match scene.turns_of(node - 1) {
-            Some(turns) if !against && !standing.unsupported() => {
-                *phase += TAU * turns as f32;
+        let label = labels[node as usize - 1];
+        if label.turns == NONE {
+            *phase = f32::NAN;
+            contradicted += usize::from(label.contradicted);
+        } else {
+            *phase += TAU * label.turns as f32;
+            // What has grown from elsewhere has not the margin of its piece.
+            if scene.turns_of(node - 1) == Some(label.turns) {
                 *id = u16::try_from(piece + 1).unwrap_or(u16::MAX);
-            }
-            _ => {
-                *phase = f32::NAN;
-                contradicted += usize::from(against);
             }
         }
     }

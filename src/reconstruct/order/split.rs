@@ -92,14 +92,14 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTr
 }
 
 /// Place of a node in the grid of cells.
-pub fn cell(scene: &Scene<'_>, node: u32) -> (usize, usize) {
+fn cell(scene: &Scene<'_>, node: u32) -> (usize, usize) {
     let pixel = scene.witness.cells.nodes[node as usize].pixel as usize;
     let width = scene.witness.phase.width();
     (pixel % width / CELL_PX, pixel / width / CELL_PX)
 }
 
 /// What the other cameras say for and against a place.
-pub fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[(u8, super::witness::Sight)]) -> (i32, i32) {
+fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[(u8, super::witness::Sight)]) -> (i32, i32) {
     let (mut good, mut bad) = (0, 0);
     for &(other, sight) in sights {
         let partner = scenes[usize::from(other)].witness.head == scenes[view].witness.head;

@@ -1,0 +1,322 @@
+//! From settled pieces to the fringe order of every node.
+//!
+//! The cores of settled pieces that other cameras confirm are where it begins. From there the orders grow over the view,
+//! node by node, along borders that continue: over wide surfaces first, so that what comes along a limb is there before what
+//! comes over the seam on which limb and trunk agree by chance. Then all that has an order is tried against all
+//! the others. What is contradicted, or has a neighbour that continues it at another order, loses its order; so does, until the
+//! last round, what nobody confirms. What is open then is sought at the places where other heads see it
+//! ([`super::elsewhere`]), and the next round begins.
+
+use super::elsewhere;
+use super::graph::Graph;
+use super::settle::Scene;
+use super::words::{Sights, Words};
+use rayon::prelude::*;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// No order.
+pub const NONE: i32 = i32::MIN;
+
+/// Rounds of growing and trying.
+const ROUNDS: usize = 5;
+
+/// The least lead of a piece's order for its cores to be a beginning.
+const MIN_MARGIN: f32 = 0.5;
+
+/// Pixel pairs that must continue for words to be shared over a border, or for orders to contradict each other there.
+const SHARED_PAIRS: u32 = 4;
+
+/// What growth asks of a border, and of the other cameras.
+#[derive(Debug, Clone, Copy)]
+struct Pass {
+    /// Pixel pairs that must continue.
+    pairs: u32,
+    /// How many times more than those that do not.
+    share: u32,
+    /// Who must confirm the place.
+    support: Support,
+    /// How far the node must be from any step, nodes.
+    clearance: u8,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Support {
+    /// Nobody.
+    None,
+    /// A camera, there or at the node that it continues.
+    Near,
+    /// A camera.
+    Here,
+}
+
+const PASSES: [Pass; 6] = [
+    Pass { pairs: 7, share: 5, support: Support::None, clearance: 1 },
+    Pass { pairs: 7, share: 5, support: Support::Here, clearance: 0 },
+    Pass { pairs: 4, share: 3, support: Support::Here, clearance: 0 },
+    Pass { pairs: 7, share: 5, support: Support::Near, clearance: 0 },
+    Pass { pairs: 4, share: 3, support: Support::Near, clearance: 0 },
+    Pass { pairs: 6, share: 4, support: Support::None, clearance: 0 },
+];
+
+/// A view while orders grow over it.
+#[derive(Debug)]
+pub struct View {
+    /// Its nodes and borders.
+    pub graph: Graph,
+    /// Whole turns that make each node's phases absolute, or [`NONE`].
+    pub turns: Vec<i32>,
+    /// What the other cameras say of each node, as of the last time that it was tried.
+    pub words: Vec<Words>,
+    /// Turns that were contradicted in this round: node, turns.
+    pub banned: Vec<Vec<i32>>,
+    /// What the cameras have at its places.
+    pub sights: Sights,
+    /// Whether the head's other camera is there. It is the one that confirms most; a view without it keeps the orders of
+    /// its pieces where they are not contradicted.
+    pub partnered: bool,
+}
+
+/// What became of a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Label {
+    /// Whole turns that make its phases absolute, or [`NONE`].
+    pub turns: i32,
+    /// Whether an order was contradicted. Else it has none because too little tells.
+    pub contradicted: bool,
+}
+
+/// The order of every node of every view. The same for any number of threads: in each step all views go by what was known
+/// before it.
+pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
+    let mut views: Vec<View> = (0..scenes.len()).into_par_iter().map(|view| begin(scenes, view)).collect();
+    check(scenes, &mut views);
+    views.par_iter_mut().for_each(drop_unconfirmed);
+    for round in 0..ROUNDS {
+        for view in &mut views {
+            view.banned.iter_mut().for_each(Vec::clear);
+        }
+        for pass in PASSES {
+            let known = known(&views);
+            views
+                .par_iter_mut()
+                .zip(scenes)
+                .for_each(|(view, scene)| grow(scenes, scene, view, &known, pass));
+        }
+        check(scenes, &mut views);
+        if round + 1 < ROUNDS {
+            elsewhere::seek(scenes, &mut views);
+            views.par_iter_mut().for_each(drop_unconfirmed);
+        }
+    }
+    views.into_par_iter().zip(scenes).map(|(view, scene)| finish(view, scene)).collect()
+}
+
+/// The orders of all nodes of all views.
+pub fn known(views: &[View]) -> Vec<Vec<i32>> {
+    views.iter().map(|view| view.turns.clone()).collect()
+}
+
+/// The cores of the settled pieces, or all of them.
+fn begin(scenes: &[Scene<'_>], view: usize) -> View {
+    let scene = &scenes[view];
+    let of_head = scenes.iter().filter(|x| x.witness.head == scene.witness.head).count();
+    let partnered = of_head > 1;
+    let order = |node: usize| {
+        let state = &scene.states[scene.pieces.of[node] as usize];
+        let begins = !partnered || state.margin >= MIN_MARGIN && scene.pieces.core[node];
+        let order = state.order.ok().filter(|_| begins);
+        order.map_or(NONE, |order| order + scene.pieces.turns[node])
+    };
+    let n = scene.pieces.of.len();
+    View {
+        graph: Graph::new(&scene.witness.cells),
+        turns: (0..n).map(order).collect(),
+        words: vec![Words::default(); n],
+        banned: vec![Vec::new(); n],
+        sights: Sights::new(scenes, view),
+        partnered,
+    }
+}
+
+/// An order that the neighbours of a node propose for it.
+struct Proposal {
+    turns: i32,
+    good: u32,
+    bad: u32,
+    /// Words for the neighbours.
+    around: Words,
+}
+
+/// Lets the orders grow over a view: always to the node that is farthest from any step.
+fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View, known: &[Vec<i32>], pass: Pass) {
+    let mut heap = BinaryHeap::new();
+    let mut steps = vec![0u32; view.turns.len()];
+    let open =
+        |view: &View, node: usize| view.turns[node] == NONE && view.graph.clearance[node] >= pass.clearance;
+    for node in (0..view.turns.len()).filter(|&node| open(view, node)) {
+        if view.graph.of(node).iter().any(|e| view.turns[e.other as usize] != NONE) {
+            heap.push((view.graph.clearance[node], Reverse(0), Reverse(node as u32)));
+        }
+    }
+    let mut proposals = Vec::new();
+    while let Some((_, _, Reverse(node))) = heap.pop() {
+        let node = node as usize;
+        if view.turns[node] != NONE {
+            continue;
+        }
+        let step = propose(view, node, &steps, &mut proposals) + 1;
+        for proposal in &proposals {
+            let enough = proposal.good >= pass.pairs && proposal.good >= pass.share * proposal.bad;
+            if !enough || view.banned[node].contains(&proposal.turns) {
+                continue;
+            }
+            let own = view.sights.words(scenes, node, proposal.turns, known);
+            let mut sum = own;
+            sum += proposal.around;
+            if contradicted(own, sum, scene.pieces.core[node]) {
+                view.banned[node].push(proposal.turns);
+                continue;
+            }
+            let supported = match pass.support {
+                Support::None => true,
+                Support::Near => sum.good() > 0,
+                Support::Here => own.good() > 0,
+            };
+            if supported {
+                (view.turns[node], view.words[node], steps[node]) = (proposal.turns, own, step);
+                for edge in view.graph.of(node) {
+                    let other = edge.other as usize;
+                    if open(view, other) {
+                        heap.push((view.graph.clearance[other], Reverse(step), Reverse(edge.other)));
+                    }
+                }
+                break;
+            }
+        }
+    }
+}
+
+/// The orders that the neighbours of a node propose, those of most pixel pairs first; the steps that the farthest of
+/// these neighbours is from where growth began.
+fn propose(view: &View, node: usize, steps: &[u32], proposals: &mut Vec<Proposal>) -> u32 {
+    proposals.clear();
+    let mut farthest = 0;
+    for edge in view.graph.of(node) {
+        let other = view.turns[edge.other as usize];
+        if other == NONE || edge.good == 0 {
+            continue;
+        }
+        farthest = farthest.max(steps[edge.other as usize]);
+        let (turns, around) = (other - edge.turns, view.words[edge.other as usize]);
+        match proposals.iter_mut().find(|x| x.turns == turns) {
+            Some(x) => {
+                (x.good, x.bad) = (x.good + edge.good, x.bad + edge.bad);
+                x.around += around;
+            }
+            None => proposals.push(Proposal { turns, good: edge.good, bad: edge.bad, around }),
+        }
+    }
+    proposals.sort_unstable_by_key(|x| (Reverse(x.good), x.turns));
+    farthest
+}
+
+/// Whether the other cameras contradict: what they say of the place itself, and of it and what is around.
+fn contradicted(own: Words, sum: Words, core: bool) -> bool {
+    if sum.against >= 3 && sum.against > sum.good() {
+        return true;
+    }
+    !core && own.against > 0 && own.against >= own.good()
+}
+
+/// Words of the nodes within two steps, along borders that continue.
+pub fn sums(view: &View, words: &[Words]) -> Vec<Words> {
+    let mut sum = words.to_vec();
+    for _ in 0..2 {
+        let before = sum.clone();
+        for (node, sum) in sum.iter_mut().enumerate().filter(|x| view.turns[x.0] != NONE) {
+            for edge in view.graph.of(node).iter().filter(|x| x.good >= SHARED_PAIRS) {
+                if view.turns[edge.other as usize] == view.turns[node].wrapping_add(edge.turns) {
+                    *sum += before[edge.other as usize];
+                }
+            }
+        }
+    }
+    sum
+}
+
+/// Pixel pairs on which neighbours continue a node, though their order is another, and those that continue nothing.
+fn conflict(view: &View, node: usize) -> (u32, u32) {
+    let (mut conflict, mut bad) = (0, 0);
+    for edge in view.graph.of(node) {
+        let other = view.turns[edge.other as usize];
+        if other != NONE {
+            bad += edge.bad;
+            conflict += if other == view.turns[node] + edge.turns { 0 } else { edge.good };
+        }
+    }
+    (conflict, bad)
+}
+
+/// Words of the head's other camera that stand against a neighbour of another order.
+const FIRM: i16 = 11;
+
+/// Tries all that has an order against all that has, and takes it from what is contradicted.
+fn check(scenes: &[Scene<'_>], views: &mut [View]) {
+    let known = known(views);
+    views.par_iter_mut().zip(scenes).for_each(|(view, scene)| {
+        for node in 0..view.turns.len() {
+            view.words[node] = match view.turns[node] {
+                NONE => Words::default(),
+                turns => view.sights.words(scenes, node, turns, &known),
+            };
+        }
+        let sum = sums(view, &view.words);
+        let gone = |&node: &usize| {
+            view.turns[node] != NONE
+                && (contradicted(view.words[node], sum[node], scene.pieces.core[node])
+                    || view.partnered && sum[node].partner <= FIRM && conflict(view, node).0 > 0)
+        };
+        let gone: Vec<usize> = (0..view.turns.len()).filter(gone).collect();
+        for node in gone {
+            let turns = std::mem::replace(&mut view.turns[node], NONE);
+            view.banned[node].push(turns);
+            view.words[node] = Words::default();
+        }
+    });
+}
+
+/// Takes the order from nodes that no camera confirms: the next round may reach them from a better side.
+fn drop_unconfirmed(view: &mut View) {
+    if !view.partnered {
+        return;
+    }
+    for (turns, words) in view.turns.iter_mut().zip(&mut view.words) {
+        if words.good() == 0 {
+            (*turns, *words) = (NONE, Words::default());
+        }
+    }
+}
+
+/// Refuses what too little vouches for.
+fn finish(view: View, scene: &Scene<'_>) -> Vec<Label> {
+    let sum = sums(&view, &view.words);
+    let doubtful = |node: usize| {
+        let sum = &sum[node];
+        let (conflict, bad) = conflict(&view, node);
+        let unconfirmed = view.words[node].good() == 0 && sum.good() < 3;
+        // What only other heads confirm: the surface behind a limb is seen by them too.
+        let alone = sum.partner == 0 && (scene.pieces.core[node] || sum.hidden == 0);
+        let torn = conflict > 16 || conflict > 0 && sum.partner <= 15;
+        let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 12;
+        unconfirmed || alone || torn || rim
+    };
+    let label = |node: usize| {
+        let turns = view.turns[node];
+        if turns == NONE {
+            return Label { turns, contradicted: !view.banned[node].is_empty() };
+        }
+        Label { turns: if view.partnered && doubtful(node) { NONE } else { turns }, contradicted: false }
+    };
+    (0..view.turns.len()).map(label).collect()
+}

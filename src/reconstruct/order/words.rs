@@ -1,0 +1,143 @@
+//! What the other cameras say for and against a node at an order.
+
+use super::grow::NONE;
+use super::settle::{Scene, look};
+use super::witness::{Sight, Verdict};
+use std::f32::consts::TAU;
+use std::ops::AddAssign;
+
+/// Words for and against a place. One camera has one word for a place; sums are those of several places.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Words {
+    /// The head's other camera sees the same surface.
+    pub partner: i16,
+    /// Cameras of other heads see the same surface.
+    pub heads: i16,
+    /// Cameras that would see the place if it were there, and see something else.
+    pub against: i16,
+    /// The head's other camera sees something before it. Where limbs cross, that is so for what is right too.
+    pub hidden: i16,
+}
+
+impl Words {
+    /// A place that cannot be.
+    pub const IMPOSSIBLE: Self = Self { partner: 0, heads: 0, against: 9, hidden: 0 };
+
+    /// Words for the place.
+    pub fn good(&self) -> i16 {
+        self.partner + self.heads
+    }
+}
+
+impl AddAssign for Words {
+    fn add_assign(&mut self, other: Self) {
+        self.partner = self.partner.saturating_add(other.partner);
+        self.heads = self.heads.saturating_add(other.heads);
+        self.against = self.against.saturating_add(other.against);
+        self.hidden = self.hidden.saturating_add(other.hidden);
+    }
+}
+
+/// What all cameras have where the nodes of one view would be, kept for the orders that were asked for last.
+#[derive(Debug)]
+pub struct Sights {
+    view: usize,
+    cameras: usize,
+    /// Whole turns of each slot, two for a node.
+    turns: Vec<[i32; SLOTS]>,
+    /// Which slot of each node is written next.
+    next: Vec<u8>,
+    /// What each camera has there; for a place outside of the volume nothing.
+    seen: Vec<Sight>,
+    inside: Vec<[bool; SLOTS]>,
+    scratch: Vec<(u8, Sight)>,
+}
+
+/// Orders of a node that are kept.
+const SLOTS: usize = 2;
+
+impl Sights {
+    /// None yet.
+    pub fn new(scenes: &[Scene<'_>], view: usize) -> Self {
+        let n = scenes[view].pieces.of.len();
+        Self {
+            view,
+            cameras: scenes.len(),
+            turns: vec![[NONE; SLOTS]; n],
+            next: vec![0; n],
+            seen: vec![Sight::Nothing; n * SLOTS * scenes.len()],
+            inside: vec![[false; SLOTS]; n],
+            scratch: Vec::new(),
+        }
+    }
+
+    /// Words for a node whose phases are absolute after `turns`, from cameras whose nodes are known by `known`.
+    pub fn words(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32, known: &[Vec<i32>]) -> Words {
+        let slot = self.turns[node].iter().position(|x| *x == turns);
+        let slot = slot.unwrap_or_else(|| self.look(scenes, node, turns));
+        if !self.inside[node][slot] {
+            return Words::IMPOSSIBLE;
+        }
+        let first = (node * SLOTS + slot) * self.cameras;
+        judge(scenes, self.view, known, self.seen[first..first + self.cameras].iter().copied().enumerate())
+    }
+
+    /// The same without keeping what was seen: for orders that are hardly asked for again.
+    pub fn passing(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32, known: &[Vec<i32>]) -> Words {
+        let seen = &mut self.scratch;
+        seen.clear();
+        let order = turns - scenes[self.view].pieces.turns[node];
+        if !look(scenes, self.view, node as u32, order, seen) {
+            return Words::IMPOSSIBLE;
+        }
+        judge(scenes, self.view, known, seen.iter().map(|x| (usize::from(x.0), x.1)))
+    }
+
+    /// Looks, and tells the slot that keeps it.
+    fn look(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32) -> usize {
+        let slot = usize::from(self.next[node]);
+        self.next[node] = ((slot + 1) % SLOTS) as u8;
+        self.turns[node][slot] = turns;
+        self.scratch.clear();
+        let order = turns - scenes[self.view].pieces.turns[node];
+        self.inside[node][slot] = look(scenes, self.view, node as u32, order, &mut self.scratch);
+        let first = (node * SLOTS + slot) * self.cameras;
+        self.seen[first..first + self.cameras].fill(Sight::Nothing);
+        for &(camera, sight) in &self.scratch {
+            self.seen[first + usize::from(camera)] = sight;
+        }
+        slot
+    }
+}
+
+/// Words of what was seen.
+fn judge(
+    scenes: &[Scene<'_>],
+    view: usize,
+    known: &[Vec<i32>],
+    seen: impl Iterator<Item = (usize, Sight)>,
+) -> Words {
+    let mut words = Words::default();
+    for (camera, sight) in seen {
+        let witness = &scenes[camera].witness;
+        let partner = witness.head == scenes[view].witness.head;
+        let verdict = match sight {
+            Sight::Nothing => Verdict::Nothing,
+            Sight::Past => Verdict::Past,
+            Sight::Node(node, ahead) => match known[camera][node as usize] {
+                NONE => Verdict::Nothing,
+                turns => witness.judge(ahead + TAU * turns as f32),
+            },
+        };
+        match verdict {
+            Verdict::Agrees if partner => words.partner += 1,
+            Verdict::Agrees => words.heads += 1,
+            Verdict::Before => words.against += 1,
+            // What faces away from another head's projector is dark for it.
+            Verdict::Past => words.against += i16::from(partner),
+            Verdict::Behind => words.hidden += i16::from(partner),
+            Verdict::Nothing => {}
+        }
+    }
+    words
+}
