@@ -303,6 +303,9 @@ fn finish(view: View, scene: &Scene<'_>) -> Vec<Label> {
     let sum = sums(&view, &view.words);
     let doubtful = |node: usize| {
         let sum = &sum[node];
+        if !view.partnered {
+            return view.graph.clearance[node] <= 1 && sum.good() < 3;
+        }
         let (conflict, bad) = conflict(&view, node);
         let unconfirmed = view.words[node].good() == 0 && sum.good() < 3;
         // What only other heads confirm: the surface behind a limb is seen by them too.
@@ -316,7 +319,7 @@ fn finish(view: View, scene: &Scene<'_>) -> Vec<Label> {
         if turns == NONE {
             return Label { turns, contradicted: !view.banned[node].is_empty() };
         }
-        Label { turns: if view.partnered && doubtful(node) { NONE } else { turns }, contradicted: false }
+        Label { turns: if doubtful(node) { NONE } else { turns }, contradicted: false }
     };
     (0..view.turns.len()).map(label).collect()
 }
