@@ -128,7 +128,10 @@ mod tests {
         let listed = catalogue(dir.path(), &NodeId::from("a"), 10);
         assert_eq!(listed.len(), 1);
         assert_eq!((listed[0].name.as_str(), &listed[0].verdict), ("walk", &None));
-        assert!(listed[0].problem.as_deref().is_some_and(|problem| problem.contains("empty")), "{listed:?}");
+        assert!(
+            listed[0].problem.as_deref().is_some_and(|problem| problem.contains("not closed")),
+            "{listed:?}"
+        );
         assert_eq!(catalogue(dir.path(), &NodeId::from("a"), 0), []);
         assert!(entry(dir.path(), &NodeId::from("a"), "walk").is_some());
         for name in ["other", "../walk", "", "walk/node-a"] {

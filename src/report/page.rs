@@ -37,14 +37,14 @@ pub fn render(report: &Report) -> String {
     }
     page.push_str("</dl>\n");
     if let Some((trigger, points)) = &report.cloud {
-        let _ = write!(
+        let _ = writeln!(
             page,
             "<h2>Cloud of trigger {trigger}</h2><canvas id=\"cloud\" tabindex=\"0\" \
-             aria-label=\"point cloud; turn with the mouse or the arrow keys\"></canvas>\n"
+             aria-label=\"point cloud; turn with the mouse or the arrow keys\"></canvas>"
         );
-        let _ = write!(
+        let _ = writeln!(
             page,
-            "<script type=\"application/octet-stream\" id=\"points\">{}</script>\n",
+            "<script type=\"application/octet-stream\" id=\"points\">{}</script>",
             STANDARD.encode(points)
         );
     }
@@ -109,7 +109,7 @@ fn node_section(page: &mut String, report: &Report, node: &NodeReport) {
         }
         page.push_str("</table>");
     }
-    let _ = write!(page, "<p class=\"soft\">{}</p></section>\n", escape(&node.path.display().to_string()));
+    let _ = writeln!(page, "<p class=\"soft\">{}</p></section>", escape(&node.path.display().to_string()));
 }
 
 /// A bar of the whole session with a mark for every run of gaps.

@@ -20,6 +20,7 @@ mod graph;
 mod grow;
 mod pieces;
 mod settle;
+mod sighted;
 mod split;
 mod volume;
 mod witness;

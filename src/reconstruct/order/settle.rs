@@ -7,7 +7,7 @@
 //! most doubtful first: one that is contradicted takes the order that is not, if there is one, or is refused.
 
 use super::pieces::Pieces;
-use super::witness::{Sight, Verdict, Witness};
+use super::witness::{Glance, Sight, Verdict, Witness};
 use crate::reconstruct::triangulate::Triangulator;
 use std::collections::BTreeMap;
 
@@ -309,8 +309,16 @@ pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut 
     let Some((_, world)) = point.filter(|(_, world)| scene.triangulator.pair().in_volume(world)) else {
         return false;
     };
-    for (other, scene) in scenes.iter().enumerate().filter(|(other, _)| *other != view) {
-        out.push((other as u8, scene.witness.look(&world)));
+    const TOGETHER: usize = 8;
+    for (chunk, scenes) in scenes.chunks(TOGETHER).enumerate() {
+        let first = chunk * TOGETHER;
+        let mut glances = [Glance::NONE; TOGETHER];
+        for (glance, scene) in glances.iter_mut().zip(scenes) {
+            *glance = scene.witness.glance(&world);
+        }
+        for ((other, scene), glance) in (first..).zip(scenes).zip(&glances).filter(|x| x.0.0 != view) {
+            out.push((other as u8, scene.witness.see(glance, &world)));
+        }
     }
     true
 }

@@ -6,6 +6,7 @@
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
 use super::cells::Cells;
+use super::sighted::{NO_NODE, Pixel, Sighted};
 use crate::image::Plane;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
@@ -32,10 +33,10 @@ pub struct Witness<'a> {
     pub roi: Roi,
     /// Unwrapped phase, up to the orders of the pieces; NaN where it is unknown.
     pub phase: Plane<f32>,
-    /// Not 0 on the object.
-    pub object: &'a Plane<u8>,
     /// Its nodes.
     pub cells: Cells,
+    /// Object, nodes and phase as they are looked up.
+    pixels: Sighted,
     /// Sign of the projected phase's change with the distance from the camera.
     towards: f32,
 }
@@ -49,6 +50,21 @@ pub enum Sight {
     Past,
     /// A node, and its phase there less the one that is cast on the place, rad.
     Node(u32, f32),
+}
+
+/// What a camera has at the pixel where it would see a place, and to the right of it.
+#[derive(Debug, Clone, Copy)]
+pub struct Glance {
+    /// Column and row.
+    u: f64,
+    v: f64,
+    here: Pixel,
+    right: Pixel,
+}
+
+impl Glance {
+    /// Nowhere.
+    pub const NONE: Self = Self { u: -1.0, v: -1.0, here: Pixel::BESIDE, right: Pixel::BESIDE };
 }
 
 /// What a place is, compared with the surface that a camera sees along the same ray.
@@ -73,7 +89,7 @@ impl<'a> Witness<'a> {
         head: usize,
         roi: Roi,
         phase: Plane<f32>,
-        object: &'a Plane<u8>,
+        object: &Plane<u8>,
         cells: Cells,
     ) -> Self {
         let middle =
@@ -84,46 +100,48 @@ impl<'a> Witness<'a> {
             pair.projector.project(&at).map_or(0.0, |[column, _]| pair.pattern.phase(column))
         };
         let towards = (cast(0.01) - cast(-0.01)).signum() as f32;
-        Self { pair, head, roi, phase, object, cells, towards }
+        let pixels = Sighted::new(&phase, &cells.node, object);
+        Self { pair, head, roi, phase, cells, pixels, towards }
     }
 
-    /// What the camera has where it would see `world`.
-    pub fn look(&self, world: &Point3<f64>) -> Sight {
-        let Some([u, v]) = self.pair.camera.project(world) else { return Sight::Nothing };
+    /// Reads what the camera has where it would see `world`. What is read decides nothing here, so that the reads of all
+    /// cameras are under way together: they lie far apart, and waiting for one after the other is what looking costs.
+    pub fn glance(&self, world: &Point3<f64>) -> Glance {
+        let [u, v] = self.pair.camera.project(world).unwrap_or([-1.0; 2]);
+        // Casts take what is negative, or NaN, to 0; `see` looks at `u` and `v` before all else.
+        let (x, y) = (u as usize, (v + 0.5) as usize);
+        let (here, right) = self.pixels.at(x.wrapping_sub(self.roi.u), y.wrapping_sub(self.roi.v));
+        Glance { u, v, here, right }
+    }
+
+    /// What the camera has where it would see `world`, by what was read there.
+    pub fn see(&self, glance: &Glance, world: &Point3<f64>) -> Sight {
+        let Glance { u, v, here, right } = *glance;
         let margin = BACKGROUND_PX;
         let (w, h) = (self.pair.camera.width as f64, self.pair.camera.height as f64);
         if !(margin..w - margin).contains(&u) || !(margin..h - margin).contains(&v) {
             return Sight::Nothing;
         }
-        let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
-        let (x, y) = (u.floor() as usize, v.round() as usize);
-        if self.object_at(x, y) {
-            return self.node_at(x, y, (u - u.floor()) as f32, world);
+        match here.node {
+            0 => {
+                let near = |a: f64, b: f64| self.object_at((u + a + 0.5) as usize, (v + b + 0.5) as usize);
+                let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
+                if around.into_iter().any(|(a, b)| near(a, b)) { Sight::Nothing } else { Sight::Past }
+            }
+            NO_NODE => Sight::Nothing,
+            node => {
+                let Some([column, _]) = self.pair.projector.project(world) else { return Sight::Nothing };
+                let step = right.phase - here.phase;
+                // Across a step there is nothing to interpolate; NaN is no step either.
+                let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
+                let part = (u - (u as usize) as f64) as f32;
+                Sight::Node(node - 1, here.phase + part * step - self.pair.pattern.phase(column) as f32)
+            }
         }
-        let object =
-            around.iter().any(|(a, b)| self.object_at((u + a).round() as usize, (v + b).round() as usize));
-        if object { Sight::Nothing } else { Sight::Past }
     }
 
     fn object_at(&self, u: usize, v: usize) -> bool {
-        let inside = u >= self.roi.u && v >= self.roi.v;
-        inside
-            && u - self.roi.u < self.roi.width
-            && v - self.roi.v < self.roi.height
-            && self.object.at(u - self.roi.u, v - self.roi.v) != 0
-    }
-
-    fn node_at(&self, u: usize, v: usize, part: f32, world: &Point3<f64>) -> Sight {
-        let (u, v) = (u - self.roi.u, v - self.roi.v);
-        let row = self.phase.row(v);
-        let node = self.cells.node.at(u, v);
-        let Some([column, _]) = self.pair.projector.project(world).filter(|_| node != 0) else {
-            return Sight::Nothing;
-        };
-        let step = row.get(u + 1).map_or(f32::NAN, |next| next - row[u]);
-        // Across a step there is nothing to interpolate; NaN is no step either.
-        let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
-        Sight::Node(node - 1, row[u] + part * step - self.pair.pattern.phase(column) as f32)
+        self.pixels.is_object(u.wrapping_sub(self.roi.u), v.wrapping_sub(self.roi.v))
     }
 
     /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.
