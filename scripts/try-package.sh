@@ -25,9 +25,11 @@ if [ ! -e "$root/.made" ]; then
 fi
 inside() { chroot "$root" env DEBIAN_FRONTEND=noninteractive LC_ALL=C.UTF-8 "$@"; }
 end() {
+    pkill -f 'fourdbody node --config /etc/fourdbody/node-[ab].toml' || true
     jobs -p | xargs -r kill 2>/dev/null || true
     wait 2>/dev/null || true
-    for at in dev/pts dev sys proc lab; do mountpoint -q "$root/$at" && umount "$root/$at"; done
+    for at in dev/pts dev sys proc lab; do mountpoint -q "$root/$at" && umount -l "$root/$at"; done
+    true
 }
 trap end EXIT
 for at in proc sys dev dev/pts; do mkdir -p "$root/$at"; mount --bind "/$at" "$root/$at"; done
@@ -58,7 +60,7 @@ for _ in $(seq 300); do grep -q '"ready":true' "$lab/lab.json" && break; sleep 0
 nodes=$(grep -o '"urls":"[^"]*"' "$lab/lab.json" | cut -d'"' -f4)
 for node in a b; do
     # What the operator edits: addresses and device of this place.
-    sed -e "s|$PWD/$lab/||" -e "s|^rig = .*|rig = \"rig.toml\"|" "$lab/node-$node.toml" >"$root/etc/fourdbody/node-$node.toml"
+    sed -e "s|$PWD/$lab/||" -e "s|^rig = .*|rig = \"rig.toml\"|" -e '/^audit = /d' "$lab/node-$node.toml" >"$root/etc/fourdbody/node-$node.toml"
     device=$(readlink -f "$lab/hsu-$node")
     chmod 666 "$device"
     sed -i "s|^device = .*|device = \"$device\"|" "$root/etc/fourdbody/node-$node.toml"
