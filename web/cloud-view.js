@@ -32,7 +32,7 @@ export class CloudView {
     this.points = 0;
     this.azimuth = 0.6;
     this.height = 0.15;
-    this.distance = 3.2;
+    this.distance = 2.5;
     this.middle = [0, 0, 1];
     if (this.gl) this.prepare();
     this.listen();

@@ -247,10 +247,12 @@ async function refreshSessions() {
 
 function sessionRow(session) {
   const expected = nodes().length;
+  const now = sessionsUnderWay().some(({ name }) => name === session.name);
   const words = session.parts.map(({ entry }) => (entry.verdict ? entry.verdict.status : "unfinished"));
   if (session.parts.length < expected) words.push("one node only");
-  const word = ["aborted", "unfinished", "one node only", "incomplete", "complete"].find((word) => words.includes(word));
-  const kind = { complete: "good", incomplete: "warn" }[word] ?? "bad";
+  const worst = ["aborted", "unfinished", "one node only", "incomplete", "complete"].find((word) => words.includes(word));
+  const word = now ? "recording" : worst;
+  const kind = { complete: "good", incomplete: "warn", recording: "warn" }[word] ?? "bad";
   const triggers = Math.max(...session.parts.map(({ entry }) => entry.verdict?.triggers ?? 0));
   const button = make("button", { type: "button", textContent: "look", onclick: () => openLook(session.name) });
   button.setAttribute("aria-label", `quick look at ${session.name}`);
