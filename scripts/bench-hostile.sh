@@ -19,9 +19,12 @@ cpu() { awk '{ print ($14 + $15) / 100 }' "/proc/$node/stat"; }
 
 for kind in alone hostile; do
     step "$duration s, $kind"
+    sleep 3 # the simulated cameras may be behind with their last frames
     before=$(cpu)
     if [ $kind = hostile ]; then
-        nice -n 5 python3 scripts/hostile_clients.py 7701 "$duration" >"$out/clients.json" &
+        # Not before the streams are there: on loopback Aravis' packet sockets take the clients' packets until their filter
+        # is set, and the node refuses cameras that seem to send by themselves.
+        (sleep 4 && nice -n 5 python3 scripts/hostile_clients.py 7701 $((duration - 5)) >"$out/clients.json") &
         clients=$!
     fi
     record "$out/$kind.json" --duration "$duration" --name $kind
