@@ -83,9 +83,8 @@ fn our_node_records_from_aravis_own_fake_camera() {
     let url = node.client.url().to_owned();
     // Its timer and the HSU's stand to each other as they happen to: about half a period apart, no frame can be said to be of
     // one trigger rather than the next, and all are given up. The next session has them elsewhere.
-    let sessions = (0..5).map(|i| format!("fake-{i}")).map(|name| (capture(&url, &name), name));
+    let mut sessions = (0..5).map(|i| format!("fake-{i}")).map(|name| (capture(&url, &name), name));
     let (frames, name) = sessions
-        .into_iter()
         .find(|(frames, _)| *frames >= TRIGGERS * 3 / 4)
         .expect("one of five sessions with three quarters of the frames");
     let session = dir.path().join("sessions").join(name);
