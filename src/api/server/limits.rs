@@ -88,7 +88,9 @@ impl Buckets {
         let bucket = left.entry(key).or_insert((burst, now));
         *bucket = (filled(bucket), now);
         if bucket.0 < 1.0 {
-            return Err(Duration::from_secs_f64((1.0 - bucket.0) / per_second));
+            // What is missing may be less than a nanosecond's worth: to wait for nothing would be to ask again at once.
+            let wait = Duration::from_secs_f64((1.0 - bucket.0) / per_second);
+            return Err(wait.max(Duration::from_millis(1)));
         }
         bucket.0 -= 1.0;
         Ok(())
