@@ -161,10 +161,13 @@ function showDevices() {
 }
 
 function showDisk() {
-  const left = nodes().filter(({ status }) => status?.recording_bytes_per_s).map(({ name, status }) => ({ name, minutes: status.usable_bytes / status.recording_bytes_per_s / 60 }));
-  const least = Math.min(...left.map(({ minutes }) => minutes));
+  const left = nodes().flatMap(({ name, status }) => {
+    const judged = status?.judgements.find((judgement) => judgement.name === "disk_time_left");
+    return judged ? [{ name, minutes: judged.value / 60, grade: judged.grade }] : [];
+  });
   text($("disk"), `disk: ${left.map(({ name, minutes }) => `${name} ${minutes < 90 ? `${minutes.toFixed(minutes < 10 ? 1 : 0)} min` : `${(minutes / 60).toFixed(1)} h`}`).join(", ")}`);
-  $("disk").className = least < 1 ? "bad" : least < 5 ? "warn" : "";
+  const any = (grade) => left.some((node) => node.grade === grade);
+  $("disk").className = any("bad") ? "bad" : any("fair") ? "warn" : "";
 }
 
 // ---- previews

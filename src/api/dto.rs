@@ -37,12 +37,6 @@ pub struct NodeStatus {
     pub sessions_dir: PathBuf,
     /// Free space there, bytes.
     pub free_bytes: u64,
-    /// What of it a session may fill, bytes.
-    #[serde(default)]
-    pub usable_bytes: u64,
-    /// What a session writes, bytes a second.
-    #[serde(default)]
-    pub recording_bytes_per_s: u64,
     /// Recordings of this node that were found unfinished when it started.
     #[serde(default)]
     pub interrupted: Vec<Interrupted>,

@@ -56,8 +56,6 @@ impl Driver {
             warnings: Vec::new(),
             sessions_dir: config.sessions_dir.clone(),
             free_bytes: 0,
-            usable_bytes: 0,
-            recording_bytes_per_s: recording_rate(&config),
             interrupted: Vec::new(),
             session: None,
             judgements: Vec::new(),
@@ -386,16 +384,8 @@ impl Node {
         status.hsu = hsu;
         status.warnings = realtime::warnings().into_iter().map(|warning| warning.message).collect();
         status.free_bytes = free;
-        status.usable_bytes = free.saturating_sub(self.config.reserve_bytes);
         status.session = session;
     }
-}
-
-/// Pixels of all cameras, bytes a second; what goes with them is less than a hundredth.
-fn recording_rate(config: &NodeConfig) -> u64 {
-    let pixels =
-        config.rig.cameras_of(&config.node).map(|(_, camera)| camera.device.width * camera.device.height);
-    (pixels.sum::<usize>() as f64 * config.rig.trigger_rate_hz) as u64
 }
 
 fn hsu_missing() -> Fault {
