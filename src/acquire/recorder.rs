@@ -117,9 +117,7 @@ impl Progress {
             causes[cause as usize].fetch_add(1, Ordering::Relaxed);
         }
     }
-}
 
-impl Progress {
     /// All zero.
     pub fn new(cameras: usize) -> Self {
         let zeros = || (0..cameras).map(|_| AtomicU64::new(0)).collect();

@@ -31,8 +31,7 @@ pub fn run(live: &Live<'_>, nominal: &Calibration, board: &Board) -> Result<Join
     let mut guide = Guide::new(nominal, board);
     let mut joined = Joined::default();
     let control = Arc::new(Control::default());
-    stop_on_ctrl_c(&control)
-        .map_err(|fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message })?;
+    stop_on_ctrl_c(&control)?;
     let mut input = std::io::stdin().lock();
     // Sessions that were undone keep their names.
     let mut number = 0;
@@ -100,18 +99,15 @@ fn one_session(
     cameras: &[CameraId],
     control: &Control,
 ) -> Result<Vec<Box<dyn FrameSource>>, Failure> {
-    let failure = |fault: Fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message };
-    let client = |url: &String| {
-        by_environment(url).map(|client| Box::new(client) as Box<dyn Participant>).map_err(failure)
-    };
-    let nodes = live.nodes.iter().map(client).collect::<Result<Vec<_>, Failure>>()?;
+    let client = |url: &String| by_environment(url).map(|client| Box::new(client) as Box<dyn Participant>);
+    let nodes = live.nodes.iter().map(client).collect::<Result<Vec<_>, Fault>>()?;
     let wish = Wish {
         triggers: Some(live.triggers),
         name: Some(format!("{}-p{number:03}", live.base)),
         note: Some("calibration, one position of the board".to_owned()),
         ..Wish::default()
     };
-    let captured = capture(&nodes, &wish, control, |_| ()).map_err(failure)?;
+    let captured = capture(&nodes, &wish, control, |_| ())?;
     let open = |directory: std::path::PathBuf| {
         open_source(&directory, cameras).map_err(|e| {
             let message = format!(

@@ -70,12 +70,11 @@ impl Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let failure = |fault: Fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message };
-    let nodes = args.connect.clients().map_err(failure)?;
+    let nodes = args.connect.clients()?;
     let nodes: Vec<Box<dyn Participant>> =
         nodes.into_iter().map(|node| Box::new(node) as Box<dyn Participant>).collect();
     let control = Arc::new(Control::default());
-    stop_on_ctrl_c(&control).map_err(failure)?;
+    stop_on_ctrl_c(&control)?;
     let show_progress = !args.json && std::io::IsTerminal::is_terminal(&std::io::stderr());
     let show = |take: u32, stage: &crate::session::capture::Stage| {
         if show_progress && args.takes > 1 {
@@ -104,7 +103,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         print_json(&takes, args.takes);
     }
     if let Some(fault) = fault {
-        return Err(failure(fault));
+        return Err(fault.into());
     }
     let worst = takes.iter().map(Captured::exit).find(|exit| *exit != Exit::Done);
     Ok(worst.unwrap_or(Exit::Done))

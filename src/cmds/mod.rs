@@ -4,6 +4,7 @@
 //! library's other modules; here is only the talking.
 
 use crate::config::ConfigError;
+use crate::session::state::Fault;
 use std::fmt;
 use std::process::ExitCode;
 
@@ -78,6 +79,12 @@ impl Failure {
     /// A failure with this exit code.
     pub fn new(exit: Exit, message: impl fmt::Display) -> Self {
         Self { exit, message: message.to_string() }
+    }
+}
+
+impl From<Fault> for Failure {
+    fn from(fault: Fault) -> Self {
+        Self::new(Exit::from_code(fault.exit), fault.message)
     }
 }
 

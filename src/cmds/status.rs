@@ -3,7 +3,6 @@
 use super::connect::Connect;
 use super::{Exit, Failure};
 use crate::api::dto::NodeStatus;
-use crate::session::state::Fault;
 use crate::telemetry::Grade;
 
 /// Show the health of the nodes: cameras, HSU link, disk, session.
@@ -22,8 +21,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut exit = Exit::Done;
     let mut answers = Vec::new();
-    let failure = |fault: Fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message };
-    let clients = args.connect.clients().map_err(failure)?;
+    let clients = args.connect.clients()?;
     for (url, client) in args.connect.nodes.iter().zip(clients) {
         match client.status() {
             Ok(status) => {
