@@ -59,33 +59,8 @@ impl Sink for DryRun {
 mod tests {
     use super::DryRun;
     use crate::acquire::ring::{Sink, ToWriter};
-    use crate::ids::{CameraId, NodeId, SessionName, TriggerIndex};
-    use crate::record::{CameraHeader, GapCause, RecordingHeader, SessionEnd, Status, TriggerRecord};
-
-    fn header(expected_triggers: Option<u64>) -> RecordingHeader {
-        let camera = |id: &str| CameraHeader {
-            id: CameraId::from(id),
-            width: 9,
-            height: 9,
-            device: String::new(),
-            settings: Vec::new(),
-        };
-        RecordingHeader {
-            session: SessionName::from("s"),
-            session_id: "1".to_owned(),
-            node: NodeId::from("a"),
-            rig_text: String::new(),
-            cameras: ["h0_up", "h0_low"].map(camera).into(),
-            hsu: None,
-            expected_triggers,
-            trigger_rate_hz: 120.0,
-            host_clock: "test".to_owned(),
-            created_ns: 1,
-            software: "test".to_owned(),
-            subject: None,
-            note: None,
-        }
-    }
+    use crate::ids::TriggerIndex;
+    use crate::record::{GapCause, SessionEnd, Status, TriggerRecord, two_cameras};
 
     fn trigger(index: u64) -> ToWriter {
         ToWriter::Trigger(TriggerRecord {
@@ -99,7 +74,7 @@ mod tests {
     /// Accounting is that of a recording: every trigger of every camera ends with exactly one outcome.
     #[test]
     fn what_did_not_come_is_a_gap_and_a_second_outcome_is_refused() {
-        let mut run = DryRun::new(header(Some(4)));
+        let mut run = DryRun::new(two_cameras(Some(4)));
         for index in 0..4 {
             run.write(trigger(index)).expect("counted");
         }

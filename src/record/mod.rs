@@ -36,4 +36,6 @@ pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, Latency, WriteStatistics};
 pub(crate) use verdict::CameraTally;
 pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
+#[cfg(test)]
+pub(crate) use writer::tests::header as two_cameras;
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

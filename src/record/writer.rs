@@ -521,4 +521,4 @@ impl Recording {
 #[cfg(test)]
 mod block_tests;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

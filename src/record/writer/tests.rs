@@ -19,7 +19,8 @@ use std::time::Duration;
 pub(super) const SIDE: u32 = 40;
 pub(super) const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
 
-pub(super) fn header(expected_triggers: Option<u64>) -> RecordingHeader {
+/// The header of a recording of two small cameras.
+pub(crate) fn header(expected_triggers: Option<u64>) -> RecordingHeader {
     let camera = |id: &str| CameraHeader {
         id: CameraId::from(id),
         width: SIDE,
