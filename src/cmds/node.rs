@@ -66,12 +66,14 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         (config.api.listen, config.api.socket.as_ref().map(|s| s.path.display().to_string()));
     let notifier = Notifier::start(driver.status(), driver.telemetry())
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start a thread: {e}")))?;
-    let services = Services::start(&config, driver.commands(), driver.status(), driver.taps())
-        .map_err(|fault| Failure { exit: Exit::from_code(fault.exit), message: fault.message })?;
+    let services = Services::start(&config, driver.commands(), driver.status(), driver.taps())?;
     let shared = Shared::new(config, handle, auth, services, &listeners)
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the audit log's thread: {e}")))?;
     tracing::info!(listen = listen.map(tracing::field::display), socket, "node is up");
-    match runtime.block_on(serve(listeners, shared, &driver, notifier, &read, &mut signals)) {
+    let quick_looks = shared.services.quick_looks.clone();
+    let ended = runtime.block_on(serve(listeners, shared, &driver, notifier, &read, &mut signals));
+    quick_looks.end();
+    match ended {
         Ended::Orderly(served) => {
             driver.shut_down();
             let failed = |e| Failure::new(Exit::Failure, format!("the control API failed: {e}"));

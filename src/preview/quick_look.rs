@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Points of one node and frame set that a browser gets at most: every n-th of them.
 pub const POINTS_MAX: usize = 80_000;
@@ -113,9 +113,14 @@ impl QuickLooks {
         Ok(looks)
     }
 
-    /// Ends the thread and what it has started.
+    /// Ends the thread and the reconstruction that it has started, and waits for that for a second at most.
     pub fn end(&self) {
+        const PATIENCE: Duration = Duration::from_secs(1);
         self.inner.ended.store(true, Ordering::Release);
+        let begin = Instant::now();
+        while self.inner.busy.load(Ordering::Acquire) && begin.elapsed() < PATIENCE {
+            std::thread::sleep(POLL);
+        }
     }
 
     /// A session's look as it is now.
