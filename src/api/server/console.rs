@@ -26,6 +26,6 @@ pub(super) fn pages() -> Router<Shared> {
 }
 
 fn file(kind: &'static str, text: &'static str) -> Response {
-    // Without `no-store` a browser shows the page of a node that is gone; with it the page of an older version is never kept.
-    ([(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, "no-store")], text).into_response()
+    // That the browser keeps nothing, be it of a node that is gone or of an older version, is a header of every answer.
+    ([(header::CONTENT_TYPE, kind)], text).into_response()
 }
