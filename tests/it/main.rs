@@ -42,6 +42,7 @@ mod hsu;
 mod hsu_clock;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
+mod kills;
 mod lab;
 #[cfg(feature = "aravis")]
 mod plan_faults;
