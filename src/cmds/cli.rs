@@ -2,7 +2,7 @@
 
 use super::{
     Exit, Failure, board, calibrate, cameras, capture, check_config, doctor, export, import, info, node,
-    pattern, reconstruct, recover, report, status, token, validate, verify, view,
+    pattern, prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
 };
 use clap::{Parser, Subcommand};
 
@@ -35,12 +35,14 @@ pub enum Command {
     Info(info::Args),
     Verify(verify::Args),
     Pattern(pattern::Args),
+    Prune(prune::Args),
     Reconstruct(reconstruct::Args),
     Recover(recover::Args),
     Report(report::Args),
     Token(token::Args),
     Validate(validate::Args),
     View(view::Args),
+    Worker(worker::Args),
 }
 
 impl Cli {
@@ -60,12 +62,14 @@ impl Cli {
             Command::Info(args) => info::run(args),
             Command::Verify(args) => verify::run(args),
             Command::Pattern(args) => pattern::run(args),
+            Command::Prune(args) => prune::run(args),
             Command::Reconstruct(args) => reconstruct::run(args),
             Command::Recover(args) => recover::run(args),
             Command::Report(args) => report::run(args),
             Command::Token(args) => token::run(args),
             Command::Validate(args) => validate::run(args),
             Command::View(args) => view::run(args),
+            Command::Worker(args) => worker::run(args),
         }
     }
 }

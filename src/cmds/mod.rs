@@ -23,6 +23,7 @@ pub mod info;
 pub mod node;
 pub mod pattern;
 mod progress;
+pub mod prune;
 pub mod reconstruct;
 pub mod recover;
 pub mod report;
@@ -31,6 +32,7 @@ pub mod token;
 pub mod validate;
 pub mod verify;
 pub mod view;
+pub mod worker;
 
 pub use cli::{Cli, Command};
 
