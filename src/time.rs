@@ -44,6 +44,14 @@ impl HostClock {
     }
 }
 
+/// Processor time of the whole process so far, user and system, of all threads.
+pub fn process_cpu_time() -> Duration {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: `time` is a valid place for a timespec; the clock exists since Linux 2.6.12.
+    unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &raw mut time) };
+    Duration::new(time.tv_sec.unsigned_abs(), u32::try_from(time.tv_nsec).unwrap_or(0))
+}
+
 /// An instant on CLOCK_MONOTONIC since an arbitrary origin that is the same for the whole process, ns.
 pub fn monotonic_ns(instant: Instant) -> u64 {
     static ORIGIN: OnceLock<Instant> = OnceLock::new();

@@ -2,51 +2,76 @@
 
 use super::{Exit, Failure};
 use crate::calibrate::Calibration;
+use crate::export::write_whole;
 use crate::ids::CameraId;
 use crate::reconstruct::FrameSource;
-use crate::reconstruct::batch::{self, Format, Plan, Summary};
+use crate::reconstruct::batch::{self, Format, Plan, Summary, Timings};
+use crate::reconstruct::collect::{self, Lack, Shards};
 use crate::reconstruct::pipeline::Method;
 use crate::reconstruct::png_source::PngSource;
 use crate::record::SessionReader;
-use std::io::IsTerminal;
+use clap::ValueEnum;
+use std::io::{IsTerminal, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Turn every frame of a session into a point cloud.
 ///
 /// Finished clouds that were made with the same calibration and method are kept, so that an interrupted run
-/// goes on where it was. Exit code 3: some frames are missing, and are listed in summary.json.
+/// goes on where it was. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
+/// `fourdbody cluster submit` does this under Slurm. Exit code 3: some frames are missing, and are listed in summary.json.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody reconstruct sessions/walk-01 --calibration calibration.json --out clouds/walk-01"
 )]
 pub struct Args {
-    /// A session (directory of recordings), or a directory of CAMERA/INDEX.png images.
-    session: PathBuf,
-    /// The calibration, as `fourdbody calibrate` writes it.
-    #[arg(long, value_name = "FILE")]
-    calibration: PathBuf,
-    /// Where clouds/, merged/, sequence.mcap and summary.json go.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// Only triggers A to B - 1.
-    #[arg(long, value_name = "A..B", value_parser = parse_range)]
-    triggers: Option<Range<u64>>,
-    /// Only these cameras, separated by commas.
-    #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
-    cameras: Vec<String>,
+    #[command(flatten)]
+    what: What,
     /// Number of threads [default: one per core].
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
     /// Only the triggers whose index leaves I when divided by N, for runs on several machines.
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(u64, u64)>,
+    /// Make summary.json and sequence.mcap of N finished shards: the files that one run would have written. Refused, with
+    /// what is missing, while a shard is not complete.
+    #[arg(long, value_name = "N", conflicts_with_all = ["shard", "discard", "dump_maps", "timings"])]
+    #[arg(value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    collect: Option<u64>,
+    /// Write the time of each stage, and the memory that was needed, to this file, as JSON.
+    #[arg(long, value_name = "FILE")]
+    timings: Option<PathBuf>,
+    /// Write every map of every frame as a PNG image to this directory.
+    #[arg(long, value_name = "DIR")]
+    dump_maps: Option<PathBuf>,
+    /// Keep no cloud, only summary.json and the timings: for measurements.
+    #[arg(long, conflicts_with = "dump_maps")]
+    discard: bool,
+    /// Print the summary as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is made of which frames: the same for all shards of a session.
+#[derive(clap::Args)]
+pub(super) struct What {
+    /// A session (directory of recordings), or a directory of CAMERA/INDEX.png images.
+    pub(super) session: PathBuf,
+    /// The calibration, as `fourdbody calibrate` writes it.
+    #[arg(long, value_name = "FILE")]
+    pub(super) calibration: PathBuf,
+    /// Where clouds/, merged/, sequence.mcap and summary.json go.
+    #[arg(long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+    /// Only triggers A to B - 1.
+    #[arg(long, value_name = "A..B", value_parser = parse_range)]
+    triggers: Option<Range<u64>>,
+    /// Only these cameras, separated by commas.
+    #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
+    cameras: Vec<String>,
     /// Triggers per second, for the times in sequence.mcap where the session does not tell them.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
     rate_hz: f64,
-    /// Write the time of each stage to this file, as JSON.
-    #[arg(long, value_name = "FILE")]
-    timings: Option<PathBuf>,
     /// How the absolute phase is found: `anchored` refuses what no marker anchors, `paper` is section 4.1 of
     /// the paper to the letter.
     #[arg(long, value_enum, default_value = "anchored")]
@@ -58,15 +83,6 @@ pub struct Args {
     /// Give every point its standard uncertainty along the line of sight, `sigma` (float, metres) in PLY files.
     #[arg(long)]
     uncertainty: bool,
-    /// Write every map of every frame as a PNG image to this directory.
-    #[arg(long, value_name = "DIR")]
-    dump_maps: Option<PathBuf>,
-    /// Keep no cloud, only summary.json and the timings: for measurements.
-    #[arg(long, conflicts_with = "dump_maps")]
-    discard: bool,
-    /// Print the summary as JSON.
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -102,50 +118,134 @@ pub(super) fn keep_freed_memory() {
     }
 }
 
+/// A session that is opened with its calibration, and what is to be made of it.
+pub(super) struct Opened {
+    pub(super) source: Box<dyn FrameSource>,
+    pub(super) calibration: Calibration,
+    pub(super) plan: Plan,
+}
+
+impl What {
+    /// Opens session and calibration, and checks that they and the options fit each other. The plan is that of one run
+    /// over all triggers.
+    pub(super) fn open(&self) -> Result<Opened, Failure> {
+        let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
+        let calibration = Calibration::load(&self.calibration).map_err(|e| usage(&e))?;
+        let cameras = self.chosen_cameras(&calibration)?;
+        let source = open_source(&self.session, &cameras).map_err(|e| usage(&e))?;
+        if let Some(stated) = source.statement() {
+            calibration.fits(&cameras, &stated).map_err(|e| usage(&e))?;
+        }
+        let all = source.triggers();
+        let triggers = match &self.triggers {
+            None => all,
+            Some(wanted) if wanted.start >= all.start && wanted.end <= all.end => wanted.clone(),
+            Some(wanted) => {
+                return Err(usage(&format!("--triggers {wanted:?}: the session has triggers {all:?}")));
+            }
+        };
+        if matches!(self.method, MethodName::Paper) && calibration.pattern.marker_every > 0 {
+            let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
+            return Err(usage(&message));
+        }
+        let plan = Plan {
+            out: self.out.clone(),
+            triggers,
+            cameras,
+            shard: (0, 1),
+            method: match self.method {
+                MethodName::Anchored => Method::Anchored,
+                MethodName::Paper => Method::Paper,
+            },
+            format: match self.format {
+                FormatName::Ply => Format::Ply,
+                FormatName::Phase => Format::Phase,
+            },
+            uncertainty: self.uncertainty,
+            maps: None,
+            discard: false,
+        };
+        Ok(Opened { source, calibration, plan })
+    }
+
+    fn chosen_cameras(&self, calibration: &Calibration) -> Result<Vec<CameraId>, Failure> {
+        let known: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
+        let wanted: Vec<CameraId> = self.cameras.iter().map(|name| CameraId::from(name.as_str())).collect();
+        if let Some(unknown) = wanted.iter().find(|camera| !known.contains(camera)) {
+            let names = known.iter().map(CameraId::as_str).collect::<Vec<_>>().join(", ");
+            let message = format!("--cameras {unknown}: the calibration has {names}");
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        Ok(if wanted.is_empty() { known } else { wanted })
+    }
+
+    /// The options that are not the default, beside session, calibration and out, as the command line takes them.
+    pub(super) fn options(&self) -> Vec<String> {
+        let mut options = Vec::new();
+        let mut option = |name: &str, value: String| options.extend([name.to_owned(), value]);
+        if let Some(Range { start, end }) = &self.triggers {
+            option("--triggers", format!("{start}..{end}"));
+        }
+        if !self.cameras.is_empty() {
+            option("--cameras", self.cameras.join(","));
+        }
+        option("--rate-hz", self.rate_hz.to_string());
+        for (name, value) in
+            [("--method", self.method.to_possible_value()), ("--format", self.format.to_possible_value())]
+        {
+            if let Some(value) = value {
+                option(name, value.get_name().to_owned());
+            }
+        }
+        if self.uncertainty {
+            options.push("--uncertainty".to_owned());
+        }
+        options
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     keep_freed_memory();
-    let calibration = Calibration::load(&args.calibration).map_err(|e| Failure::new(Exit::Usage, e))?;
-    let cameras = chosen_cameras(args, &calibration)?;
-    let source = open_source(&args.session, &cameras).map_err(|e| Failure::new(Exit::Usage, e))?;
-    if let Some(stated) = source.statement() {
-        calibration.fits(&cameras, &stated).map_err(|e| Failure::new(Exit::Usage, e))?;
-    }
-    let all = source.triggers();
-    let triggers = match &args.triggers {
-        None => all,
-        Some(wanted) if wanted.start >= all.start && wanted.end <= all.end => wanted.clone(),
-        Some(wanted) => {
-            let message = format!("--triggers {wanted:?}: the session has triggers {all:?}");
-            return Err(Failure::new(Exit::Usage, message));
-        }
-    };
-    if matches!(args.method, MethodName::Paper) && calibration.pattern.marker_every > 0 {
-        let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
-        return Err(Failure::new(Exit::Usage, message));
-    }
-    let plan = Plan {
-        out: args.out.clone(),
-        triggers,
-        cameras,
-        shard: args.shard.unwrap_or((0, 1)),
-        method: match args.method {
-            MethodName::Anchored => Method::Anchored,
-            MethodName::Paper => Method::Paper,
-        },
-        format: match args.format {
-            FormatName::Ply => Format::Ply,
-            FormatName::Phase => Format::Phase,
-        },
-        uncertainty: args.uncertainty,
-        maps: args.dump_maps.clone(),
-        discard: args.discard,
-    };
+    let Opened { source, calibration, mut plan } = args.what.open()?;
+    plan.shard = args.shard.unwrap_or((0, 1));
+    plan.maps.clone_from(&args.dump_maps);
+    plan.discard = args.discard;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.jobs.unwrap_or(0))
         .thread_name(|i| format!("reconstruct-{i}"))
         .build()
         .map_err(|e| Failure::new(Exit::Failure, e))?;
+    let summary = match args.collect {
+        None => reconstruct(args, &pool, source.as_ref(), &calibration, &plan)?,
+        Some(count) => collected(&pool, &calibration, &plan, count)?,
+    };
+    // The merged clouds of other shards may not be there yet: one sequence of all is made when they are collected.
+    if plan.format == Format::Ply && !plan.discard && args.shard.is_none() {
+        batch::write_sequence(source.as_ref(), &plan, args.what.rate_hz, &plan.out.join("sequence.mcap"))
+            .map_err(|e| Failure::new(Exit::Failure, e))?;
+    }
+    write_json(&collect::summary_path(&plan.out, args.shard), &summary)?;
+    report(args, &summary);
+    Ok(exit_of(&summary))
+}
+
+/// The exit code that a summary means.
+pub(super) fn exit_of(summary: &Summary) -> Exit {
+    match (summary.damaged, summary.gaps) {
+        (0, 0) => Exit::Done,
+        (0, _) => Exit::DataLoss,
+        _ => Exit::Corrupt,
+    }
+}
+
+fn reconstruct(
+    args: &Args,
+    pool: &rayon::ThreadPool,
+    source: &dyn FrameSource,
+    calibration: &Calibration,
+    plan: &Plan,
+) -> Result<Summary, Failure> {
     let count = plan.shard_triggers().count();
     let show = std::io::stderr().is_terminal();
     let progress = |done: usize| {
@@ -153,50 +253,53 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             eprint!("\r{done} of {count} triggers{}", if done == count { "\n" } else { "" });
         }
     };
-    let run = pool.install(|| batch::run(source.as_ref(), &calibration, &plan, progress));
+    let run = pool.install(|| batch::run(source, calibration, plan, progress));
     let (summary, timings) = run.map_err(|e| Failure::new(Exit::Failure, e))?;
-    if plan.format == Format::Ply && !plan.discard {
-        let sequence = args.out.join(shard_name("sequence", "mcap", args.shard));
-        batch::write_sequence(source.as_ref(), &plan, args.rate_hz, &sequence)
-            .map_err(|e| Failure::new(Exit::Failure, e))?;
-    }
-    write_json(&args.out.join(shard_name("summary", "json", args.shard)), &summary)?;
     if let Some(path) = &args.timings {
-        write_json(path, &timings)?;
+        write_json(path, &Cost { timings, peak_memory_bytes: peak_memory_bytes() })?;
     }
-    report(args, &summary);
-    Ok(match (summary.damaged, summary.gaps) {
-        (0, 0) => Exit::Done,
-        (0, _) => Exit::DataLoss,
-        _ => Exit::Corrupt,
+    Ok(summary)
+}
+
+/// The summary of all shards.
+fn collected(
+    pool: &rayon::ThreadPool,
+    calibration: &Calibration,
+    plan: &Plan,
+    count: u64,
+) -> Result<Summary, Failure> {
+    let shards = Shards::new(plan, calibration, count).map_err(|e| Failure::new(Exit::Failure, e))?;
+    pool.install(|| collect::collect(&shards)).map_err(|error| {
+        let agree = error.problems.iter().all(|problem| problem.lack == Lack::Work);
+        Failure::new(if agree { Exit::Failure } else { Exit::Usage }, error)
     })
 }
 
-/// `summary.json`, or `summary-0-of-4.json` for a shard.
-fn shard_name(stem: &str, extension: &str, shard: Option<(u64, u64)>) -> String {
-    match shard {
-        None => format!("{stem}.{extension}"),
-        Some((i, n)) => format!("{stem}-{i}-of-{n}.{extension}"),
-    }
+/// What `--timings` writes.
+#[derive(serde::Serialize)]
+struct Cost {
+    #[serde(flatten)]
+    timings: Timings,
+    /// The most memory that the process had at once, mapped recordings included, bytes.
+    peak_memory_bytes: u64,
 }
 
-fn chosen_cameras(args: &Args, calibration: &Calibration) -> Result<Vec<CameraId>, Failure> {
-    let known: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
-    let wanted: Vec<CameraId> = args.cameras.iter().map(|name| CameraId::from(name.as_str())).collect();
-    if let Some(unknown) = wanted.iter().find(|camera| !known.contains(camera)) {
-        let names = known.iter().map(CameraId::as_str).collect::<Vec<_>>().join(", ");
-        let message = format!("--cameras {unknown}: the calibration has {names}");
-        return Err(Failure::new(Exit::Usage, message));
-    }
-    Ok(if wanted.is_empty() { known } else { wanted })
+/// The most memory that this process has had at once.
+fn peak_memory_bytes() -> u64 {
+    let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
+    // SAFETY: `usage` is a valid place for an rusage, of which all zeros are a value, too.
+    let usage = unsafe {
+        libc::getrusage(libc::RUSAGE_SELF, usage.as_mut_ptr());
+        usage.assume_init()
+    };
+    // Linux counts KiB.
+    u64::try_from(usage.ru_maxrss).unwrap_or(0).saturating_mul(1024)
 }
 
-fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), Failure> {
+pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), Failure> {
     let fail = |e: &dyn std::fmt::Display| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
     let text = serde_json::to_string_pretty(value).map_err(|e| fail(&e))?;
-    let partial = path.with_extension("json.partial");
-    std::fs::write(&partial, text + "\n").map_err(|e| fail(&e))?;
-    std::fs::rename(&partial, path).map_err(|e| fail(&e))
+    write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| fail(&e))
 }
 
 fn report(args: &Args, summary: &Summary) {

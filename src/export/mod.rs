@@ -10,6 +10,8 @@ pub mod ply;
 pub mod sequence;
 /// Pictures of clouds.
 pub mod view;
+mod whole;
 
 pub use cloud::{Cloud, NO_CAMERA};
 pub use phase_map::{PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_of, doubt_rad};
+pub use whole::{STALE, remove_stale, write_whole, write_whole_cached};

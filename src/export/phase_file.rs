@@ -21,7 +21,7 @@
 
 use super::phase_map::{PhaseMap, Run};
 use serde::{Deserialize, Serialize};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 const MAGIC: &[u8; 8] = b"4dphase1";
@@ -160,9 +160,7 @@ pub fn decode_statement(bytes: &[u8]) -> Result<Statement, String> {
 /// Writes a file through a temporary neighbour, so that it is never half there.
 pub fn save(path: &Path, statement: &Statement, map: &PhaseMap) -> io::Result<()> {
     let bytes = encode(statement, map).map_err(io::Error::other)?;
-    let partial = path.with_extension("phase.partial");
-    std::fs::write(&partial, bytes)?;
-    std::fs::rename(&partial, path)
+    super::write_whole_cached(path, |file| file.write_all(&bytes))
 }
 
 /// Reads a file.

@@ -6,7 +6,8 @@
 //! The reader takes exactly this layout and never trusts a length in the file.
 
 use super::cloud::{Cloud, NO_CAMERA};
-use std::io::{self, BufRead, Read, Write};
+use super::write_whole_cached;
+use std::io::{self, BufRead, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Properties of a directional cloud, in order; a merged cloud has [`CAMERA`] after them.
@@ -167,20 +168,13 @@ fn write_points(out: &mut impl Write, cloud: &Cloud, layout: Layout, camera: Opt
 
 /// Writes a cloud to a file through a temporary neighbour, so that it is never half there.
 pub fn save(path: &Path, cloud: &Cloud, comments: &[String]) -> io::Result<()> {
-    save_with(path, |file| write(file, cloud, comments))
+    write_whole_cached(path, |file| write(file, cloud, comments))
 }
 
 /// Writes directional clouds as one merged cloud, in their order. The file is the same as that of the cloud that
 /// [`Cloud::merge`] makes of them.
 pub fn save_merged(path: &Path, parts: &[Part<'_>], comments: &[String]) -> io::Result<()> {
-    save_with(path, |file| write_merged(file, parts, comments))
-}
-
-fn save_with(path: &Path, write: impl FnOnce(&mut std::fs::File) -> io::Result<()>) -> io::Result<()> {
-    let partial = path.with_extension("ply.partial");
-    let mut file = std::fs::File::create(&partial)?;
-    write(&mut file)?;
-    std::fs::rename(&partial, path)
+    write_whole_cached(path, |file| write_merged(file, parts, comments))
 }
 
 /// Reads the header of a file.
@@ -188,6 +182,22 @@ pub fn load_header(path: &Path) -> Result<Header, PlyError> {
     let file = std::fs::File::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
     read_header(&mut io::BufReader::new(file))
         .map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
+}
+
+/// Reads the header of a file and makes sure that the file is as long as it says, without reading the points.
+pub fn load_whole_header(path: &Path) -> Result<Header, PlyError> {
+    let fail = |source| PlyError::Io { path: path.to_owned(), source };
+    let file = std::fs::File::open(path).map_err(fail)?;
+    let found = file.metadata().map_err(fail)?.len();
+    let mut input = io::BufReader::new(file);
+    let format = |reason| PlyError::Format { path: path.to_owned(), reason };
+    let header = read_header(&mut input).map_err(format)?;
+    let points = (header.points as u64).checked_mul(header.layout().stride() as u64);
+    let stated = points.and_then(|bytes| bytes.checked_add(input.stream_position().ok()?));
+    if stated != Some(found) {
+        return Err(format(format!("{} points announced, the file has {found} bytes", header.points)));
+    }
+    Ok(header)
 }
 
 /// Reads a file.

@@ -20,11 +20,12 @@ use super::stored::{self, phase_path};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
 use crate::export::phase_file::{self, Statement};
-use crate::export::{Cloud, ply};
+use crate::export::{Cloud, STALE, ply, remove_stale};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
+use crate::time::process_cpu_time;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -77,12 +78,13 @@ impl Plan {
 }
 
 /// What became of one frame.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FrameSummary {
     /// The camera.
     pub camera: CameraId,
     /// `cloud`, `refused` (no fringe order can be trusted), `gap` (no frame) or `damaged`.
-    pub outcome: &'static str,
+    pub outcome: Cow<'static, str>,
     /// Why there is no cloud.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
@@ -95,7 +97,8 @@ pub struct FrameSummary {
 }
 
 /// What became of one trigger.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct TriggerSummary {
     /// Its index.
     pub trigger: u64,
@@ -106,12 +109,13 @@ pub struct TriggerSummary {
 }
 
 /// What became of a run.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Summary {
     /// Hash of everything that the clouds depend on beside the frames.
     pub parameters: String,
     /// `anchored` or `paper`.
-    pub method: &'static str,
+    pub method: Cow<'static, str>,
     /// Frames expected.
     pub frames: usize,
     /// Frames with a cloud.
@@ -133,6 +137,8 @@ pub struct Summary {
 pub struct Timings {
     /// Frames computed.
     pub frames: usize,
+    /// Threads that did it.
+    pub threads: usize,
     /// Sum of each stage, ms.
     pub stage_ms: BTreeMap<&'static str, f64>,
     /// Sum of all stages, ms.
@@ -142,6 +148,8 @@ pub struct Timings {
     pub frame_ms: f64,
     /// From the first frame to the last on the wall's clock, ms.
     pub wall_ms: f64,
+    /// The process's processor time meanwhile, user and system, of all threads, ms.
+    pub cpu_ms: f64,
 }
 
 impl Timings {
@@ -244,7 +252,8 @@ pub fn run(
     };
     for folder in folders {
         let path = plan.out.join(folder);
-        std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+        let made = std::fs::create_dir_all(&path).and_then(|()| remove_stale(&path, STALE));
+        made.map_err(|e| format!("{}: {e}", path.display()))?;
     }
     let mut heads: Vec<Vec<Camera>> = Vec::new();
     let mut last = None;
@@ -270,7 +279,7 @@ pub fn run(
     let job = Job { source, plan, calibration, parameters, calibration_statement, heads, timings };
     let done = AtomicUsize::new(0);
     let triggers: Vec<u64> = plan.shard_triggers().collect();
-    let began = Instant::now();
+    let (began, cpu_began) = (Instant::now(), process_cpu_time());
     let triggers: Result<Vec<TriggerSummary>, String> = triggers
         .into_par_iter()
         .with_max_len(1)
@@ -281,14 +290,15 @@ pub fn run(
         })
         .collect();
     let wall_ms = began.elapsed().as_secs_f64() * 1e3;
-    let summary = summarize(triggers?, &job);
+    let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
+    let summary = summarize(triggers?, &job.parameters, plan);
     let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    timings.wall_ms = wall_ms;
+    (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))
 }
 
 /// Hash over everything that the clouds depend on beside the frames.
-fn parameters(calibration: &Calibration, plan: &Plan) -> Result<String, String> {
+pub fn parameters(calibration: &Calibration, plan: &Plan) -> Result<String, String> {
     let value = serde_json::json!({
         "algorithm": ALGORITHM,
         "version": env!("CARGO_PKG_VERSION"),
@@ -300,13 +310,14 @@ fn parameters(calibration: &Calibration, plan: &Plan) -> Result<String, String> 
     Ok(Sha256::digest(text).iter().take(16).map(|byte| format!("{byte:02x}")).collect())
 }
 
-fn summarize(triggers: Vec<TriggerSummary>, job: &Job<'_>) -> Summary {
+/// What became of all triggers together.
+pub(super) fn summarize(triggers: Vec<TriggerSummary>, parameters: &str, plan: &Plan) -> Summary {
     let count = |outcome: &str| {
         triggers.iter().flat_map(|t| &t.frames).filter(|frame| frame.outcome == outcome).count()
     };
     Summary {
-        parameters: job.parameters.clone(),
-        method: method_name(job.plan.method),
+        parameters: parameters.to_owned(),
+        method: method_name(plan.method).into(),
         frames: triggers.iter().map(|t| t.frames.len()).sum(),
         clouds: count("cloud"),
         refused: count("refused"),
@@ -315,6 +326,11 @@ fn summarize(triggers: Vec<TriggerSummary>, job: &Job<'_>) -> Summary {
         merged_points: triggers.iter().map(|t| t.merged_points).sum(),
         triggers,
     }
+}
+
+/// The comment that names the cameras that a directional cloud depends on.
+pub(super) fn together<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> String {
+    format!("together {}", cameras.map(CameraId::as_str).collect::<Vec<_>>().join(" "))
 }
 
 impl Job<'_> {
@@ -367,7 +383,7 @@ impl Job<'_> {
             Stage::Refused(result) => self.save(camera, trigger, *result),
             Stage::Missing(outcome, reason) => {
                 let camera = camera.id.clone();
-                let reason = Some(reason);
+                let (reason, outcome) = (Some(reason), outcome.into());
                 let summary =
                     FrameSummary { camera, outcome, reason, points: 0, unresolved_px: 0, contradicted_px: 0 };
                 Ok((summary, Cloud::default()))
@@ -376,10 +392,8 @@ impl Job<'_> {
         work.collect()
     }
 
-    /// The comment that names the cameras that a directional cloud depends on.
-    fn together(&self) -> String {
-        let names: Vec<&str> = self.heads.iter().flatten().map(|camera| camera.id.as_str()).collect();
-        format!("together {}", names.join(" "))
+    fn cameras(&self) -> impl Iterator<Item = &CameraId> {
+        self.heads.iter().flatten().map(|camera| &camera.id)
     }
 
     fn comments(&self, trigger: u64) -> Vec<String> {
@@ -428,7 +442,7 @@ impl Job<'_> {
         }
         let mut comments = self.comments(trigger);
         comments.push(format!("camera {id}"));
-        comments.push(self.together());
+        comments.push(together(self.cameras()));
         comments.push(format!("unresolved_px {}", result.counts.refused));
         comments.push(format!("contradicted_px {}", result.counts.contradicted));
         let (outcome, reason) = match &result.outcome {
@@ -443,8 +457,8 @@ impl Job<'_> {
         timings.add(&result.stages);
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
         let contradicted_px = result.counts.contradicted;
-        let summary =
-            FrameSummary { camera: id.clone(), outcome, reason, points, unresolved_px, contradicted_px };
+        let (camera, outcome) = (id.clone(), outcome.into());
+        let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, contradicted_px };
         Ok((summary, result.cloud))
     }
 
@@ -507,7 +521,7 @@ impl Job<'_> {
             },
         };
         let same = header.comment("parameters") == Some(&self.parameters);
-        if !same || !header.comments.contains(&self.together()) {
+        if !same || !header.comments.contains(&together(self.cameras())) {
             return None;
         }
         // Merged clouds are made when the maps are exported: only the number of points is needed.
@@ -518,7 +532,7 @@ impl Job<'_> {
         let reason = header.comment("refused").map(str::to_owned);
         let summary = FrameSummary {
             camera: camera.clone(),
-            outcome: if reason.is_some() { "refused" } else { "cloud" },
+            outcome: if reason.is_some() { "refused" } else { "cloud" }.into(),
             reason,
             points,
             unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),

@@ -10,6 +10,8 @@ mod angle;
 pub mod batch;
 /// From absolute phase to the cloud.
 pub mod cloud;
+/// The shards of a session to one result.
+pub mod collect;
 /// Connected components of a mask.
 pub mod components;
 /// Bias of the phase on curved surfaces.

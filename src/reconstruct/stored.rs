@@ -11,9 +11,10 @@ use super::rays::RayTable;
 use crate::calibrate::Calibration;
 use crate::export::phase_file::{self, Statement};
 use crate::export::sequence::SequenceWriter;
-use crate::export::{Cloud, ply};
+use crate::export::{Cloud, ply, write_whole};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Where a phase map is.
@@ -74,16 +75,15 @@ pub fn export(from: &Path, calibration: &Calibration, out: &Path, rate_hz: f64) 
 
 /// Packs merged clouds with their times, ns, into one MCAP file.
 pub fn write_sequence(clouds: impl Iterator<Item = (u64, PathBuf)>, path: &Path) -> Result<(), String> {
-    let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
-    let partial = path.with_extension("mcap.partial");
-    let file = std::fs::File::create(&partial).map_err(|e| fail(&e))?;
-    let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(|e| fail(&e))?;
-    for (time, cloud) in clouds {
-        writer.push_ply(time, &cloud).map_err(|e| fail(&e))?;
-    }
-    let buffer = writer.finish().map_err(|e| fail(&e))?;
-    buffer.into_inner().map_err(|e| fail(&e.into_error()))?;
-    std::fs::rename(&partial, path).map_err(|e| fail(&e))
+    let packed = write_whole(path, |file| {
+        let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(io::Error::other)?;
+        for (time, cloud) in clouds {
+            writer.push_ply(time, &cloud).map_err(io::Error::other)?;
+        }
+        let buffer = writer.finish().map_err(io::Error::other)?;
+        buffer.into_inner().map_err(|e| e.into_error()).map(drop)
+    });
+    packed.map_err(|e| format!("{}: {e}", path.display()))
 }
 
 /// The maps by trigger, in the calibration's order.

@@ -25,6 +25,7 @@ mod calibrate_live;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod chain;
+mod cluster;
 #[cfg(feature = "aravis")]
 mod console;
 mod crash;

@@ -15,7 +15,7 @@ use std::process::Command;
 type Files = BTreeMap<String, Vec<u8>>;
 
 /// Renders the light; returns the images' directory.
-fn render(dir: &Path) -> PathBuf {
+pub fn render(dir: &Path) -> PathBuf {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/scenarios/poses/arms_crossed.toml");
     let mut scenario = Scenario::load(&path).expect("a valid scenario");
     scenario.optics.exposure_samples = 1;

@@ -1,0 +1,229 @@
+//! The shards of a session to one result: the very files that one run over all triggers would have written.
+//!
+//! ```text
+//! OUT/clouds, merged, phases      what the shards have written: each file belongs to one of them
+//! OUT/summary-I-of-N.json         what a shard says of its triggers, written when all its files are there
+//! OUT/summary.json, sequence.mcap what is made of them
+//! ```
+//!
+//! Nothing is taken on trust: a shard counts when its summary was made with these parameters, for just these triggers and
+//! cameras, and every file that it speaks of is there, whole, and made with the same parameters. Collecting changes
+//! nothing that shards have written, so that it may be done again at any time.
+
+use super::batch::{self, FrameSummary, Plan, Summary, TriggerSummary, cloud_path, merged_path};
+use super::stored::phase_path;
+use crate::calibrate::Calibration;
+use crate::export::{phase_file, ply};
+use crate::ids::CameraId;
+use rayon::prelude::*;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Numbers of triggers that a message names.
+const NAMED: usize = 8;
+
+/// Where the summary of a run, or of one of its shards, is: `summary.json`, or `summary-0-of-4.json`.
+pub fn summary_path(out: &Path, shard: Option<(u64, u64)>) -> PathBuf {
+    match shard {
+        None => out.join("summary.json"),
+        Some((i, n)) => out.join(format!("summary-{i}-of-{n}.json")),
+    }
+}
+
+/// What a shard lacks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lack {
+    /// It has not been run to its end, or files that it wrote are gone.
+    Work,
+    /// It was made with another calibration, method, version, or of other frames.
+    Agreement,
+}
+
+/// A shard that cannot be collected.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ShardProblem {
+    /// Its number.
+    pub shard: u64,
+    /// What it lacks.
+    pub lack: Lack,
+    /// What was expected and found.
+    pub found: String,
+}
+
+/// Why nothing was collected.
+#[derive(Debug, thiserror::Error)]
+pub struct CollectError {
+    /// Number of shards.
+    pub shards: u64,
+    /// All that are not fit, in order.
+    pub problems: Vec<ShardProblem>,
+}
+
+impl fmt::Display for CollectError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let n = self.shards;
+        write!(
+            f,
+            "{} of {n} shards cannot be collected; run these again with the same options:",
+            self.problems.len()
+        )?;
+        for ShardProblem { shard, found, .. } in self.problems.iter().take(100) {
+            write!(f, "\n  --shard {shard}/{n}: {found}")?;
+        }
+        let more = self.problems.len().saturating_sub(100);
+        if more > 0 { write!(f, "\n  and {more} more") } else { Ok(()) }
+    }
+}
+
+/// The shards of one run over all triggers.
+pub struct Shards<'a> {
+    /// The run; its own shard does not matter.
+    plan: &'a Plan,
+    parameters: String,
+    /// The cameras asked for, in the calibration's order.
+    cameras: Vec<&'a CameraId>,
+    count: u64,
+}
+
+impl<'a> Shards<'a> {
+    /// The `count` shards of a plan.
+    pub fn new(plan: &'a Plan, calibration: &'a Calibration, count: u64) -> Result<Self, String> {
+        let all = calibration.cameras().map(|(_, camera)| &camera.id);
+        Ok(Self {
+            plan,
+            parameters: batch::parameters(calibration, plan)?,
+            cameras: all.filter(|id| plan.cameras.contains(id)).collect(),
+            count: count.max(1),
+        })
+    }
+
+    /// What a shard says of its triggers. Its files are not looked at.
+    pub fn summary(&self, shard: u64) -> Result<Summary, ShardProblem> {
+        let problem = |lack, found| ShardProblem { shard, lack, found };
+        let path = summary_path(&self.plan.out, Some((shard, self.count)));
+        let text = std::fs::read_to_string(&path).map_err(|e| {
+            problem(Lack::Work, format!("{}: {e}; it has not been run to its end", path.display()))
+        })?;
+        let summary: Summary = serde_json::from_str(&text).map_err(|e| {
+            problem(Lack::Agreement, format!("{}: {e}; it is of another version, or damaged", path.display()))
+        })?;
+        self.agrees(shard, &summary)
+            .map_err(|found| problem(Lack::Agreement, format!("{}: {found}", path.display())))?;
+        Ok(summary)
+    }
+
+    /// Whether a summary is of this run.
+    fn agrees(&self, shard: u64, summary: &Summary) -> Result<(), String> {
+        if summary.parameters != self.parameters {
+            return Err(format!(
+                "made with the parameters {}, expected {}: another calibration, method or version of the program",
+                summary.parameters, self.parameters
+            ));
+        }
+        let has =
+            |t: &TriggerSummary| t.frames.iter().map(|frame| &frame.camera).eq(self.cameras.iter().copied());
+        if let Some(trigger) = summary.triggers.iter().find(|t| !has(t)) {
+            let list = |ids: &mut dyn Iterator<Item = &CameraId>| {
+                ids.map(CameraId::as_str).collect::<Vec<_>>().join(",")
+            };
+            let found = list(&mut trigger.frames.iter().map(|frame| &frame.camera));
+            let expected = list(&mut self.cameras.iter().copied());
+            return Err(format!("made of the cameras {found}, expected {expected}"));
+        }
+        let expected: Vec<u64> = self.triggers(shard).collect();
+        let found: Vec<u64> = summary.triggers.iter().map(|t| t.trigger).collect();
+        if expected != found {
+            let lacking: Vec<u64> = expected.iter().filter(|t| !found.contains(t)).copied().collect();
+            let beyond: Vec<u64> = found.iter().filter(|t| !expected.contains(t)).copied().collect();
+            return Err(format!("lacks {}; has, unasked for, {}", triggers(&lacking), triggers(&beyond)));
+        }
+        Ok(())
+    }
+
+    /// The triggers of a shard, in order.
+    pub fn triggers(&self, shard: u64) -> impl Iterator<Item = u64> + '_ {
+        self.plan.triggers.clone().filter(move |t| t % self.count == shard)
+    }
+
+    /// Triggers of which a file is missing, cut, or of other parameters.
+    fn without_files(&self, summary: &Summary) -> Vec<u64> {
+        let lacking = summary.triggers.par_iter().filter(|t| !self.has_files(t));
+        lacking.map(|t| t.trigger).collect()
+    }
+
+    fn has_files(&self, trigger: &TriggerSummary) -> bool {
+        let directional = trigger.frames.iter().all(|frame| self.has_frame(trigger.trigger, frame));
+        directional && (self.plan.format == batch::Format::Phase || self.has_merged(trigger))
+    }
+
+    fn has_frame(&self, trigger: u64, frame: &FrameSummary) -> bool {
+        if !matches!(&*frame.outcome, "cloud" | "refused") {
+            return true;
+        }
+        let (points, comments) = match self.plan.format {
+            batch::Format::Ply => {
+                let path = cloud_path(&self.plan.out, &frame.camera, trigger);
+                let Ok(header) = ply::load_whole_header(&path) else { return false };
+                (header.points, header.comments)
+            }
+            batch::Format::Phase => {
+                let path = phase_path(&self.plan.out, frame.camera.as_str(), trigger);
+                let Ok(statement) = phase_file::load_statement(&path) else { return false };
+                (statement.points, statement.comments)
+            }
+        };
+        points == frame.points
+            && comments.contains(&self.parameters_comment())
+            && comments.contains(&batch::together(self.cameras.iter().copied()))
+    }
+
+    fn has_merged(&self, trigger: &TriggerSummary) -> bool {
+        let header = ply::load_whole_header(&merged_path(&self.plan.out, trigger.trigger));
+        header.is_ok_and(|header| {
+            header.points == trigger.merged_points && header.comments.contains(&self.parameters_comment())
+        })
+    }
+
+    fn parameters_comment(&self) -> String {
+        format!("parameters {}", self.parameters)
+    }
+
+    /// The summary of a shard whose files are all there.
+    fn complete(&self, shard: u64) -> Result<Summary, ShardProblem> {
+        let summary = self.summary(shard)?;
+        let lacking = self.without_files(&summary);
+        if !lacking.is_empty() {
+            let found = format!("no whole files of {}", triggers(&lacking));
+            return Err(ShardProblem { shard, lack: Lack::Work, found });
+        }
+        Ok(summary)
+    }
+}
+
+/// Merges what all shards say, on the current rayon pool: the summary of one run over all triggers. Nothing is written.
+pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
+    let found: Vec<_> = (0..shards.count).into_par_iter().map(|shard| shards.complete(shard)).collect();
+    let (mut merged, mut problems) = (Vec::new(), Vec::new());
+    for shard in found {
+        match shard {
+            Ok(summary) => merged.extend(summary.triggers),
+            Err(problem) => problems.push(problem),
+        }
+    }
+    if !problems.is_empty() {
+        return Err(CollectError { shards: shards.count, problems });
+    }
+    merged.sort_by_key(|t| t.trigger);
+    Ok(batch::summarize(merged, &shards.parameters, shards.plan))
+}
+
+/// Triggers as a message names them.
+fn triggers(list: &[u64]) -> String {
+    let named: Vec<String> = list.iter().take(NAMED).map(u64::to_string).collect();
+    match (list.len(), list.len().saturating_sub(NAMED)) {
+        (0, _) => "none".to_owned(),
+        (1, _) => format!("trigger {}", named.join("")),
+        (_, 0) => format!("triggers {}", named.join(", ")),
+        (_, more) => format!("triggers {} and {more} more", named.join(", ")),
+    }
+}
