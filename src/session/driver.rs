@@ -59,6 +59,7 @@ impl Driver {
             interrupted: Vec::new(),
             session: None,
             judgements: Vec::new(),
+            worker: None,
         }));
         let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);
         let taps = Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone())));

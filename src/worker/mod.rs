@@ -9,3 +9,4 @@ pub mod retention;
 pub mod run;
 pub mod state;
 mod task;
+pub mod watch;

@@ -7,10 +7,12 @@ use super::task::{self, Ended, Interruption};
 use crate::calibrate::Calibration;
 use crate::cmds::Exit;
 use crate::config::{Output, WorkerConfig};
+use crate::export::write_whole;
 use crate::record::{free_bytes, node_dir};
 use crate::session::state::Fault;
 use std::ffi::OsString;
 use std::fs::{File, TryLockError};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -73,6 +75,10 @@ impl Worker {
             let obstacle = self.obstacle();
             let interruption = self.interruption();
             match (interruption.or(obstacle), found) {
+                (Some(Interruption::Obstacle(reason)), _) if once => {
+                    self.state.not_yet.push(("all".to_owned(), reason));
+                    break;
+                }
                 (Some(interruption), _) => self.rest(&interruption),
                 (None, Some(found)) => {
                     self.work(&found)?;
@@ -360,9 +366,8 @@ impl Worker {
 /// Copies the calibration, after having read it, so that a session begins with one that can be used.
 fn keep_calibration(from: &Path, to: &Path) -> Result<(), String> {
     Calibration::load(from).map_err(|e| format!("the calibration: {e}"))?;
-    let partial = to.with_extension("json.partial");
-    let copied = std::fs::copy(from, &partial).and_then(|_| std::fs::rename(&partial, to));
-    copied.map_err(|e| format!("{}: {e}", to.display()))
+    let text = std::fs::read(from).map_err(|e| format!("{}: {e}", from.display()))?;
+    write_whole(to, |file| file.write_all(&text)).map_err(|e| format!("{}: {e}", to.display()))
 }
 
 /// Frame sets that are ready.
@@ -408,9 +413,8 @@ pub fn ask_first(results: &Path, session: &str) -> std::io::Result<()> {
     let others = asked_first(results);
     let lines =
         std::iter::once(session).chain(others.iter().map(String::as_str).filter(|other| *other != session));
-    let partial = own.join("first.partial");
-    std::fs::write(&partial, lines.map(|line| format!("{line}\n")).collect::<String>())?;
-    std::fs::rename(partial, own.join("first"))
+    let text: String = lines.map(|line| format!("{line}\n")).collect();
+    write_whole(&own.join("first"), |file| file.write_all(text.as_bytes()))
 }
 
 /// Lets a session that was set aside, or waits for its next attempt, be tried again at once.

@@ -1,5 +1,6 @@
 //! What the worker writes down: what has become of each session, and what it does now.
 
+use crate::export::{write_whole, write_whole_cached};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -77,7 +78,8 @@ impl Job {
 
     /// Keeps it.
     pub fn store(&self, results: &Path) -> io::Result<()> {
-        store(&Self::path(results, &self.session), self)
+        let text = serde_json::to_string_pretty(self)?;
+        write_whole(&Self::path(results, &self.session), |file| file.write_all(text.as_bytes()))
     }
 }
 
@@ -128,7 +130,15 @@ impl WorkerState {
 
     /// Says it.
     pub fn store(&self, results: &Path) -> io::Result<()> {
-        store(&results.join(OWN_DIR).join("state.json"), self)
+        let text = serde_json::to_string_pretty(self)?;
+        // It is written every second, and nobody asks for it after a power cut.
+        write_whole_cached(&results.join(OWN_DIR).join("state.json"), |file| file.write_all(text.as_bytes()))
+    }
+
+    /// Whether the worker that wrote this is gone: it writes every two seconds at least.
+    pub fn is_stale(&self) -> bool {
+        const SILENT_NS: u64 = 15_000_000_000;
+        self.activity != Activity::Ended && now_ns().saturating_sub(self.written_ns) > SILENT_NS
     }
 
     /// For people.
@@ -142,6 +152,7 @@ impl WorkerState {
         });
         let reason = self.reason.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"));
         let activity = match self.activity {
+            _ if self.is_stale() => "not running any more; systemctl status fourdbody-worker".to_owned(),
             Activity::Idle => "nothing to do".to_owned(),
             Activity::Working => format!("at work on{job}"),
             Activity::GivesWay => format!("gives way to a capture{reason}{job}"),
@@ -164,14 +175,4 @@ pub fn now_ns() -> u64 {
 
 fn load<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
     serde_json::from_slice(&std::fs::read(path).ok()?).ok()
-}
-
-/// Replaces the file as a whole, after its bytes are on the disk.
-fn store(path: &Path, value: &impl Serialize) -> io::Result<()> {
-    let partial = path.with_extension("json.partial");
-    let text = serde_json::to_string_pretty(value)?;
-    let mut file = std::fs::File::create(&partial)?;
-    file.write_all(text.as_bytes())?;
-    file.sync_data()?;
-    std::fs::rename(partial, path)
 }

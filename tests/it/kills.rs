@@ -165,7 +165,7 @@ fn is_saved(status: &NodeStatus, part: &Path, name: &str) -> u64 {
 
 #[test]
 fn a_node_that_is_killed_before_the_first_trigger_leaves_nobody_waiting() {
-    let mut rig = Rig::new(176);
+    let mut rig = Rig::new(211);
     for stage in [Stage::Preparing, Stage::CountingDown] {
         for victim in [COORDINATOR, 1] {
             let name = format!("{stage:?}-{victim}").to_lowercase();
@@ -186,7 +186,7 @@ fn a_node_that_is_killed_before_the_first_trigger_leaves_nobody_waiting() {
 
 #[test]
 fn a_node_that_is_killed_while_recording_loses_nothing_that_was_on_the_disk() {
-    let mut rig = Rig::new(177);
+    let mut rig = Rig::new(212);
     for victim in [COORDINATOR, 1] {
         let name = format!("recording-{victim}");
         let last =
@@ -206,7 +206,7 @@ fn a_node_that_is_killed_while_recording_loses_nothing_that_was_on_the_disk() {
 
 #[test]
 fn a_node_that_is_killed_after_the_last_trigger_costs_the_other_nothing() {
-    let mut rig = Rig::new(178);
+    let mut rig = Rig::new(213);
     let mut random = Random(number("FOURDBODY_SEED", 5));
     let mut at_the_end = 0;
     for round in 0..6 {

@@ -41,9 +41,10 @@ mod faults;
 mod fuzz_corpora;
 mod hsu;
 mod hsu_clock;
+#[cfg(feature = "aravis")]
+mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
-mod kills;
 mod lab;
 #[cfg(feature = "aravis")]
 mod plan_faults;
@@ -77,3 +78,4 @@ mod third_party_session;
 #[cfg(feature = "aravis")]
 mod two_nodes;
 mod validate_commands;
+mod worker;
