@@ -1,8 +1,8 @@
 //! The command line as a whole: the program, its manual pages and its completions are made of it.
 
 use super::{
-    Exit, Failure, board, calibrate, cameras, capture, check_config, doctor, export, import, info, node,
-    pattern, reconstruct, recover, report, status, token, validate, verify, view,
+    Exit, Failure, board, calibrate, cameras, capture, check_config, cluster, doctor, export, import, info,
+    node, pattern, reconstruct, recover, report, status, token, validate, verify, view,
 };
 use clap::{Parser, Subcommand};
 
@@ -36,6 +36,7 @@ pub enum Command {
     Verify(verify::Args),
     Pattern(pattern::Args),
     Reconstruct(reconstruct::Args),
+    Cluster(cluster::Args),
     Recover(recover::Args),
     Report(report::Args),
     Token(token::Args),
@@ -61,6 +62,7 @@ impl Cli {
             Command::Verify(args) => verify::run(args),
             Command::Pattern(args) => pattern::run(args),
             Command::Reconstruct(args) => reconstruct::run(args),
+            Command::Cluster(args) => cluster::run(args),
             Command::Recover(args) => recover::run(args),
             Command::Report(args) => report::run(args),
             Command::Token(args) => token::run(args),

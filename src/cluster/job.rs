@@ -1,0 +1,148 @@
+//! What was submitted: `OUT/cluster/job.json`.
+
+use super::sizing::Sizing;
+use crate::export::write_whole;
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Raised whenever a reader would have to know more.
+const VERSION: u32 = 1;
+
+/// Where scripts, logs and `job.json` of a result are.
+pub fn folder(out: &Path) -> PathBuf {
+    out.join("cluster")
+}
+
+/// A reconstruction as it was submitted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Job {
+    version: u32,
+    /// The program, as compute nodes find it.
+    pub program: PathBuf,
+    /// The session; absolute, as are the other paths.
+    pub session: PathBuf,
+    /// Where the results go.
+    pub out: PathBuf,
+    /// Options of `reconstruct` that all shards share.
+    pub options: Vec<String>,
+    /// Whether phase maps are written instead of clouds.
+    pub phase: bool,
+    /// Hash of everything that the clouds depend on beside the frames.
+    pub parameters: String,
+    /// The triggers, from the first to one beyond the last.
+    pub triggers: [u64; 2],
+    /// Number of shards.
+    pub shards: u64,
+    /// The shards that are in the job array: those that were not finished when it was submitted.
+    pub array: Vec<u64>,
+    /// Tasks that may run at once.
+    pub at_once: Option<u64>,
+    /// Processors, memory and time of a task.
+    pub sizing: Sizing,
+    /// Further options of `sbatch`.
+    pub sbatch: Vec<String>,
+    /// Slurm's number of the job array; `None`: all shards were finished.
+    pub array_job: Option<u64>,
+    /// Slurm's number of the collecting job.
+    pub collect_job: Option<u64>,
+}
+
+/// What is submitted of which session.
+pub struct Work {
+    /// As [`Job::program`].
+    pub program: PathBuf,
+    /// As [`Job::session`].
+    pub session: PathBuf,
+    /// As [`Job::out`].
+    pub out: PathBuf,
+    /// As [`Job::options`].
+    pub options: Vec<String>,
+    /// As [`Job::phase`].
+    pub phase: bool,
+    /// As [`Job::parameters`].
+    pub parameters: String,
+    /// As [`Job::triggers`].
+    pub triggers: [u64; 2],
+}
+
+impl Job {
+    /// A job that has not been submitted. `array`: the shards to run.
+    pub fn new(
+        work: Work,
+        sizing: Sizing,
+        array: Vec<u64>,
+        at_once: Option<u64>,
+        sbatch: Vec<String>,
+    ) -> Self {
+        let Work { program, session, out, options, phase, parameters, triggers } = work;
+        let (version, shards) = (VERSION, sizing.tasks);
+        let (array_job, collect_job) = (None, None);
+        Self {
+            version,
+            program,
+            session,
+            out,
+            options,
+            phase,
+            parameters,
+            triggers,
+            shards,
+            array,
+            at_once,
+            sizing,
+            sbatch,
+            array_job,
+            collect_job,
+        }
+    }
+
+    fn path(out: &Path) -> PathBuf {
+        folder(out).join("job.json")
+    }
+
+    /// Whether something was ever submitted for this result.
+    pub fn exists(out: &Path) -> bool {
+        Self::path(out).exists()
+    }
+
+    /// Reads the job of a result.
+    pub fn load(out: &Path) -> Result<Self, String> {
+        let path = Self::path(out);
+        let fail = |e: &dyn std::fmt::Display| {
+            format!(
+                "{}: {e}; expected what `fourdbody cluster submit ... --out {}` writes",
+                path.display(),
+                out.display()
+            )
+        };
+        let text = std::fs::read_to_string(&path).map_err(|e| fail(&e))?;
+        let job: Self = serde_json::from_str(&text).map_err(|e| fail(&e))?;
+        if job.version != VERSION || job.shards == 0 || job.triggers[0] >= job.triggers[1] {
+            return Err(fail(&format!(
+                "version {}, {} shards of the triggers {:?}",
+                job.version, job.shards, job.triggers
+            )));
+        }
+        Ok(job)
+    }
+
+    /// Writes it beside its scripts.
+    pub fn save(&self) -> Result<(), String> {
+        let path = Self::path(&self.out);
+        let text = serde_json::to_string_pretty(self).map_err(|e| e.to_string())?;
+        write_whole(&path, |file| writeln!(file, "{text}")).map_err(|e| format!("{}: {e}", path.display()))
+    }
+
+    /// Frame sets of a shard: the triggers that leave its number when divided by the number of shards.
+    pub fn frame_sets(&self, shard: u64) -> u64 {
+        let below = |end: u64| end / self.shards + u64::from(end % self.shards > shard);
+        below(self.triggers[1]).saturating_sub(below(self.triggers[0]))
+    }
+
+    /// Slurm's numbers of what was submitted.
+    pub fn numbers(&self) -> Vec<u64> {
+        self.array_job.into_iter().chain(self.collect_job).collect()
+    }
+}
