@@ -61,15 +61,17 @@ fn command(job: &Job) -> String {
     )
 }
 
+/// Before the command, which runs beside the script so that this can act.
+const NOTICE: &str = r#"# Slurm says that the time is nearly over: end. What is finished stays, the next start goes on there. (TERM is what
+# `scancel` sends, and ends this script.)
+trap 'kill "$!"' USR1
+"#;
+
 /// What a task does with the exit code of its command: what can succeed another time is done another time.
 fn ending() -> String {
     format!(
-        r#"
-child=$!
-# Slurm says that the time is nearly over: end. What is finished stays, the next start goes on there. (TERM is what
-# `scancel` sends, and ends this script.)
-trap 'kill "$child"' USR1
-wait "$child"
+        r#" &
+wait "$!"
 code=$?
 case $code in
     # 3 and 4: done; frames that are missing or damaged are listed in the summary.
@@ -110,8 +112,9 @@ pub fn shards_script(job: &Job) -> String {
     text += &format!("#SBATCH --time={}\n", job.sizing.limit_min);
     text += &format!("#SBATCH --signal=B:USR1@{NOTICE_S}\n#SBATCH --output=log/shard-%a.log\n\n");
     text += "echo \"shard $SLURM_ARRAY_TASK_ID on $(hostname), start $((${SLURM_RESTART_COUNT:-0} + 1))\"\n";
+    text += NOTICE;
     text += &command(job);
-    text += &format!(" \\\n    --shard \"$SLURM_ARRAY_TASK_ID/{}\" --jobs {} &", job.shards, job.sizing.cpus);
+    text += &format!(" \\\n    --shard \"$SLURM_ARRAY_TASK_ID/{}\" --jobs {}", job.shards, job.sizing.cpus);
     text + &ending()
 }
 
@@ -123,8 +126,9 @@ pub fn collect_script(job: &Job) -> String {
     let frame_sets = job.triggers[1].saturating_sub(job.triggers[0]);
     text += &format!("#SBATCH --time={}\n", COLLECT_MIN + frame_sets.saturating_mul(COLLECT_S) / 60);
     text += "#SBATCH --output=log/collect.log\n\n";
+    text += NOTICE;
     text += &command(job);
-    text += &format!(" \\\n    --collect {} --jobs {} &", job.shards, job.sizing.cpus);
+    text += &format!(" \\\n    --collect {} --jobs {}", job.shards, job.sizing.cpus);
     text + &ending()
 }
 
