@@ -119,6 +119,8 @@ impl Job {
         };
         let text = std::fs::read_to_string(&path).map_err(|e| fail(&e))?;
         let job: Self = serde_json::from_str(&text).map_err(|e| fail(&e))?;
+        // Seen from another machine the same directory may have another name.
+        let job = Self { out: out.to_owned(), ..job };
         if job.version != VERSION || job.shards == 0 || job.triggers[0] >= job.triggers[1] {
             return Err(fail(&format!(
                 "version {}, {} shards of the triggers {:?}",
@@ -144,5 +146,36 @@ impl Job {
     /// Slurm's numbers of what was submitted.
     pub fn numbers(&self) -> Vec<u64> {
         self.array_job.into_iter().chain(self.collect_job).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Job, Work};
+    use crate::cluster::{Measured, Wish, size};
+    use proptest::prelude::{prop_assert_eq, proptest};
+
+    proptest! {
+        #[test]
+        fn the_frame_sets_of_a_shard_are_counted(first in 0u64..50, count in 1u64..100, tasks in 1u64..20) {
+            let measured = Measured { cpu_s_per_frame_set: 1.0, peak_memory_bytes: 1, threads: 1 };
+            let wish = Wish { tasks: Some(tasks.min(count)), hours: 1.0, cpus: 1, most_tasks: 100 };
+            let sizing = size(count, measured, wish).expect("fits");
+            let work = Work {
+                program: "p".into(),
+                session: "s".into(),
+                out: "o".into(),
+                options: Vec::new(),
+                phase: false,
+                parameters: String::new(),
+                triggers: [first, first + count],
+            };
+            let job = Job::new(work, sizing, Vec::new(), None, Vec::new());
+            for shard in 0..job.shards {
+                let found = (first..first + count).filter(|t| t % job.shards == shard).count() as u64;
+                prop_assert_eq!(job.frame_sets(shard), found);
+                prop_assert_eq!(found <= sizing.frame_sets_per_task, true);
+            }
+        }
     }
 }

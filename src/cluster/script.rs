@@ -68,7 +68,8 @@ trap 'kill "$!"' USR1
 "#;
 
 /// What a task does with the exit code of its command: what can succeed another time is done another time.
-fn ending() -> String {
+/// `own`: how Slurm is told of this task. (The number of an array's last task is also that of the array.)
+fn ending(own: &str) -> String {
     format!(
         r#" &
 wait "$!"
@@ -82,7 +83,7 @@ esac
 if [ "${{SLURM_RESTART_COUNT:-0}}" -lt {RETRIES} ]; then
     echo "fourdbody: exit code $code; once more"
     # Slurm ends this script when it puts it back.
-    scontrol requeue "$SLURM_JOB_ID" && sleep 300
+    scontrol requeue "{own}" && sleep 300
 fi
 exit "$code"
 "#
@@ -115,7 +116,7 @@ pub fn shards_script(job: &Job) -> String {
     text += NOTICE;
     text += &command(job);
     text += &format!(" \\\n    --shard \"$SLURM_ARRAY_TASK_ID/{}\" --jobs {}", job.shards, job.sizing.cpus);
-    text + &ending()
+    text + &ending("${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID")
 }
 
 /// The script of the job that makes one result of all shards.
@@ -129,7 +130,7 @@ pub fn collect_script(job: &Job) -> String {
     text += NOTICE;
     text += &command(job);
     text += &format!(" \\\n    --collect {} --jobs {}", job.shards, job.sizing.cpus);
-    text + &ending()
+    text + &ending("$SLURM_JOB_ID")
 }
 
 /// Writes both scripts, and the directory of the logs that they name.

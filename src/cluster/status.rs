@@ -49,7 +49,7 @@ pub struct ShardStatus {
 #[derive(Debug, Clone, Serialize)]
 pub struct Status {
     /// Where the results are.
-    pub out: PathBuf,
+    pub out: String,
     /// State of the whole; done when the collected result is there.
     pub state: State,
     /// Slurm's number of the job array.
@@ -119,7 +119,7 @@ pub fn read(job: &Job, answer: Answer) -> Status {
     let summary = summary_of(job, None);
     let collecting = judge(word(&collecting_task).as_deref(), summary.is_some(), answered);
     Status {
-        out: job.out.clone(),
+        out: job.out.display().to_string(),
         state: overall(&shards, collecting),
         array_job: job.array_job,
         collect_job: job.collect_job,

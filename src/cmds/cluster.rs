@@ -114,14 +114,14 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     if !args.dry_run {
         slurm.as_ref().map_err(usage)?;
     }
-    let absolute =
-        |path: &Path| std::path::absolute(path).map_err(|e| usage(format!("{}: {e}", path.display())));
     let (session, out) = (absolute(&args.what.session)?, absolute(&args.what.out)?);
     refuse_if_taken(&session, &out, slurm.as_ref().ok().copied())?;
     let Opened { calibration, plan, .. } = args.what.open()?;
     let program = match &args.program {
-        Some(program) => program.clone(),
-        None => std::env::current_exe().map_err(failed)?,
+        // Looked for on the node.
+        Some(name) if name.components().count() == 1 && name.to_str().is_some() => name.clone(),
+        Some(program) => absolute(program)?,
+        None => absolute(&std::env::current_exe().map_err(failed)?)?,
     };
     let measured = match &args.timings {
         Some(path) => Measured::load(path, plan.cameras.len()).map_err(usage)?,
@@ -151,6 +151,18 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     }
     print_job(args, &job);
     Ok(Exit::Done)
+}
+
+/// A path that scripts can name, wherever they run.
+fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+    let found = std::path::absolute(path).map_err(|e| usage(format!("{}: {e}", path.display())))?;
+    if found.to_str().is_none_or(|text| text.contains(['\n', '\r'])) {
+        return Err(usage(format!(
+            "{}: expected a path of UTF-8 without line breaks, for scripts",
+            path.display()
+        )));
+    }
+    Ok(found)
 }
 
 /// A result that another session has, or that is being worked on, is left alone.
@@ -325,7 +337,7 @@ fn print_status(status: &Status) {
     let task = status.collecting_task.as_ref().map_or_else(String::new, describe);
     println!("  collecting: {}{task}", word(status.collecting));
     if status.state == State::Failed {
-        let logs = cluster::folder(&status.out).join("log");
+        let logs = cluster::folder(Path::new(&status.out)).join("log");
         println!(
             "what has failed tells why in {}; the same `cluster submit` again takes up what is missing",
             logs.display()

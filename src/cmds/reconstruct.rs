@@ -266,6 +266,7 @@ fn collected(
     plan: &Plan,
     count: u64,
 ) -> Result<Summary, Failure> {
+    collect::remove_leftovers(&plan.out);
     let shards = Shards::new(plan, calibration, count).map_err(|e| Failure::new(Exit::Failure, e))?;
     pool.install(|| collect::collect(&shards)).map_err(|error| {
         let agree = error.problems.iter().all(|problem| problem.lack == Lack::Work);
