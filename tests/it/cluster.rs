@@ -349,3 +349,11 @@ fn without_slurm_the_scripts_can_be_read_and_nothing_is_submitted() {
     assert_eq!(refused.status.code(), Some(2), "{}", text(&refused));
     assert!(text(&refused).contains("only 2 frame sets"), "{}", text(&refused));
 }
+
+#[cfg(not(feature = "aravis"))]
+#[test]
+fn the_program_of_a_compute_node_needs_no_camera_library() {
+    let program = std::fs::read(FOURDBODY).expect("the program");
+    let library = b"libaravis-0.8.so";
+    assert!(!program.windows(library.len()).any(|part| part == library));
+}
