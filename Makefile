@@ -27,7 +27,7 @@ packages:
 
 # Third parties that the tests talk to; a test whose program is absent says so and is skipped.
 test-packages: packages
-	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver
+	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge
 	@scripts/make-venv.sh tests/.venv mcap==1.6.0 mcap-protobuf-support==0.5.3
 
 demo: packages
@@ -38,6 +38,8 @@ test: test-packages
 	$(CARGO) test --workspace
 	@echo "-- without Aravis: everything but the live cameras"
 	$(CARGO) test --no-default-features --lib
+	@echo "-- what a compute node runs: the program without Aravis, as tasks of a Slurm"
+	$(CARGO) test --no-default-features --test it -- cluster::
 
 lint: packages
 	$(CARGO) fmt --all -- --check

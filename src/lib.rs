@@ -21,6 +21,8 @@ pub mod background;
 pub mod calibrate;
 /// Cameras: settings, and streams through Aravis.
 pub mod camera;
+/// A reconstruction spread over a cluster.
+pub mod cluster;
 /// One file per command of the command line.
 pub mod cmds;
 /// Configuration files, read and validated with all problems at once.

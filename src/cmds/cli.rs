@@ -1,8 +1,8 @@
 //! The command line as a whole: the program, its manual pages and its completions are made of it.
 
 use super::{
-    Exit, Failure, board, calibrate, cameras, capture, check_config, doctor, export, import, info, node,
-    pattern, prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
+    Exit, Failure, board, calibrate, cameras, capture, check_config, cluster, doctor, export, import, info,
+    node, pattern, prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
 };
 use clap::{Parser, Subcommand};
 
@@ -37,6 +37,7 @@ pub enum Command {
     Pattern(pattern::Args),
     Prune(prune::Args),
     Reconstruct(reconstruct::Args),
+    Cluster(cluster::Args),
     Recover(recover::Args),
     Report(report::Args),
     Token(token::Args),
@@ -64,6 +65,7 @@ impl Cli {
             Command::Pattern(args) => pattern::run(args),
             Command::Prune(args) => prune::run(args),
             Command::Reconstruct(args) => reconstruct::run(args),
+            Command::Cluster(args) => cluster::run(args),
             Command::Recover(args) => recover::run(args),
             Command::Report(args) => report::run(args),
             Command::Token(args) => token::run(args),

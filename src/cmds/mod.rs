@@ -15,6 +15,7 @@ pub mod cameras;
 pub mod capture;
 pub mod check_config;
 mod cli;
+pub mod cluster;
 pub mod connect;
 pub mod doctor;
 pub mod export;

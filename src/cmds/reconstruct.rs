@@ -179,13 +179,11 @@ impl What {
         Ok(if wanted.is_empty() { known } else { wanted })
     }
 
-    /// The options that are not the default, beside session, calibration and out, as the command line takes them.
-    pub(super) fn options(&self) -> Vec<String> {
+    /// The options beside session, calibration and out, as the command line takes them, for these triggers.
+    pub(super) fn options(&self, triggers: &Range<u64>) -> Vec<String> {
         let mut options = Vec::new();
         let mut option = |name: &str, value: String| options.extend([name.to_owned(), value]);
-        if let Some(Range { start, end }) = &self.triggers {
-            option("--triggers", format!("{start}..{end}"));
-        }
+        option("--triggers", format!("{}..{}", triggers.start, triggers.end));
         if !self.cameras.is_empty() {
             option("--cameras", self.cameras.join(","));
         }
@@ -268,6 +266,7 @@ fn collected(
     plan: &Plan,
     count: u64,
 ) -> Result<Summary, Failure> {
+    collect::remove_leftovers(&plan.out);
     let shards = Shards::new(plan, calibration, count).map_err(|e| Failure::new(Exit::Failure, e))?;
     pool.install(|| collect::collect(&shards)).map_err(|error| {
         let agree = error.problems.iter().all(|problem| problem.lack == Lack::Work);

@@ -11,6 +11,7 @@
 //! Every cloud states the parameters that it was made with, as a hash over calibration, method and the
 //! version of this program; a finished cloud with the same hash is not made again.
 
+use super::collect::remove_leftovers;
 use super::dump;
 use super::order::{self, View};
 use super::pair::Pair;
@@ -20,7 +21,7 @@ use super::stored::{self, phase_path};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
 use crate::export::phase_file::{self, Statement};
-use crate::export::{Cloud, STALE, ply, remove_stale};
+use crate::export::{Cloud, ply};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
 use crate::time::process_cpu_time;
@@ -259,9 +260,9 @@ pub fn run(
     };
     for folder in folders {
         let path = plan.out.join(folder);
-        let made = std::fs::create_dir_all(&path).and_then(|()| remove_stale(&path, STALE));
-        made.map_err(|e| format!("{}: {e}", path.display()))?;
+        std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     }
+    remove_leftovers(&plan.out);
     let mut heads: Vec<Vec<Camera>> = Vec::new();
     let mut last = None;
     for (number, (head, camera)) in calibration.cameras().enumerate() {

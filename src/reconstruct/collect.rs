@@ -13,7 +13,7 @@
 use super::batch::{self, FrameSummary, Plan, Summary, TriggerSummary, cloud_path, merged_path};
 use super::stored::phase_path;
 use crate::calibrate::Calibration;
-use crate::export::{phase_file, ply};
+use crate::export::{STALE, phase_file, ply, remove_stale};
 use crate::ids::CameraId;
 use rayon::prelude::*;
 use std::fmt;
@@ -27,6 +27,14 @@ pub fn summary_path(out: &Path, shard: Option<(u64, u64)>) -> PathBuf {
     match shard {
         None => out.join("summary.json"),
         Some((i, n)) => out.join(format!("summary-{i}-of-{n}.json")),
+    }
+}
+
+/// Removes temporary files that killed processes have left in a result's directories, as far as that goes.
+pub fn remove_leftovers(out: &Path) {
+    for folder in [".", "clouds", "merged", "phases"] {
+        // A directory that is not there has none.
+        let _ = remove_stale(&out.join(folder), STALE);
     }
 }
 

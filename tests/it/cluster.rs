@@ -3,6 +3,8 @@
 
 use crate::lab::FOURDBODY;
 use crate::simd_paths::render;
+use crate::slurm::PrivateSlurm;
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -62,7 +64,7 @@ impl Fixture {
         self.command(name, options).spawn().expect("starts")
     }
 
-    /// The files of a result, without what is only of its shards.
+    /// The files of a result, without what is only of its shards, and without the temporary files that killed processes leave.
     fn files(&self, name: &str) -> Files {
         let out = self.path(name);
         let mut files = Files::new();
@@ -70,7 +72,7 @@ impl Fixture {
             for entry in out.join(folder).read_dir().expect("a directory") {
                 let path = entry.expect("an entry").path();
                 let own = path.file_name().expect("a name").to_string_lossy().into_owned();
-                if path.is_file() && !own.starts_with("summary-") {
+                if path.is_file() && !own.starts_with("summary-") && !own.ends_with(".partial") {
                     files.insert(Path::new(folder).join(own), std::fs::read(path).expect("readable"));
                 }
             }
@@ -150,13 +152,6 @@ fn shards_that_were_killed_or_ran_twice_are_collected_to_the_bytes_of_one_run() 
     for _ in 0..2 {
         let collected = fixture.run("shards", &["--collect", "3", "--jobs", "2"]);
         assert_eq!(collected.status.code(), Some(3), "{}", text(&collected));
-        let partial = |name: &Path| name.to_string_lossy().ends_with(".partial");
-        // A killed process may leave a temporary file, which is not taken for a result.
-        let leftover: Vec<PathBuf> =
-            fixture.files("shards").into_keys().filter(|name| partial(name)).collect();
-        leftover.iter().for_each(|name| {
-            std::fs::remove_file(fixture.path("shards").join(name)).expect("it was there");
-        });
         fixture.assert_same("shards");
     }
 }
@@ -201,4 +196,175 @@ fn what_is_missing_or_of_another_kind_is_named_and_nothing_is_collected() {
     }
     assert_eq!(fixture.run("cut", &["--collect", "2"]).status.code(), Some(3));
     fixture.assert_same("cut");
+}
+
+impl Fixture {
+    /// `cluster submit` of all frame sets into `name`.
+    fn submit(&self, slurm: &PrivateSlurm, name: &str, options: &[&str]) -> Output {
+        let mut command = slurm.command(FOURDBODY);
+        command.args(["cluster", "submit"]).arg(self.path("images")).arg("--out").arg(self.path(name));
+        command.arg("--calibration").arg(self.path("calibration.json")).args(options);
+        command.args(["--cpus", "1", "--json"]).output().expect("starts")
+    }
+
+    /// What was submitted.
+    fn submitted(&self, slurm: &PrivateSlurm, name: &str, options: &[&str]) -> Value {
+        let output = self.submit(slurm, name, options);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+        serde_json::from_slice(&output.stdout).expect("JSON")
+    }
+
+    /// Waits until all of it is in one of these states; returns the exit code of `cluster status` and what it says.
+    fn wait_for(&self, slurm: &PrivateSlurm, name: &str, states: &[&str]) -> (i32, Value) {
+        let until = Instant::now() + Duration::from_secs(300);
+        loop {
+            let mut command = slurm.command(FOURDBODY);
+            let output =
+                command.args(["cluster", "status", "--json"]).arg(self.path(name)).output().expect("starts");
+            let code = output.status.code().expect("not killed");
+            let status: Value =
+                serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{}", text(&output)));
+            if states.iter().any(|state| status["state"] == **state) {
+                return (code, status);
+            }
+            assert!(
+                code == 0 && ["waiting", "running"].contains(&status["state"].as_str().unwrap_or_default()),
+                "{status}"
+            );
+            assert!(Instant::now() < until, "{status}\n{}", self.logs(name));
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    }
+
+    fn logs(&self, name: &str) -> String {
+        let folder = self.path(name).join("cluster/log");
+        let read = |entry: std::fs::DirEntry| std::fs::read_to_string(entry.path()).unwrap_or_default();
+        folder.read_dir().into_iter().flatten().flatten().map(read).collect::<Vec<_>>().join("--\n")
+    }
+
+    /// Waits for the process of a shard, and returns its id.
+    fn process_of(&self, name: &str, shard: &str) -> libc::pid_t {
+        let (out, until) = (self.path(name), Instant::now() + Duration::from_secs(120));
+        loop {
+            for entry in std::fs::read_dir("/proc").expect("a directory").flatten() {
+                let line = std::fs::read(entry.path().join("cmdline")).unwrap_or_default();
+                let mut words = line.split(|byte| *byte == 0);
+                // Not the shell that the script starts in.
+                let ours = words.next().is_some_and(|program| program.ends_with(b"fourdbody"));
+                let has = |word: &[u8]| line.split(|byte| *byte == 0).any(|found| found == word);
+                if ours && has(shard.as_bytes()) && has(out.as_os_str().as_encoded_bytes()) {
+                    return entry.file_name().to_string_lossy().parse().expect("a process id");
+                }
+            }
+            assert!(Instant::now() < until, "no process of shard {shard}: {}", self.logs(name));
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+}
+
+/// Times that Slurm started a shard anew.
+fn restarts(status: &Value, shard: usize) -> u64 {
+    status["shards"][shard]["task"]["restarts"].as_u64().unwrap_or(0)
+}
+
+#[test]
+fn four_slurm_tasks_one_killed_and_one_out_of_time_make_the_bytes_of_one_run() {
+    let Some(slurm) = PrivateSlurm::start() else { return };
+    let fixture = Fixture::new();
+    let job = fixture.submitted(&slurm, "slurm", &["--tasks", "4"]);
+    assert_eq!((&job["shards"], &job["array"]), (&4.into(), &Value::from([0, 1, 2, 3])), "{job}");
+    assert!(job["sizing"]["cpu_s_per_frame_set"].as_f64().is_some_and(|s| s > 0.0), "{job}");
+    // The node takes the first one down; to the last one Slurm says that its time is nearly over. (Slurm's number of the last
+    // task is that of the array, so that what is meant for it may hit all.)
+    let first = fixture.process_of("slurm", "0/4");
+    // SAFETY: a signal to a process whose command line was just seen to be that of this test's job.
+    assert_eq!(unsafe { libc::kill(first, libc::SIGKILL) }, 0);
+    let refused = fixture.submit(&slurm, "slurm", &["--tasks", "4"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused));
+    assert!(text(&refused).contains("submitted already"), "{}", text(&refused));
+    fixture.process_of("slurm", "3/4");
+    let last = format!("{}_3", job["array_job"]);
+    let told = slurm.run("scancel", &["--signal=USR1", "--batch", &last]);
+    assert!(told.status.success(), "{}", text(&told));
+
+    let (code, status) = fixture.wait_for(&slurm, "slurm", &["done", "failed"]);
+    assert_eq!(
+        (code, &status["state"]),
+        (3, &"done".into()),
+        "a frame is missing: {status}\n{}",
+        fixture.logs("slurm")
+    );
+    assert_eq!([0, 1, 2, 3].map(|shard| restarts(&status, shard)), [1, 0, 0, 1], "{status}");
+    assert_eq!((&status["frame_sets"], &status["frame_sets_done"]), (&TRIGGERS.into(), &TRIGGERS.into()));
+    fixture.assert_same("slurm");
+
+    // What is lost later is taken up by the same command; what is there is left alone.
+    std::fs::remove_file(fixture.path("slurm/summary-2-of-4.json")).expect("was written");
+    std::fs::remove_file(fixture.path("slurm/merged/000002.ply")).expect("was written");
+    let job = fixture.submitted(&slurm, "slurm", &["--tasks", "4"]);
+    assert_eq!(job["array"], Value::from([2]), "{job}");
+    let (code, status) = fixture.wait_for(&slurm, "slurm", &["done", "failed"]);
+    assert_eq!((code, &status["state"]), (3, &"done".into()), "{status}\n{}", fixture.logs("slurm"));
+    fixture.assert_same("slurm");
+
+    a_task_that_cannot_succeed_ends_it(&fixture, &slurm);
+}
+
+fn a_task_that_cannot_succeed_ends_it(fixture: &Fixture, slurm: &PrivateSlurm) {
+    let refused = fixture.submit(slurm, "failed", &["--tasks", "2", "--partition", "none-of-that-name"]);
+    assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
+    assert!(text(&refused).contains("sbatch"), "{}", text(&refused));
+    let program = ["--tasks", "2", "--program", "/the/node/has no such program"];
+    fixture.submitted(slurm, "failed", &program);
+    let (code, status) = fixture.wait_for(slurm, "failed", &["failed"]);
+    assert_eq!((code, &status["frame_sets_done"]), (1, &0.into()), "{status}");
+    assert!(fixture.logs("failed").contains("No such file"), "{}", fixture.logs("failed"));
+}
+
+#[test]
+fn without_slurm_the_scripts_can_be_read_and_nothing_is_submitted() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let images = render(dir.path());
+    let timings = dir.path().join("timings.json");
+    let measured =
+        r#"{"frames": 4, "threads": 1, "cpu_ms": 400.0, "peak_memory_bytes": 104857600, "wall_ms": 1.0}"#;
+    std::fs::write(&timings, measured).expect("writable");
+    let submit = |options: &[&str]| {
+        let mut command = Command::new(FOURDBODY);
+        command.args(["cluster", "submit"]).arg(&images).arg("--out").arg(dir.path().join("it's out"));
+        command.arg("--calibration").arg(dir.path().join("calibration.json")).arg("--timings").arg(&timings);
+        command.args(options).env("PATH", "/nothing/here").output().expect("starts")
+    };
+    let refused = submit(&["--tasks", "2"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused));
+    assert!(text(&refused).contains("sbatch is not installed"), "{}", text(&refused));
+    let shown =
+        submit(&["--tasks", "2", "--dry-run", "--account", "gait", "--sbatch=--qos=high", "--at-once", "1"]);
+    assert_eq!(shown.status.code(), Some(0), "{}", text(&shown));
+    // 1.5 x 4 threads x 100 MiB + 256 MiB.
+    for expected in [
+        "#SBATCH --array=0-1%1\n",
+        "#SBATCH --cpus-per-task=4\n",
+        "#SBATCH --mem=856M\n",
+        "#SBATCH --time=11\n",
+        "#SBATCH --account=gait\n#SBATCH --qos=high\n",
+        "it'\\''s out/cluster/calibration.json'",
+        "--shard \"$SLURM_ARRAY_TASK_ID/2\" --jobs 4 &\n",
+        "--collect 2 --jobs 4 &\n",
+        "0.200 s of a processor a frame set",
+    ] {
+        assert!(text(&shown).contains(expected), "expected {expected:?} in:\n{}", text(&shown));
+    }
+    assert!(!dir.path().join("it's out").exists(), "a dry run writes nothing");
+    let refused = submit(&["--tasks", "3", "--dry-run"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused));
+    assert!(text(&refused).contains("only 2 frame sets"), "{}", text(&refused));
+}
+
+#[cfg(not(feature = "aravis"))]
+#[test]
+fn the_program_of_a_compute_node_needs_no_camera_library() {
+    let program = std::fs::read(FOURDBODY).expect("the program");
+    let library = b"libaravis-0.8.so";
+    assert!(!program.windows(library.len()).any(|part| part == library));
 }

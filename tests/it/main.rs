@@ -66,6 +66,7 @@ mod session_faults;
 mod shared_calibration;
 mod shared_scene;
 mod simd_paths;
+mod slurm;
 #[cfg(feature = "aravis")]
 mod telemetry;
 mod third_party_camera;

@@ -1,0 +1,181 @@
+//! What was submitted: `OUT/cluster/job.json`.
+
+use super::sizing::Sizing;
+use crate::export::write_whole;
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Raised whenever a reader would have to know more.
+const VERSION: u32 = 1;
+
+/// Where scripts, logs and `job.json` of a result are.
+pub fn folder(out: &Path) -> PathBuf {
+    out.join("cluster")
+}
+
+/// A reconstruction as it was submitted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Job {
+    version: u32,
+    /// The program, as compute nodes find it.
+    pub program: PathBuf,
+    /// The session; absolute, as are the other paths.
+    pub session: PathBuf,
+    /// Where the results go.
+    pub out: PathBuf,
+    /// Options of `reconstruct` that all shards share.
+    pub options: Vec<String>,
+    /// Whether phase maps are written instead of clouds.
+    pub phase: bool,
+    /// Hash of everything that the clouds depend on beside the frames.
+    pub parameters: String,
+    /// The triggers, from the first to one beyond the last.
+    pub triggers: [u64; 2],
+    /// Number of shards.
+    pub shards: u64,
+    /// The shards that are in the job array: those that were not finished when it was submitted.
+    pub array: Vec<u64>,
+    /// Tasks that may run at once.
+    pub at_once: Option<u64>,
+    /// Processors, memory and time of a task.
+    pub sizing: Sizing,
+    /// Further options of `sbatch`.
+    pub sbatch: Vec<String>,
+    /// Slurm's number of the job array; `None`: all shards were finished.
+    pub array_job: Option<u64>,
+    /// Slurm's number of the collecting job.
+    pub collect_job: Option<u64>,
+}
+
+/// What is submitted of which session.
+pub struct Work {
+    /// As [`Job::program`].
+    pub program: PathBuf,
+    /// As [`Job::session`].
+    pub session: PathBuf,
+    /// As [`Job::out`].
+    pub out: PathBuf,
+    /// As [`Job::options`].
+    pub options: Vec<String>,
+    /// As [`Job::phase`].
+    pub phase: bool,
+    /// As [`Job::parameters`].
+    pub parameters: String,
+    /// As [`Job::triggers`].
+    pub triggers: [u64; 2],
+}
+
+impl Job {
+    /// A job that has not been submitted. `array`: the shards to run.
+    pub fn new(
+        work: Work,
+        sizing: Sizing,
+        array: Vec<u64>,
+        at_once: Option<u64>,
+        sbatch: Vec<String>,
+    ) -> Self {
+        let Work { program, session, out, options, phase, parameters, triggers } = work;
+        let (version, shards) = (VERSION, sizing.tasks);
+        let (array_job, collect_job) = (None, None);
+        Self {
+            version,
+            program,
+            session,
+            out,
+            options,
+            phase,
+            parameters,
+            triggers,
+            shards,
+            array,
+            at_once,
+            sizing,
+            sbatch,
+            array_job,
+            collect_job,
+        }
+    }
+
+    fn path(out: &Path) -> PathBuf {
+        folder(out).join("job.json")
+    }
+
+    /// Whether something was ever submitted for this result.
+    pub fn exists(out: &Path) -> bool {
+        Self::path(out).exists()
+    }
+
+    /// Reads the job of a result.
+    pub fn load(out: &Path) -> Result<Self, String> {
+        let path = Self::path(out);
+        let fail = |e: &dyn std::fmt::Display| {
+            format!(
+                "{}: {e}; expected what `fourdbody cluster submit ... --out {}` writes",
+                path.display(),
+                out.display()
+            )
+        };
+        let text = std::fs::read_to_string(&path).map_err(|e| fail(&e))?;
+        let job: Self = serde_json::from_str(&text).map_err(|e| fail(&e))?;
+        // Seen from another machine the same directory may have another name.
+        let job = Self { out: out.to_owned(), ..job };
+        if job.version != VERSION || job.shards == 0 || job.triggers[0] >= job.triggers[1] {
+            return Err(fail(&format!(
+                "version {}, {} shards of the triggers {:?}",
+                job.version, job.shards, job.triggers
+            )));
+        }
+        Ok(job)
+    }
+
+    /// Writes it beside its scripts.
+    pub fn save(&self) -> Result<(), String> {
+        let path = Self::path(&self.out);
+        let text = serde_json::to_string_pretty(self).map_err(|e| e.to_string())?;
+        write_whole(&path, |file| writeln!(file, "{text}")).map_err(|e| format!("{}: {e}", path.display()))
+    }
+
+    /// Frame sets of a shard: the triggers that leave its number when divided by the number of shards.
+    pub fn frame_sets(&self, shard: u64) -> u64 {
+        let below = |end: u64| end / self.shards + u64::from(end % self.shards > shard);
+        below(self.triggers[1]).saturating_sub(below(self.triggers[0]))
+    }
+
+    /// Slurm's numbers of what was submitted.
+    pub fn numbers(&self) -> Vec<u64> {
+        self.array_job.into_iter().chain(self.collect_job).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Job, Work};
+    use crate::cluster::{Measured, Wish, size};
+    use proptest::prelude::{prop_assert_eq, proptest};
+
+    proptest! {
+        #[test]
+        fn the_frame_sets_of_a_shard_are_counted(first in 0u64..50, count in 1u64..100, tasks in 1u64..20) {
+            let measured = Measured { cpu_s_per_frame_set: 1.0, peak_memory_bytes: 1, threads: 1 };
+            let wish = Wish { tasks: Some(tasks.min(count)), hours: 1.0, cpus: 1, most_tasks: 100 };
+            let sizing = size(count, measured, wish).expect("fits");
+            let work = Work {
+                program: "p".into(),
+                session: "s".into(),
+                out: "o".into(),
+                options: Vec::new(),
+                phase: false,
+                parameters: String::new(),
+                triggers: [first, first + count],
+            };
+            let job = Job::new(work, sizing, Vec::new(), None, Vec::new());
+            for shard in 0..job.shards {
+                let found = (first..first + count).filter(|t| t % job.shards == shard).count() as u64;
+                prop_assert_eq!(job.frame_sets(shard), found);
+                prop_assert_eq!(found <= sizing.frame_sets_per_task, true);
+            }
+        }
+    }
+}

@@ -1,0 +1,382 @@
+//! `fourdbody cluster`: a session reconstructed by the machines of a Slurm cluster.
+
+use super::reconstruct::{self, Opened, What};
+use super::{Exit, Failure};
+use crate::cluster::{self, Answer, Job, Measured, ShardStatus, Slurm, State, Status, Wish, Work};
+use crate::export::write_whole;
+use crate::reconstruct::batch::{self, Format};
+use crate::reconstruct::collect::Shards;
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Tasks in one array where Slurm does not say how many it takes: its default.
+const MOST_TASKS: u64 = 1001;
+
+/// Spread a reconstruction over the machines of a Slurm cluster.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out clouds/walk-01 --hours 1\n  fourdbody cluster status clouds/walk-01"
+)]
+pub struct Args {
+    #[command(subcommand)]
+    what: ClusterCommand,
+}
+
+#[derive(clap::Subcommand)]
+enum ClusterCommand {
+    Submit(Box<SubmitArgs>),
+    Status(StatusArgs),
+}
+
+/// Submit a session as a job array of shards, with a collecting job behind it.
+///
+/// The tasks' time and memory follow from a measurement. Everything that is submitted is in OUT/cluster, to be read. Shards
+/// that are finished already are left out, so that what has failed is submitted again by the same command.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out clouds/walk-01 --hours 1 --partition short"
+)]
+struct SubmitArgs {
+    #[command(flatten)]
+    what: What,
+    /// Number of tasks, each a shard of the frame sets [default: as --hours asks for].
+    #[arg(long, value_name = "N", conflicts_with = "hours", value_parser = clap::value_parser!(u64).range(1..))]
+    tasks: Option<u64>,
+    /// Tasks that are expected to take this long, hours.
+    #[arg(long, value_name = "H", default_value_t = 1.0, value_parser = parse_hours)]
+    hours: f64,
+    /// Processors of a task.
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=1024))]
+    cpus: u64,
+    /// Tasks that may run at once, so that a shared disk keeps up [default: as many as fit].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    at_once: Option<u64>,
+    /// Memory of a task, MiB [default: one and a half times what was measured].
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
+    memory: Option<u64>,
+    /// What a frame set takes, as `reconstruct --timings` wrote it on a machine like the cluster's [default: measured here, on
+    /// frame sets from the middle of the session].
+    #[arg(long, value_name = "FILE")]
+    timings: Option<PathBuf>,
+    /// Slurm partition.
+    #[arg(long, value_name = "NAME", value_parser = parse_word)]
+    partition: Option<String>,
+    /// Slurm account.
+    #[arg(long, value_name = "NAME", value_parser = parse_word)]
+    account: Option<String>,
+    /// A further option of sbatch, for instance --sbatch=--qos=high; may be repeated.
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, value_parser = parse_word)]
+    sbatch: Vec<String>,
+    /// The program, as compute nodes find it [default: this one].
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+    /// Print the scripts; write and submit nothing.
+    #[arg(long)]
+    dry_run: bool,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Tell how far a submitted reconstruction is.
+///
+/// Exit codes: 0 waiting, running, or done; 1 something has failed, or Slurm does not answer; 3 and 4 done, with frames that are missing or damaged.
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  fourdbody cluster status clouds/walk-01")]
+struct StatusArgs {
+    /// The directory that was submitted as --out.
+    out: PathBuf,
+    /// Print one JSON object instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    match &args.what {
+        ClusterCommand::Submit(args) => submit(args),
+        ClusterCommand::Status(args) => status(args),
+    }
+}
+
+fn failed(error: impl std::fmt::Display) -> Failure {
+    Failure::new(Exit::Failure, error)
+}
+
+fn usage(error: impl std::fmt::Display) -> Failure {
+    Failure::new(Exit::Usage, error)
+}
+
+fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
+    let slurm = Slurm::find();
+    if !args.dry_run {
+        slurm.as_ref().map_err(usage)?;
+    }
+    let (session, out) = (absolute(&args.what.session)?, absolute(&args.what.out)?);
+    refuse_if_taken(&session, &out, slurm.as_ref().ok().copied())?;
+    let Opened { calibration, plan, .. } = args.what.open()?;
+    let program = match &args.program {
+        // Looked for on the node.
+        Some(name) if name.components().count() == 1 && name.to_str().is_some() => name.clone(),
+        Some(program) => absolute(program)?,
+        None => absolute(&std::env::current_exe().map_err(failed)?)?,
+    };
+    let measured = match &args.timings {
+        Some(path) => Measured::load(path, plan.cameras.len()).map_err(usage)?,
+        None => probe(args, &plan, &out)?,
+    };
+    let most_tasks = slurm.as_ref().ok().and_then(|slurm| slurm.most_tasks()).unwrap_or(MOST_TASKS);
+    let wish = Wish { tasks: args.tasks, hours: args.hours, cpus: args.cpus, most_tasks };
+    let frame_sets = plan.triggers.end - plan.triggers.start;
+    let mut sizing = cluster::size(frame_sets, measured, wish).map_err(usage)?;
+    sizing.memory_mib = args.memory.unwrap_or(sizing.memory_mib);
+    let work = Work {
+        program,
+        session,
+        out,
+        options: args.what.options(&plan.triggers),
+        phase: plan.format == Format::Phase,
+        parameters: batch::parameters(&calibration, &plan).map_err(failed)?,
+        triggers: [plan.triggers.start, plan.triggers.end],
+    };
+    let finished = Shards::new(&plan, &calibration, sizing.tasks).map_err(failed)?;
+    let array = (0..sizing.tasks).filter(|shard| finished.summary(*shard).is_err()).collect();
+    let mut job = Job::new(work, sizing, array, args.at_once, sbatch_options(args));
+    if !args.dry_run {
+        write_calibration(&args.what.calibration, &job.out)?;
+        cluster::write_scripts(&job).map_err(failed)?;
+        submit_scripts(slurm.map_err(usage)?, &mut job)?;
+    }
+    print_job(args, &job);
+    Ok(Exit::Done)
+}
+
+/// A path that scripts can name, wherever they run.
+fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+    let found = std::path::absolute(path).map_err(|e| usage(format!("{}: {e}", path.display())))?;
+    if found.to_str().is_none_or(|text| text.contains(['\n', '\r'])) {
+        return Err(usage(format!(
+            "{}: expected a path of UTF-8 without line breaks, for scripts",
+            path.display()
+        )));
+    }
+    Ok(found)
+}
+
+/// A result that another session has, or that is being worked on, is left alone.
+fn refuse_if_taken(session: &Path, out: &Path, slurm: Option<Slurm>) -> Result<(), Failure> {
+    if !Job::exists(out) {
+        return Ok(());
+    }
+    let job = Job::load(out).map_err(usage)?;
+    if job.session != session {
+        let (out, other) = (out.display(), job.session.display());
+        return Err(usage(format!(
+            "{out} has the results of {other}; choose another --out for {}",
+            session.display()
+        )));
+    }
+    let Some(slurm) = slurm else { return Ok(()) };
+    let status = cluster::read(&job, slurm.tasks(&job.numbers()));
+    let active = |state: State| matches!(state, State::Waiting | State::Running);
+    if active(status.collecting) || status.shards.iter().any(|shard| active(shard.state)) {
+        let numbers = job.numbers().iter().map(u64::to_string).collect::<Vec<_>>().join(" ");
+        return Err(usage(format!(
+            "{} is submitted already; `fourdbody cluster status` tells how far it is, `scancel {numbers}` takes it back",
+            out.display()
+        )));
+    }
+    Ok(())
+}
+
+/// Reconstructs some frame sets from the middle of the session, in a directory that is removed again, and measures it.
+fn probe(args: &SubmitArgs, plan: &batch::Plan, out: &Path) -> Result<Measured, Failure> {
+    /// A directory that goes when it is done with.
+    struct Scratch(PathBuf);
+    impl Drop for Scratch {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_dir_all(&self.0);
+        }
+    }
+    let name = format!("fourdbody-probe-{}", std::process::id());
+    // Where the results will be, so that writing them is measured, too.
+    let scratch =
+        Scratch(if args.dry_run { std::env::temp_dir().join(name) } else { cluster::folder(out).join(name) });
+    std::fs::create_dir_all(&scratch.0).map_err(|e| failed(format!("{}: {e}", scratch.0.display())))?;
+    let (first, end) = (plan.triggers.start, plan.triggers.end);
+    // As many as threads take on at once, so that the memory is that of a long run.
+    let count = (end - first).min(args.cpus.max(2));
+    let from = first + (end - first - count) / 2;
+    let (timings, program) = (scratch.0.join("timings.json"), std::env::current_exe().map_err(failed)?);
+    eprintln!("measuring {count} frame sets (--timings FILE spares this)");
+    let mut command = Command::new(program);
+    command.arg("reconstruct").arg(&args.what.session).arg("--calibration").arg(&args.what.calibration);
+    command.arg("--out").arg(scratch.0.join("out")).arg("--timings").arg(&timings);
+    command.args(args.what.options(&(from..from + count))).args(["--jobs", &args.cpus.to_string()]);
+    let output = command.stdin(Stdio::null()).output().map_err(failed)?;
+    if !matches!(output.status.code(), Some(0 | 3 | 4)) {
+        let text = String::from_utf8_lossy(&output.stderr);
+        return Err(failed(format!("measuring {count} frame sets: {}\n{}", output.status, text.trim())));
+    }
+    Measured::load(&timings, plan.cameras.len()).map_err(failed)
+}
+
+fn sbatch_options(args: &SubmitArgs) -> Vec<String> {
+    let named = [("partition", &args.partition), ("account", &args.account)];
+    let named = named.into_iter().filter_map(|(name, value)| Some(format!("--{name}={}", value.as_ref()?)));
+    named.chain(args.sbatch.iter().cloned()).collect()
+}
+
+/// All tasks use this copy, whatever becomes of the file.
+fn write_calibration(calibration: &Path, out: &Path) -> Result<(), Failure> {
+    let folder = cluster::folder(out);
+    let path = folder.join("calibration.json");
+    let copied = std::fs::create_dir_all(&folder)
+        .and_then(|()| std::fs::read(calibration))
+        .and_then(|bytes| write_whole(&path, |file| file.write_all(&bytes)));
+    copied.map_err(|e| failed(format!("{}: {e}", path.display())))
+}
+
+fn submit_scripts(slurm: Slurm, job: &mut Job) -> Result<(), Failure> {
+    let folder = cluster::folder(&job.out);
+    if !job.array.is_empty() {
+        job.array_job = Some(slurm.submit(&folder, "shards.sh", None).map_err(failed)?);
+    }
+    let collecting = slurm.submit(&folder, "collect.sh", job.array_job).and_then(|number| {
+        job.collect_job = Some(number);
+        job.save()
+    });
+    collecting.map_err(|error| {
+        // Nothing is left behind that nobody knows of.
+        let taken_back: Vec<String> =
+            job.numbers().iter().filter_map(|number| slurm.cancel(*number).err()).collect();
+        failed([vec![error], taken_back].concat().join("\n"))
+    })
+}
+
+fn print_job(args: &SubmitArgs, job: &Job) {
+    if args.json {
+        println!("{}", serde_json::json!(job));
+        return;
+    }
+    let sizing = &job.sizing;
+    println!(
+        "{} frame sets in {} tasks of at most {}; each {} processors, {} MiB, {:.0} min expected, {} min at most ({:.3} s of a \
+         processor a frame set)",
+        job.triggers[1] - job.triggers[0],
+        sizing.tasks,
+        sizing.frame_sets_per_task,
+        sizing.cpus,
+        sizing.memory_mib,
+        sizing.expected_min,
+        sizing.limit_min,
+        sizing.cpu_s_per_frame_set,
+    );
+    let finished = job.shards - job.array.len() as u64;
+    if finished > 0 {
+        println!("{finished} shards are finished already and left out");
+    }
+    if args.dry_run {
+        for (name, text) in
+            [("shards.sh", cluster::shards_script(job)), ("collect.sh", cluster::collect_script(job))]
+        {
+            println!("\n-- {name}\n{text}");
+        }
+        return;
+    }
+    if let Some(number) = job.array_job {
+        println!("submitted the shards as job {number}");
+    }
+    if let Some(number) = job.collect_job {
+        println!(
+            "submitted the collecting job {number}; see: fourdbody cluster status {}",
+            job.out.display()
+        );
+    }
+}
+
+fn status(args: &StatusArgs) -> Result<Exit, Failure> {
+    let job = Job::load(&args.out).map_err(usage)?;
+    let answer = match Slurm::find() {
+        Ok(slurm) => slurm.tasks(&job.numbers()),
+        Err(reason) => Answer { notes: vec![reason], ..Answer::default() },
+    };
+    let status = cluster::read(&job, answer);
+    if args.json {
+        println!("{}", serde_json::json!(status));
+    } else {
+        print_status(&status);
+    }
+    Ok(match (status.state, &status.summary) {
+        (State::Failed | State::Unknown, _) => Exit::Failure,
+        (State::Done, Some(summary)) => reconstruct::exit_of(summary),
+        _ => Exit::Done,
+    })
+}
+
+fn print_status(status: &Status) {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for shard in &status.shards {
+        *counts.entry(word(shard.state)).or_default() += 1;
+    }
+    let counts: Vec<String> = counts.into_iter().map(|(state, count)| format!("{count} {state}")).collect();
+    println!(
+        "{}: {} of {} frame sets; shards: {}",
+        word(status.state),
+        status.frame_sets_done,
+        status.frame_sets,
+        counts.join(", ")
+    );
+    for shard in &status.shards {
+        let ShardStatus { shard: number, state, frame_sets, frame_sets_done, task } = shard;
+        let task = task.as_ref().map_or_else(String::new, describe);
+        println!("  shard {number}: {} {frame_sets_done}/{frame_sets}{task}", word(*state));
+    }
+    let task = status.collecting_task.as_ref().map_or_else(String::new, describe);
+    println!("  collecting: {}{task}", word(status.collecting));
+    if status.state == State::Failed {
+        let logs = cluster::folder(Path::new(&status.out)).join("log");
+        println!(
+            "what has failed tells why in {}; the same `cluster submit` again takes up what is missing",
+            logs.display()
+        );
+    }
+    status.notes.iter().for_each(|note| println!("note: {note}"));
+}
+
+fn describe(task: &cluster::Task) -> String {
+    let mut text = format!(" ({}", task.state);
+    for (name, value) in [("", &task.reason), ("on ", &task.nodes), ("for ", &task.elapsed)] {
+        if !value.is_empty() {
+            text += &format!(", {name}{value}");
+        }
+    }
+    if task.restarts > 0 {
+        text += &format!(", started anew {} times", task.restarts);
+    }
+    text + ")"
+}
+
+fn word(state: State) -> &'static str {
+    match state {
+        State::Waiting => "waiting",
+        State::Running => "running",
+        State::Done => "done",
+        State::Failed => "failed",
+        State::Unknown => "unknown",
+    }
+}
+
+fn parse_hours(text: &str) -> Result<f64, String> {
+    let hours = text.parse().ok().filter(|hours: &f64| (0.01..=1000.0).contains(hours));
+    hours.ok_or_else(|| format!("expected hours from 0.01 to 1000, found {text:?}"))
+}
+
+/// What goes into a script's `#SBATCH` line as it is.
+fn parse_word(text: &str) -> Result<String, String> {
+    let fits = |c: char| c.is_ascii_graphic() && c != '#';
+    let word = (!text.is_empty() && text.chars().all(fits)).then(|| text.to_owned());
+    word.ok_or_else(|| format!("expected a word without spaces, found {text:?}"))
+}
