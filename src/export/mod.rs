@@ -3,6 +3,8 @@
 mod cloud;
 mod e57_file;
 mod format;
+/// Frames to pictures.
+pub mod frames;
 mod glb;
 /// Clouds to files of other formats, many at a time.
 pub mod job;
@@ -19,6 +21,8 @@ pub mod sequence;
 mod shape;
 mod source;
 mod text;
+/// When every frame was.
+pub mod timing;
 /// Pictures of clouds.
 pub mod view;
 mod whole;

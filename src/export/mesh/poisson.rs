@@ -12,7 +12,7 @@
 
 use super::Mesh;
 use super::tetrahedra::{Crossing, Field, surface};
-use crate::export::{Cloud, NO_CAMERA};
+use crate::export::Cloud;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -288,7 +288,7 @@ fn add_interpolated(fine: &mut Level, coarse: &Level) {
     let f = &coarse.f;
     // The coarse cell around a fine one, and the next one on its side; none beyond the border.
     let near = |i: usize, end: usize| {
-        let other = if i % 2 == 0 { (i / 2).checked_sub(1) } else { Some(i / 2 + 1) };
+        let other = if i.is_multiple_of(2) { (i / 2).checked_sub(1) } else { Some(i / 2 + 1) };
         [(Some(i / 2), 0.75f32), (other.filter(|other| *other < end), 0.25)]
     };
     fine.f.par_chunks_mut(slab).enumerate().for_each(|(z, out)| {
@@ -386,7 +386,6 @@ fn vertices(grid: &Grid, level: &Level, samples: &[Sample], crossings: &[Crossin
         cloud.normal.push(normal.map(|x| x / length));
         cloud.intensity.push(nearest(&cells, at).map_or(0.0, |sample| sample.intensity));
     }
-    debug_assert!(cloud.camera.is_empty() && NO_CAMERA == u8::MAX);
     cloud
 }
 
@@ -426,16 +425,8 @@ mod tests {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let off = noise * ((state >> 40) as f32 / (1u64 << 24) as f32 - 0.5);
             if !hole(n) {
-                cloud.position_m.push(
-                    [0.4, -0.1, 1.0]
-                        .map(|x: f32| x)
-                        .into_iter()
-                        .zip(n)
-                        .map(|(c, n)| c + (RADIUS + off) * n)
-                        .collect::<Vec<_>>()
-                        .try_into()
-                        .unwrap_or_default(),
-                );
+                let (r, centre) = (RADIUS + off, [0.4, -0.1, 1.0]);
+                cloud.position_m.push(std::array::from_fn(|k| centre[k] + r * n[k]));
                 cloud.normal.push(n);
                 cloud.intensity.push(0.5);
             }
