@@ -13,7 +13,7 @@
 
 use super::cloud::Cloud;
 use super::format::Format;
-use super::mesh::{self, MeshKind};
+use super::mesh::{self, Mesh, MeshKind};
 use super::shape::Shape;
 use super::source::{CloudSource, Commented};
 use super::whole::write_whole;
@@ -23,8 +23,8 @@ use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 /// Comments of directional clouds that are true of a merged one, too.
 const COMMON: [&str; 4] = ["fourdbody ", "parameters ", "calibration ", "trigger "];
@@ -86,14 +86,15 @@ pub fn run(
     let triggers: Vec<(&u64, &Vec<usize>)> = source.triggers().range(plan.triggers.clone()).collect();
     let (done, total) = (AtomicU64::new(0), triggers.len() as u64);
     let summary = Mutex::new(Summary { triggers: triggers.len(), ..Summary::default() });
+    let job = Job { source, plan, summary };
     triggers.into_par_iter().with_max_len(1).try_for_each(|(trigger, there)| {
         let cameras: Vec<usize> =
             plan.cameras.iter().copied().filter(|camera| there.contains(camera)).collect();
-        export_trigger(source, plan, *trigger, &cameras, &summary)?;
+        job.trigger(*trigger, &cameras)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
         Ok::<(), String>(())
     })?;
-    let mut summary = summary.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut summary = job.summary.into_inner().unwrap_or_else(PoisonError::into_inner);
     summary.problems.sort();
     Ok(summary)
 }
@@ -107,99 +108,133 @@ fn folders(plan: &Plan) -> (&'static str, &'static str) {
     }
 }
 
-fn export_trigger(
-    source: &dyn CloudSource,
-    plan: &Plan,
-    trigger: u64,
-    cameras: &[usize],
-    summary: &Mutex<Summary>,
-) -> Result<(), String> {
-    let count = |change: &dyn Fn(&mut Summary)| {
-        change(&mut summary.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
-    };
-    let (of_trigger, of_camera) = folders(plan);
-    let outputs = |folder: &str, stem: String, cameras: &[usize]| -> Vec<Output> {
-        let made = source.modified(trigger, cameras);
+struct Job<'a> {
+    source: &'a dyn CloudSource,
+    plan: &'a Plan,
+    summary: Mutex<Summary>,
+}
+
+impl Job<'_> {
+    fn count(&self, change: impl FnOnce(&mut Summary)) {
+        change(&mut self.summary.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// The files made of these cameras' clouds that are not finished.
+    fn outputs(&self, folder: &str, stem: &str, trigger: u64, cameras: &[usize]) -> Vec<Output> {
+        let made = self.source.modified(trigger, cameras);
         let output = |format: &Format| {
-            let name = format!("{stem}.{}", format.extension());
-            let path = plan.out.join(folder).join(name);
+            let path = self.plan.out.join(folder).join(format!("{stem}.{}", format.extension()));
             let there = path.metadata().and_then(|there| there.modified()).ok();
             let finished = there.zip(made).is_some_and(|(there, made)| there >= made);
             (!finished).then_some(Output { path, format: *format })
         };
-        let outputs: Vec<Output> = plan.formats.iter().filter_map(output).collect();
-        count(&|summary| summary.skipped += plan.formats.len() - outputs.len());
+        let outputs: Vec<Output> = self.plan.formats.iter().filter_map(output).collect();
+        self.count(|summary| summary.skipped += self.plan.formats.len() - outputs.len());
         outputs
-    };
-    let single: Vec<(usize, Vec<Output>)> = if plan.directional {
-        let of = |&camera: &usize| {
-            let stem = format!("{}_{trigger:06}", source.cameras()[camera].1);
-            (camera, outputs(of_camera, stem, &[camera]))
-        };
-        cameras.iter().map(of).filter(|(_, outputs)| !outputs.is_empty()).collect()
-    } else {
-        Vec::new()
-    };
-    let merged = if plan.merged { outputs(of_trigger, format!("{trigger:06}"), cameras) } else { Vec::new() };
-    let needed: Vec<usize> =
-        if merged.is_empty() { single.iter().map(|(camera, _)| *camera).collect() } else { cameras.to_vec() };
-    if needed.is_empty() {
-        return Ok(());
     }
-    let clouds = match source.clouds(trigger, &needed) {
-        Ok(clouds) => clouds,
-        Err(problem) => {
-            count(&|summary| summary.problems.push(problem.clone()));
+
+    /// All files of a trigger; `cameras`: those that have a cloud.
+    fn trigger(&self, trigger: u64, cameras: &[usize]) -> Result<(), String> {
+        let (of_trigger, of_camera) = folders(self.plan);
+        let mut single: Vec<(usize, Vec<Output>)> = Vec::new();
+        for &camera in cameras.iter().filter(|_| self.plan.directional) {
+            let stem = format!("{}_{trigger:06}", self.source.cameras()[camera].1);
+            let outputs = self.outputs(of_camera, &stem, trigger, &[camera]);
+            if !outputs.is_empty() {
+                single.push((camera, outputs));
+            }
+        }
+        let merged = if self.plan.merged {
+            self.outputs(of_trigger, &format!("{trigger:06}"), trigger, cameras)
+        } else {
+            Vec::new()
+        };
+        let needed: Vec<usize> = if merged.is_empty() {
+            single.iter().map(|(camera, _)| *camera).collect()
+        } else {
+            cameras.to_vec()
+        };
+        if needed.is_empty() {
             return Ok(());
         }
-    };
-    let numbered: Vec<(u8, String)> = needed.iter().map(|&camera| source.cameras()[camera].clone()).collect();
-    let save = |outputs: &[Output], comments: &[String], cloud: &Cloud, triangles: &[[u32; 3]]| {
-        let shape = Shape { cloud, triangles, comments, cameras: &numbered };
+        let clouds = match self.source.clouds(trigger, &needed) {
+            Ok(clouds) => clouds,
+            Err(problem) => {
+                self.count(|summary| summary.problems.push(problem));
+                return Ok(());
+            }
+        };
+        let numbered: Vec<(u8, String)> =
+            needed.iter().map(|&camera| self.source.cameras()[camera].clone()).collect();
+        for (i, commented) in clouds.iter().enumerate() {
+            if let Some((_, outputs)) = single.iter().find(|(camera, _)| needed.get(i) == Some(camera)) {
+                self.save_single(outputs, commented, &numbered[i..=i])?;
+            }
+        }
+        if merged.is_empty() { Ok(()) } else { self.save_merged(trigger, &merged, &clouds, &numbered) }
+    }
+
+    fn save_single(
+        &self,
+        outputs: &[Output],
+        (comments, cloud): &Commented,
+        cameras: &[(u8, String)],
+    ) -> Result<(), String> {
+        let Some(MeshKind::Grid(limits)) = self.plan.mesh else {
+            return self.save(outputs, &Shape { cloud, triangles: &[], comments, cameras });
+        };
+        let mesh = mesh::on_grid(cloud, limits);
+        let shape = Shape { cloud: &mesh.vertices, triangles: &mesh.triangles, comments, cameras };
+        self.save(outputs, &shape)
+    }
+
+    fn save_merged(
+        &self,
+        trigger: u64,
+        outputs: &[Output],
+        clouds: &[Commented],
+        cameras: &[(u8, String)],
+    ) -> Result<(), String> {
+        let comments = &merged_comments(clouds, cameras);
+        let mesh = match self.plan.mesh {
+            None => {
+                let cloud = &join(clouds, cameras);
+                return self.save(outputs, &Shape { cloud, triangles: &[], comments, cameras });
+            }
+            Some(MeshKind::Grid(limits)) => {
+                let mut all = Mesh::default();
+                for ((_, cloud), (number, _)) in clouds.iter().zip(cameras) {
+                    all.append(&mesh::on_grid(cloud, limits), *number);
+                }
+                Ok(all)
+            }
+            Some(MeshKind::Watertight { cell_m }) => mesh::watertight(&join(clouds, cameras), cell_m),
+        };
+        match mesh {
+            Ok(mesh) => {
+                let shape = Shape { cloud: &mesh.vertices, triangles: &mesh.triangles, comments, cameras };
+                self.save(outputs, &shape)
+            }
+            Err(reason) => {
+                self.count(|summary| summary.problems.push(format!("trigger {trigger}: {reason}")));
+                Ok(())
+            }
+        }
+    }
+
+    fn save(&self, outputs: &[Output], shape: &Shape<'_>) -> Result<(), String> {
         for Output { path, format } in outputs {
             let fail = |e: std::io::Error| format!("{}: {e}", path.display());
-            format.save(path, &shape).map_err(fail)?;
+            format.save(path, shape).map_err(fail)?;
             let bytes = path.metadata().map_err(fail)?.len();
-            count(&|summary| {
+            self.count(|summary| {
                 summary.written += 1;
-                summary.points += cloud.len();
-                summary.triangles += triangles.len();
+                summary.points += shape.cloud.len();
+                summary.triangles += shape.triangles.len();
                 summary.bytes += bytes;
             });
         }
-        Ok::<(), String>(())
-    };
-    for (camera, outputs) in &single {
-        let Some(place) = needed.iter().position(|needed| needed == camera) else { continue };
-        let (comments, cloud) = &clouds[place];
-        match plan.mesh {
-            Some(MeshKind::Grid(limits)) => {
-                let mesh = mesh::on_grid(cloud, limits);
-                save(outputs, comments, &mesh.vertices, &mesh.triangles)?;
-            }
-            _ => save(outputs, comments, cloud, &[])?,
-        }
-    }
-    if merged.is_empty() {
-        return Ok(());
-    }
-    let comments = merged_comments(&clouds, &numbered);
-    match plan.mesh {
-        None => save(&merged, &comments, &join(&clouds, &numbered), &[]),
-        Some(MeshKind::Grid(limits)) => {
-            let mut all = mesh::Mesh::default();
-            for ((_, cloud), (number, _)) in clouds.iter().zip(&numbered) {
-                all.append(&mesh::on_grid(cloud, limits), *number);
-            }
-            save(&merged, &comments, &all.vertices, &all.triangles)
-        }
-        Some(MeshKind::Watertight { cell_m }) => match mesh::watertight(&join(&clouds, &numbered), cell_m) {
-            Ok(mesh) => save(&merged, &comments, &mesh.vertices, &mesh.triangles),
-            Err(reason) => {
-                count(&|summary| summary.problems.push(format!("trigger {trigger}: {reason}")));
-                Ok(())
-            }
-        },
+        Ok(())
     }
 }
 

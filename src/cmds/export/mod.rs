@@ -7,6 +7,7 @@ use super::{Exit, Failure};
 use crate::calibrate::Calibration;
 use crate::export::Format;
 use crate::export::frames::Picture;
+use crate::export::sequence::quantized::STEPS_M;
 use crate::reconstruct::stored;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -238,5 +239,6 @@ fn parse_cell(text: &str) -> Result<f64, String> {
 }
 
 fn parse_step(text: &str) -> Result<f64, String> {
-    parse_within(text, 0.001..=10.0, "millimetres")
+    let (least, most) = (STEPS_M.start() * 1e3, STEPS_M.end() * 1e3);
+    parse_within(text, least..=most, "millimetres")
 }

@@ -54,10 +54,20 @@ pub struct Options {
     pub step_m: Option<f64>,
 }
 
+impl Options {
+    /// Makes the message of a cloud.
+    fn encode(self, message: &mut Vec<u8>, time_ns: u64, cloud: &Cloud) {
+        match self.step_m {
+            None => pack(message, time_ns, cloud),
+            Some(step_m) => quantized::encode(message, time_ns, cloud, step_m),
+        }
+    }
+}
+
 /// Writes a sequence.
 pub struct SequenceWriter<W: Write + Seek> {
     writer: mcap::Writer<W>,
-    step_m: Option<f64>,
+    options: Options,
     channels: BTreeMap<String, u16>,
     /// Messages so far of each channel.
     counts: BTreeMap<u16, u32>,
@@ -86,7 +96,7 @@ impl<W: Write + Seek> SequenceWriter<W> {
             .library("fourdbody");
         let writer = writing.create(out)?;
         let (channels, counts) = (BTreeMap::new(), BTreeMap::new());
-        Ok(Self { writer, step_m: options.step_m, channels, counts, message: Vec::new() })
+        Ok(Self { writer, options, channels, counts, message: Vec::new() })
     }
 
     /// Appends a cloud of all cameras, or of the one that is named. `time_ns` must not go back.
@@ -96,11 +106,11 @@ impl<W: Write + Seek> SequenceWriter<W> {
         camera: Option<&str>,
         cloud: &Cloud,
     ) -> Result<(), mcap::McapError> {
-        match self.step_m {
-            None => pack(&mut self.message, time_ns, cloud),
-            Some(step_m) => quantized::encode(&mut self.message, time_ns, cloud, step_m),
-        }
-        self.write(time_ns, camera)
+        let mut message = std::mem::take(&mut self.message);
+        self.options.encode(&mut message, time_ns, cloud);
+        let written = self.write(time_ns, camera, &message);
+        self.message = message;
+        written
     }
 
     /// Appends a merged cloud. `time_ns` must not go back.
@@ -111,12 +121,12 @@ impl<W: Write + Seek> SequenceWriter<W> {
     /// Appends the merged cloud of a PLY file as it is, without rounding: its points are packed nearly as those of a message
     /// are.
     pub fn push_ply(&mut self, time_ns: u64, path: &std::path::Path) -> Result<(), String> {
-        let message = &mut self.message;
-        start_message(message, time_ns, 0);
+        let mut message = std::mem::take(&mut self.message);
+        start_message(&mut message, time_ns, 0);
         let mut started = false;
         ply::stream(path, |points, bytes, stride| {
             if !std::mem::replace(&mut started, true) {
-                start_message(message, time_ns, points);
+                start_message(&mut message, time_ns, points);
             }
             let from = message.len();
             message.resize(from + bytes.len() / stride * STRIDE, 0);
@@ -132,12 +142,14 @@ impl<W: Write + Seek> SequenceWriter<W> {
             Ok(())
         })
         .map_err(|e| e.to_string())?;
-        self.write(time_ns, None).map_err(|e| e.to_string())
+        let written = self.write(time_ns, None, &message).map_err(|e| e.to_string());
+        self.message = message;
+        written
     }
 
     /// The channel of the topic, which is announced when it is needed first.
     fn channel(&mut self, camera: Option<&str>) -> Result<u16, mcap::McapError> {
-        let (base, name, schema) = match self.step_m {
+        let (base, name, schema) = match self.options.step_m {
             None => (CLOUD_TOPIC, "foxglove.PointCloud", schema::point_cloud as fn() -> Vec<u8>),
             Some(_) => {
                 (QUANTIZED_TOPIC, "fourdbody.QuantizedCloud", schema::quantized_cloud as fn() -> Vec<u8>)
@@ -153,12 +165,12 @@ impl<W: Write + Seek> SequenceWriter<W> {
         Ok(channel)
     }
 
-    fn write(&mut self, time_ns: u64, camera: Option<&str>) -> Result<(), mcap::McapError> {
+    fn write(&mut self, time_ns: u64, camera: Option<&str>, message: &[u8]) -> Result<(), mcap::McapError> {
         let channel_id = self.channel(camera)?;
         let count = self.counts.entry(channel_id).or_default();
         let header = MessageHeader { channel_id, sequence: *count, log_time: time_ns, publish_time: time_ns };
         *count = count.wrapping_add(1);
-        self.writer.write_to_known_channel(&header, &self.message)
+        self.writer.write_to_known_channel(&header, message)
     }
 
     /// Completes the file and gives back what it was written to.

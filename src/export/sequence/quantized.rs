@@ -21,10 +21,7 @@ use super::schema::Message;
 use super::timestamp;
 use crate::export::cloud::Cloud;
 
-/// Step of places where nothing else is asked for, metres: its error of 0.01 mm is a fifth of a point's standard deviation.
-pub const STEP_M: f64 = 2e-5;
-
-/// The largest and the smallest step that may be asked for, metres.
+/// The steps of places that make sense, metres: below, floats are as coarse; above, nothing is left of a surface.
 pub const STEPS_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-2;
 
 const INTENSITY_STEP: f64 = 1.0 / 1020.0;
