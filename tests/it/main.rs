@@ -36,6 +36,7 @@ mod disk_faults;
 mod doctor;
 #[cfg(feature = "aravis")]
 mod endurance;
+mod export;
 #[cfg(feature = "aravis")]
 mod faults;
 mod fuzz_corpora;
