@@ -29,6 +29,8 @@ pub struct Inventory {
     pub ready: Vec<Found>,
     /// Sessions that cannot be worked on yet, each with the reason.
     pub not_yet: Vec<(String, String)>,
+    /// How many of these wait only for their next attempt.
+    pub retries: u64,
     /// Sessions that are done.
     pub done: u64,
     /// Sessions that were set aside, each with the reason.
@@ -64,6 +66,7 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
         .into_iter()
         .map(|found| (later(&found), found))
         .partition(|(later, _)| later.is_some());
+    inventory.retries = waiting.len() as u64;
     inventory.ready = ready.into_iter().map(|(_, found)| found).collect();
     inventory
         .not_yet

@@ -24,6 +24,8 @@ const LOOK: Duration = Duration::from_secs(2);
 const TELL: Duration = Duration::from_secs(1);
 /// How long to wait before the second attempt; twice as long before each further one.
 const RETRY: Duration = Duration::from_secs(10);
+/// With less room than this a failure is blamed on the disk: four frame sets as PLY files.
+const SHORT_BYTES: u64 = 256 << 20;
 
 /// The worker of a results' directory.
 pub struct Worker {
@@ -31,6 +33,8 @@ pub struct Worker {
     give_way: GiveWay,
     stop: Arc<AtomicBool>,
     state: WorkerState,
+    /// Sessions that will be tried again some seconds later.
+    retries: u64,
     /// Held as long as it lives.
     _lock: File,
 }
@@ -64,7 +68,7 @@ impl Worker {
             Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
         let give_way = GiveWay::start(&config.nodes)?;
-        Ok(Self { config, give_way, stop, state: WorkerState::default(), _lock: lock })
+        Ok(Self { config, give_way, stop, state: WorkerState::default(), retries: 0, _lock: lock })
     }
 
     /// Works until it is stopped; with `once` until there is nothing to do. Whether every session found is done.
@@ -80,11 +84,14 @@ impl Worker {
                     break;
                 }
                 (Some(interruption), _) => self.rest(&interruption),
-                (None, Some(found)) => {
-                    self.work(&found)?;
-                    continue;
-                }
-                (None, None) if once => break,
+                (None, Some(found)) => match self.work(&found) {
+                    Some(obstacle) if once => {
+                        self.state.not_yet.push((found.name, obstacle));
+                        break;
+                    }
+                    _ => continue,
+                },
+                (None, None) if once && self.retries == 0 => break,
                 (None, None) => self.say(Activity::Idle, None),
             }
             if told.as_ref() != Some(&self.state.line()) {
@@ -103,7 +110,7 @@ impl Worker {
         let inventory = queue::look(&self.config, &asked_first(&self.config.results));
         self.state.queued = inventory.ready.iter().map(|found| found.name.clone()).collect();
         (self.state.not_yet, self.state.set_aside) = (inventory.not_yet, inventory.set_aside);
-        self.state.done = inventory.done;
+        (self.state.done, self.retries) = (inventory.done, inventory.retries);
         inventory.ready.into_iter().next()
     }
 
@@ -155,10 +162,21 @@ impl Worker {
         }
     }
 
-    /// One session, until it is done or something comes between.
-    fn work(&mut self, found: &Found) -> Result<(), Fault> {
+    /// Why a failure is not the session's fault: its recordings have gone, or there is no room for a few frame sets.
+    fn blame(&self, found: &Found) -> Option<String> {
+        let room = free_bytes(&self.config.results).unwrap_or(0);
+        if room < SHORT_BYTES {
+            let results = self.config.results.display();
+            return Some(format!("{results} has {} MiB free; make room", room >> 20));
+        }
+        queue::parts(&self.config, &found.name).err()
+    }
+
+    /// One session, until it is done or something comes between. What kept it from being done that is not its own fault.
+    fn work(&mut self, found: &Found) -> Option<String> {
         let results = self.config.results.clone();
         let mut job = Job::load(&results, &found.name).unwrap_or_default();
+        let mut obstacle = None;
         let outcome = match self.begin(&mut job, found) {
             Ok(()) => self.carry_on(&mut job, found),
             Err(reason) => Outcome::Failed(reason),
@@ -170,13 +188,14 @@ impl Worker {
                 self.state.job = Some(job.clone());
                 self.rest(&interruption);
                 self.keep(&job);
-                return Ok(());
+                return match interruption {
+                    Interruption::Obstacle(reason) => Some(reason),
+                    _ => None,
+                };
             }
             Outcome::Failed(reason) => {
-                // What is not there any more, or has no room, is not the session's fault.
-                if self.obstacle().is_none() && queue::parts(&self.config, &found.name).is_ok() {
-                    job.attempts += 1;
-                }
+                obstacle = self.blame(found);
+                job.attempts += u32::from(obstacle.is_none());
                 let wait = RETRY * 2_u32.saturating_pow(job.attempts.saturating_sub(1).min(16));
                 job.not_before_ns = now_ns() + u64::try_from(wait.as_nanos()).unwrap_or(0);
                 if job.attempts >= self.config.attempts {
@@ -196,7 +215,7 @@ impl Worker {
         }
         self.state.job = None;
         self.keep(&job);
-        Ok(())
+        obstacle
     }
 
     fn keep(&self, job: &Job) {

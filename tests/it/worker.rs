@@ -69,7 +69,7 @@ impl Place {
         self.path("worker.toml").display().to_string()
     }
 
-    fn start(&self) -> Child {
+    fn start(&self) -> Running {
         let log =
             std::fs::File::options().create(true).append(true).open(self.path("worker.log")).expect("a log");
         let mut command = Command::new(FOURDBODY);
@@ -78,7 +78,7 @@ impl Place {
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(log);
-        command.spawn().expect("starts")
+        Running(command.spawn().expect("starts"))
     }
 
     fn once(&self) -> (Option<i32>, String) {
@@ -122,6 +122,23 @@ impl Place {
     }
 }
 
+/// A worker's process; killed when dropped.
+struct Running(Child);
+
+impl Running {
+    fn kill(&mut self) {
+        self.0.kill().expect("a child");
+        self.0.wait().expect("a child");
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// Processes of this program that mention the path.
 fn processes(path: &Path) -> Vec<String> {
     let wanted = path.display().to_string();
@@ -141,8 +158,7 @@ fn a_worker_that_is_killed_ten_times_gives_the_bytes_of_one_run() {
     for kill in 0..10 {
         let mut worker = place.start();
         std::thread::sleep(Duration::from_millis(200 + random.below(1500)));
-        worker.kill().expect("a child");
-        worker.wait().expect("a child");
+        worker.kill();
         let deadline = Instant::now() + PATIENCE;
         while !processes(&place.results()).is_empty() {
             assert!(Instant::now() < deadline, "left behind: {:?}", processes(&place.results()));
@@ -189,8 +205,8 @@ fn a_capture_comes_first_and_the_worker_resumes() {
     assert_contains(&log, &["interrupted", "node a: "]);
     place.wait("done", |state| state.done == 1 && state.activity == Activity::Idle);
     place.assert_same();
-    Command::new("kill").args(["-TERM", &worker.id().to_string()]).status().expect("kill is there");
-    assert!(worker.wait().expect("a child").success());
+    Command::new("kill").args(["-TERM", &worker.0.id().to_string()]).status().expect("kill is there");
+    assert!(worker.0.wait().expect("a child").success());
     assert_eq!(place.state().activity, Activity::Ended);
 }
 
@@ -246,14 +262,64 @@ fn a_disk_that_is_full_or_a_share_that_is_away_is_waited_for() {
     assert_eq!((job.stage, job.attempts), (Stage::Done, 0));
 }
 
+/// A small file system; it is taken away when dropped.
+struct Tmpfs(PathBuf);
+
+impl Tmpfs {
+    /// `None` where this process may not mount anything.
+    fn mount(path: PathBuf, mib: u64) -> Option<Self> {
+        std::fs::create_dir_all(&path).expect("writable");
+        let size = format!("size={mib}m");
+        let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", &size, "tmpfs"]).arg(&path).status();
+        mounted.is_ok_and(|status| status.success()).then_some(Self(path))
+    }
+
+    fn resize(&self, mib: u64) {
+        let size = format!("remount,size={mib}m");
+        let done = Command::new("mount").args(["-o", &size]).arg(&self.0).status();
+        assert!(done.is_ok_and(|status| status.success()));
+    }
+}
+
+impl Drop for Tmpfs {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("--lazy").arg(&self.0).status();
+    }
+}
+
+#[test]
+fn a_disk_that_fills_up_stops_the_work_and_more_room_resumes_it() {
+    let place = Place::new();
+    let Some(disk) = Tmpfs::mount(place.results(), 24) else {
+        println!("skipped: file systems are mounted by root only");
+        return;
+    };
+    // Once by the reserve, once by the disk itself.
+    for reserve_mib in [8, 0] {
+        place.configure("", &format!("threads = 1\nreserve_mib = {reserve_mib}\nattempts = 1"));
+        let (code, text) = place.once();
+        assert_eq!(code, Some(3), "{text}");
+        let job = Job::load(&place.results(), "walk").expect("there");
+        assert_ne!(job.stage, Stage::Done);
+        assert_eq!(job.attempts, 0, "the disk is to blame, not the session: {job:?}");
+    }
+    let before = place.inodes();
+    assert!(!before.is_empty(), "something was finished before");
+    disk.resize(400);
+    let (code, text) = place.once();
+    assert_eq!(code, Some(0), "{text}");
+    place.assert_same();
+    let after = place.inodes();
+    assert!(before.iter().all(|(path, inode)| after.get(path) == Some(inode)), "{before:?}\n{after:?}");
+}
+
 #[test]
 fn only_one_worker_has_the_results() {
     let place = Place::new();
     let mut worker = place.start();
     place.wait("at work", |state| state.activity == Activity::Working);
     let (code, text) = place.once();
-    worker.kill().expect("a child");
-    worker.wait().expect("a child");
+    worker.kill();
     assert_eq!(code, Some(2), "{text}");
     assert_contains(&text, &["another worker is at work"]);
 }
