@@ -16,7 +16,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint deb bench-ingest bench-reconstruct poses validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test lint deb bench-ingest bench-reconstruct bench-worker poses validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -62,6 +62,9 @@ bench-reconstruct: packages
 	$(CARGO) build --release --workspace
 	$(CARGO) build --release --example wrapped_phase
 	scripts/bench-reconstruct.sh
+
+bench-worker: demo
+	scripts/bench-worker.sh
 
 poses: packages
 	$(CARGO) build --release --workspace

@@ -308,6 +308,8 @@ impl Worker {
             cameras.into(),
             "--jobs".into(),
             self.config.threads().to_string().into(),
+            "--timings".into(),
+            dir.join("timings.json").into(),
         ];
         match self.task(job, args) {
             Ok(Ended::ByItself(Some(0 | 3))) => {
@@ -410,9 +412,13 @@ pub(super) fn frame_sets(dir: &Path, output: Output) -> u64 {
 
 /// What the summary says of a session that is done.
 fn summarize(job: &mut Job, dir: &Path) {
-    let text = std::fs::read(dir.join("summary.json")).unwrap_or_default();
-    let summary: serde_json::Value = serde_json::from_slice(&text).unwrap_or_default();
+    let read = |name: &str| -> serde_json::Value {
+        let text = std::fs::read(dir.join(name)).unwrap_or_default();
+        serde_json::from_slice(&text).unwrap_or_default()
+    };
+    let summary = read("summary.json");
     let number = |key: &str| summary[key].as_u64().unwrap_or(0);
+    job.peak_memory_bytes = read("timings.json")["peak_memory_bytes"].as_u64().unwrap_or(0);
     job.frames_without_cloud = number("refused") + number("gaps") + number("damaged");
     job.merged_points = number("merged_points");
     job.parameters = summary["parameters"].as_str().unwrap_or_default().to_owned();
