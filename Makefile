@@ -6,6 +6,7 @@
 #   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
 #   make bench-reconstruct     milliseconds a frame, stage by stage, beside other programs (PEERS=0 leaves these out)
+#   make bench-worker          frame sets an hour with reading, verifying and writing, beside the reconstruction itself
 #   make poses     fringe orders on 224 camera frames of moving mannequins
 #   make validate  the paper's section 5: calibrated, Table 3, girths, spacing, beside the paper's figures
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)

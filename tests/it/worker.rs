@@ -103,17 +103,22 @@ impl Place {
         }
     }
 
-    /// Every cloud that is there, with its inode: a file that is written anew has another.
+    /// The clouds of every frame set that is finished, with their inodes: a file that is written anew has another.
     fn inodes(&self) -> BTreeMap<PathBuf, u64> {
-        let mut found = BTreeMap::new();
-        for folder in ["clouds", "merged"] {
-            let entries =
-                std::fs::read_dir(self.results().join("walk").join(folder)).into_iter().flatten().flatten();
-            for entry in entries.filter(|entry| entry.path().extension().is_some_and(|e| e == "ply")) {
-                found.insert(entry.path(), entry.metadata().expect("metadata").ino());
-            }
-        }
-        found
+        let files = |folder: &str| {
+            let entries = std::fs::read_dir(self.results().join("walk").join(folder)).into_iter().flatten();
+            let clouds =
+                entries.flatten().filter(|entry| entry.path().extension().is_some_and(|e| e == "ply"));
+            clouds.map(|entry| (entry.path(), entry.metadata().expect("metadata").ino())).collect::<Vec<_>>()
+        };
+        let merged: BTreeMap<PathBuf, u64> = files("merged").into_iter().collect();
+        let is_finished = |(path, _): &(PathBuf, u64)| {
+            let name = path.file_name().expect("a name").to_string_lossy().into_owned();
+            let index = name.rsplit_once('_').map_or(name.as_str(), |(_, index)| index);
+            merged.keys().any(|path| path.ends_with(index))
+        };
+        let clouds: Vec<(PathBuf, u64)> = files("clouds").into_iter().filter(is_finished).collect();
+        merged.iter().map(|(path, inode)| (path.clone(), *inode)).chain(clouds).collect()
     }
 
     /// The results of the session have the bytes of one run with one thread.
