@@ -17,13 +17,13 @@ type Files = BTreeMap<PathBuf, Vec<u8>>;
 const TRIGGERS: u64 = 14;
 
 /// Photographs and calibration, and what one run with one thread makes of them.
-pub struct Fixture {
+struct Fixture {
     dir: tempfile::TempDir,
     expected: Files,
 }
 
 impl Fixture {
-    pub fn new() -> Self {
+    fn new() -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let images = render(dir.path());
         for camera in images.read_dir().expect("a directory") {
@@ -43,7 +43,7 @@ impl Fixture {
         Self { expected, ..fixture }
     }
 
-    pub fn path(&self, name: &str) -> PathBuf {
+    fn path(&self, name: &str) -> PathBuf {
         self.dir.path().join(name)
     }
 
@@ -81,7 +81,7 @@ impl Fixture {
     }
 
     /// Whether a result is that of one run.
-    pub fn assert_same(&self, name: &str) {
+    fn assert_same(&self, name: &str) {
         let found = self.files(name);
         assert!(self.expected.keys().eq(found.keys()), "{name}: {:?}", found.keys());
         for (file, bytes) in &self.expected {
@@ -103,7 +103,7 @@ impl Fixture {
     }
 }
 
-pub fn text(output: &Output) -> String {
+fn text(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
 }
 
