@@ -16,7 +16,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint deb bench-ingest bench-reconstruct poses validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test lint deb bench-ingest bench-reconstruct bench-worker poses validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -25,10 +25,14 @@ all: packages
 packages:
 	@scripts/install-packages.sh gcc pkg-config libaravis-dev libusb-1.0-0-dev
 
+# Readers of our files that are not ours.
+READERS := mcap==1.6.0 mcap-protobuf-support==0.5.3 numpy==2.4.6 trimesh==5.2.0 plyfile==1.1.5 pypcd4==1.5.1 \
+	pye57==0.4.19 pygltflib==1.16.5 pillow==13.0.0 tifffile==2026.3.3
+
 # Third parties that the tests talk to; a test whose program is absent says so and is skipped.
 test-packages: packages
 	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge
-	@scripts/make-venv.sh tests/.venv mcap==1.6.0 mcap-protobuf-support==0.5.3
+	@scripts/make-venv.sh tests/.venv $(READERS)
 
 demo: packages
 	$(CARGO) build --release --workspace
@@ -58,6 +62,9 @@ bench-reconstruct: packages
 	$(CARGO) build --release --workspace
 	$(CARGO) build --release --example wrapped_phase
 	scripts/bench-reconstruct.sh
+
+bench-worker: demo
+	scripts/bench-worker.sh
 
 poses: packages
 	$(CARGO) build --release --workspace

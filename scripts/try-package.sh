@@ -43,7 +43,10 @@ inside fourdbody --version
 inside id fourdbody
 inside stat -c '%A %U:%G %n' /etc/fourdbody /etc/fourdbody/node.toml /var/lib/fourdbody /var/lib/fourdbody/sessions
 inside sh -c 'test -s /usr/share/man/man1/fourdbody-capture.1* && test -s /usr/share/bash-completion/completions/fourdbody'
-inside test -s /lib/systemd/system/fourdbody-node.service -o -s /usr/lib/systemd/system/fourdbody-node.service
+for unit in fourdbody-node fourdbody-worker; do
+    inside test -s "/lib/systemd/system/$unit.service" -o -s "/usr/lib/systemd/system/$unit.service"
+done
+inside fourdbody check-config /etc/fourdbody/node.toml /etc/fourdbody/worker.toml
 
 step "an upgrade keeps the configuration"
 echo "# mine" >>"$root/etc/fourdbody/rig.toml"

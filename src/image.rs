@@ -194,15 +194,30 @@ pub fn write_png_grey(path: &Path, image: Mono8<'_>) -> io::Result<()> {
     write_png(path, image.width, image.height, png::ColorType::Grayscale, image.data)
 }
 
+/// Writes an 8-bit grey PNG to what is open already.
+pub fn encode_png_grey(out: impl io::Write, image: Mono8<'_>) -> io::Result<()> {
+    encode_png(out, image.width, image.height, png::ColorType::Grayscale, image.data)
+}
+
 /// Writes an 8-bit RGB PNG; `rgb` holds `3 * width * height` bytes.
 pub fn write_png_rgb(path: &Path, width: usize, height: usize, rgb: &[u8]) -> io::Result<()> {
     write_png(path, width, height, png::ColorType::Rgb, rgb)
 }
 
 fn write_png(path: &Path, width: usize, height: usize, color: png::ColorType, data: &[u8]) -> io::Result<()> {
+    encode_png(BufWriter::new(File::create(path)?), width, height, color, data)
+}
+
+fn encode_png(
+    out: impl io::Write,
+    width: usize,
+    height: usize,
+    color: png::ColorType,
+    data: &[u8],
+) -> io::Result<()> {
     let too_large = |_| io::Error::new(io::ErrorKind::InvalidInput, "image side exceeds 2^32 pixels");
     let (w, h) = (u32::try_from(width).map_err(too_large)?, u32::try_from(height).map_err(too_large)?);
-    let mut encoder = png::Encoder::new(BufWriter::new(File::create(path)?), w, h);
+    let mut encoder = png::Encoder::new(out, w, h);
     encoder.set_color(color);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(png::Compression::Fast);

@@ -15,6 +15,8 @@
 pub mod acquire;
 /// The node's HTTP control API: data transfer objects, server, client.
 pub mod api;
+/// Work that nothing waits for, in processes of its own.
+pub mod background;
 /// Calibrations: the versioned file, and (later) its computation from images.
 pub mod calibrate;
 /// Cameras: settings, and streams through Aravis.
@@ -59,3 +61,5 @@ pub mod telemetry;
 pub mod time;
 /// Figures of merit: clouds against the truth.
 pub mod validate;
+/// Reconstructs what was recorded, by itself, when nothing else is to be done.
+pub mod worker;

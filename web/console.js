@@ -139,6 +139,7 @@ function show() {
   text($("rig"), `fourdbody ${known.status.rig}, ${known.status.trigger_rate_hz} Hz`);
   showDevices();
   showDisk();
+  showWorkers();
   const running = Boolean(known.capture?.running) || sessionsUnderWay().length > 0;
   const may = known.role !== "view";
   for (const id of ["start", "look", "dry"]) $(id).disabled = running || !may;
@@ -168,6 +169,13 @@ function showDisk() {
   text($("disk"), `disk: ${left.map(({ name, minutes }) => `${name} ${minutes < 90 ? `${minutes.toFixed(minutes < 10 ? 1 : 0)} min` : `${(minutes / 60).toFixed(1)} h`}`).join(", ")}`);
   const any = (grade) => left.some((node) => node.grade === grade);
   $("disk").className = any("bad") ? "bad" : any("fair") ? "warn" : "";
+}
+
+function showWorkers() {
+  const workers = nodes().flatMap(({ name, status }) => (status?.worker ? [{ name, ...status.worker }] : []));
+  text($("workers"), workers.map(({ name, line }) => `worker of ${name}: ${line}`).join("\n"));
+  $("workers").className = workers.some(({ running, set_aside }) => !running || set_aside.length) ? "warn" : "";
+  $("workers").title = workers.flatMap(({ set_aside }) => set_aside.map(([session, reason]) => `${session}: ${reason}`)).join("\n");
 }
 
 // ---- previews

@@ -45,6 +45,20 @@ pub struct NodeStatus {
     /// What is measured, judged by the thresholds of `fourdbody::telemetry`.
     #[serde(default)]
     pub judgements: Vec<Judgement>,
+    /// The worker that reconstructs on this machine, where there is one.
+    #[serde(default)]
+    pub worker: Option<WorkerStatus>,
+}
+
+/// What a worker does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct WorkerStatus {
+    /// For people: on what it is, how far, how much waits.
+    pub line: String,
+    /// Whether it has been heard of.
+    pub running: bool,
+    /// Sessions that it has set aside, each with the reason.
+    pub set_aside: Vec<(String, String)>,
 }
 
 impl NodeStatus {

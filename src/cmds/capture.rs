@@ -63,6 +63,7 @@ impl Args {
             note: self.note.clone(),
             dry_run: self.dry_run,
             countdown_s: self.countdown,
+            on_behalf_of: None,
         };
         Series { wish, takes: self.takes, pause_s: self.pause }
     }

@@ -1,14 +1,14 @@
 //! `fourdbody check-config`: validates configuration files, all problems at once.
 
 use super::{Exit, Failure};
-use crate::config::{ConfigError, NodeConfig, Rig};
+use crate::config::{ConfigError, NodeConfig, Rig, WorkerConfig};
 use std::path::{Path, PathBuf};
 
-/// Validate rig and node files; every problem is printed with its key path.
+/// Validate rig, node and worker files; every problem is printed with its key path.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody check-config config/rig.toml config/node-a.toml")]
 pub struct Args {
-    /// Rig or node files; a file with a `node` key is a node file.
+    /// Rig, node or worker files; a file with a `node` key is a node file, one with a `results` key a worker file.
     #[arg(required = true)]
     files: Vec<PathBuf>,
     /// Print one JSON object instead of text.
@@ -40,7 +40,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn check(path: &Path) -> Result<(), ConfigError> {
-    let is_node = std::fs::read_to_string(path)
-        .is_ok_and(|text| text.parse::<toml::Table>().is_ok_and(|table| table.contains_key("node")));
-    if is_node { NodeConfig::load(path).map(drop) } else { Rig::load(path).map(drop) }
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    let table: toml::Table = text.parse().unwrap_or_default();
+    match (table.get("node"), table.contains_key("results")) {
+        (_, true) => WorkerConfig::load(path).map(drop),
+        (Some(_), false) => NodeConfig::load(path).map(drop),
+        (None, false) => Rig::load(path).map(drop),
+    }
 }

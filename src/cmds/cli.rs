@@ -2,7 +2,7 @@
 
 use super::{
     Exit, Failure, board, calibrate, cameras, capture, check_config, cluster, doctor, export, import, info,
-    node, pattern, reconstruct, recover, report, status, token, validate, verify, view,
+    node, pattern, prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
 };
 use clap::{Parser, Subcommand};
 
@@ -35,6 +35,7 @@ pub enum Command {
     Info(info::Args),
     Verify(verify::Args),
     Pattern(pattern::Args),
+    Prune(prune::Args),
     Reconstruct(reconstruct::Args),
     Cluster(cluster::Args),
     Recover(recover::Args),
@@ -42,6 +43,7 @@ pub enum Command {
     Token(token::Args),
     Validate(validate::Args),
     View(view::Args),
+    Worker(worker::Args),
 }
 
 impl Cli {
@@ -61,6 +63,7 @@ impl Cli {
             Command::Info(args) => info::run(args),
             Command::Verify(args) => verify::run(args),
             Command::Pattern(args) => pattern::run(args),
+            Command::Prune(args) => prune::run(args),
             Command::Reconstruct(args) => reconstruct::run(args),
             Command::Cluster(args) => cluster::run(args),
             Command::Recover(args) => recover::run(args),
@@ -68,6 +71,7 @@ impl Cli {
             Command::Token(args) => token::run(args),
             Command::Validate(args) => validate::run(args),
             Command::View(args) => view::run(args),
+            Command::Worker(args) => worker::run(args),
         }
     }
 }

@@ -24,6 +24,7 @@ pub mod info;
 pub mod node;
 pub mod pattern;
 mod progress;
+pub mod prune;
 pub mod reconstruct;
 pub mod recover;
 pub mod report;
@@ -32,6 +33,7 @@ pub mod token;
 pub mod validate;
 pub mod verify;
 pub mod view;
+pub mod worker;
 
 pub use cli::{Cli, Command};
 

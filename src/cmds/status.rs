@@ -82,6 +82,10 @@ fn print(status: &NodeStatus) {
         let gaps: u64 = session.cameras.iter().map(|c| c.gaps).sum();
         println!("  session {}: {} triggers, {frames} frames, {gaps} gaps", session.name, session.triggers);
     }
+    if let Some(worker) = &status.worker {
+        println!("  worker: {}", worker.line);
+        worker.set_aside.iter().for_each(|(name, reason)| println!("    set aside {name}: {reason}"));
+    }
     for judged in &status.judgements {
         let word = match judged.grade {
             Grade::Good => "good",

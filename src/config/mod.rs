@@ -8,6 +8,7 @@ mod api;
 mod node;
 mod rig;
 mod section;
+mod worker;
 
 pub use api::{ApiConfig, PeerConfig, SocketConfig, TlsConfig};
 pub use node::{
@@ -16,6 +17,7 @@ pub use node::{
 };
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
+pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 
 use std::fmt;
 use std::path::{Path, PathBuf};

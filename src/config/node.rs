@@ -139,6 +139,8 @@ pub struct NodeConfig {
     pub realtime: Realtime,
     /// Clouds of a few frame sets of every session, for the console.
     pub quick_look: Option<QuickLookConfig>,
+    /// Where a worker of this machine keeps its results (`[worker]`); its state is shown with the node's.
+    pub worker_results: Option<PathBuf>,
     /// The cameras, in the rig's order.
     pub cameras: Vec<CameraConfig>,
 }
@@ -223,6 +225,11 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         section.finish();
         config
     });
+    let worker_results = root.optional_section("worker").map(|section| {
+        let results = base.join(section.text("results"));
+        section.finish();
+        results
+    });
     let common = acquisition.as_ref().map_or(&[][..], |acquisition| &acquisition.settings);
     let cameras: Vec<CameraConfig> =
         root.sections("camera").into_iter().map(|s| read_camera(s, common)).collect();
@@ -261,6 +268,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         on_link_lost: acquisition.on_link_lost,
         realtime,
         quick_look,
+        worker_results,
         cameras,
         rig,
     })

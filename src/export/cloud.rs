@@ -45,4 +45,27 @@ impl Cloud {
         self.sigma_m.extend_from_slice(&directional.sigma_m);
         self.camera.resize(self.position_m.len(), camera);
     }
+
+    /// The points of camera number `camera` in a merged cloud, as a directional cloud.
+    pub fn of_camera(&self, camera: u8) -> Cloud {
+        let of = |i: &usize| self.camera.get(*i) == Some(&camera);
+        let places: Vec<usize> = (0..self.len()).filter(of).collect();
+        Cloud { camera: Vec::new(), ..self.pick(&places) }
+    }
+
+    /// The points at these places, in this order. Places beyond the end are an error of the caller.
+    pub fn pick(&self, places: &[usize]) -> Cloud {
+        fn of<T: Copy>(all: &[T], places: &[usize]) -> Vec<T> {
+            // Properties that the cloud does not have stay absent.
+            if all.is_empty() { Vec::new() } else { places.iter().map(|&i| all[i]).collect() }
+        }
+        Cloud {
+            position_m: of(&self.position_m, places),
+            normal: of(&self.normal, places),
+            intensity: of(&self.intensity, places),
+            pixel: of(&self.pixel, places),
+            camera: of(&self.camera, places),
+            sigma_m: of(&self.sigma_m, places),
+        }
+    }
 }

@@ -4,6 +4,7 @@
 //! the node is asked for the next session. Each node sees its own cameras; a console puts the clouds of both together.
 
 use crate::api::dto::{NodeStatus, Outcome};
+use crate::background;
 use crate::export::{Cloud, ply};
 use crate::ids::NodeId;
 use crate::reconstruct::FrameSource;
@@ -12,7 +13,6 @@ use crate::session::state::Phase;
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -252,28 +252,23 @@ impl Inner {
         out: &Path,
     ) -> Result<(), Ended> {
         let failed = |what: &str, error: std::io::Error| Ended::Failed(format!("{what}: {error}"));
-        let program = std::env::current_exe().map_err(|e| failed("this program cannot be found", e))?;
         std::fs::create_dir_all(out).map_err(|e| failed(&out.display().to_string(), e))?;
         let log = std::fs::File::create(out.join("log")).map_err(|e| failed("its log", e))?;
-        // SCHED_IDLE: only what no other thread of the machine wants.
-        let mut child = Command::new("chrt")
-            .args(["--idle", "0"])
-            .arg(program)
-            .arg("reconstruct")
+        let command = background::command(["reconstruct"]);
+        let mut child = command
+            .map_err(|e| failed("this program cannot be found", e))?
             .arg(recording)
             .arg("--calibration")
             .arg(&settings.calibration)
             .arg("--out")
             .arg(out)
             .args(["--triggers", &format!("{trigger}..{}", trigger + 1), "--cameras", cameras, "--jobs", "1"])
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
             .stderr(log)
             .spawn()
-            .map_err(|e| failed("`chrt` (package util-linux)", e))?;
+            .map_err(|e| failed("`setpriv` (package util-linux)", e))?;
         let status = loop {
             if !self.is_idle() || self.ended.load(Ordering::Acquire) {
-                end(&mut child);
+                background::end(&mut child);
                 return Err(Ended::GaveWay);
             }
             match child.try_wait().map_err(|e| failed("the reconstruction", e))? {
@@ -290,12 +285,6 @@ impl Inner {
             }
         }
     }
-}
-
-fn end(child: &mut Child) {
-    // It may have ended by itself.
-    let _ = child.kill();
-    let _ = child.wait();
 }
 
 fn read_cloud(out: &Path, trigger: u64) -> Result<Cloud, String> {

@@ -97,6 +97,13 @@ pub struct FrameSummary {
     pub contradicted_px: usize,
 }
 
+impl FrameSummary {
+    fn missing(camera: &CameraId, outcome: &'static str, reason: String) -> Self {
+        let (camera, outcome, reason) = (camera.clone(), outcome.into(), Some(reason));
+        Self { camera, outcome, reason, points: 0, unresolved_px: 0, contradicted_px: 0 }
+    }
+}
+
 /// What became of one trigger.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -336,6 +343,9 @@ pub(super) fn together<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> Strin
 
 impl Job<'_> {
     fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
+        if let Some(finished) = self.finished_trigger(trigger) {
+            return Ok(finished);
+        }
         let results = self.clouds(trigger)?;
         let frames = || results.iter().map(|(summary, _)| summary.clone()).collect();
         if self.plan.discard {
@@ -383,11 +393,7 @@ impl Job<'_> {
             }
             Stage::Refused(result) => self.save(camera, trigger, *result),
             Stage::Missing(outcome, reason) => {
-                let camera = camera.id.clone();
-                let (reason, outcome) = (Some(reason), outcome.into());
-                let summary =
-                    FrameSummary { camera, outcome, reason, points: 0, unresolved_px: 0, contradicted_px: 0 };
-                Ok((summary, Cloud::default()))
+                Ok((FrameSummary::missing(&camera.id, outcome, reason), Cloud::default()))
             }
         });
         work.collect()
@@ -497,48 +503,73 @@ impl Job<'_> {
         phase_file::save(&path, &statement, &map).map_err(|e| format!("{}: {e}", path.display()))
     }
 
-    /// The finished cloud of a frame, where there is one made with the same parameters, and no maps are
-    /// asked for.
+    /// A trigger of which everything is there, which only headers are read for.
+    fn finished_trigger(&self, trigger: u64) -> Option<TriggerSummary> {
+        let frames: Vec<FrameSummary> = self
+            .heads
+            .iter()
+            .flatten()
+            .map(|camera| self.finished_frame(camera, trigger))
+            .collect::<Option<_>>()?;
+        let merged_points = frames.iter().map(|frame| frame.points).sum();
+        if self.plan.format == Format::Ply {
+            let header = ply::load_header_of_whole(&merged_path(&self.plan.out, trigger)).ok()?;
+            let same = header.comments == self.merged_comments(trigger) && header.points == merged_points;
+            same.then_some(())?;
+        }
+        Some(TriggerSummary { trigger, merged_points, frames })
+    }
+
+    /// The finished cloud of a frame. Of phase maps merged clouds are made when they are exported: there it is empty.
     fn finished(&self, camera: &Camera, trigger: u64) -> Option<(FrameSummary, Cloud)> {
+        let summary = self.finished_frame(camera, trigger)?;
+        let cloud = match (self.plan.format, summary.outcome.as_ref()) {
+            (Format::Ply, "cloud" | "refused") => {
+                ply::load(&cloud_path(&self.plan.out, &camera.id, trigger)).ok()?.1
+            }
+            _ => Cloud::default(),
+        };
+        Some((summary, cloud))
+    }
+
+    /// What became of a frame that is finished: with a cloud made with the same parameters, or missing in the source. `None`
+    /// where maps are asked for.
+    fn finished_frame(&self, camera: &Camera, trigger: u64) -> Option<FrameSummary> {
         let camera = &camera.id;
         if self.plan.maps.is_some() || self.plan.discard {
             return None;
         }
-        let path = cloud_path(&self.plan.out, camera, trigger);
-        let stored = match self.plan.format {
-            Format::Ply => None,
+        let stated = match self.plan.format {
+            Format::Ply => ply::load_header_of_whole(&cloud_path(&self.plan.out, camera, trigger)).ok(),
             Format::Phase => {
-                let path = phase_path(&self.plan.out, camera.as_str(), trigger);
-                Some(phase_file::load_statement(&path).ok()?)
+                let stored =
+                    phase_file::load_statement(&phase_path(&self.plan.out, camera.as_str(), trigger));
+                stored.ok().map(|stored| ply::Header {
+                    points: stored.points,
+                    merged: false,
+                    sigma: false,
+                    comments: stored.comments,
+                })
             }
         };
-        let header = match &stored {
-            None => ply::load_header(&path).ok()?,
-            Some(stored) => ply::Header {
-                points: stored.points,
-                merged: false,
-                sigma: false,
-                comments: stored.comments.clone(),
-            },
+        let Some(header) = stated else {
+            return match self.source.frame(camera, TriggerIndex(trigger)) {
+                Ok(Frame::Gap(cause)) => Some(FrameSummary::missing(camera, "gap", cause)),
+                _ => None,
+            };
         };
         let same = header.comment("parameters") == Some(&self.parameters);
         if !same || !header.comments.contains(&together(self.cameras())) {
             return None;
         }
-        // Merged clouds are made when the maps are exported: only the number of points is needed.
-        let (points, cloud) = match stored {
-            Some(stored) => (stored.points, Cloud::default()),
-            None => ply::load(&path).map(|(_, cloud)| (cloud.len(), cloud)).ok()?,
-        };
         let reason = header.comment("refused").map(str::to_owned);
-        let summary = FrameSummary {
+        Some(FrameSummary {
             camera: camera.clone(),
             outcome: if reason.is_some() { "refused" } else { "cloud" }.into(),
             reason,
-            points,
+            points: header.points,
             unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
             contradicted_px: header.comment("contradicted_px").and_then(|x| x.parse().ok()).unwrap_or(0),
-        };
-        Some((summary, cloud))
+        })
     }
 }

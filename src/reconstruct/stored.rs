@@ -11,11 +11,12 @@ use super::rays::RayTable;
 use crate::calibrate::Calibration;
 use crate::export::phase_file::{self, Statement};
 use crate::export::sequence::SequenceWriter;
-use crate::export::{Cloud, ply, write_whole};
+use crate::export::{Cloud, CloudSource, Commented, ply, write_whole};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 /// Where a phase map is.
 pub fn phase_path(out: &Path, camera: &str, trigger: u64) -> PathBuf {
@@ -50,12 +51,7 @@ pub fn export(from: &Path, calibration: &Calibration, out: &Path, rate_hz: f64) 
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     }
-    let heads_and_cameras: Vec<_> = calibration.cameras().collect();
-    let tables: Result<Vec<RayTable>, String> = heads_and_cameras
-        .par_iter()
-        .map(|(head, camera)| Pair::new(head, camera, calibration).map(|pair| RayTable::new(&pair)))
-        .collect();
-    let tables = tables?;
+    let tables = tables(calibration)?;
     let made: Result<Vec<(u64, Option<u64>, usize)>, String> = triggers
         .par_iter()
         .map(|(&trigger, maps)| export_trigger(trigger, maps, calibration, &tables, out))
@@ -71,6 +67,70 @@ pub fn export(from: &Path, calibration: &Calibration, out: &Path, rate_hz: f64) 
         merged_points: made.iter().map(|(_, _, points)| points).sum(),
         triggers: made.len(),
     })
+}
+
+/// The table of each camera, in the calibration's order.
+fn tables(calibration: &Calibration) -> Result<Vec<RayTable>, String> {
+    let heads_and_cameras: Vec<_> = calibration.cameras().collect();
+    heads_and_cameras
+        .par_iter()
+        .map(|(head, camera)| Pair::new(head, camera, calibration).map(|pair| RayTable::new(&pair)))
+        .collect()
+}
+
+/// Stored phase maps as a source of clouds.
+pub struct PhaseDirectory<'a> {
+    calibration: &'a Calibration,
+    tables: Vec<RayTable>,
+    cameras: Vec<(u8, String)>,
+    /// Places of the cameras in the calibration.
+    triggers: BTreeMap<u64, Vec<usize>>,
+    files: BTreeMap<u64, Maps>,
+}
+
+impl<'a> PhaseDirectory<'a> {
+    /// Lists the phase maps in `from`.
+    pub fn open(from: &Path, calibration: &'a Calibration) -> Result<Self, String> {
+        let files = list(from, calibration)?;
+        let names = calibration.cameras().map(|(_, camera)| camera.id.to_string());
+        let number = |(number, name)| u8::try_from(number).map(|number: u8| (number, name));
+        let cameras: Result<Vec<(u8, String)>, _> = names.enumerate().map(number).collect();
+        let cameras = cameras.map_err(|_| "more than 255 cameras".to_owned())?;
+        let places = |maps: &Maps| maps.iter().map(|(place, _)| *place).collect();
+        let triggers = files.iter().map(|(trigger, maps)| (*trigger, places(maps))).collect();
+        Ok(Self { calibration, tables: tables(calibration)?, cameras, triggers, files })
+    }
+
+    fn paths(&self, trigger: u64, cameras: &[usize]) -> impl Iterator<Item = &(usize, PathBuf)> {
+        let maps = self.files.get(&trigger).into_iter().flatten();
+        maps.filter(move |(place, _)| cameras.contains(place))
+    }
+}
+
+impl CloudSource for PhaseDirectory<'_> {
+    fn cameras(&self) -> &[(u8, String)] {
+        &self.cameras
+    }
+
+    fn triggers(&self) -> &BTreeMap<u64, Vec<usize>> {
+        &self.triggers
+    }
+
+    fn clouds(&self, trigger: u64, cameras: &[usize]) -> Result<Vec<Commented>, String> {
+        let read = |(place, path): &(usize, PathBuf)| {
+            let (statement, cloud) = read_cloud(path, self.calibration, *place, &self.tables[*place])?;
+            Ok((statement.comments, cloud))
+        };
+        self.paths(trigger, cameras).map(read).collect()
+    }
+
+    fn modified(&self, trigger: u64, cameras: &[usize]) -> Option<SystemTime> {
+        self.paths(trigger, cameras).map(|(_, path)| path.metadata().ok()?.modified().ok()).max()?
+    }
+
+    fn time_ns(&self, trigger: u64) -> Option<u64> {
+        self.files.get(&trigger)?.iter().find_map(|(_, path)| phase_file::load_statement(path).ok()?.time_ns)
+    }
 }
 
 /// Packs merged clouds with their times, ns, into one MCAP file.

@@ -18,6 +18,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub struct CatalogueEntry {
     /// The session's name: its directory's.
     pub name: String,
+    /// The id that all recordings of a session share, hexadecimal; `None` where the header cannot be read.
+    pub session_id: Option<String>,
     /// The recording's directory.
     #[schema(value_type = String)]
     pub path: PathBuf,
@@ -71,6 +73,7 @@ fn describe(path: PathBuf, made: SystemTime) -> CatalogueEntry {
     let made_ns = made.duration_since(UNIX_EPOCH).map_or(0, |t| u64::try_from(t.as_nanos()).unwrap_or(0));
     let mut entry = CatalogueEntry {
         name,
+        session_id: None,
         bytes: 0,
         created_ns: made_ns,
         trigger_rate_hz: None,
@@ -94,6 +97,7 @@ fn read(entry: &mut CatalogueEntry, files: &RecordingFiles) {
     let first = files.segments.first().and_then(|(_, path)| map_file(path).ok());
     match first.as_deref().map(read_header) {
         Some(Ok(stated)) => {
+            entry.session_id = Some(stated.header.session_id);
             entry.created_ns = stated.header.created_ns;
             entry.trigger_rate_hz = Some(stated.header.trigger_rate_hz);
             entry.cameras = stated.header.cameras.iter().map(|camera| camera.id.to_string()).collect();

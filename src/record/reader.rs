@@ -410,6 +410,26 @@ impl RecordingReader {
         }
     }
 
+    /// The identity of a camera's frame (its place in the header) at a trigger, without a look at its pixels; `Ok(Err(cause))`
+    /// for a gap.
+    pub fn frame_meta(
+        &self,
+        camera: usize,
+        trigger: TriggerIndex,
+    ) -> Result<Result<FrameMeta, GapCause>, String> {
+        let outcome = self.outcomes.get(camera).and_then(|outcomes| outcomes.get(&trigger.0));
+        match outcome {
+            Some(&Outcome::Frame { segment, offset, length }) => {
+                let bytes = self.segments.get(segment).map(SegmentReader::bytes);
+                let message = bytes.and_then(|bytes| bytes.get(offset..offset.checked_add(length)?));
+                let message = message.ok_or("outside of its file")?;
+                parse_envelope(message).map(|envelope| Ok(envelope.meta)).map_err(|e| e.to_string())
+            }
+            // All that needs no message.
+            _ => self.frame(camera, trigger).map(|outcome| outcome.map(|frame| frame.meta)),
+        }
+    }
+
     /// Outcomes of each camera, counted from the records.
     pub fn counted(&self) -> Vec<CameraVerdict> {
         let count = |(camera, outcomes): (&CameraHeader, &BTreeMap<u64, Outcome>)| {

@@ -33,6 +33,9 @@ pub struct Wish {
     pub dry_run: bool,
     /// Seconds from the moment at which every node is ready to the first trigger.
     pub countdown_s: u32,
+    /// Whom the node that runs the capture serves. Not theirs to say.
+    #[serde(skip)]
+    pub on_behalf_of: Option<String>,
 }
 
 /// Nodes that are ready wait for 120 s.
@@ -216,6 +219,7 @@ fn request(wish: &Wish, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault
         subject: wish.subject.clone(),
         note: wish.note.clone(),
         dry_run: wish.dry_run,
+        on_behalf_of: wish.on_behalf_of.clone(),
     })
 }
 

@@ -61,8 +61,9 @@ impl Coordinator {
     }
 
     /// Begins a series; refused while one is under way. Its number.
-    pub fn begin(&self, series: Series, operator: String) -> Result<u64, Fault> {
+    pub fn begin(&self, mut series: Series, operator: String) -> Result<u64, Fault> {
         series.check()?;
+        series.wish.on_behalf_of = Some(operator.clone());
         let mut shared = self.shared();
         if shared.state.as_ref().is_some_and(|state| state.running) {
             return Err(Fault::new(Exit::Usage, "a capture is under way; stop it, or wait for its end"));

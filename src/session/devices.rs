@@ -33,6 +33,8 @@ pub struct OpenCamera {
     pub problem: Option<String>,
     /// Columns and rows that the rig has for it.
     pub size: (usize, usize),
+    /// While it is not open: when it is looked for again.
+    next_try: Instant,
 }
 
 impl OpenCamera {
@@ -49,6 +51,7 @@ impl OpenCamera {
             identity: self.identity.clone(),
             problem: None,
             size: self.size,
+            next_try: self.next_try,
         }
     }
 }
@@ -77,8 +80,11 @@ pub struct PreparedCamera {
     pub settings: Vec<AppliedSetting>,
 }
 
-/// How often a missing device is looked for while the node is idle: an absent camera blocks for 2.5 s.
-const RETRY_INTERVAL: Duration = Duration::from_secs(15);
+/// How often one of the cameras that do not answer is looked for while the node is idle: it blocks for 2.5 s.
+const ABSENT_RETRY_INTERVAL: Duration = Duration::from_secs(15);
+/// A camera that another program controls answers at once. That program is most often this one before it crashed, and the
+/// camera is free when its heartbeat times out (3 s by default).
+const OWNED_RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// The HSU answers at once, or its absence is noticed in a second.
 const HSU_RETRY_INTERVAL: Duration = Duration::from_secs(3);
 
@@ -91,7 +97,6 @@ pub struct Devices {
     hsu: Option<Arc<Hsu>>,
     hsu_problem: Option<String>,
     config: NodeConfig,
-    next_retry: Instant,
     next_hsu_retry: Instant,
 }
 
@@ -109,6 +114,7 @@ impl Devices {
                 .cameras()
                 .find(|(_, known)| known.id == camera.id)
                 .map_or((0, 0), |(_, known)| (known.device.width, known.device.height)),
+            next_try: Instant::now(),
         };
         let slots: Vec<OpenCamera> = config.cameras.iter().map(slot).collect();
         let blocks = |slot: &OpenCamera| config.buffers_per_camera * block_bytes(slot.size.0 * slot.size.1);
@@ -120,7 +126,6 @@ impl Devices {
             hsu: None,
             hsu_problem: not_yet(),
             config: config.clone(),
-            next_retry: Instant::now(),
             next_hsu_retry: Instant::now(),
         }
     }
@@ -163,21 +168,16 @@ impl Devices {
             drop(self.connect_hsu());
             self.next_hsu_retry = Instant::now() + HSU_RETRY_INTERVAL;
         }
-        if Instant::now() < self.next_retry {
-            return;
+        let missing = self.slots.iter().enumerate().filter(|(_, slot)| slot.camera.is_none());
+        let next = missing.min_by_key(|(_, slot)| slot.next_try).map(|(i, slot)| (i, slot.next_try));
+        let Some((i, _)) = next.filter(|(_, due)| Instant::now() >= *due) else { return };
+        let known = self.slots[i].problem.clone();
+        match self.open(i) {
+            // What kept one camera away, a switch for instance, kept the others away as well.
+            Ok(()) => self.slots.iter_mut().for_each(|slot| slot.next_try = Instant::now()),
+            Err(fault) if self.slots[i].problem != known => tracing::warn!("{}", fault.message),
+            Err(_) => {}
         }
-        let fresh = |slot: &OpenCamera| slot.problem.as_deref() == Some("not opened yet");
-        let missing = |slot: &OpenCamera| slot.camera.is_none();
-        let next = self.slots.iter().position(fresh).or_else(|| self.slots.iter().position(missing));
-        if let Some(i) = next {
-            drop(self.open(i));
-            // One that is absent goes behind the others.
-            if let Some(problem) = &self.slots[i].problem {
-                tracing::warn!(camera = %self.slots[i].config.id, "{problem}");
-            }
-        }
-        let waiting = self.slots.iter().any(fresh);
-        self.next_retry = Instant::now() + if waiting { Duration::ZERO } else { RETRY_INTERVAL };
     }
 
     fn open(&mut self, i: usize) -> Result<(), Fault> {
@@ -193,9 +193,20 @@ impl Devices {
             }
             Err(error) => {
                 slot.problem = Some(error.to_string());
-                Err(Fault::new(Exit::Device, format!("camera {}: {error}", slot.config.id)))
+                let fault = Fault::new(Exit::Device, format!("camera {}: {error}", slot.config.id));
+                let interval = match error {
+                    CameraError::Owned { .. } => OWNED_RETRY_INTERVAL,
+                    // They block one after the other.
+                    _ => ABSENT_RETRY_INTERVAL * self.missing(),
+                };
+                self.slots[i].next_try = Instant::now() + interval;
+                Err(fault)
             }
         }
+    }
+
+    fn missing(&self) -> u32 {
+        self.slots.iter().filter(|slot| slot.camera.is_none()).count() as u32
     }
 
     fn connect_hsu(&mut self) -> Result<(), Fault> {

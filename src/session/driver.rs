@@ -59,6 +59,7 @@ impl Driver {
             interrupted: Vec::new(),
             session: None,
             judgements: Vec::new(),
+            worker: None,
         }));
         let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);
         let taps = Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone())));
@@ -266,8 +267,14 @@ impl Node {
     pub(super) fn take(&mut self, event: Event) {
         let mut events = VecDeque::from([event]);
         while let Some(event) = events.pop_front() {
-            let preparing = self.machine.phase() == Phase::Preparing || matches!(event, Event::Prepare(_));
-            for action in self.machine.step(event, self.origin.elapsed()) {
+            let begins = matches!(event, Event::Prepare(_));
+            let preparing = begins || self.machine.phase() == Phase::Preparing;
+            let actions = self.machine.step(event, self.origin.elapsed());
+            if begins {
+                // Devices take their time: whoever asks meanwhile is told for what.
+                self.publish();
+            }
+            for action in actions {
                 let step = preparing && !matches!(action, Action::ReportReady | Action::ReportFailed(_));
                 let still = self.machine.phase() == Phase::Preparing;
                 match self.act(action) {

@@ -62,8 +62,8 @@ struct Watch {
 impl Watch {
     fn look(&mut self) {
         let Ok(status) = self.here.status() else { return };
-        let running = status.session.as_ref().filter(|_| status.phase == Phase::Running);
-        let Some(session) = running else {
+        let waits_for_all = matches!(status.phase, Phase::Ready | Phase::Running);
+        let Some(session) = status.session.as_ref().filter(|_| waits_for_all) else {
             self.session = None;
             return;
         };

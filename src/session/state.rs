@@ -36,6 +36,9 @@ pub struct SessionRequest {
     /// Everything but the recording: frames are counted and judged, nothing is written.
     #[serde(default)]
     pub dry_run: bool,
+    /// Whom the node that runs the capture serves; the other nodes' audit logs name them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub on_behalf_of: Option<String>,
 }
 
 /// Why something failed, with the exit code that it means on the command line.
@@ -358,6 +361,7 @@ mod tests {
             subject: None,
             note: None,
             dry_run: false,
+            on_behalf_of: None,
         }
     }
 

@@ -87,6 +87,9 @@ fn everybody_shows_who_they_are_and_the_logs_say_who_did_what() {
         (by_node.who.as_str(), by_node.role.map(|role| role.to_string())),
         ("node", Some("peer".to_owned()))
     );
+    let asked = lines.iter().find(|line| line.what.ends_with("/session/prepare") && line.who == "node");
+    let request = asked.and_then(|line| line.request.as_ref()).expect("in the log");
+    assert_eq!(request["on_behalf_of"], "otto", "{request}");
 }
 
 /// What a hostile client does for as long as it is let.

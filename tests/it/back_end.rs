@@ -16,7 +16,7 @@ use nalgebra::{Point3, Vector3};
 use std::ops::Range;
 use std::path::Path;
 
-fn calibration() -> Calibration {
+pub fn calibration() -> Calibration {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     Calibration::nominal(&Rig::load(&path).expect("the shipped rig"))
 }
@@ -87,7 +87,7 @@ fn the_uncertainty_is_that_of_the_points() {
 }
 
 /// Frames of some cameras; others have gaps.
-struct Frames(Vec<(CameraId, Option<Plane<u8>>)>, Vec<CameraId>);
+pub struct Frames(pub Vec<(CameraId, Option<Plane<u8>>)>, pub Vec<CameraId>);
 
 impl FrameSource for Frames {
     fn cameras(&self) -> &[CameraId] {

@@ -89,6 +89,17 @@ impl Fixture {
         }
     }
 
+    /// Whether the clouds in a directory are those of one run.
+    pub fn assert_clouds(&self, out: &Path) {
+        let mut count = 0;
+        for (file, bytes) in self.expected.iter().filter(|(file, _)| !file.starts_with(".")) {
+            let found = std::fs::read(out.join(file)).unwrap_or_default();
+            assert!(found == *bytes, "{} differs: {} and {} bytes", file.display(), found.len(), bytes.len());
+            count += 1;
+        }
+        assert_eq!(count, 13 + 7);
+    }
+
     /// Waits until a result has so many clouds.
     fn wait_for_clouds(&self, name: &str, count: usize) {
         let until = Instant::now() + Duration::from_secs(120);

@@ -36,11 +36,14 @@ mod disk_faults;
 mod doctor;
 #[cfg(feature = "aravis")]
 mod endurance;
+mod export;
 #[cfg(feature = "aravis")]
 mod faults;
 mod fuzz_corpora;
 mod hsu;
 mod hsu_clock;
+#[cfg(feature = "aravis")]
+mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
@@ -77,3 +80,4 @@ mod third_party_session;
 #[cfg(feature = "aravis")]
 mod two_nodes;
 mod validate_commands;
+mod worker;

@@ -85,30 +85,32 @@ fn a_node_is_ready_when_its_devices_are_and_stops_in_good_order() {
 }
 
 /// A unit with this machine's program in it, because systemd looks whether it is there.
-fn unit(dir: &Path) -> std::path::PathBuf {
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/fourdbody-node.service");
+fn unit(dir: &Path, name: &str) -> std::path::PathBuf {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(name);
     let text = std::fs::read_to_string(shipped).expect("in the repository");
-    let path = dir.join("fourdbody-node.service");
-    let text =
-        text.replace("/usr/bin/fourdbody", FOURDBODY).replace("Documentation=man:fourdbody-node(1)\n", "");
-    std::fs::write(&path, text).expect("writable");
+    let path = dir.join(name);
+    let lines = text.lines().filter(|line| !line.starts_with("Documentation=man:"));
+    let lines = lines.map(|line| line.replace("/usr/bin/fourdbody", FOURDBODY) + "\n");
+    std::fs::write(&path, lines.collect::<String>()).expect("writable");
     path
 }
 
 #[test]
-fn systemd_understands_the_unit_and_finds_it_hardened() {
+fn systemd_understands_the_units_and_finds_them_hardened() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let unit = unit(dir.path());
-    let analyze = |args: &[&str]| Command::new("systemd-analyze").args(args).arg(&unit).output();
-    let Ok(verified) = analyze(&["verify", "--man=no"]) else {
-        println!("skipped: systemd-analyze is not installed (Debian package systemd)");
-        return;
-    };
-    let complaints = String::from_utf8_lossy(&verified.stderr).into_owned();
-    let ours: Vec<&str> = complaints.lines().filter(|line| line.contains("fourdbody-node")).collect();
-    assert!(ours.is_empty(), "{complaints}");
-    // Exposure in tenths: 25 is 2.5.
-    let score =
-        analyze(&["security", "--offline=true", "--threshold=25", "--no-pager"]).expect("it ran before");
-    assert!(score.status.success(), "{}", String::from_utf8_lossy(&score.stdout));
+    for name in ["fourdbody-node.service", "fourdbody-worker.service"] {
+        let unit = unit(dir.path(), name);
+        let analyze = |args: &[&str]| Command::new("systemd-analyze").args(args).arg(&unit).output();
+        let Ok(verified) = analyze(&["verify", "--man=no"]) else {
+            println!("skipped: systemd-analyze is not installed (Debian package systemd)");
+            return;
+        };
+        let complaints = String::from_utf8_lossy(&verified.stderr).into_owned();
+        let ours: Vec<&str> = complaints.lines().filter(|line| line.contains(name)).collect();
+        assert!(ours.is_empty(), "{complaints}");
+        // Exposure in tenths: 25 is 2.5.
+        let score =
+            analyze(&["security", "--offline=true", "--threshold=25", "--no-pager"]).expect("it ran before");
+        assert!(score.status.success(), "{name}: {}", String::from_utf8_lossy(&score.stdout));
+    }
 }

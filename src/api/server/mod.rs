@@ -28,11 +28,12 @@ pub use refusal::Refusal;
 pub use services::Services;
 pub use transport::{Link, Listeners, TransportError};
 
-use super::dto::{NodeStatus, SessionCommand};
+use super::dto::{NodeStatus, SessionCommand, WorkerStatus};
 use crate::cmds::Exit;
 use crate::config::{NodeConfig, RigCamera};
 use crate::session::state::{Fault, SessionRequest};
 use crate::telemetry::{NodeFacts, Telemetry};
+use crate::worker::state::Activity;
 use axum::Router;
 use axum::http::StatusCode;
 use axum::middleware::from_fn_with_state;
@@ -135,6 +136,11 @@ impl Shared {
         status.warnings.extend(self.transport_warnings.iter().cloned());
         status.warnings.extend(self.auth.warning());
         status.warnings.extend(self.audit.warning());
+        status.worker = self.services.worker.state().map(|state| WorkerStatus {
+            line: state.line(),
+            running: !state.is_stale() && state.activity != Activity::Ended,
+            set_aside: state.set_aside,
+        });
         status.judgements = self.node.telemetry.judgements(&self.facts(&status));
         status
     }

@@ -12,6 +12,7 @@ use crate::session::coordinator::{Cast, Coordinator};
 use crate::session::participant::{Here, Participant};
 use crate::session::peer_watch::PeerWatch;
 use crate::session::state::Fault;
+use crate::worker::watch::WorkerWatch;
 use crossbeam_channel::Sender;
 use std::sync::Arc;
 
@@ -25,6 +26,8 @@ pub struct Services {
     pub quick_looks: QuickLooks,
     /// The other nodes.
     pub peers: Arc<Vec<Peer>>,
+    /// The worker of this machine.
+    pub worker: WorkerWatch,
     _watch: Option<PeerWatch>,
 }
 
@@ -79,6 +82,7 @@ impl Services {
             previews: Previews::start(taps).map_err(thread)?,
             quick_looks: QuickLooks::start(quick_look, status).map_err(thread)?,
             peers,
+            worker: WorkerWatch::start(config.worker_results.clone()).map_err(thread)?,
             _watch: watch,
         })
     }

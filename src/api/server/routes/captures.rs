@@ -37,12 +37,25 @@ async fn begin(
     Ok((StatusCode::ACCEPTED, Json(CaptureBegun { number })))
 }
 
+#[derive(utoipa::IntoResponses)]
+#[expect(dead_code, reason = "the description is made of it")]
+enum Told {
+    /// It was told to end.
+    #[response(status = 204)]
+    Done,
+    /// Nothing is under way.
+    #[response(status = 409)]
+    Idle(Fault),
+    /// The node failed at it.
+    #[response(status = 500)]
+    Failed(Fault),
+    /// A device failed, or the node is busy.
+    #[response(status = 503)]
+    Unavailable(Fault),
+}
+
 /// Ends the train after the current trigger, whoever has started it; what was recorded gets its verdict.
-#[utoipa::path(post, path = path::CAPTURE_STOP, tag = "capture", responses(
-    (status = 204, description = "It was told to stop."),
-    (status = 409, description = "Nothing is under way.", body = Fault),
-    (status = 500, description = "The node failed at it.", body = Fault),
-    (status = 503, description = "A device failed, or the node is busy.", body = Fault)))]
+#[utoipa::path(post, path = path::CAPTURE_STOP, tag = "capture", responses(Told))]
 async fn stop(State(shared): State<Shared>) -> Result<StatusCode, Refusal> {
     if shared.services.coordinator.stop().is_err() {
         let command = SessionCommand { session_id: session_under_way(&shared)?, reason: None };
@@ -52,11 +65,7 @@ async fn stop(State(shared): State<Shared>) -> Result<StatusCode, Refusal> {
 }
 
 /// Gives the session up on all nodes, whoever has started it. What was recorded is kept.
-#[utoipa::path(post, path = path::CAPTURE_ABORT, tag = "capture", request_body = AbortReason, responses(
-    (status = 204, description = "It was told to end."),
-    (status = 409, description = "Nothing is under way.", body = Fault),
-    (status = 500, description = "The node failed at it.", body = Fault),
-    (status = 503, description = "A device failed, or the node is busy.", body = Fault)))]
+#[utoipa::path(post, path = path::CAPTURE_ABORT, tag = "capture", request_body = AbortReason, responses(Told))]
 async fn abort(
     State(shared): State<Shared>,
     caller: Caller,

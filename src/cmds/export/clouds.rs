@@ -1,0 +1,160 @@
+//! `fourdbody export` of a reconstruction.
+
+use super::super::progress::Progress;
+use super::super::{Exit, Failure};
+use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers};
+use crate::export::job::{self, Plan, Summary};
+use crate::export::mesh::{GridLimits, MeshKind};
+use crate::export::sequence::{self, Contents, Options};
+use crate::export::{CloudSource, Format, PlyDirectory};
+use crate::ids::{CameraId, TriggerIndex};
+use crate::reconstruct::FrameSource;
+use crate::reconstruct::stored::PhaseDirectory;
+use crate::record::SessionReader;
+
+/// Clouds, meshes, and the sequence.
+pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
+    let folder = |name: &str| args.directory.join(name).is_dir();
+    if folder("phases") && !folder("clouds") && !folder("merged") {
+        let calibration = calibration(args)?;
+        let source = PhaseDirectory::open(&args.directory, &calibration);
+        return export(args, &source.map_err(|e| Failure::new(Exit::Corrupt, e))?);
+    }
+    let source = PlyDirectory::open(&args.directory).map_err(|e| Failure::new(Exit::Usage, e))?;
+    export(args, &source)
+}
+
+fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
+    let plan = plan(args, source)?;
+    let progress = Progress::of("exporting", "triggers");
+    let mut summary = Summary::default();
+    if !plan.formats.is_empty() {
+        summary = job::run(source, &plan, |done, total| progress.at(done, total))
+            .map_err(|e| Failure::new(Exit::Failure, e))?;
+    }
+    if args.to.contains(&Target::Mcap) {
+        let made = write_sequence(args, source, &plan, &progress)?;
+        summary.triggers = summary.triggers.max(made.triggers);
+        summary.written += made.written;
+        summary.points += made.points;
+        summary.bytes += made.bytes;
+        summary.problems.extend(made.problems);
+    }
+    drop(progress);
+    report(args, &summary);
+    Ok(if summary.problems.is_empty() { Exit::Done } else { Exit::Corrupt })
+}
+
+fn plan(args: &Args, source: &dyn CloudSource) -> Result<Plan, Failure> {
+    let usage = |message: String| Failure::new(Exit::Usage, message);
+    let known: Vec<&str> = source.cameras().iter().map(|(_, name)| name.as_str()).collect();
+    let first = source.triggers().first_key_value().map_or(0, |(trigger, _)| *trigger);
+    let last = source.triggers().last_key_value().map_or(0, |(trigger, _)| *trigger);
+    let formats: Vec<Format> = args.to.iter().filter_map(|target| target.format()).collect();
+    let grid = GridLimits { stretch: args.stretch, ..GridLimits::default() };
+    let mesh = args.mesh.map(|mesh| match mesh {
+        MeshName::Grid => MeshKind::Grid(grid),
+        MeshName::Watertight => MeshKind::Watertight { cell_m: args.cell / 1e3 },
+    });
+    let merged = args.clouds.is_empty() || args.clouds.contains(&Clouds::Merged);
+    let directional = args.clouds.contains(&Clouds::Directional);
+    if mesh.is_some() {
+        if let Some(format) = formats.iter().find(|format| !format.holds_triangles()) {
+            return Err(usage(format!(
+                "--mesh: {format:?} holds points only; use ply, ply-ascii, glb or obj"
+            )));
+        }
+        if args.to.contains(&Target::Mcap) {
+            return Err(usage("--mesh: a sequence holds points only; leave mcap out".to_owned()));
+        }
+        if args.mesh == Some(MeshName::Watertight) && directional {
+            return Err(usage("--mesh watertight: needs merged clouds; leave --clouds out".to_owned()));
+        }
+    }
+    if args.quantize.is_some() && !args.to.contains(&Target::Mcap) {
+        return Err(usage("--quantize: is for --to mcap".to_owned()));
+    }
+    let origin = std::fs::canonicalize(&args.directory).map_err(|e| usage(e.to_string()))?;
+    if mesh.is_none() && formats.contains(&Format::Ply) {
+        // The very files that are read must not be written.
+        let out = std::fs::canonicalize(&args.out).unwrap_or_else(|_| args.out.clone());
+        if out == origin {
+            return Err(usage(format!(
+                "--out {}: is where the clouds are; give another directory",
+                args.out.display()
+            )));
+        }
+    }
+    Ok(Plan {
+        out: args.out.clone(),
+        origin: origin.display().to_string(),
+        formats,
+        merged,
+        directional,
+        mesh,
+        triggers: chosen_triggers(args.triggers.as_ref(), first..last.saturating_add(1))?,
+        cameras: chosen_cameras(&args.cameras, &known)?,
+    })
+}
+
+fn write_sequence(
+    args: &Args,
+    source: &dyn CloudSource,
+    plan: &Plan,
+    progress: &Progress,
+) -> Result<Summary, Failure> {
+    let session = match &args.session {
+        None => None,
+        Some(path) => Some(SessionReader::open(path).map_err(|e| Failure::new(Exit::Usage, e))?),
+    };
+    let time_ns = |trigger: u64| {
+        let told = session.as_ref().and_then(|session| host_time_ns(session, trigger));
+        let by_index = (trigger as f64 * 1e9 / args.rate_hz).round() as u64;
+        told.or_else(|| source.time_ns(trigger)).unwrap_or(by_index)
+    };
+    let options = Options {
+        zstd_level: args.compress.map_or(u32::from(args.quantize.is_some()), u32::from),
+        step_m: args.quantize.map(|mm| mm / 1e3),
+    };
+    let contents = Contents {
+        merged: plan.merged,
+        directional: plan.directional,
+        triggers: plan.triggers.clone(),
+        cameras: plan.cameras.clone(),
+    };
+    let path = args.out.join("sequence.mcap");
+    let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
+    std::fs::create_dir_all(&args.out).map_err(fail)?;
+    sequence::collect(source, &contents, options, &path, time_ns, |done, total| progress.at(done, total))
+        .map_err(fail)
+}
+
+/// When the first frame of a trigger arrived, by the clock of the first node: the time of its message in the recording.
+fn host_time_ns(session: &SessionReader, trigger: u64) -> Option<u64> {
+    let recording = session.recordings().first()?;
+    let known: &[CameraId] = session.cameras();
+    let places = 0..recording.header.cameras.len().min(known.len());
+    let time =
+        |place| recording.frame_meta(place, TriggerIndex(trigger)).ok()?.ok().map(|meta| meta.host_time_ns);
+    places.filter_map(time).min()
+}
+
+fn report(args: &Args, summary: &Summary) {
+    for problem in &summary.problems {
+        eprintln!("{problem}");
+    }
+    if args.json {
+        println!("{}", serde_json::json!(summary));
+    } else {
+        println!(
+            "{} triggers: {} files written ({:.1} MB, {} points, {} triangles), {} were finished, {} problems",
+            summary.triggers,
+            summary.written,
+            summary.bytes as f64 / 1e6,
+            summary.points,
+            summary.triangles,
+            summary.skipped,
+            summary.problems.len()
+        );
+    }
+}

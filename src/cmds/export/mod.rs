@@ -1,0 +1,244 @@
+//! `fourdbody export`: what was recorded and reconstructed, for other programs.
+
+mod clouds;
+mod session;
+
+use super::{Exit, Failure};
+use crate::calibrate::Calibration;
+use crate::export::Format;
+use crate::export::frames::Picture;
+use crate::export::sequence::quantized::STEPS_M;
+use crate::reconstruct::stored;
+use std::ops::Range;
+use std::path::PathBuf;
+
+/// Write clouds, meshes, frames and times as files that other programs read.
+///
+/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, or one sequence (mcap). Of a session: its
+/// frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what they are made of are
+/// kept, so that an interrupted run goes on where it was. docs/exporting.md says what each format holds and which
+/// programs open it.
+///
+/// Without any choice of clouds, stored phase maps become all that `reconstruct` would have written itself, byte for byte:
+/// clouds/, merged/ and sequence.mcap.
+///
+/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session; 4 some clouds or frames are damaged,
+/// and listed; 1 could not write.
+#[derive(clap::Args)]
+#[command(after_help = "\
+Examples:
+  fourdbody export walk-01 --to e57,pcd --out walk-01-scans
+  fourdbody export walk-01 --to glb --mesh grid --triggers 0..120 --out walk-01-meshes
+  fourdbody export walk-01 --to mcap --clouds directional --quantize 0.02 --out walk-01-small
+  fourdbody export sessions/walk-01 --to png,csv --cameras h0_up,h0_low --out walk-01-frames
+  fourdbody reconstruct sessions/walk-01 --calibration calibration.json --out walk-01 --format phase
+  fourdbody export walk-01 --calibration calibration.json --out walk-01")]
+pub struct Args {
+    /// What `fourdbody reconstruct` wrote (clouds/, merged/ or phases/ in it); for png, tiff and csv a session.
+    directory: PathBuf,
+    /// The calibration that it was reconstructed with: needed where only phase maps are stored.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// Where the files go.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// What to write, separated by commas.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "ply", value_name = "FORMAT,...")]
+    to: Vec<Target>,
+    /// Only triggers A to B - 1.
+    #[arg(long, value_name = "A..B", value_parser = super::reconstruct::parse_range)]
+    triggers: Option<Range<u64>>,
+    /// Only these cameras, separated by commas.
+    #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
+    cameras: Vec<String>,
+    /// Which clouds: a file a trigger (`merged`), a file a camera and trigger (`directional`), or both [default: merged].
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "KIND,...")]
+    clouds: Vec<Clouds>,
+    /// Triangles instead of points: `grid` between the neighbouring pixels of each camera, holes stay holes; `watertight`
+    /// one closed surface through the merged cloud. For ply, ply-ascii, glb and obj.
+    #[arg(long, value_enum, value_name = "KIND")]
+    mesh: Option<MeshName>,
+    /// With --mesh grid: the longest edge, in median spacings of a cloud's points.
+    #[arg(long, value_name = "TIMES", default_value_t = 4.0, value_parser = parse_stretch)]
+    stretch: f32,
+    /// With --mesh watertight: side of the cells that the surface is found on, mm.
+    #[arg(long, value_name = "MM", default_value_t = 5.0, value_parser = parse_cell)]
+    cell: f64,
+    /// With --to mcap: round places to this step, mm (0.02 is far below the measurement's uncertainty), and compress: a tenth
+    /// of the bytes, in a form that docs/exporting.md describes and viewers do not know.
+    #[arg(long, value_name = "MM", value_parser = parse_step)]
+    quantize: Option<f64>,
+    /// With --to mcap: level of compression (zstd), 0 for none [default: 0, or 1 with --quantize].
+    #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(0..=19))]
+    compress: Option<u8>,
+    /// With --to mcap: take the times from this session, so that clouds and frames play together.
+    #[arg(long, value_name = "DIR")]
+    session: Option<PathBuf>,
+    /// Number of threads [default: one per core].
+    #[arg(long, value_name = "N")]
+    jobs: Option<usize>,
+    /// Triggers per second, for the times in sequence.mcap where nothing tells them.
+    #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = super::reconstruct::parse_rate)]
+    rate_hz: f64,
+    /// Print the summary as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Target {
+    /// Binary PLY.
+    Ply,
+    /// PLY as text.
+    PlyAscii,
+    /// PCD (Point Cloud Library), binary.
+    Pcd,
+    /// Columns of text: x y z nx ny nz intensity u v camera.
+    Xyz,
+    /// E57 (ASTM E2807), a scan a camera.
+    E57,
+    /// glTF 2.0, binary.
+    Glb,
+    /// Wavefront OBJ.
+    Obj,
+    /// A sequence of clouds, foxglove.PointCloud in MCAP.
+    Mcap,
+    /// Frames of a session.
+    Png,
+    /// Frames of a session.
+    Tiff,
+    /// Times of a session's frames.
+    Csv,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Clouds {
+    Merged,
+    Directional,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum MeshName {
+    Grid,
+    Watertight,
+}
+
+impl Target {
+    fn format(self) -> Option<Format> {
+        match self {
+            Self::Ply => Some(Format::Ply),
+            Self::PlyAscii => Some(Format::PlyAscii),
+            Self::Pcd => Some(Format::Pcd),
+            Self::Xyz => Some(Format::Xyz),
+            Self::E57 => Some(Format::E57),
+            Self::Glb => Some(Format::Glb),
+            Self::Obj => Some(Format::Obj),
+            Self::Mcap | Self::Png | Self::Tiff | Self::Csv => None,
+        }
+    }
+
+    fn picture(self) -> Option<Picture> {
+        match self {
+            Self::Png => Some(Picture::Png),
+            Self::Tiff => Some(Picture::Tiff),
+            _ => None,
+        }
+    }
+
+    fn is_of_session(self) -> bool {
+        self.picture().is_some() || self == Self::Csv
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    super::reconstruct::keep_freed_memory();
+    let of_session = args.to.iter().filter(|target| target.is_of_session()).count();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(args.jobs.unwrap_or(0))
+        .build()
+        .map_err(|e| Failure::new(Exit::Failure, e))?;
+    match of_session {
+        0 if asks_for_all(args) => pool.install(|| everything(args)),
+        0 => pool.install(|| clouds::run(args)),
+        n if n == args.to.len() => pool.install(|| session::run(args)),
+        _ => {
+            let message = "--to: png, tiff and csv are made of a session, the others of a reconstruction: export them one after the other";
+            Err(Failure::new(Exit::Usage, message))
+        }
+    }
+}
+
+/// Whether stored phase maps are to become what `reconstruct` would have written.
+fn asks_for_all(args: &Args) -> bool {
+    let chosen = args.triggers.is_some() || !args.cameras.is_empty() || !args.clouds.is_empty();
+    let plain = args.to == [Target::Ply] && args.mesh.is_none();
+    plain && !chosen && args.directory.join("phases").is_dir()
+}
+
+/// Stored phase maps to clouds, merged clouds and the sequence.
+fn everything(args: &Args) -> Result<Exit, Failure> {
+    let calibration = calibration(args)?;
+    let made = stored::export(&args.directory, &calibration, &args.out, args.rate_hz)
+        .map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    if args.json {
+        println!("{}", serde_json::json!(made));
+    } else {
+        let (clouds, points, triggers) = (made.clouds, made.merged_points, made.triggers);
+        println!("{clouds} clouds; {points} points in {triggers} merged clouds");
+    }
+    Ok(Exit::Done)
+}
+
+fn calibration(args: &Args) -> Result<Calibration, Failure> {
+    let path = args.calibration.as_ref().ok_or_else(|| {
+        let message = format!(
+            "{}: has stored phase maps, of which clouds are made with the calibration: give it with --calibration",
+            args.directory.display()
+        );
+        Failure::new(Exit::Usage, message)
+    })?;
+    Calibration::load(path).map_err(|e| Failure::new(Exit::Usage, e))
+}
+
+/// The wanted triggers, all of which must be there.
+fn chosen_triggers(wanted: Option<&Range<u64>>, all: Range<u64>) -> Result<Range<u64>, Failure> {
+    match wanted {
+        None => Ok(all),
+        Some(wanted) if wanted.start >= all.start && wanted.end <= all.end => Ok(wanted.clone()),
+        Some(wanted) => {
+            Err(Failure::new(Exit::Usage, format!("--triggers {wanted:?}: there are triggers {all:?}")))
+        }
+    }
+}
+
+/// Places of the wanted cameras, in order; all of them where none is named.
+fn chosen_cameras(wanted: &[String], known: &[&str]) -> Result<Vec<usize>, Failure> {
+    let place = |name: &String| {
+        known.iter().position(|known| known == name).ok_or_else(|| {
+            Failure::new(Exit::Usage, format!("--cameras {name}: there are {}", known.join(", ")))
+        })
+    };
+    let mut places: Vec<usize> = wanted.iter().map(place).collect::<Result<_, _>>()?;
+    places.sort_unstable();
+    places.dedup();
+    Ok(if wanted.is_empty() { (0..known.len()).collect() } else { places })
+}
+
+fn parse_within(text: &str, range: std::ops::RangeInclusive<f64>, what: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| range.contains(number));
+    number.ok_or_else(|| format!("expected {what}, {} to {}, found {text:?}", range.start(), range.end()))
+}
+
+fn parse_stretch(text: &str) -> Result<f32, String> {
+    parse_within(text, 1.5..=1000.0, "a number of spacings").map(|x| x as f32)
+}
+
+fn parse_cell(text: &str) -> Result<f64, String> {
+    parse_within(text, 0.5..=100.0, "millimetres")
+}
+
+fn parse_step(text: &str) -> Result<f64, String> {
+    let (least, most) = (STEPS_M.start() * 1e3, STEPS_M.end() * 1e3);
+    parse_within(text, least..=most, "millimetres")
+}

@@ -1,0 +1,99 @@
+//! `fourdbody export` of a session: frames and times.
+
+use super::super::progress::Progress;
+use super::super::{Exit, Failure};
+use super::{Args, Target, chosen_cameras, chosen_triggers};
+use crate::export::frames::{self, FramePlan, FrameSummary, Picture};
+use crate::export::timing::{self, Rows};
+use crate::export::write_whole;
+use crate::ids::CameraId;
+use crate::reconstruct::FrameSource;
+use crate::record::SessionReader;
+use std::ops::Range;
+
+/// Frames and times.
+pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
+    let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
+    if args.mesh.is_some() || !args.clouds.is_empty() || args.quantize.is_some() {
+        return Err(usage(&"--mesh, --clouds and --quantize are for clouds; a session has frames"));
+    }
+    let session = SessionReader::open(&args.directory).map_err(|e| usage(&e))?;
+    let triggers = chosen_triggers(args.triggers.as_ref(), session.triggers())?;
+    let names: Vec<&str> = session.cameras().iter().map(CameraId::as_str).collect();
+    let places = chosen_cameras(&args.cameras, &names)?;
+    let cameras: Vec<CameraId> = places.iter().map(|&place| session.cameras()[place].clone()).collect();
+    let formats: Vec<Picture> = args.to.iter().filter_map(|target| target.picture()).collect();
+    let mut frames = None;
+    if !formats.is_empty() {
+        let ids = session.recordings().iter().map(|recording| recording.header.session_id.as_str());
+        let origin = format!("session {}", ids.max().unwrap_or_default());
+        let plan = FramePlan {
+            out: args.out.clone(),
+            origin,
+            formats,
+            triggers: triggers.clone(),
+            cameras: cameras.clone(),
+        };
+        let progress = Progress::of("exporting", "frames");
+        let made = frames::run(&session, &plan, |done, total| progress.at(done, total));
+        frames = Some(made.map_err(|e| Failure::new(Exit::Failure, e))?);
+    }
+    let rows = if args.to.contains(&Target::Csv) {
+        Some(write_timing(args, &session, triggers, &cameras)?)
+    } else {
+        None
+    };
+    report(args, frames.as_ref(), rows);
+    let damaged = frames.as_ref().is_some_and(|frames| !frames.problems.is_empty())
+        || rows.is_some_and(|rows| rows.damaged > 0);
+    let missing =
+        frames.as_ref().is_some_and(|frames| frames.gaps > 0) || rows.is_some_and(|rows| rows.gaps > 0);
+    Ok(match (damaged, missing) {
+        (true, _) => Exit::Corrupt,
+        (false, true) => Exit::DataLoss,
+        (false, false) => Exit::Done,
+    })
+}
+
+fn write_timing(
+    args: &Args,
+    session: &SessionReader,
+    triggers: Range<u64>,
+    cameras: &[CameraId],
+) -> Result<Rows, Failure> {
+    let path = args.out.join("timing.csv");
+    let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
+    std::fs::create_dir_all(&args.out).map_err(fail)?;
+    let mut rows = Rows::default();
+    write_whole(&path, |file| {
+        let mut out = std::io::BufWriter::new(file);
+        rows = timing::write(&mut out, session, triggers, cameras)?;
+        std::io::Write::flush(&mut out)
+    })
+    .map_err(fail)?;
+    Ok(rows)
+}
+
+fn report(args: &Args, frames: Option<&FrameSummary>, rows: Option<Rows>) {
+    for problem in frames.iter().flat_map(|frames| &frames.problems) {
+        eprintln!("{problem}");
+    }
+    if args.json {
+        println!("{}", serde_json::json!({"frames": frames, "timing": rows}));
+        return;
+    }
+    if let Some(frames) = frames {
+        println!(
+            "{} frames: {} pictures written, {} were finished, {} frames missing, {} damaged",
+            frames.frames,
+            frames.written,
+            frames.skipped,
+            frames.gaps,
+            frames.problems.len()
+        );
+    }
+    if let Some(rows) = rows {
+        let Rows { frames, gaps, damaged } = rows;
+        println!("timing.csv: {frames} frames, {gaps} gaps, {damaged} damaged");
+    }
+}

@@ -1,0 +1,194 @@
+//! What the worker needs: where the nodes' sessions are, where results go, how much it may take (`worker.toml`).
+
+use super::{ConfigError, Problem, Section, read_table};
+use crate::ids::NodeId;
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+
+/// A node whose sessions are reconstructed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WorkerNode {
+    /// Its name in the rig.
+    pub name: NodeId,
+    /// Its sessions as they are seen from here: its own disk, or where that is mounted.
+    pub sessions_dir: PathBuf,
+    /// Its control API, for giving way to its captures; `http://HOST:PORT`, `https://HOST:PORT` or `unix:/PATH`.
+    pub url: Option<String>,
+    /// The token for it.
+    pub token_file: Option<PathBuf>,
+    /// The certificate that signed its own.
+    pub ca: Option<PathBuf>,
+}
+
+/// Which session comes next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// The last one recorded: what somebody waits for.
+    Newest,
+    /// As they were recorded.
+    Oldest,
+}
+
+/// What is written of each frame set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Output {
+    /// Clouds, merged clouds and the sequence.
+    Ply,
+    /// Phase maps, of which `fourdbody export` makes the same.
+    Phase,
+}
+
+impl Output {
+    /// As `fourdbody reconstruct --format` calls it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::Phase => "phase",
+        }
+    }
+}
+
+/// The worker.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WorkerConfig {
+    /// A session is worked on when all of these have recorded it.
+    pub nodes: Vec<WorkerNode>,
+    /// Results are directories below this one, named as their sessions.
+    pub results: PathBuf,
+    /// For sessions that are begun from now on.
+    pub calibration: PathBuf,
+    /// Where recordings are copied to by whoever keeps them; `prune` compares with it.
+    pub archive: Option<PathBuf>,
+    /// Which session comes next.
+    pub order: Order,
+    /// What is written.
+    pub output: Output,
+    /// At most so many threads; none: one per core.
+    pub threads: Option<usize>,
+    /// At most so much memory, bytes.
+    pub memory_bytes: u64,
+    /// Nothing is written when the results' disk has less free, bytes.
+    pub reserve_bytes: u64,
+    /// How often a session is tried before it is set aside.
+    pub attempts: u32,
+}
+
+const FORMAT: u64 = 1;
+const MIB: u64 = 1 << 20;
+
+/// Memory of a reconstruction beside its threads' (measured: docs/benchmarks.md).
+const BASE_BYTES: u64 = 400 * MIB;
+/// Memory of each thread.
+const THREAD_BYTES: u64 = 450 * MIB;
+
+impl WorkerConfig {
+    /// Reads and validates a worker file.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let table = read_table(path)?;
+        let problems = RefCell::default();
+        let config = read_worker(Section::root(&table, &problems), path.parent().unwrap_or(Path::new(".")));
+        let problems: Vec<Problem> = problems.into_inner();
+        match config {
+            Some(config) if problems.is_empty() => Ok(config),
+            _ => Err(ConfigError { path: path.to_owned(), problems }),
+        }
+    }
+
+    /// Threads that fit into the memory, at least one.
+    pub fn threads(&self) -> usize {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let fit = self.memory_bytes.saturating_sub(BASE_BYTES) / THREAD_BYTES;
+        self.threads.unwrap_or(cores).min(usize::try_from(fit).unwrap_or(usize::MAX)).max(1)
+    }
+}
+
+fn read_worker(root: Section<'_>, base: &Path) -> Option<WorkerConfig> {
+    root.integer("format", FORMAT..=FORMAT);
+    let (results, calibration) = (base.join(root.text("results")), base.join(root.text("calibration")));
+    let archive = root.has("archive").then(|| base.join(root.text("archive")));
+    let nodes: Vec<WorkerNode> =
+        root.sections("node").into_iter().map(|node| read_node(node, base)).collect();
+    for (i, node) in nodes.iter().enumerate() {
+        if nodes[..i].iter().any(|other| other.name == node.name) {
+            root.problem(&format!("node[{i}].name"), format!("node {} is there twice", node.name));
+        }
+    }
+    let work = root.optional_section("work");
+    let number =
+        |key, range, default| work.as_ref().map_or(default, |work| work.integer_or(key, range, default));
+    let config = WorkerConfig {
+        results,
+        calibration,
+        archive,
+        nodes,
+        order: work.as_ref().map_or(Order::Newest, |work| {
+            work.choice_or_first("order", &[("newest", Order::Newest), ("oldest", Order::Oldest)])
+        }),
+        output: work.as_ref().map_or(Output::Ply, |work| {
+            work.choice_or_first("write", &[("ply", Output::Ply), ("phase", Output::Phase)])
+        }),
+        threads: Some(number("threads", 0..=1024, 0) as usize).filter(|threads| *threads > 0),
+        memory_bytes: number("memory_mib", 850..=1 << 20, 4096) * MIB,
+        reserve_bytes: number("reserve_mib", 0..=1 << 30, 10_240) * MIB,
+        attempts: number("attempts", 1..=100, 3) as u32,
+    };
+    if let Some(work) = work {
+        work.finish();
+    }
+    root.finish();
+    Some(config)
+}
+
+fn read_node(section: Section<'_>, base: &Path) -> WorkerNode {
+    let path = |key: &'static str| section.has(key).then(|| base.join(section.text(key)));
+    let node = WorkerNode {
+        name: NodeId(section.text("name")),
+        sessions_dir: base.join(section.text("sessions_dir")),
+        url: section.has("url").then(|| section.text("url")),
+        token_file: path("token_file"),
+        ca: path("ca"),
+    };
+    section.finish();
+    node
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Order, Output, WorkerConfig};
+
+    fn load(text: &str) -> Result<WorkerConfig, String> {
+        let dir = tempfile::tempdir().expect("a directory");
+        let path = dir.path().join("worker.toml");
+        std::fs::write(&path, text).expect("written");
+        WorkerConfig::load(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn threads_are_as_many_as_the_memory_holds() {
+        let text = |memory_mib: u64| {
+            format!(
+                "format = 1\nresults = \"r\"\ncalibration = \"c.json\"\n[[node]]\nname = \"a\"\nsessions_dir = \"s\"\n\
+                 [work]\nthreads = 8\nmemory_mib = {memory_mib}\norder = \"oldest\"\nwrite = \"phase\"\n"
+            )
+        };
+        let threads = [850, 1300, 1750, 100_000].map(|mib| load(&text(mib)).expect("valid").threads());
+        assert_eq!(threads, [1, 2, 3, 8]);
+        let config = load(&text(850)).expect("valid");
+        assert_eq!((config.order, config.output, config.attempts), (Order::Oldest, Output::Phase, 3));
+    }
+
+    #[test]
+    fn all_problems_are_told_at_once() {
+        let node = "[[node]]\nname = \"a\"\nsessions_dir = \"s\"\n";
+        let text = format!("format = 1\nresults = \"r\"\n{node}{node}[work]\nwrite = \"e57\"\nspeed = 3\n");
+        let error = load(&text).expect_err("wrong");
+        for part in ["calibration", "node a is there twice", "work.write", "work.speed"] {
+            assert!(error.contains(part), "{part:?} missing in\n{error}");
+        }
+        assert!(
+            load("format = 1\nresults = \"r\"\ncalibration = \"c\"\n")
+                .expect_err("none")
+                .contains("at least one table")
+        );
+    }
+}

@@ -1,0 +1,157 @@
+//! A session's frames to pictures: `OUT/CAMERA/INDEX.png` (or `.tiff`), 8-bit grey without loss, the names that
+//! `fourdbody import` and `reconstruct` read.
+
+use super::job::claim;
+use super::whole::write_whole;
+use crate::ids::{CameraId, TriggerIndex};
+use crate::image::{Mono8, encode_png_grey};
+use crate::reconstruct::{Frame, FrameSource};
+use rayon::prelude::*;
+use serde::Serialize;
+use serde_json::{Map, json};
+use std::io::{self, BufWriter};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A format of pictures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Picture {
+    /// PNG.
+    Png,
+    /// TIFF, not compressed.
+    Tiff,
+}
+
+impl Picture {
+    /// How files of it are called behind the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Tiff => "tiff",
+        }
+    }
+
+    /// Writes a file, which is never half there.
+    pub fn save(self, path: &Path, image: Mono8<'_>) -> io::Result<()> {
+        let side = |side: usize| u32::try_from(side).map_err(io::Error::other);
+        write_whole(path, |file| match self {
+            Self::Png => encode_png_grey(BufWriter::new(file), image),
+            Self::Tiff => {
+                let (width, height) = (side(image.width())?, side(image.height())?);
+                let mut encoder =
+                    tiff::encoder::TiffEncoder::new(BufWriter::new(file)).map_err(io::Error::other)?;
+                encoder
+                    .write_image::<tiff::encoder::colortype::Gray8>(width, height, image.as_slice())
+                    .map_err(io::Error::other)
+            }
+        })
+    }
+}
+
+/// What to write.
+#[derive(Debug, Clone)]
+pub struct FramePlan {
+    /// Where the pictures go.
+    pub out: PathBuf,
+    /// Which session this is, in words that tell it from others.
+    pub origin: String,
+    /// The formats.
+    pub formats: Vec<Picture>,
+    /// Which triggers.
+    pub triggers: Range<u64>,
+    /// Which cameras.
+    pub cameras: Vec<CameraId>,
+}
+
+/// What became of it.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct FrameSummary {
+    /// Frames expected.
+    pub frames: usize,
+    /// Pictures written.
+    pub written: usize,
+    /// Pictures found finished.
+    pub skipped: usize,
+    /// Frames that are missing, as the session says.
+    pub gaps: usize,
+    /// Frames that could not be read, with the reason.
+    pub problems: Vec<String>,
+}
+
+/// Writes the pictures that are not there yet, on the current rayon pool. `progress` is told frames done and their number. An
+/// error is one of writing.
+pub fn run(
+    source: &dyn FrameSource,
+    plan: &FramePlan,
+    progress: impl Fn(u64, u64) + Sync,
+) -> Result<FrameSummary, String> {
+    std::fs::create_dir_all(&plan.out).map_err(|e| format!("{}: {e}", plan.out.display()))?;
+    let mut wanted = Map::new();
+    for format in &plan.formats {
+        wanted.insert(format!("CAMERA/INDEX.{}", format.extension()), json!({"origin": plan.origin}));
+    }
+    claim(&plan.out, wanted)?;
+    for camera in &plan.cameras {
+        let folder = plan.out.join(camera.as_str());
+        std::fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+    }
+    let frames: Vec<(u64, &CameraId)> = plan
+        .triggers
+        .clone()
+        .flat_map(|trigger| plan.cameras.iter().map(move |camera| (trigger, camera)))
+        .collect();
+    let (done, total) = (AtomicU64::new(0), frames.len() as u64);
+    let summary = Mutex::new(FrameSummary { frames: frames.len(), ..FrameSummary::default() });
+    frames.into_par_iter().with_max_len(1).try_for_each(|(trigger, camera)| {
+        export(source, plan, trigger, camera, &summary)?;
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        Ok::<(), String>(())
+    })?;
+    let mut summary = summary.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    summary.problems.sort();
+    Ok(summary)
+}
+
+fn export(
+    source: &dyn FrameSource,
+    plan: &FramePlan,
+    trigger: u64,
+    camera: &CameraId,
+    summary: &Mutex<FrameSummary>,
+) -> Result<(), String> {
+    let count = |change: &dyn Fn(&mut FrameSummary)| {
+        change(&mut summary.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+    };
+    let path = |format: &Picture| {
+        plan.out.join(camera.as_str()).join(format!("{trigger:06}.{}", format.extension()))
+    };
+    // A recording never changes.
+    let missing: Vec<&Picture> = plan.formats.iter().filter(|format| !path(format).exists()).collect();
+    count(&|summary| summary.skipped += plan.formats.len() - missing.len());
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let frame = match source.frame(camera, TriggerIndex(trigger)) {
+        Ok(frame) => frame,
+        Err(problem) => {
+            count(&|summary| summary.problems.push(problem.clone()));
+            return Ok(());
+        }
+    };
+    let image = match &frame {
+        Frame::Image(image) => *image,
+        Frame::Owned(plane) => Mono8::from(plane),
+        Frame::Gap(_) => {
+            count(&|summary| summary.gaps += 1);
+            return Ok(());
+        }
+    };
+    for format in missing {
+        let path = path(format);
+        format.save(&path, image).map_err(|e| format!("{}: {e}", path.display()))?;
+        count(&|summary| summary.written += 1);
+    }
+    Ok(())
+}

@@ -1,0 +1,82 @@
+//! When every frame of a session was, as a table of comma-separated values (RFC 4180): a row a trigger and camera.
+//!
+//! | column | is |
+//! |---|---|
+//! | `trigger` | trigger index |
+//! | `camera`, `node` | names in the rig |
+//! | `outcome` | `frame`, the cause of a gap, or `damaged` |
+//! | `block_id` | as the camera sent it |
+//! | `camera_time_ns` | begin of the exposure, the camera's clock |
+//! | `host_time_ns` | arrival of the frame, the node's clock |
+//! | `hsu_time_ns` | the trigger, the HSU's clock |
+//! | `hsu_host_time_ns` | arrival of the HSU's report, the node's clock |
+//!
+//! What is not known is empty.
+
+use crate::ids::{CameraId, TriggerIndex};
+use crate::record::{FrameMeta, GapCause, SessionReader};
+use std::io::{self, Write};
+use std::ops::Range;
+
+/// The first line.
+pub const HEADER: &str =
+    "trigger,camera,node,outcome,block_id,camera_time_ns,host_time_ns,hsu_time_ns,hsu_host_time_ns";
+
+/// Rows by outcome.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Rows {
+    /// With a frame.
+    pub frames: usize,
+    /// With a gap record.
+    pub gaps: usize,
+    /// With neither, or with a damaged one.
+    pub damaged: usize,
+}
+
+/// Writes the table of these triggers and cameras.
+pub fn write(
+    mut out: impl Write,
+    session: &SessionReader,
+    triggers: Range<u64>,
+    cameras: &[CameraId],
+) -> io::Result<Rows> {
+    let mut rows = Rows::default();
+    writeln!(out, "{HEADER}")?;
+    for trigger in triggers.map(TriggerIndex) {
+        for camera in cameras {
+            let found = session.recordings().iter().find_map(|recording| {
+                let place = recording.header.cameras.iter().position(|known| known.id == *camera)?;
+                Some((recording, recording.frame_meta(place, trigger)))
+            });
+            let Some((recording, outcome)) = found else { continue };
+            let word = match &outcome {
+                Ok(Ok(_)) => "frame".to_owned(),
+                Ok(Err(cause)) => GapCause::to_string(cause),
+                Err(_) => "damaged".to_owned(),
+            };
+            *match &outcome {
+                Ok(Ok(_)) => &mut rows.frames,
+                Ok(Err(_)) => &mut rows.gaps,
+                Err(_) => &mut rows.damaged,
+            } += 1;
+            let meta: Option<FrameMeta> = outcome.ok().and_then(Result::ok);
+            let frame = |number: fn(&FrameMeta) -> u64| field(meta.as_ref().map(number));
+            let hsu = recording.triggers.get(&trigger);
+            writeln!(
+                out,
+                "{trigger},{camera},{},{word},{},{},{},{},{}",
+                recording.header.node,
+                frame(|meta| meta.block.0),
+                frame(|meta| meta.camera_time_ns),
+                frame(|meta| meta.host_time_ns),
+                field(hsu.map(|row| row.hsu_time_ns)),
+                field(hsu.map(|row| row.host_time_ns)),
+            )?;
+        }
+    }
+    Ok(rows)
+}
+
+fn field(number: Option<u64>) -> String {
+    number.map_or_else(String::new, |number| number.to_string())
+}

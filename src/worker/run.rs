@@ -1,0 +1,461 @@
+//! The worker: one session after the other, verified and reconstructed in processes that can be ended at any moment.
+
+use super::give_way::GiveWay;
+use super::queue::{self, Found};
+use super::state::{Activity, Job, OWN_DIR, Stage, WorkerState, now_ns};
+use super::task::{self, Ended, Interruption};
+use crate::calibrate::Calibration;
+use crate::cmds::Exit;
+use crate::config::{Output, WorkerConfig};
+use crate::export::write_whole;
+use crate::record::{free_bytes, node_dir};
+use crate::session::state::Fault;
+use std::ffi::OsString;
+use std::fs::{File, TryLockError};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How often sessions are looked for when there is nothing to do.
+const LOOK: Duration = Duration::from_secs(2);
+/// How often progress is written down.
+const TELL: Duration = Duration::from_secs(1);
+/// How long to wait before the second attempt; twice as long before each further one.
+const RETRY: Duration = Duration::from_secs(10);
+/// With less room than this a failure is blamed on the disk: four frame sets as PLY files.
+const SHORT_BYTES: u64 = 256 << 20;
+
+/// The worker of a results' directory.
+pub struct Worker {
+    config: WorkerConfig,
+    give_way: GiveWay,
+    stop: Arc<AtomicBool>,
+    state: WorkerState,
+    /// Sessions that will be tried again some seconds later.
+    retries: u64,
+    /// Held as long as it lives.
+    _lock: File,
+}
+
+/// What came of a session in one go.
+enum Outcome {
+    Ended,
+    Interrupted(Interruption),
+    /// It failed, and may work another time.
+    Failed(String),
+    /// It failed, and will fail again.
+    SetAside(String),
+}
+
+impl Worker {
+    /// Takes the results' directory; refuses when another worker has it. `stop` ends the worker.
+    pub fn new(config: WorkerConfig, stop: Arc<AtomicBool>) -> Result<Self, Fault> {
+        let own = config.results.join(OWN_DIR);
+        let failed = |e: std::io::Error| Fault::new(Exit::Failure, format!("{}: {e}", own.display()));
+        std::fs::create_dir_all(&own).map_err(failed)?;
+        let lock = File::create(own.join("lock")).map_err(failed)?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                let message = format!(
+                    "another worker is at work on {}; end it, or use other results",
+                    config.results.display()
+                );
+                return Err(Fault::new(Exit::Usage, message));
+            }
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
+        }
+        let give_way = GiveWay::start(&config.nodes)?;
+        Ok(Self { config, give_way, stop, state: WorkerState::default(), retries: 0, _lock: lock })
+    }
+
+    /// Works until it is stopped; with `once` until there is nothing to do. Whether every session found is done.
+    pub fn run(&mut self, once: bool) -> Result<bool, Fault> {
+        let mut told = None;
+        while !self.stop.load(Ordering::Acquire) {
+            let found = self.look();
+            let obstacle = self.obstacle();
+            let interruption = self.interruption();
+            match (interruption.or(obstacle), found) {
+                (Some(Interruption::Obstacle(reason)), _) if once => {
+                    self.state.not_yet.push(("all".to_owned(), reason));
+                    break;
+                }
+                (Some(interruption), _) => self.rest(&interruption),
+                (None, Some(found)) => match self.work(&found) {
+                    Some(obstacle) if once => {
+                        self.state.not_yet.push((found.name, obstacle));
+                        break;
+                    }
+                    _ => continue,
+                },
+                (None, None) if once && self.retries == 0 => break,
+                (None, None) => self.say(Activity::Idle, None),
+            }
+            if told.as_ref() != Some(&self.state.line()) {
+                told = Some(self.state.line());
+                tracing::info!("{}", self.state.line());
+            }
+            self.sleep(LOOK);
+        }
+        self.state.job = None;
+        self.say(Activity::Ended, None);
+        Ok(self.state.queued.is_empty() && self.state.not_yet.is_empty() && self.state.set_aside.is_empty())
+    }
+
+    /// Looks at all sessions; the one that comes next.
+    fn look(&mut self) -> Option<Found> {
+        let inventory = queue::look(&self.config, &asked_first(&self.config.results));
+        self.state.queued = inventory.ready.iter().map(|found| found.name.clone()).collect();
+        (self.state.not_yet, self.state.set_aside) = (inventory.not_yet, inventory.set_aside);
+        (self.state.done, self.retries) = (inventory.done, inventory.retries);
+        inventory.ready.into_iter().next()
+    }
+
+    fn interruption(&self) -> Option<Interruption> {
+        if self.stop.load(Ordering::Acquire) {
+            return Some(Interruption::Stop);
+        }
+        self.give_way.to().map(Interruption::Capture)
+    }
+
+    /// What keeps any session from being worked on, and is nobody's fault.
+    fn obstacle(&self) -> Option<Interruption> {
+        let results = &self.config.results;
+        let reason = match free_bytes(results) {
+            Err(error) => format!("{}: {error}", results.display()),
+            Ok(free) if free < self.config.reserve_bytes => format!(
+                "{} has {} MiB free, work.reserve_mib is {}; make room",
+                results.display(),
+                free >> 20,
+                self.config.reserve_bytes >> 20
+            ),
+            Ok(_) => return None,
+        };
+        Some(Interruption::Obstacle(reason))
+    }
+
+    fn rest(&mut self, interruption: &Interruption) {
+        match interruption {
+            Interruption::Stop => {}
+            Interruption::Capture(node) => self.say(Activity::GivesWay, Some(node.clone())),
+            Interruption::Obstacle(reason) => self.say(Activity::Waiting, Some(reason.clone())),
+        }
+    }
+
+    fn say(&mut self, activity: Activity, reason: Option<String>) {
+        self.state.activity = activity;
+        self.state.reason = reason;
+        self.state.written_ns = now_ns();
+        // What cannot be written now is written a second later; the state is for people.
+        if let Err(error) = self.state.store(&self.config.results) {
+            tracing::warn!("the worker's state cannot be written: {error}");
+        }
+    }
+
+    fn sleep(&self, time: Duration) {
+        let begin = Instant::now();
+        while begin.elapsed() < time && !self.stop.load(Ordering::Acquire) {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// Why a failure is not the session's fault: its recordings have gone, or there is no room for a few frame sets.
+    fn blame(&self, found: &Found) -> Option<String> {
+        let room = free_bytes(&self.config.results).unwrap_or(0);
+        if room < SHORT_BYTES {
+            let results = self.config.results.display();
+            return Some(format!("{results} has {} MiB free; make room", room >> 20));
+        }
+        queue::parts(&self.config, &found.name).err()
+    }
+
+    /// One session, until it is done or something comes between. What kept it from being done that is not its own fault.
+    fn work(&mut self, found: &Found) -> Option<String> {
+        let results = self.config.results.clone();
+        let mut job = Job::load(&results, &found.name).unwrap_or_default();
+        let mut obstacle = None;
+        let outcome = match self.begin(&mut job, found) {
+            Ok(()) => self.carry_on(&mut job, found),
+            Err(reason) => Outcome::Failed(reason),
+        };
+        match outcome {
+            Outcome::Ended => tracing::info!(session = job.session, frame_sets = job.of, "reconstructed"),
+            Outcome::Interrupted(interruption) => {
+                tracing::info!(session = job.session, ?interruption, "interrupted");
+                self.state.job = Some(job.clone());
+                self.rest(&interruption);
+                self.keep(&job);
+                return match interruption {
+                    Interruption::Obstacle(reason) => Some(reason),
+                    _ => None,
+                };
+            }
+            Outcome::Failed(reason) => {
+                obstacle = self.blame(found);
+                job.attempts += u32::from(obstacle.is_none());
+                let wait = RETRY * 2_u32.saturating_pow(job.attempts.saturating_sub(1).min(16));
+                job.not_before_ns = now_ns() + u64::try_from(wait.as_nanos()).unwrap_or(0);
+                if job.attempts >= self.config.attempts {
+                    job.stage = Stage::SetAside;
+                }
+                tracing::warn!(session = job.session, attempts = job.attempts, "failed: {reason}");
+                job.reason = Some(reason);
+            }
+            Outcome::SetAside(reason) => {
+                tracing::warn!(session = job.session, "set aside: {reason}");
+                job.stage = Stage::SetAside;
+                job.reason = Some(reason);
+            }
+        }
+        if job.has_ended() {
+            job.ended_ns = now_ns();
+        }
+        self.state.job = None;
+        self.keep(&job);
+        obstacle
+    }
+
+    fn keep(&self, job: &Job) {
+        // Of a job that cannot be written nothing is lost: finished outputs are found again.
+        if let Err(error) = job.store(&self.config.results) {
+            tracing::warn!(session = job.session, "its state cannot be written: {error}");
+            self.sleep(TELL);
+        }
+    }
+
+    /// Links to the recordings, and the calibration that the session keeps.
+    fn begin(&self, job: &mut Job, found: &Found) -> Result<(), String> {
+        let dir = self.config.results.join(&found.name);
+        let session = dir.join("session");
+        let failed = |path: &Path, e: std::io::Error| format!("{}: {e}", path.display());
+        std::fs::create_dir_all(&session).map_err(|e| failed(&session, e))?;
+        for (node, part) in self.config.nodes.iter().zip(&found.parts) {
+            let link = node_dir(&session, &node.name);
+            let part = std::path::absolute(part).map_err(|e| failed(part, e))?;
+            if std::fs::read_link(&link).ok().as_ref() != Some(&part) {
+                // A link of an earlier attempt, when the share was mounted elsewhere.
+                let _ = std::fs::remove_file(&link);
+                std::os::unix::fs::symlink(&part, &link).map_err(|e| failed(&link, e))?;
+            }
+        }
+        if job.session_id.is_empty() {
+            *job = Job { began_ns: now_ns(), ..Job::default() };
+        }
+        (job.session, job.of) = (found.name.clone(), found.triggers);
+        Ok(())
+    }
+
+    fn carry_on(&mut self, job: &mut Job, found: &Found) -> Outcome {
+        if !job.session_id.is_empty() && job.session_id != found.session_id {
+            return Outcome::SetAside(format!(
+                "its results are of another session of this name ({}); move them away",
+                job.session_id
+            ));
+        }
+        job.session_id = found.session_id.clone();
+        let began = Instant::now();
+        if matches!(job.stage, Stage::Waiting | Stage::Verifying) {
+            job.stage = Stage::Verifying;
+            if let Some(outcome) = self.verify(job) {
+                job.busy_s += began.elapsed().as_secs_f64();
+                return outcome;
+            }
+            job.stage = Stage::Reconstructing;
+            self.keep(job);
+        }
+        let outcome = self.reconstruct(job);
+        job.busy_s += began.elapsed().as_secs_f64();
+        outcome
+    }
+
+    /// `None` when nothing is wrong with the recordings.
+    fn verify(&mut self, job: &mut Job) -> Option<Outcome> {
+        let session = self.config.results.join(&job.session).join("session");
+        match self.task(job, vec!["verify".into(), session.into()]) {
+            Ok(Ended::ByItself(Some(0 | 3))) => None,
+            Ok(Ended::ByItself(Some(4))) => {
+                Some(Outcome::SetAside(format!("verify found it corrupt: {}", self.last_words(job))))
+            }
+            other => Some(self.outcome(job, other)),
+        }
+    }
+
+    fn reconstruct(&mut self, job: &mut Job) -> Outcome {
+        let dir = self.config.results.join(&job.session);
+        let calibration = dir.join("calibration.json");
+        if !calibration.exists()
+            && let Err(reason) = keep_calibration(&self.config.calibration, &calibration)
+        {
+            return Outcome::Interrupted(Interruption::Obstacle(reason));
+        }
+        let cameras = match self.cameras(&calibration, &dir.join("session")) {
+            Ok(cameras) => cameras,
+            Err(reason) => return Outcome::SetAside(reason),
+        };
+        let args: Vec<OsString> = vec![
+            "reconstruct".into(),
+            dir.join("session").into(),
+            "--calibration".into(),
+            calibration.into(),
+            "--out".into(),
+            dir.clone().into(),
+            "--format".into(),
+            self.config.output.as_str().into(),
+            "--cameras".into(),
+            cameras.into(),
+            "--jobs".into(),
+            self.config.threads().to_string().into(),
+            "--timings".into(),
+            dir.join("timings.json").into(),
+        ];
+        match self.task(job, args) {
+            Ok(Ended::ByItself(Some(0 | 3))) => {
+                summarize(job, &dir);
+                Outcome::Ended
+            }
+            Ok(Ended::ByItself(Some(code @ (2 | 4)))) => Outcome::SetAside(format!(
+                "reconstruct ended with exit code {code}: {}",
+                self.last_words(job)
+            )),
+            other => self.outcome(job, other),
+        }
+    }
+
+    /// The cameras of the session, in the calibration's order: of one node's recordings it has others.
+    fn cameras(&self, calibration: &Path, session: &Path) -> Result<String, String> {
+        use crate::reconstruct::FrameSource;
+        let known = Calibration::load(calibration).map_err(|e| e.to_string())?;
+        let recorded = crate::record::SessionReader::open_frames(session).map_err(|e| e.to_string())?;
+        let both = known.cameras().map(|(_, camera)| camera.id.as_str());
+        let both: Vec<&str> =
+            both.filter(|id| recorded.cameras().iter().any(|c| c.as_str() == *id)).collect();
+        match both.is_empty() {
+            true => {
+                Err("the calibration has none of the session's cameras; worker --retry after correcting it"
+                    .to_owned())
+            }
+            false => Ok(both.join(",")),
+        }
+    }
+
+    fn outcome(&self, job: &Job, ended: std::io::Result<Ended>) -> Outcome {
+        match ended {
+            Ok(Ended::Interrupted(interruption)) => Outcome::Interrupted(interruption),
+            Ok(Ended::ByItself(Some(code))) => {
+                Outcome::Failed(format!("exit code {code}: {}", self.last_words(job)))
+            }
+            Ok(Ended::ByItself(None)) => Outcome::Failed(format!("killed: {}", self.last_words(job))),
+            Err(error) => Outcome::Failed(format!("cannot run a process: {error}")),
+        }
+    }
+
+    fn log(&self, job: &Job) -> PathBuf {
+        self.config.results.join(&job.session).join("log")
+    }
+
+    fn last_words(&self, job: &Job) -> String {
+        task::last_words(&self.log(job))
+    }
+
+    /// Runs a process for this job, while telling how far it is.
+    fn task(&mut self, job: &mut Job, args: Vec<OsString>) -> std::io::Result<Ended> {
+        let log = self.log(job);
+        let dir = self.config.results.join(&job.session);
+        let output = self.config.output;
+        let mut told: Option<Duration> = None;
+        task::run(args, &log, |elapsed| {
+            if let Some(interruption) = self.interruption() {
+                return Some(interruption);
+            }
+            if told.is_none_or(|told| elapsed - told >= TELL) {
+                told = Some(elapsed);
+                if let Some(obstacle) = self.obstacle() {
+                    return Some(obstacle);
+                }
+                job.done = frame_sets(&dir, output).min(job.of);
+                self.state.job = Some(job.clone());
+                self.say(Activity::Working, None);
+            }
+            None
+        })
+    }
+}
+
+/// Copies the calibration, after having read it, so that a session begins with one that can be used.
+fn keep_calibration(from: &Path, to: &Path) -> Result<(), String> {
+    Calibration::load(from).map_err(|e| format!("the calibration: {e}"))?;
+    let text = std::fs::read(from).map_err(|e| format!("{}: {e}", from.display()))?;
+    write_whole(to, |file| file.write_all(&text)).map_err(|e| format!("{}: {e}", to.display()))
+}
+
+/// Frame sets that are ready.
+pub(super) fn frame_sets(dir: &Path, output: Output) -> u64 {
+    let count = |folder: &str, is: &dyn Fn(&str) -> bool| {
+        let entries = std::fs::read_dir(dir.join(folder)).into_iter().flatten().flatten();
+        entries.filter(|entry| entry.file_name().to_str().is_some_and(is)).count() as u64
+    };
+    match output {
+        Output::Ply => count("merged", &|name| name.ends_with(".ply")),
+        Output::Phase => {
+            let first = std::fs::read_dir(dir.join("phases")).into_iter().flatten().flatten().next();
+            let camera =
+                first.and_then(|entry| Some(entry.file_name().to_str()?.rsplit_once('_')?.0.to_owned()));
+            camera.map_or(0, |camera| {
+                count("phases", &|name| name.starts_with(&camera) && name.ends_with(".phase"))
+            })
+        }
+    }
+}
+
+/// What the summary says of a session that is done.
+fn summarize(job: &mut Job, dir: &Path) {
+    let read = |name: &str| -> serde_json::Value {
+        let text = std::fs::read(dir.join(name)).unwrap_or_default();
+        serde_json::from_slice(&text).unwrap_or_default()
+    };
+    let summary = read("summary.json");
+    let number = |key: &str| summary[key].as_u64().unwrap_or(0);
+    job.peak_memory_bytes = read("timings.json")["peak_memory_bytes"].as_u64().unwrap_or(0);
+    job.frames_without_cloud = number("refused") + number("gaps") + number("damaged");
+    job.merged_points = number("merged_points");
+    job.parameters = summary["parameters"].as_str().unwrap_or_default().to_owned();
+    (job.stage, job.done, job.reason) = (Stage::Done, job.of, None);
+}
+
+/// The sessions that somebody wants before the others.
+fn asked_first(results: &Path) -> Vec<String> {
+    let text = std::fs::read_to_string(results.join(OWN_DIR).join("first")).unwrap_or_default();
+    text.lines().map(str::to_owned).collect()
+}
+
+/// Puts a session before all others, for a worker that is running or will be.
+pub fn ask_first(results: &Path, session: &str) -> std::io::Result<()> {
+    let own = results.join(OWN_DIR);
+    std::fs::create_dir_all(&own)?;
+    let others = asked_first(results);
+    let lines =
+        std::iter::once(session).chain(others.iter().map(String::as_str).filter(|other| *other != session));
+    let text: String = lines.map(|line| format!("{line}\n")).collect();
+    write_whole(&own.join("first"), |file| file.write_all(text.as_bytes()))
+}
+
+/// Lets a session that was set aside, or waits for its next attempt, be tried again at once.
+pub fn retry(results: &Path, session: &str) -> Result<(), Fault> {
+    let Some(mut job) = Job::load(results, session) else {
+        let message = format!("no work on a session {session:?} in {}", results.display());
+        return Err(Fault::new(Exit::Usage, message));
+    };
+    if job.stage == Stage::Done {
+        return Err(Fault::new(
+            Exit::Usage,
+            format!("session {session} is done; delete its results to repeat it"),
+        ));
+    }
+    (job.stage, job.attempts, job.not_before_ns, job.reason) = (Stage::Waiting, 0, 0, None);
+    // The one it was begun with may be why.
+    let _ = std::fs::remove_file(results.join(session).join("calibration.json"));
+    job.store(results).map_err(|e| Fault::new(Exit::Failure, format!("{}: {e}", results.display())))
+}

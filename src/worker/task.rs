@@ -1,0 +1,69 @@
+//! One process of `fourdbody` that the worker runs and may end at any moment.
+
+use crate::background;
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+use std::time::{Duration, Instant};
+
+/// How often the worker looks at the process, and at what may be a reason to end it.
+const POLL: Duration = Duration::from_millis(50);
+/// Of what the process has said, so much is told, bytes.
+const TOLD: usize = 600;
+
+/// How a process ended.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// By itself, with this exit code; `None`: by a signal.
+    ByItself(Option<i32>),
+    /// By the worker, for this reason.
+    Interrupted(Interruption),
+}
+
+/// Why the worker ends a process that did nothing wrong.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Interruption {
+    /// The worker is to end.
+    Stop,
+    /// A capture needs the machine.
+    Capture(String),
+    /// Something is missing that is not the session's fault.
+    Obstacle(String),
+}
+
+/// Runs `fourdbody` with these arguments at idle priority; what it says goes to `log`. `look` is asked many times a second whether
+/// there is a reason to end it, and told how long the process has been running.
+pub fn run(
+    args: Vec<std::ffi::OsString>,
+    log: &Path,
+    mut look: impl FnMut(Duration) -> Option<Interruption>,
+) -> io::Result<Ended> {
+    let output = File::create(log)?;
+    let mut child = background::command(args)?.stdout(output.try_clone()?).stderr(output).spawn()?;
+    let began = Instant::now();
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return Ok(Ended::ByItself(status.code())),
+            Ok(None) => {}
+            Err(error) => {
+                background::end(&mut child);
+                return Err(error);
+            }
+        }
+        if let Some(interruption) = look(began.elapsed()) {
+            background::end(&mut child);
+            return Ok(Ended::Interrupted(interruption));
+        }
+        std::thread::sleep(POLL);
+    }
+}
+
+/// The last that a process has said.
+pub fn last_words(log: &Path) -> String {
+    let bytes = std::fs::read(log).unwrap_or_default();
+    let text = String::from_utf8_lossy(&bytes);
+    let text = text.trim();
+    let start = text.char_indices().map(|(i, _)| i).find(|i| text.len() - i <= TOLD).unwrap_or(0);
+    text[start..].to_owned()
+}

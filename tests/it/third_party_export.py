@@ -1,0 +1,226 @@
+"""Opens exported files with readers that are not ours, and compares them with what they were made of.
+
+    third_party_export.py clouds DIR      DIR/expected.bin, DIR/out
+    third_party_export.py frames DIR      DIR/out, of `recording::record`
+    third_party_export.py sequence FILE CAMERA TRIGGER_TIME_NS
+
+Prints what it found as JSON.
+"""
+
+import csv
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+POINT = np.dtype([("p", "<f4", 3), ("i", "<f4"), ("n", "<f4", 3), ("uv", "<u2", 2), ("camera", "u1")])
+CAMERAS = {0: "h0_up", 3: "h1_low"}
+
+
+def same(found, expected, what):
+    found = np.asarray(found)
+    assert found.shape == expected.shape, f"{what}: {found.shape}, expected {expected.shape}"
+    # Exactly: every format here holds 32-bit floats, or their shortest text.
+    assert np.array_equal(found.astype(expected.dtype), expected), f"{what} differs"
+
+
+def table(get, expected, what):
+    same(np.stack([get(name) for name in "xyz"], 1), expected["p"], f"{what} places")
+    same(get("intensity"), expected["i"], f"{what} intensity")
+    same(np.stack([get("u"), get("v")], 1), expected["uv"], f"{what} pixels")
+    same(get("camera"), expected["camera"], f"{what} camera")
+
+
+def clouds(directory):
+    import plyfile
+    import pye57
+    import pygltflib
+    import pypcd4
+    import trimesh
+
+    directory = Path(directory)
+    expected = np.fromfile(directory / "expected.bin", POINT)
+    merged = directory / "out/merged/000005"
+    for suffix in [".ply", ".ascii.ply"]:
+        ply = plyfile.PlyData.read(f"{merged}{suffix}")
+        vertex = ply["vertex"]
+        table(lambda name: vertex[name], expected, suffix)
+        same(np.stack([vertex[f"n{axis}"] for axis in "xyz"], 1), expected["n"], suffix)
+        assert "trigger 5" in ply.comments and "cameras 0=h0_up 3=h1_low" in ply.comments, ply.comments
+        same(trimesh.load(f"{merged}{suffix}").vertices, expected["p"], f"{suffix} in trimesh")
+
+    pcd = pypcd4.PointCloud.from_path(f"{merged}.pcd").pc_data
+    table(lambda name: pcd[name], expected, "pcd")
+    same(np.stack([pcd[f"normal_{axis}"] for axis in "xyz"], 1), expected["n"], "pcd normals")
+
+    xyz = np.loadtxt(f"{merged}.xyz", dtype=np.float32)
+    names = "x y z nx ny nz intensity u v camera".split()
+    table(lambda name: xyz[:, names.index(name)], expected, "xyz")
+    same(xyz[:, 3:6], expected["n"], "xyz normals")
+
+    scans = pye57.E57(f"{merged}.e57")
+    assert scans.scan_count == len(CAMERAS), scans.scan_count
+    for scan, (number, name) in enumerate(CAMERAS.items()):
+        part = expected[expected["camera"] == number]
+        assert scans.get_header(scan)["name"].value() == name
+        # pye57 warns of fields of extensions and leaves them to the library below, which reads them.
+        data = scans.read_scan_raw(scan, ignore_unsupported_fields=True)
+        same(np.stack([data[f"cartesian{axis}"] for axis in "XYZ"], 1), part["p"], "e57 places")
+        same(data["intensity"], part["i"], "e57 intensity")
+        same(np.stack([data["columnIndex"], data["rowIndex"]], 1), part["uv"], "e57 pixels")
+        same(np.stack([e57_field(scans, scan, f"nor:normal{axis}") for axis in "XYZ"], 1), part["n"], "e57 normals")
+
+    gltf = pygltflib.GLTF2().load(f"{merged}.glb")
+    primitive = gltf.meshes[0].primitives[0]
+    assert primitive.mode == pygltflib.POINTS
+    attributes = vars(primitive.attributes)
+    same(attribute(gltf, attributes["POSITION"]), expected["p"], "glb places")
+    same(attribute(gltf, attributes["NORMAL"]), expected["n"], "glb normals")
+    same(attribute(gltf, attributes["_INTENSITY"])[:, 0], expected["i"], "glb intensity")
+    same(attribute(gltf, attributes["_PIXEL"]), expected["uv"], "glb pixels")
+    same(attribute(gltf, attributes["_CAMERA"])[:, 0], expected["camera"], "glb camera")
+    # A viewer sees z up as y up.
+    turned = trimesh.load(f"{merged}.glb").to_geometry().vertices
+    x, y, z = expected["p"].T
+    assert np.allclose(turned, np.stack([x, z, -y], 1), atol=1e-6), "glb is not turned to y up"
+
+    lines = Path(f"{merged}.obj").read_text().splitlines()
+    rows = np.array([line.split()[1:] for line in lines if line.startswith("v ")], np.float32)
+    same(rows[:, :3], expected["p"], "obj places")
+    same(rows[:, 3], expected["i"], "obj intensity")
+    normals = np.array([line.split()[1:] for line in lines if line.startswith("vn ")], np.float32)
+    same(normals, expected["n"], "obj normals")
+    same(trimesh.load(f"{merged}.obj").vertices, expected["p"], "obj in trimesh")
+    single = plyfile.PlyData.read(directory / "out/clouds/h1_low_000005.ply")["vertex"]
+    assert "camera" not in single and len(single.data) == (expected["camera"] == 3).sum()
+
+    found = {"points": len(expected), "grid": {}, "watertight": {}}
+    for suffix in ["ply", "ascii.ply", "obj", "glb"]:
+        mesh = solid(directory / f"out/meshes/000005.{suffix}")
+        found["grid"][suffix] = [len(mesh.vertices), len(mesh.faces), mesh.area]
+        closed = solid(directory / f"out/watertight/000005.{suffix}")
+        assert closed.is_watertight and closed.is_winding_consistent, suffix
+        found["watertight"][suffix] = [len(closed.vertices), len(closed.faces), closed.volume]
+    try:
+        import open3d
+    except ImportError:
+        found["open3d"] = None
+    else:
+        for suffix in ["ply", "ascii.ply", "pcd", "xyz"]:
+            cloud = open3d.io.read_point_cloud(f"{merged}.{suffix}")
+            same(np.asarray(cloud.points).astype(np.float32), expected["p"], f"{suffix} in Open3D")
+            if suffix != "xyz":
+                same(np.asarray(cloud.normals).astype(np.float32), expected["n"], f"{suffix} normals in Open3D")
+        mesh = open3d.io.read_triangle_mesh(str(directory / "out/watertight/000005.obj"))
+        assert mesh.is_watertight()
+        found["open3d"] = open3d.__version__
+    return found
+
+
+def e57_field(file, scan, name):
+    from pye57 import libe57
+
+    header = file.get_header(scan)
+    values = np.empty(header.point_count, np.float32)
+    buffers = libe57.VectorSourceDestBuffer()
+    buffers.append(libe57.SourceDestBuffer(file.image_file, name, values, header.point_count, True, True))
+    header.points.reader(buffers).read()
+    return values
+
+
+def attribute(gltf, index):
+    accessor = gltf.accessors[index]
+    view = gltf.bufferViews[accessor.bufferView]
+    kind = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[accessor.componentType]
+    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor.type]
+    offset = (view.byteOffset or 0) + (accessor.byteOffset or 0)
+    rows = np.ndarray((accessor.count, width), kind, gltf.binary_blob(), offset, (view.byteStride, np.dtype(kind).itemsize))
+    if accessor.max:
+        assert accessor.max == rows.max(0).tolist() and accessor.min == rows.min(0).tolist(), "bounds"
+    return rows
+
+
+def solid(path):
+    import trimesh
+
+    # Corners as they are: merging them would hide open edges.
+    mesh = trimesh.load(path, process=False, maintain_order=True)
+    return mesh.to_geometry() if hasattr(mesh, "to_geometry") else mesh
+
+
+def frames(directory):
+    import tifffile
+    from PIL import Image
+
+    directory = Path(directory)
+    count = 0
+    for number, camera in enumerate(["h0_up", "h0_low"]):
+        for trigger in range(6):
+            i = np.arange(40 * 30)
+            expected = ((i * 7 + trigger * 13 + number * 101) & 255).astype(np.uint8).reshape(30, 40)
+            path = directory / f"out/{camera}/{trigger:06d}"
+            if (number, trigger) == (1, 4):
+                assert not path.with_suffix(".png").exists() and not path.with_suffix(".tiff").exists()
+                continue
+            with Image.open(f"{path}.png") as image:
+                assert image.mode == "L"
+                same(image, expected, f"{path}.png")
+            same(tifffile.imread(f"{path}.tiff"), expected, f"{path}.tiff")
+            count += 1
+    with open(directory / "out/timing.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 12
+    for row in rows:
+        trigger = int(row["trigger"])
+        assert int(row["hsu_time_ns"]) == 5000 + trigger * 8_333_333
+        if row["camera"] == "h0_low" and trigger == 4:
+            assert (row["outcome"], row["block_id"], row["camera_time_ns"]) == ("missing_packets", "", "")
+        else:
+            assert (row["outcome"], int(row["block_id"])) == ("frame", trigger + 1)
+            assert int(row["camera_time_ns"]) == 1000 + trigger * 8_333_333
+            assert int(row["host_time_ns"]) == 1_790_000_000_000_000_000 + trigger * 8_333_333
+    return {"frames": count}
+
+
+class Counting:
+    """A file that counts what is read of it."""
+
+    def __init__(self, path):
+        self.file, self.bytes = open(path, "rb"), 0
+
+    def read(self, size=-1):
+        data = self.file.read(size)
+        self.bytes += len(data)
+        return data
+
+    def __getattr__(self, name):
+        return getattr(self.file, name)
+
+
+def sequence(path, camera, time_ns):
+    from mcap.reader import SeekingReader
+
+    time_ns = int(time_ns)
+
+    def read(**wanted):
+        file = Counting(path)
+        messages = [(c.topic, m.log_time, len(m.data)) for _, c, m in SeekingReader(file).iter_messages(**wanted)]
+        return {"messages": messages, "bytes": file.bytes}
+
+    base = SeekingReader(open(path, "rb")).get_summary()
+    topics = sorted(channel.topic for channel in base.channels.values())
+    prefix = topics[0].split("/")[1]
+    return {
+        "size": os.path.getsize(path),
+        "topics": topics,
+        "chunks": len(base.chunk_indexes),
+        "compression": sorted({chunk.compression for chunk in base.chunk_indexes}),
+        "one": read(topics=[f"/{prefix}/{camera}"], start_time=time_ns, end_time=time_ns + 1),
+        "camera": read(topics=[f"/{prefix}/{camera}"]),
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(globals()[sys.argv[1]](*sys.argv[2:])))
