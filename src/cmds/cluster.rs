@@ -53,7 +53,7 @@ struct SubmitArgs {
     /// Tasks that may run at once, so that a shared disk keeps up [default: as many as fit].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     at_once: Option<u64>,
-    /// Memory of a task, MiB [default: one and a half times what was measured].
+    /// Memory of a task, MiB [default: twice what was measured].
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     memory: Option<u64>,
     /// What a frame set takes, as `reconstruct --timings` wrote it on a machine like the cluster's [default: measured here, on

@@ -13,32 +13,38 @@ use std::time::{Duration, Instant};
 /// Everything of a result that must be the same, by path.
 type Files = BTreeMap<PathBuf, Vec<u8>>;
 
-/// Frame sets of the session.
+/// Frame sets of a session.
 pub const TRIGGERS: u64 = 7;
 
 /// Photographs and calibration, and what one run with one thread makes of them.
 pub struct Fixture {
     dir: tempfile::TempDir,
+    triggers: u64,
     expected: Files,
 }
 
 impl Fixture {
     pub fn new() -> Self {
+        Self::of(TRIGGERS)
+    }
+
+    /// With so many frame sets.
+    fn of(triggers: u64) -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let images = render(dir.path());
         for camera in images.read_dir().expect("a directory") {
             let folder = camera.expect("an entry").path();
-            for trigger in 2..TRIGGERS {
+            for trigger in 2..triggers {
                 let name = |trigger: u64| folder.join(format!("{trigger:06}.png"));
                 std::fs::copy(name(trigger % 2), name(trigger)).expect("writable");
             }
         }
         std::fs::remove_file(images.join("h0_low/000004.png")).expect("there is such a frame");
-        let fixture = Self { dir, expected: Files::new() };
+        let fixture = Self { dir, triggers, expected: Files::new() };
         let done = fixture.run("one", &["--jobs", "1"]);
         assert_eq!(done.status.code(), Some(3), "{}", text(&done));
         let expected = fixture.files("one");
-        assert_eq!(expected.len(), 13 + 7 + 2, "{:?}", expected.keys());
+        assert_eq!(expected.len() as u64, (2 * triggers - 1) + triggers + 2, "{:?}", expected.keys());
         assert!(expected.values().map(Vec::len).sum::<usize>() > 5_000_000, "there is something to compare");
         Self { expected, ..fixture }
     }
@@ -97,7 +103,7 @@ impl Fixture {
             assert!(found == *bytes, "{} differs: {} and {} bytes", file.display(), found.len(), bytes.len());
             count += 1;
         }
-        assert_eq!(count, 13 + 7);
+        assert_eq!(count, 3 * self.triggers - 1);
     }
 
     /// Waits until a result has so many clouds.
@@ -175,7 +181,7 @@ fn what_is_missing_or_of_another_kind_is_named_and_nothing_is_collected() {
     );
     // Of the photographs of other triggers, of other cameras, with another method.
     assert_eq!(fixture.run("cut", &["--shard", "0/2", "--triggers", "0..4"]).status.code(), Some(0));
-    refused(&["--collect", "2"], 2, &["--shard 0/2: ", "lacks triggers 4, 6"]);
+    refused(&["--collect", "2"], 2, &["--shard 0/2: ", "lacks triggers 4, 6;"]);
     refused(
         &["--collect", "2", "--cameras", "h0_up"],
         2,
@@ -270,7 +276,8 @@ fn restarts(status: &Value, shard: usize) -> u64 {
 #[test]
 fn four_slurm_tasks_one_killed_and_one_out_of_time_make_the_bytes_of_one_run() {
     let Some(slurm) = PrivateSlurm::start() else { return };
-    let fixture = Fixture::new();
+    // So many frame sets that a task can be met at work.
+    let fixture = Fixture::of(14);
     let job = fixture.submitted(&slurm, "slurm", &["--tasks", "4"]);
     assert_eq!((&job["shards"], &job["array"]), (&4.into(), &Value::from([0, 1, 2, 3])), "{job}");
     assert!(job["sizing"]["cpu_s_per_frame_set"].as_f64().is_some_and(|s| s > 0.0), "{job}");
@@ -295,7 +302,7 @@ fn four_slurm_tasks_one_killed_and_one_out_of_time_make_the_bytes_of_one_run() {
         fixture.logs("slurm")
     );
     assert_eq!([0, 1, 2, 3].map(|shard| restarts(&status, shard)), [1, 0, 0, 1], "{status}");
-    assert_eq!((&status["frame_sets"], &status["frame_sets_done"]), (&TRIGGERS.into(), &TRIGGERS.into()));
+    assert_eq!((&status["frame_sets"], &status["frame_sets_done"]), (&14.into(), &14.into()));
     fixture.assert_same("slurm");
 
     // What is lost later is taken up by the same command; what is there is left alone.
@@ -341,11 +348,11 @@ fn without_slurm_the_scripts_can_be_read_and_nothing_is_submitted() {
     let shown =
         submit(&["--tasks", "2", "--dry-run", "--account", "gait", "--sbatch=--qos=high", "--at-once", "1"]);
     assert_eq!(shown.status.code(), Some(0), "{}", text(&shown));
-    // 1.5 x 4 threads x 100 MiB + 256 MiB.
+    // 2 x 4 threads x 100 MiB + 256 MiB.
     for expected in [
         "#SBATCH --array=0-1%1\n",
         "#SBATCH --cpus-per-task=4\n",
-        "#SBATCH --mem=856M\n",
+        "#SBATCH --mem=1056M\n",
         "#SBATCH --time=11\n",
         "#SBATCH --account=gait\n#SBATCH --qos=high\n",
         "it'\\''s out/cluster/calibration.json'",
