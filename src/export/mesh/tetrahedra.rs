@@ -25,7 +25,7 @@ pub(super) struct Crossing {
 }
 
 /// Points keep this distance from the ends of their edge: those of different edges never meet, so that no triangle is without
-/// area and none touches another than its neighbours.
+/// area.
 const NEAREST: f32 = 0.002;
 
 /// Corners of a cube (bits: x, y, z) of its tetrahedra, each oriented so that its last three turn counter-clockwise seen
