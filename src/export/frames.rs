@@ -1,7 +1,7 @@
 //! A session's frames to pictures: `OUT/CAMERA/INDEX.png` (or `.tiff`), 8-bit grey without loss, the names that
 //! `fourdbody import` and `reconstruct` read.
 
-use super::job::claim;
+use super::job::{ExportError, claim};
 use super::whole::write_whole;
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::{Mono8, encode_png_grey};
@@ -86,16 +86,19 @@ pub fn run(
     source: &dyn FrameSource,
     plan: &FramePlan,
     progress: impl Fn(u64, u64) + Sync,
-) -> Result<FrameSummary, String> {
-    std::fs::create_dir_all(&plan.out).map_err(|e| format!("{}: {e}", plan.out.display()))?;
+) -> Result<FrameSummary, ExportError> {
+    let make = |folder: &Path| {
+        let failed = |e| ExportError::Write(format!("{}: {e}", folder.display()));
+        std::fs::create_dir_all(folder).map_err(failed)
+    };
+    make(&plan.out)?;
     let mut wanted = Map::new();
     for format in &plan.formats {
         wanted.insert(format!("CAMERA/INDEX.{}", format.extension()), json!({"origin": plan.origin}));
     }
     claim(&plan.out, wanted)?;
     for camera in &plan.cameras {
-        let folder = plan.out.join(camera.as_str());
-        std::fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+        make(&plan.out.join(camera.as_str()))?;
     }
     let frames: Vec<(u64, &CameraId)> = plan
         .triggers
@@ -105,9 +108,9 @@ pub fn run(
     let (done, total) = (AtomicU64::new(0), frames.len() as u64);
     let summary = Mutex::new(FrameSummary { frames: frames.len(), ..FrameSummary::default() });
     frames.into_par_iter().with_max_len(1).try_for_each(|(trigger, camera)| {
-        export(source, plan, trigger, camera, &summary)?;
+        export(source, plan, trigger, camera, &summary).map_err(ExportError::Write)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        Ok::<(), String>(())
+        Ok::<(), ExportError>(())
     })?;
     let mut summary = summary.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     summary.problems.sort();

@@ -69,6 +69,17 @@ pub struct Summary {
     pub problems: Vec<String>,
 }
 
+/// Why an export stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// The folder has files of another origin or kind.
+    #[error("{0}")]
+    Occupied(String),
+    /// Something could not be written.
+    #[error("{0}")]
+    Write(String),
+}
+
 /// One file to write.
 struct Output {
     path: PathBuf,
@@ -81,7 +92,7 @@ pub fn run(
     source: &dyn CloudSource,
     plan: &Plan,
     progress: impl Fn(u64, u64) + Sync,
-) -> Result<Summary, String> {
+) -> Result<Summary, ExportError> {
     state_origin(source, plan)?;
     let triggers: Vec<(&u64, &Vec<usize>)> = source.triggers().range(plan.triggers.clone()).collect();
     let (done, total) = (AtomicU64::new(0), triggers.len() as u64);
@@ -90,9 +101,9 @@ pub fn run(
     triggers.into_par_iter().with_max_len(1).try_for_each(|(trigger, there)| {
         let cameras: Vec<usize> =
             plan.cameras.iter().copied().filter(|camera| there.contains(camera)).collect();
-        job.trigger(*trigger, &cameras)?;
+        job.trigger(*trigger, &cameras).map_err(ExportError::Write)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        Ok::<(), String>(())
+        Ok::<(), ExportError>(())
     })?;
     let mut summary = job.summary.into_inner().unwrap_or_else(PoisonError::into_inner);
     summary.problems.sort();
@@ -261,7 +272,7 @@ fn merged_comments(clouds: &[Commented], cameras: &[(u8, String)]) -> Vec<String
 }
 
 /// Makes the folders, and writes down what they are for; an error where they are for something else.
-fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), String> {
+fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), ExportError> {
     let names: Vec<&str> = plan.cameras.iter().map(|&camera| source.cameras()[camera].1.as_str()).collect();
     let (of_trigger, of_camera) = folders(plan);
     let mut wanted = Map::new();
@@ -280,16 +291,17 @@ fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), String> {
     for (needed, folder) in [(plan.merged, of_trigger), (plan.directional, of_camera)] {
         let path = plan.out.join(folder);
         if needed {
-            std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+            let failed = |e| ExportError::Write(format!("{}: {e}", path.display()));
+            std::fs::create_dir_all(&path).map_err(failed)?;
         }
     }
     claim(&plan.out, wanted)
 }
 
 /// Writes statements to OUT/export.json; an error where one of them is there and says something else.
-pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), String> {
+pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), ExportError> {
     let path = out.join("export.json");
-    let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+    let fail = |e: &dyn std::fmt::Display| ExportError::Write(format!("{}: {e}", path.display()));
     let mut stated: Map<String, Value> = match std::fs::read(&path) {
         Ok(bytes) => serde_json::from_slice(&bytes).map_err(|e| fail(&e))?,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Map::new(),
@@ -298,12 +310,12 @@ pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), String> {
     for (key, value) in wanted {
         match stated.get(&key) {
             Some(there) if *there != value => {
-                return Err(format!(
+                return Err(ExportError::Occupied(format!(
                     "{}: its {key} were made of {there}, wanted is {value}; give another directory with --out, or delete \
                      them and their entry in {}",
                     out.display(),
                     path.display()
-                ));
+                )));
             }
             _ => drop(stated.insert(key, value)),
         }

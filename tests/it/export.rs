@@ -5,6 +5,7 @@ use crate::back_end::{Frames, calibration};
 use crate::lab::{FOURDBODY, text_of};
 use crate::recording::{header, record};
 use crate::third_party_mcap::python;
+use fourdbody::calibrate::Calibration;
 use fourdbody::export::{Cloud, ply};
 use fourdbody::ids::{CameraId, NodeId};
 use fourdbody::image::Plane;
@@ -165,11 +166,11 @@ fn an_interrupted_export_goes_on_and_what_changed_is_made_again() {
     assert_eq!(counts(&changed), (2.into(), 6.into()));
     // The same folder cannot hold clouds of other cameras, or of another reconstruction.
     let other = export(&from, &out, &["--to", "xyz", "--cameras", "h1_low"]);
-    assert_eq!(other.status.code(), Some(1), "{}", text_of(&other));
+    assert_eq!(other.status.code(), Some(2), "{}", text_of(&other));
     assert!(text_of(&other).contains("give another directory"), "{}", text_of(&other));
     let elsewhere = dir.path().join("elsewhere");
     reconstruction(&elsewhere, &[0]);
-    assert_eq!(export(&elsewhere, &out, &["--to", "xyz"]).status.code(), Some(1));
+    assert_eq!(export(&elsewhere, &out, &["--to", "xyz"]).status.code(), Some(2));
     // Without directional clouds they are picked out of the merged ones.
     let picked = dir.path().join("picked");
     exported(&from, &picked, &["--to", "ply", "--clouds", "directional", "--triggers", "0..1"]);
@@ -285,7 +286,11 @@ fn photograph(
 /// A ball photographed by all eight cameras, reconstructed, and closed: the volume that is known.
 #[test]
 fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
-    let calibration = calibration();
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    // As every program gets it: from a file.
+    let file = dir.path().join("calibration.json");
+    calibration().save(&file).expect("writable");
+    let calibration = Calibration::load(&file).expect("just written");
     let ball = (Point3::new(0.05, -0.03, 1.02), 0.2);
     let cameras: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
     let pairs: Vec<_> = calibration.cameras().collect();
@@ -296,7 +301,6 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
             (camera.id.clone(), Some(image))
         })
         .collect();
-    let dir = tempfile::tempdir().expect("a temporary directory");
     let plan = Plan {
         out: dir.path().join("in"),
         triggers: 0..1,
@@ -311,8 +315,6 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
     let (summary, _) = batch::run(&Frames(frames, cameras), &calibration, &plan, |_| ()).expect("runs");
     assert_eq!(summary.clouds, 8, "{summary:?}");
     // From stored phase maps, with the calibration.
-    let file = dir.path().join("calibration.json");
-    calibration.save(&file).expect("writable");
     let out = dir.path().join("out");
     let needed = export(&plan.out, &out, &["--to", "ply", "--mesh", "watertight"]);
     assert!(needed.status.code() == Some(2) && text_of(&needed).contains("--calibration"));
@@ -320,33 +322,19 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
     for mesh in ["grid", "watertight"] {
         exported(&plan.out, &out, &["--to", "ply", "--mesh", mesh, "--calibration", &file]);
     }
-    let Some(python) = python() else { return };
-    let script = "import sys, trimesh, numpy as np\n\
-        m = trimesh.load(sys.argv[1], process=False)\n\
-        g = trimesh.load(sys.argv[2], process=False)\n\
-        c, r = np.array([0.05, -0.03, 1.02]), 0.2\n\
-        off = lambda p: abs(np.linalg.norm(p - c, axis=1) - r)\n\
-        print(m.is_watertight, m.volume / (4 / 3 * np.pi * r ** 3) - 1, np.median(off(m.vertices)), off(m.vertices).max(), g.area / (4 * np.pi * r * r), off(g.triangles_center).max())";
-    let mesh = |folder: &str| out.join(folder).join("000000.ply");
-    let output = Command::new(python)
-        .args(["-c", script])
-        .args([mesh("watertight"), mesh("meshes")])
-        .output()
-        .expect("Python runs");
-    let text = text_of(&output);
-    if text.contains("ModuleNotFoundError") {
-        println!("skipped: {text}");
-        return;
-    }
-    println!("watertight, volume error, median and worst corner off, area of the grids, their worst: {text}");
-    let words: Vec<&str> = text.split_whitespace().collect();
-    let number = |i: usize| words[i].parse::<f64>().unwrap_or(f64::NAN);
-    assert_eq!(words[0], "True", "{text}");
-    assert!(number(1).abs() < 0.01, "volume: {text}");
-    assert!(number(2) < 0.0003, "median: {text}");
+    let mesh = |folder: &str| out.join(folder).join("000000.ply").display().to_string();
+    let arguments = ["ball", &mesh("watertight"), &mesh("meshes"), "0.05", "-0.03", "1.02", "0.2"];
+    let Some(found) = read_by_others(&arguments) else { return };
+    println!("{found}");
+    let number = |key: &str| found[key].as_f64().expect("a number");
+    assert_eq!(found["watertight"], true);
+    assert!(number("seen_volume_error").abs() < 0.002, "{found}");
+    // No camera sees the poles, above 48 degrees of latitude: they are closed flat, at most.
+    assert!(number("volume_error") < 0.0 && number("volume_error") > -0.08, "{found}");
+    assert!(number("median_m") < 0.0003 && number("seen_worst_m") < 0.003, "{found}");
     // Each camera sees up to half of it, and neighbours see much of the same.
-    assert!(number(4) > 1.5 && number(4) < 4.0, "area: {text}");
-    assert!(number(5) < 0.005, "no triangle leaves the surface: {text}");
+    assert!(number("grid_area") > 1.5 && number("grid_area") < 4.0, "{found}");
+    assert!(number("grid_worst_m") < 0.002, "no triangle leaves the surface: {found}");
 }
 
 /// The layout's topics are those that a session and an exported sequence have.
@@ -442,7 +430,7 @@ fn the_readers_scripts_run() {
         \x20   error = max(abs(c[a] - e['p'][:, k].astype(float)).max() for k, a in enumerate('xyz'))\n\
         \x20   assert error <= 1.0001e-5, error\n\
         \x20   cosine = sum(c['normal_' + a] * e['n'][:, k] for k, a in enumerate('xyz')).clip(-1, 1)\n\
-        \x20   assert np.degrees(np.arccos(cosine)).max() < 0.2\n\
+        \x20   assert np.degrees(np.arccos(cosine)).max() < 0.25\n\
         \x20   assert abs(c['intensity'] - e['i']).max() <= 0.5 / 1020 + 1e-6\n\
         \x20   assert np.array_equal(np.stack([c['u'], c['v']], 1), e['uv']) and np.array_equal(c['camera'], e['c'])\n\
         assert n == 3, n\n\

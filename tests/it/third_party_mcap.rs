@@ -1,6 +1,6 @@
 //! A reader that is not ours agrees: the PyPI package `mcap`, with every checksum validated.
 //!
-//! It is looked for in `tests/.venv` (made by `make test`), in `$FOURDBODY_TEST_PYTHON` and on the system.
+//! It is looked for in `$FOURDBODY_TEST_PYTHON`, in `tests/.venv` (made by `make test`) and on the system.
 
 use crate::recording::{header, record};
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use std::process::Command;
 pub fn python() -> Option<PathBuf> {
     let own = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/.venv/bin/python");
     let named = std::env::var_os("FOURDBODY_TEST_PYTHON").map(PathBuf::from);
-    let candidates = [Some(own), named, Some(PathBuf::from("python3"))];
+    let candidates = [named, Some(own), Some(PathBuf::from("python3"))];
     candidates.into_iter().flatten().find(|python| {
         let import = Command::new(python).args(["-c", "import mcap.reader"]).output();
         import.is_ok_and(|output| output.status.success())

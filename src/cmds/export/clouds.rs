@@ -2,7 +2,7 @@
 
 use super::super::progress::Progress;
 use super::super::{Exit, Failure};
-use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers};
+use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers, stopped};
 use crate::export::job::{self, Plan, Summary};
 use crate::export::mesh::{GridLimits, MeshKind};
 use crate::export::sequence::{self, Contents, Options};
@@ -29,8 +29,7 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
     let progress = Progress::of("exporting", "triggers");
     let mut summary = Summary::default();
     if !plan.formats.is_empty() {
-        summary = job::run(source, &plan, |done, total| progress.at(done, total))
-            .map_err(|e| Failure::new(Exit::Failure, e))?;
+        summary = job::run(source, &plan, |done, total| progress.at(done, total)).map_err(stopped)?;
     }
     if args.to.contains(&Target::Mcap) {
         let made = write_sequence(args, source, &plan, &progress)?;

@@ -7,6 +7,7 @@ use super::{Exit, Failure};
 use crate::calibrate::Calibration;
 use crate::export::Format;
 use crate::export::frames::Picture;
+use crate::export::job::ExportError;
 use crate::export::sequence::quantized::STEPS_M;
 use crate::reconstruct::stored;
 use std::ops::Range;
@@ -199,6 +200,15 @@ fn calibration(args: &Args) -> Result<Calibration, Failure> {
         Failure::new(Exit::Usage, message)
     })?;
     Calibration::load(path).map_err(|e| Failure::new(Exit::Usage, e))
+}
+
+/// The failure of an export that stopped.
+fn stopped(error: ExportError) -> Failure {
+    let exit = match error {
+        ExportError::Occupied(_) => Exit::Usage,
+        ExportError::Write(_) => Exit::Failure,
+    };
+    Failure::new(exit, error)
 }
 
 /// The wanted triggers, all of which must be there.

@@ -2,7 +2,7 @@
 
 use super::super::progress::Progress;
 use super::super::{Exit, Failure};
-use super::{Args, Target, chosen_cameras, chosen_triggers};
+use super::{Args, Target, chosen_cameras, chosen_triggers, stopped};
 use crate::export::frames::{self, FramePlan, FrameSummary, Picture};
 use crate::export::timing::{self, Rows};
 use crate::export::write_whole;
@@ -36,7 +36,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
         };
         let progress = Progress::of("exporting", "frames");
         let made = frames::run(&session, &plan, |done, total| progress.at(done, total));
-        frames = Some(made.map_err(|e| Failure::new(Exit::Failure, e))?);
+        frames = Some(made.map_err(stopped)?);
     }
     let rows = if args.to.contains(&Target::Csv) {
         Some(write_timing(args, &session, triggers, &cameras)?)

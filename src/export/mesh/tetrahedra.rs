@@ -24,6 +24,10 @@ pub(super) struct Crossing {
     pub(super) fraction: f32,
 }
 
+/// Points keep this distance from the ends of their edge: those of different edges never meet, so that no triangle is without
+/// area.
+const NEAREST: f32 = 0.002;
+
 /// Corners of a cube (bits: x, y, z) of its tetrahedra, each oriented so that its last three turn counter-clockwise seen
 /// from outside.
 const TETRAHEDRA: [[usize; 4]; 6] =
@@ -106,7 +110,7 @@ impl Surface<'_> {
         let crossings = &mut self.crossings;
         *self.numbers.entry((inside, outside)).or_insert_with(|| {
             let (high, low) = (values[inside], values[outside]);
-            let fraction = ((high - level) / (high - low)).clamp(0.0, 1.0);
+            let fraction = ((high - level) / (high - low)).clamp(NEAREST, 1.0 - NEAREST);
             crossings.push(Crossing { inside, outside, fraction });
             // The grid has fewer edges at the level than 32 bits count: memory for its nodes ends first.
             (crossings.len() - 1) as u32

@@ -91,8 +91,8 @@ impl<W: Write + Seek> SequenceWriter<W> {
             .compression_level(options.zstd_level)
             // The same bytes on every machine.
             .compression_threads(0)
-            // A chunk ends behind the message that fills it: each is one.
-            .chunk_size(Some(1))
+            // Chunks end where `write` says: behind every message.
+            .chunk_size(None)
             .library("fourdbody");
         let writer = writing.create(out)?;
         let (channels, counts) = (BTreeMap::new(), BTreeMap::new());
@@ -170,7 +170,8 @@ impl<W: Write + Seek> SequenceWriter<W> {
         let count = self.counts.entry(channel_id).or_default();
         let header = MessageHeader { channel_id, sequence: *count, log_time: time_ns, publish_time: time_ns };
         *count = count.wrapping_add(1);
-        self.writer.write_to_known_channel(&header, message)
+        self.writer.write_to_known_channel(&header, message)?;
+        self.writer.flush()
     }
 
     /// Completes the file and gives back what it was written to.

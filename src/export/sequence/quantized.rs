@@ -10,7 +10,7 @@
 //! |---|---|---|
 //! | `x`, `y`, `z` | place, metres, world | chosen; the error is half of it on each axis, and the rounding of floats |
 //! | `intensity` | 0 to 1 | 1/1020, that of the clouds themselves: no error |
-//! | `normal_a`, `normal_b` | the normal on an octahedron unfolded to the square -1..1 | 1/511: at most 0.2 degrees |
+//! | `normal_a`, `normal_b` | the normal on an octahedron unfolded to the square -1..1 | 1/511: at most 0.25 degrees |
 //! | `u`, `v`, `camera` | as in PLY files | 1: no error |
 //! | `sigma` | standard uncertainty, metres | 1e-7 |
 //!
@@ -118,7 +118,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_octahedron_unfolds_to_within_a_fifth_of_a_degree(x in -1.0f32..1.0, y in -1.0f32..1.0, z in -1.0f32..1.0) {
+        fn the_octahedron_unfolds_to_within_a_quarter_of_a_degree(x in -1.0f32..1.0, y in -1.0f32..1.0, z in -1.0f32..1.0) {
             let length = x.hypot(y).hypot(z);
             proptest::prop_assume!(length > 0.1);
             let normal = [x / length, y / length, z / length];
@@ -132,7 +132,7 @@ mod tests {
             let length = x.hypot(y).hypot(up);
             let cross = [y * normal[2] - up * normal[1], up * normal[0] - x * normal[2], x * normal[1] - y * normal[0]];
             let sine = cross[0].hypot(cross[1]).hypot(cross[2]) / length;
-            prop_assert!(sine.asin().to_degrees() < 0.2, "{}", sine.asin().to_degrees());
+            prop_assert!(sine.asin().to_degrees() < 0.25, "{}", sine.asin().to_degrees());
             prop_assert!(x * normal[0] + y * normal[1] + up * normal[2] > 0.0);
         }
     }
