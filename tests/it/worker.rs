@@ -192,14 +192,24 @@ fn a_worker_that_is_killed_ten_times_gives_the_bytes_of_one_run() {
 fn a_capture_comes_first_and_the_worker_resumes() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = crate::lab::laboratory(dir.path(), 214, 20.0);
-    let nodes = crate::lab::start_nodes(&laboratory);
     let place = Place::new();
+    let node = &laboratory.nodes[0].path;
+    let text = std::fs::read_to_string(node).expect("readable");
+    let shown = format!("{text}\n[worker]\nresults = \"{}\"\n", place.results().display());
+    std::fs::write(node, shown).expect("writable");
+    let nodes = crate::lab::start_nodes(&laboratory);
     place.configure(&format!("url = \"{}\"", nodes[0].client.url()), "threads = 2\nreserve_mib = 1");
     let mut worker = place.start();
     place.wait("at work", |state| {
         state.activity == Activity::Working
             && state.job.as_ref().is_some_and(|job| job.stage == Stage::Reconstructing && job.done > 0)
     });
+    let deadline = Instant::now() + PATIENCE;
+    let told = || nodes[0].client.status().expect("it answers").worker;
+    while told().is_none_or(|worker| !worker.running || !worker.line.starts_with("at work on walk: ")) {
+        assert!(Instant::now() < deadline, "the node never says what the worker does: {:?}", told());
+        std::thread::sleep(Duration::from_millis(50));
+    }
     let capture = Command::new(FOURDBODY)
         .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "40", "--name", "first"])
         .output();
