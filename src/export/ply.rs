@@ -200,22 +200,6 @@ pub fn load_whole_header(path: &Path) -> Result<Header, PlyError> {
     Ok(header)
 }
 
-/// Reads the header of a file that has all the bytes that it promises; after a power cut one may be short.
-pub fn load_header_of_whole(path: &Path) -> Result<Header, PlyError> {
-    let fail = |source| PlyError::Io { path: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(fail)?;
-    let found = file.metadata().map_err(fail)?.len();
-    let mut input = io::BufReader::new(file);
-    let wrong = |reason| PlyError::Format { path: path.to_owned(), reason };
-    let header = read_header(&mut input).map_err(wrong)?;
-    let begin = input.stream_position().map_err(fail)?;
-    let points = (header.points as u64).saturating_mul(header.layout().stride() as u64);
-    match begin.saturating_add(points) {
-        expected if expected == found => Ok(header),
-        expected => Err(wrong(format!("expected {expected} bytes, found {found}"))),
-    }
-}
-
 /// Reads a file.
 pub fn load(path: &Path) -> Result<(Header, Cloud), PlyError> {
     let fail = |source| PlyError::Io { path: path.to_owned(), source };

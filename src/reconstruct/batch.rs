@@ -513,7 +513,7 @@ impl Job<'_> {
             .collect::<Option<_>>()?;
         let merged_points = frames.iter().map(|frame| frame.points).sum();
         if self.plan.format == Format::Ply {
-            let header = ply::load_header_of_whole(&merged_path(&self.plan.out, trigger)).ok()?;
+            let header = ply::load_whole_header(&merged_path(&self.plan.out, trigger)).ok()?;
             let same = header.comments == self.merged_comments(trigger) && header.points == merged_points;
             same.then_some(())?;
         }
@@ -540,7 +540,7 @@ impl Job<'_> {
             return None;
         }
         let stated = match self.plan.format {
-            Format::Ply => ply::load_header_of_whole(&cloud_path(&self.plan.out, camera, trigger)).ok(),
+            Format::Ply => ply::load_whole_header(&cloud_path(&self.plan.out, camera, trigger)).ok(),
             Format::Phase => {
                 let stored =
                     phase_file::load_statement(&phase_path(&self.plan.out, camera.as_str(), trigger));
