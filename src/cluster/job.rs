@@ -19,20 +19,8 @@ pub fn folder(out: &Path) -> PathBuf {
 #[serde(deny_unknown_fields)]
 pub struct Job {
     version: u32,
-    /// The program, as compute nodes find it.
-    pub program: PathBuf,
-    /// The session; absolute, as are the other paths.
-    pub session: PathBuf,
-    /// Where the results go.
-    pub out: PathBuf,
-    /// Options of `reconstruct` that all shards share.
-    pub options: Vec<String>,
-    /// Whether phase maps are written instead of clouds.
-    pub phase: bool,
-    /// Hash of everything that the clouds depend on beside the frames.
-    pub parameters: String,
-    /// The triggers, from the first to one beyond the last.
-    pub triggers: [u64; 2],
+    /// What is made of which session.
+    pub work: Work,
     /// Number of shards.
     pub shards: u64,
     /// The shards that are in the job array: those that were not finished when it was submitted.
@@ -49,21 +37,23 @@ pub struct Job {
     pub collect_job: Option<u64>,
 }
 
-/// What is submitted of which session.
+/// What is made of which session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Work {
-    /// As [`Job::program`].
+    /// The program, as compute nodes find it.
     pub program: PathBuf,
-    /// As [`Job::session`].
+    /// The session; absolute, as are the other paths.
     pub session: PathBuf,
-    /// As [`Job::out`].
+    /// Where the results go.
     pub out: PathBuf,
-    /// As [`Job::options`].
+    /// Options of `reconstruct` that all shards share.
     pub options: Vec<String>,
-    /// As [`Job::phase`].
+    /// Whether phase maps are written instead of clouds.
     pub phase: bool,
-    /// As [`Job::parameters`].
+    /// Hash of everything that the clouds depend on beside the frames.
     pub parameters: String,
-    /// As [`Job::triggers`].
+    /// The triggers, from the first to one beyond the last.
     pub triggers: [u64; 2],
 }
 
@@ -76,26 +66,9 @@ impl Job {
         at_once: Option<u64>,
         sbatch: Vec<String>,
     ) -> Self {
-        let Work { program, session, out, options, phase, parameters, triggers } = work;
         let (version, shards) = (VERSION, sizing.tasks);
         let (array_job, collect_job) = (None, None);
-        Self {
-            version,
-            program,
-            session,
-            out,
-            options,
-            phase,
-            parameters,
-            triggers,
-            shards,
-            array,
-            at_once,
-            sizing,
-            sbatch,
-            array_job,
-            collect_job,
-        }
+        Self { version, work, shards, array, at_once, sizing, sbatch, array_job, collect_job }
     }
 
     fn path(out: &Path) -> PathBuf {
@@ -120,11 +93,11 @@ impl Job {
         let text = std::fs::read_to_string(&path).map_err(|e| fail(&e))?;
         let job: Self = serde_json::from_str(&text).map_err(|e| fail(&e))?;
         // Seen from another machine the same directory may have another name.
-        let job = Self { out: out.to_owned(), ..job };
-        if job.version != VERSION || job.shards == 0 || job.triggers[0] >= job.triggers[1] {
+        let job = Self { work: Work { out: out.to_owned(), ..job.work }, ..job };
+        if job.version != VERSION || job.shards == 0 || job.work.triggers[0] >= job.work.triggers[1] {
             return Err(fail(&format!(
                 "version {}, {} shards of the triggers {:?}",
-                job.version, job.shards, job.triggers
+                job.version, job.shards, job.work.triggers
             )));
         }
         Ok(job)
@@ -132,7 +105,7 @@ impl Job {
 
     /// Writes it beside its scripts.
     pub fn save(&self) -> Result<(), String> {
-        let path = Self::path(&self.out);
+        let path = Self::path(&self.work.out);
         let text = serde_json::to_string_pretty(self).map_err(|e| e.to_string())?;
         write_whole(&path, |file| writeln!(file, "{text}")).map_err(|e| format!("{}: {e}", path.display()))
     }
@@ -140,7 +113,7 @@ impl Job {
     /// Frame sets of a shard: the triggers that leave its number when divided by the number of shards.
     pub fn frame_sets(&self, shard: u64) -> u64 {
         let below = |end: u64| end / self.shards + u64::from(end % self.shards > shard);
-        below(self.triggers[1]).saturating_sub(below(self.triggers[0]))
+        below(self.work.triggers[1]).saturating_sub(below(self.work.triggers[0]))
     }
 
     /// Slurm's numbers of what was submitted.

@@ -34,7 +34,7 @@ fn header(job: &Job, name: &str, about: &str) -> String {
         "#!/bin/bash\n# fourdbody: {about}\n# Written by `fourdbody cluster submit`. It may be edited and submitted by hand, from the directory\n\
          # that it is in: sbatch {name}.sh\n"
     );
-    let session = job.session.file_name().unwrap_or_default().to_string_lossy();
+    let session = job.work.session.file_name().unwrap_or_default().to_string_lossy();
     let session: String = session.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
     let mut option = |option: &str| text += &format!("#SBATCH {option}\n");
     option(&format!("--job-name=fourdbody-{name}-{session}"));
@@ -49,14 +49,14 @@ fn header(job: &Job, name: &str, about: &str) -> String {
 
 /// The command that both scripts share, up to what is special to each.
 fn command(job: &Job) -> String {
-    let calibration = folder(&job.out).join("calibration.json");
-    let options: Vec<String> = job.options.iter().map(|option| quoted(option)).collect();
+    let calibration = folder(&job.work.out).join("calibration.json");
+    let options: Vec<String> = job.work.options.iter().map(|option| quoted(option)).collect();
     format!(
         "{} reconstruct {} \\\n    --calibration {} \\\n    --out {} \\\n    {}",
-        quoted_path(&job.program),
-        quoted_path(&job.session),
+        quoted_path(&job.work.program),
+        quoted_path(&job.work.session),
         quoted_path(&calibration),
-        quoted_path(&job.out),
+        quoted_path(&job.work.out),
         options.join(" "),
     )
 }
@@ -124,7 +124,7 @@ pub fn collect_script(job: &Job) -> String {
     let mut text =
         header(job, "collect", "one result of all shards; to be submitted with --dependency=afterok:ARRAY");
     text += "#SBATCH --kill-on-invalid-dep=yes\n";
-    let frame_sets = job.triggers[1].saturating_sub(job.triggers[0]);
+    let frame_sets = job.work.triggers[1].saturating_sub(job.work.triggers[0]);
     text += &format!("#SBATCH --time={}\n", COLLECT_MIN + frame_sets.saturating_mul(COLLECT_S) / 60);
     text += "#SBATCH --output=log/collect.log\n\n";
     text += NOTICE;
@@ -135,7 +135,7 @@ pub fn collect_script(job: &Job) -> String {
 
 /// Writes both scripts, and the directory of the logs that they name.
 pub fn write_scripts(job: &Job) -> Result<(), String> {
-    let folder = folder(&job.out);
+    let folder = folder(&job.work.out);
     let logs = folder.join("log");
     std::fs::create_dir_all(&logs).map_err(|e| format!("{}: {e}", logs.display()))?;
     for (name, text) in [("shards.sh", shards_script(job)), ("collect.sh", collect_script(job))] {

@@ -119,7 +119,7 @@ pub fn read(job: &Job, answer: Answer) -> Status {
     let summary = summary_of(job, None);
     let collecting = judge(word(&collecting_task).as_deref(), summary.is_some(), answered);
     Status {
-        out: job.out.display().to_string(),
+        out: job.work.out.display().to_string(),
         state: overall(&shards, collecting),
         array_job: job.array_job,
         collect_job: job.collect_job,
@@ -145,34 +145,36 @@ fn overall(shards: &[ShardStatus], collecting: State) -> State {
 
 /// The summary of a shard, or of all, if it is of this job.
 fn summary_of(job: &Job, shard: Option<u64>) -> Option<Summary> {
-    let path = summary_path(&job.out, shard.map(|shard| (shard, job.shards)));
+    let path = summary_path(&job.work.out, shard.map(|shard| (shard, job.shards)));
     let summary: Summary = serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
-    let expected = shard.map_or(job.triggers[1] - job.triggers[0], |shard| job.frame_sets(shard));
-    (summary.parameters == job.parameters && summary.triggers.len() as u64 == expected).then_some(summary)
+    let expected = shard.map_or(job.work.triggers[1] - job.work.triggers[0], |shard| job.frame_sets(shard));
+    (summary.parameters == job.work.parameters && summary.triggers.len() as u64 == expected)
+        .then_some(summary)
 }
 
 /// Frame sets of unfinished shards whose files are there, made with the job's parameters.
 fn count_results(job: &Job, unfinished: &BTreeSet<u64>) -> BTreeMap<u64, u64> {
-    let folder = job.out.join(if job.phase { "phases" } else { "merged" });
+    let folder = job.work.out.join(if job.work.phase { "phases" } else { "merged" });
     let names = std::fs::read_dir(folder).into_iter().flatten().flatten();
     // INDEX.ply, or CAMERA_INDEX.phase: of these, one stands for its frame set.
     let found: BTreeMap<u64, PathBuf> = names
         .filter_map(|entry| {
             let path = entry.path();
-            let stem = path.file_name()?.to_str()?.strip_suffix(if job.phase { ".phase" } else { ".ply" })?;
+            let stem =
+                path.file_name()?.to_str()?.strip_suffix(if job.work.phase { ".phase" } else { ".ply" })?;
             let index = stem.rsplit_once('_').map_or(stem, |(_, index)| index).parse::<u64>().ok()?;
-            (job.triggers[0]..job.triggers[1]).contains(&index).then_some((index, path))
+            (job.work.triggers[0]..job.work.triggers[1]).contains(&index).then_some((index, path))
         })
         .filter(|(index, _)| unfinished.contains(&(index % job.shards)))
         .collect();
-    let comment = format!("parameters {}", job.parameters);
+    let comment = format!("parameters {}", job.work.parameters);
     let of_this_job: Vec<u64> = found
         .into_par_iter()
         .filter(|(index, path)| {
-            let comments = if job.phase {
+            let comments = if job.work.phase {
                 phase_file::load_statement(path).ok().map(|statement| statement.comments)
             } else {
-                ply::load_header(&merged_path(&job.out, *index)).ok().map(|header| header.comments)
+                ply::load_header(&merged_path(&job.work.out, *index)).ok().map(|header| header.comments)
             };
             comments.is_some_and(|comments| comments.contains(&comment))
         })

@@ -145,7 +145,7 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     let array = (0..sizing.tasks).filter(|shard| finished.summary(*shard).is_err()).collect();
     let mut job = Job::new(work, sizing, array, args.at_once, sbatch_options(args));
     if !args.dry_run {
-        write_calibration(&args.what.calibration, &job.out)?;
+        write_calibration(&args.what.calibration, &job.work.out)?;
         cluster::write_scripts(&job).map_err(failed)?;
         submit_scripts(slurm.map_err(usage)?, &mut job)?;
     }
@@ -171,8 +171,8 @@ fn refuse_if_taken(session: &Path, out: &Path, slurm: Option<Slurm>) -> Result<(
         return Ok(());
     }
     let job = Job::load(out).map_err(usage)?;
-    if job.session != session {
-        let (out, other) = (out.display(), job.session.display());
+    if job.work.session != session {
+        let (out, other) = (out.display(), job.work.session.display());
         return Err(usage(format!(
             "{out} has the results of {other}; choose another --out for {}",
             session.display()
@@ -240,7 +240,7 @@ fn write_calibration(calibration: &Path, out: &Path) -> Result<(), Failure> {
 }
 
 fn submit_scripts(slurm: Slurm, job: &mut Job) -> Result<(), Failure> {
-    let folder = cluster::folder(&job.out);
+    let folder = cluster::folder(&job.work.out);
     if !job.array.is_empty() {
         job.array_job = Some(slurm.submit(&folder, "shards.sh", None).map_err(failed)?);
     }
@@ -265,7 +265,7 @@ fn print_job(args: &SubmitArgs, job: &Job) {
     println!(
         "{} frame sets in {} tasks of at most {}; each {} processors, {} MiB, {:.0} min expected, {} min at most ({:.3} s of a \
          processor a frame set)",
-        job.triggers[1] - job.triggers[0],
+        job.work.triggers[1] - job.work.triggers[0],
         sizing.tasks,
         sizing.frame_sets_per_task,
         sizing.cpus,
@@ -292,7 +292,7 @@ fn print_job(args: &SubmitArgs, job: &Job) {
     if let Some(number) = job.collect_job {
         println!(
             "submitted the collecting job {number}; see: fourdbody cluster status {}",
-            job.out.display()
+            job.work.out.display()
         );
     }
 }
