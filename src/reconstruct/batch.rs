@@ -207,9 +207,12 @@ enum Stage {
 /// The frames of all cameras of one trigger give each other their fringe orders.
 fn help_each_other(cameras: &[(usize, &Camera)], stages: &mut [Stage]) {
     let views = cameras.iter().zip(stages).filter_map(|((head, camera), stage)| match stage {
-        Stage::Prepared(prepared) => {
-            Some(View { triangulator: camera.pipeline.triangulator(), head: *head, prepared })
-        }
+        Stage::Prepared(prepared) => Some(View {
+            table: camera.pipeline.table(),
+            triangulator: camera.pipeline.triangulator(),
+            head: *head,
+            prepared,
+        }),
         _ => None,
     });
     order::settle(&mut views.collect::<Vec<_>>());

@@ -203,6 +203,11 @@ impl Pipeline {
         &self.triangulator
     }
 
+    /// Its camera's lines of sight.
+    pub(super) fn table(&self) -> &RayTable {
+        &self.table
+    }
+
     /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
         match self.prepare(image) {

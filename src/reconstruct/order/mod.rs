@@ -3,6 +3,7 @@
 //! ```text
 //! cells     the unwrapped phase in patches of 8 x 8 px, and where they continue each other
 //! pieces    patches grown to pieces of surface, joined only along whole borders
+//! lookout   where the other cameras would see a place
 //! witness   what another camera has at the place where a piece would be
 //! settle    marker, neighbours and other cameras weighed: each piece gets an order, or is refused
 //! split     pieces that have grown over two surfaces, parted
@@ -18,6 +19,7 @@ mod cells;
 mod elsewhere;
 mod graph;
 mod grow;
+mod lookout;
 mod pieces;
 mod settle;
 mod sighted;
@@ -27,10 +29,12 @@ mod witness;
 mod words;
 
 use super::pipeline::Prepared;
+use super::rays::RayTable;
 use super::triangulate::Triangulator;
 use crate::image::Plane;
 use cells::Cells;
 use grow::{Label, NONE};
+use lookout::Lookout;
 use pieces::Pieces;
 use rayon::prelude::*;
 use settle::{Refusal, Scene, State};
@@ -42,6 +46,8 @@ use witness::Witness;
 /// One camera's frame and its geometry.
 #[derive(Debug)]
 pub struct View<'a> {
+    /// Its lines of sight.
+    pub table: &'a RayTable,
     /// Its geometry.
     pub triangulator: &'a Triangulator,
     /// Which head it belongs to: cameras of equal number see the same projector.
@@ -85,7 +91,8 @@ pub fn settle(views: &mut [View<'_>]) {
     }
     let start = Instant::now();
     let results: Vec<Outcome> = {
-        let mut scenes: Vec<Scene<'_>> = views.par_iter().map(scene).collect();
+        let mut scenes: Vec<Scene<'_>> =
+            (0..views.len()).into_par_iter().map(|view| scene(views, view)).collect();
         settle::settle(&mut scenes);
         let labels = grow::labels(&scenes);
         scenes.into_iter().zip(labels).map(|(scene, labels)| outcome(scene, &labels)).collect()
@@ -115,7 +122,8 @@ struct Outcome {
 }
 
 /// A view's pieces, all open.
-fn scene<'a>(view: &'a View<'_>) -> Scene<'a> {
+fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
+    let view = &views[number];
     let prepared = &*view.prepared;
     let pair = view.triangulator.pair();
     let mut phase = prepared.absolute.clone();
@@ -135,7 +143,8 @@ fn scene<'a>(view: &'a View<'_>) -> Scene<'a> {
     let open = State { order: Err(Refusal::NoEvidence), margin: 0.0 };
     let states = vec![open; pieces.nodes.len()];
     let witness = Witness::new(pair, view.head, prepared.roi, phase, &prepared.object, cells);
-    Scene { triangulator: view.triangulator, witness, pieces, states, px }
+    let lookout = Lookout::new(view.table, number, views.iter().map(|x| x.triangulator.pair()));
+    Scene { triangulator: view.triangulator, lookout, witness, pieces, states, px }
 }
 
 /// The orders that marker pixels give their nodes: node, order, pixels.

@@ -6,10 +6,13 @@
 //! a margin; else the piece waits for others to be settled. At last every settled piece is tried against all others, the
 //! most doubtful first: one that is contradicted takes the order that is not, if there is one, or is refused.
 
+use super::lookout::{LANES, Lookout};
 use super::pieces::Pieces;
 use super::witness::{Glance, Sight, Verdict, Witness};
+use crate::reconstruct::rays::Sightline;
 use crate::reconstruct::triangulate::Triangulator;
 use std::collections::BTreeMap;
+use std::f32::consts::TAU;
 
 /// Marker pixels from which a piece counts as crossed by the marker.
 pub const MIN_VOTES: u32 = 20;
@@ -85,6 +88,8 @@ pub struct State {
 pub struct Scene<'a> {
     /// Places to points.
     pub triangulator: &'a Triangulator,
+    /// Where the other cameras see its places.
+    pub lookout: Lookout<'a>,
     /// The view as a witness.
     pub witness: Witness<'a>,
     /// Its pieces.
@@ -289,7 +294,7 @@ impl Scene<'_> {
     pub fn place(&self, node: u32) -> (usize, usize, f32) {
         let pixel = self.witness.cells.nodes[node as usize].pixel as usize;
         let (roi, turns) = (self.witness.roi, self.pieces.turns[node as usize]);
-        let phase = self.witness.phase.as_slice()[pixel] + std::f32::consts::TAU * turns as f32;
+        let phase = self.witness.phase.as_slice()[pixel] + TAU * turns as f32;
         (roi.u + pixel % roi.width, roi.v + pixel / roi.width, phase)
     }
 
@@ -304,23 +309,28 @@ impl Scene<'_> {
 pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut Sights) -> bool {
     let scene = &scenes[view];
     let (u, v, phase) = scene.place(node);
-    let phase = f64::from(phase) + std::f64::consts::TAU * f64::from(order);
-    let point = scene.triangulator.point(u, v, phase);
-    let Some((_, world)) = point.filter(|(_, world)| scene.triangulator.pair().in_volume(world)) else {
-        return false;
-    };
-    const TOGETHER: usize = 8;
-    for (chunk, scenes) in scenes.chunks(TOGETHER).enumerate() {
-        let first = chunk * TOGETHER;
-        let mut glances = [Glance::NONE; TOGETHER];
-        for (glance, scene) in glances.iter_mut().zip(scenes) {
-            *glance = scene.witness.glance(&world);
+    look_along(scenes, view, &scene.lookout.sightline(u, v), phase / TAU + order as f32, out)
+}
+
+/// The same along a line of sight of the view, at an absolute phase in fringes.
+#[inline]
+pub fn look_along(
+    scenes: &[Scene<'_>],
+    view: usize,
+    line: &Sightline,
+    fringes: f32,
+    out: &mut Sights,
+) -> bool {
+    scenes[view].lookout.look(line, fringes, |first, spots| {
+        let scenes = &scenes[first..scenes.len().min(first + LANES)];
+        let mut glances = [Glance::NONE; LANES];
+        for (i, (glance, scene)) in glances.iter_mut().zip(scenes).enumerate() {
+            *glance = scene.witness.glance(spots.u[i], spots.v[i]);
         }
-        for ((other, scene), glance) in (first..).zip(scenes).zip(&glances).filter(|x| x.0.0 != view) {
-            out.push((other as u8, scene.witness.see(glance, &world)));
+        for (i, (scene, glance)) in scenes.iter().zip(&glances).enumerate().filter(|x| first + x.0 != view) {
+            out.push(((first + i) as u8, scene.witness.see(glance, spots.cast[i])));
         }
-    }
-    true
+    })
 }
 
 /// What a sight says, as far as the other camera's pieces are settled.
@@ -330,7 +340,7 @@ pub fn verdict(scenes: &[Scene<'_>], other: u8, sight: Sight) -> Verdict {
         Sight::Nothing => Verdict::Nothing,
         Sight::Past => Verdict::Past,
         Sight::Node(node, ahead) => match scene.turns_of(node) {
-            Some(turns) => scene.witness.judge(ahead + std::f32::consts::TAU * turns as f32),
+            Some(turns) => scene.witness.judge(ahead + TAU * turns as f32),
             None => Verdict::Nothing,
         },
     }

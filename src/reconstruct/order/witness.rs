@@ -20,7 +20,7 @@ const SAME_RAD: f32 = 0.8;
 const OTHER_RAD: f32 = 1.6;
 
 /// Background must be as wide around a place, px: outlines are not sharp.
-const BACKGROUND_PX: f64 = 10.0;
+const BACKGROUND_PX: f32 = 10.0;
 
 /// A camera as a witness for the others.
 #[derive(Debug)]
@@ -56,8 +56,8 @@ pub enum Sight {
 #[derive(Debug, Clone, Copy)]
 pub struct Glance {
     /// Column and row.
-    u: f64,
-    v: f64,
+    u: f32,
+    v: f32,
     here: Pixel,
     right: Pixel,
 }
@@ -104,38 +104,40 @@ impl<'a> Witness<'a> {
         Self { pair, head, roi, phase, cells, pixels, towards }
     }
 
-    /// Reads what the camera has where it would see `world`. What is read decides nothing here, so that the reads of all
+    /// Reads what the camera has at a place of its frame. What is read decides nothing here, so that the reads of all
     /// cameras are under way together: they lie far apart, and waiting for one after the other is what looking costs.
-    pub fn glance(&self, world: &Point3<f64>) -> Glance {
-        let [u, v] = self.pair.camera.project(world).unwrap_or([-1.0; 2]);
+    #[inline(always)]
+    pub fn glance(&self, u: f32, v: f32) -> Glance {
         // Casts take what is negative, or NaN, to 0; `see` looks at `u` and `v` before all else.
         let (x, y) = (u as usize, (v + 0.5) as usize);
         let (here, right) = self.pixels.at(x.wrapping_sub(self.roi.u), y.wrapping_sub(self.roi.v));
         Glance { u, v, here, right }
     }
 
-    /// What the camera has where it would see `world`, by what was read there.
-    pub fn see(&self, glance: &Glance, world: &Point3<f64>) -> Sight {
+    /// What the camera has where it would see a place, by what was read there and the phase that its projector casts on
+    /// the place, rad.
+    #[inline(always)]
+    pub fn see(&self, glance: &Glance, cast: f32) -> Sight {
         let Glance { u, v, here, right } = *glance;
         let margin = BACKGROUND_PX;
-        let (w, h) = (self.pair.camera.width as f64, self.pair.camera.height as f64);
+        let (w, h) = (self.pair.camera.width as f32, self.pair.camera.height as f32);
         if !(margin..w - margin).contains(&u) || !(margin..h - margin).contains(&v) {
             return Sight::Nothing;
         }
         match here.node {
             0 => {
-                let near = |a: f64, b: f64| self.object_at((u + a + 0.5) as usize, (v + b + 0.5) as usize);
+                let near = |a: f32, b: f32| self.object_at((u + a + 0.5) as usize, (v + b + 0.5) as usize);
                 let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
                 if around.into_iter().any(|(a, b)| near(a, b)) { Sight::Nothing } else { Sight::Past }
             }
             NO_NODE => Sight::Nothing,
+            _ if cast.is_nan() => Sight::Nothing,
             node => {
-                let Some([column, _]) = self.pair.projector.project(world) else { return Sight::Nothing };
                 let step = right.phase - here.phase;
                 // Across a step there is nothing to interpolate; NaN is no step either.
                 let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
-                let part = (u - (u as usize) as f64) as f32;
-                Sight::Node(node - 1, here.phase + part * step - self.pair.pattern.phase(column) as f32)
+                let part = u - (u as usize) as f32;
+                Sight::Node(node - 1, here.phase + part * step - cast)
             }
         }
     }
