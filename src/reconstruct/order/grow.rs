@@ -7,7 +7,7 @@
 //! last round, what nobody confirms. What is open then is sought at the places where other heads see it
 //! ([`super::elsewhere`]), and the next round begins.
 
-use super::elsewhere;
+use super::elsewhere::Seeker;
 use super::graph::Graph;
 use super::settle::Scene;
 use super::words::{Sights, Words};
@@ -92,6 +92,7 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let mut views: Vec<View> = (0..scenes.len()).into_par_iter().map(|view| begin(scenes, view)).collect();
     check(scenes, &mut views);
     views.par_iter_mut().for_each(drop_unconfirmed);
+    let mut seeker = Seeker::new(scenes);
     for round in 0..ROUNDS {
         for view in &mut views {
             view.banned.iter_mut().for_each(Vec::clear);
@@ -105,7 +106,7 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
         }
         check(scenes, &mut views);
         if round + 1 < ROUNDS {
-            elsewhere::seek(scenes, &mut views);
+            seeker.seek(scenes, &mut views);
             views.par_iter_mut().for_each(drop_unconfirmed);
         }
     }

@@ -82,17 +82,6 @@ impl Sights {
         judge(scenes, self.view, known, self.seen[first..first + self.cameras].iter().copied().enumerate())
     }
 
-    /// The same without keeping what was seen: for orders that are hardly asked for again.
-    pub fn passing(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32, known: &[Vec<i32>]) -> Words {
-        let seen = &mut self.scratch;
-        seen.clear();
-        let order = turns - scenes[self.view].pieces.turns[node];
-        if !look(scenes, self.view, node as u32, order, seen) {
-            return Words::IMPOSSIBLE;
-        }
-        judge(scenes, self.view, known, seen.iter().map(|x| (usize::from(x.0), x.1)))
-    }
-
     /// Looks, and tells the slot that keeps it.
     fn look(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32) -> usize {
         let slot = usize::from(self.next[node]);
@@ -110,8 +99,8 @@ impl Sights {
     }
 }
 
-/// Words of what was seen.
-fn judge(
+/// Words of what was seen: camera and sight.
+pub fn judge(
     scenes: &[Scene<'_>],
     view: usize,
     known: &[Vec<i32>],
