@@ -161,6 +161,11 @@ impl Prepared {
         &self.period
     }
 
+    /// Runs of the object.
+    pub(super) fn runs(&self) -> &Runs {
+        &self.runs
+    }
+
     /// Notes a frame's share of work that was done for several.
     pub fn add_time(&mut self, stage: &'static str, time: Duration) {
         self.clock.0.push((stage, time));
@@ -253,7 +258,7 @@ impl Pipeline {
         };
         let Resolved { absolute, open, marker, runs, phasors, period, zone, planes } = resolved;
         // Until all cameras are heard.
-        let regions = Regions::none(0, 0);
+        let regions = Regions::default();
         Ok(Prepared {
             roi,
             absolute,
@@ -490,7 +495,7 @@ fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> 
         phase: PhaseMap::default(),
         outcome: Outcome::Refused(reason),
         counts,
-        regions: Regions::none(0, 0),
+        regions: Regions::default(),
         stages: clock.0,
         maps: None,
     })

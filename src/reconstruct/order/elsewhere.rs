@@ -231,7 +231,7 @@ fn stretch(
 ) -> Vec<(u32, i32)> {
     let square = |node: u32| {
         let pixel = scene.witness.cells.nodes[node as usize].pixel as usize;
-        let width = scene.witness.phase.width();
+        let width = scene.witness.cells.width;
         (pixel % width / (CELL_PX * SQUARE), pixel / width / (CELL_PX * SQUARE))
     };
     seen[first] = true;

@@ -292,9 +292,9 @@ fn samples(scene: &Scene<'_>, piece: usize) -> Vec<u32> {
 impl Scene<'_> {
     /// Frame pixel of a node and its phase in its piece, rad.
     pub fn place(&self, node: u32) -> (usize, usize, f32) {
-        let pixel = self.witness.cells.nodes[node as usize].pixel as usize;
         let (roi, turns) = (self.witness.roi, self.pieces.turns[node as usize]);
-        let phase = self.witness.phase.as_slice()[pixel] + TAU * turns as f32;
+        let node = &self.witness.cells.nodes[node as usize];
+        let (pixel, phase) = (node.pixel as usize, node.phase + TAU * turns as f32);
         (roi.u + pixel % roi.width, roi.v + pixel / roi.width, phase)
     }
 

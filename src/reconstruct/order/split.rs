@@ -94,7 +94,7 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTr
 /// Place of a node in the grid of cells.
 fn cell(scene: &Scene<'_>, node: u32) -> (usize, usize) {
     let pixel = scene.witness.cells.nodes[node as usize].pixel as usize;
-    let width = scene.witness.phase.width();
+    let width = scene.witness.cells.width;
     (pixel % width / CELL_PX, pixel / width / CELL_PX)
 }
 

@@ -6,8 +6,7 @@
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
 use super::cells::Cells;
-use super::sighted::{NO_NODE, Pixel, Sighted};
-use crate::image::Plane;
+use super::sighted::Pixel;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
 use nalgebra::{Point3, Vector3};
@@ -31,12 +30,8 @@ pub struct Witness<'a> {
     pub head: usize,
     /// Where its planes lie in the frame.
     pub roi: Roi,
-    /// Unwrapped phase, up to the orders of the pieces; NaN where it is unknown.
-    pub phase: Plane<f32>,
-    /// Its nodes.
+    /// Its nodes, and the pixels with the phase that it has unwrapped, up to the orders of the pieces.
     pub cells: Cells,
-    /// Object, nodes and phase as they are looked up.
-    pixels: Sighted,
     /// Sign of the projected phase's change with the distance from the camera.
     towards: f32,
 }
@@ -84,14 +79,7 @@ pub enum Verdict {
 
 impl<'a> Witness<'a> {
     /// A witness with the phase that it has unwrapped so far.
-    pub fn new(
-        pair: &'a Pair,
-        head: usize,
-        roi: Roi,
-        phase: Plane<f32>,
-        object: &Plane<u8>,
-        cells: Cells,
-    ) -> Self {
+    pub fn new(pair: &'a Pair, head: usize, roi: Roi, cells: Cells) -> Self {
         let middle =
             Point3::from((Vector3::from(pair.volume_min_m) + Vector3::from(pair.volume_max_m)) / 2.0);
         let from = pair.camera.centre();
@@ -100,8 +88,7 @@ impl<'a> Witness<'a> {
             pair.projector.project(&at).map_or(0.0, |[column, _]| pair.pattern.phase(column))
         };
         let towards = (cast(0.01) - cast(-0.01)).signum() as f32;
-        let pixels = Sighted::new(&phase, &cells.node, object);
-        Self { pair, head, roi, phase, cells, pixels, towards }
+        Self { pair, head, roi, cells, towards }
     }
 
     /// Reads what the camera has at a place of its frame. What is read decides nothing here, so that the reads of all
@@ -110,7 +97,7 @@ impl<'a> Witness<'a> {
     pub fn glance(&self, u: f32, v: f32) -> Glance {
         // Casts take what is negative, or NaN, to 0; `see` looks at `u` and `v` before all else.
         let (x, y) = (u as usize, (v + 0.5) as usize);
-        let (here, right) = self.pixels.at(x.wrapping_sub(self.roi.u), y.wrapping_sub(self.roi.v));
+        let (here, right) = self.cells.pixels.at(x.wrapping_sub(self.roi.u), y.wrapping_sub(self.roi.v));
         Glance { u, v, here, right }
     }
 
@@ -124,26 +111,26 @@ impl<'a> Witness<'a> {
         if !(margin..w - margin).contains(&u) || !(margin..h - margin).contains(&v) {
             return Sight::Nothing;
         }
-        match here.node {
-            0 => {
+        match here.node() {
+            None if !here.is_object() => {
                 let near = |a: f32, b: f32| self.object_at((u + a + 0.5) as usize, (v + b + 0.5) as usize);
                 let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
                 if around.into_iter().any(|(a, b)| near(a, b)) { Sight::Nothing } else { Sight::Past }
             }
-            NO_NODE => Sight::Nothing,
-            _ if cast.is_nan() => Sight::Nothing,
-            node => {
+            None => Sight::Nothing,
+            Some(_) if cast.is_nan() => Sight::Nothing,
+            Some(node) => {
                 let step = right.phase - here.phase;
                 // Across a step there is nothing to interpolate; NaN is no step either.
                 let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
                 let part = u - (u as usize) as f32;
-                Sight::Node(node - 1, here.phase + part * step - cast)
+                Sight::Node(node, here.phase + part * step - cast)
             }
         }
     }
 
     fn object_at(&self, u: usize, v: usize) -> bool {
-        self.pixels.is_object(u.wrapping_sub(self.roi.u), v.wrapping_sub(self.roi.v))
+        self.cells.pixels.at(u.wrapping_sub(self.roi.u), v.wrapping_sub(self.roi.v)).0.is_object()
     }
 
     /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.
