@@ -77,6 +77,24 @@ pub struct Surface<'a> {
     pub sign: f32,
 }
 
+/// What a cell is for those who look at it from elsewhere.
+#[derive(Debug, Clone, Copy)]
+pub enum Glimpse {
+    /// Beside the object, all of it.
+    Beside,
+    /// One node fills it.
+    Whole {
+        /// The node.
+        node: u32,
+        /// The phase of its plane at the cell's first pixel, rad.
+        phase: f32,
+        /// Its step from column to column, and from row to row, rad.
+        steps: [f32; 2],
+    },
+    /// Its pixels have to be asked.
+    Mixed,
+}
+
 /// The nodes of a view and where they touch.
 #[derive(Debug)]
 pub struct Cells {
@@ -92,6 +110,8 @@ pub struct Cells {
     pub borders: Vec<Border>,
     /// First node and number of nodes of each cell.
     grid: Vec<(u32, u32)>,
+    /// The cells at a glance. Looks come from anywhere in the image and wait for memory: these few stay in the cache.
+    glimpses: Vec<Glimpse>,
 }
 
 /// Values of a cell's pixels.
@@ -104,8 +124,15 @@ impl Cells {
         let (columns, rows) = (w.div_ceil(CELL_PX), h.div_ceil(CELL_PX));
         let pixels = Sighted::new(surface.runs);
         let (nodes, borders) = (Vec::with_capacity(columns * rows), Vec::with_capacity(2 * columns * rows));
-        let mut cells =
-            Self { width: w, columns, pixels, nodes, borders, grid: vec![(0, 0); columns * rows] };
+        let mut cells = Self {
+            width: w,
+            columns,
+            pixels,
+            nodes,
+            borders,
+            grid: vec![(0, 0); columns * rows],
+            glimpses: vec![Glimpse::Beside; columns * rows],
+        };
         simd::dispatch(
             #[inline(always)]
             || {
@@ -176,9 +203,11 @@ impl Cells {
         }
         let nodes = &self.nodes[first..];
         self.grid[cell] = (first as u32, nodes.len() as u32);
+        let mut shows = false;
         for v in 0..CELL_PX.min(surface.phase.height() - top) {
             let object = &surface.object.row(top + v)[left..surface.phase.width().min(left + CELL_PX)];
             for (pixel, u) in self.pixels.part(top + v, left, object.len()) {
+                shows |= object[u] != 0;
                 let bit = 1 << (v * CELL_PX + u);
                 let node = match nodes {
                     [node] if node.mask == ALL => Some(0),
@@ -186,6 +215,22 @@ impl Cells {
                 };
                 *pixel = Pixel::new(phase[v][u], object[u] != 0, node.map(|i| (first + i) as u32));
             }
+        }
+        self.glimpses[cell] = match nodes {
+            [node] if node.mask == ALL => plane(first as u32, &phase),
+            _ if shows => Glimpse::Mixed,
+            _ => Glimpse::Beside,
+        };
+    }
+
+    /// The cell of a pixel at a glance.
+    #[inline(always)]
+    pub fn glimpse(&self, u: usize, v: usize) -> Glimpse {
+        let column = u / CELL_PX;
+        let cell = v / CELL_PX * self.columns + column;
+        match self.glimpses.get(cell) {
+            Some(glimpse) if column < self.columns => *glimpse,
+            _ => Glimpse::Beside,
         }
     }
 
@@ -404,6 +449,28 @@ fn mean(mask: u64, value: impl Fn(usize, usize) -> f32) -> f32 {
     }
     let [a, b, c, d, e, f, g, h] = sums;
     ((a + b) + (c + d) + ((e + f) + (g + h))) / mask.count_ones().max(1) as f32
+}
+
+/// The plane of a cell that one node fills: means of its halves.
+#[inline(always)]
+fn plane(node: u32, phase: &Patch) -> Glimpse {
+    const HALF: usize = CELL_PX / 2;
+    let (mut above, mut below) = ([0f32; CELL_PX], [0f32; CELL_PX]);
+    for v in 0..HALF {
+        for u in 0..CELL_PX {
+            above[u] += phase[v][u];
+            below[u] += phase[v + HALF][u];
+        }
+    }
+    let sum = |part: &[f32]| (part[0] + part[1]) + (part[2] + part[3]);
+    let [a, b] = [sum(&above[..HALF]), sum(&above[HALF..])];
+    let [c, d] = [sum(&below[..HALF]), sum(&below[HALF..])];
+    // Halves are four pixels apart, and have 32.
+    let per = 1.0 / (HALF * HALF * CELL_PX) as f32;
+    let steps = [((b + d) - (a + c)) * per, ((c + d) - (a + b)) * per];
+    let middle = ((a + b) + (c + d)) / (CELL_PX * CELL_PX) as f32;
+    let phase = middle - (steps[0] + steps[1]) * (CELL_PX - 1) as f32 / 2.0;
+    Glimpse::Whole { node, phase, steps }
 }
 
 /// Whole turns to add so that nothing but a small rest stays, and whether it is small enough.

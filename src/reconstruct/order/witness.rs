@@ -5,8 +5,7 @@
 //! before what another camera sees there, or where that camera looks past the body, is not there. Places are compared by
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
-use super::cells::Cells;
-use super::sighted::Pixel;
+use super::cells::{CELL_PX, Cells, Glimpse};
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
 use nalgebra::{Point3, Vector3};
@@ -47,19 +46,18 @@ pub enum Sight {
     Node(u32, f32),
 }
 
-/// What a camera has at the pixel where it would see a place, and to the right of it.
+/// What a camera has around the pixel where it would see a place.
 #[derive(Debug, Clone, Copy)]
 pub struct Glance {
-    /// Column and row.
+    /// Column and row in the frame.
     u: f32,
     v: f32,
-    here: Pixel,
-    right: Pixel,
+    cell: Glimpse,
 }
 
 impl Glance {
     /// Nowhere.
-    pub const NONE: Self = Self { u: -1.0, v: -1.0, here: Pixel::BESIDE, right: Pixel::BESIDE };
+    pub const NONE: Self = Self { u: f32::NAN, v: f32::NAN, cell: Glimpse::Beside };
 }
 
 /// What a place is, compared with the surface that a camera sees along the same ray.
@@ -95,28 +93,46 @@ impl<'a> Witness<'a> {
     /// cameras are under way together: they lie far apart, and waiting for one after the other is what looking costs.
     #[inline(always)]
     pub fn glance(&self, u: f32, v: f32) -> Glance {
-        // Casts take what is negative, or NaN, to 0; `see` looks at `u` and `v` before all else.
-        let (x, y) = (u as usize, (v + 0.5) as usize);
-        let (here, right) = self.cells.pixels.at(x.wrapping_sub(self.roi.u), y.wrapping_sub(self.roi.v));
-        Glance { u, v, here, right }
+        let (x, y) = self.pixel(u, v);
+        Glance { u, v, cell: self.cells.glimpse(x, y) }
+    }
+
+    /// The pixel of the region of interest that shows a place of the frame, between it and the next. What lies before the
+    /// first becomes a number beyond all; NaN anything: `see` looks at the place before all else.
+    #[inline(always)]
+    fn pixel(&self, u: f32, v: f32) -> (usize, usize) {
+        ((u as usize).wrapping_sub(self.roi.u), ((v + 0.5) as usize).wrapping_sub(self.roi.v))
     }
 
     /// What the camera has where it would see a place, by what was read there and the phase that its projector casts on
     /// the place, rad.
     #[inline(always)]
     pub fn see(&self, glance: &Glance, cast: f32) -> Sight {
-        let Glance { u, v, here, right } = *glance;
+        let Glance { u, v, cell } = *glance;
         let margin = BACKGROUND_PX;
         let (w, h) = (self.pair.camera.width as f32, self.pair.camera.height as f32);
         if !(margin..w - margin).contains(&u) || !(margin..h - margin).contains(&v) {
             return Sight::Nothing;
         }
-        match here.node() {
-            None if !here.is_object() => {
-                let near = |a: f32, b: f32| self.object_at((u + a + 0.5) as usize, (v + b + 0.5) as usize);
-                let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
-                if around.into_iter().any(|(a, b)| near(a, b)) { Sight::Nothing } else { Sight::Past }
+        match cell {
+            Glimpse::Whole { .. } if cast.is_nan() => Sight::Nothing,
+            Glimpse::Whole { node, phase, steps } => {
+                let (x, y) = self.pixel(u, v);
+                let left = (x - x % CELL_PX + self.roi.u) as f32;
+                let top = (y - y % CELL_PX + self.roi.v) as f32;
+                Sight::Node(node, phase + ((u - left) * steps[0] + (v - top) * steps[1]) - cast)
             }
+            Glimpse::Mixed => self.see_closely(u, v, cast),
+            Glimpse::Beside => self.past(u, v),
+        }
+    }
+
+    /// The same where a cell's pixels have to be asked.
+    fn see_closely(&self, u: f32, v: f32, cast: f32) -> Sight {
+        let (x, y) = self.pixel(u, v);
+        let (here, right) = self.cells.pixels.at(x, y);
+        match here.node() {
+            None if !here.is_object() => self.past(u, v),
             None => Sight::Nothing,
             Some(_) if cast.is_nan() => Sight::Nothing,
             Some(node) => {
@@ -129,8 +145,20 @@ impl<'a> Witness<'a> {
         }
     }
 
-    fn object_at(&self, u: usize, v: usize) -> bool {
-        self.cells.pixels.at(u.wrapping_sub(self.roi.u), v.wrapping_sub(self.roi.v)).0.is_object()
+    /// Whether there is background around a place that is none of the object's.
+    fn past(&self, u: f32, v: f32) -> Sight {
+        let margin = BACKGROUND_PX;
+        let around = [(-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
+        let object = |(a, b): (f32, f32)| {
+            let (x, y) = self.pixel(u + a + 0.5, v + b);
+            match self.cells.glimpse(x, y) {
+                Glimpse::Beside => false,
+                Glimpse::Whole { .. } => true,
+                Glimpse::Mixed => self.cells.pixels.at(x, y).0.is_object(),
+            }
+        };
+        // Columns are rounded here: so is the place itself, which may be a pixel further right.
+        if object((0.0, 0.0)) || around.into_iter().any(object) { Sight::Nothing } else { Sight::Past }
     }
 
     /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.
