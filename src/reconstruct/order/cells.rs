@@ -4,6 +4,7 @@
 //! node; where cells meet, the pixel pairs of two nodes tell whether their surfaces continue each other, and by how many
 //! whole turns their phases differ.
 
+use super::lookout::BACKGROUND_PX;
 use super::sighted::{Pixel, Sighted};
 use crate::image::Plane;
 use crate::reconstruct::runs::Runs;
@@ -77,22 +78,37 @@ pub struct Surface<'a> {
     pub sign: f32,
 }
 
+/// Cells around the region of interest in the grid that is looked at: beyond them there is nothing but background.
+pub const PAD_CELLS: usize = 3;
+
+/// Cells of the padded grid along so many pixels.
+pub fn padded(px: usize) -> usize {
+    px.div_ceil(CELL_PX) + 2 * PAD_CELLS
+}
+
 /// What a cell is for those who look at it from elsewhere.
 #[derive(Debug, Clone, Copy)]
-pub enum Glimpse {
-    /// Beside the object, all of it.
-    Beside,
-    /// One node fills it.
-    Whole {
-        /// The node.
-        node: u32,
-        /// The phase of its plane at the cell's first pixel, rad.
-        phase: f32,
-        /// Its step from column to column, and from row to row, rad.
-        steps: [f32; 2],
-    },
+pub struct Glimpse {
+    /// The node that fills it; or one of the following.
+    pub node: u32,
+    /// The phase of the node's plane at the cell's first pixel, rad.
+    pub phase: f32,
+    /// Its step from column to column, and from row to row, rad.
+    pub steps: [f32; 2],
+}
+
+impl Glimpse {
+    /// Beside the object, and so is all within [`BACKGROUND_PX`].
+    pub const FAR: u32 = u32::MAX;
+    /// Beside the object.
+    pub const NEAR: u32 = u32::MAX - 1;
     /// Its pixels have to be asked.
-    Mixed,
+    pub const MIXED: u32 = u32::MAX - 2;
+
+    /// A cell that no node fills.
+    pub const fn none(kind: u32) -> Self {
+        Self { node: kind, phase: f32::NAN, steps: [0.0; 2] }
+    }
 }
 
 /// The nodes of a view and where they touch.
@@ -110,8 +126,9 @@ pub struct Cells {
     pub borders: Vec<Border>,
     /// First node and number of nodes of each cell.
     grid: Vec<(u32, u32)>,
-    /// The cells at a glance. Looks come from anywhere in the image and wait for memory: these few stay in the cache.
-    glimpses: Vec<Glimpse>,
+    /// The cells at a glance, with [`PAD_CELLS`] around. Looks come from anywhere in the image and wait for memory: these
+    /// few stay in the cache.
+    pub glimpses: Vec<Glimpse>,
 }
 
 /// Values of a cell's pixels.
@@ -131,7 +148,7 @@ impl Cells {
             nodes,
             borders,
             grid: vec![(0, 0); columns * rows],
-            glimpses: vec![Glimpse::Beside; columns * rows],
+            glimpses: vec![Glimpse::none(Glimpse::FAR); padded(w) * padded(h)],
         };
         simd::dispatch(
             #[inline(always)]
@@ -146,9 +163,31 @@ impl Cells {
                         cells.touch(surface, column, row);
                     }
                 }
+                cells.blur_outlines(surface.runs);
             },
         );
         cells
+    }
+
+    /// Marks the background around the object.
+    #[inline(always)]
+    fn blur_outlines(&mut self, runs: &Runs) {
+        const REACH: usize = (BACKGROUND_PX as usize).div_ceil(CELL_PX);
+        let stride = padded(self.width);
+        for row in 0..self.grid.len() / self.columns.max(1) {
+            for column in band(runs, row) {
+                let at = (row + PAD_CELLS) * stride + column + PAD_CELLS;
+                if self.glimpses[at].node >= Glimpse::NEAR {
+                    continue;
+                }
+                for step in 1..=REACH {
+                    for other in [at - step, at + step, at - step * stride, at + step * stride] {
+                        let node = &mut self.glimpses[other].node;
+                        *node = if *node == Glimpse::FAR { Glimpse::NEAR } else { *node };
+                    }
+                }
+            }
+        }
     }
 
     /// The nodes of one cell.
@@ -216,22 +255,11 @@ impl Cells {
                 *pixel = Pixel::new(phase[v][u], object[u] != 0, node.map(|i| (first + i) as u32));
             }
         }
-        self.glimpses[cell] = match nodes {
+        let place = (row + PAD_CELLS) * padded(self.width) + column + PAD_CELLS;
+        self.glimpses[place] = match nodes {
             [node] if node.mask == ALL => plane(first as u32, &phase),
-            _ if shows => Glimpse::Mixed,
-            _ => Glimpse::Beside,
+            _ => Glimpse::none(if shows { Glimpse::MIXED } else { Glimpse::FAR }),
         };
-    }
-
-    /// The cell of a pixel at a glance.
-    #[inline(always)]
-    pub fn glimpse(&self, u: usize, v: usize) -> Glimpse {
-        let column = u / CELL_PX;
-        let cell = v / CELL_PX * self.columns + column;
-        match self.glimpses.get(cell) {
-            Some(glimpse) if column < self.columns => *glimpse,
-            _ => Glimpse::Beside,
-        }
     }
 
     /// The borders between the nodes of one cell, and to those of the cells to the right and below.
@@ -470,7 +498,7 @@ fn plane(node: u32, phase: &Patch) -> Glimpse {
     let steps = [((b + d) - (a + c)) * per, ((c + d) - (a + b)) * per];
     let middle = ((a + b) + (c + d)) / (CELL_PX * CELL_PX) as f32;
     let phase = middle - (steps[0] + steps[1]) * (CELL_PX - 1) as f32 / 2.0;
-    Glimpse::Whole { node, phase, steps }
+    Glimpse { node, phase, steps }
 }
 
 /// Whole turns to add so that nothing but a small rest stays, and whether it is small enough.

@@ -8,7 +8,7 @@
 
 use super::cells::CELL_PX;
 use super::grow::{NONE, View, known, sums};
-use super::settle::{Scene, Sights, look_along};
+use super::settle::{Scene, look_along};
 use super::volume;
 use super::witness::Sight;
 use super::words::{Words, judge};
@@ -173,7 +173,7 @@ impl Search<'_> {
         let samples: Vec<(Sightline, f32)> =
             places.into_iter().map(|(u, v, phase)| (scene.lookout.sightline(u, v), phase / TAU)).collect();
         let (mut best, mut second) = ((i32::MIN, 0, 0, 0), 0);
-        let mut sights = Sights::new();
+        let mut sights = Vec::new();
         for order in orders {
             let (mut agree, mut against) = (0u32, 0u32);
             for (i, (line, fringes)) in samples.iter().enumerate() {
@@ -204,19 +204,17 @@ impl Search<'_> {
         number: usize,
         line: &Sightline,
         fringes: f32,
-        sights: &mut Sights,
+        sights: &mut Vec<Sight>,
         seen: &mut Blocks,
     ) -> Words {
         sights.clear();
         if !look_along(self.scenes, number, line, fringes, sights) {
             return Words::IMPOSSIBLE;
         }
-        for &(camera, sight) in sights.iter() {
-            if let Sight::Node(node, _) = sight {
-                seen.mark(self.first_block[usize::from(camera)] + node as usize / BLOCK_NODES);
-            }
+        for (first, sight) in self.first_block.iter().zip(sights.iter()).filter(|x| x.1.is_node()) {
+            seen.mark(first + sight.node as usize / BLOCK_NODES);
         }
-        judge(self.scenes, number, self.known, sights.iter().map(|x| (usize::from(x.0), x.1)))
+        judge(self.scenes, number, self.known, sights)
     }
 }
 

@@ -5,9 +5,11 @@
 //! quotient of the coordinates matters, so `w a + b` does as well and there is nothing to divide by `w`. The inverse
 //! depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in lanes.
 
+use super::cells::{CELL_PX, PAD_CELLS, padded};
 use crate::geometry::Device;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::rays::{RayTable, Sightline};
+use crate::reconstruct::roi::Roi;
 use crate::reconstruct::simd;
 use nalgebra::{Point3, Vector3};
 
@@ -16,16 +18,28 @@ pub const LANES: usize = 8;
 
 type Lanes = [f32; LANES];
 
+/// Background must be as wide around a place, px: outlines are not sharp.
+pub const BACKGROUND_PX: f32 = 10.0;
+
 /// Where each camera of some would see a place.
 #[derive(Debug, Clone, Copy)]
 pub struct Spots {
-    /// Column in the frame; NaN where it does not see it.
-    pub u: Lanes,
-    /// Row in the frame.
-    pub v: Lanes,
+    /// Column in the region of interest.
+    pub x: Lanes,
+    /// Row in the region of interest.
+    pub y: Lanes,
+    /// Cell of the padded grid; [`NOWHERE`] where the camera does not see it.
+    pub cell: [u32; LANES],
+    /// Columns from the cell's first.
+    pub right: Lanes,
+    /// Rows from the cell's first.
+    pub down: Lanes,
     /// Phase that the projector of its head casts there, rad; NaN where it casts none.
     pub cast: Lanes,
 }
+
+/// No cell.
+pub const NOWHERE: u32 = u32::MAX;
 
 /// Devices side by side: what [`Device::project`] does, for lines of sight of one view.
 #[derive(Debug, Clone)]
@@ -109,6 +123,29 @@ struct Block {
     projectors: Devices,
     /// From panel columns to phase, rad.
     per_column: Lanes,
+    /// First column and row of the region of interest.
+    origin: [Lanes; 2],
+    /// What is nearer to the frame's border is not seen: end of what is.
+    end: [Lanes; 2],
+    /// Last column and row of the padded grid of cells, px from its begin.
+    last: [Lanes; 2],
+    /// Cells in a row of the padded grid.
+    stride: [u32; LANES],
+}
+
+impl Block {
+    fn new() -> Self {
+        let none = [0.0; LANES];
+        Self {
+            cameras: Devices::new(),
+            projectors: Devices::new(),
+            per_column: none,
+            origin: [none; 2],
+            end: [none; 2],
+            last: [none; 2],
+            stride: [0; LANES],
+        }
+    }
 }
 
 /// All other cameras as seen from one view.
@@ -119,21 +156,27 @@ pub struct Lookout<'a> {
 }
 
 impl<'a> Lookout<'a> {
-    /// From camera `view` of `pairs`, whose lines of sight `table` has.
+    /// From camera `view` of some, given with their regions of interest. `table` has its lines of sight.
     pub fn new<'b>(
         table: &'a RayTable,
         view: usize,
-        pairs: impl ExactSizeIterator<Item = &'b Pair> + Clone,
+        cameras: impl ExactSizeIterator<Item = (&'b Pair, Roi)> + Clone,
     ) -> Self {
-        let centre = pairs.clone().nth(view).map_or_else(Point3::origin, |pair| pair.camera.centre());
-        let blocks = pairs.len().div_ceil(LANES);
-        let none = Block { cameras: Devices::new(), projectors: Devices::new(), per_column: [0.0; LANES] };
-        let mut blocks = vec![none; blocks];
-        for (i, pair) in pairs.enumerate().filter(|x| x.0 != view) {
+        let centre = cameras.clone().nth(view).map_or_else(Point3::origin, |(pair, _)| pair.camera.centre());
+        let mut blocks = vec![Block::new(); cameras.len().div_ceil(LANES)];
+        for (i, (pair, roi)) in cameras.enumerate().filter(|x| x.0 != view) {
             let (block, lane) = (&mut blocks[i / LANES], i % LANES);
             block.cameras.set(lane, &pair.camera, &centre);
             block.projectors.set(lane, &pair.projector, &centre);
             block.per_column[lane] = (std::f64::consts::TAU / pair.pattern.period_px) as f32;
+            let size = [pair.camera.width, pair.camera.height];
+            let cells = [roi.width, roi.height].map(padded);
+            for (axis, origin) in [roi.u, roi.v].into_iter().enumerate() {
+                block.origin[axis][lane] = origin as f32;
+                block.end[axis][lane] = size[axis] as f32 - BACKGROUND_PX;
+                block.last[axis][lane] = (cells[axis] * CELL_PX - 1) as f32;
+            }
+            block.stride[lane] = cells[0] as u32;
         }
         Self { table, blocks }
     }
@@ -162,12 +205,29 @@ impl<'a> Lookout<'a> {
 impl Block {
     #[inline(always)]
     fn spots(&self, direction: [f32; 3], w: f32) -> Spots {
+        const PAD: f32 = (PAD_CELLS * CELL_PX) as f32;
         let [u, v] = self.cameras.project(direction, w);
         let [column, _] = self.projectors.project(direction, w);
-        let mut cast = [0.0; LANES];
+        let none = [0.0; LANES];
+        let mut out = Spots { x: none, y: none, cell: [0; LANES], right: none, down: none, cast: none };
         for i in 0..LANES {
-            cast[i] = (column[i] + 0.5) * self.per_column[i];
+            let (x, y) = (u[i] - self.origin[0][i], v[i] - self.origin[1][i]);
+            // A pixel has its row in the middle; columns are interpolated from one to the next.
+            let across = (x + PAD).max(0.0).min(self.last[0][i]);
+            let along = (y + (PAD + 0.5)).max(0.0).min(self.last[1][i]);
+            let (column, row) = (across as u32 / CELL_PX as u32, along as u32 / CELL_PX as u32);
+            let seen = (u[i] >= BACKGROUND_PX)
+                & (u[i] < self.end[0][i])
+                & (v[i] >= BACKGROUND_PX)
+                & (v[i] < self.end[1][i]);
+            out.cell[i] = if seen { row * self.stride[i] + column } else { NOWHERE };
+            out.right[i] = x + PAD - (column * CELL_PX as u32) as f32;
+            out.down[i] = y + PAD - (row * CELL_PX as u32) as f32;
+            (out.x[i], out.y[i]) = (x, y);
         }
-        Spots { u, v, cast }
+        for i in 0..LANES {
+            out.cast[i] = (column[i] + 0.5) * self.per_column[i];
+        }
+        out
     }
 }

@@ -135,7 +135,8 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let open = State { order: Err(Refusal::NoEvidence), margin: 0.0 };
     let states = vec![open; pieces.nodes.len()];
     let witness = Witness::new(pair, view.head, prepared.roi, cells);
-    let lookout = Lookout::new(view.table, number, views.iter().map(|x| x.triangulator.pair()));
+    let lookout =
+        Lookout::new(view.table, number, views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)));
     Scene { triangulator: view.triangulator, lookout, witness, pieces, states, px }
 }
 

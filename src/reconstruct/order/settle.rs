@@ -8,7 +8,7 @@
 
 use super::lookout::{LANES, Lookout};
 use super::pieces::Pieces;
-use super::witness::{Glance, Sight, Verdict, Witness};
+use super::witness::{Sight, Verdict, Witness};
 use crate::reconstruct::rays::Sightline;
 use crate::reconstruct::triangulate::Triangulator;
 use std::collections::BTreeMap;
@@ -100,11 +100,8 @@ pub struct Scene<'a> {
     pub px: Vec<u32>,
 }
 
-/// What the other cameras have at the sampled places of a piece at one order.
-pub type Sights = Vec<(u8, Sight)>;
-
-/// Sights by view, piece and order, each looked up once.
-type Cache = BTreeMap<(usize, usize, i32), Sights>;
+/// What the cameras have at the sampled places, by view, piece and order, each looked up once.
+type Cache = BTreeMap<(usize, usize, i32), Vec<Sight>>;
 
 /// Evidence for one order of a piece.
 #[derive(Debug, Clone, Copy, Default)]
@@ -305,8 +302,9 @@ impl Scene<'_> {
     }
 }
 
-/// What all other cameras have where a node would be at an order, appended to `out`. False outside the volume.
-pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut Sights) -> bool {
+/// What all cameras have where a node would be at an order, appended to `out`: of the view itself nothing. False, and
+/// nothing appended, outside the volume.
+pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut Vec<Sight>) -> bool {
     let scene = &scenes[view];
     let (u, v, phase) = scene.place(node);
     look_along(scenes, view, &scene.lookout.sightline(u, v), phase / TAU + order as f32, out)
@@ -319,28 +317,21 @@ pub fn look_along(
     view: usize,
     line: &Sightline,
     fringes: f32,
-    out: &mut Sights,
+    out: &mut Vec<Sight>,
 ) -> bool {
     scenes[view].lookout.look(line, fringes, |first, spots| {
         let scenes = &scenes[first..scenes.len().min(first + LANES)];
-        let mut glances = [Glance::NONE; LANES];
-        for (i, (glance, scene)) in glances.iter_mut().zip(scenes).enumerate() {
-            *glance = scene.witness.glance(spots.u[i], spots.v[i]);
-        }
-        for (i, (scene, glance)) in scenes.iter().zip(&glances).enumerate().filter(|x| first + x.0 != view) {
-            out.push(((first + i) as u8, scene.witness.see(glance, spots.cast[i])));
-        }
+        out.extend(scenes.iter().enumerate().map(|(i, scene)| scene.witness.see(spots, i)));
     })
 }
 
 /// What a sight says, as far as the other camera's pieces are settled.
-pub fn verdict(scenes: &[Scene<'_>], other: u8, sight: Sight) -> Verdict {
-    let scene = &scenes[usize::from(other)];
-    match sight {
-        Sight::Nothing => Verdict::Nothing,
-        Sight::Past => Verdict::Past,
-        Sight::Node(node, ahead) => match scene.turns_of(node) {
-            Some(turns) => scene.witness.judge(ahead + TAU * turns as f32),
+pub fn verdict(scene: &Scene<'_>, sight: Sight) -> Verdict {
+    match sight.node {
+        Sight::NOTHING => Verdict::Nothing,
+        Sight::PAST => Verdict::Past,
+        node => match scene.turns_of(node) {
+            Some(turns) => scene.witness.judge(sight.ahead + TAU * turns as f32),
             None => Verdict::Nothing,
         },
     }
@@ -359,9 +350,10 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
     });
     // Per camera: agreeing, before, behind, past.
     let mut counts = vec![[0u32; 4]; scenes.len()];
-    for &(other, sight) in sights.iter() {
-        let count = &mut counts[usize::from(other)];
-        match verdict(scenes, other, sight) {
+    for (i, &sight) in sights.iter().enumerate() {
+        let other = i % scenes.len();
+        let count = &mut counts[other];
+        match verdict(&scenes[other], sight) {
             Verdict::Nothing => {}
             Verdict::Agrees => count[0] += 1,
             Verdict::Before => count[1] += 1,

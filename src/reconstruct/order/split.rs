@@ -6,7 +6,7 @@
 
 use super::cells::{CELL_PX, Cells};
 use super::settle::{Scene, look, verdict};
-use super::witness::Verdict;
+use super::witness::{Sight, Verdict};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
@@ -99,11 +99,11 @@ fn cell(scene: &Scene<'_>, node: u32) -> (usize, usize) {
 }
 
 /// What the other cameras say for and against a place.
-fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[(u8, super::witness::Sight)]) -> (i32, i32) {
+fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[Sight]) -> (i32, i32) {
     let (mut good, mut bad) = (0, 0);
-    for &(other, sight) in sights {
-        let partner = scenes[usize::from(other)].witness.head == scenes[view].witness.head;
-        match verdict(scenes, other, sight) {
+    for (scene, &sight) in scenes.iter().zip(sights) {
+        let partner = scene.witness.head == scenes[view].witness.head;
+        match verdict(scene, sight) {
             Verdict::Agrees => good += 1,
             Verdict::Before => bad += 1,
             Verdict::Behind | Verdict::Past => bad += i32::from(partner),

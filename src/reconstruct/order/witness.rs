@@ -5,7 +5,8 @@
 //! before what another camera sees there, or where that camera looks past the body, is not there. Places are compared by
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
-use super::cells::{CELL_PX, Cells, Glimpse};
+use super::cells::{Cells, Glimpse};
+use super::lookout::{BACKGROUND_PX, Spots};
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
 use nalgebra::{Point3, Vector3};
@@ -17,8 +18,11 @@ const SAME_RAD: f32 = 0.8;
 /// Phases of different surfaces differ by more, rad; what lies between says nothing.
 const OTHER_RAD: f32 = 1.6;
 
-/// Background must be as wide around a place, px: outlines are not sharp.
-const BACKGROUND_PX: f32 = 10.0;
+/// The pixel that begins before a coordinate; one beyond all where that is negative.
+#[inline(always)]
+fn column(x: f32) -> usize {
+    if x >= 0.0 { x as usize } else { usize::MAX }
+}
 
 /// A camera as a witness for the others.
 #[derive(Debug)]
@@ -36,28 +40,33 @@ pub struct Witness<'a> {
 }
 
 /// What a camera has at the pixel where it would see a place.
-#[derive(Debug, Clone, Copy)]
-pub enum Sight {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sight {
+    /// Its node there, or [`Sight::PAST`], or [`Sight::NOTHING`].
+    pub node: u32,
+    /// The node's phase there less the one that is cast on the place, rad.
+    pub ahead: f32,
+}
+
+impl Sight {
+    /// `node` where it looks past the object.
+    pub const PAST: u32 = u32::MAX;
+    /// `node` where there is nothing that could be said.
+    pub const NOTHING: u32 = u32::MAX - 1;
     /// Nothing that could be said.
-    Nothing,
-    /// It looks past the object there.
-    Past,
-    /// A node, and its phase there less the one that is cast on the place, rad.
-    Node(u32, f32),
-}
+    pub const NONE: Self = Self { node: Self::NOTHING, ahead: 0.0 };
 
-/// What a camera has around the pixel where it would see a place.
-#[derive(Debug, Clone, Copy)]
-pub struct Glance {
-    /// Column and row in the frame.
-    u: f32,
-    v: f32,
-    cell: Glimpse,
-}
+    /// A node, where its phase is known and one is cast.
+    #[inline(always)]
+    fn of(node: u32, ahead: f32) -> Self {
+        Self { node: if ahead.is_nan() { Self::NOTHING } else { node }, ahead }
+    }
 
-impl Glance {
-    /// Nowhere.
-    pub const NONE: Self = Self { u: f32::NAN, v: f32::NAN, cell: Glimpse::Beside };
+    /// Whether it is a node.
+    #[inline(always)]
+    pub fn is_node(&self) -> bool {
+        self.node < Self::NOTHING
+    }
 }
 
 /// What a place is, compared with the surface that a camera sees along the same ray.
@@ -89,76 +98,43 @@ impl<'a> Witness<'a> {
         Self { pair, head, roi, cells, towards }
     }
 
-    /// Reads what the camera has at a place of its frame. What is read decides nothing here, so that the reads of all
-    /// cameras are under way together: they lie far apart, and waiting for one after the other is what looking costs.
+    /// What the camera has at one of `spots`.
     #[inline(always)]
-    pub fn glance(&self, u: f32, v: f32) -> Glance {
-        let (x, y) = self.pixel(u, v);
-        Glance { u, v, cell: self.cells.glimpse(x, y) }
-    }
-
-    /// The pixel of the region of interest that shows a place of the frame, between it and the next. What lies before the
-    /// first becomes a number beyond all; NaN anything: `see` looks at the place before all else.
-    #[inline(always)]
-    fn pixel(&self, u: f32, v: f32) -> (usize, usize) {
-        ((u as usize).wrapping_sub(self.roi.u), ((v + 0.5) as usize).wrapping_sub(self.roi.v))
-    }
-
-    /// What the camera has where it would see a place, by what was read there and the phase that its projector casts on
-    /// the place, rad.
-    #[inline(always)]
-    pub fn see(&self, glance: &Glance, cast: f32) -> Sight {
-        let Glance { u, v, cell } = *glance;
-        let margin = BACKGROUND_PX;
-        let (w, h) = (self.pair.camera.width as f32, self.pair.camera.height as f32);
-        if !(margin..w - margin).contains(&u) || !(margin..h - margin).contains(&v) {
-            return Sight::Nothing;
-        }
-        match cell {
-            Glimpse::Whole { .. } if cast.is_nan() => Sight::Nothing,
-            Glimpse::Whole { node, phase, steps } => {
-                let (x, y) = self.pixel(u, v);
-                let left = (x - x % CELL_PX + self.roi.u) as f32;
-                let top = (y - y % CELL_PX + self.roi.v) as f32;
-                Sight::Node(node, phase + ((u - left) * steps[0] + (v - top) * steps[1]) - cast)
+    pub fn see(&self, spots: &Spots, i: usize) -> Sight {
+        let Some(cell) = self.cells.glimpses.get(spots.cell[i] as usize) else { return Sight::NONE };
+        match cell.node {
+            Glimpse::FAR => Sight { node: Sight::PAST, ahead: 0.0 },
+            Glimpse::NEAR => self.past(spots.x[i], spots.y[i]),
+            Glimpse::MIXED => self.see_closely(spots.x[i], spots.y[i], spots.cast[i]),
+            node => {
+                let seen = cell.phase + (spots.right[i] * cell.steps[0] + spots.down[i] * cell.steps[1]);
+                Sight::of(node, seen - spots.cast[i])
             }
-            Glimpse::Mixed => self.see_closely(u, v, cast),
-            Glimpse::Beside => self.past(u, v),
         }
     }
 
     /// The same where a cell's pixels have to be asked.
-    fn see_closely(&self, u: f32, v: f32, cast: f32) -> Sight {
-        let (x, y) = self.pixel(u, v);
-        let (here, right) = self.cells.pixels.at(x, y);
+    fn see_closely(&self, x: f32, y: f32, cast: f32) -> Sight {
+        let (here, right) = self.cells.pixels.at(column(x), column(y + 0.5));
         match here.node() {
-            None if !here.is_object() => self.past(u, v),
-            None => Sight::Nothing,
-            Some(_) if cast.is_nan() => Sight::Nothing,
+            None if !here.is_object() => self.past(x, y),
+            None => Sight::NONE,
             Some(node) => {
                 let step = right.phase - here.phase;
                 // Across a step there is nothing to interpolate; NaN is no step either.
                 let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
-                let part = u - (u as usize) as f32;
-                Sight::Node(node, here.phase + part * step - cast)
+                Sight::of(node, here.phase + (x - x.floor()) * step - cast)
             }
         }
     }
 
     /// Whether there is background around a place that is none of the object's.
-    fn past(&self, u: f32, v: f32) -> Sight {
+    fn past(&self, x: f32, y: f32) -> Sight {
         let margin = BACKGROUND_PX;
-        let around = [(-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
-        let object = |(a, b): (f32, f32)| {
-            let (x, y) = self.pixel(u + a + 0.5, v + b);
-            match self.cells.glimpse(x, y) {
-                Glimpse::Beside => false,
-                Glimpse::Whole { .. } => true,
-                Glimpse::Mixed => self.cells.pixels.at(x, y).0.is_object(),
-            }
-        };
-        // Columns are rounded here: so is the place itself, which may be a pixel further right.
-        if object((0.0, 0.0)) || around.into_iter().any(object) { Sight::Nothing } else { Sight::Past }
+        let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
+        let near =
+            |(a, b): (f32, f32)| self.cells.pixels.at(column(x + a + 0.5), column(y + b + 0.5)).0.is_object();
+        Sight { node: if around.into_iter().any(near) { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
     }
 
     /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.
