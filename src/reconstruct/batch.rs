@@ -411,7 +411,7 @@ impl Job<'_> {
             Frame::Owned(plane) => Mono8::from(plane),
             Frame::Gap(cause) => return Stage::Missing("gap", cause.clone()),
         };
-        match camera.pipeline.prepare(image) {
+        match camera.pipeline.begin(image) {
             Ok(prepared) => Stage::Prepared(Box::new(prepared)),
             Err(refused) => Stage::Refused(refused),
         }

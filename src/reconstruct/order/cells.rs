@@ -64,10 +64,8 @@ pub struct Border {
 /// What nodes are made of.
 #[derive(Debug)]
 pub struct Surface<'a> {
-    /// Phase unwrapped up to whole turns, rad; NaN where it is unknown.
+    /// Phase up to whole turns, rad; NaN where it is unknown.
     pub phase: &'a Plane<f32>,
-    /// What replaces it where the tree is not 0.
-    pub open: Option<(&'a Plane<f32>, &'a Plane<u32>)>,
     /// Local fringe period, px.
     pub period: &'a Plane<f32>,
     /// Not 0 on the object.
@@ -194,7 +192,7 @@ impl Cells {
     #[inline(always)]
     fn cut(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
-        let phase = surface.patch(left, top);
+        let mut phase = surface.patch(left, top);
         let cell = row * self.columns + column;
         let first = self.nodes.len();
         let known = bits(
@@ -203,6 +201,7 @@ impl Cells {
         );
         if known != 0 {
             let carrier = surface.carriers(left, top);
+            unwrap(&mut phase, &carrier, known);
             // A comparison with NaN is false: unknown neighbours do not continue.
             let right = !FIRST_COLUMN
                 & bits(
@@ -292,16 +291,18 @@ impl Cells {
             for (v, rest) in rest.iter_mut().enumerate() {
                 let (x, y) = (left + CELL_PX - 1, top + v);
                 let expected = surface.carrier(x, y) + (from.right + to.right) / 2.0;
-                *rest = surface.phase(x + 1, y) - surface.phase(x, y) - expected;
+                let (here, there) = self.pixels.at(x, y);
+                *rest = there.phase - here.phase - expected;
             }
             self.borders.push(border(a, b, rest));
         }
         if let Some(b) = below.and_then(|x| whole(&self.grid, &self.nodes, x)) {
             let to = &self.nodes[b as usize];
-            let (above, below) = (surface.row(left, top + CELL_PX - 1), surface.row(left, top + CELL_PX));
             let mut rest = [0f32; CELL_PX];
-            for u in 0..CELL_PX {
-                rest[u] = below[u] - above[u] - (from.down + to.down) / 2.0;
+            for (u, rest) in rest.iter_mut().enumerate() {
+                let (above, below) = (top + CELL_PX - 1, top + CELL_PX);
+                let step = self.pixels.at(left + u, below).0.phase - self.pixels.at(left + u, above).0.phase;
+                *rest = step - (from.down + to.down) / 2.0;
             }
             self.borders.push(border(a, b, rest));
         }
@@ -348,34 +349,12 @@ impl Cells {
 }
 
 impl Surface<'_> {
-    /// The phase of a pixel.
-    #[inline(always)]
-    fn phase(&self, u: usize, v: usize) -> f32 {
-        match self.open {
-            Some((relative, tree)) if tree.at(u, v) != 0 => relative.at(u, v),
-            _ => self.phase.at(u, v),
-        }
-    }
-
-    /// Phases of a row of a cell; NaN beyond the last column.
-    #[inline(always)]
-    fn row(&self, left: usize, v: usize) -> [f32; CELL_PX] {
-        let mut out = part(self.phase.row(v), left, f32::NAN);
-        if let Some((relative, tree)) = self.open {
-            let (relative, tree) = (part(relative.row(v), left, f32::NAN), part(tree.row(v), left, 0));
-            for u in 0..CELL_PX {
-                out[u] = if tree[u] != 0 { relative[u] } else { out[u] };
-            }
-        }
-        out
-    }
-
     /// Phases of a cell; NaN beyond the region of interest.
     #[inline(always)]
     fn patch(&self, left: usize, top: usize) -> Patch {
         let mut out = [[f32::NAN; CELL_PX]; CELL_PX];
         for (v, out) in (top..self.phase.height()).zip(&mut out) {
-            *out = self.row(left, v);
+            *out = part(self.phase.row(v), left, f32::NAN);
         }
         out
     }
@@ -433,6 +412,56 @@ fn bits(is: impl Fn(usize, usize) -> bool) -> u64 {
     u64::from_le_bytes(rows)
 }
 
+/// Unwraps the phases of a cell: to half a turn around the plane through the pixel nearest to its middle, with the steps
+/// that most neighbours take.
+#[inline(always)]
+fn unwrap(phase: &mut Patch, carrier: &Patch, known: u64) {
+    let (mut across, mut along) = ([0f32; CELL_PX], [0f32; CELL_PX]);
+    let mut counts = [[0f32; CELL_PX]; 2];
+    for v in 0..CELL_PX {
+        for u in 1..CELL_PX {
+            let step = phase[v][u] - phase[v][u - 1] - carrier[v][u];
+            let rest = step - TAU * whole_turns(step);
+            let continues = rest.abs() < INNER_RAD;
+            across[u] += if continues { rest + carrier[v][u] } else { 0.0 };
+            counts[0][u] += if continues { 1.0 } else { 0.0 };
+        }
+    }
+    for v in 1..CELL_PX {
+        for u in 0..CELL_PX {
+            let step = phase[v][u] - phase[v - 1][u];
+            let rest = step - TAU * whole_turns(step);
+            let continues = rest.abs() < INNER_RAD;
+            along[u] += if continues { rest } else { 0.0 };
+            counts[1][u] += if continues { 1.0 } else { 0.0 };
+        }
+    }
+    let mean = |sums: [f32; CELL_PX], counts: [f32; CELL_PX]| total(sums) / total(counts).max(1.0);
+    let (across, along) = (mean(across, counts[0]), mean(along, counts[1]));
+    let place = middle(known);
+    let (u0, v0) = (place % CELL_PX, place / CELL_PX);
+    let origin = phase[v0][u0] - across * u0 as f32 - along * v0 as f32;
+    for (v, row) in phase.iter_mut().enumerate() {
+        for (u, phase) in row.iter_mut().enumerate() {
+            let expected = origin + across * u as f32 + along * v as f32;
+            *phase += TAU * whole_turns(expected - *phase);
+        }
+    }
+}
+
+/// Whole turns in a phase.
+#[inline(always)]
+fn whole_turns(phase: f32) -> f32 {
+    /// Adding and taking away this rounds a float below 2^22 to the nearest whole number.
+    const ROUNDER: f32 = 12_582_912.0;
+    phase * (1.0 / TAU) + ROUNDER - ROUNDER
+}
+
+#[inline(always)]
+fn total([a, b, c, d, e, f, g, h]: [f32; CELL_PX]) -> f32 {
+    (a + b) + (c + d) + ((e + f) + (g + h))
+}
+
 /// All pixels that hang together with some: `right` and `down` tell which continue the one to their left and above.
 #[inline(always)]
 fn flood(seed: u64, right: u64, down: u64) -> u64 {
@@ -475,8 +504,7 @@ fn mean(mask: u64, value: impl Fn(usize, usize) -> f32) -> f32 {
             *sum += if bits >> u & 1 != 0 { value(u, v) } else { 0.0 };
         }
     }
-    let [a, b, c, d, e, f, g, h] = sums;
-    ((a + b) + (c + d) + ((e + f) + (g + h))) / mask.count_ones().max(1) as f32
+    total(sums) / mask.count_ones().max(1) as f32
 }
 
 /// The plane of a cell that one node fills: means of its halves.

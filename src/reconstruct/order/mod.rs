@@ -87,7 +87,7 @@ impl Regions {
     }
 }
 
-/// Gives every piece of every view its fringe order, or refuses it: afterwards `absolute` holds only what is certain.
+/// Gives every piece of every view its fringe order, or refuses it: afterwards `phase` holds only what is certain.
 /// All views must show the same instant. The result does not depend on threads. One view alone has no witnesses: what its
 /// own marker says stands, without regions.
 pub fn settle(views: &mut [View<'_>]) {
@@ -122,7 +122,6 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let pair = view.triangulator.pair();
     let cells = Cells::new(&Surface {
         phase: &prepared.absolute,
-        open: Some((&prepared.open.relative, &prepared.open.tree)),
         period: prepared.period(),
         object: &prepared.object,
         runs: prepared.runs(),
@@ -186,20 +185,18 @@ fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
 
 /// Writes the absolute phase of a view by the orders of its nodes.
 fn apply(prepared: &mut Prepared, outcome: Outcome) {
-    let (mut gained, mut known) = (0, 0);
+    let mut known = 0;
     for v in 0..prepared.absolute.height() {
         let (columns, pixels) = outcome.pixels.row(v);
-        for (absolute, pixel) in prepared.absolute.row_mut(v)[columns].iter_mut().zip(pixels) {
-            let phase = pixel.phase + outcome.shift.get(pixel.label()).copied().unwrap_or(f32::NAN);
-            gained += usize::from(absolute.is_nan() & !phase.is_nan());
+        for (phase, pixel) in prepared.absolute.row_mut(v)[columns].iter_mut().zip(pixels) {
+            *phase = pixel.phase + outcome.shift.get(pixel.label()).copied().unwrap_or(f32::NAN);
             known += usize::from(!phase.is_nan());
-            *absolute = phase;
         }
     }
     outcome.pixels.give_back();
     let counts = &mut prepared.counts;
     counts.refused = counts.phase.saturating_sub(known);
     counts.contradicted = outcome.contradicted;
-    counts.by_partner = gained;
     prepared.regions = outcome.regions;
+    prepared.settled = true;
 }
