@@ -159,6 +159,11 @@ impl Prepared {
         &self.period
     }
 
+    /// Misfit.
+    pub(super) fn misfit(&self) -> &Plane<f32> {
+        &self.phasors.misfit
+    }
+
     /// Runs of the object.
     pub(super) fn runs(&self) -> &Runs {
         &self.runs

@@ -1,7 +1,7 @@
 //! Fringe orders of all views of one instant, from all evidence.
 //!
 //! ```text
-//! cells     the unwrapped phase in patches of 8 x 8 px, and where they continue each other
+//! cells     the wrapped phase in patches of 8 x 8 px (patch), and where they continue each other
 //! pieces    patches grown to pieces of surface, joined only along whole borders
 //! lookout   where the other cameras would see a place
 //! witness   what another camera has at the place where a piece would be
@@ -20,6 +20,7 @@ mod elsewhere;
 mod graph;
 mod grow;
 mod lookout;
+mod patch;
 mod pieces;
 mod settle;
 mod sighted;
@@ -122,6 +123,7 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let pair = view.triangulator.pair();
     let cells = Cells::new(&Surface {
         phase: &prepared.absolute,
+        misfit: prepared.misfit(),
         period: prepared.period(),
         object: &prepared.object,
         runs: prepared.runs(),
