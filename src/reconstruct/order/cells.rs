@@ -15,7 +15,7 @@ use std::f32::consts::TAU;
 
 /// Pixels of a larger misfit join no nodes. A window that crosses a depth step does not hold a sine, so that they lie all along
 /// the seam where two surfaces meet, also where their phases agree by chance.
-const FINE_MISFIT: f32 = 0.25;
+const FINE_MISFIT: f32 = 0.2;
 
 /// Between nodes, steps this far from what their own slopes predict still continue, rad.
 const BORDER_RAD: f32 = 0.3;

@@ -19,7 +19,7 @@ use std::collections::BinaryHeap;
 pub const NONE: i32 = i32::MIN;
 
 /// Rounds of growing and trying.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 5;
 
 /// The least lead of a piece's order for its cores to be a beginning.
 const MIN_MARGIN: f32 = 0.5;

@@ -91,7 +91,7 @@ pub struct Scene<'a> {
     /// Where the other cameras see its places.
     pub lookout: Lookout<'a>,
     /// The view as a witness.
-    pub witness: Witness<'a>,
+    pub witness: Witness,
     /// Its pieces.
     pub pieces: Pieces,
     /// What is known of each.

@@ -26,9 +26,7 @@ fn column(x: f32) -> usize {
 
 /// A camera as a witness for the others.
 #[derive(Debug)]
-pub struct Witness<'a> {
-    /// Camera, projector and pattern.
-    pub pair: &'a Pair,
+pub struct Witness {
     /// Which head it belongs to.
     pub head: usize,
     /// Where its planes lie in the frame.
@@ -84,9 +82,9 @@ pub enum Verdict {
     Past,
 }
 
-impl<'a> Witness<'a> {
+impl Witness {
     /// A witness with the phase that it has unwrapped so far.
-    pub fn new(pair: &'a Pair, head: usize, roi: Roi, cells: Cells) -> Self {
+    pub fn new(pair: &Pair, head: usize, roi: Roi, cells: Cells) -> Self {
         let middle =
             Point3::from((Vector3::from(pair.volume_min_m) + Vector3::from(pair.volume_max_m)) / 2.0);
         let from = pair.camera.centre();
@@ -95,7 +93,7 @@ impl<'a> Witness<'a> {
             pair.projector.project(&at).map_or(0.0, |[column, _]| pair.pattern.phase(column))
         };
         let towards = (cast(0.01) - cast(-0.01)).signum() as f32;
-        Self { pair, head, roi, cells, towards }
+        Self { head, roi, cells, towards }
     }
 
     /// What the camera has at one of `spots`.
