@@ -80,26 +80,30 @@ impl Devices {
         self.distortion = set(self.distortion, lane, lens.distortion);
     }
 
+    /// One coordinate of a place in the axes of a device, times the inverse depth `w`.
+    #[inline(always)]
+    fn axis(&self, row: usize, i: usize, d: [f32; 3], w: f32) -> f32 {
+        let [x, y, z] = &self.turn[row];
+        w * self.centre[row][i] + (x[i] * d[0] + y[i] * d[1] + z[i] * d[2])
+    }
+
     /// Column and row of the place at inverse depth `w` of the line of sight along `d`; no number behind the device, where
     /// its lens folds over, and in lanes without a device.
     #[inline(always)]
     fn project(&self, d: [f32; 3], w: f32) -> [Lanes; 2] {
         let mut out = [[0.0; LANES]; 2];
         for i in 0..LANES {
-            let axis = |row: usize| {
-                let [x, y, z] = [self.turn[row][0][i], self.turn[row][1][i], self.turn[row][2][i]];
-                w * self.centre[row][i] + (x * d[0] + y * d[1] + z * d[2])
-            };
-            let depth = axis(2);
+            let depth = self.axis(2, i, d, w);
             let inverse = 1.0 / depth;
-            let (x, y) = (axis(0) * inverse, axis(1) * inverse);
-            let k = |n: usize| self.distortion[n][i];
+            let (x, y) = (self.axis(0, i, d, w) * inverse, self.axis(1, i, d, w) * inverse);
+            let [k1, k2, p1, p2, k3] = &self.distortion;
+            let (k1, k2, k3) = (k1[i], k2[i], k3[i]);
             let r2 = x * x + y * y;
-            let radial = 1.0 + r2 * (k(0) + r2 * (k(1) + r2 * k(4)));
-            let slope = 1.0 + r2 * (3.0 * k(0) + r2 * (5.0 * k(1) + r2 * (7.0 * k(4))));
+            let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+            let slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * (7.0 * k3)));
             let xy = 2.0 * x * y;
-            let u = x * radial + k(2) * xy + k(3) * (r2 + 2.0 * x * x);
-            let v = y * radial + k(2) * (r2 + 2.0 * y * y) + k(3) * xy;
+            let u = x * radial + p1[i] * xy + p2[i] * (r2 + 2.0 * x * x);
+            let v = y * radial + p1[i] * (r2 + 2.0 * y * y) + p2[i] * xy;
             let seen = (depth > 0.0) & (slope > 0.0);
             let column = self.focal[0][i] * u + self.principal[0][i];
             out[0][i] = if seen { column } else { f32::NAN };
@@ -229,5 +233,74 @@ impl Block {
             out.cast[i] = (column[i] + 0.5) * self.per_column[i];
         }
         out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BACKGROUND_PX, LANES, Lookout, NOWHERE};
+    use crate::calibrate::Calibration;
+    use crate::config::Rig;
+    use crate::reconstruct::order::cells::{CELL_PX, PAD_CELLS, padded};
+    use crate::reconstruct::pair::Pair;
+    use crate::reconstruct::rays::RayTable;
+    use crate::reconstruct::roi::Roi;
+    use crate::reconstruct::triangulate::Triangulator;
+    use std::f64::consts::TAU;
+    use std::path::Path;
+
+    /// The shipped rig with strong lenses.
+    fn pairs() -> Vec<Pair> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+        let mut calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
+        for head in &mut calibration.heads {
+            head.projector.lens.distortion = [-0.12, 0.08, 4e-4, -3e-4, 0.01];
+            for camera in &mut head.cameras {
+                camera.device.lens.distortion = [-0.11, 0.09, -3e-4, 2e-4, -0.01];
+            }
+        }
+        let pairs = calibration.cameras().map(|(head, camera)| Pair::new(head, camera, &calibration));
+        pairs.collect::<Result<_, _>>().expect("usable pairs")
+    }
+
+    #[test]
+    fn all_cameras_see_places_where_they_project_them() {
+        let pairs = pairs();
+        let roi = Roi { u: 300, v: 200, width: 1100, height: 700 };
+        let (view, table) = (1, RayTable::new(&pairs[1]));
+        let triangulator = Triangulator::new(pairs[view].clone());
+        let lookout = Lookout::new(&table, view, pairs.iter().map(|pair| (pair, roi)));
+        let (mut seen, mut looks) = (0, 0);
+        for (i, fringe) in (0..2000).map(|i| (i, f64::from(i) * 0.618 % 128.0)) {
+            let (u, v) = (i * 37 % 1900, i * 53 % 1190);
+            let Some((_, world)) = triangulator.point(u as usize, v as usize, fringe * TAU) else { continue };
+            let line = lookout.sightline(u as usize, v as usize);
+            let inside = lookout.look(&line, fringe as f32, |first, spots| {
+                for (pair, i) in pairs[first..].iter().zip(0..LANES).filter(|x| first + x.1 != view) {
+                    let Some(place) = pair.camera.project(&world) else { continue };
+                    let margin = f64::from(BACKGROUND_PX) + 0.1;
+                    let near = |x: f64, size: usize| x > margin && x < size as f64 - margin;
+                    if !near(place[0], pair.camera.width) || !near(place[1], pair.camera.height) {
+                        continue;
+                    }
+                    let (x, y) = (f64::from(spots.x[i]), f64::from(spots.y[i]));
+                    let off = (x + 300.0 - place[0]).hypot(y + 200.0 - place[1]);
+                    assert!(off < 0.05, "{off} px");
+                    assert_ne!(spots.cell[i], NOWHERE);
+                    if let Some([column, _]) = pair.projector.project(&world) {
+                        let off = (f64::from(spots.cast[i]) - pair.pattern.phase(column)).abs();
+                        assert!(off < 0.02, "{off} rad");
+                    }
+                    if (0.0..1100.0).contains(&x) && (0.0..699.0).contains(&y) {
+                        let cell = |x: f64| x as usize / CELL_PX + PAD_CELLS;
+                        let expected = cell(y + 0.5) * padded(roi.width) + cell(x);
+                        assert_eq!(spots.cell[i] as usize, expected, "({x}, {y})");
+                        seen += 1;
+                    }
+                }
+            });
+            looks += usize::from(inside);
+        }
+        assert!(looks > 200 && seen > 500, "{looks} places, {seen} seen");
     }
 }
