@@ -207,12 +207,9 @@ enum Stage {
 /// The frames of all cameras of one trigger give each other their fringe orders.
 fn help_each_other(cameras: &[(usize, &Camera)], stages: &mut [Stage]) {
     let views = cameras.iter().zip(stages).filter_map(|((head, camera), stage)| match stage {
-        Stage::Prepared(prepared) => Some(View {
-            table: camera.pipeline.table(),
-            triangulator: camera.pipeline.triangulator(),
-            head: *head,
-            prepared,
-        }),
+        Stage::Prepared(prepared) => {
+            Some(View { triangulator: camera.pipeline.triangulator(), head: *head, prepared })
+        }
         _ => None,
     });
     order::settle(&mut views.collect::<Vec<_>>());
@@ -411,7 +408,7 @@ impl Job<'_> {
             Frame::Owned(plane) => Mono8::from(plane),
             Frame::Gap(cause) => return Stage::Missing("gap", cause.clone()),
         };
-        match camera.pipeline.begin(image) {
+        match camera.pipeline.prepare(image) {
             Ok(prepared) => Stage::Prepared(Box::new(prepared)),
             Err(refused) => Stage::Refused(refused),
         }

@@ -16,6 +16,7 @@ use super::{
 };
 use crate::export::{Cloud, PhaseMap};
 use crate::image::{Mono8, Plane};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// How the absolute phase is found.
@@ -89,7 +90,7 @@ pub struct Maps {
 #[derive(Debug)]
 pub struct Pipeline {
     triangulator: Triangulator,
-    table: RayTable,
+    table: Arc<RayTable>,
     gains: Gains,
     bias: Bias,
     method: Method,
@@ -135,6 +136,8 @@ pub struct Prepared {
     pub absolute: Plane<f32>,
     /// Whether they are.
     pub(super) settled: bool,
+    /// Lines of sight of the camera.
+    pub(super) table: Arc<RayTable>,
     /// Pieces of surface with their own fringe order, and how certain it is.
     pub regions: Regions,
     /// Not 0 on marker cores.
@@ -193,7 +196,7 @@ impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
-        let table = RayTable::new(triangulator.pair());
+        let table = Arc::new(RayTable::new(triangulator.pair()));
         let camera = &triangulator.pair().camera;
         PLANES.make_room(camera.width * camera.height);
         TREES.make_room(camera.width * camera.height);
@@ -211,11 +214,6 @@ impl Pipeline {
         &self.triangulator
     }
 
-    /// Its camera's lines of sight.
-    pub(super) fn table(&self) -> &RayTable {
-        &self.table
-    }
-
     /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
         match self.prepare(image) {
@@ -225,14 +223,14 @@ impl Pipeline {
     }
 
     /// Unwraps one frame by itself; the error is the refusal of a frame that shows nothing.
-    pub fn prepare(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
-        let mut prepared = self.begin(image)?;
+    pub fn prepare_alone(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
+        let mut prepared = self.prepare(image)?;
         self.unwrap_alone(&mut prepared);
         Ok(prepared)
     }
 
     /// The wrapped phase of one frame; the error is the refusal of a frame that shows nothing.
-    pub(super) fn begin(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
+    pub fn prepare(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
         let pair = self.triangulator.pair();
@@ -273,6 +271,7 @@ impl Pipeline {
             roi,
             absolute,
             settled,
+            table: Arc::clone(&self.table),
             regions,
             marker,
             object,

@@ -30,7 +30,6 @@ mod witness;
 mod words;
 
 use super::pipeline::Prepared;
-use super::rays::RayTable;
 use super::runs::Runs;
 use super::triangulate::Triangulator;
 use crate::image::Plane;
@@ -49,8 +48,6 @@ use witness::Witness;
 /// One camera's frame and its geometry.
 #[derive(Debug)]
 pub struct View<'a> {
-    /// Its lines of sight.
-    pub table: &'a RayTable,
     /// Its geometry.
     pub triangulator: &'a Triangulator,
     /// Which head it belongs to: cameras of equal number see the same projector.
@@ -137,7 +134,7 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let states = vec![open; pieces.nodes.len()];
     let witness = Witness::new(pair, view.head, prepared.roi, cells);
     let lookout =
-        Lookout::new(view.table, number, views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)));
+        Lookout::new(&prepared.table, number, views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)));
     Scene { triangulator: view.triangulator, lookout, witness, pieces, states, px }
 }
 
