@@ -16,6 +16,7 @@ use super::{
 };
 use crate::export::{Cloud, PhaseMap};
 use crate::image::{Mono8, Plane};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// How the absolute phase is found.
@@ -51,8 +52,6 @@ pub struct Counts {
     pub contradicted: usize,
     /// Merges refused because anchors contradicted.
     pub contradictions: usize,
-    /// Pixels whose order other evidence than the forest gave.
-    pub by_partner: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,
 }
@@ -91,7 +90,7 @@ pub struct Maps {
 #[derive(Debug)]
 pub struct Pipeline {
     triangulator: Triangulator,
-    table: RayTable,
+    table: Arc<RayTable>,
     gains: Gains,
     bias: Bias,
     method: Method,
@@ -127,16 +126,18 @@ impl Clock {
     }
 }
 
-/// A frame whose phase is unwrapped as far as the camera alone can. [`super::order::settle`] weighs its orders
-/// before [`Pipeline::finish`] makes the cloud.
+/// A frame with its wrapped phase. [`super::order::settle`] finds its orders with the other cameras; where it has none,
+/// [`Pipeline::finish`] unwraps it as far as the camera alone can, before it makes the cloud.
 #[derive(Debug)]
 pub struct Prepared {
     /// Where the object is; all planes cover this part of the frame.
     pub roi: Roi,
-    /// Absolute phase, rad; NaN where it is not known.
+    /// Absolute phase, rad; NaN where it is not known. Wrapped until its orders are settled.
     pub absolute: Plane<f32>,
-    /// Trees that lack their fringe order.
-    pub open: OpenTrees,
+    /// Whether they are.
+    pub(super) settled: bool,
+    /// Lines of sight of the camera.
+    pub(super) table: Arc<RayTable>,
     /// Pieces of surface with their own fringe order, and how certain it is.
     pub regions: Regions,
     /// Not 0 on marker cores.
@@ -161,16 +162,26 @@ impl Prepared {
         &self.period
     }
 
+    /// Misfit.
+    pub(super) fn misfit(&self) -> &Plane<f32> {
+        &self.phasors.misfit
+    }
+
+    /// Runs of the object.
+    pub(super) fn runs(&self) -> &Runs {
+        &self.runs
+    }
+
     /// Notes a frame's share of work that was done for several.
     pub fn add_time(&mut self, stage: &'static str, time: Duration) {
         self.clock.0.push((stage, time));
     }
 }
 
-/// The absolute phase with what the points need beside it.
+/// The phase with what the points need beside it.
 struct Resolved {
-    absolute: Plane<f32>,
-    open: OpenTrees,
+    phase: Plane<f32>,
+    settled: bool,
     marker: Plane<u8>,
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
@@ -185,7 +196,7 @@ impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let bias = Bias::new(&triangulator.pair().pattern);
-        let table = RayTable::new(triangulator.pair());
+        let table = Arc::new(RayTable::new(triangulator.pair()));
         let camera = &triangulator.pair().camera;
         PLANES.make_room(camera.width * camera.height);
         TREES.make_room(camera.width * camera.height);
@@ -211,7 +222,14 @@ impl Pipeline {
         }
     }
 
-    /// Unwraps one frame; the error is the refusal of a frame that shows nothing.
+    /// Unwraps one frame by itself; the error is the refusal of a frame that shows nothing.
+    pub fn prepare_alone(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
+        let mut prepared = self.prepare(image)?;
+        self.unwrap_alone(&mut prepared);
+        Ok(prepared)
+    }
+
+    /// The wrapped phase of one frame; the error is the refusal of a frame that shows nothing.
     pub fn prepare(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
@@ -246,13 +264,14 @@ impl Pipeline {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
-        let Resolved { absolute, open, marker, runs, phasors, period, zone, planes } = resolved;
+        let Resolved { phase: absolute, settled, marker, runs, phasors, period, zone, planes } = resolved;
         // Until all cameras are heard.
-        let regions = Regions::none(0, 0);
+        let regions = Regions::default();
         Ok(Prepared {
             roi,
             absolute,
-            open,
+            settled,
+            table: Arc::clone(&self.table),
             regions,
             marker,
             object,
@@ -267,11 +286,11 @@ impl Pipeline {
     }
 
     /// Makes the cloud of an unwrapped frame.
-    pub fn finish(&self, prepared: Prepared) -> Reconstruction {
+    pub fn finish(&self, mut prepared: Prepared) -> Reconstruction {
+        self.unwrap_alone(&mut prepared);
         let Prepared {
             roi,
             mut absolute,
-            open,
             regions,
             mut counts,
             runs,
@@ -326,8 +345,6 @@ impl Pipeline {
         if self.method == Method::Anchored {
             PLANES.give_phasors(phasors);
             PLANES.give(period);
-            PLANES.give(open.relative);
-            TREES.give(open.tree);
         }
         if self.keep_maps {
             planes.push(("Fm", absolute));
@@ -363,26 +380,7 @@ impl Pipeline {
         clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
         counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
-        let unwrapped = clock.time("unwrap", || {
-            let (width, height) = (wrapped.width(), wrapped.height());
-            let mut out = Unwrapped {
-                absolute: PLANES.take(width, height),
-                open: OpenTrees { relative: PLANES.take(width, height), tree: TREES.take(width, height) },
-                refused_px: 0,
-                contradictions: 0,
-            };
-            out.absolute.as_mut_slice().fill(f32::NAN);
-            out.open.tree.as_mut_slice().fill(0);
-            let misfit = &phasors.misfit;
-            let input =
-                unwrap::Input { wrapped: &wrapped, period: &period, misfit, anchor: &marker, runs: &runs };
-            let settings = unwrap::Settings::default();
-            unwrap::unwrap_into(&input, pair, &settings, &mut buffers.unwrap, &mut out);
-            out
-        });
         BUFFERS.give(buffers);
-        counts.refused = unwrapped.refused_px;
-        counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
         if self.keep_maps {
             let amplitude = period::measure(image, object, pair.period_px).amplitude;
@@ -403,13 +401,41 @@ impl Pipeline {
                 ("Qm", quality),
                 ("Em", energy.unwrap_or_default()),
                 ("Mm", number(&marker)),
-                ("Um", unwrapped.absolute.clone()),
                 ("misfit", phasors.misfit.clone()),
             ];
         }
-        PLANES.give(wrapped);
-        let (absolute, open) = (unwrapped.absolute, unwrapped.open);
-        Resolved { absolute, open, marker, runs, phasors, period, zone, planes }
+        Resolved { phase: wrapped, settled: false, marker, runs, phasors, period, zone, planes }
+    }
+
+    /// Gives a frame whose orders are not settled those that its own marker and the forest tell.
+    fn unwrap_alone(&self, prepared: &mut Prepared) {
+        if prepared.settled {
+            return;
+        }
+        let Prepared { absolute: wrapped, runs, phasors, period, marker, counts, clock, .. } = prepared;
+        let mut buffers = BUFFERS.take();
+        let (width, height) = (wrapped.width(), wrapped.height());
+        let unwrapped = clock.time("unwrap", || {
+            let mut out = Unwrapped {
+                absolute: PLANES.take(width, height),
+                open: OpenTrees { relative: PLANES.take(width, height), tree: TREES.take(width, height) },
+                refused_px: 0,
+                contradictions: 0,
+            };
+            out.absolute.as_mut_slice().fill(f32::NAN);
+            out.open.tree.as_mut_slice().fill(0);
+            let input = unwrap::Input { wrapped, period, misfit: &phasors.misfit, anchor: marker, runs };
+            let (pair, settings) = (self.triangulator.pair(), unwrap::Settings::default());
+            unwrap::unwrap_into(&input, pair, &settings, &mut buffers.unwrap, &mut out);
+            out
+        });
+        BUFFERS.give(buffers);
+        counts.refused = unwrapped.refused_px;
+        counts.contradictions = unwrapped.contradictions;
+        PLANES.give(unwrapped.open.relative);
+        TREES.give(unwrapped.open.tree);
+        PLANES.give(std::mem::replace(wrapped, unwrapped.absolute));
+        prepared.settled = true;
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -463,9 +489,17 @@ impl Pipeline {
                 ("Mm", convert(&segment, f32::from)),
             ];
         }
-        let open = OpenTrees::none(absolute.width(), absolute.height());
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
-        Resolved { absolute, open, marker: segment, runs, phasors, period: periods.period, zone, planes }
+        Resolved {
+            phase: absolute,
+            settled: true,
+            marker: segment,
+            runs,
+            phasors,
+            period: periods.period,
+            zone,
+            planes,
+        }
     }
 }
 
@@ -485,7 +519,7 @@ fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> 
         phase: PhaseMap::default(),
         outcome: Outcome::Refused(reason),
         counts,
-        regions: Regions::none(0, 0),
+        regions: Regions::default(),
         stages: clock.0,
         maps: None,
     })

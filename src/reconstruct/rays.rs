@@ -45,6 +45,15 @@ pub struct RayTable {
     volume: [[f32; 3]; 2],
 }
 
+/// The line of sight of one pixel.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sightline {
+    /// In the world, as long as it takes for a camera z of 1.
+    pub direction: [f32; 3],
+    /// The inverse depth over the panel's columns, from the constant term on.
+    terms: [f32; TERMS],
+}
+
 /// Coordinates of points in a row of the table's blocks; NaN where there is none.
 #[derive(Debug)]
 pub(super) struct PointRow<'a> {
@@ -77,6 +86,32 @@ impl RayTable {
             per_fringe: (pair.pattern.period_px / half) as f32,
             volume: [pair.volume_min_m, pair.volume_max_m].map(|corner| corner.map(|x| x as f32)),
         }
+    }
+
+    /// The line of sight of pixel (u, v) of the frame.
+    pub(super) fn sightline(&self, u: usize, v: usize) -> Sightline {
+        let at = v / NODE_PX * self.columns + u / NODE_PX;
+        let (s, t) = ((u % NODE_PX) as f32 / NODE_PX as f32, (v % NODE_PX) as f32 / NODE_PX as f32);
+        let nodes = [at, at + 1, at + self.columns, at + self.columns + 1];
+        let [a, b, c, d] = nodes.map(|at| self.nodes.get(at).copied().unwrap_or([f32::NAN; 3 + TERMS]));
+        let mix = |k: usize| {
+            let (above, below) = (a[k] + s * (b[k] - a[k]), c[k] + s * (d[k] - c[k]));
+            above + t * (below - above)
+        };
+        Sightline { direction: std::array::from_fn(mix), terms: std::array::from_fn(|k| mix(3 + k)) }
+    }
+
+    /// Inverse of the depth at which a line of sight has an absolute phase, in fringes; `None` outside of the volume.
+    #[inline]
+    pub(super) fn inverse_depth(&self, line: &Sightline, fringes: f32) -> Option<f32> {
+        let s = fringes * self.per_fringe - 1.0;
+        let w = line.terms.iter().rev().fold(0.0, |w, term| w * s + term);
+        let depth = 1.0 / w;
+        let inside = (0..3).all(|i| {
+            let x = self.centre[i] + depth * line.direction[i];
+            (self.volume[0][i]..=self.volume[1][i]).contains(&x)
+        });
+        (s.abs() < 1.0 && w > 0.0 && inside).then_some(w)
     }
 
     /// Nodes of row `v` for blocks `first .. first + blocks` of 8 px, and the node after them, into `line`.

@@ -4,15 +4,18 @@
 //! node; where cells meet, the pixel pairs of two nodes tell whether their surfaces continue each other, and by how many
 //! whole turns their phases differ.
 
+use super::lookout::BACKGROUND_PX;
+pub use super::patch::CELL_PX;
+use super::patch::{ALL, FIRST_COLUMN, INNER_RAD, Patch, bits, mean, middle, part, parts, patch, unwrap};
+use super::sighted::{Pixel, Sighted};
 use crate::image::Plane;
+use crate::reconstruct::runs::Runs;
+use crate::reconstruct::simd;
 use std::f32::consts::TAU;
 
-/// Side of a cell, px.
-pub const CELL_PX: usize = 8;
-
-/// Within a cell, steps this far from the carrier's still continue, rad. Few pixels agree by chance so often that it
-/// matters there.
-const INNER_RAD: f32 = 0.8;
+/// Pixels of a larger misfit join no nodes. A window that crosses a depth step does not hold a sine, so that they lie all along
+/// the seam where two surfaces meet, also where their phases agree by chance.
+const FINE_MISFIT: f32 = 0.2;
 
 /// Between nodes, steps this far from what their own slopes predict still continue, rad.
 const BORDER_RAD: f32 = 0.3;
@@ -20,14 +23,38 @@ const BORDER_RAD: f32 = 0.3;
 /// A patch of one surface.
 #[derive(Debug, Clone, Copy)]
 pub struct Node {
-    /// The pixel that stands for it: its place in the planes.
+    /// The pixel that stands for it: its place in the region of interest, row by row.
     pub pixel: u32,
+    /// Its phase, rad.
+    pub phase: f32,
     /// Its pixels.
     pub size: u32,
+    /// Its cell, row by row.
+    pub cell: u32,
+    /// Its pixels within the cell.
+    pub mask: u64,
     /// Mean step to the right beyond the carrier's, rad.
     right: f32,
     /// Mean step down, rad.
     down: f32,
+}
+
+impl Node {
+    /// Some pixels of a cell: `phase` is that of the pixel that stands for them.
+    #[inline(always)]
+    fn new(cell: u32, mask: u64, pixel: u32, phase: f32, phases: &Patch, carrier: &Patch) -> Self {
+        let right = mean(
+            mask & (mask << 1) & !FIRST_COLUMN,
+            #[inline(always)]
+            |u, v| phases[v][u] - phases[v][u.max(1) - 1] - carrier[v][u],
+        );
+        let down = mean(
+            mask & (mask << CELL_PX),
+            #[inline(always)]
+            |u, v| phases[v][u] - phases[v.max(1) - 1][u],
+        );
+        Self { pixel, phase, size: mask.count_ones(), cell, mask, right, down }
+    }
 }
 
 /// Where two nodes touch.
@@ -45,134 +72,260 @@ pub struct Border {
     pub bad: u32,
 }
 
+/// What nodes are made of.
+#[derive(Debug)]
+pub struct Surface<'a> {
+    /// Phase up to whole turns, rad; NaN where it is unknown.
+    pub phase: &'a Plane<f32>,
+    /// Misfit of the fringe model.
+    pub misfit: &'a Plane<f32>,
+    /// Local fringe period, px.
+    pub period: &'a Plane<f32>,
+    /// Not 0 on the object.
+    pub object: &'a Plane<u8>,
+    /// The object's runs.
+    pub runs: &'a Runs,
+    /// Sign of the phase's step along the row.
+    pub sign: f32,
+}
+
+/// Cells around the region of interest in the grid that is looked at: beyond them there is nothing but background.
+pub const PAD_CELLS: usize = 3;
+
+/// Cells of the padded grid along so many pixels.
+pub fn padded(px: usize) -> usize {
+    px.div_ceil(CELL_PX) + 2 * PAD_CELLS
+}
+
+/// What a cell is for those who look at it from elsewhere.
+#[derive(Debug, Clone, Copy)]
+pub struct Glimpse {
+    /// The node that fills it; or one of the following.
+    pub node: u32,
+    /// The phase of the node's plane at the cell's first pixel, rad.
+    pub phase: f32,
+    /// Its step from column to column, and from row to row, rad.
+    pub steps: [f32; 2],
+}
+
+impl Glimpse {
+    /// Beside the object, and so is all within [`BACKGROUND_PX`].
+    pub const FAR: u32 = u32::MAX;
+    /// Beside the object.
+    pub const NEAR: u32 = u32::MAX - 1;
+    /// Its pixels have to be asked.
+    pub const MIXED: u32 = u32::MAX - 2;
+
+    /// A cell that no node fills.
+    pub const fn none(kind: u32) -> Self {
+        Self { node: kind, phase: f32::NAN, steps: [0.0; 2] }
+    }
+}
+
 /// The nodes of a view and where they touch.
 #[derive(Debug)]
 pub struct Cells {
-    /// Number of each pixel's node, plus one; 0 where the phase is unknown.
-    pub node: Plane<u32>,
+    /// Columns of the region of interest, px.
+    pub width: usize,
+    /// Cells in a row.
+    pub columns: usize,
+    /// The pixels with their nodes.
+    pub pixels: Sighted,
     /// The nodes, cell by cell.
     pub nodes: Vec<Node>,
     /// Their borders.
     pub borders: Vec<Border>,
+    /// First node and number of nodes of each cell.
+    grid: Vec<(u32, u32)>,
+    /// The cells at a glance, with [`PAD_CELLS`] around. Looks come from anywhere in the image and wait for memory: these
+    /// few stay in the cache.
+    pub glimpses: Vec<Glimpse>,
 }
 
 impl Cells {
-    /// Cuts `phase` (unwrapped up to whole turns, NaN: unknown) into nodes. `sign` is that of the phase's step along the
-    /// row, `period` the local fringe period, px.
-    pub fn new(phase: &Plane<f32>, period: &Plane<f32>, sign: f32) -> Self {
-        let (w, h) = (phase.width(), phase.height());
-        let mut cells = Self { node: Plane::filled(w, h, 0), nodes: Vec::new(), borders: Vec::new() };
-        for top in (0..h).step_by(CELL_PX) {
-            for left in (0..w).step_by(CELL_PX) {
-                cells.cut(phase, period, sign, left, top);
-            }
-        }
-        for top in (0..h).step_by(CELL_PX) {
-            for left in (0..w).step_by(CELL_PX) {
-                cells.touch(phase, period, sign, left, top);
-            }
-        }
+    /// Cuts a surface into nodes.
+    pub fn new(surface: &Surface<'_>) -> Self {
+        let (w, h) = (surface.phase.width(), surface.phase.height());
+        let (columns, rows) = (w.div_ceil(CELL_PX), h.div_ceil(CELL_PX));
+        let pixels = Sighted::new(surface.runs);
+        let (nodes, borders) = (Vec::with_capacity(columns * rows), Vec::with_capacity(2 * columns * rows));
+        let mut cells = Self {
+            width: w,
+            columns,
+            pixels,
+            nodes,
+            borders,
+            grid: vec![(0, 0); columns * rows],
+            glimpses: vec![Glimpse::none(Glimpse::FAR); padded(w) * padded(h)],
+        };
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for row in 0..rows {
+                    for column in band(surface.runs, row) {
+                        cells.cut(surface, column, row);
+                    }
+                }
+                for row in 0..rows {
+                    for column in band(surface.runs, row) {
+                        cells.touch(surface, column, row);
+                    }
+                }
+                cells.blur_outlines(surface.runs);
+            },
+        );
         cells
     }
 
-    /// The nodes of one cell.
-    fn cut(&mut self, phase: &Plane<f32>, period: &Plane<f32>, sign: f32, left: usize, top: usize) {
-        let (right, bottom) = ((left + CELL_PX).min(phase.width()), (top + CELL_PX).min(phase.height()));
-        let mut parent = [0u8; CELL_PX * CELL_PX];
-        let place = |u: usize, v: usize| (v - top) * CELL_PX + (u - left);
-        let mut known = false;
-        for v in top..bottom {
-            let row = phase.row(v);
-            for u in left..right {
-                let at = place(u, v);
-                parent[at] = at as u8;
-                if row[u].is_nan() {
+    /// Marks the background around the object.
+    #[inline(always)]
+    fn blur_outlines(&mut self, runs: &Runs) {
+        const REACH: usize = (BACKGROUND_PX as usize).div_ceil(CELL_PX);
+        let stride = padded(self.width);
+        for row in 0..self.grid.len() / self.columns.max(1) {
+            for column in band(runs, row) {
+                let at = (row + PAD_CELLS) * stride + column + PAD_CELLS;
+                if self.glimpses[at].node >= Glimpse::NEAR {
                     continue;
                 }
-                known = true;
-                // A comparison with NaN is false: unknown neighbours are not joined.
-                if u > left && (row[u] - row[u - 1] - carrier(period, sign, u - 1, v)).abs() < INNER_RAD {
-                    join(&mut parent, at - 1, at);
-                }
-                if v > top && (row[u] - phase.at(u, v - 1)).abs() < INNER_RAD {
-                    join(&mut parent, at - CELL_PX, at);
+                for step in 1..=REACH {
+                    for other in [at - step, at + step, at - step * stride, at + step * stride] {
+                        let node = &mut self.glimpses[other].node;
+                        *node = if *node == Glimpse::FAR { Glimpse::NEAR } else { *node };
+                    }
                 }
             }
-        }
-        if !known {
-            return;
-        }
-        let mut number = [0u32; CELL_PX * CELL_PX];
-        let first = self.nodes.len();
-        let mut sums: [(f32, u32, f32, u32); CELL_PX * CELL_PX] = [(0.0, 0, 0.0, 0); CELL_PX * CELL_PX];
-        for v in top..bottom {
-            for u in left..right {
-                let here = phase.at(u, v);
-                if here.is_nan() {
-                    continue;
-                }
-                let root = root(&parent, place(u, v));
-                if number[root] == 0 {
-                    let pixel = (v * phase.width() + u) as u32;
-                    self.nodes.push(Node { pixel, size: 0, right: 0.0, down: 0.0 });
-                    number[root] = self.nodes.len() as u32;
-                }
-                self.node.set(u, v, number[root]);
-                let i = number[root] as usize - 1 - first;
-                let node = &mut self.nodes[first + i];
-                node.size += 1;
-                let middle = |pixel: u32| {
-                    let (x, y) = (pixel as usize % phase.width(), pixel as usize / phase.width());
-                    (2 * x).abs_diff(2 * left + CELL_PX - 1) + (2 * y).abs_diff(2 * top + CELL_PX - 1)
-                };
-                let pixel = (v * phase.width() + u) as u32;
-                if middle(pixel) < middle(node.pixel) {
-                    node.pixel = pixel;
-                }
-                if u > left && self.node.at(u - 1, v) == number[root] {
-                    sums[i].0 += here - phase.at(u - 1, v) - carrier(period, sign, u - 1, v);
-                    sums[i].1 += 1;
-                }
-                if v > top && self.node.at(u, v - 1) == number[root] {
-                    sums[i].2 += here - phase.at(u, v - 1);
-                    sums[i].3 += 1;
-                }
-            }
-        }
-        for (node, (right, n, down, m)) in self.nodes[first..].iter_mut().zip(sums) {
-            node.right = right / n.max(1) as f32;
-            node.down = down / m.max(1) as f32;
         }
     }
 
+    /// The nodes of one cell.
+    #[inline(always)]
+    fn cut(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
+        let (left, top) = (column * CELL_PX, row * CELL_PX);
+        let mut phase = patch(surface.phase, left, top);
+        let cell = row * self.columns + column;
+        let first = self.nodes.len();
+        let known = bits(
+            #[inline(always)]
+            |u, v| !phase[v][u].is_nan(),
+        );
+        if known != 0 {
+            let carrier = surface.carriers(left, top);
+            unwrap(&mut phase, &carrier, known);
+            let misfit = patch(surface.misfit, left, top);
+            let fine = bits(
+                #[inline(always)]
+                |u, v| misfit[v][u] <= FINE_MISFIT,
+            );
+            // A comparison with NaN is false: unknown neighbours do not continue.
+            let right = !FIRST_COLUMN
+                & bits(
+                    #[inline(always)]
+                    |u, v| (phase[v][u] - phase[v][u.max(1) - 1] - carrier[v][u]).abs() < INNER_RAD,
+                );
+            let down = bits(
+                #[inline(always)]
+                |u, v| v > 0 && (phase[v][u] - phase[v.max(1) - 1][u]).abs() < INNER_RAD,
+            );
+            let (masks, count) = parts(known, fine, right, down);
+            for &mask in &masks[..count] {
+                let place = middle(mask);
+                let (u, v) = (place % CELL_PX, place / CELL_PX);
+                let pixel = ((top + v) * self.width + left + u) as u32;
+                self.nodes.push(Node::new(cell as u32, mask, pixel, phase[v][u], &phase, &carrier));
+            }
+        }
+        let nodes = &self.nodes[first..];
+        self.grid[cell] = (first as u32, nodes.len() as u32);
+        let mut shows = false;
+        for v in 0..CELL_PX.min(surface.phase.height() - top) {
+            let object = &surface.object.row(top + v)[left..surface.phase.width().min(left + CELL_PX)];
+            for (pixel, u) in self.pixels.part(top + v, left, object.len()) {
+                shows |= object[u] != 0;
+                let bit = 1 << (v * CELL_PX + u);
+                let node = match nodes {
+                    [node] if node.mask == ALL => Some(0),
+                    nodes => nodes.iter().position(|node| node.mask & bit != 0),
+                };
+                *pixel = Pixel::new(phase[v][u], object[u] != 0, node.map(|i| (first + i) as u32));
+            }
+        }
+        let place = (row + PAD_CELLS) * padded(self.width) + column + PAD_CELLS;
+        self.glimpses[place] = match nodes {
+            [node] if node.mask == ALL => plane(first as u32, &phase),
+            _ => Glimpse::none(if shows { Glimpse::MIXED } else { Glimpse::FAR }),
+        };
+    }
+
     /// The borders between the nodes of one cell, and to those of the cells to the right and below.
-    fn touch(&mut self, phase: &Plane<f32>, period: &Plane<f32>, sign: f32, left: usize, top: usize) {
-        let (w, h) = (phase.width(), phase.height());
+    #[inline(always)]
+    fn touch(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
+        let cell = row * self.columns + column;
+        let (a, count) = self.grid[cell];
+        let whole = |grid: &[(u32, u32)], nodes: &[Node], cell: usize| {
+            let (node, count) = grid[cell];
+            (count == 1 && nodes[node as usize].mask == ALL).then_some(node)
+        };
+        let empty = |grid: &[(u32, u32)], cell: usize| grid[cell].1 == 0;
+        if count == 0 {
+            return;
+        }
+        let beside = (column + 1 < self.columns).then_some(cell + 1);
+        let below = (cell + self.columns < self.grid.len()).then_some(cell + self.columns);
+        let whole_or_empty = |at: Option<usize>| {
+            at.is_none_or(|x| empty(&self.grid, x) || whole(&self.grid, &self.nodes, x).is_some())
+        };
+        if whole(&self.grid, &self.nodes, cell).is_none() || !whole_or_empty(beside) || !whole_or_empty(below)
+        {
+            return self.touch_any(surface, column, row);
+        }
+        let (left, top) = (column * CELL_PX, row * CELL_PX);
+        let from = self.nodes[a as usize];
+        if let Some(b) = beside.and_then(|x| whole(&self.grid, &self.nodes, x)) {
+            let to = &self.nodes[b as usize];
+            let mut rest = [0f32; CELL_PX];
+            for (v, rest) in rest.iter_mut().enumerate() {
+                let (x, y) = (left + CELL_PX - 1, top + v);
+                let expected = surface.carrier(x, y) + (from.right + to.right) / 2.0;
+                let (here, there) = self.pixels.at(x, y);
+                *rest = there.phase - here.phase - expected;
+            }
+            self.borders.push(border(a, b, rest));
+        }
+        if let Some(b) = below.and_then(|x| whole(&self.grid, &self.nodes, x)) {
+            let to = &self.nodes[b as usize];
+            let mut rest = [0f32; CELL_PX];
+            for (u, rest) in rest.iter_mut().enumerate() {
+                let (above, below) = (top + CELL_PX - 1, top + CELL_PX);
+                let step = self.pixels.at(left + u, below).0.phase - self.pixels.at(left + u, above).0.phase;
+                *rest = step - (from.down + to.down) / 2.0;
+            }
+            self.borders.push(border(a, b, rest));
+        }
+    }
+
+    /// The same where a cell has several nodes, or nodes with holes.
+    #[inline(never)]
+    fn touch_any(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
+        let (w, h) = (surface.phase.width(), surface.phase.height());
+        let (left, top) = (column * CELL_PX, row * CELL_PX);
         // (a, b, turns, pairs); pairs that do not continue have turns of `i32::MAX`.
-        let mut found: Vec<(u32, u32, i32, u32)> = Vec::new();
+        let mut found: Vec<(u32, u32, i32, u32)> = Vec::with_capacity(8);
         for v in top..(top + CELL_PX).min(h) {
             for u in left..(left + CELL_PX).min(w) {
-                let a = self.node.at(u, v);
-                if a == 0 {
-                    continue;
-                }
-                for down in [false, true] {
-                    let (x, y) = if down { (u, v + 1) } else { (u + 1, v) };
-                    let b = if x < w && y < h { self.node.at(x, y) } else { 0 };
-                    if b == 0 || a == b {
-                        continue;
-                    }
-                    let (a, b) = (a - 1, b - 1);
+                let (here, right) = self.pixels.at(u, v);
+                let Some(a) = here.node() else { continue };
+                let below = if v + 1 < h { self.pixels.at(u, v + 1).0 } else { Pixel::BESIDE };
+                for (down, there) in [(false, right), (true, below)] {
+                    let Some(b) = there.node().filter(|b| *b != a) else { continue };
                     let (from, to) = (&self.nodes[a as usize], &self.nodes[b as usize]);
                     let expected = if down {
                         (from.down + to.down) / 2.0
                     } else {
-                        carrier(period, sign, u, v) + (from.right + to.right) / 2.0
+                        surface.carrier(u, v) + (from.right + to.right) / 2.0
                     };
-                    let rest = phase.at(x, y) - phase.at(u, v) - expected;
-                    let turns = -(rest / TAU).round();
-                    let good = (rest + turns * TAU).abs() < BORDER_RAD;
-                    let (a, b, turns) = if a < b { (a, b, turns as i32) } else { (b, a, -turns as i32) };
+                    let (turns, good) = turns(there.phase - here.phase - expected);
+                    let (a, b, turns) = if a < b { (a, b, turns) } else { (b, a, -turns) };
                     let turns = if good { turns } else { i32::MAX };
                     match found.iter_mut().find(|x| (x.0, x.1, x.2) == (a, b, turns)) {
                         Some(x) => x.3 += 1,
@@ -191,19 +344,83 @@ impl Cells {
     }
 }
 
-/// The step that the period predicts between a pixel and the next in its row, rad.
-fn carrier(period: &Plane<f32>, sign: f32, u: usize, v: usize) -> f32 {
-    sign * 2.0 * TAU / (period.at(u, v) + period.at(u + 1, v))
-}
-
-fn root(parent: &[u8], mut at: usize) -> usize {
-    while usize::from(parent[at]) != at {
-        at = usize::from(parent[at]);
+impl Surface<'_> {
+    /// The step that the period predicts from the pixel to the left, for the pixels of a cell, rad; any number where
+    /// there is none in the cell.
+    #[inline(always)]
+    fn carriers(&self, left: usize, top: usize) -> Patch {
+        let mut out = [[0.0; CELL_PX]; CELL_PX];
+        for (v, out) in (top..self.phase.height()).zip(&mut out) {
+            let period = part(self.period.row(v), left, f32::NAN);
+            for u in 1..CELL_PX {
+                out[u] = self.sign * 2.0 * TAU / (period[u - 1] + period[u]);
+            }
+        }
+        out
     }
-    at
+
+    /// The step that the period predicts between a pixel and the next in its row, rad.
+    #[inline(always)]
+    fn carrier(&self, u: usize, v: usize) -> f32 {
+        self.sign * 2.0 * TAU / (self.period.at(u, v) + self.period.at(u + 1, v))
+    }
 }
 
-fn join(parent: &mut [u8], a: usize, b: usize) {
-    let (a, b) = (root(parent, a), root(parent, b));
-    parent[a.max(b)] = a.min(b) as u8;
+/// Columns of the cells of a row that the object touches.
+#[inline(always)]
+fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
+    let spans = (row * CELL_PX..runs.height().min((row + 1) * CELL_PX)).map(|v| runs.span(v));
+    let (mut first, mut end) = (usize::MAX, 0);
+    for span in spans.filter(|span| !span.is_empty()) {
+        (first, end) = (first.min(span.start), end.max(span.end));
+    }
+    if first < end { first / CELL_PX..end.div_ceil(CELL_PX) } else { 0..0 }
+}
+
+/// The plane of a cell that one node fills: means of its halves.
+#[inline(always)]
+fn plane(node: u32, phase: &Patch) -> Glimpse {
+    const HALF: usize = CELL_PX / 2;
+    let (mut above, mut below) = ([0f32; CELL_PX], [0f32; CELL_PX]);
+    for v in 0..HALF {
+        for u in 0..CELL_PX {
+            above[u] += phase[v][u];
+            below[u] += phase[v + HALF][u];
+        }
+    }
+    let sum = |part: &[f32]| (part[0] + part[1]) + (part[2] + part[3]);
+    let [a, b] = [sum(&above[..HALF]), sum(&above[HALF..])];
+    let [c, d] = [sum(&below[..HALF]), sum(&below[HALF..])];
+    // Halves are four pixels apart, and have 32.
+    let per = 1.0 / (HALF * HALF * CELL_PX) as f32;
+    let steps = [((b + d) - (a + c)) * per, ((c + d) - (a + b)) * per];
+    let middle = ((a + b) + (c + d)) / (CELL_PX * CELL_PX) as f32;
+    let phase = middle - (steps[0] + steps[1]) * (CELL_PX - 1) as f32 / 2.0;
+    Glimpse { node, phase, steps }
+}
+
+/// Whole turns to add so that nothing but a small rest stays, and whether it is small enough.
+#[inline(always)]
+fn turns(rest: f32) -> (i32, bool) {
+    let turns = -(rest / TAU).round();
+    (turns as i32, (rest + turns * TAU).abs() < BORDER_RAD)
+}
+
+/// The border of two nodes by what their eight pixel pairs say.
+#[inline(always)]
+fn border(a: u32, b: u32, rest: [f32; CELL_PX]) -> Border {
+    let mut counts = [(0i32, 0u32); CELL_PX];
+    let mut kinds = 0;
+    for rest in rest {
+        let (turns, good) = turns(rest);
+        if !good {
+            continue;
+        }
+        let at = counts[..kinds].iter().position(|x| x.0 == turns).unwrap_or(kinds);
+        kinds = kinds.max(at + 1);
+        counts[at] = (turns, counts[at].1 + 1);
+    }
+    let best = counts[..kinds].iter().max_by_key(|x| (x.1, -x.0.abs(), x.0));
+    let (turns, good) = best.copied().unwrap_or((0, 0));
+    Border { a, b, turns, good, bad: CELL_PX as u32 - good }
 }

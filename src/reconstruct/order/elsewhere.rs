@@ -2,14 +2,19 @@
 //!
 //! A limb before a trunk that grew from the trunk lies at the trunk's distance, hidden from all others: nothing contradicts
 //! it there. At its own distance the other heads see it. So each stretch of surface that no other head confirms is
-//! tried at every order that the volume allows; where clearly one is confirmed, it takes that.
+//! tried at every order that the volume allows; where clearly one is confirmed, it takes that. From round to round most
+//! stretches stay what they are, and so does most of what is known where they would be seen: such a stretch is not tried
+//! again.
 
 use super::cells::CELL_PX;
 use super::grow::{NONE, View, known, sums};
-use super::settle::Scene;
+use super::settle::{Scene, look_along};
 use super::volume;
-use super::words::Words;
+use super::witness::Sight;
+use super::words::{Words, judge};
+use crate::reconstruct::rays::Sightline;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 
 /// Stretches are sought within squares of so many cells.
@@ -32,10 +37,88 @@ const MIN_SHARE: f32 = 0.7;
 /// So many times more must be confirmed than contradicted.
 const LEAD: u32 = 4;
 
-/// Gives stretches that no other head confirms the order at which other heads see them.
-pub fn seek(scenes: &[Scene<'_>], views: &mut [View]) {
-    let known = known(views);
-    views.par_iter_mut().zip(scenes).filter(|(view, _)| view.partnered).for_each(|(view, scene)| {
+/// Nodes that stand for each other where it is asked whether what a camera knows has changed.
+const BLOCK_NODES: usize = 8;
+
+/// Blocks of nodes of all views.
+#[derive(Debug, Clone, Default)]
+struct Blocks(Vec<u64>);
+
+impl Blocks {
+    fn mark(&mut self, block: usize) {
+        if self.0.len() <= block / 64 {
+            self.0.resize(block / 64 + 1, 0);
+        }
+        self.0[block / 64] |= 1 << (block % 64);
+    }
+
+    fn meet(&self, other: &Self) -> bool {
+        self.0.iter().zip(&other.0).any(|(a, b)| a & b != 0)
+    }
+}
+
+/// What was tried in vain.
+#[derive(Debug)]
+struct Trial {
+    stretch: Vec<(u32, i32)>,
+    /// The blocks in which it would have been seen.
+    seen: Blocks,
+}
+
+/// What is kept from round to round.
+#[derive(Debug)]
+pub struct Seeker {
+    /// Where the blocks of each view begin.
+    first_block: Vec<usize>,
+    /// What was known in the last round.
+    known: Vec<Vec<i32>>,
+    /// By view and first node.
+    trials: Vec<BTreeMap<usize, Trial>>,
+}
+
+impl Seeker {
+    /// Nothing has been tried yet.
+    pub fn new(scenes: &[Scene<'_>]) -> Self {
+        let mut blocks = 0;
+        let first_block = scenes.iter().map(|scene| {
+            let first = blocks;
+            blocks += scene.pieces.of.len().div_ceil(BLOCK_NODES);
+            first
+        });
+        let first_block = first_block.collect();
+        let trials = scenes.iter().map(|_| BTreeMap::new()).collect();
+        Self { first_block, known: Vec::new(), trials }
+    }
+
+    /// Gives stretches that no other head confirms the order at which other heads see them.
+    pub fn seek(&mut self, scenes: &[Scene<'_>], views: &mut [View]) {
+        let known = known(views);
+        let mut changed = Blocks::default();
+        for (first, (is, was)) in self.first_block.iter().zip(known.iter().zip(&self.known)) {
+            for (node, _) in is.iter().zip(was).enumerate().filter(|(_, (is, was))| is != was) {
+                changed.mark(first + node / BLOCK_NODES);
+            }
+        }
+        let search = Search { scenes, known: &known, first_block: &self.first_block };
+        let views = views.par_iter_mut().zip(&mut self.trials).enumerate();
+        views.filter(|(_, (view, _))| view.partnered).for_each(|(number, (view, trials))| {
+            trials.retain(|_, trial| !trial.seen.meet(&changed));
+            search.view(number, view, trials);
+        });
+        self.known = known;
+    }
+}
+
+/// One round.
+struct Search<'a> {
+    scenes: &'a [Scene<'a>],
+    known: &'a [Vec<i32>],
+    first_block: &'a [usize],
+}
+
+impl Search<'_> {
+    fn view(&self, number: usize, view: &mut View, trials: &mut BTreeMap<usize, Trial>) {
+        let scene = &self.scenes[number];
         // Of what the others say, only what other heads confirm.
         let heads: Vec<Words> = view
             .words
@@ -47,14 +130,92 @@ pub fn seek(scenes: &[Scene<'_>], views: &mut [View]) {
             view.turns.iter().zip(&sum).map(|(x, sum)| *x == NONE || sum.heads == 0).collect();
         let mut seen = vec![false; lonely.len()];
         for first in 0..lonely.len() {
-            if lonely[first] && !seen[first] {
-                let stretch = stretch(view, scene, first, &lonely, &mut seen);
-                if let Some(order) = confirmed(scenes, scene, view, &stretch, &known) {
-                    take(scenes, view, &stretch, order, &known);
+            if !lonely[first] || seen[first] {
+                continue;
+            }
+            let stretch = stretch(view, scene, first, &lonely, &mut seen);
+            if stretch.len() < MIN_NODES || trials.get(&first).is_some_and(|x| x.stretch == stretch) {
+                continue;
+            }
+            let mut seen = Blocks::default();
+            match self.confirmed(number, &stretch, &mut seen) {
+                Some(order) => {
+                    trials.remove(&first);
+                    take(self.scenes, view, &stretch, order, self.known);
                 }
+                None => drop(trials.insert(first, Trial { stretch, seen })),
             }
         }
-    });
+    }
+
+    /// The order of a stretch that other heads clearly confirm. Where they would see it is marked.
+    fn confirmed(&self, number: usize, stretch: &[(u32, i32)], seen: &mut Blocks) -> Option<i32> {
+        let scene = &self.scenes[number];
+        let size = |node: u32| scene.witness.cells.nodes[node as usize].size;
+        let large: Vec<(u32, i32)> = stretch.iter().copied().filter(|x| size(x.0) >= MIN_SAMPLE_PX).collect();
+        let step = large.len().div_ceil(SAMPLES).max(1);
+        // Pixel, and phase at order 0 of the stretch.
+        let places: Vec<(usize, usize, f32)> = large
+            .iter()
+            .step_by(step)
+            .map(|&(node, turns)| {
+                let (u, v, phase) = scene.place(node);
+                (u, v, phase + TAU * (turns - scene.pieces.turns[node as usize]) as f32)
+            })
+            .collect();
+        if places.len() < MIN_NODES {
+            return None;
+        }
+        let ends = places.iter().step_by(places.len().div_ceil(2));
+        let ends =
+            ends.filter_map(|&(u, v, phase)| volume::orders_inside(scene.triangulator.pair(), u, v, phase));
+        let orders = ends.reduce(|a, b| *a.start().min(b.start())..=*a.end().max(b.end()))?;
+        let samples: Vec<(Sightline, f32)> =
+            places.into_iter().map(|(u, v, phase)| (scene.lookout.sightline(u, v), phase / TAU)).collect();
+        let (mut best, mut second) = ((i32::MIN, 0, 0, 0), 0);
+        let mut sights = Vec::new();
+        for order in orders {
+            let (mut agree, mut against) = (0u32, 0u32);
+            for (i, (line, fringes)) in samples.iter().enumerate() {
+                let words = self.words(number, line, fringes + order as f32, &mut sights, seen);
+                let bad = words.against + words.hidden;
+                agree += u32::from(words.heads > bad);
+                against += u32::from(bad > words.good());
+                if i + 1 == FIRST_SAMPLES && agree == 0 {
+                    break;
+                }
+            }
+            let score = agree as i32 - against as i32;
+            if score > best.0 {
+                second = best.0.max(0);
+                best = (score, order, agree, against);
+            } else {
+                second = second.max(score);
+            }
+        }
+        let (score, order, agree, against) = best;
+        let enough = agree >= MIN_CONFIRMED && agree as f32 >= MIN_SHARE * samples.len() as f32;
+        (enough && score >= 2 * second.max(1) && against * LEAD <= agree).then_some(order)
+    }
+
+    /// Words for a place on a line of sight.
+    fn words(
+        &self,
+        number: usize,
+        line: &Sightline,
+        fringes: f32,
+        sights: &mut Vec<Sight>,
+        seen: &mut Blocks,
+    ) -> Words {
+        sights.clear();
+        if !look_along(self.scenes, number, line, fringes, sights) {
+            return Words::IMPOSSIBLE;
+        }
+        for (first, sight) in self.first_block.iter().zip(sights.iter()).filter(|x| x.1.is_node()) {
+            seen.mark(first + sight.node as usize / BLOCK_NODES);
+        }
+        judge(self.scenes, number, self.known, sights)
+    }
 }
 
 /// The lonely nodes of a square that continue one another from `first` on, with the turns that each needs beside those of
@@ -68,7 +229,7 @@ fn stretch(
 ) -> Vec<(u32, i32)> {
     let square = |node: u32| {
         let pixel = scene.witness.cells.nodes[node as usize].pixel as usize;
-        let width = scene.witness.phase.width();
+        let width = scene.witness.cells.width;
         (pixel % width / (CELL_PX * SQUARE), pixel / width / (CELL_PX * SQUARE))
     };
     seen[first] = true;
@@ -87,55 +248,6 @@ fn stretch(
     }
     found.sort_unstable();
     found
-}
-
-/// The order of a stretch that other heads clearly confirm.
-fn confirmed(
-    scenes: &[Scene<'_>],
-    scene: &Scene<'_>,
-    view: &mut View,
-    stretch: &[(u32, i32)],
-    known: &[Vec<i32>],
-) -> Option<i32> {
-    if stretch.len() < MIN_NODES {
-        return None;
-    }
-    let size = |node: u32| scene.witness.cells.nodes[node as usize].size;
-    let large: Vec<(u32, i32)> = stretch.iter().copied().filter(|x| size(x.0) >= MIN_SAMPLE_PX).collect();
-    let step = large.len().div_ceil(SAMPLES).max(1);
-    let samples: Vec<(u32, i32)> = large.into_iter().step_by(step).collect();
-    if samples.len() < MIN_NODES {
-        return None;
-    }
-    let ends = samples.iter().step_by(samples.len().div_ceil(2)).filter_map(|&(node, turns)| {
-        let (u, v, phase) = scene.place(node);
-        let phase = phase + TAU * (turns - scene.pieces.turns[node as usize]) as f32;
-        volume::orders_inside(scene.triangulator.pair(), u, v, phase)
-    });
-    let orders = ends.reduce(|a, b| *a.start().min(b.start())..=*a.end().max(b.end()))?;
-    let (mut best, mut second) = ((i32::MIN, 0, 0, 0), 0);
-    for order in orders {
-        let (mut agree, mut against) = (0u32, 0u32);
-        for (i, &(node, turns)) in samples.iter().enumerate() {
-            let words = view.sights.passing(scenes, node as usize, order + turns, known);
-            let bad = words.against + words.hidden;
-            agree += u32::from(words.heads > bad);
-            against += u32::from(bad > words.good());
-            if i + 1 == FIRST_SAMPLES && agree == 0 {
-                break;
-            }
-        }
-        let score = agree as i32 - against as i32;
-        if score > best.0 {
-            second = best.0.max(0);
-            best = (score, order, agree, against);
-        } else {
-            second = second.max(score);
-        }
-    }
-    let (score, order, agree, against) = best;
-    let enough = agree >= MIN_CONFIRMED && agree as f32 >= MIN_SHARE * samples.len() as f32;
-    (enough && score >= 2 * second.max(1) && against * LEAD <= agree).then_some(order)
 }
 
 /// Gives a stretch its order where a place is confirmed; the rest of it is open again.

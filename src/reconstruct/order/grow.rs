@@ -7,7 +7,7 @@
 //! last round, what nobody confirms. What is open then is sought at the places where other heads see it
 //! ([`super::elsewhere`]), and the next round begins.
 
-use super::elsewhere;
+use super::elsewhere::Seeker;
 use super::graph::Graph;
 use super::settle::Scene;
 use super::words::{Sights, Words};
@@ -92,6 +92,7 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let mut views: Vec<View> = (0..scenes.len()).into_par_iter().map(|view| begin(scenes, view)).collect();
     check(scenes, &mut views);
     views.par_iter_mut().for_each(drop_unconfirmed);
+    let mut seeker = Seeker::new(scenes);
     for round in 0..ROUNDS {
         for view in &mut views {
             view.banned.iter_mut().for_each(Vec::clear);
@@ -105,7 +106,7 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
         }
         check(scenes, &mut views);
         if round + 1 < ROUNDS {
-            elsewhere::seek(scenes, &mut views);
+            seeker.seek(scenes, &mut views);
             views.par_iter_mut().for_each(drop_unconfirmed);
         }
     }
@@ -259,7 +260,7 @@ fn conflict(view: &View, node: usize) -> (u32, u32) {
 }
 
 /// Words of the head's other camera that stand against a neighbour of another order.
-const FIRM: i16 = 11;
+const FIRM: i16 = 9;
 
 /// Tries all that has an order against all that has, and takes it from what is contradicted.
 fn check(scenes: &[Scene<'_>], views: &mut [View]) {
@@ -310,8 +311,8 @@ fn finish(view: View, scene: &Scene<'_>) -> Vec<Label> {
         let unconfirmed = view.words[node].good() == 0 && sum.good() < 3;
         // What only other heads confirm: the surface behind a limb is seen by them too.
         let alone = sum.partner == 0 && (scene.pieces.core[node] || sum.hidden == 0);
-        let torn = conflict > 16 || conflict > 0 && sum.partner <= 15;
-        let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 12;
+        let torn = conflict > 16 || conflict > 0 && sum.partner <= 12;
+        let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 9;
         unconfirmed || alone || torn || rim
     };
     let label = |node: usize| {

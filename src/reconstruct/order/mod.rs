@@ -1,8 +1,9 @@
 //! Fringe orders of all views of one instant, from all evidence.
 //!
 //! ```text
-//! cells     the unwrapped phase in patches of 8 x 8 px, and where they continue each other
+//! cells     the wrapped phase in patches of 8 x 8 px (patch), and where they continue each other
 //! pieces    patches grown to pieces of surface, joined only along whole borders
+//! lookout   where the other cameras would see a place
 //! witness   what another camera has at the place where a piece would be
 //! settle    marker, neighbours and other cameras weighed: each piece gets an order, or is refused
 //! split     pieces that have grown over two surfaces, parted
@@ -18,6 +19,8 @@ mod cells;
 mod elsewhere;
 mod graph;
 mod grow;
+mod lookout;
+mod patch;
 mod pieces;
 mod settle;
 mod sighted;
@@ -27,13 +30,16 @@ mod witness;
 mod words;
 
 use super::pipeline::Prepared;
+use super::runs::Runs;
 use super::triangulate::Triangulator;
 use crate::image::Plane;
-use cells::Cells;
+use cells::{CELL_PX, Cells, Surface};
 use grow::{Label, NONE};
+use lookout::Lookout;
 use pieces::Pieces;
 use rayon::prelude::*;
 use settle::{Refusal, Scene, State};
+use sighted::{FIRST_NODE, Sighted};
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 use std::time::Instant;
@@ -51,32 +57,35 @@ pub struct View<'a> {
 }
 
 /// Pieces of a view's surface with one fringe order each, and how certain these are.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Regions {
-    /// Column and row of the frame at which `id` begins.
-    pub origin: (usize, usize),
-    /// Region of each pixel, 0 where there is none: its order has come from its neighbours.
-    pub id: Plane<u16>,
+    /// Column and row of the frame at which the cells begin.
+    origin: (usize, usize),
+    /// Cells in a row.
+    columns: usize,
+    /// Patches of the surface: cell, pixels within it, region. Cell by cell.
+    patches: Vec<(u32, u64, u32)>,
     /// How far the evidence for each region's order leads that for any other: 1 is the full word of one camera, or 60
-    /// pixels of marker. Entry 0 stands for no region.
-    pub margin: Vec<f32>,
+    /// pixels of marker.
+    margin: Vec<f32>,
 }
 
 impl Regions {
-    /// No regions.
-    pub fn none(width: usize, height: usize) -> Self {
-        Self { origin: (0, 0), id: Plane::filled(width, height, 0), margin: vec![0.0] }
-    }
-
-    /// The margin of the order at a pixel of the frame, such as a cloud's `pixel`; 0 where there is no region.
+    /// The margin of the order at a pixel of the frame, such as a cloud's `pixel`; 0 where there is no region: its order has
+    /// come from its neighbours.
     pub fn margin_at(&self, [u, v]: [u16; 2]) -> f32 {
         let place = usize::from(u).checked_sub(self.origin.0).zip(usize::from(v).checked_sub(self.origin.1));
-        let id = place.filter(|(u, v)| *u < self.id.width() && *v < self.id.height());
-        id.and_then(|(u, v)| self.margin.get(usize::from(self.id.at(u, v))).copied()).unwrap_or(0.0)
+        let Some((u, v)) = place.filter(|(u, _)| u / CELL_PX < self.columns) else { return 0.0 };
+        let cell = (v / CELL_PX * self.columns + u / CELL_PX) as u32;
+        let bit = 1u64 << (v % CELL_PX * CELL_PX + u % CELL_PX);
+        let first = self.patches.partition_point(|patch| patch.0 < cell);
+        let mut patches = self.patches[first..].iter().take_while(|patch| patch.0 == cell);
+        let region = patches.find(|patch| patch.1 & bit != 0);
+        region.and_then(|patch| self.margin.get(patch.2 as usize).copied()).unwrap_or(0.0)
     }
 }
 
-/// Gives every piece of every view its fringe order, or refuses it: afterwards `absolute` holds only what is certain.
+/// Gives every piece of every view its fringe order, or refuses it: afterwards `phase` holds only what is certain.
 /// All views must show the same instant. The result does not depend on threads. One view alone has no witnesses: what its
 /// own marker says stands, without regions.
 pub fn settle(views: &mut [View<'_>]) {
@@ -85,96 +94,108 @@ pub fn settle(views: &mut [View<'_>]) {
     }
     let start = Instant::now();
     let results: Vec<Outcome> = {
-        let mut scenes: Vec<Scene<'_>> = views.par_iter().map(scene).collect();
+        let mut scenes: Vec<Scene<'_>> =
+            (0..views.len()).into_par_iter().map(|view| scene(views, view)).collect();
         settle::settle(&mut scenes);
         let labels = grow::labels(&scenes);
-        scenes.into_iter().zip(labels).map(|(scene, labels)| outcome(scene, &labels)).collect()
+        scenes.into_par_iter().zip(labels).map(|(scene, labels)| outcome(scene, &labels)).collect()
     };
-    for (view, result) in views.iter_mut().zip(results) {
-        let counts = &mut view.prepared.counts;
-        let before = &view.prepared.absolute;
-        let (mut refused, mut gained) = (0, 0);
-        for (was, is) in before.as_slice().iter().zip(result.absolute.as_slice()) {
-            gained += usize::from(was.is_nan() && !is.is_nan());
-            refused += usize::from(is.is_nan());
-        }
-        counts.refused = counts.phase.saturating_sub(result.absolute.as_slice().len() - refused);
-        counts.contradicted = result.contradicted;
-        counts.by_partner = gained;
-        view.prepared.absolute = result.absolute;
-        view.prepared.regions = result.regions;
-    }
+    views.par_iter_mut().zip(results).for_each(|(view, result)| apply(view.prepared, result));
     let share = start.elapsed() / views.len().max(1) as u32;
     views.iter_mut().for_each(|view| view.prepared.add_time("order", share));
 }
 
 struct Outcome {
-    absolute: Plane<f32>,
+    pixels: Sighted,
+    /// What to add to the phases of each label ([`Pixel::label`]), rad; NaN where there is no order.
+    shift: Vec<f32>,
     regions: Regions,
     contradicted: usize,
 }
 
 /// A view's pieces, all open.
-fn scene<'a>(view: &'a View<'_>) -> Scene<'a> {
+fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
+    let view = &views[number];
     let prepared = &*view.prepared;
     let pair = view.triangulator.pair();
-    let mut phase = prepared.absolute.clone();
-    let open = &prepared.open;
-    for ((phase, relative), tree) in
-        phase.as_mut_slice().iter_mut().zip(open.relative.as_slice()).zip(open.tree.as_slice())
-    {
-        if *tree != 0 {
-            *phase = *relative;
-        }
-    }
-    let cells = Cells::new(&phase, prepared.period(), pair.sign);
-    let votes = votes(&cells, &phase, &prepared.marker, &pair.markers);
+    let cells = Cells::new(&Surface {
+        phase: &prepared.absolute,
+        misfit: prepared.misfit(),
+        period: prepared.period(),
+        object: &prepared.object,
+        runs: prepared.runs(),
+        sign: pair.sign,
+    });
+    let votes = votes(&cells, &prepared.marker, prepared.runs(), &pair.markers);
     let pieces = Pieces::new(&cells, &votes, settle::MIN_VOTES);
     let px =
         pieces.nodes.iter().map(|nodes| nodes.iter().map(|&x| cells.nodes[x as usize].size).sum()).collect();
     let open = State { order: Err(Refusal::NoEvidence), margin: 0.0 };
     let states = vec![open; pieces.nodes.len()];
-    let witness = Witness::new(pair, view.head, prepared.roi, phase, &prepared.object, cells);
-    Scene { triangulator: view.triangulator, witness, pieces, states, px }
+    let witness = Witness::new(pair, view.head, prepared.roi, cells);
+    let lookout =
+        Lookout::new(&prepared.table, number, views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)));
+    Scene { triangulator: view.triangulator, lookout, witness, pieces, states, px }
 }
 
 /// The orders that marker pixels give their nodes: node, order, pixels.
-fn votes(cells: &Cells, phase: &Plane<f32>, marker: &Plane<u8>, markers: &[u32]) -> Vec<(u32, i32, u32)> {
+fn votes(cells: &Cells, marker: &Plane<u8>, runs: &Runs, markers: &[u32]) -> Vec<(u32, i32, u32)> {
     let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
-    let pixels = marker.as_slice().iter().zip(phase.as_slice()).zip(cells.node.as_slice());
-    for ((marker, phase), node) in pixels.filter(|((marker, _), node)| **marker != 0 && **node != 0) {
-        // On the marker's core the wrapped phase is small: the nearest whole turn is the node's own.
-        let order = markers[usize::from(marker - 1)] as i32 - (phase / TAU).round() as i32;
-        *votes.entry((node - 1, order)).or_default() += 1;
+    for v in 0..marker.height() {
+        let (columns, pixels) = cells.pixels.row(v);
+        for run in runs.row(v) {
+            let marker = &marker.row(v)[run.columns()];
+            let pixels = pixels.get(run.start() - columns.start..).unwrap_or_default();
+            for (marker, pixel) in marker.iter().zip(pixels).filter(|(marker, _)| **marker != 0) {
+                let Some(node) = pixel.node() else { continue };
+                // On the marker's core the wrapped phase is small: the nearest whole turn is the node's own.
+                let order = markers[usize::from(marker - 1)] as i32 - (pixel.phase / TAU).round() as i32;
+                *votes.entry((node, order)).or_default() += 1;
+            }
+        }
     }
     votes.into_iter().map(|((node, order), n)| (node, order, n)).collect()
 }
 
 fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
-    let mut absolute = scene.witness.phase.clone();
-    let mut regions = Regions::none(absolute.width(), absolute.height());
-    regions.origin = (scene.witness.roi.u, scene.witness.roi.v);
-    regions.margin.extend(scene.states.iter().map(|x| x.margin));
+    let cells = &scene.witness.cells;
+    let mut regions = Regions {
+        origin: (scene.witness.roi.u, scene.witness.roi.v),
+        columns: cells.columns,
+        patches: Vec::with_capacity(labels.len()),
+        margin: scene.states.iter().map(|x| x.margin).collect(),
+    };
     let mut contradicted = 0;
-    for ((phase, &node), id) in absolute
-        .as_mut_slice()
-        .iter_mut()
-        .zip(scene.witness.cells.node.as_slice())
-        .zip(regions.id.as_mut_slice())
-        .filter(|((_, x), _)| **x != 0)
-    {
-        let piece = scene.pieces.of[node as usize - 1] as usize;
-        let label = labels[node as usize - 1];
+    let mut shift = vec![f32::NAN; FIRST_NODE as usize + labels.len()];
+    let shifts = &mut shift[FIRST_NODE as usize..];
+    for (i, ((node, label), shift)) in cells.nodes.iter().zip(labels).zip(shifts).enumerate() {
         if label.turns == NONE {
-            *phase = f32::NAN;
-            contradicted += usize::from(label.contradicted);
+            contradicted += if label.contradicted { node.size as usize } else { 0 };
         } else {
-            *phase += TAU * label.turns as f32;
+            *shift = TAU * label.turns as f32;
             // What has grown from elsewhere has not the margin of its piece.
-            if scene.turns_of(node - 1) == Some(label.turns) {
-                *id = u16::try_from(piece + 1).unwrap_or(u16::MAX);
+            if scene.turns_of(i as u32) == Some(label.turns) {
+                regions.patches.push((node.cell, node.mask, scene.pieces.of[i]));
             }
         }
     }
-    Outcome { absolute, regions, contradicted }
+    Outcome { pixels: scene.witness.cells.pixels, shift, regions, contradicted }
+}
+
+/// Writes the absolute phase of a view by the orders of its nodes.
+fn apply(prepared: &mut Prepared, outcome: Outcome) {
+    let mut known = 0;
+    for v in 0..prepared.absolute.height() {
+        let (columns, pixels) = outcome.pixels.row(v);
+        for (phase, pixel) in prepared.absolute.row_mut(v)[columns].iter_mut().zip(pixels) {
+            *phase = pixel.phase + outcome.shift.get(pixel.label()).copied().unwrap_or(f32::NAN);
+            known += usize::from(!phase.is_nan());
+        }
+    }
+    outcome.pixels.give_back();
+    let counts = &mut prepared.counts;
+    counts.refused = counts.phase.saturating_sub(known);
+    counts.contradicted = outcome.contradicted;
+    prepared.regions = outcome.regions;
+    prepared.settled = true;
 }

@@ -362,8 +362,10 @@ impl Links {
 
 #[cfg(test)]
 mod tests {
+    use super::super::cells::Surface;
     use super::{Cells, Pieces};
     use crate::image::Plane;
+    use crate::reconstruct::runs::Runs;
     use std::f32::consts::TAU;
 
     const W: usize = 240;
@@ -374,7 +376,18 @@ mod tests {
     fn pieces(extra: impl Fn(usize, usize) -> f32) -> (Cells, Pieces, Vec<usize>) {
         let data = (0..W * H).map(|i| (i % W) as f32 * TAU / PERIOD + extra(i % W, i / W)).collect();
         let phase = Plane::from_vec(W, H, data).expect("the plane's size");
-        let cells = Cells::new(&phase, &Plane::filled(W, H, PERIOD), 1.0);
+        let (object, misfit) = (Plane::filled(W, H, 1), Plane::filled(W, H, 0.0));
+        let period = Plane::filled(W, H, PERIOD);
+        let runs = Runs::of(&object);
+        let surface = Surface {
+            phase: &phase,
+            misfit: &misfit,
+            period: &period,
+            object: &object,
+            runs: &runs,
+            sign: 1.0,
+        };
+        let cells = Cells::new(&surface);
         let pieces = Pieces::new(&cells, &[], 20);
         let large = (0..pieces.nodes.len()).filter(|&i| pieces.nodes[i].len() >= 10).collect();
         (cells, pieces, large)

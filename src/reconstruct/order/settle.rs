@@ -6,10 +6,13 @@
 //! a margin; else the piece waits for others to be settled. At last every settled piece is tried against all others, the
 //! most doubtful first: one that is contradicted takes the order that is not, if there is one, or is refused.
 
+use super::lookout::{LANES, Lookout};
 use super::pieces::Pieces;
-use super::witness::{Glance, Sight, Verdict, Witness};
+use super::witness::{Sight, Verdict, Witness};
+use crate::reconstruct::rays::Sightline;
 use crate::reconstruct::triangulate::Triangulator;
 use std::collections::BTreeMap;
+use std::f32::consts::TAU;
 
 /// Marker pixels from which a piece counts as crossed by the marker.
 pub const MIN_VOTES: u32 = 20;
@@ -85,8 +88,10 @@ pub struct State {
 pub struct Scene<'a> {
     /// Places to points.
     pub triangulator: &'a Triangulator,
+    /// Where the other cameras see its places.
+    pub lookout: Lookout<'a>,
     /// The view as a witness.
-    pub witness: Witness<'a>,
+    pub witness: Witness,
     /// Its pieces.
     pub pieces: Pieces,
     /// What is known of each.
@@ -95,11 +100,11 @@ pub struct Scene<'a> {
     pub px: Vec<u32>,
 }
 
-/// What the other cameras have at the sampled places of a piece at one order.
-pub type Sights = Vec<(u8, Sight)>;
+/// What the cameras have at the sampled places, by view, piece and order, each looked up once.
+type Cache = BTreeMap<(usize, usize, i32), Vec<Sight>>;
 
-/// Sights by view, piece and order, each looked up once.
-type Cache = BTreeMap<(usize, usize, i32), Sights>;
+/// Pieces that could not be parted, by view and piece, with the orders that were tried.
+type Whole = BTreeMap<(usize, usize), Vec<i32>>;
 
 /// Evidence for one order of a piece.
 #[derive(Debug, Clone, Copy, Default)]
@@ -121,10 +126,11 @@ pub fn settle(scenes: &mut [Scene<'_>]) {
         scene.states = scene.pieces.votes.iter().map(by_marker).collect();
     }
     let mut cache = Cache::new();
+    let mut whole = Whole::new();
     for _ in 0..MAX_ROUNDS {
         spread(scenes, &mut cache);
         let moved = verify(scenes, &mut cache);
-        let parted = part(scenes, &mut cache);
+        let parted = part(scenes, &mut cache, &mut whole);
         if !moved && !parted {
             break;
         }
@@ -134,7 +140,7 @@ pub fn settle(scenes: &mut [Scene<'_>]) {
 }
 
 /// Parts pieces that agree with the other cameras at different orders in different places. Whether there were any.
-fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
+fn part(scenes: &mut [Scene<'_>], cache: &mut Cache, whole: &mut Whole) -> bool {
     let mut parted = false;
     for view in 0..scenes.len() {
         for piece in 0..scenes[view].states.len() {
@@ -154,7 +160,13 @@ fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
             if orders.len() < 2 {
                 continue;
             }
-            let Some(parts) = super::split::parts(scenes, view, piece, &orders) else { continue };
+            if whole.get(&(view, piece)) == Some(&orders) {
+                continue;
+            }
+            let Some(parts) = super::split::parts(scenes, view, piece, &orders) else {
+                whole.insert((view, piece), orders);
+                continue;
+            };
             let scene = &mut scenes[view];
             let first = scene.states.len();
             scene.pieces.part(piece, parts, &scene.witness.cells);
@@ -287,9 +299,9 @@ fn samples(scene: &Scene<'_>, piece: usize) -> Vec<u32> {
 impl Scene<'_> {
     /// Frame pixel of a node and its phase in its piece, rad.
     pub fn place(&self, node: u32) -> (usize, usize, f32) {
-        let pixel = self.witness.cells.nodes[node as usize].pixel as usize;
         let (roi, turns) = (self.witness.roi, self.pieces.turns[node as usize]);
-        let phase = self.witness.phase.as_slice()[pixel] + std::f32::consts::TAU * turns as f32;
+        let node = &self.witness.cells.nodes[node as usize];
+        let (pixel, phase) = (node.pixel as usize, node.phase + TAU * turns as f32);
         (roi.u + pixel % roi.width, roi.v + pixel / roi.width, phase)
     }
 
@@ -300,37 +312,36 @@ impl Scene<'_> {
     }
 }
 
-/// What all other cameras have where a node would be at an order, appended to `out`. False outside the volume.
-pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut Sights) -> bool {
+/// What all cameras have where a node would be at an order, appended to `out`: of the view itself nothing. False, and
+/// nothing appended, outside the volume.
+pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut Vec<Sight>) -> bool {
     let scene = &scenes[view];
     let (u, v, phase) = scene.place(node);
-    let phase = f64::from(phase) + std::f64::consts::TAU * f64::from(order);
-    let point = scene.triangulator.point(u, v, phase);
-    let Some((_, world)) = point.filter(|(_, world)| scene.triangulator.pair().in_volume(world)) else {
-        return false;
-    };
-    const TOGETHER: usize = 8;
-    for (chunk, scenes) in scenes.chunks(TOGETHER).enumerate() {
-        let first = chunk * TOGETHER;
-        let mut glances = [Glance::NONE; TOGETHER];
-        for (glance, scene) in glances.iter_mut().zip(scenes) {
-            *glance = scene.witness.glance(&world);
-        }
-        for ((other, scene), glance) in (first..).zip(scenes).zip(&glances).filter(|x| x.0.0 != view) {
-            out.push((other as u8, scene.witness.see(glance, &world)));
-        }
-    }
-    true
+    look_along(scenes, view, &scene.lookout.sightline(u, v), phase / TAU + order as f32, out)
+}
+
+/// The same along a line of sight of the view, at an absolute phase in fringes.
+#[inline]
+pub fn look_along(
+    scenes: &[Scene<'_>],
+    view: usize,
+    line: &Sightline,
+    fringes: f32,
+    out: &mut Vec<Sight>,
+) -> bool {
+    scenes[view].lookout.look(line, fringes, |first, spots| {
+        let scenes = &scenes[first..scenes.len().min(first + LANES)];
+        out.extend(scenes.iter().enumerate().map(|(i, scene)| scene.witness.see(spots, i)));
+    })
 }
 
 /// What a sight says, as far as the other camera's pieces are settled.
-pub fn verdict(scenes: &[Scene<'_>], other: u8, sight: Sight) -> Verdict {
-    let scene = &scenes[usize::from(other)];
-    match sight {
-        Sight::Nothing => Verdict::Nothing,
-        Sight::Past => Verdict::Past,
-        Sight::Node(node, ahead) => match scene.turns_of(node) {
-            Some(turns) => scene.witness.judge(ahead + std::f32::consts::TAU * turns as f32),
+pub fn verdict(scene: &Scene<'_>, sight: Sight) -> Verdict {
+    match sight.node {
+        Sight::NOTHING => Verdict::Nothing,
+        Sight::PAST => Verdict::Past,
+        node => match scene.turns_of(node) {
+            Some(turns) => scene.witness.judge(sight.ahead + TAU * turns as f32),
             None => Verdict::Nothing,
         },
     }
@@ -349,9 +360,10 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
     });
     // Per camera: agreeing, before, behind, past.
     let mut counts = vec![[0u32; 4]; scenes.len()];
-    for &(other, sight) in sights.iter() {
-        let count = &mut counts[usize::from(other)];
-        match verdict(scenes, other, sight) {
+    for (i, &sight) in sights.iter().enumerate() {
+        let other = i % scenes.len();
+        let count = &mut counts[other];
+        match verdict(&scenes[other], sight) {
             Verdict::Nothing => {}
             Verdict::Agrees => count[0] += 1,
             Verdict::Before => count[1] += 1,

@@ -4,9 +4,9 @@
 //! cameras at different orders. Nodes whose surroundings clearly agree at one order are seeds of it; from them the orders
 //! spread over the piece, through its wide parts first, so that they meet at its necks.
 
-use super::cells::{CELL_PX, Cells};
+use super::cells::Cells;
 use super::settle::{Scene, look, verdict};
-use super::witness::Verdict;
+use super::witness::{Sight, Verdict};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
@@ -55,11 +55,17 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTr
     let nodes = &scene.pieces.nodes[piece];
     let step = nodes.len().div_ceil(MAX_ASKED).max(1);
     let asked: Vec<u32> = nodes.iter().step_by(step).copied().collect();
-    let mut words: BTreeMap<(usize, usize), Vec<(i32, i32)>> = BTreeMap::new();
+    let (columns, rows) = asked
+        .iter()
+        .map(|&node| cell(scene, node))
+        .fold((0, 0), |most, at| (most.0.max(at.0 + 1), most.1.max(at.1 + 1)));
+    // For and against, by row, column and order.
+    let mut words = vec![(0, 0); rows * columns * orders.len()];
+    let of = |x: usize, y: usize| (y * columns + x) * orders.len()..(y * columns + x + 1) * orders.len();
     let mut sights = Vec::new();
     for &node in &asked {
-        let cell = words.entry(cell(scene, node)).or_insert_with(|| vec![(0, 0); orders.len()]);
-        for (word, &order) in cell.iter_mut().zip(orders) {
+        let (x, y) = cell(scene, node);
+        for (word, &order) in words[of(x, y)].iter_mut().zip(orders) {
             sights.clear();
             if !look(scenes, view, node, order, &mut sights) {
                 word.1 += 1;
@@ -69,15 +75,15 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTr
         }
     }
     let mut seeds = BTreeMap::new();
+    let mut sums = vec![(0, 0); orders.len()];
     for &node in &asked {
         let (x, y) = cell(scene, node);
-        let mut sums = vec![(0, 0); orders.len()];
-        for (_, words) in words
-            .range((x.saturating_sub(REACH), 0)..=(x + REACH, usize::MAX))
-            .filter(|((_, at), _)| at.abs_diff(y) <= REACH)
-        {
-            for (sum, word) in sums.iter_mut().zip(words) {
-                *sum = (sum.0 + word.0, sum.1 + word.1);
+        sums.fill((0, 0));
+        for y in y.saturating_sub(REACH)..rows.min(y + REACH + 1) {
+            for x in x.saturating_sub(REACH)..columns.min(x + REACH + 1) {
+                for (sum, word) in sums.iter_mut().zip(&words[of(x, y)]) {
+                    *sum = (sum.0 + word.0, sum.1 + word.1);
+                }
             }
         }
         let Some((best, &(good, bad))) = sums.iter().enumerate().max_by_key(|x| (x.1.0, Reverse(x.0))) else {
@@ -93,17 +99,17 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTr
 
 /// Place of a node in the grid of cells.
 fn cell(scene: &Scene<'_>, node: u32) -> (usize, usize) {
-    let pixel = scene.witness.cells.nodes[node as usize].pixel as usize;
-    let width = scene.witness.phase.width();
-    (pixel % width / CELL_PX, pixel / width / CELL_PX)
+    let cells = &scene.witness.cells;
+    let at = cells.nodes[node as usize].cell as usize;
+    (at % cells.columns, at / cells.columns)
 }
 
 /// What the other cameras say for and against a place.
-fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[(u8, super::witness::Sight)]) -> (i32, i32) {
+fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[Sight]) -> (i32, i32) {
     let (mut good, mut bad) = (0, 0);
-    for &(other, sight) in sights {
-        let partner = scenes[usize::from(other)].witness.head == scenes[view].witness.head;
-        match verdict(scenes, other, sight) {
+    for (scene, &sight) in scenes.iter().zip(sights) {
+        let partner = scene.witness.head == scenes[view].witness.head;
+        match verdict(scene, sight) {
             Verdict::Agrees => good += 1,
             Verdict::Before => bad += 1,
             Verdict::Behind | Verdict::Past => bad += i32::from(partner),

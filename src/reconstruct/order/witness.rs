@@ -5,9 +5,8 @@
 //! before what another camera sees there, or where that camera looks past the body, is not there. Places are compared by
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
-use super::cells::Cells;
-use super::sighted::{NO_NODE, Pixel, Sighted};
-use crate::image::Plane;
+use super::cells::{Cells, Glimpse};
+use super::lookout::{BACKGROUND_PX, Spots};
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
 use nalgebra::{Point3, Vector3};
@@ -19,52 +18,53 @@ const SAME_RAD: f32 = 0.8;
 /// Phases of different surfaces differ by more, rad; what lies between says nothing.
 const OTHER_RAD: f32 = 1.6;
 
-/// Background must be as wide around a place, px: outlines are not sharp.
-const BACKGROUND_PX: f64 = 10.0;
+/// The pixel that begins before a coordinate; one beyond all where that is negative.
+#[inline(always)]
+fn column(x: f32) -> usize {
+    if x >= 0.0 { x as usize } else { usize::MAX }
+}
 
 /// A camera as a witness for the others.
 #[derive(Debug)]
-pub struct Witness<'a> {
-    /// Camera, projector and pattern.
-    pub pair: &'a Pair,
+pub struct Witness {
     /// Which head it belongs to.
     pub head: usize,
     /// Where its planes lie in the frame.
     pub roi: Roi,
-    /// Unwrapped phase, up to the orders of the pieces; NaN where it is unknown.
-    pub phase: Plane<f32>,
-    /// Its nodes.
+    /// Its nodes, and the pixels with the phase that it has unwrapped, up to the orders of the pieces.
     pub cells: Cells,
-    /// Object, nodes and phase as they are looked up.
-    pixels: Sighted,
     /// Sign of the projected phase's change with the distance from the camera.
     towards: f32,
 }
 
 /// What a camera has at the pixel where it would see a place.
-#[derive(Debug, Clone, Copy)]
-pub enum Sight {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sight {
+    /// Its node there, or [`Sight::PAST`], or [`Sight::NOTHING`].
+    pub node: u32,
+    /// The node's phase there less the one that is cast on the place, rad.
+    pub ahead: f32,
+}
+
+impl Sight {
+    /// `node` where it looks past the object.
+    pub const PAST: u32 = u32::MAX;
+    /// `node` where there is nothing that could be said.
+    pub const NOTHING: u32 = u32::MAX - 1;
     /// Nothing that could be said.
-    Nothing,
-    /// It looks past the object there.
-    Past,
-    /// A node, and its phase there less the one that is cast on the place, rad.
-    Node(u32, f32),
-}
+    pub const NONE: Self = Self { node: Self::NOTHING, ahead: 0.0 };
 
-/// What a camera has at the pixel where it would see a place, and to the right of it.
-#[derive(Debug, Clone, Copy)]
-pub struct Glance {
-    /// Column and row.
-    u: f64,
-    v: f64,
-    here: Pixel,
-    right: Pixel,
-}
+    /// A node, where its phase is known and one is cast.
+    #[inline(always)]
+    fn of(node: u32, ahead: f32) -> Self {
+        Self { node: if ahead.is_nan() { Self::NOTHING } else { node }, ahead }
+    }
 
-impl Glance {
-    /// Nowhere.
-    pub const NONE: Self = Self { u: -1.0, v: -1.0, here: Pixel::BESIDE, right: Pixel::BESIDE };
+    /// Whether it is a node.
+    #[inline(always)]
+    pub fn is_node(&self) -> bool {
+        self.node < Self::NOTHING
+    }
 }
 
 /// What a place is, compared with the surface that a camera sees along the same ray.
@@ -82,16 +82,9 @@ pub enum Verdict {
     Past,
 }
 
-impl<'a> Witness<'a> {
+impl Witness {
     /// A witness with the phase that it has unwrapped so far.
-    pub fn new(
-        pair: &'a Pair,
-        head: usize,
-        roi: Roi,
-        phase: Plane<f32>,
-        object: &Plane<u8>,
-        cells: Cells,
-    ) -> Self {
+    pub fn new(pair: &Pair, head: usize, roi: Roi, cells: Cells) -> Self {
         let middle =
             Point3::from((Vector3::from(pair.volume_min_m) + Vector3::from(pair.volume_max_m)) / 2.0);
         let from = pair.camera.centre();
@@ -100,48 +93,46 @@ impl<'a> Witness<'a> {
             pair.projector.project(&at).map_or(0.0, |[column, _]| pair.pattern.phase(column))
         };
         let towards = (cast(0.01) - cast(-0.01)).signum() as f32;
-        let pixels = Sighted::new(&phase, &cells.node, object);
-        Self { pair, head, roi, phase, cells, pixels, towards }
+        Self { head, roi, cells, towards }
     }
 
-    /// Reads what the camera has where it would see `world`. What is read decides nothing here, so that the reads of all
-    /// cameras are under way together: they lie far apart, and waiting for one after the other is what looking costs.
-    pub fn glance(&self, world: &Point3<f64>) -> Glance {
-        let [u, v] = self.pair.camera.project(world).unwrap_or([-1.0; 2]);
-        // Casts take what is negative, or NaN, to 0; `see` looks at `u` and `v` before all else.
-        let (x, y) = (u as usize, (v + 0.5) as usize);
-        let (here, right) = self.pixels.at(x.wrapping_sub(self.roi.u), y.wrapping_sub(self.roi.v));
-        Glance { u, v, here, right }
-    }
-
-    /// What the camera has where it would see `world`, by what was read there.
-    pub fn see(&self, glance: &Glance, world: &Point3<f64>) -> Sight {
-        let Glance { u, v, here, right } = *glance;
-        let margin = BACKGROUND_PX;
-        let (w, h) = (self.pair.camera.width as f64, self.pair.camera.height as f64);
-        if !(margin..w - margin).contains(&u) || !(margin..h - margin).contains(&v) {
-            return Sight::Nothing;
-        }
-        match here.node {
-            0 => {
-                let near = |a: f64, b: f64| self.object_at((u + a + 0.5) as usize, (v + b + 0.5) as usize);
-                let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
-                if around.into_iter().any(|(a, b)| near(a, b)) { Sight::Nothing } else { Sight::Past }
-            }
-            NO_NODE => Sight::Nothing,
+    /// What the camera has at one of `spots`.
+    #[inline(always)]
+    pub fn see(&self, spots: &Spots, i: usize) -> Sight {
+        let Some(cell) = self.cells.glimpses.get(spots.cell[i] as usize) else { return Sight::NONE };
+        match cell.node {
+            Glimpse::FAR => Sight { node: Sight::PAST, ahead: 0.0 },
+            Glimpse::NEAR => self.past(spots.x[i], spots.y[i]),
+            Glimpse::MIXED => self.see_closely(spots.x[i], spots.y[i], spots.cast[i]),
             node => {
-                let Some([column, _]) = self.pair.projector.project(world) else { return Sight::Nothing };
+                let seen = cell.phase + (spots.right[i] * cell.steps[0] + spots.down[i] * cell.steps[1]);
+                Sight::of(node, seen - spots.cast[i])
+            }
+        }
+    }
+
+    /// The same where a cell's pixels have to be asked.
+    fn see_closely(&self, x: f32, y: f32, cast: f32) -> Sight {
+        let (here, right) = self.cells.pixels.at(column(x), column(y + 0.5));
+        match here.node() {
+            None if !here.is_object() => self.past(x, y),
+            None => Sight::NONE,
+            Some(node) => {
                 let step = right.phase - here.phase;
                 // Across a step there is nothing to interpolate; NaN is no step either.
                 let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
-                let part = (u - (u as usize) as f64) as f32;
-                Sight::Node(node - 1, here.phase + part * step - self.pair.pattern.phase(column) as f32)
+                Sight::of(node, here.phase + (x - x.floor()) * step - cast)
             }
         }
     }
 
-    fn object_at(&self, u: usize, v: usize) -> bool {
-        self.pixels.is_object(u.wrapping_sub(self.roi.u), v.wrapping_sub(self.roi.v))
+    /// Whether there is background around a place that is none of the object's.
+    fn past(&self, x: f32, y: f32) -> Sight {
+        let margin = BACKGROUND_PX;
+        let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
+        let near =
+            |(a, b): (f32, f32)| self.cells.pixels.at(column(x + a + 0.5), column(y + b + 0.5)).0.is_object();
+        Sight { node: if around.into_iter().any(near) { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
     }
 
     /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.

@@ -50,7 +50,7 @@ pub struct Sights {
     /// What each camera has there; for a place outside of the volume nothing.
     seen: Vec<Sight>,
     inside: Vec<[bool; SLOTS]>,
-    scratch: Vec<(u8, Sight)>,
+    scratch: Vec<Sight>,
 }
 
 /// Orders of a node that are kept.
@@ -65,7 +65,7 @@ impl Sights {
             cameras: scenes.len(),
             turns: vec![[NONE; SLOTS]; n],
             next: vec![0; n],
-            seen: vec![Sight::Nothing; n * SLOTS * scenes.len()],
+            seen: vec![Sight::NONE; n * SLOTS * scenes.len()],
             inside: vec![[false; SLOTS]; n],
             scratch: Vec::new(),
         }
@@ -79,18 +79,7 @@ impl Sights {
             return Words::IMPOSSIBLE;
         }
         let first = (node * SLOTS + slot) * self.cameras;
-        judge(scenes, self.view, known, self.seen[first..first + self.cameras].iter().copied().enumerate())
-    }
-
-    /// The same without keeping what was seen: for orders that are hardly asked for again.
-    pub fn passing(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32, known: &[Vec<i32>]) -> Words {
-        let seen = &mut self.scratch;
-        seen.clear();
-        let order = turns - scenes[self.view].pieces.turns[node];
-        if !look(scenes, self.view, node as u32, order, seen) {
-            return Words::IMPOSSIBLE;
-        }
-        judge(scenes, self.view, known, seen.iter().map(|x| (usize::from(x.0), x.1)))
+        judge(scenes, self.view, known, &self.seen[first..first + self.cameras])
     }
 
     /// Looks, and tells the slot that keeps it.
@@ -102,42 +91,36 @@ impl Sights {
         let order = turns - scenes[self.view].pieces.turns[node];
         self.inside[node][slot] = look(scenes, self.view, node as u32, order, &mut self.scratch);
         let first = (node * SLOTS + slot) * self.cameras;
-        self.seen[first..first + self.cameras].fill(Sight::Nothing);
-        for &(camera, sight) in &self.scratch {
-            self.seen[first + usize::from(camera)] = sight;
+        if self.inside[node][slot] {
+            self.seen[first..first + self.cameras].copy_from_slice(&self.scratch);
         }
         slot
     }
 }
 
-/// Words of what was seen.
-fn judge(
-    scenes: &[Scene<'_>],
-    view: usize,
-    known: &[Vec<i32>],
-    seen: impl Iterator<Item = (usize, Sight)>,
-) -> Words {
+/// Words of what the cameras have.
+pub fn judge(scenes: &[Scene<'_>], view: usize, known: &[Vec<i32>], seen: &[Sight]) -> Words {
     let mut words = Words::default();
-    for (camera, sight) in seen {
-        let witness = &scenes[camera].witness;
-        let partner = witness.head == scenes[view].witness.head;
-        let verdict = match sight {
-            Sight::Nothing => Verdict::Nothing,
-            Sight::Past => Verdict::Past,
-            Sight::Node(node, ahead) => match known[camera][node as usize] {
-                NONE => Verdict::Nothing,
-                turns => witness.judge(ahead + TAU * turns as f32),
+    for ((scene, known), sight) in scenes.iter().zip(known).zip(seen) {
+        let witness = &scene.witness;
+        let partner = i16::from(witness.head == scenes[view].witness.head);
+        let (agrees, before, behind) = match sight.node {
+            Sight::NOTHING => continue,
+            // What faces away from another head's projector is dark for it.
+            Sight::PAST => (0, partner, 0),
+            node => match known[node as usize] {
+                NONE => continue,
+                turns => {
+                    let verdict = witness.judge(sight.ahead + TAU * turns as f32);
+                    let is = |x: Verdict| i16::from(verdict == x);
+                    (is(Verdict::Agrees), is(Verdict::Before), is(Verdict::Behind))
+                }
             },
         };
-        match verdict {
-            Verdict::Agrees if partner => words.partner += 1,
-            Verdict::Agrees => words.heads += 1,
-            Verdict::Before => words.against += 1,
-            // What faces away from another head's projector is dark for it.
-            Verdict::Past => words.against += i16::from(partner),
-            Verdict::Behind => words.hidden += i16::from(partner),
-            Verdict::Nothing => {}
-        }
+        words.partner += agrees & partner;
+        words.heads += agrees & !partner & 1;
+        words.against += before;
+        words.hidden += behind & partner;
     }
     words
 }

@@ -1,0 +1,306 @@
+//! Where all other cameras would see a place of one view, and what their projectors cast on it: eight cameras at once.
+//!
+//! A line of sight of the view runs from its centre `c` along `d`, at inverse depth `w` through `c + d / w`. In the axes of
+//! another device that is `a + b / w`, where `a` is the same for all lines of the view and `b` is `d` turned. Only the
+//! quotient of the coordinates matters, so `w a + b` does as well and there is nothing to divide by `w`. The inverse
+//! depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in lanes.
+
+use super::cells::{CELL_PX, PAD_CELLS, padded};
+use crate::geometry::Device;
+use crate::reconstruct::pair::Pair;
+use crate::reconstruct::rays::{RayTable, Sightline};
+use crate::reconstruct::roi::Roi;
+use crate::reconstruct::simd;
+use nalgebra::{Point3, Vector3};
+
+/// Cameras that are worked on at once.
+pub const LANES: usize = 8;
+
+type Lanes = [f32; LANES];
+
+/// Background must be as wide around a place, px: outlines are not sharp.
+pub const BACKGROUND_PX: f32 = 10.0;
+
+/// Where each camera of some would see a place.
+#[derive(Debug, Clone, Copy)]
+pub struct Spots {
+    /// Column in the region of interest.
+    pub x: Lanes,
+    /// Row in the region of interest.
+    pub y: Lanes,
+    /// Cell of the padded grid; [`NOWHERE`] where the camera does not see it.
+    pub cell: [u32; LANES],
+    /// Columns from the cell's first.
+    pub right: Lanes,
+    /// Rows from the cell's first.
+    pub down: Lanes,
+    /// Phase that the projector of its head casts there, rad; NaN where it casts none.
+    pub cast: Lanes,
+}
+
+/// No cell.
+pub const NOWHERE: u32 = u32::MAX;
+
+/// Devices side by side: what [`Device::project`] does, for lines of sight of one view.
+#[derive(Debug, Clone)]
+struct Devices {
+    /// Rows of the rotation from the world.
+    turn: [[Lanes; 3]; 3],
+    /// The view's centre in the device's axes, m.
+    centre: [Lanes; 3],
+    focal: [Lanes; 2],
+    principal: [Lanes; 2],
+    /// `[k1, k2, p1, p2, k3]`.
+    distortion: [Lanes; 5],
+}
+
+impl Devices {
+    fn new() -> Self {
+        Self {
+            turn: [[[0.0; LANES]; 3]; 3],
+            centre: [[0.0; LANES]; 3],
+            focal: [[0.0; LANES]; 2],
+            principal: [[0.0; LANES]; 2],
+            distortion: [[0.0; LANES]; 5],
+        }
+    }
+
+    fn set(&mut self, lane: usize, device: &Device, view_centre: &Point3<f64>) {
+        let turn = device.world_from_device.isometry().rotation.to_rotation_matrix().inverse();
+        let centre: Vector3<f64> = turn * (view_centre - device.centre());
+        for row in 0..3 {
+            for column in 0..3 {
+                self.turn[row][column][lane] = turn[(row, column)] as f32;
+            }
+            self.centre[row][lane] = centre[row] as f32;
+        }
+        let lens = &device.lens;
+        self.focal = set(self.focal, lane, [lens.fx, lens.fy]);
+        self.principal = set(self.principal, lane, [lens.cx, lens.cy]);
+        self.distortion = set(self.distortion, lane, lens.distortion);
+    }
+
+    /// One coordinate of a place in the axes of a device, times the inverse depth `w`.
+    #[inline(always)]
+    fn axis(&self, row: usize, i: usize, d: [f32; 3], w: f32) -> f32 {
+        let [x, y, z] = &self.turn[row];
+        w * self.centre[row][i] + (x[i] * d[0] + y[i] * d[1] + z[i] * d[2])
+    }
+
+    /// Column and row of the place at inverse depth `w` of the line of sight along `d`; no number behind the device, where
+    /// its lens folds over, and in lanes without a device.
+    #[inline(always)]
+    fn project(&self, d: [f32; 3], w: f32) -> [Lanes; 2] {
+        let mut out = [[0.0; LANES]; 2];
+        for i in 0..LANES {
+            let depth = self.axis(2, i, d, w);
+            let inverse = 1.0 / depth;
+            let (x, y) = (self.axis(0, i, d, w) * inverse, self.axis(1, i, d, w) * inverse);
+            let [k1, k2, p1, p2, k3] = &self.distortion;
+            let (k1, k2, k3) = (k1[i], k2[i], k3[i]);
+            let r2 = x * x + y * y;
+            let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+            let slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * (7.0 * k3)));
+            let xy = 2.0 * x * y;
+            let u = x * radial + p1[i] * xy + p2[i] * (r2 + 2.0 * x * x);
+            let v = y * radial + p1[i] * (r2 + 2.0 * y * y) + p2[i] * xy;
+            let seen = (depth > 0.0) & (slope > 0.0);
+            let column = self.focal[0][i] * u + self.principal[0][i];
+            out[0][i] = if seen { column } else { f32::NAN };
+            out[1][i] = self.focal[1][i] * v + self.principal[1][i];
+        }
+        out
+    }
+}
+
+fn set<const N: usize>(mut lanes: [Lanes; N], lane: usize, values: [f64; N]) -> [Lanes; N] {
+    for (lanes, value) in lanes.iter_mut().zip(values) {
+        lanes[lane] = value as f32;
+    }
+    lanes
+}
+
+/// Some cameras with their projectors.
+#[derive(Debug, Clone)]
+struct Block {
+    cameras: Devices,
+    projectors: Devices,
+    /// From panel columns to phase, rad.
+    per_column: Lanes,
+    /// First column and row of the region of interest.
+    origin: [Lanes; 2],
+    /// What is nearer to the frame's border is not seen: end of what is.
+    end: [Lanes; 2],
+    /// Last column and row of the padded grid of cells, px from its begin.
+    last: [Lanes; 2],
+    /// Cells in a row of the padded grid.
+    stride: [u32; LANES],
+}
+
+impl Block {
+    fn new() -> Self {
+        let none = [0.0; LANES];
+        Self {
+            cameras: Devices::new(),
+            projectors: Devices::new(),
+            per_column: none,
+            origin: [none; 2],
+            end: [none; 2],
+            last: [none; 2],
+            stride: [0; LANES],
+        }
+    }
+}
+
+/// All other cameras as seen from one view.
+#[derive(Debug, Clone)]
+pub struct Lookout<'a> {
+    table: &'a RayTable,
+    blocks: Vec<Block>,
+}
+
+impl<'a> Lookout<'a> {
+    /// From camera `view` of some, given with their regions of interest. `table` has its lines of sight.
+    pub fn new<'b>(
+        table: &'a RayTable,
+        view: usize,
+        cameras: impl ExactSizeIterator<Item = (&'b Pair, Roi)> + Clone,
+    ) -> Self {
+        let centre = cameras.clone().nth(view).map_or_else(Point3::origin, |(pair, _)| pair.camera.centre());
+        let mut blocks = vec![Block::new(); cameras.len().div_ceil(LANES)];
+        for (i, (pair, roi)) in cameras.enumerate().filter(|x| x.0 != view) {
+            let (block, lane) = (&mut blocks[i / LANES], i % LANES);
+            block.cameras.set(lane, &pair.camera, &centre);
+            block.projectors.set(lane, &pair.projector, &centre);
+            block.per_column[lane] = (std::f64::consts::TAU / pair.pattern.period_px) as f32;
+            let size = [pair.camera.width, pair.camera.height];
+            let cells = [roi.width, roi.height].map(padded);
+            for (axis, origin) in [roi.u, roi.v].into_iter().enumerate() {
+                block.origin[axis][lane] = origin as f32;
+                block.end[axis][lane] = size[axis] as f32 - BACKGROUND_PX;
+                block.last[axis][lane] = (cells[axis] * CELL_PX - 1) as f32;
+            }
+            block.stride[lane] = cells[0] as u32;
+        }
+        Self { table, blocks }
+    }
+
+    /// The line of sight of pixel (u, v).
+    pub fn sightline(&self, u: usize, v: usize) -> Sightline {
+        self.table.sightline(u, v)
+    }
+
+    /// Where each camera sees the place on a line of sight at an absolute phase, in fringes: `each` gets the first camera's
+    /// number with eight of them. False, and nothing, where the place is outside of the volume.
+    #[inline]
+    pub fn look(&self, line: &Sightline, fringes: f32, mut each: impl FnMut(usize, &Spots)) -> bool {
+        let Some(w) = self.table.inverse_depth(line, fringes) else { return false };
+        for (i, block) in self.blocks.iter().enumerate() {
+            let spots = simd::dispatch(
+                #[inline(always)]
+                || block.spots(line.direction, w),
+            );
+            each(i * LANES, &spots);
+        }
+        true
+    }
+}
+
+impl Block {
+    #[inline(always)]
+    fn spots(&self, direction: [f32; 3], w: f32) -> Spots {
+        const PAD: f32 = (PAD_CELLS * CELL_PX) as f32;
+        let [u, v] = self.cameras.project(direction, w);
+        let [column, _] = self.projectors.project(direction, w);
+        let none = [0.0; LANES];
+        let mut out = Spots { x: none, y: none, cell: [0; LANES], right: none, down: none, cast: none };
+        for i in 0..LANES {
+            let (x, y) = (u[i] - self.origin[0][i], v[i] - self.origin[1][i]);
+            // A pixel has its row in the middle; columns are interpolated from one to the next.
+            let across = (x + PAD).max(0.0).min(self.last[0][i]);
+            let along = (y + (PAD + 0.5)).max(0.0).min(self.last[1][i]);
+            let (column, row) = (across as u32 / CELL_PX as u32, along as u32 / CELL_PX as u32);
+            let seen = (u[i] >= BACKGROUND_PX)
+                & (u[i] < self.end[0][i])
+                & (v[i] >= BACKGROUND_PX)
+                & (v[i] < self.end[1][i]);
+            out.cell[i] = if seen { row * self.stride[i] + column } else { NOWHERE };
+            out.right[i] = x + PAD - (column * CELL_PX as u32) as f32;
+            out.down[i] = y + PAD - (row * CELL_PX as u32) as f32;
+            (out.x[i], out.y[i]) = (x, y);
+        }
+        for i in 0..LANES {
+            out.cast[i] = (column[i] + 0.5) * self.per_column[i];
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BACKGROUND_PX, LANES, Lookout, NOWHERE};
+    use crate::calibrate::Calibration;
+    use crate::config::Rig;
+    use crate::reconstruct::order::cells::{CELL_PX, PAD_CELLS, padded};
+    use crate::reconstruct::pair::Pair;
+    use crate::reconstruct::rays::RayTable;
+    use crate::reconstruct::roi::Roi;
+    use crate::reconstruct::triangulate::Triangulator;
+    use std::f64::consts::TAU;
+    use std::path::Path;
+
+    /// The shipped rig with strong lenses.
+    fn pairs() -> Vec<Pair> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+        let mut calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
+        for head in &mut calibration.heads {
+            head.projector.lens.distortion = [-0.12, 0.08, 4e-4, -3e-4, 0.01];
+            for camera in &mut head.cameras {
+                camera.device.lens.distortion = [-0.11, 0.09, -3e-4, 2e-4, -0.01];
+            }
+        }
+        let pairs = calibration.cameras().map(|(head, camera)| Pair::new(head, camera, &calibration));
+        pairs.collect::<Result<_, _>>().expect("usable pairs")
+    }
+
+    #[test]
+    fn all_cameras_see_places_where_they_project_them() {
+        let pairs = pairs();
+        let roi = Roi { u: 300, v: 200, width: 1100, height: 700 };
+        let (view, table) = (1, RayTable::new(&pairs[1]));
+        let triangulator = Triangulator::new(pairs[view].clone());
+        let lookout = Lookout::new(&table, view, pairs.iter().map(|pair| (pair, roi)));
+        let (mut seen, mut looks) = (0, 0);
+        for (i, fringe) in (0..2000).map(|i| (i, f64::from(i) * 0.618 % 128.0)) {
+            let (u, v) = (i * 37 % 1900, i * 53 % 1190);
+            let Some((_, world)) = triangulator.point(u as usize, v as usize, fringe * TAU) else { continue };
+            let line = lookout.sightline(u as usize, v as usize);
+            let inside = lookout.look(&line, fringe as f32, |first, spots| {
+                for (pair, i) in pairs[first..].iter().zip(0..LANES).filter(|x| first + x.1 != view) {
+                    let Some(place) = pair.camera.project(&world) else { continue };
+                    let margin = f64::from(BACKGROUND_PX) + 0.1;
+                    let near = |x: f64, size: usize| x > margin && x < size as f64 - margin;
+                    if !near(place[0], pair.camera.width) || !near(place[1], pair.camera.height) {
+                        continue;
+                    }
+                    let (x, y) = (f64::from(spots.x[i]), f64::from(spots.y[i]));
+                    let off = (x + 300.0 - place[0]).hypot(y + 200.0 - place[1]);
+                    assert!(off < 0.05, "{off} px");
+                    assert_ne!(spots.cell[i], NOWHERE);
+                    if let Some([column, _]) = pair.projector.project(&world) {
+                        let off = (f64::from(spots.cast[i]) - pair.pattern.phase(column)).abs();
+                        assert!(off < 0.02, "{off} rad");
+                    }
+                    if (0.0..1100.0).contains(&x) && (0.0..699.0).contains(&y) {
+                        let cell = |x: f64| x as usize / CELL_PX + PAD_CELLS;
+                        let expected = cell(y + 0.5) * padded(roi.width) + cell(x);
+                        assert_eq!(spots.cell[i] as usize, expected, "({x}, {y})");
+                        seen += 1;
+                    }
+                }
+            });
+            looks += usize::from(inside);
+        }
+        assert!(looks > 200 && seen > 500, "{looks} places, {seen} seen");
+    }
+}
