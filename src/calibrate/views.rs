@@ -196,7 +196,7 @@ fn owned(image: Mono8<'_>) -> Plane<u8> {
 }
 
 fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Plane<f32>, Refusal> {
-    match pipeline.prepare_alone(image) {
+    match pipeline.prepare(image) {
         Ok(prepared) if prepared.counts.marker > 0 => {
             let mut phase = Plane::filled(image.width(), image.height(), f32::NAN);
             let roi = prepared.roi;

@@ -75,7 +75,7 @@ impl<T: Copy + Default> Planes<T> {
     /// A plane for a stage that writes every value: those that it holds are any.
     pub(super) fn take(&self, width: usize, height: usize) -> Plane<T> {
         let mut plane = self.pool.take();
-        plane.reserve(self.room.load(Ordering::Relaxed).max(width * height), T::default());
+        plane.reserve(self.room.load(Ordering::Relaxed).max(width * height));
         plane.reshape(width, height, T::default());
         plane
     }

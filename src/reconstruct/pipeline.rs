@@ -52,6 +52,8 @@ pub struct Counts {
     pub contradicted: usize,
     /// Merges refused because anchors contradicted.
     pub contradictions: usize,
+    /// Pixels whose order other evidence than the forest gave.
+    pub by_partner: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,
 }
@@ -126,16 +128,16 @@ impl Clock {
     }
 }
 
-/// A frame with its wrapped phase. [`super::order::settle`] finds its orders with the other cameras; where it has none,
-/// [`Pipeline::finish`] unwraps it as far as the camera alone can, before it makes the cloud.
+/// A frame whose phase is unwrapped as far as the camera alone can. [`super::order::settle`] weighs its orders
+/// before [`Pipeline::finish`] makes the cloud.
 #[derive(Debug)]
 pub struct Prepared {
     /// Where the object is; all planes cover this part of the frame.
     pub roi: Roi,
-    /// Absolute phase, rad; NaN where it is not known. Wrapped until its orders are settled.
+    /// Absolute phase, rad; NaN where it is not known.
     pub absolute: Plane<f32>,
-    /// Whether they are.
-    pub(super) settled: bool,
+    /// Trees that lack their fringe order.
+    pub open: OpenTrees,
     /// Lines of sight of the camera.
     pub(super) table: Arc<RayTable>,
     /// Pieces of surface with their own fringe order, and how certain it is.
@@ -162,11 +164,6 @@ impl Prepared {
         &self.period
     }
 
-    /// Misfit.
-    pub(super) fn misfit(&self) -> &Plane<f32> {
-        &self.phasors.misfit
-    }
-
     /// Runs of the object.
     pub(super) fn runs(&self) -> &Runs {
         &self.runs
@@ -178,10 +175,10 @@ impl Prepared {
     }
 }
 
-/// The phase with what the points need beside it.
+/// The absolute phase with what the points need beside it.
 struct Resolved {
-    phase: Plane<f32>,
-    settled: bool,
+    absolute: Plane<f32>,
+    open: OpenTrees,
     marker: Plane<u8>,
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
@@ -222,14 +219,7 @@ impl Pipeline {
         }
     }
 
-    /// Unwraps one frame by itself; the error is the refusal of a frame that shows nothing.
-    pub fn prepare_alone(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
-        let mut prepared = self.prepare(image)?;
-        self.unwrap_alone(&mut prepared);
-        Ok(prepared)
-    }
-
-    /// The wrapped phase of one frame; the error is the refusal of a frame that shows nothing.
+    /// Unwraps one frame; the error is the refusal of a frame that shows nothing.
     pub fn prepare(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
@@ -264,13 +254,13 @@ impl Pipeline {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
-        let Resolved { phase: absolute, settled, marker, runs, phasors, period, zone, planes } = resolved;
+        let Resolved { absolute, open, marker, runs, phasors, period, zone, planes } = resolved;
         // Until all cameras are heard.
         let regions = Regions::default();
         Ok(Prepared {
             roi,
             absolute,
-            settled,
+            open,
             table: Arc::clone(&self.table),
             regions,
             marker,
@@ -286,11 +276,11 @@ impl Pipeline {
     }
 
     /// Makes the cloud of an unwrapped frame.
-    pub fn finish(&self, mut prepared: Prepared) -> Reconstruction {
-        self.unwrap_alone(&mut prepared);
+    pub fn finish(&self, prepared: Prepared) -> Reconstruction {
         let Prepared {
             roi,
             mut absolute,
+            open,
             regions,
             mut counts,
             runs,
@@ -345,6 +335,8 @@ impl Pipeline {
         if self.method == Method::Anchored {
             PLANES.give_phasors(phasors);
             PLANES.give(period);
+            PLANES.give(open.relative);
+            TREES.give(open.tree);
         }
         if self.keep_maps {
             planes.push(("Fm", absolute));
@@ -380,7 +372,26 @@ impl Pipeline {
         clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
         counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
+        let unwrapped = clock.time("unwrap", || {
+            let (width, height) = (wrapped.width(), wrapped.height());
+            let mut out = Unwrapped {
+                absolute: PLANES.take(width, height),
+                open: OpenTrees { relative: PLANES.take(width, height), tree: TREES.take(width, height) },
+                refused_px: 0,
+                contradictions: 0,
+            };
+            out.absolute.as_mut_slice().fill(f32::NAN);
+            out.open.tree.as_mut_slice().fill(0);
+            let misfit = &phasors.misfit;
+            let input =
+                unwrap::Input { wrapped: &wrapped, period: &period, misfit, anchor: &marker, runs: &runs };
+            let settings = unwrap::Settings::default();
+            unwrap::unwrap_into(&input, pair, &settings, &mut buffers.unwrap, &mut out);
+            out
+        });
         BUFFERS.give(buffers);
+        counts.refused = unwrapped.refused_px;
+        counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
         if self.keep_maps {
             let amplitude = period::measure(image, object, pair.period_px).amplitude;
@@ -401,41 +412,13 @@ impl Pipeline {
                 ("Qm", quality),
                 ("Em", energy.unwrap_or_default()),
                 ("Mm", number(&marker)),
+                ("Um", unwrapped.absolute.clone()),
                 ("misfit", phasors.misfit.clone()),
             ];
         }
-        Resolved { phase: wrapped, settled: false, marker, runs, phasors, period, zone, planes }
-    }
-
-    /// Gives a frame whose orders are not settled those that its own marker and the forest tell.
-    fn unwrap_alone(&self, prepared: &mut Prepared) {
-        if prepared.settled {
-            return;
-        }
-        let Prepared { absolute: wrapped, runs, phasors, period, marker, counts, clock, .. } = prepared;
-        let mut buffers = BUFFERS.take();
-        let (width, height) = (wrapped.width(), wrapped.height());
-        let unwrapped = clock.time("unwrap", || {
-            let mut out = Unwrapped {
-                absolute: PLANES.take(width, height),
-                open: OpenTrees { relative: PLANES.take(width, height), tree: TREES.take(width, height) },
-                refused_px: 0,
-                contradictions: 0,
-            };
-            out.absolute.as_mut_slice().fill(f32::NAN);
-            out.open.tree.as_mut_slice().fill(0);
-            let input = unwrap::Input { wrapped, period, misfit: &phasors.misfit, anchor: marker, runs };
-            let (pair, settings) = (self.triangulator.pair(), unwrap::Settings::default());
-            unwrap::unwrap_into(&input, pair, &settings, &mut buffers.unwrap, &mut out);
-            out
-        });
-        BUFFERS.give(buffers);
-        counts.refused = unwrapped.refused_px;
-        counts.contradictions = unwrapped.contradictions;
-        PLANES.give(unwrapped.open.relative);
-        TREES.give(unwrapped.open.tree);
-        PLANES.give(std::mem::replace(wrapped, unwrapped.absolute));
-        prepared.settled = true;
+        PLANES.give(wrapped);
+        let (absolute, open) = (unwrapped.absolute, unwrapped.open);
+        Resolved { absolute, open, marker, runs, phasors, period, zone, planes }
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -489,17 +472,9 @@ impl Pipeline {
                 ("Mm", convert(&segment, f32::from)),
             ];
         }
+        let open = OpenTrees::none(absolute.width(), absolute.height());
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
-        Resolved {
-            phase: absolute,
-            settled: true,
-            marker: segment,
-            runs,
-            phasors,
-            period: periods.period,
-            zone,
-            planes,
-        }
+        Resolved { absolute, open, marker: segment, runs, phasors, period: periods.period, zone, planes }
     }
 }
 

@@ -5,20 +5,27 @@
 //! whole turns their phases differ.
 
 use super::lookout::BACKGROUND_PX;
-pub use super::patch::CELL_PX;
-use super::patch::{ALL, FIRST_COLUMN, INNER_RAD, Patch, bits, mean, middle, part, parts, patch, unwrap};
 use super::sighted::{Pixel, Sighted};
 use crate::image::Plane;
 use crate::reconstruct::runs::Runs;
 use crate::reconstruct::simd;
 use std::f32::consts::TAU;
 
-/// Pixels of a larger misfit join no nodes. A window that crosses a depth step does not hold a sine, so that they lie all along
-/// the seam where two surfaces meet, also where their phases agree by chance.
-const FINE_MISFIT: f32 = 0.2;
+/// Side of a cell, px.
+pub const CELL_PX: usize = 8;
+
+/// Within a cell, steps this far from the carrier's still continue, rad. Few pixels agree by chance so often that it
+/// matters there.
+const INNER_RAD: f32 = 0.8;
 
 /// Between nodes, steps this far from what their own slopes predict still continue, rad.
 const BORDER_RAD: f32 = 0.3;
+
+/// All pixels of a cell, a bit each, row by row.
+const ALL: u64 = !0;
+
+/// The first column of a cell's bits.
+const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
 
 /// A patch of one surface.
 #[derive(Debug, Clone, Copy)]
@@ -39,24 +46,6 @@ pub struct Node {
     down: f32,
 }
 
-impl Node {
-    /// Some pixels of a cell: `phase` is that of the pixel that stands for them.
-    #[inline(always)]
-    fn new(cell: u32, mask: u64, pixel: u32, phase: f32, phases: &Patch, carrier: &Patch) -> Self {
-        let right = mean(
-            mask & (mask << 1) & !FIRST_COLUMN,
-            #[inline(always)]
-            |u, v| phases[v][u] - phases[v][u.max(1) - 1] - carrier[v][u],
-        );
-        let down = mean(
-            mask & (mask << CELL_PX),
-            #[inline(always)]
-            |u, v| phases[v][u] - phases[v.max(1) - 1][u],
-        );
-        Self { pixel, phase, size: mask.count_ones(), cell, mask, right, down }
-    }
-}
-
 /// Where two nodes touch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Border {
@@ -75,10 +64,10 @@ pub struct Border {
 /// What nodes are made of.
 #[derive(Debug)]
 pub struct Surface<'a> {
-    /// Phase up to whole turns, rad; NaN where it is unknown.
+    /// Phase unwrapped up to whole turns, rad; NaN where it is unknown.
     pub phase: &'a Plane<f32>,
-    /// Misfit of the fringe model.
-    pub misfit: &'a Plane<f32>,
+    /// What replaces it where the tree is not 0.
+    pub open: Option<(&'a Plane<f32>, &'a Plane<u32>)>,
     /// Local fringe period, px.
     pub period: &'a Plane<f32>,
     /// Not 0 on the object.
@@ -142,6 +131,9 @@ pub struct Cells {
     pub glimpses: Vec<Glimpse>,
 }
 
+/// Values of a cell's pixels.
+type Patch = [[f32; CELL_PX]; CELL_PX];
+
 impl Cells {
     /// Cuts a surface into nodes.
     pub fn new(surface: &Surface<'_>) -> Self {
@@ -202,7 +194,7 @@ impl Cells {
     #[inline(always)]
     fn cut(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
-        let mut phase = patch(surface.phase, left, top);
+        let phase = surface.patch(left, top);
         let cell = row * self.columns + column;
         let first = self.nodes.len();
         let known = bits(
@@ -211,12 +203,6 @@ impl Cells {
         );
         if known != 0 {
             let carrier = surface.carriers(left, top);
-            unwrap(&mut phase, &carrier, known);
-            let misfit = patch(surface.misfit, left, top);
-            let fine = bits(
-                #[inline(always)]
-                |u, v| misfit[v][u] <= FINE_MISFIT,
-            );
             // A comparison with NaN is false: unknown neighbours do not continue.
             let right = !FIRST_COLUMN
                 & bits(
@@ -227,12 +213,31 @@ impl Cells {
                 #[inline(always)]
                 |u, v| v > 0 && (phase[v][u] - phase[v.max(1) - 1][u]).abs() < INNER_RAD,
             );
-            let (masks, count) = parts(known, fine, right, down);
-            for &mask in &masks[..count] {
+            let mut rest = known;
+            while rest != 0 {
+                let mask = flood(rest & rest.wrapping_neg(), right, down);
+                rest &= !mask;
+                let (inner_right, inner_down) =
+                    (mask & (mask << 1) & !FIRST_COLUMN, mask & (mask << CELL_PX));
                 let place = middle(mask);
                 let (u, v) = (place % CELL_PX, place / CELL_PX);
-                let pixel = ((top + v) * self.width + left + u) as u32;
-                self.nodes.push(Node::new(cell as u32, mask, pixel, phase[v][u], &phase, &carrier));
+                self.nodes.push(Node {
+                    pixel: ((top + v) * self.width + left + u) as u32,
+                    phase: phase[v][u],
+                    size: mask.count_ones(),
+                    cell: cell as u32,
+                    mask,
+                    right: mean(
+                        inner_right,
+                        #[inline(always)]
+                        |u, v| phase[v][u] - phase[v][u.max(1) - 1] - carrier[v][u],
+                    ),
+                    down: mean(
+                        inner_down,
+                        #[inline(always)]
+                        |u, v| phase[v][u] - phase[v.max(1) - 1][u],
+                    ),
+                });
             }
         }
         let nodes = &self.nodes[first..];
@@ -287,18 +292,16 @@ impl Cells {
             for (v, rest) in rest.iter_mut().enumerate() {
                 let (x, y) = (left + CELL_PX - 1, top + v);
                 let expected = surface.carrier(x, y) + (from.right + to.right) / 2.0;
-                let (here, there) = self.pixels.at(x, y);
-                *rest = there.phase - here.phase - expected;
+                *rest = surface.phase(x + 1, y) - surface.phase(x, y) - expected;
             }
             self.borders.push(border(a, b, rest));
         }
         if let Some(b) = below.and_then(|x| whole(&self.grid, &self.nodes, x)) {
             let to = &self.nodes[b as usize];
+            let (above, below) = (surface.row(left, top + CELL_PX - 1), surface.row(left, top + CELL_PX));
             let mut rest = [0f32; CELL_PX];
-            for (u, rest) in rest.iter_mut().enumerate() {
-                let (above, below) = (top + CELL_PX - 1, top + CELL_PX);
-                let step = self.pixels.at(left + u, below).0.phase - self.pixels.at(left + u, above).0.phase;
-                *rest = step - (from.down + to.down) / 2.0;
+            for u in 0..CELL_PX {
+                rest[u] = below[u] - above[u] - (from.down + to.down) / 2.0;
             }
             self.borders.push(border(a, b, rest));
         }
@@ -345,6 +348,38 @@ impl Cells {
 }
 
 impl Surface<'_> {
+    /// The phase of a pixel.
+    #[inline(always)]
+    fn phase(&self, u: usize, v: usize) -> f32 {
+        match self.open {
+            Some((relative, tree)) if tree.at(u, v) != 0 => relative.at(u, v),
+            _ => self.phase.at(u, v),
+        }
+    }
+
+    /// Phases of a row of a cell; NaN beyond the last column.
+    #[inline(always)]
+    fn row(&self, left: usize, v: usize) -> [f32; CELL_PX] {
+        let mut out = part(self.phase.row(v), left, f32::NAN);
+        if let Some((relative, tree)) = self.open {
+            let (relative, tree) = (part(relative.row(v), left, f32::NAN), part(tree.row(v), left, 0));
+            for u in 0..CELL_PX {
+                out[u] = if tree[u] != 0 { relative[u] } else { out[u] };
+            }
+        }
+        out
+    }
+
+    /// Phases of a cell; NaN beyond the region of interest.
+    #[inline(always)]
+    fn patch(&self, left: usize, top: usize) -> Patch {
+        let mut out = [[f32::NAN; CELL_PX]; CELL_PX];
+        for (v, out) in (top..self.phase.height()).zip(&mut out) {
+            *out = self.row(left, v);
+        }
+        out
+    }
+
     /// The step that the period predicts from the pixel to the left, for the pixels of a cell, rad; any number where
     /// there is none in the cell.
     #[inline(always)]
@@ -366,6 +401,15 @@ impl Surface<'_> {
     }
 }
 
+/// Eight values of a row, `beyond` behind its end.
+#[inline(always)]
+fn part<T: Copy>(row: &[T], left: usize, beyond: T) -> [T; CELL_PX] {
+    match row[left..].first_chunk() {
+        Some(part) => *part,
+        None => std::array::from_fn(|i| row.get(left + i).copied().unwrap_or(beyond)),
+    }
+}
+
 /// Columns of the cells of a row that the object touches.
 #[inline(always)]
 fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
@@ -375,6 +419,64 @@ fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
         (first, end) = (first.min(span.start), end.max(span.end));
     }
     if first < end { first / CELL_PX..end.div_ceil(CELL_PX) } else { 0..0 }
+}
+
+/// A bit for every pixel (u, v) of a cell.
+#[inline(always)]
+fn bits(is: impl Fn(usize, usize) -> bool) -> u64 {
+    let mut rows = [0u8; CELL_PX];
+    for (v, row) in rows.iter_mut().enumerate() {
+        for u in 0..CELL_PX {
+            *row |= u8::from(is(u, v)) << u;
+        }
+    }
+    u64::from_le_bytes(rows)
+}
+
+/// All pixels that hang together with some: `right` and `down` tell which continue the one to their left and above.
+#[inline(always)]
+fn flood(seed: u64, right: u64, down: u64) -> u64 {
+    let mut mask = seed;
+    loop {
+        let mut next = mask | mask << 1 & right | (mask & right) >> 1;
+        next |= next << CELL_PX & down | (next & down) >> CELL_PX;
+        if next == mask {
+            return mask;
+        }
+        mask = next;
+    }
+}
+
+/// The pixel of a node that is nearest to the cell's middle, the first of several.
+#[inline(always)]
+fn middle(mask: u64) -> usize {
+    /// Pixels within so many half steps of the middle, counted along rows and columns.
+    const RINGS: [u64; 8] = {
+        let mut rings = [0; 8];
+        let mut at = 0;
+        while at < CELL_PX * CELL_PX {
+            let (u, v) = (at % CELL_PX, at / CELL_PX);
+            let distance = (2 * u).abs_diff(CELL_PX - 1) + (2 * v).abs_diff(CELL_PX - 1);
+            rings[distance / 2] |= 1 << at;
+            at += 1;
+        }
+        rings
+    };
+    let ring = RINGS.iter().find(|ring| **ring & mask != 0).map_or(mask, |ring| ring & mask);
+    (ring.trailing_zeros() as usize).min(CELL_PX * CELL_PX - 1)
+}
+
+/// The mean of a value over the pixels of a mask; 0 where there are none.
+#[inline(always)]
+fn mean(mask: u64, value: impl Fn(usize, usize) -> f32) -> f32 {
+    let mut sums = [0f32; CELL_PX];
+    for (v, bits) in mask.to_le_bytes().into_iter().enumerate() {
+        for (u, sum) in sums.iter_mut().enumerate() {
+            *sum += if bits >> u & 1 != 0 { value(u, v) } else { 0.0 };
+        }
+    }
+    let [a, b, c, d, e, f, g, h] = sums;
+    ((a + b) + (c + d) + ((e + f) + (g + h))) / mask.count_ones().max(1) as f32
 }
 
 /// The plane of a cell that one node fills: means of its halves.

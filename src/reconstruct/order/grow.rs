@@ -260,7 +260,7 @@ fn conflict(view: &View, node: usize) -> (u32, u32) {
 }
 
 /// Words of the head's other camera that stand against a neighbour of another order.
-const FIRM: i16 = 9;
+const FIRM: i16 = 11;
 
 /// Tries all that has an order against all that has, and takes it from what is contradicted.
 fn check(scenes: &[Scene<'_>], views: &mut [View]) {
@@ -311,8 +311,8 @@ fn finish(view: View, scene: &Scene<'_>) -> Vec<Label> {
         let unconfirmed = view.words[node].good() == 0 && sum.good() < 3;
         // What only other heads confirm: the surface behind a limb is seen by them too.
         let alone = sum.partner == 0 && (scene.pieces.core[node] || sum.hidden == 0);
-        let torn = conflict > 16 || conflict > 0 && sum.partner <= 12;
-        let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 9;
+        let torn = conflict > 16 || conflict > 0 && sum.partner <= 15;
+        let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 12;
         unconfirmed || alone || torn || rim
     };
     let label = |node: usize| {

@@ -1,7 +1,7 @@
 //! Fringe orders of all views of one instant, from all evidence.
 //!
 //! ```text
-//! cells     the wrapped phase in patches of 8 x 8 px (patch), and where they continue each other
+//! cells     the unwrapped phase in patches of 8 x 8 px, and where they continue each other
 //! pieces    patches grown to pieces of surface, joined only along whole borders
 //! lookout   where the other cameras would see a place
 //! witness   what another camera has at the place where a piece would be
@@ -20,7 +20,6 @@ mod elsewhere;
 mod graph;
 mod grow;
 mod lookout;
-mod patch;
 mod pieces;
 mod settle;
 mod sighted;
@@ -85,7 +84,7 @@ impl Regions {
     }
 }
 
-/// Gives every piece of every view its fringe order, or refuses it: afterwards `phase` holds only what is certain.
+/// Gives every piece of every view its fringe order, or refuses it: afterwards `absolute` holds only what is certain.
 /// All views must show the same instant. The result does not depend on threads. One view alone has no witnesses: what its
 /// own marker says stands, without regions.
 pub fn settle(views: &mut [View<'_>]) {
@@ -120,7 +119,7 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let pair = view.triangulator.pair();
     let cells = Cells::new(&Surface {
         phase: &prepared.absolute,
-        misfit: prepared.misfit(),
+        open: Some((&prepared.open.relative, &prepared.open.tree)),
         period: prepared.period(),
         object: &prepared.object,
         runs: prepared.runs(),
@@ -184,18 +183,20 @@ fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
 
 /// Writes the absolute phase of a view by the orders of its nodes.
 fn apply(prepared: &mut Prepared, outcome: Outcome) {
-    let mut known = 0;
+    let (mut gained, mut known) = (0, 0);
     for v in 0..prepared.absolute.height() {
         let (columns, pixels) = outcome.pixels.row(v);
-        for (phase, pixel) in prepared.absolute.row_mut(v)[columns].iter_mut().zip(pixels) {
-            *phase = pixel.phase + outcome.shift.get(pixel.label()).copied().unwrap_or(f32::NAN);
+        for (absolute, pixel) in prepared.absolute.row_mut(v)[columns].iter_mut().zip(pixels) {
+            let phase = pixel.phase + outcome.shift.get(pixel.label()).copied().unwrap_or(f32::NAN);
+            gained += usize::from(absolute.is_nan() & !phase.is_nan());
             known += usize::from(!phase.is_nan());
+            *absolute = phase;
         }
     }
     outcome.pixels.give_back();
     let counts = &mut prepared.counts;
     counts.refused = counts.phase.saturating_sub(known);
     counts.contradicted = outcome.contradicted;
+    counts.by_partner = gained;
     prepared.regions = outcome.regions;
-    prepared.settled = true;
 }

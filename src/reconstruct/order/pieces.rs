@@ -376,17 +376,10 @@ mod tests {
     fn pieces(extra: impl Fn(usize, usize) -> f32) -> (Cells, Pieces, Vec<usize>) {
         let data = (0..W * H).map(|i| (i % W) as f32 * TAU / PERIOD + extra(i % W, i / W)).collect();
         let phase = Plane::from_vec(W, H, data).expect("the plane's size");
-        let (object, misfit) = (Plane::filled(W, H, 1), Plane::filled(W, H, 0.0));
-        let period = Plane::filled(W, H, PERIOD);
+        let (object, period) = (Plane::filled(W, H, 1), Plane::filled(W, H, PERIOD));
         let runs = Runs::of(&object);
-        let surface = Surface {
-            phase: &phase,
-            misfit: &misfit,
-            period: &period,
-            object: &object,
-            runs: &runs,
-            sign: 1.0,
-        };
+        let surface =
+            Surface { phase: &phase, open: None, period: &period, object: &object, runs: &runs, sign: 1.0 };
         let cells = Cells::new(&surface);
         let pieces = Pieces::new(&cells, &[], 20);
         let large = (0..pieces.nodes.len()).filter(|&i| pieces.nodes[i].len() >= 10).collect();

@@ -103,9 +103,6 @@ pub struct Scene<'a> {
 /// What the cameras have at the sampled places, by view, piece and order, each looked up once.
 type Cache = BTreeMap<(usize, usize, i32), Vec<Sight>>;
 
-/// Pieces that could not be parted, by view and piece, with the orders that were tried.
-type Whole = BTreeMap<(usize, usize), Vec<i32>>;
-
 /// Evidence for one order of a piece.
 #[derive(Debug, Clone, Copy, Default)]
 struct Evidence {
@@ -126,11 +123,10 @@ pub fn settle(scenes: &mut [Scene<'_>]) {
         scene.states = scene.pieces.votes.iter().map(by_marker).collect();
     }
     let mut cache = Cache::new();
-    let mut whole = Whole::new();
     for _ in 0..MAX_ROUNDS {
         spread(scenes, &mut cache);
         let moved = verify(scenes, &mut cache);
-        let parted = part(scenes, &mut cache, &mut whole);
+        let parted = part(scenes, &mut cache);
         if !moved && !parted {
             break;
         }
@@ -140,7 +136,7 @@ pub fn settle(scenes: &mut [Scene<'_>]) {
 }
 
 /// Parts pieces that agree with the other cameras at different orders in different places. Whether there were any.
-fn part(scenes: &mut [Scene<'_>], cache: &mut Cache, whole: &mut Whole) -> bool {
+fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
     let mut parted = false;
     for view in 0..scenes.len() {
         for piece in 0..scenes[view].states.len() {
@@ -160,13 +156,7 @@ fn part(scenes: &mut [Scene<'_>], cache: &mut Cache, whole: &mut Whole) -> bool 
             if orders.len() < 2 {
                 continue;
             }
-            if whole.get(&(view, piece)) == Some(&orders) {
-                continue;
-            }
-            let Some(parts) = super::split::parts(scenes, view, piece, &orders) else {
-                whole.insert((view, piece), orders);
-                continue;
-            };
+            let Some(parts) = super::split::parts(scenes, view, piece, &orders) else { continue };
             let scene = &mut scenes[view];
             let first = scene.states.len();
             scene.pieces.part(piece, parts, &scene.witness.cells);
