@@ -243,7 +243,7 @@ impl Cells {
         let nodes = &self.nodes[first..];
         self.grid[cell] = (first as u32, nodes.len() as u32);
         let mut shows = false;
-        for v in 0..CELL_PX.min(surface.phase.height() - top) {
+        for (v, line) in phase.iter().enumerate().take(surface.phase.height() - top) {
             let object = &surface.object.row(top + v)[left..surface.phase.width().min(left + CELL_PX)];
             for (pixel, u) in self.pixels.part(top + v, left, object.len()) {
                 shows |= object[u] != 0;
@@ -252,7 +252,7 @@ impl Cells {
                     [node] if node.mask == ALL => Some(0),
                     nodes => nodes.iter().position(|node| node.mask & bit != 0),
                 };
-                *pixel = Pixel::new(phase[v][u], object[u] != 0, node.map(|i| (first + i) as u32));
+                *pixel = Pixel::new(line[u], object[u] != 0, node.map(|i| (first + i) as u32));
             }
         }
         let place = (row + PAD_CELLS) * padded(self.width) + column + PAD_CELLS;

@@ -229,8 +229,8 @@ impl Block {
             out.down[i] = y + PAD - (row * CELL_PX as u32) as f32;
             (out.x[i], out.y[i]) = (x, y);
         }
-        for i in 0..LANES {
-            out.cast[i] = (column[i] + 0.5) * self.per_column[i];
+        for ((cast, column), per_column) in out.cast.iter_mut().zip(column).zip(self.per_column) {
+            *cast = (column + 0.5) * per_column;
         }
         out
     }
