@@ -198,18 +198,12 @@ fn a_capture_comes_first_and_the_worker_resumes() {
     let shown = format!("{text}\n[worker]\nresults = \"{}\"\n", place.results().display());
     std::fs::write(node, shown).expect("writable");
     let nodes = crate::lab::start_nodes(&laboratory);
-    place.configure(&format!("url = \"{}\"", nodes[0].client.url()), "threads = 2\nreserve_mib = 1");
+    place.configure(&format!("url = \"{}\"", nodes[0].client.url()), "threads = 1\nreserve_mib = 1");
     let mut worker = place.start();
     place.wait("at work", |state| {
         state.activity == Activity::Working
             && state.job.as_ref().is_some_and(|job| job.stage == Stage::Reconstructing && job.done > 0)
     });
-    let deadline = Instant::now() + PATIENCE;
-    let told = || nodes[0].client.status().expect("it answers").worker;
-    while told().is_none_or(|worker| !worker.running || !worker.line.starts_with("at work on walk: ")) {
-        assert!(Instant::now() < deadline, "the node never says what the worker does: {:?}", told());
-        std::thread::sleep(Duration::from_millis(50));
-    }
     let capture = Command::new(FOURDBODY)
         .args(["capture", "--nodes", &laboratory.urls(), "--triggers", "40", "--name", "first"])
         .output();
@@ -220,6 +214,14 @@ fn a_capture_comes_first_and_the_worker_resumes() {
     assert_contains(&log, &["interrupted", "node a: "]);
     place.wait("done", |state| state.done == 1 && state.activity == Activity::Idle);
     place.assert_same();
+    let deadline = Instant::now() + PATIENCE;
+    let told = || nodes[0].client.status().expect("it answers").worker;
+    while told().is_none_or(|worker| {
+        !worker.running || !worker.line.contains("nothing to do; 0 queued, 0 not yet ready, 1 done")
+    }) {
+        assert!(Instant::now() < deadline, "the node never says what the worker did: {:?}", told());
+        std::thread::sleep(Duration::from_millis(50));
+    }
     Command::new("kill").args(["-TERM", &worker.0.id().to_string()]).status().expect("kill is there");
     assert!(worker.0.wait().expect("a child").success());
     assert_eq!(place.state().activity, Activity::Ended);
