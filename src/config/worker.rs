@@ -79,7 +79,7 @@ const MIB: u64 = 1 << 20;
 /// Memory of a reconstruction beside its threads' (measured: docs/benchmarks.md).
 const BASE_BYTES: u64 = 400 * MIB;
 /// Memory of each thread.
-const THREAD_BYTES: u64 = 450 * MIB;
+const THREAD_BYTES: u64 = 500 * MIB;
 
 impl WorkerConfig {
     /// Reads and validates a worker file.
@@ -124,11 +124,11 @@ fn read_worker(root: Section<'_>, base: &Path) -> Option<WorkerConfig> {
         order: work.as_ref().map_or(Order::Newest, |work| {
             work.choice_or_first("order", &[("newest", Order::Newest), ("oldest", Order::Oldest)])
         }),
-        output: work.as_ref().map_or(Output::Ply, |work| {
-            work.choice_or_first("write", &[("ply", Output::Ply), ("phase", Output::Phase)])
+        output: work.as_ref().map_or(Output::Phase, |work| {
+            work.choice_or_first("write", &[("phase", Output::Phase), ("ply", Output::Ply)])
         }),
         threads: Some(number("threads", 0..=1024, 0) as usize).filter(|threads| *threads > 0),
-        memory_bytes: number("memory_mib", 850..=1 << 20, 4096) * MIB,
+        memory_bytes: number("memory_mib", 900..=1 << 20, 4096) * MIB,
         reserve_bytes: number("reserve_mib", 0..=1 << 30, 10_240) * MIB,
         attempts: number("attempts", 1..=100, 3) as u32,
     };
@@ -171,9 +171,9 @@ mod tests {
                  [work]\nthreads = 8\nmemory_mib = {memory_mib}\norder = \"oldest\"\nwrite = \"phase\"\n"
             )
         };
-        let threads = [850, 1300, 1750, 100_000].map(|mib| load(&text(mib)).expect("valid").threads());
+        let threads = [900, 1400, 1900, 100_000].map(|mib| load(&text(mib)).expect("valid").threads());
         assert_eq!(threads, [1, 2, 3, 8]);
-        let config = load(&text(850)).expect("valid");
+        let config = load(&text(900)).expect("valid");
         assert_eq!((config.order, config.output, config.attempts), (Order::Oldest, Output::Phase, 3));
     }
 

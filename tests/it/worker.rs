@@ -60,7 +60,7 @@ impl Place {
     fn configure(&self, node: &str, work: &str) {
         let text = format!(
             "format = 1\nresults = \"results\"\ncalibration = \"calibration.json\"\narchive = \"archive\"\n\
-             [[node]]\nname = \"a\"\nsessions_dir = \"sessions\"\n{node}\n[work]\n{work}\n"
+             [[node]]\nname = \"a\"\nsessions_dir = \"sessions\"\n{node}\n[work]\nwrite = \"ply\"\n{work}\n"
         );
         std::fs::write(self.path("worker.toml"), text).expect("writable");
     }
