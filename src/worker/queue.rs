@@ -1,11 +1,12 @@
 //! Which sessions are there, and which comes next.
 
-use super::state::{Job, now_ns};
+use super::state::{Job, Stage, now_ns};
 use crate::config::{Order, WorkerConfig};
 use crate::ids::SessionName;
 use crate::record::catalogue::{self, CatalogueEntry};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::time::UNIX_EPOCH;
 
 /// A session whose recordings can be worked on.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,7 +43,13 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
     let mut inventory = Inventory::default();
     for name in names(config) {
         match Job::load(&config.results, &name).filter(Job::has_ended) {
-            Some(Job { stage: super::state::Stage::Done, .. }) => inventory.done += 1,
+            Some(job) if job.stage == Stage::Done => match recorded_since(config, &job) {
+                false => inventory.done += 1,
+                true => inventory.not_yet.push((
+                    name,
+                    "its results are of an older session of this name; move them away".to_owned(),
+                )),
+            },
             Some(job) => inventory.set_aside.push((name, job.reason.unwrap_or_default())),
             None => match parts(config, &name) {
                 Ok(found) => inventory.ready.push(found),
@@ -72,6 +79,19 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
         .not_yet
         .extend(waiting.into_iter().map(|(later, found)| (found.name, later.unwrap_or_default())));
     inventory
+}
+
+/// Whether there is a recording of another session under the name of one that is done. Only those that have changed since
+/// are looked into.
+fn recorded_since(config: &WorkerConfig, job: &Job) -> bool {
+    config.nodes.iter().any(|node| {
+        let part = crate::record::node_dir(&node.sessions_dir.join(&job.session), &node.name);
+        let changed = std::fs::metadata(&part).and_then(|metadata| metadata.modified());
+        let changed_ns = changed.ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        changed_ns.is_some_and(|time| time.as_nanos() > u128::from(job.ended_ns))
+            && catalogue::entry(&node.sessions_dir, &node.name, &job.session)
+                .is_some_and(|entry| entry.session_id.as_ref() != Some(&job.session_id))
+    })
 }
 
 /// Names of all sessions that any node has recorded.

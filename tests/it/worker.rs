@@ -378,4 +378,12 @@ fn only_what_is_reconstructed_and_copied_byte_for_byte_is_ever_deleted() {
     assert!(!recording.exists() && place.results().join("walk/merged/000000.ply").exists());
     assert_eq!(std::fs::read_dir(place.path("sessions")).expect("a directory").count(), 0, "no leftovers");
     place.assert_same();
+
+    // Another session of that name is not taken for the one that is done.
+    place.import("walk");
+    let (code, text) = place.once();
+    assert_eq!(code, Some(3), "{text}");
+    let state = place.state();
+    assert_eq!((state.done, state.not_yet.len()), (0, 1), "{state:#?}");
+    assert_contains(&state.not_yet[0].1, &["older session of this name"]);
 }
