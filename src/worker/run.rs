@@ -89,7 +89,9 @@ impl Worker {
                         self.state.not_yet.push((found.name, obstacle));
                         break;
                     }
-                    _ => continue,
+                    // It will not be out of the way at once.
+                    Some(_) => {}
+                    None => continue,
                 },
                 (None, None) if once && self.retries == 0 => break,
                 (None, None) => self.say(Activity::Idle, None),
@@ -193,7 +195,13 @@ impl Worker {
                     _ => None,
                 };
             }
-            Outcome::Failed(reason) => {
+            // What cannot be read because it has gone looks like what is wrong.
+            Outcome::SetAside(reason) if self.blame(found).is_none() => {
+                tracing::warn!(session = job.session, "set aside: {reason}");
+                job.stage = Stage::SetAside;
+                job.reason = Some(reason);
+            }
+            Outcome::Failed(reason) | Outcome::SetAside(reason) => {
                 obstacle = self.blame(found);
                 job.attempts += u32::from(obstacle.is_none());
                 let wait = RETRY * 2_u32.saturating_pow(job.attempts.saturating_sub(1).min(16));
@@ -202,11 +210,6 @@ impl Worker {
                     job.stage = Stage::SetAside;
                 }
                 tracing::warn!(session = job.session, attempts = job.attempts, "failed: {reason}");
-                job.reason = Some(reason);
-            }
-            Outcome::SetAside(reason) => {
-                tracing::warn!(session = job.session, "set aside: {reason}");
-                job.stage = Stage::SetAside;
                 job.reason = Some(reason);
             }
         }

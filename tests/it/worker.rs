@@ -263,6 +263,26 @@ fn what_cannot_be_reconstructed_is_set_aside_with_its_reason_and_nothing_else_wa
 }
 
 #[test]
+fn a_calibration_that_is_not_there_yet_is_waited_for_without_hurry() {
+    let place = Place::new();
+    let (there, away) = (place.path("calibration.json"), place.path("away.json"));
+    std::fs::rename(&there, &away).expect("moved");
+    let mut worker = place.start();
+    place.wait("waiting", |state| state.reason.as_ref().is_some_and(|reason| reason.contains("calibration")));
+    let looks = || {
+        let log = std::fs::read_to_string(place.path("worker.log")).unwrap_or_default();
+        log.matches("interrupted").count()
+    };
+    let before = looks();
+    std::thread::sleep(Duration::from_secs(3));
+    assert!(looks() <= before + 4, "{before} looks, {} three seconds later", looks());
+    std::fs::rename(&away, &there).expect("moved");
+    place.wait("done", |state| state.done == 1);
+    place.assert_same();
+    worker.kill();
+}
+
+#[test]
 fn a_disk_that_is_full_or_a_share_that_is_away_is_waited_for() {
     let place = Place::new();
     place.configure("", "threads = 1\nreserve_mib = 1000000000");
