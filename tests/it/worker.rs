@@ -20,7 +20,18 @@ struct Place {
 impl Place {
     /// With one session, "walk".
     fn new() -> Self {
+        Self::with(TRIGGERS)
+    }
+
+    /// With one session of so many frame sets, of which the first are those of the fixture.
+    fn with(triggers: u64) -> Self {
         let place = Self { fixture: Fixture::new() };
+        for camera in ["h0_up", "h0_low"] {
+            let image = |trigger: u64| place.path("images").join(camera).join(format!("{trigger:06}.png"));
+            for trigger in TRIGGERS..triggers {
+                std::fs::copy(image(trigger % 2), image(trigger)).expect("writable");
+            }
+        }
         place.import("walk");
         place.configure("", "threads = 1\nreserve_mib = 1");
         place
@@ -192,7 +203,8 @@ fn a_worker_that_is_killed_ten_times_gives_the_bytes_of_one_run() {
 fn a_capture_comes_first_and_the_worker_resumes() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = crate::lab::laboratory(dir.path(), 214, 20.0);
-    let place = Place::new();
+    // Work for much longer than a capture takes to begin.
+    let place = Place::with(60);
     let node = &laboratory.nodes[0].path;
     let text = std::fs::read_to_string(node).expect("readable");
     let shown = format!("{text}\n[worker]\nresults = \"{}\"\n", place.results().display());
