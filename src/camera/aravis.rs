@@ -128,6 +128,12 @@ impl AravisCamera {
         }
     }
 
+    /// What a GigE camera says of its control privilege: 0 when nobody has it.
+    fn privilege(&self) -> Option<u32> {
+        const PRIVILEGE: u64 = 0x0a00;
+        Some(self.device.downcast_ref::<aravis::GvDevice>()?.read_register(PRIVILEGE).ok()?.1)
+    }
+
     fn set(&self, setting: &FeatureSetting) -> Result<(), glib::Error> {
         let name = setting.feature.as_str();
         match &setting.value {
@@ -172,9 +178,8 @@ impl Camera for AravisCamera {
     }
 
     fn not_ours(&self) -> Option<CameraError> {
-        const PRIVILEGE: u64 = 0x0a00;
         // One that does not answer has no holder that it could name.
-        let privilege = self.device.downcast_ref::<aravis::GvDevice>()?.read_register(PRIVILEGE).ok()?.1;
+        let privilege = self.privilege()?;
         let holder = holder(&self.device).filter(|_| privilege != 0);
         Some(CameraError::NotOurs { holder, detail: "its control channel was lost".to_owned() })
     }
@@ -193,6 +198,10 @@ impl Camera for AravisCamera {
             let failed = |what: &str, e: glib::Error| {
                 if is_silence(&e) {
                     return CameraError::Link { doing: "setting its features", detail: e.to_string() };
+                }
+                // One that was restarted has no controller, and the next heartbeat has not told us yet.
+                if is_refusal(&e) && self.privilege() == Some(0) {
+                    return CameraError::NotOurs { holder: None, detail: e.to_string() };
                 }
                 refused(setting, format!("{what} ({e})"))
             };

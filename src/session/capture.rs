@@ -4,6 +4,7 @@
 //! link has armed the same session. Whatever fails on the way, every node is told to give the session up.
 
 use super::captured::{Captured, ended_early, failure_of_all};
+use super::countdown::{Watch, count_down};
 use super::participant::Participant;
 use super::state::{Fault, Phase, SessionRequest};
 use crate::api::dto::{NodeStatus, Outcome, SessionStatus};
@@ -132,7 +133,10 @@ pub fn capture(
         abort_all(nodes, request.session_id, "another node could not get ready");
         return Err(fault);
     }
-    count_down(wish.countdown_s, control, &mut progress);
+    let mut watch = Watch::new(nodes, request.session_id);
+    if let Err(fault) = count_down(wish.countdown_s, control, &mut progress, &mut watch) {
+        return Err(watch.give_up(fault));
+    }
     if control.ends() {
         let reason = control.take_abort();
         let reason = reason.unwrap_or_else(|| "stopped by the operator before the start".to_owned());
@@ -143,9 +147,10 @@ pub fn capture(
         ));
     }
     let first = nodes.first().ok_or_else(|| Fault::new(Exit::Usage, "no nodes"))?;
-    if let Err(fault) = first.start(request.session_id) {
-        abort_all(nodes, request.session_id, &fault.message);
-        return Err(fault);
+    if let Err(refused) = first.start(request.session_id) {
+        // Of a node that has given up since, its own reason says more.
+        let fault = watch.look().err().unwrap_or(refused);
+        return Err(watch.give_up(fault));
     }
     let sessions = follow(nodes, &request, control, &mut progress)?;
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
@@ -153,23 +158,6 @@ pub fn capture(
     match failure_of_all(captured.nodes()) {
         Some(fault) => Err(fault),
         None => Ok(captured),
-    }
-}
-
-fn count_down(seconds: u32, control: &Control, progress: &mut impl FnMut(&Stage)) {
-    const STEP: Duration = Duration::from_millis(50);
-    let begin = Instant::now();
-    let whole = Duration::from_secs(seconds.min(COUNTDOWN_MAX_S).into());
-    let mut told = None;
-    while let Some(left) = whole.checked_sub(begin.elapsed()).filter(|left| !left.is_zero()) {
-        if control.ends() {
-            return;
-        }
-        let left_s = left.as_secs_f64().ceil() as u32;
-        if told.replace(left_s) != Some(left_s) {
-            progress(&Stage::CountingDown { left_s });
-        }
-        std::thread::sleep(STEP.min(left));
     }
 }
 
@@ -257,7 +245,7 @@ fn prepare_all(nodes: Nodes<'_>, statuses: &[NodeStatus], request: &SessionReque
     })
 }
 
-fn abort_all(nodes: Nodes<'_>, session_id: u64, reason: &str) {
+pub(super) fn abort_all(nodes: Nodes<'_>, session_id: u64, reason: &str) {
     for node in nodes {
         // A node that is not in this session says so; there is nothing more to do for it.
         if let Err(fault) = node.abort(session_id, reason) {
@@ -346,7 +334,7 @@ fn follow(
 
 #[cfg(test)]
 mod tests {
-    use super::{Control, Wish, count_down, triggers};
+    use super::{Wish, triggers};
 
     #[test]
     fn a_wish_without_an_end_runs_until_it_is_stopped() {
@@ -358,17 +346,5 @@ mod tests {
         for bad in [wish(Some(1), Some(1.0)), wish(None, Some(0.0)), wish(None, Some(f64::NAN))] {
             assert!(triggers(&bad, 120.0).is_err(), "{bad:?}");
         }
-    }
-
-    #[test]
-    fn a_countdown_ends_when_the_operator_does_not_want_it_any_more() {
-        let control = Control::default();
-        let mut told = Vec::new();
-        count_down(60, &control, &mut |stage| {
-            told.push(stage.clone());
-            control.stop();
-        });
-        assert_eq!(told.len(), 1);
-        assert!(control.ends());
     }
 }

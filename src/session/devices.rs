@@ -43,6 +43,15 @@ impl OpenCamera {
         camera.start().map_err(|e| Fault::new(Exit::Device, format!("camera {}: {e}", self.config.id)))
     }
 
+    /// Sets and reads back all features.
+    fn set_up(&mut self) -> Result<PreparedCamera, CameraError> {
+        let not_open = CameraError::Link { doing: "setting its features", detail: "not open".to_owned() };
+        let camera = self.camera.as_mut().ok_or(not_open)?;
+        let settings = camera.apply(&self.config.settings)?;
+        let (id, identity) = (self.config.id.clone(), camera.identity().clone());
+        Ok(PreparedCamera { id, size: camera.image_size()?, identity, settings })
+    }
+
     /// Everything but the open camera, which moves to the copy.
     fn hand_over(&mut self) -> Self {
         Self {
@@ -258,22 +267,26 @@ impl Devices {
             self.slots[i].camera = None;
             self.open(i)?;
         }
-        let slot = &mut self.slots[i];
-        let id = slot.config.id.clone();
+        let mut set_up = self.slots[i].set_up();
+        if matches!(set_up, Err(CameraError::NotOurs { holder: None, .. })) {
+            // It was restarted since it was opened.
+            self.slots[i].camera = None;
+            self.open(i)?;
+            set_up = self.slots[i].set_up();
+        }
+        let slot = &self.slots[i];
+        let id = &slot.config.id;
         let fault = |error: &dyn std::fmt::Display| Fault::new(Exit::Device, format!("camera {id}: {error}"));
-        let camera = slot.camera.as_mut().ok_or_else(|| fault(&"not open"))?;
-        let applied =
-            camera.apply(&slot.config.settings).and_then(|settings| Ok((settings, camera.image_size()?)));
-        let (settings, size) = applied.map_err(|error| fault(&error))?;
-        if size != slot.size {
-            let (found, expected) = (size, slot.size);
+        let prepared = set_up.map_err(|error| fault(&error))?;
+        if prepared.size != slot.size {
+            let (found, expected) = (prepared.size, slot.size);
             let text = format!(
                 "its images are {} x {}, the rig has {} x {}; set Width and Height in the node file",
                 found.0, found.1, expected.0, expected.1
             );
             return Err(fault(&text));
         }
-        Ok(PreparedCamera { id: id.clone(), size, identity: camera.identity().clone(), settings })
+        Ok(prepared)
     }
 
     /// A burst of clock readings of the HSU and of every camera, for the fits and for the record.

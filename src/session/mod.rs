@@ -5,6 +5,7 @@ mod attendant;
 pub mod capture;
 pub mod captured;
 pub mod coordinator;
+mod countdown;
 mod current;
 pub mod devices;
 pub mod driver;

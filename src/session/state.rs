@@ -240,7 +240,10 @@ impl Machine {
             // answers with the end of a train that may be empty.
             (Phase::Ready, Event::Stop) => vec![Action::StopTrain],
             // All telemetry of a short train may be lost: the end tells that it ran.
-            (Phase::Ready, Event::TrainDone { emitted: 0 }) => self.give_up("the train was empty".to_owned()),
+            (Phase::Ready, Event::TrainDone { emitted: 0 }) => self.give_up(
+                "the train ended before its first trigger: another node gave up, or it was stopped"
+                    .to_owned(),
+            ),
             (Phase::Ready, Event::Tick) if self.idle_for(now) > READY_TIMEOUT => {
                 self.give_up(format!("nobody started the session within {} s", READY_TIMEOUT.as_secs()))
             }

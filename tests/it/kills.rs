@@ -12,13 +12,13 @@ use std::process::Output;
 use std::time::{Duration, Instant};
 
 /// The node that runs the capture; the other is 1.
-const COORDINATOR: usize = 0;
+pub(crate) const COORDINATOR: usize = 0;
 /// More than any stage lasts.
-const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// When the node is killed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Stage {
+pub(crate) enum Stage {
     Preparing,
     CountingDown,
     Recording,
@@ -48,14 +48,14 @@ impl Stage {
     }
 }
 
-struct Rig {
+pub(crate) struct Rig {
     dir: tempfile::TempDir,
-    laboratory: Laboratory,
-    nodes: Vec<NodeProcess>,
+    pub(crate) laboratory: Laboratory,
+    pub(crate) nodes: Vec<NodeProcess>,
 }
 
 impl Rig {
-    fn new(subnet: u8) -> Self {
+    pub(crate) fn new(subnet: u8) -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let laboratory = laboratory(dir.path(), subnet, 20.0);
         let nodes = start_nodes(&laboratory);
@@ -93,7 +93,7 @@ impl Rig {
     }
 
     /// The other node's session as it ended; `None` where it has never heard of it.
-    fn end_of(&mut self, survivor: usize, name: &str) -> Option<Outcome> {
+    pub(crate) fn end_of(&mut self, survivor: usize, name: &str) -> Option<Outcome> {
         let status = self.nodes[survivor].wait_until("idle, with an outcome", |status| {
             let session = status.session.as_ref().filter(|session| session.name == name);
             status.phase == Phase::Idle && session.is_none_or(|session| session.outcome.is_some())
@@ -114,11 +114,11 @@ impl Rig {
         }
     }
 
-    fn part(&self, name: &str, node: usize) -> PathBuf {
+    pub(crate) fn part(&self, name: &str, node: usize) -> PathBuf {
         self.dir.path().join("sessions").join(name).join(format!("node-{}", ["a", "b"][node]))
     }
 
-    fn the_next_session_works(&mut self, name: &str) {
+    pub(crate) fn the_next_session_works(&mut self, name: &str) {
         self.nodes.iter_mut().for_each(|node| drop(node.wait_ready()));
         self.the_capture_has_ended(name);
         let urls = self.laboratory.urls();

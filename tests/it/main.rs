@@ -13,6 +13,8 @@ mod architecture;
 mod back_end;
 mod bad_frames;
 mod bad_photographs;
+#[cfg(feature = "aravis")]
+mod before_the_start;
 mod board_photographs;
 mod board_to_plane;
 #[cfg(feature = "aravis")]
