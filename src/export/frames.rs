@@ -9,7 +9,7 @@ use crate::reconstruct::{Frame, FrameSource};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, json};
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Seek, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -35,18 +35,24 @@ impl Picture {
 
     /// Writes a file, which is never half there.
     pub fn save(self, path: &Path, image: Mono8<'_>) -> io::Result<()> {
+        write_whole(path, |file| self.write(file, image))
+    }
+
+    fn write(self, out: impl Write + Seek, image: Mono8<'_>) -> io::Result<()> {
         let side = |side: usize| u32::try_from(side).map_err(io::Error::other);
-        write_whole(path, |file| match self {
-            Self::Png => encode_png_grey(BufWriter::new(file), image),
+        // Dropped with bytes in it, it would not tell that they could not be written.
+        let mut out = BufWriter::new(out);
+        match self {
+            Self::Png => encode_png_grey(&mut out, image)?,
             Self::Tiff => {
                 let (width, height) = (side(image.width())?, side(image.height())?);
-                let mut encoder =
-                    tiff::encoder::TiffEncoder::new(BufWriter::new(file)).map_err(io::Error::other)?;
+                let mut encoder = tiff::encoder::TiffEncoder::new(&mut out).map_err(io::Error::other)?;
                 encoder
                     .write_image::<tiff::encoder::colortype::Gray8>(width, height, image.as_slice())
-                    .map_err(io::Error::other)
+                    .map_err(io::Error::other)?;
             }
-        })
+        }
+        out.flush()
     }
 }
 
@@ -157,4 +163,51 @@ fn export(
         count(&|summary| summary.written += 1);
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Picture;
+    use crate::image::Mono8;
+    use std::io::{self, Cursor, Seek, SeekFrom, Write};
+
+    /// A medium with room for so many bytes.
+    struct Medium {
+        file: Cursor<Vec<u8>>,
+        room: usize,
+    }
+
+    impl Write for Medium {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let end = self.file.position() as usize + bytes.len();
+            if end > self.room { Err(io::ErrorKind::StorageFull.into()) } else { self.file.write(bytes) }
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Seek for Medium {
+        fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+            self.file.seek(to)
+        }
+    }
+
+    #[test]
+    fn a_picture_that_does_not_fit_is_no_success() {
+        let pixels: Vec<u8> = (0..60 * 40).map(|i| (i * 7 % 251) as u8).collect();
+        let image = Mono8::new(60, 40, &pixels).expect("a picture");
+        for format in [Picture::Png, Picture::Tiff] {
+            let write = |room| {
+                let mut medium = Medium { file: Cursor::new(Vec::new()), room };
+                format.write(&mut medium, image).map(|()| medium.file.into_inner().len())
+            };
+            let whole = write(usize::MAX).expect("room");
+            (0..whole).step_by(13).chain([whole - 1]).for_each(|room| {
+                assert!(write(room).is_err(), "{format:?}: {room} of {whole} bytes are no picture");
+            });
+            assert_eq!(write(whole).expect("room"), whole);
+        }
+    }
 }

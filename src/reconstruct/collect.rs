@@ -10,7 +10,7 @@
 //! cameras, and every file that it speaks of is there, whole, and made with the same parameters. Collecting changes
 //! nothing that shards have written, so that it may be done again at any time.
 
-use super::batch::{self, FrameSummary, Plan, Summary, TriggerSummary, cloud_path, merged_path};
+use super::batch::{self, Format, FrameSummary, Plan, Summary, TriggerSummary, cloud_path, merged_path};
 use super::stored::phase_path;
 use crate::calibrate::Calibration;
 use crate::export::{STALE, phase_file, ply, remove_stale};
@@ -28,6 +28,13 @@ pub fn summary_path(out: &Path, shard: Option<(u64, u64)>) -> PathBuf {
         None => out.join("summary.json"),
         Some((i, n)) => out.join(format!("summary-{i}-of-{n}.json")),
     }
+}
+
+/// The summary of a run over all triggers.
+pub fn load_summary(out: &Path) -> Result<Summary, String> {
+    let path = summary_path(out, None);
+    let text = std::fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+    serde_json::from_slice(&text).map_err(|e| format!("{}: {e}; another version wrote it", path.display()))
 }
 
 /// Removes temporary files that killed processes have left in a result's directories, as far as that goes.
@@ -143,7 +150,7 @@ impl<'a> Shards<'a> {
         if expected != found {
             let lacking: Vec<u64> = expected.iter().filter(|t| !found.contains(t)).copied().collect();
             let beyond: Vec<u64> = found.iter().filter(|t| !expected.contains(t)).copied().collect();
-            return Err(format!("lacks {}; has, unasked for, {}", triggers(&lacking), triggers(&beyond)));
+            return Err(format!("lacks {}; has, unasked for, {}", named(&lacking), named(&beyond)));
         }
         Ok(())
     }
@@ -153,55 +160,12 @@ impl<'a> Shards<'a> {
         self.plan.triggers.clone().filter(move |t| t % self.count == shard)
     }
 
-    /// Triggers of which a file is missing, cut, or of other parameters.
-    fn without_files(&self, summary: &Summary) -> Vec<u64> {
-        let lacking = summary.triggers.par_iter().filter(|t| !self.has_files(t));
-        lacking.map(|t| t.trigger).collect()
-    }
-
-    fn has_files(&self, trigger: &TriggerSummary) -> bool {
-        let directional = trigger.frames.iter().all(|frame| self.has_frame(trigger.trigger, frame));
-        directional && (self.plan.format == batch::Format::Phase || self.has_merged(trigger))
-    }
-
-    fn has_frame(&self, trigger: u64, frame: &FrameSummary) -> bool {
-        if !matches!(&*frame.outcome, "cloud" | "refused") {
-            return true;
-        }
-        let (points, comments) = match self.plan.format {
-            batch::Format::Ply => {
-                let path = cloud_path(&self.plan.out, &frame.camera, trigger);
-                let Ok(header) = ply::load_whole_header(&path) else { return false };
-                (header.points, header.comments)
-            }
-            batch::Format::Phase => {
-                let path = phase_path(&self.plan.out, frame.camera.as_str(), trigger);
-                let Ok(statement) = phase_file::load_statement(&path) else { return false };
-                (statement.points, statement.comments)
-            }
-        };
-        points == frame.points
-            && comments.contains(&self.parameters_comment())
-            && comments.contains(&batch::together(self.cameras.iter().copied()))
-    }
-
-    fn has_merged(&self, trigger: &TriggerSummary) -> bool {
-        let header = ply::load_whole_header(&merged_path(&self.plan.out, trigger.trigger));
-        header.is_ok_and(|header| {
-            header.points == trigger.merged_points && header.comments.contains(&self.parameters_comment())
-        })
-    }
-
-    fn parameters_comment(&self) -> String {
-        format!("parameters {}", self.parameters)
-    }
-
     /// The summary of a shard whose files are all there.
     fn complete(&self, shard: u64) -> Result<Summary, ShardProblem> {
         let summary = self.summary(shard)?;
-        let lacking = self.without_files(&summary);
+        let lacking = without_files(&self.plan.out, self.plan.format, &summary);
         if !lacking.is_empty() {
-            let found = format!("no whole files of {}", triggers(&lacking));
+            let found = format!("no whole files of {}", named(&lacking));
             return Err(ShardProblem { shard, lack: Lack::Work, found });
         }
         Ok(summary)
@@ -225,13 +189,63 @@ pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
     Ok(batch::summarize(merged, &shards.parameters, shards.plan))
 }
 
+/// Triggers of a summary of which a file is missing, cut, or of other parameters, on the current rayon pool.
+pub fn without_files(out: &Path, format: Format, summary: &Summary) -> Vec<u64> {
+    let stated = Stated { out, format, parameters: format!("parameters {}", summary.parameters) };
+    let lacking = summary.triggers.par_iter().filter(|trigger| !stated.has_files(trigger));
+    lacking.map(|trigger| trigger.trigger).collect()
+}
+
+/// The files that a summary speaks of.
+struct Stated<'a> {
+    out: &'a Path,
+    format: Format,
+    /// As every file states them.
+    parameters: String,
+}
+
+impl Stated<'_> {
+    fn has_files(&self, trigger: &TriggerSummary) -> bool {
+        let together = batch::together(trigger.frames.iter().map(|frame| &frame.camera));
+        let directional =
+            trigger.frames.iter().all(|frame| self.has_frame(trigger.trigger, frame, &together));
+        directional && (self.format == Format::Phase || self.has_merged(trigger))
+    }
+
+    fn has_frame(&self, trigger: u64, frame: &FrameSummary, together: &String) -> bool {
+        if !matches!(&*frame.outcome, "cloud" | "refused") {
+            return true;
+        }
+        let (points, comments) = match self.format {
+            Format::Ply => {
+                let path = cloud_path(self.out, &frame.camera, trigger);
+                let Ok(header) = ply::load_whole_header(&path) else { return false };
+                (header.points, header.comments)
+            }
+            Format::Phase => {
+                let path = phase_path(self.out, frame.camera.as_str(), trigger);
+                let Ok(statement) = phase_file::load_statement(&path) else { return false };
+                (statement.points, statement.comments)
+            }
+        };
+        points == frame.points && comments.contains(&self.parameters) && comments.contains(together)
+    }
+
+    fn has_merged(&self, trigger: &TriggerSummary) -> bool {
+        let header = ply::load_whole_header(&merged_path(self.out, trigger.trigger));
+        header.is_ok_and(|header| {
+            header.points == trigger.merged_points && header.comments.contains(&self.parameters)
+        })
+    }
+}
+
 /// Triggers as a message names them.
-fn triggers(list: &[u64]) -> String {
-    let named: Vec<String> = list.iter().take(NAMED).map(u64::to_string).collect();
+pub fn named(list: &[u64]) -> String {
+    let some: Vec<String> = list.iter().take(NAMED).map(u64::to_string).collect();
     match (list.len(), list.len().saturating_sub(NAMED)) {
         (0, _) => "none".to_owned(),
-        (1, _) => format!("trigger {}", named.join("")),
-        (_, 0) => format!("triggers {}", named.join(", ")),
-        (_, more) => format!("triggers {} and {more} more", named.join(", ")),
+        (1, _) => format!("trigger {}", some.join("")),
+        (_, 0) => format!("triggers {}", some.join(", ")),
+        (_, more) => format!("triggers {} and {more} more", some.join(", ")),
     }
 }

@@ -1,9 +1,9 @@
 //! Making room: recordings that are verified, reconstructed and copied may be deleted, by name, when somebody asks for it.
 
 use super::queue;
-use super::run::frame_sets;
 use super::state::{Job, Stage};
 use crate::config::WorkerConfig;
+use crate::reconstruct::{batch::Format, collect};
 use crate::record::verify::{Severity, verify};
 use serde::Serialize;
 use std::fs::File;
@@ -83,13 +83,22 @@ fn not_reconstructed(config: &WorkerConfig, session: &str, session_id: &str) -> 
     let Some(job) = Job::load(&config.results, session).filter(|job| job.stage == Stage::Done) else {
         return Some("it is not reconstructed yet".to_owned());
     };
-    let dir = config.results.join(session);
-    let there = frame_sets(&dir, config.output);
     if job.session_id != session_id {
         return Some(format!("its results are of another session of this name ({})", job.session_id));
     }
-    (there != job.of || !dir.join("summary.json").is_file())
-        .then(|| format!("{} frame sets were reconstructed, {there} are in {}", job.of, dir.display()))
+    let dir = config.results.join(session);
+    let summary = match collect::load_summary(&dir) {
+        Ok(summary) => summary,
+        Err(reason) => return Some(reason),
+    };
+    let there = summary.triggers.len() as u64;
+    if there != job.of {
+        return Some(format!("{} frame sets were recorded, {there} are in {}", job.of, dir.display()));
+    }
+    // Whatever is configured for sessions to come.
+    let lacking = [Format::Phase, Format::Ply].map(|format| collect::without_files(&dir, format, &summary));
+    let fewest = lacking.iter().min_by_key(|lacking| lacking.len()).filter(|lacking| !lacking.is_empty())?;
+    Some(format!("{} has no whole results of {}", dir.display(), collect::named(fewest)))
 }
 
 fn not_verified(part: &Path) -> Option<String> {

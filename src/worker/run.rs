@@ -8,8 +8,10 @@ use crate::calibrate::Calibration;
 use crate::cmds::Exit;
 use crate::config::{Output, WorkerConfig};
 use crate::export::write_whole;
+use crate::reconstruct::collect;
 use crate::record::{free_bytes, node_dir};
 use crate::session::state::Fault;
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs::{File, TryLockError};
 use std::io::Write;
@@ -315,10 +317,10 @@ impl Worker {
             dir.join("timings.json").into(),
         ];
         match self.task(job, args) {
-            Ok(Ended::ByItself(Some(0 | 3))) => {
-                summarize(job, &dir);
-                Outcome::Ended
-            }
+            Ok(Ended::ByItself(Some(0 | 3))) => match summarize(job, &dir) {
+                Ok(()) => Outcome::Ended,
+                Err(reason) => Outcome::Failed(reason),
+            },
             Ok(Ended::ByItself(Some(code @ (2 | 4)))) => Outcome::SetAside(format!(
                 "reconstruct ended with exit code {code}: {}",
                 self.last_words(job)
@@ -394,38 +396,30 @@ fn keep_calibration(from: &Path, to: &Path) -> Result<(), String> {
     write_whole(to, |file| file.write_all(&text)).map_err(|e| format!("{}: {e}", to.display()))
 }
 
-/// Frame sets that are ready.
-pub(super) fn frame_sets(dir: &Path, output: Output) -> u64 {
-    let count = |folder: &str, is: &dyn Fn(&str) -> bool| {
-        let entries = std::fs::read_dir(dir.join(folder)).into_iter().flatten().flatten();
-        entries.filter(|entry| entry.file_name().to_str().is_some_and(is)).count() as u64
+/// Frame sets of which something is ready, for people: `retention` looks more closely.
+fn frame_sets(dir: &Path, output: Output) -> u64 {
+    let (folder, end) = match output {
+        Output::Ply => ("merged", ".ply"),
+        Output::Phase => ("phases", ".phase"),
     };
-    match output {
-        Output::Ply => count("merged", &|name| name.ends_with(".ply")),
-        Output::Phase => {
-            let first = std::fs::read_dir(dir.join("phases")).into_iter().flatten().flatten().next();
-            let camera =
-                first.and_then(|entry| Some(entry.file_name().to_str()?.rsplit_once('_')?.0.to_owned()));
-            camera.map_or(0, |camera| {
-                count("phases", &|name| name.starts_with(&camera) && name.ends_with(".phase"))
-            })
-        }
-    }
+    let entries = std::fs::read_dir(dir.join(folder)).into_iter().flatten().flatten();
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    // `INDEX` or `CAMERA_INDEX`: no camera has every frame.
+    let index = |name: &str| name.strip_suffix(end)?.rsplit('_').next()?.parse().ok();
+    names.filter_map(|name| index(&name)).collect::<BTreeSet<u64>>().len() as u64
 }
 
 /// What the summary says of a session that is done.
-fn summarize(job: &mut Job, dir: &Path) {
-    let read = |name: &str| -> serde_json::Value {
-        let text = std::fs::read(dir.join(name)).unwrap_or_default();
-        serde_json::from_slice(&text).unwrap_or_default()
-    };
-    let summary = read("summary.json");
-    let number = |key: &str| summary[key].as_u64().unwrap_or(0);
-    job.peak_memory_bytes = read("timings.json")["peak_memory_bytes"].as_u64().unwrap_or(0);
-    job.frames_without_cloud = number("refused") + number("gaps") + number("damaged");
-    job.merged_points = number("merged_points");
-    job.parameters = summary["parameters"].as_str().unwrap_or_default().to_owned();
+fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
+    let summary = collect::load_summary(dir)?;
+    let timings = std::fs::read(dir.join("timings.json")).unwrap_or_default();
+    let timings: serde_json::Value = serde_json::from_slice(&timings).unwrap_or_default();
+    job.peak_memory_bytes = timings["peak_memory_bytes"].as_u64().unwrap_or(0);
+    job.frames_without_cloud = (summary.refused + summary.gaps + summary.damaged) as u64;
+    job.merged_points = summary.merged_points as u64;
+    job.parameters = summary.parameters;
     (job.stage, job.done, job.reason) = (Stage::Done, job.of, None);
+    Ok(())
 }
 
 /// The sessions that somebody wants before the others.

@@ -69,9 +69,13 @@ impl Place {
     }
 
     fn configure(&self, node: &str, work: &str) {
+        self.configure_to_write("ply", node, work);
+    }
+
+    fn configure_to_write(&self, write: &str, node: &str, work: &str) {
         let text = format!(
             "format = 1\nresults = \"results\"\ncalibration = \"calibration.json\"\narchive = \"archive\"\n\
-             [[node]]\nname = \"a\"\nsessions_dir = \"sessions\"\n{node}\n[work]\nwrite = \"ply\"\n{work}\n"
+             [[node]]\nname = \"a\"\nsessions_dir = \"sessions\"\n{node}\n[work]\nwrite = \"{write}\"\n{work}\n"
         );
         std::fs::write(self.path("worker.toml"), text).expect("writable");
     }
@@ -90,6 +94,14 @@ impl Place {
             .stdout(Stdio::null())
             .stderr(log);
         Running(command.spawn().expect("starts"))
+    }
+
+    fn prune(&self, options: &[&str]) -> (Option<i32>, String) {
+        let config = self.config();
+        let args: Vec<&str> =
+            ["prune", "--config", &config].into_iter().chain(options.iter().copied()).collect();
+        let output = fourdbody(&args);
+        (output.status.code(), text_of(&output))
     }
 
     fn once(&self) -> (Option<i32>, String) {
@@ -376,13 +388,7 @@ fn only_one_worker_has_the_results() {
 #[test]
 fn only_what_is_reconstructed_and_copied_byte_for_byte_is_ever_deleted() {
     let place = Place::new();
-    let prune = |options: &[&str]| {
-        let config = place.config();
-        let args: Vec<&str> =
-            ["prune", "--config", &config].into_iter().chain(options.iter().copied()).collect();
-        let output = fourdbody(&args);
-        (output.status.code(), text_of(&output))
-    };
+    let prune = |options: &[&str]| place.prune(options);
     let recording = place.path("sessions/walk/node-a");
     let (code, text) = prune(&["--delete", "walk"]);
     assert_eq!(code, Some(4), "{text}");
@@ -418,4 +424,31 @@ fn only_what_is_reconstructed_and_copied_byte_for_byte_is_ever_deleted() {
     let state = place.state();
     assert_eq!((state.done, state.not_yet.len()), (0, 1), "{state:#?}");
     assert_contains(&state.not_yet[0].1, &["older session of this name"]);
+}
+
+#[test]
+fn phase_maps_are_results_and_a_session_keeps_its_recordings_when_one_of_them_is_gone() {
+    let place = Place::new();
+    place.configure_to_write("phase", "", "threads = 1\nreserve_mib = 1");
+    assert_eq!(place.once().0, Some(0));
+    let job = Job::load(&place.results(), "walk").expect("there");
+    assert_eq!((job.stage, job.done, job.of), (Stage::Done, TRIGGERS, TRIGGERS));
+    let (recording, copy) = (place.path("sessions/walk/node-a"), place.path("archive/walk/node-a"));
+    std::fs::create_dir_all(&copy).expect("writable");
+    std::fs::copy(recording.join("segment-000.mcap"), copy.join("segment-000.mcap")).expect("writable");
+
+    let map = place.results().join("walk/phases/h0_up_000002.phase");
+    let whole = std::fs::read(&map).expect("readable");
+    std::fs::write(&map, &whole[..whole.len() - 1]).expect("writable");
+    let (code, text) = place.prune(&["--delete", "walk"]);
+    assert_eq!(code, Some(4), "{text}");
+    assert_contains(&text, &["no whole results of trigger 2"]);
+    std::fs::remove_file(&map).expect("there");
+    assert_contains(&place.prune(&[]).1, &["no whole results of trigger 2"]);
+    assert!(recording.exists());
+
+    // Of the trigger whose frame is missing there is only the other camera's.
+    std::fs::write(&map, &whole).expect("writable");
+    assert_contains(&place.prune(&["--delete", "walk"]).1, &["deleted"]);
+    assert!(!recording.exists() && map.exists());
 }
