@@ -247,6 +247,29 @@ pub fn write_sequence(
     stored::write_sequence(clouds, path)
 }
 
+/// The cameras that are asked for, those of a head together, each with its tables: they take longer than a frame.
+fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Camera>>, String> {
+    let asked = (0_usize..).zip(calibration.cameras()).filter(|(_, (_, c))| plan.cameras.contains(&c.id));
+    let asked: Vec<_> = asked.collect();
+    let made = asked.par_iter().map(|(number, (head, camera))| {
+        let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
+        let triangulator = Triangulator::new(Pair::new(head, camera, calibration)?);
+        let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
+        let pipeline = pipeline.with_uncertainty(plan.uncertainty);
+        Ok((&head.id, Camera { id: camera.id.clone(), number, pipeline }))
+    });
+    let mut heads: Vec<Vec<Camera>> = Vec::new();
+    let mut last = None;
+    for (head, camera) in made.collect::<Result<Vec<_>, String>>()? {
+        match heads.last_mut().filter(|_| last == Some(head)) {
+            Some(cameras) => cameras.push(camera),
+            None => heads.push(vec![camera]),
+        }
+        last = Some(head);
+    }
+    Ok(heads)
+}
+
 /// Runs the plan on the current rayon pool. `progress` is told the number of triggers done.
 pub fn run(
     source: &dyn FrameSource,
@@ -263,24 +286,7 @@ pub fn run(
         std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     }
     remove_leftovers(&plan.out);
-    let mut heads: Vec<Vec<Camera>> = Vec::new();
-    let mut last = None;
-    for (number, (head, camera)) in calibration.cameras().enumerate() {
-        if plan.cameras.contains(&camera.id) {
-            let number = u8::try_from(number).map_err(|_| "more than 255 cameras".to_owned())?;
-            let triangulator = Triangulator::new(Pair::new(head, camera, calibration)?);
-            let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some())
-                .with_uncertainty(plan.uncertainty);
-            if last != Some(&head.id) {
-                heads.push(Vec::new());
-                last = Some(&head.id);
-            }
-            let camera = Camera { id: camera.id.clone(), number, pipeline };
-            if let Some(cameras) = heads.last_mut() {
-                cameras.push(camera);
-            }
-        }
-    }
+    let heads = cameras_by_head(plan, calibration)?;
     let parameters = parameters(calibration, plan)?;
     let calibration_statement = stored::statement_of(calibration);
     let timings = Mutex::default();
