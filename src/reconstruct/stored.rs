@@ -6,6 +6,7 @@
 
 use super::batch::{cloud_path, merged_path};
 use super::cloud;
+use super::collect::remove_leftovers;
 use super::pair::Pair;
 use super::rays::RayTable;
 use crate::calibrate::Calibration;
@@ -16,6 +17,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
 /// Where a phase map is.
@@ -23,8 +25,11 @@ pub fn phase_path(out: &Path, camera: &str, trigger: u64) -> PathBuf {
     out.join("phases").join(format!("{camera}_{trigger:06}.phase"))
 }
 
-/// What a map states of the calibration that clouds are made with.
-pub fn statement_of(calibration: &Calibration) -> (String, [[f64; 3]; 2]) {
+/// What a map states of the calibration that clouds are made with: its hash, and its volume, m.
+pub type Geometry = (String, [[f64; 3]; 2]);
+
+/// That of a calibration.
+pub fn statement_of(calibration: &Calibration) -> Geometry {
     (calibration.geometry_sha256(), [calibration.volume_min_m, calibration.volume_max_m])
 }
 
@@ -37,35 +42,75 @@ pub struct Exported {
     pub merged_points: usize,
     /// Triggers.
     pub triggers: usize,
+    /// Triggers whose clouds were there already.
+    pub kept: usize,
+}
+
+/// What became of a trigger.
+struct Made {
+    trigger: u64,
+    time_ns: Option<u64>,
+    /// Of its merged cloud.
+    points: usize,
+    kept: bool,
 }
 
 /// One trigger's maps: places of their cameras in the calibration, and files.
 type Maps = Vec<(usize, PathBuf)>;
 
+/// Why an export ended.
+#[derive(Debug, thiserror::Error)]
+pub enum StoredError {
+    /// The maps cannot be used: damaged, or made with another calibration.
+    #[error("{0}")]
+    Maps(String),
+    /// Something could not be written.
+    #[error("{0}")]
+    Write(String),
+}
+
 /// Makes the clouds of all phase maps in `from`, on the current rayon pool: directional ones, merged ones, and the
-/// sequence, where triggers without a time of their own are placed by index at `rate_hz`. An error for maps made with
-/// another calibration.
-pub fn export(from: &Path, calibration: &Calibration, out: &Path, rate_hz: f64) -> Result<Exported, String> {
-    let triggers = list(from, calibration)?;
+/// sequence, where triggers without a time of their own are placed by index at `rate_hz`. What is there and states the same as
+/// the maps is kept, but for the sequence. `progress` is told triggers done and their number.
+pub fn export(
+    from: &Path,
+    calibration: &Calibration,
+    out: &Path,
+    rate_hz: f64,
+    progress: impl Fn(u64, u64) + Sync,
+) -> Result<Exported, StoredError> {
+    let triggers = list(from, calibration).map_err(StoredError::Maps)?;
     for folder in ["clouds", "merged"] {
         let path = out.join(folder);
-        std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+        let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
+        std::fs::create_dir_all(&path).map_err(failed)?;
     }
-    let tables = tables(calibration)?;
-    let made: Result<Vec<(u64, Option<u64>, usize)>, String> = triggers
+    remove_leftovers(out);
+    let tables = tables(calibration).map_err(StoredError::Maps)?;
+    let geometry = statement_of(calibration);
+    let (done, total) = (AtomicU64::new(0), triggers.len() as u64);
+    let made: Result<Vec<Made>, StoredError> = triggers
         .par_iter()
-        .map(|(&trigger, maps)| export_trigger(trigger, maps, calibration, &tables, out))
+        .map(|(&trigger, maps)| {
+            let made = match finished(trigger, maps, &geometry, out) {
+                Some(made) => made,
+                None => export_trigger(trigger, maps, calibration, &tables, out)?,
+            };
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+            Ok(made)
+        })
         .collect();
     let made = made?;
     let path = out.join("sequence.mcap");
-    let times = made.iter().map(|&(trigger, time, _)| {
-        (time.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64), merged_path(out, trigger))
+    let times = made.iter().map(|&Made { trigger, time_ns, .. }| {
+        (time_ns.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64), merged_path(out, trigger))
     });
-    write_sequence(times, &path)?;
+    write_sequence(times, &path).map_err(StoredError::Write)?;
     Ok(Exported {
         clouds: triggers.values().map(Vec::len).sum(),
-        merged_points: made.iter().map(|(_, _, points)| points).sum(),
+        merged_points: made.iter().map(|made| made.points).sum(),
         triggers: made.len(),
+        kept: made.iter().filter(|made| made.kept).count(),
     })
 }
 
@@ -173,31 +218,54 @@ fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, S
     Ok(triggers)
 }
 
+/// A trigger whose clouds are all there, of which only headers are read.
+fn finished(trigger: u64, maps: &Maps, geometry: &Geometry, out: &Path) -> Option<Made> {
+    let statements: Vec<Statement> =
+        maps.iter().map(|(_, path)| phase_file::load_statement(path).ok()).collect::<Option<_>>()?;
+    let is_there = |path: &Path, points: usize, comments: &[String]| {
+        ply::load_whole_header(path).is_ok_and(|found| found.points == points && found.comments == comments)
+    };
+    let has_cloud = |statement: &Statement| {
+        let path = cloud_path(out, &statement.camera.as_str().into(), trigger);
+        (&statement.geometry_sha256, &statement.volume_m) == (&geometry.0, &geometry.1)
+            && is_there(&path, statement.points, &statement.comments)
+    };
+    let points = statements.iter().map(|statement| statement.points).sum();
+    let comments = &statements.first()?.merged_comments;
+    let there = statements.iter().all(has_cloud) && is_there(&merged_path(out, trigger), points, comments);
+    let time_ns = statements.iter().find_map(|statement| statement.time_ns);
+    there.then_some(Made { trigger, time_ns, points, kept: true })
+}
+
 fn export_trigger(
     trigger: u64,
     maps: &Maps,
     calibration: &Calibration,
     tables: &[RayTable],
     out: &Path,
-) -> Result<(u64, Option<u64>, usize), String> {
-    let made: Result<Vec<(u8, Cloud, Statement)>, String> = maps
+) -> Result<Made, StoredError> {
+    let made: Result<Vec<(u8, Cloud, Statement)>, StoredError> = maps
         .par_iter()
         .with_max_len(1)
         .map(|(number, path)| {
-            let (statement, cloud) = read_cloud(path, calibration, *number, &tables[*number])?;
+            let read = read_cloud(path, calibration, *number, &tables[*number]);
+            let (statement, cloud) = read.map_err(StoredError::Maps)?;
             let path = cloud_path(out, &statement.camera.as_str().into(), trigger);
-            ply::save(&path, &cloud, &statement.comments).map_err(|e| format!("{}: {e}", path.display()))?;
-            let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
-            Ok((number, cloud, statement))
+            let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
+            ply::save(&path, &cloud, &statement.comments).map_err(failed)?;
+            let too_many = |_| StoredError::Maps("more than 255 cameras".to_owned());
+            Ok((u8::try_from(*number).map_err(too_many)?, cloud, statement))
         })
         .collect();
     let made = made?;
     let parts: Vec<ply::Part<'_>> = made.iter().map(|(number, cloud, _)| (*number, cloud)).collect();
     let path = merged_path(out, trigger);
     let comments = made.first().map_or(&[][..], |(_, _, statement)| &statement.merged_comments);
-    ply::save_merged(&path, &parts, comments).map_err(|e| format!("{}: {e}", path.display()))?;
-    let time = made.iter().find_map(|(_, _, statement)| statement.time_ns);
-    Ok((trigger, time, parts.iter().map(|(_, cloud)| cloud.len()).sum()))
+    let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
+    ply::save_merged(&path, &parts, comments).map_err(failed)?;
+    let time_ns = made.iter().find_map(|(_, _, statement)| statement.time_ns);
+    let points = parts.iter().map(|(_, cloud)| cloud.len()).sum();
+    Ok(Made { trigger, time_ns, points, kept: false })
 }
 
 /// The cloud of a stored map; `number`: the place of its camera in the calibration.

@@ -145,7 +145,14 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
         let direct = run("direct", Format::Ply);
         assert_eq!(direct, run("stored", Format::Phase));
         assert_eq!(direct, run("stored", Format::Phase), "what is finished is kept");
-        stored::export(&out("stored"), &calibration, &out("made"), 120.0).expect("exports");
+        let export = || stored::export(&out("stored"), &calibration, &out("made"), 120.0, |_, _| ());
+        assert_eq!(export().expect("exports").kept, 0);
+        // What is cut is made again, what is whole is kept.
+        let cloud = out("made").join(format!("clouds/{}_000000.ply", cameras[1]));
+        let whole = std::fs::read(&cloud).expect("was written");
+        std::fs::write(&cloud, &whole[..whole.len() - 1]).expect("writable");
+        assert_eq!(export().expect("exports").kept, 0);
+        assert_eq!(export().expect("exports").kept, 1);
         let mut files = vec!["merged/000000.ply".to_owned(), "sequence.mcap".to_owned()];
         files.extend(cameras[..3].iter().map(|camera| format!("clouds/{camera}_000000.ply")));
         for file in files {
@@ -163,8 +170,8 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
 
     let stored = dir.path().join("stored-false");
     let refused = |calibration: &Calibration, words: &str| {
-        let error = stored::export(&stored, calibration, &dir.path().join("none"), 120.0);
-        let error = error.expect_err("must be refused");
+        let error = stored::export(&stored, calibration, &dir.path().join("none"), 120.0, |_, _| ());
+        let error = error.expect_err("must be refused").to_string();
         assert!(error.contains(words), "{error}");
     };
     let mut other = calibration.clone();

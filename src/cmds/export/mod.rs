@@ -3,13 +3,14 @@
 mod clouds;
 mod session;
 
+use super::progress::Progress;
 use super::{Exit, Failure};
 use crate::calibrate::Calibration;
 use crate::export::Format;
 use crate::export::frames::Picture;
 use crate::export::job::ExportError;
 use crate::export::sequence::quantized::STEPS_M;
-use crate::reconstruct::stored;
+use crate::reconstruct::stored::{self, StoredError};
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -180,13 +181,21 @@ fn asks_for_all(args: &Args) -> bool {
 /// Stored phase maps to clouds, merged clouds and the sequence.
 fn everything(args: &Args) -> Result<Exit, Failure> {
     let calibration = calibration(args)?;
-    let made = stored::export(&args.directory, &calibration, &args.out, args.rate_hz)
-        .map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    let progress = Progress::of("exporting", "triggers");
+    let at = |done, total| progress.at(done, total);
+    let made =
+        stored::export(&args.directory, &calibration, &args.out, args.rate_hz, at).map_err(|e| match e {
+            StoredError::Maps(_) => Failure::new(Exit::Corrupt, e),
+            StoredError::Write(_) => Failure::new(Exit::Failure, e),
+        })?;
+    drop(progress);
     if args.json {
         println!("{}", serde_json::json!(made));
     } else {
-        let (clouds, points, triggers) = (made.clouds, made.merged_points, made.triggers);
-        println!("{clouds} clouds; {points} points in {triggers} merged clouds");
+        let stored::Exported { clouds, merged_points, triggers, kept } = made;
+        println!(
+            "{clouds} clouds; {merged_points} points in {triggers} merged clouds, {kept} of them finished before"
+        );
     }
     Ok(Exit::Done)
 }

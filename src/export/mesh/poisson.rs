@@ -101,7 +101,8 @@ fn thin_out(cloud: &Cloud, cell: f32) -> Result<(Grid, Vec<Sample>), String> {
     }
     let mut size = [0; 3];
     for axis in 0..3 {
-        let cells = ((high[axis] - low[axis]) / cell).ceil() as usize + 1 + 2 * MARGIN;
+        let across = ((high[axis] - low[axis]) / cell).ceil().min(MAX_CELLS as f32);
+        let cells = across as usize + 1 + 2 * MARGIN;
         size[axis] = cells.next_multiple_of(16);
     }
     let cells = size.iter().try_fold(1usize, |all, side| all.checked_mul(*side)).unwrap_or(usize::MAX);
@@ -482,6 +483,8 @@ mod tests {
         assert_eq!((once().vertices, once().triangles), (once().vertices, once().triangles));
         assert!(watertight(&Cloud::default(), 0.01).is_err());
         assert!(watertight(&cloud, 0.0).is_err());
-        assert!(watertight(&cloud, 1e-5).is_err(), "too many cells");
+        for too_small in [1e-5, 1e-30] {
+            assert!(watertight(&cloud, too_small).is_err(), "too many cells");
+        }
     }
 }
