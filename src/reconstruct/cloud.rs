@@ -75,14 +75,18 @@ pub fn phase_map(
 /// A phase, rad, in whole steps.
 #[inline(always)]
 fn steps(phase: f32) -> i32 {
-    let steps = (phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS);
-    (steps + ROUNDER - ROUNDER) as i32
+    rounded((phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS))
 }
 
 #[inline(always)]
 fn light_steps(light: f32) -> u16 {
-    let steps = (light * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL);
-    (steps + ROUNDER - ROUNDER) as u16
+    rounded((light * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL)) as u16
+}
+
+/// The nearest whole number of a float below 2^22, from its bits: a conversion has to care for all others, too.
+#[inline(always)]
+fn rounded(x: f32) -> i32 {
+    ((x + ROUNDER).to_bits() as i32).wrapping_sub(ROUNDER.to_bits() as i32)
 }
 
 /// Memory that a thread keeps from cloud to cloud.
@@ -283,19 +287,27 @@ fn intensity(light: u16) -> f32 {
 #[inline(always)]
 fn append_all(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
     let (p, n) = (&oriented.point, &oriented.normal);
-    cloud.position_m.extend((0..LANES).map(|i| [p[0][i], p[1][i], p[2][i]]));
-    cloud.normal.extend((0..LANES).map(|i| [n[0][i], n[1][i], n[2][i]]));
+    cloud.position_m.extend_from_slice(&std::array::from_fn::<_, LANES, _>(|i| [p[0][i], p[1][i], p[2][i]]));
+    cloud.normal.extend_from_slice(&std::array::from_fn::<_, LANES, _>(|i| [n[0][i], n[1][i], n[2][i]]));
     cloud.intensity.extend(light.iter().map(|&light| intensity(light)));
-    cloud.pixel.extend((0..LANES).map(|i| [u + i as u16, v]));
+    cloud.pixel.extend_from_slice(&std::array::from_fn::<_, LANES, _>(|i| [u + i as u16, v]));
 }
 
+/// Puts the good ones side by side first, without a branch for each.
 #[inline(always)]
 fn append_good(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
     let (p, n) = (&oriented.point, &oriented.normal);
-    for (i, &light) in light.iter().enumerate().filter(|(i, _)| oriented.good[*i]) {
-        cloud.position_m.push([p[0][i], p[1][i], p[2][i]]);
-        cloud.normal.push([n[0][i], n[1][i], n[2][i]]);
-        cloud.intensity.push(intensity(light));
-        cloud.pixel.push([u + i as u16, v]);
+    let (mut position, mut normal) = ([[0f32; 3]; LANES], [[0f32; 3]; LANES]);
+    let (mut bright, mut pixel, mut count) = ([0f32; LANES], [[0u16; 2]; LANES], 0);
+    for (i, &light) in light.iter().enumerate().take(LANES) {
+        position[count] = [p[0][i], p[1][i], p[2][i]];
+        normal[count] = [n[0][i], n[1][i], n[2][i]];
+        bright[count] = intensity(light);
+        pixel[count] = [u + i as u16, v];
+        count += usize::from(oriented.good[i]);
     }
+    cloud.position_m.extend_from_slice(&position[..count]);
+    cloud.normal.extend_from_slice(&normal[..count]);
+    cloud.intensity.extend_from_slice(&bright[..count]);
+    cloud.pixel.extend_from_slice(&pixel[..count]);
 }

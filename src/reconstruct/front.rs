@@ -75,7 +75,7 @@ impl<T: Copy + Default> Planes<T> {
     /// A plane for a stage that writes every value: those that it holds are any.
     pub(super) fn take(&self, width: usize, height: usize) -> Plane<T> {
         let mut plane = self.pool.take();
-        plane.reserve(self.room.load(Ordering::Relaxed).max(width * height));
+        plane.reserve(self.room.load(Ordering::Relaxed).max(width * height), T::default());
         plane.reshape(width, height, T::default());
         plane
     }
@@ -101,7 +101,7 @@ pub(super) fn run(
     pair: &Pair,
     gains: &Gains,
     keep_energy: bool,
-    (buffers, planes): (&mut Buffers, &Planes<f32>),
+    (buffers, planes, bytes): (&mut Buffers, &Planes<f32>, &Planes<u8>),
     clock: &mut Clock,
 ) -> Front {
     let (w, h) = (image.width(), image.height());
@@ -114,7 +114,8 @@ pub(super) fn run(
     let mut energy = keep_energy.then(Plane::default);
     let (ridges, zone) = clock.time("marker", || {
         let ridges = marker::ridges(image, &runs, &period, pair, &mut buffers.marker, energy.as_mut());
-        let zone = marker_phase::zone(&ridges, &period);
+        let mut zone = bytes.take(w, h);
+        marker_phase::zone(&ridges, &period, &mut zone);
         marker_phase::bridge_period(&mut period, &Runs::of(&zone), pair.period_px);
         (ridges, zone)
     });
@@ -130,7 +131,8 @@ pub(super) fn run(
     });
     let marker = clock.time("anchors", || {
         let cores = marker::detect(&ridges, &period, &wrapped, pair);
-        let mut marker = Plane::filled(w, h, 0u8);
+        let mut marker = bytes.take(w, h);
+        marker.as_mut_slice().fill(0);
         for v in 0..cores.height() {
             for run in cores.row(v) {
                 marker.row_mut(v)[run.columns()].fill(1);

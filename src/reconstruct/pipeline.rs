@@ -113,6 +113,7 @@ struct Buffers {
 static BUFFERS: Pool<Buffers> = Pool::new();
 static PLANES: Planes<f32> = Planes::new();
 static TREES: Planes<u32> = Planes::new();
+static BYTES: Planes<u8> = Planes::new();
 
 /// Runs stages and keeps their times.
 #[derive(Debug, Default)]
@@ -197,6 +198,7 @@ impl Pipeline {
         let camera = &triangulator.pair().camera;
         PLANES.make_room(camera.width * camera.height);
         TREES.make_room(camera.width * camera.height);
+        BYTES.make_room(camera.width * camera.height);
         Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
 
@@ -244,7 +246,11 @@ impl Pipeline {
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
         let whole = object;
-        let (image, object) = (roi.cut_image(image), roi.cut(&whole));
+        let plane = || BYTES.take(roi.width, roi.height);
+        let (mut part, mut object) = (plane(), plane());
+        roi.cut(image, &mut part);
+        roi.cut(Mono8::from(&whole), &mut object);
+        let image = part;
         if self.method == Method::Anchored {
             let mut buffers = BUFFERS.take();
             buffers.object = whole;
@@ -254,6 +260,7 @@ impl Pipeline {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
+        BYTES.give(image);
         let Resolved { absolute, open, marker, runs, phasors, period, zone, planes } = resolved;
         // Until all cameras are heard.
         let regions = Regions::default();
@@ -289,6 +296,8 @@ impl Pipeline {
             zone,
             mut planes,
             mut clock,
+            marker,
+            object,
             ..
         } = prepared;
         let pair = self.triangulator.pair();
@@ -337,7 +346,9 @@ impl Pipeline {
             PLANES.give(period);
             PLANES.give(open.relative);
             TREES.give(open.tree);
+            [marker, zone].into_iter().for_each(|plane| BYTES.give(plane));
         }
+        BYTES.give(object);
         if self.keep_maps {
             planes.push(("Fm", absolute));
         } else if self.method == Method::Anchored {
@@ -365,7 +376,7 @@ impl Pipeline {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
         let mut buffers = BUFFERS.take();
-        let memory = (&mut buffers.front, &PLANES);
+        let memory = (&mut buffers.front, &PLANES, &BYTES);
         let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
         let Front { runs, period, phasors, wrapped, zone, mut marker, energy, known } = front;
         counts.object = runs.area();
