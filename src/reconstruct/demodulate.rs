@@ -13,7 +13,7 @@
 //! different factors that depend on P only: both are divided by them ([`Gains`]).
 
 use super::runs::{Run, Runs};
-use super::sample::{self, LANES, Lanes, PAD};
+use super::sample::{self, LANES, Lanes, PAD, Periods};
 use super::{angle, simd};
 use crate::image::{Mono8, Plane};
 use std::f32::consts::TAU;
@@ -185,14 +185,15 @@ fn demodulate_block(
     gains: &Gains,
     sign: f32,
 ) -> [Lanes; 4] {
+    let periods = &Periods::new(period);
     let samples = [
-        sixths_beside(light, first, period, -3.0),
-        sixths_beside(light, first, period, -2.0),
-        sixths_beside(light, first, period, -1.0),
+        sixths_beside(light, first, periods, -3.0),
+        sixths_beside(light, first, periods, -2.0),
+        sixths_beside(light, first, periods, -1.0),
         sample::load(&light[PAD..], first),
-        sixths_beside(light, first, period, 1.0),
-        sixths_beside(light, first, period, 2.0),
-        sixths_beside(light, first, period, 3.0),
+        sixths_beside(light, first, periods, 1.0),
+        sixths_beside(light, first, periods, 2.0),
+        sixths_beside(light, first, periods, 3.0),
     ];
     let (mut gain_s, mut gain_c) = ([0f32; LANES], [0f32; LANES]);
     for i in 0..LANES {
@@ -219,8 +220,8 @@ fn demodulate_block(
 /// The light so many sixths of a period beside each pixel of a block. (Not a closure: that would be a function of its own,
 /// compiled for the narrowest processor.)
 #[inline(always)]
-fn sixths_beside(light: &[f32], first: usize, period: &Lanes, sixths: f32) -> Lanes {
-    sample::between(light, first, &sample::distances(period, sixths / 6.0))
+fn sixths_beside(light: &[f32], first: usize, periods: &Periods, sixths: f32) -> Lanes {
+    sample::between(light, first, periods, sixths / 6.0, 0.0)
 }
 
 /// Mean light of the window, and the RMS of what offset, slope and fringe `c cos - s sin` leave, relative to
