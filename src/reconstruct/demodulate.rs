@@ -255,11 +255,13 @@ fn remainder(samples: &[f32; 7], s: f32, c: f32) -> (f32, f32) {
 pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
     let (w, h) = (phasors.c.width(), phasors.c.height());
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
+    let mut lengths = Plane::filled(w, h, 0f32);
     simd::dispatch(
         #[inline(always)]
         || {
+            sizes(c.as_slice(), s.as_slice(), lengths.as_mut_slice());
             for v in 0..h {
-                let row = |v: usize| [c.row(v), s.row(v), phasors.misfit.row(v)];
+                let row = |v: usize| [c.row(v), s.row(v), lengths.row(v), phasors.misfit.row(v)];
                 let reach = row_reach(v, h);
                 let pairs: [_; ROWS_EACH_SIDE] =
                     std::array::from_fn(|k| [row(v - reach.min(k + 1)), row(v + reach.min(k + 1))]);
@@ -280,25 +282,25 @@ pub(super) fn row_reach(v: usize, h: usize) -> usize {
     ROWS_EACH_SIDE.min(v).min(h - 1 - v)
 }
 
-/// Rows of C, S and misfit.
-pub(super) type Rows<'a> = [&'a [f32]; 3];
+/// Rows of C, S, their length and misfit.
+pub(super) type Rows<'a> = [&'a [f32]; 4];
 
 /// [`average_rows`] for one block: from its own row, and the rows above and below in pairs.
 #[inline(always)]
 pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8], first: usize) -> [Lanes; 2] {
-    let [c, s, misfit] = load(own, first);
-    let (mut sum_c, mut sum_s, mut length, mut rows) = (c, s, [0f32; LANES], [1f32; LANES]);
-    for i in 0..LANES {
-        length[i] = size(c[i], s[i]);
-    }
+    let [c, s, mut length, misfit] = load(own, first);
+    let (mut sum_c, mut sum_s, mut rows) = (c, s, [1f32; LANES]);
     for pair in pairs {
-        let ([c_a, s_a, misfit_a], [c_b, s_b, misfit_b]) = (load(pair[0], first), load(pair[1], first));
+        let [c_a, s_a, size_a, misfit_a] = load(pair[0], first);
+        let [c_b, s_b, size_b, misfit_b] = load(pair[1], first);
         for i in 0..LANES {
-            let (size_a, size_b) = (size(c_a[i], s_a[i]), size(c_b[i], s_b[i]));
-            let weaker = if size_a < size_b { size_a } else { size_b };
+            let a_is_weaker = size_a[i] < size_b[i];
+            let (weaker, stronger) =
+                if a_is_weaker { (size_a[i], size_b[i]) } else { (size_b[i], size_a[i]) };
             let most = misfit[i] + MORE_MISFIT;
             let takes_part = (weaker > 0.0) & (misfit_a[i] <= most) & (misfit_b[i] <= most);
-            let (scale_a, scale_b) = (weaker / size_a, weaker / size_b);
+            let scale = weaker / stronger;
+            let (scale_a, scale_b) = if a_is_weaker { (1.0, scale) } else { (scale, 1.0) };
             sum_c[i] += if takes_part { scale_a * c_a[i] + scale_b * c_b[i] } else { 0.0 };
             sum_s[i] += if takes_part { scale_a * s_a[i] + scale_b * s_b[i] } else { 0.0 };
             length[i] += if takes_part { 2.0 * weaker } else { 0.0 };
@@ -322,8 +324,19 @@ pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8],
 }
 
 #[inline(always)]
-fn load([c, s, misfit]: Rows<'_>, first: usize) -> [Lanes; 3] {
-    [sample::load(c, first), sample::load(s, first), sample::load(misfit, first)]
+fn load(rows: Rows<'_>, first: usize) -> [Lanes; 4] {
+    rows.map(
+        #[inline(always)]
+        |row| sample::load(row, first),
+    )
+}
+
+/// Lengths of a row's phasors.
+#[inline(always)]
+pub(super) fn sizes(c: &[f32], s: &[f32], out: &mut [f32]) {
+    for ((out, &c), &s) in out.iter_mut().zip(c).zip(s) {
+        *out = size(c, s);
+    }
 }
 
 #[inline(always)]

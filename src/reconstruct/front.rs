@@ -44,6 +44,8 @@ pub struct Buffers {
     /// C and S of each row as demodulated, and with the marker's means.
     raw: [Vec<Vec<f32>>; 2],
     bridged: [Vec<Vec<f32>>; 2],
+    /// Lengths of the latter.
+    sizes: Vec<Vec<f32>>,
     light: Vec<f32>,
     /// Phases found so far.
     known: usize,
@@ -168,6 +170,8 @@ impl Input<'_> {
                 ring.iter_mut().for_each(|row| row.resize(w, 0.0));
             }
         }
+        buffers.sizes.resize(BRIDGED, Vec::new());
+        buffers.sizes.iter_mut().for_each(|row| row.resize(w, 0.0));
         buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
         for next in 0..h + reach + LATER {
@@ -178,6 +182,15 @@ impl Input<'_> {
                 && v < h
             {
                 bridge(v, h, &average, &zone_runs, buffers, phasors.misfit.row_mut(v));
+                let Buffers { bridged: [c, s], sizes, .. } = &mut *buffers;
+                let row = v % BRIDGED;
+                // Beside the runs there is none.
+                sizes[row].fill(0.0);
+                for run in self.runs.row(v) {
+                    let columns = run.columns();
+                    let out = &mut sizes[row][columns.clone()];
+                    demodulate::sizes(&c[row][columns.clone()], &s[row][columns], out);
+                }
             }
             if let Some(v) = next.checked_sub(reach + LATER) {
                 self.finish(v, buffers, phasors, wrapped.row_mut(v));
@@ -200,9 +213,12 @@ impl Input<'_> {
     /// Averages row `v` with those around it, and takes its phases.
     #[inline(always)]
     fn finish(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
-        let Buffers { bridged: [c, s], known, .. } = buffers;
+        let Buffers { bridged: [c, s], sizes, known, .. } = buffers;
         let Phasors { c: out_c, s: out_s, misfit, .. } = phasors;
-        let rows = |v: usize| [&c[v % BRIDGED][..], &s[v % BRIDGED][..], misfit.row(v)];
+        let rows = |v: usize| {
+            let row = v % BRIDGED;
+            [&c[row][..], &s[row][..], &sizes[row][..], misfit.row(v)]
+        };
         let reach = demodulate::row_reach(v, misfit.height());
         let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
         let (out_c, out_s) = (out_c.row_mut(v), out_s.row_mut(v));

@@ -380,9 +380,8 @@ impl Pipeline {
         let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
         let Front { runs, period, phasors, wrapped, zone, mut marker, energy, known } = front;
         counts.object = runs.area();
-        clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
+        counts.marker = clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
-        counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
         let unwrapped = clock.time("unwrap", || {
             let (width, height) = (wrapped.width(), wrapped.height());
             let mut out = Unwrapped {
