@@ -75,10 +75,19 @@ impl Gains {
         Self((0..=entries).map(gain).collect())
     }
 
-    /// Factors for S and C.
+    /// Factors for S and C, for a block of periods.
     #[inline(always)]
-    fn at(&self, period: f32) -> [f32; 2] {
-        self.0[((period / GAIN_STEP_PX + 0.5) as usize).min(self.0.len() - 1)]
+    fn at(&self, period: &Lanes) -> [Lanes; 2] {
+        let last = self.0.len() as i32 - 1;
+        let mut index = [0i32; LANES];
+        for (index, period) in index.iter_mut().zip(period) {
+            *index = ((period / GAIN_STEP_PX + 0.5) as i32).clamp(0, last);
+        }
+        let mut out = [[0f32; LANES]; 2];
+        for (i, &index) in index.iter().enumerate() {
+            [out[0][i], out[1][i]] = self.0[index as usize];
+        }
+        out
     }
 }
 
@@ -195,10 +204,7 @@ fn demodulate_block(
         sixths_beside(light, first, periods, 2.0),
         sixths_beside(light, first, periods, 3.0),
     ];
-    let (mut gain_s, mut gain_c) = ([0f32; LANES], [0f32; LANES]);
-    for i in 0..LANES {
-        [gain_s[i], gain_c[i]] = gains.at(period[i]);
-    }
+    let [gain_s, gain_c] = gains.at(period);
     let [mut out_c, mut out_s, mut out_mean, mut out_misfit] = [[0f32; LANES]; 4];
     let (left, right) = (inside.0 as f32, inside.1 as f32);
     for i in 0..LANES {
@@ -324,11 +330,9 @@ pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8],
 }
 
 #[inline(always)]
-fn load(rows: Rows<'_>, first: usize) -> [Lanes; 4] {
-    rows.map(
-        #[inline(always)]
-        |row| sample::load(row, first),
-    )
+fn load([c, s, length, misfit]: Rows<'_>, first: usize) -> [Lanes; 4] {
+    // Not by `map`: that would be a call, compiled for the narrowest processor.
+    [sample::load(c, first), sample::load(s, first), sample::load(length, first), sample::load(misfit, first)]
 }
 
 /// Lengths of a row's phasors.

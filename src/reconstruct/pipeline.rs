@@ -11,8 +11,8 @@ use super::runs::Runs;
 use super::triangulate::Triangulator;
 use super::unwrap::{OpenTrees, Unwrapped};
 use super::{
-    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, uncertainty, unwrap,
-    unwrap_paper,
+    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, simd, uncertainty,
+    unwrap, unwrap_paper,
 };
 use crate::export::{Cloud, PhaseMap};
 use crate::image::{Mono8, Plane};
@@ -449,7 +449,7 @@ impl Pipeline {
         let phasors = clock
             .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
         let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
-        counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
+        counts.phase = known(&wrapped, &runs);
         let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
         let border = clock.time("border", || quality::border(object, &runs));
         let quality = clock.time("quality", || {
@@ -460,12 +460,15 @@ impl Pipeline {
         let (energy, segment) = clock.time("marker", || unwrap_paper::marker(image, object, &runs, pair));
         counts.marker = segment.as_slice().iter().filter(|&&x| x != 0).count();
         let shift = unwrap_paper::shift(&unwrapped, &wrapped, &segment, pair);
-        let absolute = match shift {
-            Some(shift) => convert(&unwrapped, |x| x + shift),
-            None => Plane::filled(wrapped.width(), wrapped.height(), f32::NAN),
-        };
-        let known = absolute.as_slice().iter().filter(|x| !x.is_nan()).count();
-        counts.refused = counts.phase - known;
+        let relative = self.keep_maps.then(|| unwrapped.clone());
+        let mut absolute = unwrapped;
+        for v in 0..runs.height() {
+            for run in runs.row(v) {
+                let phases = absolute.row_mut(v)[run.columns()].iter_mut();
+                phases.for_each(|phase| *phase += shift.unwrap_or(f32::NAN));
+            }
+        }
+        counts.refused = counts.phase - known(&absolute, &runs);
         let mut planes = Vec::new();
         if self.keep_maps {
             planes = vec![
@@ -477,7 +480,7 @@ impl Pipeline {
                 ("Vm", vertical),
                 ("Bm", border),
                 ("Qm", quality),
-                ("Um", unwrapped),
+                ("Um", relative.unwrap_or_default()),
                 ("Em", energy),
                 ("Mm", convert(&segment, f32::from)),
             ];
@@ -486,6 +489,26 @@ impl Pipeline {
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
         Resolved { absolute, open, marker: segment, runs, phasors, period: periods.period, zone, planes }
     }
+}
+
+/// Pixels of the runs whose phase is known.
+fn known(phase: &Plane<f32>, runs: &Runs) -> usize {
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            let mut known = 0;
+            for v in 0..runs.height() {
+                for run in runs.row(v) {
+                    let mut here = 0u32;
+                    for x in &phase.row(v)[run.columns()] {
+                        here += u32::from(!x.is_nan());
+                    }
+                    known += here as usize;
+                }
+            }
+            known
+        },
+    )
 }
 
 fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
