@@ -114,18 +114,20 @@ pub(super) fn run(
         runs
     });
     let mut energy = keep_energy.then(Plane::default);
-    let (ridges, zone) = clock.time("marker", || {
+    let (ridges, zone, zone_runs) = clock.time("marker", || {
         let ridges = marker::ridges(image, &runs, &period, pair, &mut buffers.marker, energy.as_mut());
         let mut zone = bytes.take(w, h);
         marker_phase::zone(&ridges, &period, &mut zone);
-        marker_phase::bridge_period(&mut period, &Runs::of(&zone), pair.period_px);
-        (ridges, zone)
+        let zone_runs = Runs::of(&zone);
+        marker_phase::bridge_period(&mut period, &zone_runs, pair.period_px);
+        (ridges, zone, zone_runs)
     });
     let plane = || planes.take(w, h);
     let mut phasors = Phasors { c: plane(), s: plane(), mean: plane(), misfit: plane() };
     let mut wrapped = plane();
     clock.time("phase", || {
-        let input = Input { image, runs: &runs, period: &period, zone: &zone, pair, gains };
+        let (zone, zone_runs) = (&zone, &zone_runs);
+        let input = Input { image, runs: &runs, period: &period, zone, zone_runs, pair, gains };
         simd::dispatch(
             #[inline(always)]
             || input.phases(buffers, &mut phasors, &mut wrapped),
@@ -152,6 +154,7 @@ struct Input<'a> {
     runs: &'a Runs,
     period: &'a Plane<f32>,
     zone: &'a Plane<u8>,
+    zone_runs: &'a Runs,
     pair: &'a Pair,
     gains: &'a Gains,
 }
@@ -162,7 +165,6 @@ impl Input<'_> {
     fn phases(&self, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut Plane<f32>) {
         let (w, h) = (self.image.width(), self.image.height());
         let average = marker_phase::Average::new(self.pair);
-        let zone_runs = Runs::of(self.zone);
         let reach = average.reach();
         for (rings, length) in [(&mut buffers.raw, 2 * reach + 1), (&mut buffers.bridged, BRIDGED)] {
             for ring in rings {
@@ -181,7 +183,7 @@ impl Input<'_> {
             if let Some(v) = next.checked_sub(reach)
                 && v < h
             {
-                bridge(v, h, &average, &zone_runs, buffers, phasors.misfit.row_mut(v));
+                bridge(v, h, &average, self.zone_runs, buffers, phasors.misfit.row_mut(v));
                 let Buffers { bridged: [c, s], sizes, .. } = &mut *buffers;
                 let row = v % BRIDGED;
                 // Beside the runs there is none.

@@ -245,8 +245,11 @@ impl<'a> Sight<'a> {
         };
         let [far, near] = self.inverse;
         let tried = |i: usize| far + (near - far) * i as f64 / (TRIED_DEPTHS - 1) as f64;
-        let first = (0..TRIED_DEPTHS).find(|&i| column(tried(i)).is_some())?;
-        let last = (first..TRIED_DEPTHS).take_while(|&i| column(tried(i)).is_some()).last()?;
+        let lit = |i: &usize| column(tried(*i)).is_some();
+        let first = (0..TRIED_DEPTHS).find(lit)?;
+        // A line of sight crosses the panel in one direction: what lies between two depths that it lights is lit.
+        let farthest = Some(TRIED_DEPTHS - 1).filter(lit);
+        let last = farthest.or_else(|| (first..TRIED_DEPTHS).take_while(lit).last())?;
         let (low, high) = (tried(first), tried(last));
         let mut at = [[0.0; 2]; TERMS];
         for (j, at) in at.iter_mut().enumerate() {
