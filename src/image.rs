@@ -54,10 +54,11 @@ impl<T: Copy> Plane<T> {
         }
     }
 
-    /// Makes room for so many values, where there is less. What it holds is lost then.
-    pub fn reserve(&mut self, values: usize) {
-        if self.data.capacity() < values {
-            *self = Self { width: 0, height: 0, data: Vec::with_capacity(values) };
+    /// Makes room for so many values, where there is less. What it holds is lost then. Where `value` is 0 the system gives
+    /// memory only as it is written to.
+    pub fn reserve(&mut self, values: usize, value: T) {
+        if self.data.len() < values {
+            *self = Self { width: 0, height: 0, data: vec![value; values] };
         }
     }
 

@@ -353,21 +353,22 @@ impl Job<'_> {
             return Ok(finished);
         }
         let results = self.clouds(trigger)?;
-        let frames = || results.iter().map(|(summary, _)| summary.clone()).collect();
-        if self.plan.discard {
-            let merged_points = results.iter().map(|(_, cloud)| cloud.len()).sum();
-            return Ok(TriggerSummary { trigger, merged_points, frames: frames() });
-        }
         let cameras = || self.heads.iter().flatten();
         let parts: Vec<ply::Part<'_>> =
             cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)).collect();
-        if self.plan.format == Format::Ply {
+        if self.merges() {
             let path = merged_path(&self.plan.out, trigger);
             ply::save_merged(&path, &parts, &self.merged_comments(trigger))
                 .map_err(|e| format!("{}: {e}", path.display()))?;
         }
         let merged_points = results.iter().map(|(summary, _)| summary.points).sum();
-        Ok(TriggerSummary { trigger, merged_points, frames: frames() })
+        let frames = results.into_iter().map(|(summary, _)| summary).collect();
+        Ok(TriggerSummary { trigger, merged_points, frames })
+    }
+
+    /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
+    fn merges(&self) -> bool {
+        self.plan.format == Format::Ply && !self.plan.discard
     }
 
     /// Runs a part of what makes a frame a cloud, and keeps its time.
@@ -472,7 +473,8 @@ impl Job<'_> {
         let contradicted_px = result.counts.contradicted;
         let (camera, outcome) = (id.clone(), outcome.into());
         let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, contradicted_px };
-        Ok((summary, result.cloud))
+        let cloud = if self.merges() { result.cloud } else { Cloud::default() };
+        Ok((summary, cloud))
     }
 
     /// Writes what the plan asks for of a frame.

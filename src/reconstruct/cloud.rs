@@ -25,21 +25,17 @@ const ROUNDER: f32 = 12_582_912.0;
 /// Fringes beyond this are no phase.
 const MAX_STEPS: f32 = 4e6;
 
-/// Puts the known pixels of a frame together: `absolute` phase, rad (NaN: unknown), known within `runs` only, and `light`,
+/// Puts the known pixels of a frame together: `absolute` phase, rad (NaN: unknown), known within `runs` only, and `mean` light,
 /// DN, on the region of interest. `doubt` holds the standard uncertainty of the phase, as a byte, where it is asked for.
 pub fn phase_map(
     absolute: &Plane<f32>,
     runs: &Runs,
-    light: &Plane<f32>,
+    mean: &Plane<f32>,
     doubt: Option<&Plane<u8>>,
     roi: Roi,
     frame: [u16; 2],
 ) -> PhaseMap {
     let mut map = PhaseMap { frame, ..PhaseMap::default() };
-    let most = runs.area();
-    map.phase.reserve_exact(most);
-    map.light.reserve_exact(most);
-    map.doubt.reserve_exact(if doubt.is_some() { most } else { 0 });
     let mut known = vec![0u8; absolute.width()];
     simd::dispatch(
         #[inline(always)]
@@ -58,11 +54,24 @@ pub fn phase_map(
                     });
                 }
             }
+            let pixels = map.runs.iter().map(|run| usize::from(run.length)).sum();
+            map.phase = vec![0; pixels];
+            map.light = vec![0; pixels];
+            map.doubt.reserve_exact(if doubt.is_some() { pixels } else { 0 });
+            let (mut phases, mut lights) = (&mut map.phase[..], &mut map.light[..]);
             for run in &map.runs {
                 let v = usize::from(run.row) - roi.v;
                 let columns = usize::from(run.first) - roi.u..run.end() - roi.u;
-                map.phase.extend(absolute.row(v)[columns.clone()].iter().map(|&x| steps(x)));
-                map.light.extend(light.row(v)[columns.clone()].iter().map(|&x| light_steps(x)));
+                let (phase, light);
+                (phase, phases) = phases.split_at_mut(columns.len());
+                (light, lights) = lights.split_at_mut(columns.len());
+                // Loops, not `extend`: that would be a call, compiled for the narrowest processor.
+                for (to, &x) in phase.iter_mut().zip(&absolute.row(v)[columns.clone()]) {
+                    *to = steps(x);
+                }
+                for (to, &x) in light.iter_mut().zip(&mean.row(v)[columns.clone()]) {
+                    *to = light_steps(x);
+                }
                 if let Some(doubt) = doubt {
                     map.doubt.extend_from_slice(&doubt.row(v)[columns]);
                 }
@@ -75,14 +84,18 @@ pub fn phase_map(
 /// A phase, rad, in whole steps.
 #[inline(always)]
 fn steps(phase: f32) -> i32 {
-    let steps = (phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS);
-    (steps + ROUNDER - ROUNDER) as i32
+    rounded((phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS))
 }
 
 #[inline(always)]
 fn light_steps(light: f32) -> u16 {
-    let steps = (light * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL);
-    (steps + ROUNDER - ROUNDER) as u16
+    rounded((light * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL)) as u16
+}
+
+/// The nearest whole number of a float below 2^22, from its bits: a conversion has to care for all others, too.
+#[inline(always)]
+fn rounded(x: f32) -> i32 {
+    ((x + ROUNDER).to_bits() as i32).wrapping_sub(ROUNDER.to_bits() as i32)
 }
 
 /// Memory that a thread keeps from cloud to cloud.
@@ -283,19 +296,41 @@ fn intensity(light: u16) -> f32 {
 #[inline(always)]
 fn append_all(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
     let (p, n) = (&oriented.point, &oriented.normal);
-    cloud.position_m.extend((0..LANES).map(|i| [p[0][i], p[1][i], p[2][i]]));
-    cloud.normal.extend((0..LANES).map(|i| [n[0][i], n[1][i], n[2][i]]));
-    cloud.intensity.extend(light.iter().map(|&light| intensity(light)));
-    cloud.pixel.extend((0..LANES).map(|i| [u + i as u16, v]));
+    let (mut position, mut normal) = ([[0f32; 3]; LANES], [[0f32; 3]; LANES]);
+    let (mut bright, mut pixel) = ([0f32; LANES], [[0u16; 2]; LANES]);
+    for i in 0..LANES {
+        position[i] = [p[0][i], p[1][i], p[2][i]];
+    }
+    for i in 0..LANES {
+        normal[i] = [n[0][i], n[1][i], n[2][i]];
+    }
+    for (bright, &light) in bright.iter_mut().zip(light) {
+        *bright = intensity(light);
+    }
+    for (i, pixel) in pixel.iter_mut().enumerate() {
+        *pixel = [u + i as u16, v];
+    }
+    cloud.position_m.extend_from_slice(&position);
+    cloud.normal.extend_from_slice(&normal);
+    cloud.intensity.extend_from_slice(&bright);
+    cloud.pixel.extend_from_slice(&pixel);
 }
 
+/// Puts the good ones side by side first, without a branch for each.
 #[inline(always)]
 fn append_good(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
     let (p, n) = (&oriented.point, &oriented.normal);
-    for (i, &light) in light.iter().enumerate().filter(|(i, _)| oriented.good[*i]) {
-        cloud.position_m.push([p[0][i], p[1][i], p[2][i]]);
-        cloud.normal.push([n[0][i], n[1][i], n[2][i]]);
-        cloud.intensity.push(intensity(light));
-        cloud.pixel.push([u + i as u16, v]);
+    let (mut position, mut normal) = ([[0f32; 3]; LANES], [[0f32; 3]; LANES]);
+    let (mut bright, mut pixel, mut count) = ([0f32; LANES], [[0u16; 2]; LANES], 0);
+    for (i, &light) in light.iter().enumerate().take(LANES) {
+        position[count] = [p[0][i], p[1][i], p[2][i]];
+        normal[count] = [n[0][i], n[1][i], n[2][i]];
+        bright[count] = intensity(light);
+        pixel[count] = [u + i as u16, v];
+        count += usize::from(oriented.good[i]);
     }
+    cloud.position_m.extend_from_slice(&position[..count]);
+    cloud.normal.extend_from_slice(&normal[..count]);
+    cloud.intensity.extend_from_slice(&bright[..count]);
+    cloud.pixel.extend_from_slice(&pixel[..count]);
 }

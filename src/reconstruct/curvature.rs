@@ -104,7 +104,7 @@ fn correct_run(
         // The slope along the row has no part in a difference to both sides: whole columns do.
         let mut k = [0i32; LANES];
         for i in 0..LANES {
-            k[i] = columns(period[i]) as i32;
+            k[i] = columns(period[i]);
         }
         let (before, behind) = beside(row, first + PAD, &k);
         let (mut wide, mut bias) = ([0f32; LANES], [0f32; LANES]);
@@ -172,15 +172,15 @@ fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> (Lanes, Lanes) {
 
 /// A period in whole columns.
 #[inline(always)]
-fn columns(period: f32) -> usize {
-    // Not 0 for NaN or nothing, either.
-    ((period + 0.5) as usize).clamp(1, PAD)
+fn columns(period: f32) -> i32 {
+    // Not 0 for NaN or nothing, either. Not as `usize`, which the compiler makes no vectors of.
+    ((period + 0.5) as i32).clamp(1, PAD as i32)
 }
 
 /// Second difference of the phase over half a period to each side, less the noise, where that over a whole one is of
 /// no use: measured over half a period, else beside the pixel; 0 where it is not known.
 fn bend_beside(row: &[f32], at: usize, phase: f32, period: f32, noise: f32) -> f32 {
-    let half = columns(period / 2.0).min(PAD / 2);
+    let half = (columns(period / 2.0) as usize).min(PAD / 2);
     let stretch = period / 2.0 / half as f32;
     let x = [at - 2 * half, at - half, at + half, at + 2 * half].map(|at| row[at]);
     let bends = [x[1] - 2.0 * phase + x[2], phase - 2.0 * x[2] + x[3], phase - 2.0 * x[1] + x[0]];

@@ -13,7 +13,7 @@
 //! different factors that depend on P only: both are divided by them ([`Gains`]).
 
 use super::runs::{Run, Runs};
-use super::sample::{self, LANES, Lanes, PAD};
+use super::sample::{self, LANES, Lanes, PAD, Periods};
 use super::{angle, simd};
 use crate::image::{Mono8, Plane};
 use std::f32::consts::TAU;
@@ -75,10 +75,19 @@ impl Gains {
         Self((0..=entries).map(gain).collect())
     }
 
-    /// Factors for S and C.
+    /// Factors for S and C, for a block of periods.
     #[inline(always)]
-    fn at(&self, period: f32) -> [f32; 2] {
-        self.0[((period / GAIN_STEP_PX + 0.5) as usize).min(self.0.len() - 1)]
+    fn at(&self, period: &Lanes) -> [Lanes; 2] {
+        let last = self.0.len() as i32 - 1;
+        let mut index = [0i32; LANES];
+        for (index, period) in index.iter_mut().zip(period) {
+            *index = ((period / GAIN_STEP_PX + 0.5) as i32).clamp(0, last);
+        }
+        let mut out = [[0f32; LANES]; 2];
+        for (i, &index) in index.iter().enumerate() {
+            [out[0][i], out[1][i]] = self.0[index as usize];
+        }
+        out
     }
 }
 
@@ -185,19 +194,17 @@ fn demodulate_block(
     gains: &Gains,
     sign: f32,
 ) -> [Lanes; 4] {
+    let periods = &Periods::new(period);
     let samples = [
-        sixths_beside(light, first, period, -3.0),
-        sixths_beside(light, first, period, -2.0),
-        sixths_beside(light, first, period, -1.0),
+        sixths_beside(light, first, periods, -3.0),
+        sixths_beside(light, first, periods, -2.0),
+        sixths_beside(light, first, periods, -1.0),
         sample::load(&light[PAD..], first),
-        sixths_beside(light, first, period, 1.0),
-        sixths_beside(light, first, period, 2.0),
-        sixths_beside(light, first, period, 3.0),
+        sixths_beside(light, first, periods, 1.0),
+        sixths_beside(light, first, periods, 2.0),
+        sixths_beside(light, first, periods, 3.0),
     ];
-    let (mut gain_s, mut gain_c) = ([0f32; LANES], [0f32; LANES]);
-    for i in 0..LANES {
-        [gain_s[i], gain_c[i]] = gains.at(period[i]);
-    }
+    let [gain_s, gain_c] = gains.at(period);
     let [mut out_c, mut out_s, mut out_mean, mut out_misfit] = [[0f32; LANES]; 4];
     let (left, right) = (inside.0 as f32, inside.1 as f32);
     for i in 0..LANES {
@@ -219,8 +226,8 @@ fn demodulate_block(
 /// The light so many sixths of a period beside each pixel of a block. (Not a closure: that would be a function of its own,
 /// compiled for the narrowest processor.)
 #[inline(always)]
-fn sixths_beside(light: &[f32], first: usize, period: &Lanes, sixths: f32) -> Lanes {
-    sample::between(light, first, &sample::distances(period, sixths / 6.0))
+fn sixths_beside(light: &[f32], first: usize, periods: &Periods, sixths: f32) -> Lanes {
+    sample::between(light, first, periods, sixths / 6.0, 0.0)
 }
 
 /// Mean light of the window, and the RMS of what offset, slope and fringe `c cos - s sin` leave, relative to
@@ -254,11 +261,13 @@ fn remainder(samples: &[f32; 7], s: f32, c: f32) -> (f32, f32) {
 pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
     let (w, h) = (phasors.c.width(), phasors.c.height());
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
+    let mut lengths = Plane::filled(w, h, 0f32);
     simd::dispatch(
         #[inline(always)]
         || {
+            sizes(c.as_slice(), s.as_slice(), lengths.as_mut_slice());
             for v in 0..h {
-                let row = |v: usize| [c.row(v), s.row(v), phasors.misfit.row(v)];
+                let row = |v: usize| [c.row(v), s.row(v), lengths.row(v), phasors.misfit.row(v)];
                 let reach = row_reach(v, h);
                 let pairs: [_; ROWS_EACH_SIDE] =
                     std::array::from_fn(|k| [row(v - reach.min(k + 1)), row(v + reach.min(k + 1))]);
@@ -279,25 +288,25 @@ pub(super) fn row_reach(v: usize, h: usize) -> usize {
     ROWS_EACH_SIDE.min(v).min(h - 1 - v)
 }
 
-/// Rows of C, S and misfit.
-pub(super) type Rows<'a> = [&'a [f32]; 3];
+/// Rows of C, S, their length and misfit.
+pub(super) type Rows<'a> = [&'a [f32]; 4];
 
 /// [`average_rows`] for one block: from its own row, and the rows above and below in pairs.
 #[inline(always)]
 pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8], first: usize) -> [Lanes; 2] {
-    let [c, s, misfit] = load(own, first);
-    let (mut sum_c, mut sum_s, mut length, mut rows) = (c, s, [0f32; LANES], [1f32; LANES]);
-    for i in 0..LANES {
-        length[i] = size(c[i], s[i]);
-    }
+    let [c, s, mut length, misfit] = load(own, first);
+    let (mut sum_c, mut sum_s, mut rows) = (c, s, [1f32; LANES]);
     for pair in pairs {
-        let ([c_a, s_a, misfit_a], [c_b, s_b, misfit_b]) = (load(pair[0], first), load(pair[1], first));
+        let [c_a, s_a, size_a, misfit_a] = load(pair[0], first);
+        let [c_b, s_b, size_b, misfit_b] = load(pair[1], first);
         for i in 0..LANES {
-            let (size_a, size_b) = (size(c_a[i], s_a[i]), size(c_b[i], s_b[i]));
-            let weaker = if size_a < size_b { size_a } else { size_b };
+            let a_is_weaker = size_a[i] < size_b[i];
+            let (weaker, stronger) =
+                if a_is_weaker { (size_a[i], size_b[i]) } else { (size_b[i], size_a[i]) };
             let most = misfit[i] + MORE_MISFIT;
             let takes_part = (weaker > 0.0) & (misfit_a[i] <= most) & (misfit_b[i] <= most);
-            let (scale_a, scale_b) = (weaker / size_a, weaker / size_b);
+            let scale = weaker / stronger;
+            let (scale_a, scale_b) = if a_is_weaker { (1.0, scale) } else { (scale, 1.0) };
             sum_c[i] += if takes_part { scale_a * c_a[i] + scale_b * c_b[i] } else { 0.0 };
             sum_s[i] += if takes_part { scale_a * s_a[i] + scale_b * s_b[i] } else { 0.0 };
             length[i] += if takes_part { 2.0 * weaker } else { 0.0 };
@@ -321,8 +330,17 @@ pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8],
 }
 
 #[inline(always)]
-fn load([c, s, misfit]: Rows<'_>, first: usize) -> [Lanes; 3] {
-    [sample::load(c, first), sample::load(s, first), sample::load(misfit, first)]
+fn load([c, s, length, misfit]: Rows<'_>, first: usize) -> [Lanes; 4] {
+    // Not by `map`: that would be a call, compiled for the narrowest processor.
+    [sample::load(c, first), sample::load(s, first), sample::load(length, first), sample::load(misfit, first)]
+}
+
+/// Lengths of a row's phasors.
+#[inline(always)]
+pub(super) fn sizes(c: &[f32], s: &[f32], out: &mut [f32]) {
+    for ((out, &c), &s) in out.iter_mut().zip(c).zip(s) {
+        *out = size(c, s);
+    }
 }
 
 #[inline(always)]
@@ -354,7 +372,7 @@ pub(super) fn phase(c: f32, s: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Gains, Phasors, average_rows, demodulate, wrapped};
+    use super::{Gains, LANES, Phasors, average_rows, demodulate, wrapped};
     use crate::image::{Mono8, Plane};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
@@ -419,7 +437,7 @@ mod tests {
         let i = [-3, -2, -1, 0, 1, 2, 3].map(sample);
         let s = 3f64.sqrt() * (i[1] + i[2] - i[4] - i[5]) + (i[6] - i[0]) / 3f64.sqrt();
         let c = -i[0] - i[1] + i[2] + 2.0 * i[3] + i[4] - i[5] - i[6];
-        let [gain_s, gain_c] = gains.at(period as f32).map(f64::from);
+        let [gain_s, gain_c] = gains.at(&[period as f32; LANES]).map(|gain| f64::from(gain[0]));
         let mean = (i.iter().sum::<f64>() + c * gain_c / 6.0) / 7.0;
         Some([c * gain_c, s * gain_s, mean])
     }

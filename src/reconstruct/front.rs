@@ -44,6 +44,8 @@ pub struct Buffers {
     /// C and S of each row as demodulated, and with the marker's means.
     raw: [Vec<Vec<f32>>; 2],
     bridged: [Vec<Vec<f32>>; 2],
+    /// Lengths of the latter.
+    sizes: Vec<Vec<f32>>,
     light: Vec<f32>,
     /// Phases found so far.
     known: usize,
@@ -75,7 +77,7 @@ impl<T: Copy + Default> Planes<T> {
     /// A plane for a stage that writes every value: those that it holds are any.
     pub(super) fn take(&self, width: usize, height: usize) -> Plane<T> {
         let mut plane = self.pool.take();
-        plane.reserve(self.room.load(Ordering::Relaxed).max(width * height));
+        plane.reserve(self.room.load(Ordering::Relaxed).max(width * height), T::default());
         plane.reshape(width, height, T::default());
         plane
     }
@@ -101,7 +103,7 @@ pub(super) fn run(
     pair: &Pair,
     gains: &Gains,
     keep_energy: bool,
-    (buffers, planes): (&mut Buffers, &Planes<f32>),
+    (buffers, planes, bytes): (&mut Buffers, &Planes<f32>, &Planes<u8>),
     clock: &mut Clock,
 ) -> Front {
     let (w, h) = (image.width(), image.height());
@@ -112,17 +114,20 @@ pub(super) fn run(
         runs
     });
     let mut energy = keep_energy.then(Plane::default);
-    let (ridges, zone) = clock.time("marker", || {
+    let (ridges, zone, zone_runs) = clock.time("marker", || {
         let ridges = marker::ridges(image, &runs, &period, pair, &mut buffers.marker, energy.as_mut());
-        let zone = marker_phase::zone(&ridges, &period);
-        marker_phase::bridge_period(&mut period, &Runs::of(&zone), pair.period_px);
-        (ridges, zone)
+        let mut zone = bytes.take(w, h);
+        marker_phase::zone(&ridges, &period, &mut zone);
+        let zone_runs = Runs::of(&zone);
+        marker_phase::bridge_period(&mut period, &zone_runs, pair.period_px);
+        (ridges, zone, zone_runs)
     });
     let plane = || planes.take(w, h);
     let mut phasors = Phasors { c: plane(), s: plane(), mean: plane(), misfit: plane() };
     let mut wrapped = plane();
     clock.time("phase", || {
-        let input = Input { image, runs: &runs, period: &period, zone: &zone, pair, gains };
+        let (zone, zone_runs) = (&zone, &zone_runs);
+        let input = Input { image, runs: &runs, period: &period, zone, zone_runs, pair, gains };
         simd::dispatch(
             #[inline(always)]
             || input.phases(buffers, &mut phasors, &mut wrapped),
@@ -130,7 +135,8 @@ pub(super) fn run(
     });
     let marker = clock.time("anchors", || {
         let cores = marker::detect(&ridges, &period, &wrapped, pair);
-        let mut marker = Plane::filled(w, h, 0u8);
+        let mut marker = bytes.take(w, h);
+        marker.as_mut_slice().fill(0);
         for v in 0..cores.height() {
             for run in cores.row(v) {
                 marker.row_mut(v)[run.columns()].fill(1);
@@ -148,6 +154,7 @@ struct Input<'a> {
     runs: &'a Runs,
     period: &'a Plane<f32>,
     zone: &'a Plane<u8>,
+    zone_runs: &'a Runs,
     pair: &'a Pair,
     gains: &'a Gains,
 }
@@ -158,7 +165,6 @@ impl Input<'_> {
     fn phases(&self, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut Plane<f32>) {
         let (w, h) = (self.image.width(), self.image.height());
         let average = marker_phase::Average::new(self.pair);
-        let zone_runs = Runs::of(self.zone);
         let reach = average.reach();
         for (rings, length) in [(&mut buffers.raw, 2 * reach + 1), (&mut buffers.bridged, BRIDGED)] {
             for ring in rings {
@@ -166,6 +172,8 @@ impl Input<'_> {
                 ring.iter_mut().for_each(|row| row.resize(w, 0.0));
             }
         }
+        buffers.sizes.resize(BRIDGED, Vec::new());
+        buffers.sizes.iter_mut().for_each(|row| row.resize(w, 0.0));
         buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
         for next in 0..h + reach + LATER {
@@ -175,7 +183,16 @@ impl Input<'_> {
             if let Some(v) = next.checked_sub(reach)
                 && v < h
             {
-                bridge(v, h, &average, &zone_runs, buffers, phasors.misfit.row_mut(v));
+                bridge(v, h, &average, self.zone_runs, buffers, phasors.misfit.row_mut(v));
+                let Buffers { bridged: [c, s], sizes, .. } = &mut *buffers;
+                let row = v % BRIDGED;
+                // Beside the runs there is none.
+                sizes[row].fill(0.0);
+                for run in self.runs.row(v) {
+                    let columns = run.columns();
+                    let out = &mut sizes[row][columns.clone()];
+                    demodulate::sizes(&c[row][columns.clone()], &s[row][columns], out);
+                }
             }
             if let Some(v) = next.checked_sub(reach + LATER) {
                 self.finish(v, buffers, phasors, wrapped.row_mut(v));
@@ -198,9 +215,12 @@ impl Input<'_> {
     /// Averages row `v` with those around it, and takes its phases.
     #[inline(always)]
     fn finish(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
-        let Buffers { bridged: [c, s], known, .. } = buffers;
+        let Buffers { bridged: [c, s], sizes, known, .. } = buffers;
         let Phasors { c: out_c, s: out_s, misfit, .. } = phasors;
-        let rows = |v: usize| [&c[v % BRIDGED][..], &s[v % BRIDGED][..], misfit.row(v)];
+        let rows = |v: usize| {
+            let row = v % BRIDGED;
+            [&c[row][..], &s[row][..], &sizes[row][..], misfit.row(v)]
+        };
         let reach = demodulate::row_reach(v, misfit.height());
         let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
         let (out_c, out_s) = (out_c.row_mut(v), out_s.row_mut(v));

@@ -10,7 +10,7 @@
 use super::components::{self, Piece};
 use super::pair::Pair;
 use super::runs::{Run, Runs};
-use super::sample::{self, LANES, Lanes, PAD};
+use super::sample::{self, LANES, Lanes, PAD, Periods};
 use super::simd;
 use crate::image::{Mono8, Plane};
 use std::f32::consts::{FRAC_PI_2, TAU};
@@ -150,12 +150,9 @@ fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f
             let count = LANES.min(columns.end - first);
             let period = sample::load(period, first);
             // Pixel i spans [i - 1/2, i + 1/2].
-            let (mut left, mut right) = (sample::distances(&period, -0.5), sample::distances(&period, 0.5));
-            for i in 0..LANES {
-                left[i] += 0.5;
-                right[i] += 0.5;
-            }
-            let (left, right) = (sample::between(sums, first, &left), sample::between(sums, first, &right));
+            let periods = Periods::new(&period);
+            let left = sample::between(sums, first, &periods, -0.5, 0.5);
+            let right = sample::between(sums, first, &periods, 0.5, 0.5);
             let (before, behind) = ((first - columns.start) as f32, (columns.end - 1 - first) as f32);
             let mut mean: Lanes = [0.0; LANES];
             for i in 0..LANES {

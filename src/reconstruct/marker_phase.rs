@@ -20,9 +20,10 @@ const REACH_PERIODS: f32 = 1.0;
 /// Below this coherence the mean over the marker's period means nothing.
 const MIN_COHERENCE: f32 = 0.5;
 
-/// The pixels whose demodulation window touches the marker: the ridge's, widened along the rows.
-pub fn zone(ridges: &Runs, period: &Plane<f32>) -> Plane<u8> {
-    let mut zone = Plane::filled(period.width(), period.height(), 0u8);
+/// The pixels whose demodulation window touches the marker, into a plane of the size of `period`: the ridge's, widened
+/// along the rows.
+pub fn zone(ridges: &Runs, period: &Plane<f32>, zone: &mut Plane<u8>) {
+    zone.as_mut_slice().fill(0);
     for v in 0..ridges.height() {
         for run in ridges.row(v) {
             // The reaches of neighbours overlap: together they leave no gap.
@@ -35,7 +36,6 @@ pub fn zone(ridges: &Runs, period: &Plane<f32>) -> Plane<u8> {
             zone.row_mut(v)[start..end].fill(1);
         }
     }
-    zone
 }
 
 /// Crossings cannot be counted where a lobe is missing: in the zone, given by its runs, the period becomes the mean of

@@ -4,16 +4,13 @@
 //! component, so that dark hair and detached hands survive; [`otsu`] is the paper's: Otsu on the raw image,
 //! dilation and erosion, largest segment.
 
+use super::opening::Opening;
 use super::runs::Runs;
 use super::{components, simd};
 use crate::image::{Mono8, Plane};
-use std::ops::Range;
 
 /// Pixels at or above this value are over-exposed: their phase means nothing.
 pub const SATURATED: u8 = 250;
-
-/// Side of the square that opens the mask, px.
-const OPENING_PX: usize = 5;
 
 /// Smallest component that [`envelope`] keeps, px.
 const MIN_COMPONENT_PX: u32 = 400;
@@ -29,11 +26,11 @@ const MAX_ABOVE_BLACK_DN: u8 = 8;
 #[derive(Debug, Default)]
 pub struct Buffers {
     smooth: Plane<u8>,
-    eroded: Plane<u8>,
     closed: [Vec<u8>; 3],
     sorted: [Vec<u8>; 3],
     row: Vec<u8>,
     scratch: Scratch,
+    opening: Opening,
     runs: Runs,
 }
 
@@ -49,22 +46,16 @@ pub fn envelope(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
 pub fn envelope_into(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, mask: &mut Plane<u8>) {
     let (w, h) = (image.width(), image.height());
     buffers.smooth.reshape(w, h, 0);
-    buffers.eroded.reshape(w, h, 0);
-    mask.reshape(w, h, 0);
+    mask.reset(w, h, 0);
     simd::dispatch(
         #[inline(always)]
-        || smooth_envelope(image, (1.2 * period_px).ceil() as usize | 1, buffers),
+        || {
+            smooth_envelope(image, (1.2 * period_px).ceil() as usize | 1, buffers);
+            let Buffers { smooth, opening, runs, .. } = &mut *buffers;
+            opening.runs(smooth, log_threshold(smooth), runs);
+        },
     );
-    let level = log_threshold(&buffers.smooth);
-    simd::dispatch(
-        #[inline(always)]
-        || open(level, buffers, mask),
-    );
-    keep_large(mask, &mut buffers.runs);
-    simd::dispatch(
-        #[inline(always)]
-        || remove_saturated(mask, image),
-    );
+    keep_large(&buffers.runs, image, mask);
 }
 
 /// Row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
@@ -117,40 +108,6 @@ fn median3x3([above, own, below]: [&[u8]; 3], [low, middle, high]: &mut [Vec<u8>
     }
 }
 
-/// What lies above `level`, opened by a square of [`OPENING_PX`].
-#[inline(always)]
-fn open(level: u8, buffers: &mut Buffers, mask: &mut Plane<u8>) {
-    let Buffers { smooth, eroded, row, scratch, .. } = buffers;
-    let h = smooth.height();
-    row.resize(smooth.width(), 0);
-    for v in 0..h {
-        for (row, &x) in row.iter_mut().zip(smooth.row(v)) {
-            *row = u8::from(x > level);
-        }
-        scratch.sliding(row, eroded.row_mut(v), OPENING_PX, u8::min);
-    }
-    // What is smooth is no longer needed: its memory takes what both passes have eroded, then widened along the row.
-    const HALF: usize = OPENING_PX / 2;
-    for v in 0..h {
-        over_rows(eroded, v.saturating_sub(HALF)..(v + HALF + 1).min(h), row, u8::min);
-        scratch.sliding(row, smooth.row_mut(v), OPENING_PX, u8::max);
-    }
-    for v in 0..h {
-        over_rows(smooth, v.saturating_sub(HALF)..(v + HALF + 1).min(h), mask.row_mut(v), u8::max);
-    }
-}
-
-/// Extreme of some rows, column by column.
-#[inline(always)]
-fn over_rows(plane: &Plane<u8>, rows: Range<usize>, out: &mut [u8], extreme: impl Fn(u8, u8) -> u8 + Copy) {
-    out.copy_from_slice(plane.row(rows.start));
-    for v in rows.skip(1) {
-        for (a, &b) in out.iter_mut().zip(plane.row(v)) {
-            *a = extreme(*a, b);
-        }
-    }
-}
-
 /// The paper's mask: Otsu on the raw image without over-exposed pixels, dilation and erosion by one fringe
 /// period, largest segment.
 pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
@@ -187,6 +144,7 @@ pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
 }
 
 /// Threshold on the envelope: Otsu on its logarithm, but never within the noise of the black level.
+#[inline(always)]
 fn log_threshold(envelope: &Plane<u8>) -> u8 {
     let counts = histogram(envelope.as_slice());
     let mut logarithmic = [0u32; 256];
@@ -223,14 +181,35 @@ fn otsu_level(histogram: &[u32; 256]) -> usize {
     best.1
 }
 
-/// How often each value occurs. Four counts for neighbouring pixels: they are often equal, and a count that has just
-/// been written is slow to read.
+/// Pixels that are counted together where they are alike, few enough for a byte to count them; and how many levels that is.
+const ALIKE: usize = 192;
+const LEVELS: u8 = 8;
+
+/// How often each value occurs. Most of a photograph is dark and even: there every level is counted in all pixels at once.
+#[inline(always)]
 fn histogram(values: &[u8]) -> [u32; 256] {
+    // Four counts for neighbouring pixels: they are often equal, and a count that has just been written is slow to read.
     let mut counts = [[0u32; 256]; 4];
-    let (fours, rest) = values.as_chunks::<4>();
-    for four in fours {
-        for (counts, &value) in counts.iter_mut().zip(four) {
-            counts[usize::from(value)] += 1;
+    let (parts, rest) = values.as_chunks::<ALIKE>();
+    for part in parts {
+        let (mut least, mut most) = (u8::MAX, 0);
+        for &x in part {
+            (least, most) = (least.min(x), most.max(x));
+        }
+        if most - least >= LEVELS {
+            for four in part.as_chunks::<4>().0 {
+                for (counts, &value) in counts.iter_mut().zip(four) {
+                    counts[usize::from(value)] += 1;
+                }
+            }
+            continue;
+        }
+        for level in least..=most {
+            let mut count = 0u8;
+            for &x in part {
+                count += u8::from(x == level);
+            }
+            counts[0][usize::from(level)] += u32::from(count);
         }
     }
     for &value in rest {
@@ -246,14 +225,15 @@ fn remove_saturated(mask: &mut Plane<u8>, image: Mono8<'_>) {
     }
 }
 
-/// Clears the components of less than [`MIN_COMPONENT_PX`].
-fn keep_large(mask: &mut Plane<u8>, runs: &mut Runs) {
-    runs.find(mask);
+/// Sets the pixels of the components of [`MIN_COMPONENT_PX`] or more that are not over-exposed.
+fn keep_large(runs: &Runs, image: Mono8<'_>, mask: &mut Plane<u8>) {
     let (piece, pieces) = components::connect(runs);
     for v in 0..runs.height() {
         for place in runs.places(v) {
-            if pieces[piece[place] as usize].area < MIN_COMPONENT_PX {
-                mask.row_mut(v)[runs.all()[place].columns()].fill(0);
+            if pieces[piece[place] as usize].area >= MIN_COMPONENT_PX {
+                let columns = runs.all()[place].columns();
+                let pixels = mask.row_mut(v)[columns.clone()].iter_mut();
+                pixels.zip(&image.row(v)[columns]).for_each(|(out, &x)| *out = u8::from(x < SATURATED));
             }
         }
     }
@@ -311,21 +291,22 @@ impl Scratch {
         from.resize(row.len() + 2 * half, last);
         to.resize(from.len(), 0);
         let mut covered = 1;
-        while covered < width {
-            let step = covered.min(width - covered);
-            for ((to, &a), &b) in to.iter_mut().zip(from.iter()).zip(&from[step..]) {
+        while 2 * covered < width {
+            for ((to, &a), &b) in to.iter_mut().zip(from.iter()).zip(&from[covered..]) {
                 *to = extreme(a, b);
             }
             std::mem::swap(from, to);
-            covered += step;
+            covered *= 2;
         }
-        out.copy_from_slice(&from[..row.len()]);
+        for ((to, &a), &b) in out.iter_mut().zip(from.iter()).zip(&from[width - covered..]) {
+            *to = extreme(a, b);
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Scratch, envelope, median3x3, otsu};
+    use super::{Scratch, envelope, histogram, median3x3, otsu};
     use crate::image::{Mono8, Plane};
     use proptest::prelude::{any, prop_assert_eq, proptest};
 
@@ -366,6 +347,23 @@ mod tests {
             for (i, &found) in out.iter().enumerate() {
                 let window = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
                 prop_assert_eq!(found, window.iter().copied().max().unwrap_or(0));
+            }
+        }
+
+        #[test]
+        fn every_value_is_counted(
+            levels in proptest::collection::vec((any::<u8>(), 1u8..20), 1..6),
+            noise in proptest::collection::vec(any::<u8>(), 0..1000),
+        ) {
+            let value = |(i, x): (usize, &u8)| {
+                let (level, range) = levels[i / 200 % levels.len()];
+                level.saturating_add(x % range)
+            };
+            let values: Vec<u8> = noise.iter().enumerate().map(value).collect();
+            let counts = histogram(&values);
+            for level in 0..=u8::MAX {
+                let plain = values.iter().filter(|&&x| x == level).count();
+                prop_assert_eq!(counts[usize::from(level)] as usize, plain);
             }
         }
 

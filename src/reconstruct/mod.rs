@@ -34,6 +34,7 @@ pub mod marker_phase;
 pub mod mask;
 /// Normals from neighbouring points.
 pub mod normals;
+mod opening;
 /// Fringe orders of all views of one instant.
 pub mod order;
 /// What the pipeline must know of a camera and its projector.

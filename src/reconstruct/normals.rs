@@ -67,12 +67,16 @@ pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Orie
     let across = tangent(
         &centre,
         &limit,
-        [[own.at(place - far), own.at(place + far)], [own.at(place - near), own.at(place + near)]],
+        [own.at(place - far), own.at(place + far)],
+        #[inline(always)]
+        || [own.at(place - near), own.at(place + near)],
     );
     let along = tangent(
         &centre,
         &limit,
-        [[rows[0].at(place), rows[4].at(place)], [rows[1].at(place), rows[3].at(place)]],
+        [rows[0].at(place), rows[4].at(place)],
+        #[inline(always)]
+        || [rows[1].at(place), rows[3].at(place)],
     );
     let mut out = Oriented { point: centre, normal: [[0.0; LANES]; 3], good: [false; LANES] };
     for i in 0..LANES {
@@ -94,24 +98,51 @@ pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Orie
 
 /// Difference of the points before and after, of one of them to the centre where the other is missing, with the
 /// first reach for which there is one. `limit`: the square of the largest distance for a reach of 1. NaN where there
-/// is none.
+/// is none. Few blocks have to ask for the `near` ones.
 #[inline(always)]
-fn tangent(centre: &[Lanes; 3], limit: &Lanes, ends: [[[Lanes; 3]; 2]; 2]) -> [Lanes; 3] {
-    let mut out = [[f32::NAN; LANES]; 3];
-    for (reach, [before, after]) in REACH_PX.into_iter().zip(&ends).rev() {
-        let squared = (reach * reach) as f32;
-        for i in 0..LANES {
-            let c = pick(centre, i);
-            let (a, b) = (pick(before, i), pick(after, i));
-            let (da, db) = (sub(a, c), sub(b, c));
-            // Not so for NaN.
-            let has_a = dot(da, da) <= limit[i] * squared;
-            let has_b = dot(db, db) <= limit[i] * squared;
-            for axis in 0..3 {
-                let end = if has_b { b[axis] } else { c[axis] };
-                let start = if has_a { a[axis] } else { c[axis] };
-                out[axis][i] = if has_a | has_b { end - start } else { out[axis][i] };
+fn tangent(
+    centre: &[Lanes; 3],
+    limit: &Lanes,
+    far: [[Lanes; 3]; 2],
+    near: impl FnOnce() -> [[Lanes; 3]; 2],
+) -> [Lanes; 3] {
+    let mut out = differences(centre, limit, REACH_PX[0], &far);
+    let mut missing = 0u32;
+    for i in 0..LANES {
+        missing |= u32::from(out[0][i].is_nan() & !centre[0][i].is_nan());
+    }
+    if missing != 0 {
+        let nearer = differences(centre, limit, REACH_PX[1], &near());
+        for axis in 0..3 {
+            for i in 0..LANES {
+                out[axis][i] = if out[axis][i].is_nan() { nearer[axis][i] } else { out[axis][i] };
             }
+        }
+    }
+    out
+}
+
+/// [`tangent`] for one reach.
+#[inline(always)]
+fn differences(
+    centre: &[Lanes; 3],
+    limit: &Lanes,
+    reach: usize,
+    [before, after]: &[[Lanes; 3]; 2],
+) -> [Lanes; 3] {
+    let mut out = [[f32::NAN; LANES]; 3];
+    let squared = (reach * reach) as f32;
+    for i in 0..LANES {
+        let c = pick(centre, i);
+        let (a, b) = (pick(before, i), pick(after, i));
+        let (da, db) = (sub(a, c), sub(b, c));
+        // Not so for NaN.
+        let has_a = dot(da, da) <= limit[i] * squared;
+        let has_b = dot(db, db) <= limit[i] * squared;
+        for axis in 0..3 {
+            let end = if has_b { b[axis] } else { c[axis] };
+            let start = if has_a { a[axis] } else { c[axis] };
+            out[axis][i] = if has_a | has_b { end - start } else { f32::NAN };
         }
     }
     out

@@ -18,6 +18,9 @@ const LIGHT_PERIODS: f32 = 1.3;
 /// Steps of a pixel in which distances are summed.
 const STEPS: f32 = 4096.0;
 
+/// Pixels whose sides are looked at as bits of a word.
+const WORD: usize = 64;
+
 /// Bits of a sum that count how many distances it has; above are the distances.
 const COUNT_BITS: u32 = 8;
 
@@ -46,6 +49,8 @@ pub struct Buffers {
 struct Crossing {
     /// Column in the run, with its fraction.
     at: f32,
+    /// The first whole column behind it.
+    behind: u32,
     /// Column in the run where it was certain.
     certain: u32,
 }
@@ -118,13 +123,13 @@ fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw
     // Window `start` holds the crossings `first .. end`.
     let (mut start, mut first, mut end) = (0, 0, 0);
     while start < windows {
-        while crossings.get(first).is_some_and(|x| x.at < start as f32) {
+        while crossings.get(first).is_some_and(|x| x.behind as usize <= start) {
             first += 1;
         }
         while crossings.get(end).is_some_and(|x| (x.certain as usize) < start + length) {
             end += 1;
         }
-        let leaves = crossings.get(first).map_or(usize::MAX, |x| x.at as usize + 1);
+        let leaves = crossings.get(first).map_or(usize::MAX, |x| x.behind as usize);
         let enters = crossings.get(end).map_or(usize::MAX, |x| x.certain as usize + 1 - length);
         let next = leaves.min(enters).min(windows).max(start + 1);
         let value = mean_distance(crossings.get(first..end).unwrap_or(&[]));
@@ -216,7 +221,7 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let value = |i: usize| i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)];
     const ABOVE: u8 = 1;
     const FAR: u8 = 2;
-    sides.resize(row.len(), 0);
+    sides.resize(row.len().next_multiple_of(WORD), 0);
     let side =
         |value: i32, margin: i32| (u8::from(value > 0) * ABOVE) | (u8::from(value.abs() > margin) * FAR);
     let middle = half.min(row.len())..(half + last + 1).min(row.len());
@@ -228,20 +233,47 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     for i in 0..n {
         sides_middle[i] = side(i32::from(row_middle[i]) * length as i32 - threshold[i], margin[i]);
     }
+    sides[row.len()..].fill(0);
+    let mut found = |seen: usize, certain: usize| {
+        let (a, b) = (value(seen - 1) as f32, value(seen) as f32);
+        let at = seen as f32 - b / (b - a);
+        crossings.push(Crossing { at, behind: at as u32 + 1, certain: certain as u32 });
+    };
+    // Where it is certain on which side, and since when the light is on the side where it is.
+    let mut before = u64::from(sides[0] & ABOVE);
     let (mut settled, mut seen) = (None, 0);
-    let mut before = sides[0] & ABOVE;
-    for (i, &now) in sides.iter().enumerate() {
-        if now & ABOVE != before {
-            (before, seen) = (now & ABOVE, i);
-        }
-        if now & FAR != 0 && settled != Some(before) {
-            if settled.is_some() {
-                let (a, b) = (value(seen - 1) as f32, value(seen) as f32);
-                crossings.push(Crossing { at: seen as f32 - b / (b - a), certain: i as u32 });
+    for (k, word) in sides.as_chunks::<WORD>().0.iter().enumerate() {
+        let [above, mut far] = [bits(word, ABOVE), bits(word, FAR)];
+        let mut changes = above ^ (above << 1 | before);
+        loop {
+            let end = changes.trailing_zeros();
+            let here = far & u64::MAX.checked_shr(u64::BITS - end).unwrap_or(0);
+            if here != 0 && settled != Some(before) {
+                if settled.is_some() {
+                    found(seen, k * WORD + here.trailing_zeros() as usize);
+                }
+                settled = Some(before);
             }
-            settled = Some(before);
+            if changes == 0 {
+                break;
+            }
+            changes &= changes - 1;
+            far &= u64::MAX << end;
+            (before, seen) = (before ^ 1, k * WORD + end as usize);
         }
     }
+}
+
+/// A bit for each byte that has those of `mask`, which are one bit.
+#[inline(always)]
+fn bits(bytes: &[u8; WORD], mask: u8) -> u64 {
+    let mut out = 0;
+    for (k, eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
+        let ones = u64::from_le_bytes(*eight) >> mask.trailing_zeros() & 0x0101_0101_0101_0101;
+        // Bit i of the product's highest byte is byte i.
+        out |= ones.wrapping_mul(0x0102_0408_1020_4080) >> 56 << (8 * k);
+    }
+    out
 }
 
 /// Mean of the known values in the box around each pixel of a row's runs, from the ring of rows.

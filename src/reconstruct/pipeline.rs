@@ -11,8 +11,8 @@ use super::runs::Runs;
 use super::triangulate::Triangulator;
 use super::unwrap::{OpenTrees, Unwrapped};
 use super::{
-    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, uncertainty, unwrap,
-    unwrap_paper,
+    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, simd, uncertainty,
+    unwrap, unwrap_paper,
 };
 use crate::export::{Cloud, PhaseMap};
 use crate::image::{Mono8, Plane};
@@ -113,6 +113,7 @@ struct Buffers {
 static BUFFERS: Pool<Buffers> = Pool::new();
 static PLANES: Planes<f32> = Planes::new();
 static TREES: Planes<u32> = Planes::new();
+static BYTES: Planes<u8> = Planes::new();
 
 /// Runs stages and keeps their times.
 #[derive(Debug, Default)]
@@ -197,6 +198,7 @@ impl Pipeline {
         let camera = &triangulator.pair().camera;
         PLANES.make_room(camera.width * camera.height);
         TREES.make_room(camera.width * camera.height);
+        BYTES.make_room(camera.width * camera.height);
         Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
 
@@ -244,7 +246,11 @@ impl Pipeline {
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
         let whole = object;
-        let (image, object) = (roi.cut_image(image), roi.cut(&whole));
+        let plane = || BYTES.take(roi.width, roi.height);
+        let (mut part, mut object) = (plane(), plane());
+        roi.cut(image, &mut part);
+        roi.cut(Mono8::from(&whole), &mut object);
+        let image = part;
         if self.method == Method::Anchored {
             let mut buffers = BUFFERS.take();
             buffers.object = whole;
@@ -254,6 +260,7 @@ impl Pipeline {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
+        BYTES.give(image);
         let Resolved { absolute, open, marker, runs, phasors, period, zone, planes } = resolved;
         // Until all cameras are heard.
         let regions = Regions::default();
@@ -289,6 +296,8 @@ impl Pipeline {
             zone,
             mut planes,
             mut clock,
+            marker,
+            object,
             ..
         } = prepared;
         let pair = self.triangulator.pair();
@@ -337,7 +346,9 @@ impl Pipeline {
             PLANES.give(period);
             PLANES.give(open.relative);
             TREES.give(open.tree);
+            [marker, zone].into_iter().for_each(|plane| BYTES.give(plane));
         }
+        BYTES.give(object);
         if self.keep_maps {
             planes.push(("Fm", absolute));
         } else if self.method == Method::Anchored {
@@ -365,13 +376,12 @@ impl Pipeline {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
         let mut buffers = BUFFERS.take();
-        let memory = (&mut buffers.front, &PLANES);
+        let memory = (&mut buffers.front, &PLANES, &BYTES);
         let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
         let Front { runs, period, phasors, wrapped, zone, mut marker, energy, known } = front;
         counts.object = runs.area();
-        clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
+        counts.marker = clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
-        counts.marker = marker.as_slice().iter().filter(|&&x| x != 0).count();
         let unwrapped = clock.time("unwrap", || {
             let (width, height) = (wrapped.width(), wrapped.height());
             let mut out = Unwrapped {
@@ -439,7 +449,7 @@ impl Pipeline {
         let phasors = clock
             .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
         let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
-        counts.phase = wrapped.as_slice().iter().filter(|x| !x.is_nan()).count();
+        counts.phase = known(&wrapped, &runs);
         let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
         let border = clock.time("border", || quality::border(object, &runs));
         let quality = clock.time("quality", || {
@@ -450,12 +460,15 @@ impl Pipeline {
         let (energy, segment) = clock.time("marker", || unwrap_paper::marker(image, object, &runs, pair));
         counts.marker = segment.as_slice().iter().filter(|&&x| x != 0).count();
         let shift = unwrap_paper::shift(&unwrapped, &wrapped, &segment, pair);
-        let absolute = match shift {
-            Some(shift) => convert(&unwrapped, |x| x + shift),
-            None => Plane::filled(wrapped.width(), wrapped.height(), f32::NAN),
-        };
-        let known = absolute.as_slice().iter().filter(|x| !x.is_nan()).count();
-        counts.refused = counts.phase - known;
+        let relative = self.keep_maps.then(|| unwrapped.clone());
+        let mut absolute = unwrapped;
+        for v in 0..runs.height() {
+            for run in runs.row(v) {
+                let phases = absolute.row_mut(v)[run.columns()].iter_mut();
+                phases.for_each(|phase| *phase += shift.unwrap_or(f32::NAN));
+            }
+        }
+        counts.refused = counts.phase - known(&absolute, &runs);
         let mut planes = Vec::new();
         if self.keep_maps {
             planes = vec![
@@ -467,7 +480,7 @@ impl Pipeline {
                 ("Vm", vertical),
                 ("Bm", border),
                 ("Qm", quality),
-                ("Um", unwrapped),
+                ("Um", relative.unwrap_or_default()),
                 ("Em", energy),
                 ("Mm", convert(&segment, f32::from)),
             ];
@@ -476,6 +489,26 @@ impl Pipeline {
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
         Resolved { absolute, open, marker: segment, runs, phasors, period: periods.period, zone, planes }
     }
+}
+
+/// Pixels of the runs whose phase is known.
+fn known(phase: &Plane<f32>, runs: &Runs) -> usize {
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            let mut known = 0;
+            for v in 0..runs.height() {
+                for run in runs.row(v) {
+                    let mut here = 0u32;
+                    for x in &phase.row(v)[run.columns()] {
+                        here += u32::from(!x.is_nan());
+                    }
+                    known += here as usize;
+                }
+            }
+            known
+        },
+    )
 }
 
 fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {

@@ -120,15 +120,17 @@ impl RayTable {
         let above = v / NODE_PX * self.columns + first;
         let t = (v % NODE_PX) as f32 / NODE_PX as f32;
         let (a, b) = (&self.nodes[above..=above + blocks], &self.nodes[above + self.columns..]);
-        line.clear();
-        line.extend(a.iter().zip(b).map(|(a, b)| std::array::from_fn(|k| a[k] + t * (b[k] - a[k]))));
+        line.resize(a.len(), [0.0; 3 + TERMS]);
+        let numbers = line.as_flattened_mut().iter_mut().zip(a.as_flattened()).zip(b.as_flattened());
+        for ((to, a), b) in numbers {
+            *to = a + t * (b - a);
+        }
     }
 
     /// The points of the pixels of some blocks. `fringes`: absolute phase of each pixel in fringes, NaN where it is
     /// not known. `line`: their nodes and the one after. All of `out` is written.
     #[inline(always)]
     pub(super) fn points<const SCALE: bool>(&self, line: &[Node], fringes: &[f32], out: &mut PointRow<'_>) {
-        let ([x0, y0, z0], [x1, y1, z1]) = (self.volume[0], self.volume[1]);
         for (block, (nodes, fringes)) in line.windows(2).zip(fringes.as_chunks::<NODE_PX>().0).enumerate() {
             let at = block * NODE_PX..(block + 1) * NODE_PX;
             let (x, y, z) = (&mut out.x[at.clone()], &mut out.y[at.clone()], &mut out.z[at.clone()]);
@@ -142,38 +144,70 @@ impl RayTable {
                 z.fill(f32::NAN);
                 continue;
             }
-            let step: Node = std::array::from_fn(|k| (nodes[1][k] - nodes[0][k]) / NODE_PX as f32);
-            let node = nodes[0];
-            for i in 0..NODE_PX {
-                let t = i as f32;
-                let c = |k: usize| node[k] + t * step[k];
-                let s = fringes[i] * self.per_fringe - 1.0;
-                let w = ((((c(8) * s + c(7)) * s + c(6)) * s + c(5)) * s + c(4)) * s + c(3);
-                let depth = 1.0 / w;
-                let [dx, dy, dz] = [c(0), c(1), c(2)];
-                let px = self.centre[0] + depth * dx;
-                let py = self.centre[1] + depth * dy;
-                let pz = self.centre[2] + depth * dz;
-                let good = (s.abs() < 1.0)
-                    & (w > 0.0)
-                    & (px >= x0)
-                    & (px <= x1)
-                    & (py >= y0)
-                    & (py <= y1)
-                    & (pz >= z0)
-                    & (pz <= z1);
-                x[i] = if good { px } else { f32::NAN };
-                y[i] = if good { py } else { f32::NAN };
-                z[i] = if good { pz } else { f32::NAN };
-                if SCALE {
-                    let slope =
-                        (((5.0 * c(8) * s + 4.0 * c(7)) * s + 3.0 * c(6)) * s + 2.0 * c(5)) * s + c(4);
-                    let length = (dx * dx + dy * dy + dz * dz).sqrt();
-                    let per_rad = self.per_fringe / TAU as f32;
-                    out.metres_per_rad[at.start + i] = (slope * per_rad).abs() * depth * depth * length;
+            // Quantity by quantity: of a loop over all of them the compiler would make vectors of three coordinates.
+            let mut s = [0f32; NODE_PX];
+            for (s, fringe) in s.iter_mut().zip(fringes) {
+                *s = fringe * self.per_fringe - 1.0;
+            }
+            let mut w = along(nodes, 8);
+            for k in (3..8).rev() {
+                let term = along(nodes, k);
+                for i in 0..NODE_PX {
+                    w[i] = w[i] * s[i] + term[i];
                 }
             }
+            let (mut depth, mut good) = ([0f32; NODE_PX], [0u32; NODE_PX]);
+            for i in 0..NODE_PX {
+                depth[i] = 1.0 / w[i];
+                good[i] = u32::from((s[i].abs() < 1.0) & (w[i] > 0.0));
+            }
+            let mut point = [[0f32; NODE_PX]; 3];
+            for (axis, point) in point.iter_mut().enumerate() {
+                let (direction, centre) = (along(nodes, axis), self.centre[axis]);
+                let (least, most) = (self.volume[0][axis], self.volume[1][axis]);
+                for i in 0..NODE_PX {
+                    point[i] = centre + depth[i] * direction[i];
+                    good[i] &= u32::from((point[i] >= least) & (point[i] <= most));
+                }
+            }
+            for (to, point) in [x, y, z].into_iter().zip(&point) {
+                for i in 0..NODE_PX {
+                    to[i] = if good[i] != 0 { point[i] } else { f32::NAN };
+                }
+            }
+            if SCALE {
+                let slopes = (&s, &depth, self.per_fringe / TAU as f32);
+                scale(nodes, slopes, &mut out.metres_per_rad[at]);
+            }
         }
+    }
+}
+
+/// One number of a block's node at each of its pixels.
+#[inline(always)]
+fn along(nodes: &[Node], k: usize) -> [f32; NODE_PX] {
+    let (from, step) = (nodes[0][k], (nodes[1][k] - nodes[0][k]) / NODE_PX as f32);
+    let mut out = [0f32; NODE_PX];
+    for (i, out) in out.iter_mut().enumerate() {
+        *out = from + i as f32 * step;
+    }
+    out
+}
+
+/// Metres along the line of sight per rad, for a block: the slope of its polynomials at `s`.
+#[inline(always)]
+fn scale(
+    nodes: &[Node],
+    (s, depth, per_rad): (&[f32; NODE_PX], &[f32; NODE_PX], f32),
+    metres_per_rad: &mut [f32],
+) {
+    let c: [_; 3 + TERMS] = std::array::from_fn(|k| along(nodes, k));
+    for (i, out) in metres_per_rad.iter_mut().enumerate() {
+        let slope = (((5.0 * c[8][i] * s[i] + 4.0 * c[7][i]) * s[i] + 3.0 * c[6][i]) * s[i] + 2.0 * c[5][i])
+            * s[i]
+            + c[4][i];
+        let length = (c[0][i] * c[0][i] + c[1][i] * c[1][i] + c[2][i] * c[2][i]).sqrt();
+        *out = (slope * per_rad).abs() * depth[i] * depth[i] * length;
     }
 }
 
@@ -211,8 +245,11 @@ impl<'a> Sight<'a> {
         };
         let [far, near] = self.inverse;
         let tried = |i: usize| far + (near - far) * i as f64 / (TRIED_DEPTHS - 1) as f64;
-        let first = (0..TRIED_DEPTHS).find(|&i| column(tried(i)).is_some())?;
-        let last = (first..TRIED_DEPTHS).take_while(|&i| column(tried(i)).is_some()).last()?;
+        let lit = |i: &usize| column(tried(*i)).is_some();
+        let first = (0..TRIED_DEPTHS).find(lit)?;
+        // A line of sight crosses the panel in one direction: what lies between two depths that it lights is lit.
+        let farthest = Some(TRIED_DEPTHS - 1).filter(lit);
+        let last = farthest.or_else(|| (first..TRIED_DEPTHS).take_while(lit).last())?;
         let (low, high) = (tried(first), tried(last));
         let mut at = [[0.0; 2]; TERMS];
         for (j, at) in at.iter_mut().enumerate() {

@@ -41,17 +41,10 @@ impl Roi {
         (left <= right).then(|| Self { u: left, v: top, width: right - left + 1, height: bottom - top + 1 })
     }
 
-    /// The rectangle's part of a mask.
-    pub fn cut(&self, plane: &Plane<u8>) -> Plane<u8> {
-        self.cut_image(Mono8::from(plane))
-    }
-
-    /// The rectangle's part of an image. The rectangle must lie in it.
-    pub fn cut_image(&self, image: Mono8<'_>) -> Plane<u8> {
-        let mut out = Plane::filled(self.width, self.height, 0);
+    /// The rectangle's part of an image or mask, which it must lie in, into a plane of its size.
+    pub fn cut(&self, image: Mono8<'_>, out: &mut Plane<u8>) {
         for v in 0..self.height {
             out.row_mut(v).copy_from_slice(&image.row(self.v + v)[self.u..self.u + self.width]);
         }
-        out
     }
 }

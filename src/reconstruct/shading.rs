@@ -18,7 +18,7 @@
 
 use super::demodulate::Phasors;
 use super::runs::Run;
-use super::sample::{self, LANES, Lanes, PAD};
+use super::sample::{self, LANES, Lanes, PAD, Periods};
 use super::simd;
 use crate::image::Plane;
 
@@ -95,8 +95,9 @@ fn correct_block(
     period: &Lanes,
     sign: f32,
 ) -> [Lanes; 2] {
-    let after = sample::between(light, first, &sample::distances(period, 0.5));
-    let before = sample::between(light, first, &sample::distances(period, -0.5));
+    let periods = Periods::new(period);
+    let after = sample::between(light, first, &periods, 0.5, 0.0);
+    let before = sample::between(light, first, &periods, -0.5, 0.0);
     let light = sample::load(&light[PAD..], first);
     let mut out = [c, s];
     for i in 0..LANES {

@@ -10,6 +10,7 @@ use super::absolute::shift_of_median;
 use super::components;
 use super::pair::Pair;
 use super::runs::Runs;
+use super::simd;
 use crate::image::{Mono8, Plane};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
@@ -24,13 +25,16 @@ const THRESHOLD: f32 = 0.35;
 /// Steps in which quality orders the edges.
 const STEPS: usize = 4096;
 
+/// The step of a pixel without a phase.
+const UNKNOWN: u16 = u16::MAX;
+
 /// Um: the phase unwrapped over the tree of the best pixel; NaN elsewhere. Phases are known within `runs` only.
 pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>, runs: &Runs) -> Plane<f32> {
     let mut out = Plane::filled(wrapped.width(), wrapped.height(), f32::NAN);
     let nodes = Nodes::of(wrapped, quality, runs);
     let mut tree = Tree::new(nodes.phase.len());
-    for edge in nodes.edges_by_quality(runs) {
-        tree.merge(edge);
+    if let [edges @ .., _] = &nodes.edges_by_quality(runs)[..] {
+        edges.iter().for_each(|&edge| tree.merge(edge));
     }
     let Some(best) = nodes.best() else { return out };
     let root = tree.find(best as u32).0;
@@ -54,7 +58,7 @@ pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>, runs: &Runs) -> Plane<
 struct Nodes {
     phase: Vec<f32>,
     quality: Vec<f32>,
-    /// Quality as the edges are ordered by: 0 is the best.
+    /// Quality as the edges are ordered by: 0 is the best, [`UNKNOWN`] where there is no phase.
     step: Vec<u16>,
     /// The node that each run begins with.
     first: Vec<u32>,
@@ -88,11 +92,14 @@ impl Nodes {
         for v in 0..runs.height() {
             for run in runs.row(v) {
                 nodes.first.push(nodes.phase.len() as u32);
-                let quality = &quality.row(v)[run.columns()];
-                nodes.phase.extend_from_slice(&wrapped.row(v)[run.columns()]);
+                let (phase, quality) = (&wrapped.row(v)[run.columns()], &quality.row(v)[run.columns()]);
+                nodes.phase.extend_from_slice(phase);
                 nodes.quality.extend_from_slice(quality);
-                let step = |q: &f32| ((1.0 - q).clamp(0.0, 1.0) * (STEPS - 1) as f32) as u16;
-                nodes.step.extend(quality.iter().map(step));
+                let step = |(q, phase): (&f32, &f32)| {
+                    let step = ((1.0 - q).clamp(0.0, 1.0) * (STEPS - 1) as f32) as u16;
+                    if phase.is_nan() { UNKNOWN } else { step }
+                };
+                nodes.step.extend(quality.iter().zip(phase).map(step));
             }
         }
         nodes
@@ -104,48 +111,134 @@ impl Nodes {
         known.max_by(|&a, &b| self.quality[a].total_cmp(&self.quality[b]).then(b.cmp(&a)))
     }
 
-    /// The edges by falling quality; ties in the order of the pixels, that to the right before that down.
+    /// The edges by falling quality; ties in the order of the pixels, that to the right before that down. The last one is
+    /// none.
     fn edges_by_quality(&self, runs: &Runs) -> Vec<Edge> {
-        let mut start = vec![0u32; STEPS + 1];
-        self.each_edge(runs, |step, _, _| start[step + 1] += 1);
+        let kept = self.kept(runs);
+        // What is not kept goes to a place behind all others, which is not moved on: a branch would be as good as chance.
+        let bucket = |step: u16, kept: u8| if kept != 0 { usize::from(step) } else { STEPS };
+        let mut start = vec![0u32; STEPS + 2];
+        self.each_edge(&kept, runs, |step, kept, _, _| start[bucket(step, kept) + 1] += u32::from(kept));
         for i in 0..STEPS {
             start[i + 1] += start[i];
         }
-        let mut edges = vec![Edge::default(); start[STEPS] as usize];
-        self.each_edge(runs, |step, a, b| {
-            let place = &mut start[step];
+        let mut edges = vec![Edge::default(); start[STEPS] as usize + 1];
+        self.each_edge(&kept, runs, |step, kept, a, b| {
+            let place = &mut start[bucket(step, kept)];
             edges[*place as usize] = Edge::new(a as u32, b as u32, [self.phase[a], self.phase[b]]);
-            *place += 1;
+            *place += u32::from(kept);
         });
         edges
     }
 
-    /// Calls `each` with the step of every edge, which is that of its worse node, and its nodes.
-    #[inline(always)]
-    fn each_edge(&self, runs: &Runs, mut each: impl FnMut(usize, usize, usize)) {
-        let mut edge = |a: usize, b: usize| {
-            if !self.phase[a].is_nan() && !self.phase[b].is_nan() {
-                each(usize::from(self.step[a].max(self.step[b])), a, b);
-            }
-        };
-        for v in 0..runs.height() {
-            let mut below = if v + 1 < runs.height() { runs.places(v + 1) } else { 0..0 };
-            for (place, run) in runs.places(v).zip(runs.row(v)) {
-                let first = self.first[place] as usize;
-                for u in run.columns() {
-                    let a = first + u - run.start();
-                    if u + 1 < run.end() {
-                        edge(a, a + 1);
-                    }
-                    while below.start < below.end && runs.all()[below.start].end() <= u {
-                        below.start += 1;
-                    }
-                    if let Some(next) = runs.all()[below.clone()].first().filter(|next| next.start() <= u) {
-                        edge(a, self.first[below.start] as usize + u - next.start());
+    /// Which of the edges to the right and down of each node may be taken. Of the four around a square of pixels the last
+    /// in order never is: the others have joined its ends before. That leaves few more than a tree has.
+    fn kept(&self, runs: &Runs) -> [Vec<u8>; 2] {
+        let nodes = self.step.len();
+        let [mut right, mut down] = [(); 2].map(|()| vec![0u8; nodes]);
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                let first = self.first.iter().map(|&first| first as usize);
+                for (run, first) in runs.all().iter().zip(first) {
+                    let step = &self.step[first..first + run.columns().len()];
+                    for (right, pair) in right[first..].iter_mut().zip(step.windows(2)) {
+                        *right = u8::from((pair[0] != UNKNOWN) & (pair[1] != UNKNOWN));
                     }
                 }
+                for v in 0..runs.height().saturating_sub(1) {
+                    self.each_overlap(
+                        v,
+                        runs,
+                        #[inline(always)]
+                        |a, b, n| {
+                            let (above, below) = (&self.step[a..a + n], &self.step[b..b + n]);
+                            drop_last(above, below, &mut right[b..b + n], &mut down[a..a + n]);
+                        },
+                    );
+                }
+            },
+        );
+        [right, down]
+    }
+
+    /// Calls `each` for the stretches of row `v` that lie above one of the next row: their first nodes, and their length.
+    #[inline(always)]
+    fn each_overlap(&self, v: usize, runs: &Runs, mut each: impl FnMut(usize, usize, usize)) {
+        let (mut above, mut below) = (runs.places(v), runs.places(v + 1));
+        while !above.is_empty() && !below.is_empty() {
+            let (upper, lower) = (runs.all()[above.start], runs.all()[below.start]);
+            let (from, to) = (upper.start().max(lower.start()), upper.end().min(lower.end()));
+            if from < to {
+                let node = |place: usize, start: usize| self.first[place] as usize + from - start;
+                each(node(above.start, upper.start()), node(below.start, lower.start()), to - from);
+            }
+            if upper.end() <= lower.end() {
+                above.start += 1;
+            } else {
+                below.start += 1;
             }
         }
+    }
+
+    /// Calls `each` with the step of every edge, which is that of its worse node, whether it is kept, and its nodes.
+    #[inline(always)]
+    fn each_edge(
+        &self,
+        [right, down]: &[Vec<u8>; 2],
+        runs: &Runs,
+        mut each: impl FnMut(u16, u8, usize, usize),
+    ) {
+        let mut stretch = |from: usize, to: usize, apart: usize| {
+            for a in from..to {
+                if a + 1 < self.step.len() {
+                    each(self.step[a].max(self.step[a + 1]), right[a], a, a + 1);
+                }
+                if apart != 0 {
+                    each(self.step[a].max(self.step[a + apart]), down[a], a, a + apart);
+                }
+            }
+        };
+        let mut done = 0;
+        for v in 0..runs.height() {
+            if v + 1 < runs.height() {
+                self.each_overlap(v, runs, |a, b, n| {
+                    stretch(done, a, 0);
+                    stretch(a, a + n, b - a);
+                    done = a + n;
+                });
+            }
+            let end = runs.places(v).end;
+            let end = self.first.get(end).map_or(self.step.len(), |&first| first as usize);
+            stretch(done, end, 0);
+            done = end;
+        }
+    }
+}
+
+/// Keeps the edges down of a stretch whose ends are known, and drops the last edge of every square that it spans with what
+/// lies `below`. Edges of the square's worst pixel are its last ones; of these, that to the right below, then that down on
+/// the right.
+#[inline(always)]
+fn drop_last(above: &[u16], below: &[u16], right: &mut [u8], down: &mut [u8]) {
+    let n = above.len();
+    let (below, right, down) = (&below[..n], &mut right[..n], &mut down[..n]);
+    for i in 0..n {
+        down[i] = u8::from((above[i] != UNKNOWN) & (below[i] != UNKNOWN));
+    }
+    for i in 0..n - 1 {
+        let (top, bottom) = (above[i].max(above[i + 1]), below[i].max(below[i + 1]));
+        right[i] &= u8::from((bottom < top) | (bottom == UNKNOWN));
+    }
+    for i in 0..n - 1 {
+        let (top, bottom) = (above[i].max(above[i + 1]), below[i].max(below[i + 1]));
+        let last = (bottom < top) & (top != UNKNOWN) & (above[i + 1] == top);
+        down[i + 1] &= u8::from(!last);
+    }
+    for i in 0..n - 1 {
+        let (top, bottom) = (above[i].max(above[i + 1]), below[i].max(below[i + 1]));
+        let last = (bottom < top) & (top != UNKNOWN) & (above[i + 1] != top);
+        down[i] &= u8::from(!last);
     }
 }
 

@@ -248,7 +248,7 @@ impl Side {
                 let worse = if residual < around { around } else { residual };
                 let excess = misfit[i] - GOOD_MISFIT;
                 let cost = worse + UNITS * if excess > 0.0 { excess } else { 0.0 };
-                let doubtful = (cost > bounds.doubtful) | (mean(stretch[i]) > bounds.doubtful_stretch);
+                let doubtful = (cost > bounds.doubtful) | mean_exceeds(stretch[i], bounds.doubtful_stretch);
                 // What is large is no edge; NaN is none, either.
                 let edge = (own[i] != 0) & (cost <= bounds.largest);
                 let units = whole(if edge { cost } else { 0.0 }) as u32;
@@ -398,6 +398,13 @@ pub(super) fn whole(x: f32) -> i32 {
 fn mean(sum: i32) -> f32 {
     let count = sum & ((1 << COUNT_BITS) - 1);
     (sum >> COUNT_BITS) as f32 / if count == 0 { 1.0 } else { count as f32 }
+}
+
+/// Whether [`mean`] is above a bound, without dividing.
+#[inline(always)]
+fn mean_exceeds(sum: i32, bound: f32) -> bool {
+    let count = sum & ((1 << COUNT_BITS) - 1);
+    (sum >> COUNT_BITS) as f32 > bound * count as f32
 }
 
 /// To half a turn to each side, in units.

@@ -1,0 +1,179 @@
+//! Opening of what lies above a level by a square of five pixels, on rows of bits: 64 pixels a word.
+
+use super::runs::{Run, Runs};
+use crate::image::Plane;
+
+/// Side of the square.
+#[cfg(test)]
+const SIDE: usize = 2 * HALF + 1;
+
+/// Pixels that it reaches to each side.
+const HALF: usize = 2;
+
+/// Pixels of a word.
+const WORD: usize = 64;
+
+/// Rows of bits that are used again from frame to frame.
+#[derive(Debug, Default)]
+pub(super) struct Opening {
+    /// What lies above the level, then what is left of it along the rows.
+    narrow: Vec<u64>,
+    /// What is left of that along the columns, then widened along the rows.
+    wide: Vec<u64>,
+}
+
+impl Opening {
+    /// The runs of pixels above `level` after erosion and dilation by the square; outside of the plane its outermost
+    /// pixels repeat.
+    #[inline(always)]
+    pub(super) fn runs(&mut self, plane: &Plane<u8>, level: u8, runs: &mut Runs) {
+        let (w, h) = (plane.width(), plane.height());
+        let words = w.div_ceil(WORD).max(1);
+        let Self { narrow, wide } = self;
+        narrow.resize(words * h, 0);
+        wide.resize(words * h, 0);
+        for (row, bits) in plane.as_slice().chunks_exact(w.max(1)).zip(narrow.chunks_exact_mut(words)) {
+            above(row, level, bits);
+            along(bits, w, |x, y| x & y);
+        }
+        for (v, out) in wide.chunks_exact_mut(words).enumerate() {
+            across(narrow, words, v, out, |x, y| x & y);
+            along(out, w, |x, y| x | y);
+        }
+        runs.clear();
+        let row = &mut narrow[..words.min(words * h)];
+        for v in 0..h {
+            across(wide, words, v, row, |x, y| x | y);
+            runs_of(row, w, runs);
+            runs.end_row();
+        }
+    }
+}
+
+/// A bit for each pixel above `level`.
+#[inline(always)]
+fn above(row: &[u8], level: u8, bits: &mut [u64]) {
+    for (pixels, word) in row.chunks(WORD).zip(bits) {
+        let mut ones = [0u8; WORD];
+        for (one, &x) in ones.iter_mut().zip(pixels) {
+            *one = u8::from(x > level);
+        }
+        *word = 0;
+        for (k, eight) in ones.as_chunks::<8>().0.iter().enumerate() {
+            // Bit i of the product's highest byte is byte i.
+            let byte = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+            *word |= byte << (8 * k);
+        }
+    }
+}
+
+/// Puts each bit of a row of `width` bits together with the two before and behind it; the ends repeat. What lies beyond
+/// `width` is cleared.
+#[inline(always)]
+fn along(bits: &mut [u64], width: usize, together: impl Fn(u64, u64) -> u64 + Copy) {
+    let (Some(&first), Some(last)) = (bits.first(), width.checked_sub(1)) else { return };
+    // From the last pixel on: all as that one is.
+    let (place, shift) = (last / WORD, last % WORD);
+    let rest = u64::MAX << shift;
+    let repeated = |bit: u64| 0u64.wrapping_sub(bit & 1);
+    let end = repeated(bits[place] >> shift);
+    bits[place] = bits[place] & !rest | end & rest;
+    let mut before = repeated(first);
+    for i in 0..=place {
+        let own = bits[i];
+        let behind = if i < place { bits[i + 1] } else { end };
+        let mut out = own;
+        for k in 1..=HALF as u32 {
+            let left = own << k | before >> (u64::BITS - k);
+            let right = own >> k | behind << (u64::BITS - k);
+            out = together(together(out, left), right);
+        }
+        (bits[i], before) = (out, own);
+    }
+    bits[place] &= u64::MAX >> (WORD - 1 - shift);
+}
+
+/// Puts row `v` together with the two above and below, as far as there are.
+#[inline(always)]
+fn across(plane: &[u64], words: usize, v: usize, out: &mut [u64], together: impl Fn(u64, u64) -> u64 + Copy) {
+    let height = plane.len() / words;
+    let rows = v.saturating_sub(HALF)..(v + HALF + 1).min(height);
+    out.copy_from_slice(&plane[v * words..(v + 1) * words]);
+    for other in rows.filter(|&other| other != v) {
+        for (out, &x) in out.iter_mut().zip(&plane[other * words..]) {
+            *out = together(*out, x);
+        }
+    }
+}
+
+/// The runs of ones of a row.
+#[inline(always)]
+fn runs_of(bits: &[u64], width: usize, runs: &mut Runs) {
+    let (mut start, mut inside) = (0, 0u64);
+    for (k, &word) in bits.iter().enumerate() {
+        // A bit wherever a pixel differs from that before.
+        let mut changes = word ^ (word << 1 | inside);
+        while changes != 0 {
+            let at = k * WORD + changes.trailing_zeros() as usize;
+            if inside == 0 {
+                start = at;
+            } else {
+                runs.push(Run::new(start, at));
+            }
+            inside ^= 1;
+            changes &= changes - 1;
+        }
+    }
+    if inside != 0 {
+        runs.push(Run::new(start, width));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{HALF, Opening, SIDE};
+    use crate::image::Plane;
+    use crate::reconstruct::runs::Runs;
+    use proptest::prelude::{ProptestConfig, prop_assert_eq, proptest};
+
+    /// By the definition: all of, or any of, the square around each pixel.
+    fn plain(plane: &Plane<u8>, all: bool) -> Plane<u8> {
+        let (w, h) = (plane.width(), plane.height());
+        let mut out = Plane::filled(w, h, 0);
+        for v in 0..h {
+            for u in 0..w {
+                let near = (0..SIDE * SIDE).map(|i| {
+                    let place = |x: usize, k: usize, end: usize| (x + k).saturating_sub(HALF).min(end - 1);
+                    plane.at(place(u, i % SIDE, w), place(v, i / SIDE, h)) != 0
+                });
+                let mut near = near;
+                out.set(u, v, u8::from(if all { near.all(|x| x) } else { near.any(|x| x) }));
+            }
+        }
+        out
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn bits_are_opened_as_pixels_are(
+            w in 1usize..200,
+            h in 1usize..12,
+            holes in proptest::collection::vec((0usize..200, 0usize..12), 0..30),
+        ) {
+            let mut plane = Plane::filled(w, h, 9u8);
+            for (u, v) in holes {
+                plane.set(u % w, v % h, 4);
+            }
+            let mut ones = Plane::filled(w, h, 0);
+            ones.as_mut_slice().iter_mut().zip(plane.as_slice()).for_each(|(one, &x)| *one = u8::from(x > 4));
+            let expected = Runs::of(&plain(&plain(&ones, true), false));
+            let mut found = Runs::default();
+            Opening::default().runs(&plane, 4, &mut found);
+            prop_assert_eq!(found.height(), h);
+            for v in 0..h {
+                prop_assert_eq!(found.row(v), expected.row(v));
+            }
+        }
+    }
+}
