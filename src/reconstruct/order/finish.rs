@@ -7,12 +7,16 @@
 //! What has no order then, though all that is known around it continues it at one and the same, takes that: a single
 //! camera's contradiction is wrong more often than a surface that closes around a hole.
 
+use super::graph::Graph;
 use super::grow::{FIRM, Label, NONE, View, conflict, sums};
 use super::settle::Scene;
 use super::words::Words;
 
 /// Words of the head's other camera, within two steps, without which an order other than the piece's is refused.
 const DISPUTED: i16 = 16;
+
+/// The same where growth puts the place behind the piece's: a limb that has taken the trunk's order.
+const DISPUTED_BEHIND: i16 = 25;
 
 /// Words that the head's other camera sees something before a place, from which it is no wonder that nobody confirms it.
 const HIDDEN: i16 = 16;
@@ -63,7 +67,11 @@ fn doubtful(view: &View, scene: &Scene<'_>, node: usize, sum: &Words) -> bool {
     let torn = conflict > 16 || conflict > 0 && sum.partner <= 15;
     let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 12;
     let unvouched = if agreed { unconfirmed && alone && sum.hidden < HIDDEN } else { unconfirmed || alone };
-    let disputed = !agreed && sum.partner < DISPUTED && (piece.is_some() || sum.heads == 0);
+    let disputed = match piece {
+        None => sum.partner < DISPUTED && sum.heads == 0,
+        Some(piece) if scene.witness.is_behind(view.turns[node], piece) => sum.partner < DISPUTED_BEHIND,
+        Some(_) => !agreed && sum.partner < DISPUTED,
+    };
     unvouched || torn || rim || disputed
 }
 
@@ -80,12 +88,11 @@ fn close(
     for _ in 0..ROUNDS {
         let mut found = Vec::new();
         for &node in &open {
-            let Some(hole) = Hole::around(view, sum, labels, node) else { continue };
-            let enough = match scene.turns_of(node as u32) {
-                Some(piece) if piece != hole.turns => false,
-                Some(_) if hole.good >= THREE_SIDES => hole.rim.partner >= KNOWN,
-                _ => hole.good >= TWO_SIDES && hole.rim.partner >= KNOWN_WELL,
-            };
+            let Some(hole) = Hole::around(&view.graph, sum, labels, node) else { continue };
+            let least = if hole.good >= THREE_SIDES { KNOWN } else { KNOWN_WELL };
+            let enough = hole.good >= TWO_SIDES
+                && hole.rim.partner >= least
+                && scene.turns_of(node as u32).is_none_or(|piece| piece == hole.turns);
             if enough && view.sights.words(scenes, node, hole.turns, known).against < CONTRADICTED {
                 found.push((node, hole));
             }
@@ -115,9 +122,9 @@ struct Hole {
 
 impl Hole {
     /// `None` where they propose none, or several, or do not continue everywhere.
-    fn around(view: &View, sum: &[Words], labels: &[Label], node: usize) -> Option<Self> {
+    fn around(graph: &Graph, sum: &[Words], labels: &[Label], node: usize) -> Option<Self> {
         let mut hole: Option<Self> = None;
-        for edge in view.graph.of(node) {
+        for edge in graph.of(node) {
             let other = labels[edge.other as usize].turns;
             if other == NONE {
                 continue;
@@ -135,5 +142,52 @@ impl Hole {
             hole.rim.heads = hole.rim.heads.max(words.heads);
         }
         hole
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Hole, TWO_SIDES};
+    use crate::image::Plane;
+    use crate::reconstruct::order::cells::{Cells, Surface};
+    use crate::reconstruct::order::graph::Graph;
+    use crate::reconstruct::order::grow::{Label, NONE};
+    use crate::reconstruct::order::words::Words;
+    use crate::reconstruct::runs::Runs;
+    use std::f32::consts::TAU;
+
+    /// Five by five cells of a plane; its nodes are numbered row by row.
+    const SIDE: usize = 5;
+    const MIDDLE: usize = SIDE * SIDE / 2;
+
+    /// The hole in the middle, when `turns` are those of the nodes.
+    fn hole(turns: impl Fn(usize) -> i32) -> Option<Hole> {
+        let (px, period) = (8 * SIDE, 10.0);
+        let data = (0..px * px).map(|i| (i % px) as f32 * TAU / period).collect();
+        let phase = Plane::from_vec(px, px, data).expect("the plane's size");
+        let (object, period) = (Plane::filled(px, px, 1), Plane::filled(px, px, period));
+        let runs = Runs::of(&object);
+        let surface =
+            Surface { phase: &phase, open: None, period: &period, object: &object, runs: &runs, sign: 1.0 };
+        let graph = Graph::new(&Cells::new(&surface));
+        let labels: Vec<Label> =
+            (0..SIDE * SIDE).map(|node| Label { turns: turns(node), contradicted: false }).collect();
+        let sum = vec![Words { partner: 9, ..Words::default() }; labels.len()];
+        Hole::around(&graph, &sum, &labels, MIDDLE)
+    }
+
+    #[test]
+    fn a_hole_takes_the_order_that_all_around_it_propose() {
+        let found =
+            hole(|node| if node == MIDDLE { NONE } else { 7 }).expect("a surface that closes around it");
+        assert_eq!((found.turns, found.good, found.rim.partner), (7, 2 * TWO_SIDES, 9));
+        let half = hole(|node| if node >= MIDDLE { NONE } else { 7 }).expect("two sides that are known");
+        assert_eq!((half.turns, half.good), (7, TWO_SIDES));
+    }
+
+    #[test]
+    fn a_hole_between_two_surfaces_stays_open() {
+        assert!(hole(|node| if node == MIDDLE { NONE } else { i32::from(node > MIDDLE) }).is_none());
+        assert!(hole(|_| NONE).is_none());
     }
 }
