@@ -8,6 +8,7 @@
 //! ([`super::elsewhere`]), and the next round begins.
 
 use super::elsewhere::Seeker;
+use super::finish;
 use super::graph::Graph;
 use super::settle::Scene;
 use super::words::{Sights, Words};
@@ -110,7 +111,12 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
             views.par_iter_mut().for_each(drop_unconfirmed);
         }
     }
-    views.into_par_iter().zip(scenes).map(|(view, scene)| finish(view, scene)).collect()
+    let known = known(&views);
+    views
+        .into_par_iter()
+        .zip(scenes)
+        .map(|(view, scene)| finish::labels(view, scenes, scene, &known))
+        .collect()
 }
 
 /// The orders of all nodes of all views.
@@ -247,7 +253,7 @@ pub fn sums(view: &View, words: &[Words]) -> Vec<Words> {
 }
 
 /// Pixel pairs on which neighbours continue a node, though their order is another, and those that continue nothing.
-fn conflict(view: &View, node: usize) -> (u32, u32) {
+pub fn conflict(view: &View, node: usize) -> (u32, u32) {
     let (mut conflict, mut bad) = (0, 0);
     for edge in view.graph.of(node) {
         let other = view.turns[edge.other as usize];
@@ -260,7 +266,7 @@ fn conflict(view: &View, node: usize) -> (u32, u32) {
 }
 
 /// Words of the head's other camera that stand against a neighbour of another order.
-const FIRM: i16 = 11;
+pub const FIRM: i16 = 11;
 
 /// Tries all that has an order against all that has, and takes it from what is contradicted.
 fn check(scenes: &[Scene<'_>], views: &mut [View]) {
@@ -297,30 +303,4 @@ fn drop_unconfirmed(view: &mut View) {
             (*turns, *words) = (NONE, Words::default());
         }
     }
-}
-
-/// Refuses what too little vouches for.
-fn finish(view: View, scene: &Scene<'_>) -> Vec<Label> {
-    let sum = sums(&view, &view.words);
-    let doubtful = |node: usize| {
-        let sum = &sum[node];
-        if !view.partnered {
-            return view.graph.clearance[node] <= 1 && sum.good() < 3;
-        }
-        let (conflict, bad) = conflict(&view, node);
-        let unconfirmed = view.words[node].good() == 0 && sum.good() < 3;
-        // What only other heads confirm: the surface behind a limb is seen by them too.
-        let alone = sum.partner == 0 && (scene.pieces.core[node] || sum.hidden == 0);
-        let torn = conflict > 16 || conflict > 0 && sum.partner <= 15;
-        let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 12;
-        unconfirmed || alone || torn || rim
-    };
-    let label = |node: usize| {
-        let turns = view.turns[node];
-        if turns == NONE {
-            return Label { turns, contradicted: !view.banned[node].is_empty() };
-        }
-        Label { turns: if doubtful(node) { NONE } else { turns }, contradicted: false }
-    };
-    (0..view.turns.len()).map(label).collect()
 }

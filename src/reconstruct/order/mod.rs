@@ -9,6 +9,7 @@
 //! split     pieces that have grown over two surfaces, parted
 //! grow      from the pieces' cores to every place, as far as the other cameras confirm it
 //! elsewhere where other heads see what is open, or hidden from all of them
+//! finish    what too little vouches for refused, holes closed
 //! ```
 //!
 //! One view cannot tell an arm that lies parallel to the hip at a whole number of fringes from one surface. What it can
@@ -17,6 +18,7 @@
 
 mod cells;
 mod elsewhere;
+mod finish;
 mod graph;
 mod grow;
 mod lookout;

@@ -135,6 +135,11 @@ impl Witness {
         Sight { node: if around.into_iter().any(near) { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
     }
 
+    /// Whether a node whose phases are absolute after `turns` lies behind where `others` would put it.
+    pub fn is_behind(&self, turns: i32, others: i32) -> bool {
+        if self.towards > 0.0 { turns > others } else { turns < others }
+    }
+
     /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.
     pub fn judge(&self, ahead: f32) -> Verdict {
         if ahead.abs() < SAME_RAD {
