@@ -51,6 +51,8 @@ pub mod reconstruct;
 pub mod record;
 /// A session on one page.
 pub mod report;
+/// Recordings and results in an object store.
+pub mod s3;
 /// What the service manager is told.
 pub mod service;
 /// One capture on one node: the state machine and its driver.

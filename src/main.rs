@@ -21,7 +21,7 @@ fn main() -> ExitCode {
 /// To the journal with all fields where systemd has connected it (`JOURNAL_STREAM`), to standard error otherwise.
 fn log() {
     let filter = tracing_subscriber::EnvFilter::try_from_env("FOURDBODY_LOG")
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,object_store=error"));
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let text = journal.is_none().then(|| tracing_subscriber::fmt::layer().with_writer(std::io::stderr));
     tracing_subscriber::registry().with(filter).with(journal).with(text).init();

@@ -283,7 +283,7 @@ fn place_of(url: &str) -> Result<Place, String> {
     Ok(Place::Tcp { host, port, authority: authority.to_string(), tls })
 }
 
-fn tls_config(ca: Option<&Path>) -> Result<Arc<ClientConfig>, String> {
+pub(crate) fn tls_config(ca: Option<&Path>) -> Result<Arc<ClientConfig>, String> {
     let path = ca.unwrap_or(Path::new(SYSTEM_CA));
     let certificates = CertificateDer::pem_file_iter(path)
         .and_then(Iterator::collect::<Result<Vec<_>, _>>)

@@ -45,8 +45,11 @@ pub struct Work {
     pub program: PathBuf,
     /// The session; absolute, as are the other paths.
     pub session: PathBuf,
-    /// Where the results go.
+    /// Where the results go; with a store, what is kept of them here: scripts, logs, summaries.
     pub out: PathBuf,
+    /// Where the results go instead, `s3://BUCKET/PREFIX`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub store: Option<String>,
     /// Options of `reconstruct` that all shards share.
     pub options: Vec<String>,
     /// Whether phase maps are written instead of clouds.
@@ -138,6 +141,7 @@ mod tests {
                 program: "p".into(),
                 session: "s".into(),
                 out: "o".into(),
+                store: None,
                 options: Vec::new(),
                 phase: false,
                 parameters: String::new(),

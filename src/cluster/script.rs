@@ -51,12 +51,12 @@ fn header(job: &Job, name: &str, about: &str) -> String {
 fn command(job: &Job) -> String {
     let calibration = folder(&job.work.out).join("calibration.json");
     let options: Vec<String> = job.work.options.iter().map(|option| quoted(option)).collect();
+    let out = job.work.store.as_ref().map_or_else(|| quoted_path(&job.work.out), |store| quoted(store));
     format!(
-        "{} reconstruct {} \\\n    --calibration {} \\\n    --out {} \\\n    {}",
+        "{} reconstruct {} \\\n    --calibration {} \\\n    --out {out} \\\n    {}",
         quoted_path(&job.work.program),
         quoted_path(&job.work.session),
         quoted_path(&calibration),
-        quoted_path(&job.work.out),
         options.join(" "),
     )
 }

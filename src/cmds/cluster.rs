@@ -6,6 +6,8 @@ use crate::cluster::{self, Answer, Job, Measured, ShardStatus, Slurm, State, Sta
 use crate::export::write_whole;
 use crate::reconstruct::batch::{self, Format};
 use crate::reconstruct::collect::Shards;
+use crate::s3::remote::Remote;
+use crate::s3::{Location, recordings, results};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -60,6 +62,13 @@ struct SubmitArgs {
     /// frame sets from the middle of the session].
     #[arg(long, value_name = "FILE")]
     timings: Option<PathBuf>,
+    /// Where the results go instead of --out, s3://BUCKET/PREFIX: scripts, logs and summaries stay in --out. The tasks find the
+    /// store's address and credentials in the environment (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...), as this command does.
+    #[arg(long, value_name = "URL")]
+    store: Option<PathBuf>,
+    /// With s3:// locations: where a task stages frames and results, on its own node [default: its directory of temporary files].
+    #[arg(long, value_name = "DIR")]
+    scratch: Option<PathBuf>,
     /// Slurm partition.
     #[arg(long, value_name = "NAME", value_parser = parse_word)]
     partition: Option<String>,
@@ -114,9 +123,27 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     if !args.dry_run {
         slurm.as_ref().map_err(usage)?;
     }
-    let (session, out) = (absolute(&args.what.session)?, absolute(&args.what.out)?);
+    if location(&args.what.out)?.is_some() {
+        return Err(usage(
+            "--out is for scripts and logs, in a directory that all share; give the store as --store",
+        ));
+    }
+    let out = absolute(&args.what.out)?;
+    let mut what = args.what.clone();
+    let (session, index) = match location(&args.what.session)? {
+        None => (absolute(&args.what.session)?, None),
+        // Its triggers and cameras, without any frame.
+        Some(location) => {
+            let index = new_scratch()?;
+            what.session = index.0.join("session");
+            let remote = Remote::new(location).map_err(failed)?;
+            recordings::stage(&remote, &what.session, &|_, _| false).map_err(failed)?;
+            (args.what.session.clone(), Some(index))
+        }
+    };
     refuse_if_taken(&session, &out, slurm.as_ref().ok().copied())?;
-    let Opened { calibration, plan, .. } = args.what.open()?;
+    let Opened { calibration, plan, .. } = what.open()?;
+    drop(index);
     let program = match &args.program {
         // Looked for on the node.
         Some(name) if name.components().count() == 1 && name.to_str().is_some() => name.clone(),
@@ -132,11 +159,22 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     let frame_sets = plan.triggers.end - plan.triggers.start;
     let mut sizing = cluster::size(frame_sets, measured, wish).map_err(usage)?;
     sizing.memory_mib = args.memory.unwrap_or(sizing.memory_mib);
+    let store = match &args.store {
+        None => None,
+        Some(url) => location(url)?
+            .map_or_else(|| Err(usage("--store: expected s3://BUCKET/PREFIX")), |l| Ok(Some(l)))?,
+    };
+    let mut options = args.what.options(&plan.triggers);
+    if let Some(scratch) = &args.scratch {
+        options.extend(["--scratch".to_owned(), absolute(scratch)?.display().to_string()]);
+    }
+    fetch_summaries(store.as_ref(), &out)?;
     let work = Work {
         program,
         session,
         out,
-        options: args.what.options(&plan.triggers),
+        store: store.as_ref().map(ToString::to_string),
+        options,
         phase: plan.format == Format::Phase,
         parameters: batch::parameters(&calibration, &plan).map_err(failed)?,
         triggers: [plan.triggers.start, plan.triggers.end],
@@ -151,6 +189,20 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     }
     print_job(args, &job);
     Ok(Exit::Done)
+}
+
+/// The store that a path is, if it is one.
+fn location(path: &Path) -> Result<Option<Location>, Failure> {
+    Location::of(path).transpose().map_err(usage)
+}
+
+/// What is known of a result in a store, to where it is looked for.
+fn fetch_summaries(store: Option<&Location>, out: &Path) -> Result<(), Failure> {
+    let Some(store) = store else { return Ok(()) };
+    let remote = Remote::new(store.clone()).map_err(failed)?;
+    let named = |name: &str| name.starts_with("summary") && name.ends_with(".json");
+    std::fs::create_dir_all(out).map_err(|e| failed(format!("{}: {e}", out.display())))?;
+    results::fetch(&remote, out, &|_| false, &named).map(drop).map_err(failed)
 }
 
 /// A path that scripts can name, wherever they run.
@@ -191,15 +243,24 @@ fn refuse_if_taken(session: &Path, out: &Path, slurm: Option<Slurm>) -> Result<(
     Ok(())
 }
 
+/// A directory that goes when it is done with.
+struct Scratch(PathBuf);
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A new directory among the temporary files.
+fn new_scratch() -> Result<Scratch, Failure> {
+    let path = std::env::temp_dir().join(format!("fourdbody-index-{}", std::process::id()));
+    std::fs::create_dir_all(&path).map_err(|e| failed(format!("{}: {e}", path.display())))?;
+    Ok(Scratch(path))
+}
+
 /// Reconstructs some frame sets from the middle of the session, in a directory that is removed again, and measures it.
 fn probe(args: &SubmitArgs, plan: &batch::Plan, out: &Path) -> Result<Measured, Failure> {
-    /// A directory that goes when it is done with.
-    struct Scratch(PathBuf);
-    impl Drop for Scratch {
-        fn drop(&mut self) {
-            let _ = std::fs::remove_dir_all(&self.0);
-        }
-    }
     let name = format!("fourdbody-probe-{}", std::process::id());
     // Where the results will be, so that writing them is measured, too.
     let scratch =
@@ -299,6 +360,9 @@ fn print_job(args: &SubmitArgs, job: &Job) {
 
 fn status(args: &StatusArgs) -> Result<Exit, Failure> {
     let job = Job::load(&args.out).map_err(usage)?;
+    if let Some(store) = &job.work.store {
+        fetch_summaries(location(Path::new(store))?.as_ref(), &args.out)?;
+    }
     let answer = match Slurm::find() {
         Ok(slurm) => slurm.tasks(&job.numbers()),
         Err(reason) => Answer { notes: vec![reason], ..Answer::default() },

@@ -1,5 +1,7 @@
 //! `fourdbody reconstruct`: frames to clouds.
 
+mod staged;
+
 use super::{Exit, Failure};
 use crate::calibrate::Calibration;
 use crate::export::write_whole;
@@ -11,6 +13,7 @@ use crate::reconstruct::pipeline::Method;
 use crate::reconstruct::png_source::PngSource;
 use crate::record::SessionReader;
 use clap::ValueEnum;
+use staged::Staged;
 use std::io::{IsTerminal, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -19,7 +22,7 @@ use std::path::{Path, PathBuf};
 ///
 /// Finished clouds that were made with the same calibration and method are kept, so that an interrupted run
 /// goes on where it was. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
-/// `fourdbody cluster submit` does this under Slurm. Exit code 3: some frames are missing, and are listed in summary.json.
+/// `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in --scratch. Exit code 3: some frames are missing, and are listed in summary.json.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody reconstruct sessions/walk-01 --calibration calibration.json --out clouds/walk-01"
@@ -47,20 +50,23 @@ pub struct Args {
     /// Keep no cloud, only summary.json and the timings: for measurements.
     #[arg(long, conflicts_with = "dump_maps")]
     discard: bool,
+    /// With s3:// locations: where frames and results are staged [default: the system's directory of temporary files].
+    #[arg(long, value_name = "DIR")]
+    scratch: Option<PathBuf>,
     /// Print the summary as JSON.
     #[arg(long)]
     json: bool,
 }
 
 /// What is made of which frames: the same for all shards of a session.
-#[derive(clap::Args)]
+#[derive(Clone, clap::Args)]
 pub(super) struct What {
-    /// A session (directory of recordings), or a directory of CAMERA/INDEX.png images.
+    /// A session (directory of recordings, or s3://BUCKET/PREFIX of one), or a directory of CAMERA/INDEX.png images.
     pub(super) session: PathBuf,
     /// The calibration, as `fourdbody calibrate` writes it.
     #[arg(long, value_name = "FILE")]
     pub(super) calibration: PathBuf,
-    /// Where clouds/, merged/, sequence.mcap and summary.json go.
+    /// Where clouds/, merged/, sequence.mcap and summary.json go: a directory, or s3://BUCKET/PREFIX.
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
     /// Only triggers A to B - 1.
@@ -102,7 +108,7 @@ pub(super) fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn F
     if cameras.iter().any(|camera| path.join(camera.as_str()).is_dir()) {
         return Ok(Box::new(PngSource::open(path, cameras)?));
     }
-    Ok(Box::new(SessionReader::open(path).map_err(|e| e.to_string())?))
+    Ok(Box::new(SessionReader::open_frames(path).map_err(|e| e.to_string())?))
 }
 
 /// Lets the allocator keep what a frame gives back for the next one. By default blocks of this size go back to the
@@ -205,7 +211,15 @@ impl What {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     keep_freed_memory();
-    let Opened { source, calibration, mut plan } = args.what.open()?;
+    match Staged::of(args)? {
+        Some(staged) => staged.run(args),
+        None => run_here(args, &args.what),
+    }
+}
+
+/// Runs with paths on this machine.
+fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
+    let Opened { source, calibration, mut plan } = what.open()?;
     plan.shard = args.shard.unwrap_or((0, 1));
     plan.maps.clone_from(&args.dump_maps);
     plan.discard = args.discard;
@@ -220,7 +234,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     };
     // The merged clouds of other shards may not be there yet: one sequence of all is made when they are collected.
     if plan.format == Format::Ply && !plan.discard && args.shard.is_none() {
-        batch::write_sequence(source.as_ref(), &plan, args.what.rate_hz, &plan.out.join("sequence.mcap"))
+        batch::write_sequence(source.as_ref(), &plan, what.rate_hz, &plan.out.join("sequence.mcap"))
             .map_err(|e| Failure::new(Exit::Failure, e))?;
     }
     write_json(&collect::summary_path(&plan.out, args.shard), &summary)?;

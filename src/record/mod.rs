@@ -11,6 +11,7 @@ pub mod envelope;
 mod interrupted;
 pub mod layout;
 mod metadata;
+mod partial;
 mod protobuf;
 mod reader;
 pub mod recover;
@@ -31,11 +32,14 @@ pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NodeEvent, RecordingHeader,
     TriggerRecord,
 };
+pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, Latency, WriteStatistics};
 pub(crate) use verdict::CameraTally;
 pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
+#[cfg(test)]
+pub(crate) use writer::tests as small_recordings;
 #[cfg(test)]
 pub(crate) use writer::tests::header as two_cameras;
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

@@ -294,9 +294,8 @@ impl<'a> Iterator for Walker<'a> {
     }
 }
 
-/// The metadata records of a closed file, by way of its summary and without a walk; `None` when the file is
-/// not closed or its summary does not lead there.
-pub fn metadata_by_index(bytes: &[u8]) -> Option<Vec<(&str, BTreeMap<&str, &str>)>> {
+/// Where the summary of a closed segment begins, by its footer.
+pub fn summary_start(bytes: &[u8]) -> Option<usize> {
     const FOOTER_BODY: usize = 20;
     let footer = bytes.strip_suffix(MAGIC)?;
     let (_, footer) = footer.split_at_checked(footer.len().checked_sub(PREAMBLE + FOOTER_BODY)?)?;
@@ -304,25 +303,41 @@ pub fn metadata_by_index(bytes: &[u8]) -> Option<Vec<(&str, BTreeMap<&str, &str>
         return None;
     }
     let summary = Fields { bytes: footer, position: PREAMBLE }.u64()?;
-    let mut position = usize::try_from(summary).ok().filter(|start| *start > 0)?;
+    usize::try_from(summary).ok().filter(|start| *start > 0)
+}
+
+/// Where the metadata records of a closed segment are, by its summary.
+pub fn metadata_places(bytes: &[u8]) -> Option<Vec<Range<u64>>> {
+    let mut position = summary_start(bytes)?;
     let mut found = Vec::new();
     loop {
         let (opcode, body, next) = record_at(bytes, position)?;
         match opcode {
             op::METADATA_INDEX => {
-                let offset = Fields { bytes: body, position: 0 }.u64()?;
-                let (opcode, body, _) = record_at(bytes, usize::try_from(offset).ok()?)?;
                 let mut fields = Fields { bytes: body, position: 0 };
-                if opcode != op::METADATA {
-                    return None;
-                }
-                found.push((fields.text()?, fields.text_map()?));
+                let (offset, length) = (fields.u64()?, fields.u64()?);
+                found.push(offset..offset.checked_add(length)?);
             }
             op::FOOTER => return Some(found),
             _ => {}
         }
         position = next;
     }
+}
+
+/// The metadata records of a closed file, by way of its summary and without a walk; `None` when the file is
+/// not closed or its summary does not lead there.
+pub fn metadata_by_index(bytes: &[u8]) -> Option<Vec<(&str, BTreeMap<&str, &str>)>> {
+    let mut found = Vec::new();
+    for place in metadata_places(bytes)? {
+        let (opcode, body, _) = record_at(bytes, usize::try_from(place.start).ok()?)?;
+        let mut fields = Fields { bytes: body, position: 0 };
+        if opcode != op::METADATA {
+            return None;
+        }
+        found.push((fields.text()?, fields.text_map()?));
+    }
+    Some(found)
 }
 
 /// Opcode and body of the record at `position`, and where the next one begins.

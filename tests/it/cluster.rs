@@ -315,6 +315,7 @@ fn four_slurm_tasks_one_killed_and_one_out_of_time_make_the_bytes_of_one_run() {
     fixture.assert_same("slurm");
 
     a_task_that_cannot_succeed_ends_it(&fixture, &slurm);
+    crate::object_store::by_tasks_of(&slurm);
 }
 
 fn a_task_that_cannot_succeed_ends_it(fixture: &Fixture, slurm: &PrivateSlurm) {

@@ -12,6 +12,28 @@ use std::time::{Duration, Instant};
 
 const PATIENCE: Duration = Duration::from_secs(240);
 
+/// Records the photographs of the fixture as a session.
+pub fn import(fixture: &Fixture, out: &Path) {
+    let [rig, images, out] =
+        [rig(fixture), fixture.path("images"), out.to_owned()].map(|path| path.display().to_string());
+    let imported = fourdbody(&["import", "--rig", &rig, "--images", &images, "--out", &out]);
+    assert_eq!(imported.status.code(), Some(3), "one frame is missing: {}", text_of(&imported));
+}
+
+/// The shipped rig at half size with its first head alone.
+fn rig(fixture: &Fixture) -> PathBuf {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+    let text = std::fs::read_to_string(path).expect("config/rig.toml is in the repository");
+    let mut rig: toml::Table = text.parse().expect("valid");
+    rig["head"].as_array_mut().expect("heads").truncate(1);
+    // What the half-size light was rendered with.
+    rig["pattern"]["marker_index"] = 40.into();
+    let text = rig.to_string().replace("1920", "960").replace("1200", "600");
+    let path = fixture.path("rig.toml");
+    std::fs::write(&path, text).expect("writable");
+    path
+}
+
 /// A directory with sessions, a worker file and results.
 struct Place {
     fixture: Fixture,
@@ -46,26 +68,8 @@ impl Place {
     }
 
     fn import(&self, name: &str) {
-        let out = self.path("sessions").join(name);
         std::fs::create_dir_all(self.path("sessions")).expect("writable");
-        let [rig, images, out] =
-            [self.rig(), self.path("images"), out].map(|path| path.display().to_string());
-        let imported = fourdbody(&["import", "--rig", &rig, "--images", &images, "--out", &out]);
-        assert_eq!(imported.status.code(), Some(3), "one frame is missing: {}", text_of(&imported));
-    }
-
-    /// The shipped rig at half size with its first head alone.
-    fn rig(&self) -> PathBuf {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
-        let text = std::fs::read_to_string(path).expect("config/rig.toml is in the repository");
-        let mut rig: toml::Table = text.parse().expect("valid");
-        rig["head"].as_array_mut().expect("heads").truncate(1);
-        // What the half-size light was rendered with.
-        rig["pattern"]["marker_index"] = 40.into();
-        let text = rig.to_string().replace("1920", "960").replace("1200", "600");
-        let path = self.path("rig.toml");
-        std::fs::write(&path, text).expect("writable");
-        path
+        import(&self.fixture, &self.path("sessions").join(name));
     }
 
     fn configure(&self, node: &str, work: &str) {

@@ -57,7 +57,8 @@ impl Recording {
     }
 }
 
-fn frame(camera: usize, trigger: u64) -> (FrameMeta, Vec<u8>) {
+/// A frame of one of them, as it is handed to the writer.
+pub(crate) fn frame(camera: usize, trigger: u64) -> (FrameMeta, Vec<u8>) {
     let pixels = vec![(trigger * 3 + camera as u64) as u8; (SIDE * SIDE) as usize];
     let (trigger, block) = (TriggerIndex(trigger), BlockId(trigger + 1));
     let (camera_time_ns, host_time_ns) = (trigger.0 * 1000, trigger.0 * 1000 + 5);
@@ -70,11 +71,11 @@ fn frame(camera: usize, trigger: u64) -> (FrameMeta, Vec<u8>) {
     (meta, buffer.split_off(ENVELOPE_CAPACITY - length.expect("room enough")))
 }
 
-pub(super) fn end(triggers: u64) -> SessionEnd {
+pub(crate) fn end(triggers: u64) -> SessionEnd {
     SessionEnd { triggers_emitted: Some(triggers), aborted: None, absent: GapCause::Timeout, host_time_ns: 9 }
 }
 
-pub(super) fn options(segment_bytes: u64) -> WriterOptions {
+pub(crate) fn options(segment_bytes: u64) -> WriterOptions {
     WriterOptions { segment_bytes, reserve_bytes: 0, ..WriterOptions::default() }
 }
 
