@@ -18,9 +18,6 @@ const DISPUTED: i16 = 16;
 /// The same where growth puts the place behind the piece's: a limb that has taken the trunk's order.
 const DISPUTED_BEHIND: i16 = 25;
 
-/// Words that the head's other camera sees something before a place, from which it is no wonder that nobody confirms it.
-const HIDDEN: i16 = 16;
-
 /// Rounds of closing holes, at most: from each side they are closed by so many nodes.
 const ROUNDS: usize = 20;
 
@@ -66,7 +63,7 @@ fn doubtful(view: &View, scene: &Scene<'_>, node: usize, sum: &Words) -> bool {
     let alone = sum.partner == 0 && (scene.pieces.core[node] || sum.hidden == 0);
     let torn = conflict > 16 || conflict > 0 && sum.partner <= 15;
     let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 12;
-    let unvouched = if agreed { unconfirmed && alone && sum.hidden < HIDDEN } else { unconfirmed || alone };
+    let unvouched = unconfirmed || alone && !agreed;
     let disputed = match piece {
         None => sum.partner < DISPUTED && sum.heads == 0,
         Some(piece) if scene.witness.is_behind(view.turns[node], piece) => sum.partner < DISPUTED_BEHIND,
