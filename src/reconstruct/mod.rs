@@ -8,6 +8,7 @@ pub mod absolute;
 mod angle;
 /// A session to clouds on disk.
 pub mod batch;
+mod bits;
 /// From absolute phase to the cloud.
 pub mod cloud;
 /// The shards of a session to one result.

@@ -1,5 +1,6 @@
 //! Opening of what lies above a level by a square of five pixels, on rows of bits: 64 pixels a word.
 
+use super::bits::{WORD, gathered};
 use super::runs::{Run, Runs};
 use crate::image::Plane;
 
@@ -9,9 +10,6 @@ const SIDE: usize = 2 * HALF + 1;
 
 /// Pixels that it reaches to each side.
 const HALF: usize = 2;
-
-/// Pixels of a word.
-const WORD: usize = 64;
 
 /// Rows of bits that are used again from frame to frame.
 #[derive(Debug, Default)]
@@ -58,12 +56,7 @@ fn above(row: &[u8], level: u8, bits: &mut [u64]) {
         for (one, &x) in ones.iter_mut().zip(pixels) {
             *one = u8::from(x > level);
         }
-        *word = 0;
-        for (k, eight) in ones.as_chunks::<8>().0.iter().enumerate() {
-            // Bit i of the product's highest byte is byte i.
-            let byte = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-            *word |= byte << (8 * k);
-        }
+        *word = gathered(&ones);
     }
 }
 

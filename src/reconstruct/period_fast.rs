@@ -6,6 +6,7 @@
 //! and one list of crossings serves all windows of a run. Which of them lie in a window changes a few times in a
 //! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
 
+use super::bits::{WORD, gathered_from};
 use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
 use super::runs::{Run, Runs};
 use super::simd;
@@ -17,9 +18,6 @@ const LIGHT_PERIODS: f32 = 1.3;
 
 /// Steps of a pixel in which distances are summed.
 const STEPS: f32 = 4096.0;
-
-/// Pixels whose sides are looked at as bits of a word.
-const WORD: usize = 64;
 
 /// Bits of a sum that count how many distances it has; above are the distances.
 const COUNT_BITS: u32 = 8;
@@ -219,11 +217,11 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let last = threshold.len() - 1;
     crossings.clear();
     let value = |i: usize| i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)];
-    const ABOVE: u8 = 1;
-    const FAR: u8 = 2;
+    const ABOVE: u32 = 0;
+    const FAR: u32 = 1;
     sides.resize(row.len().next_multiple_of(WORD), 0);
     let side =
-        |value: i32, margin: i32| (u8::from(value > 0) * ABOVE) | (u8::from(value.abs() > margin) * FAR);
+        |value: i32, margin: i32| u8::from(value > 0) << ABOVE | u8::from(value.abs() > margin) << FAR;
     let middle = half.min(row.len())..(half + last + 1).min(row.len());
     for i in (0..middle.start).chain(middle.end..row.len()) {
         sides[i] = side(value(i), margin[i.saturating_sub(half).min(last)]);
@@ -240,10 +238,10 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
         crossings.push(Crossing { at, behind: at as u32 + 1, certain: certain as u32 });
     };
     // Where it is certain on which side, and since when the light is on the side where it is.
-    let mut before = u64::from(sides[0] & ABOVE);
+    let mut before = u64::from(sides[0] >> ABOVE & 1);
     let (mut settled, mut seen) = (None, 0);
     for (k, word) in sides.as_chunks::<WORD>().0.iter().enumerate() {
-        let [above, mut far] = [bits(word, ABOVE), bits(word, FAR)];
+        let [above, mut far] = [gathered_from(word, ABOVE), gathered_from(word, FAR)];
         let mut changes = above ^ (above << 1 | before);
         loop {
             let end = changes.trailing_zeros();
@@ -262,18 +260,6 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
             (before, seen) = (before ^ 1, k * WORD + end as usize);
         }
     }
-}
-
-/// A bit for each byte that has those of `mask`, which are one bit.
-#[inline(always)]
-fn bits(bytes: &[u8; WORD], mask: u8) -> u64 {
-    let mut out = 0;
-    for (k, eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
-        let ones = u64::from_le_bytes(*eight) >> mask.trailing_zeros() & 0x0101_0101_0101_0101;
-        // Bit i of the product's highest byte is byte i.
-        out |= ones.wrapping_mul(0x0102_0408_1020_4080) >> 56 << (8 * k);
-    }
-    out
 }
 
 /// Mean of the known values in the box around each pixel of a row's runs, from the ring of rows.

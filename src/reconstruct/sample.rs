@@ -141,7 +141,7 @@ mod tests {
                 let at = |x: f64| if (0.0..200.0).contains(&x) { f64::from(values[x as usize]) } else { 0.0 };
                 let (low, f) = (x.floor(), x - x.floor());
                 let expected = (1.0 - f) * at(low) + f * at(low + 1.0);
-                prop_assert!((f64::from(found[i]) - expected).abs() < 2e-3, "{} {expected}", found[i]);
+                prop_assert!((f64::from(found[i]) - expected).abs() < 1e-3, "{} {expected}", found[i]);
             }
         }
     }
