@@ -129,21 +129,9 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
         ));
     }
     let out = absolute(&args.what.out)?;
-    let mut what = args.what.clone();
-    let (session, index) = match location(&args.what.session)? {
-        None => (absolute(&args.what.session)?, None),
-        // Its triggers and cameras, without any frame.
-        Some(location) => {
-            let index = new_scratch()?;
-            what.session = index.0.join("session");
-            let remote = Remote::new(location).map_err(failed)?;
-            recordings::stage(&remote, &what.session, &|_, _| false).map_err(failed)?;
-            (args.what.session.clone(), Some(index))
-        }
-    };
-    refuse_if_taken(&session, &out, slurm.as_ref().ok().copied())?;
-    let Opened { calibration, plan, .. } = what.open()?;
-    drop(index);
+    let store = args.store.as_deref().map(store).transpose()?;
+    let (session, Opened { calibration, mut plan, .. }) =
+        open(&args.what, |session| refuse_if_taken(session, &out, slurm.as_ref().ok().copied()))?;
     let program = match &args.program {
         // Looked for on the node.
         Some(name) if name.components().count() == 1 && name.to_str().is_some() => name.clone(),
@@ -159,16 +147,18 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     let frame_sets = plan.triggers.end - plan.triggers.start;
     let mut sizing = cluster::size(frame_sets, measured, wish).map_err(usage)?;
     sizing.memory_mib = args.memory.unwrap_or(sizing.memory_mib);
-    let store = match &args.store {
-        None => None,
-        Some(url) => location(url)?
-            .map_or_else(|| Err(usage("--store: expected s3://BUCKET/PREFIX")), |l| Ok(Some(l)))?,
-    };
     let mut options = args.what.options(&plan.triggers);
     if let Some(scratch) = &args.scratch {
         options.extend(["--scratch".to_owned(), absolute(scratch)?.display().to_string()]);
     }
-    fetch_summaries(store.as_ref(), &out)?;
+    // A dry run leaves nothing behind.
+    let summaries = args.dry_run.then(|| Scratch::new(&std::env::temp_dir(), "summaries")).transpose()?;
+    if let Some(store) = &store {
+        if let Some(summaries) = &summaries {
+            plan.out.clone_from(&summaries.0);
+        }
+        fetch_summaries(store, &plan.out)?;
+    }
     let work = Work {
         program,
         session,
@@ -196,9 +186,32 @@ fn location(path: &Path) -> Result<Option<Location>, Failure> {
     Location::of(path).transpose().map_err(usage)
 }
 
+/// The store that the results go to.
+fn store(url: &Path) -> Result<Location, Failure> {
+    location(url)?.ok_or_else(|| usage(format!("--store {}: expected s3://BUCKET/PREFIX", url.display())))
+}
+
+/// A session, unless `refuse` does, and how scripts name it.
+fn open(
+    what: &What,
+    refuse: impl FnOnce(&Path) -> Result<(), Failure>,
+) -> Result<(PathBuf, Opened), Failure> {
+    let Some(location) = location(&what.session)? else {
+        let session = absolute(&what.session)?;
+        refuse(&session)?;
+        return Ok((session, what.open()?));
+    };
+    refuse(&what.session)?;
+    // Its triggers and cameras, without any frame.
+    let index = Scratch::new(&std::env::temp_dir(), "index")?;
+    let staged = What { session: index.0.join("session"), ..what.clone() };
+    let remote = Remote::new(location).map_err(failed)?;
+    recordings::stage(&remote, &staged.session, &|_, _| false).map_err(failed)?;
+    Ok((what.session.clone(), staged.open()?))
+}
+
 /// What is known of a result in a store, to where it is looked for.
-fn fetch_summaries(store: Option<&Location>, out: &Path) -> Result<(), Failure> {
-    let Some(store) = store else { return Ok(()) };
+fn fetch_summaries(store: &Location, out: &Path) -> Result<(), Failure> {
     let remote = Remote::new(store.clone()).map_err(failed)?;
     let named = |name: &str| name.starts_with("summary") && name.ends_with(".json");
     std::fs::create_dir_all(out).map_err(|e| failed(format!("{}: {e}", out.display())))?;
@@ -246,26 +259,26 @@ fn refuse_if_taken(session: &Path, out: &Path, slurm: Option<Slurm>) -> Result<(
 /// A directory that goes when it is done with.
 struct Scratch(PathBuf);
 
+impl Scratch {
+    /// A directory of this process in `folder`.
+    fn new(folder: &Path, what: &str) -> Result<Self, Failure> {
+        let path = folder.join(format!("fourdbody-{what}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).map_err(|e| failed(format!("{}: {e}", path.display())))?;
+        Ok(Self(path))
+    }
+}
+
 impl Drop for Scratch {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 
-/// A new directory among the temporary files.
-fn new_scratch() -> Result<Scratch, Failure> {
-    let path = std::env::temp_dir().join(format!("fourdbody-index-{}", std::process::id()));
-    std::fs::create_dir_all(&path).map_err(|e| failed(format!("{}: {e}", path.display())))?;
-    Ok(Scratch(path))
-}
-
 /// Reconstructs some frame sets from the middle of the session, in a directory that is removed again, and measures it.
 fn probe(args: &SubmitArgs, plan: &batch::Plan, out: &Path) -> Result<Measured, Failure> {
-    let name = format!("fourdbody-probe-{}", std::process::id());
     // Where the results will be, so that writing them is measured, too.
-    let scratch =
-        Scratch(if args.dry_run { std::env::temp_dir().join(name) } else { cluster::folder(out).join(name) });
-    std::fs::create_dir_all(&scratch.0).map_err(|e| failed(format!("{}: {e}", scratch.0.display())))?;
+    let folder = if args.dry_run { std::env::temp_dir() } else { cluster::folder(out) };
+    let scratch = Scratch::new(&folder, "probe")?;
     let (first, end) = (plan.triggers.start, plan.triggers.end);
     // As many as threads take on at once, so that the memory is that of a long run.
     let count = (end - first).min(args.cpus.max(2));
@@ -360,8 +373,8 @@ fn print_job(args: &SubmitArgs, job: &Job) {
 
 fn status(args: &StatusArgs) -> Result<Exit, Failure> {
     let job = Job::load(&args.out).map_err(usage)?;
-    if let Some(store) = &job.work.store {
-        fetch_summaries(location(Path::new(store))?.as_ref(), &args.out)?;
+    if let Some(url) = &job.work.store {
+        fetch_summaries(&store(Path::new(url))?, &args.out)?;
     }
     let answer = match Slurm::find() {
         Ok(slurm) => slurm.tasks(&job.numbers()),

@@ -17,7 +17,7 @@ pub fn stage(
     }
     let segments = segments(remote)?;
     if segments.is_empty() {
-        return Err("no recording there: expected node-*/segment-*.mcap".to_owned());
+        return Err(format!("{}: no recording is there, expected node-*/segment-*.mcap", remote.location()));
     }
     let partial = to.with_extension("partial");
     let failed = |path: &Path, e: std::io::Error| format!("{}: {e}", path.display());

@@ -66,6 +66,11 @@ impl Remote {
         Ok(Self { location, store, runtime })
     }
 
+    /// Where its objects are.
+    pub fn location(&self) -> &Location {
+        &self.location
+    }
+
     fn failed(&self, name: &str, error: impl std::fmt::Display) -> String {
         format!(
             "s3://{}/{}: {error}; see AWS_ENDPOINT_URL and the credentials in the environment",

@@ -32,7 +32,9 @@ pub fn fetch(
         let found = remote.list(folder)?.0.into_iter();
         objects.extend(found.filter(|object| trigger(&object.name).is_some_and(wanted)));
     }
-    for folder in objects.iter().filter_map(|object| out.join(&object.name).parent().map(Path::to_owned)) {
+    let folders = objects.iter().filter_map(|object| Path::new(&object.name).parent());
+    for folder in folders.collect::<BTreeSet<_>>() {
+        let folder = out.join(folder);
         std::fs::create_dir_all(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
     }
     let has = |object: &Object| out.join(&object.name).metadata().is_ok_and(|file| file.len() == object.size);

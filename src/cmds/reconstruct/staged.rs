@@ -26,6 +26,30 @@ fn failed(error: impl std::fmt::Display) -> Failure {
     Failure::new(Exit::Failure, error)
 }
 
+/// The same run finds what it has left; another never does.
+fn name_of(args: &Args) -> String {
+    let what = &args.what;
+    let options = what.options(what.triggers.as_ref().unwrap_or(&(0..u64::MAX)));
+    let (session, out) = (what.session.to_string_lossy(), what.out.to_string_lossy());
+    let run = serde_json::json!([session, out, options, args.shard, args.collect]);
+    Sha256::digest(run.to_string()).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Makes the scratch directory, and takes it.
+fn lock(scratch: &Path) -> Result<File, Failure> {
+    let at = |e: std::io::Error| failed(format!("{}: {e}", scratch.display()));
+    std::fs::create_dir_all(scratch).map_err(at)?;
+    let lock = File::create(scratch.join("lock")).map_err(at)?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(Failure::new(
+            Exit::Usage,
+            format!("the same run is at work in {}; wait for it, or use another --scratch", scratch.display()),
+        )),
+        Err(TryLockError::Error(error)) => Err(at(error)),
+    }
+}
+
 impl Staged {
     /// `None` where session and results are paths on this machine.
     pub fn of(args: &Args) -> Result<Option<Self>, Failure> {
@@ -35,30 +59,8 @@ impl Staged {
             return Ok(None);
         }
         let root = args.scratch.clone().unwrap_or_else(std::env::temp_dir);
-        // The same run finds what it has left; another never does.
-        let what = &args.what;
-        let all = 0..u64::MAX;
-        let options = what.options(what.triggers.as_ref().unwrap_or(&all));
-        let name =
-            format!("{:?}\n{:?}\n{options:?}\n{:?}\n{:?}", what.session, what.out, args.shard, args.collect);
-        let hash: String = Sha256::digest(name).iter().take(8).map(|byte| format!("{byte:02x}")).collect();
-        let scratch = root.join(format!("fourdbody-{hash}"));
-        let at = |e: std::io::Error| failed(format!("{}: {e}", scratch.display()));
-        std::fs::create_dir_all(&scratch).map_err(at)?;
-        let lock = File::create(scratch.join("lock")).map_err(at)?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(Failure::new(
-                    Exit::Usage,
-                    format!(
-                        "the same run is at work in {}; wait for it, or use another --scratch",
-                        scratch.display()
-                    ),
-                ));
-            }
-            Err(TryLockError::Error(error)) => return Err(at(error)),
-        }
+        let scratch = root.join(format!("fourdbody-{}", name_of(args)));
+        let lock = lock(&scratch)?;
         let remote = |location: Option<Location>| location.map(Remote::new).transpose().map_err(failed);
         let (session, out) = (remote(session)?, remote(out)?.map(Arc::new));
         Ok(Some(Self { session, out, scratch, _lock: lock }))
@@ -69,8 +71,9 @@ impl Staged {
         let mut what = args.what.clone();
         if let Some(remote) = &self.session {
             what.session = self.scratch.join("session");
-            recordings::stage(remote, &what.session, &|camera, trigger| self.reads(args, camera, trigger))
-                .map_err(failed)?;
+            let wanted = |camera: &CameraId, trigger| self.reads(args, camera, trigger);
+            let bytes = recordings::stage(remote, &what.session, &wanted).map_err(failed)?;
+            eprintln!("{:.1} MB of the session fetched from {}", bytes as f64 / 1e6, remote.location());
         }
         let mut uploader = None;
         if let Some(remote) = &self.out {
@@ -104,9 +107,8 @@ impl Staged {
     fn fetch_results(&self, args: &Args, remote: &Remote, out: &Path) -> Result<BTreeSet<String>, Failure> {
         let (i, n) = args.shard.unwrap_or((0, 1));
         let wanted = |trigger: u64| trigger % n.max(1) == i;
-        let summaries: Vec<PathBuf> = (0..args.collect.unwrap_or(0))
-            .map(|i| summary_path(out, Some((i, args.collect.unwrap_or(1)))))
-            .collect();
+        let shards = args.collect.into_iter().flat_map(|n| (0..n).map(move |i| (i, n)));
+        let summaries: Vec<PathBuf> = shards.map(|shard| summary_path(out, Some(shard))).collect();
         let named = |name: &str| summaries.contains(&out.join(name));
         results::fetch(remote, out, &wanted, &named).map_err(failed)
     }
