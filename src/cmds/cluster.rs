@@ -204,7 +204,8 @@ fn open(
     refuse(&what.session)?;
     // Its triggers and cameras, without any frame.
     let index = Scratch::new(&std::env::temp_dir(), "index")?;
-    let staged = What { session: index.0.join("session"), ..what.clone() };
+    let mut staged = what.clone();
+    staged.session = index.0.join("session");
     let remote = Remote::new(location).map_err(failed)?;
     recordings::stage(&remote, &staged.session, &|_, _| false).map_err(failed)?;
     Ok((what.session.clone(), staged.open()?))

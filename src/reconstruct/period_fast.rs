@@ -220,8 +220,7 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     const ABOVE: u32 = 0;
     const FAR: u32 = 1;
     sides.resize(row.len().next_multiple_of(WORD), 0);
-    let side =
-        |value: i32, margin: i32| u8::from(value > 0) << ABOVE | u8::from(value.abs() > margin) << FAR;
+    let side = |value: i32, margin: i32| u8::from(value > 0) << ABOVE | u8::from(value.abs() > margin) << FAR;
     let middle = half.min(row.len())..(half + last + 1).min(row.len());
     for i in (0..middle.start).chain(middle.end..row.len()) {
         sides[i] = side(value(i), margin[i.saturating_sub(half).min(last)]);

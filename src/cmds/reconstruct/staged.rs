@@ -44,7 +44,10 @@ fn lock(scratch: &Path) -> Result<File, Failure> {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(Failure::new(
             Exit::Usage,
-            format!("the same run is at work in {}; wait for it, or use another --scratch", scratch.display()),
+            format!(
+                "the same run is at work in {}; wait for it, or use another --scratch",
+                scratch.display()
+            ),
         )),
         Err(TryLockError::Error(error)) => Err(at(error)),
     }
