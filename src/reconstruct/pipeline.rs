@@ -7,9 +7,9 @@ use super::order::Regions;
 use super::pool::Pool;
 use super::rays::RayTable;
 use super::roi::Roi;
-use super::runs::Runs;
+use super::runs::{Run, Runs};
 use super::triangulate::Triangulator;
-use super::unwrap::{OpenTrees, Unwrapped};
+use super::unwrap::Unwrapped;
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, simd, uncertainty,
     unwrap, unwrap_paper,
@@ -52,8 +52,6 @@ pub struct Counts {
     pub contradicted: usize,
     /// Merges refused because anchors contradicted.
     pub contradictions: usize,
-    /// Pixels whose order other evidence than the forest gave.
-    pub by_partner: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,
 }
@@ -112,7 +110,6 @@ struct Buffers {
 /// Of all cameras: a thread that goes from one to the next finds its memory there.
 static BUFFERS: Pool<Buffers> = Pool::new();
 static PLANES: Planes<f32> = Planes::new();
-static TREES: Planes<u32> = Planes::new();
 static BYTES: Planes<u8> = Planes::new();
 
 /// Runs stages and keeps their times.
@@ -137,8 +134,8 @@ pub struct Prepared {
     pub roi: Roi,
     /// Absolute phase, rad; NaN where it is not known.
     pub absolute: Plane<f32>,
-    /// Trees that lack their fringe order.
-    pub open: OpenTrees,
+    /// Where that lacks its fringe order as far as the camera alone can tell: rows, and stretches of them.
+    pub open: Vec<(u32, Run)>,
     /// Lines of sight of the camera.
     pub(super) table: Arc<RayTable>,
     /// Pieces of surface with their own fringe order, and how certain it is.
@@ -179,7 +176,7 @@ impl Prepared {
 /// The absolute phase with what the points need beside it.
 struct Resolved {
     absolute: Plane<f32>,
-    open: OpenTrees,
+    open: Vec<(u32, Run)>,
     marker: Plane<u8>,
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
@@ -197,7 +194,6 @@ impl Pipeline {
         let table = Arc::new(RayTable::new(triangulator.pair()));
         let camera = &triangulator.pair().camera;
         PLANES.make_room(camera.width * camera.height);
-        TREES.make_room(camera.width * camera.height);
         BYTES.make_room(camera.width * camera.height);
         Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
@@ -301,6 +297,7 @@ impl Pipeline {
             ..
         } = prepared;
         let pair = self.triangulator.pair();
+        unwrap::refuse(&mut absolute, &open);
         // What the edges find, where uncertainties are asked for.
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
@@ -344,8 +341,6 @@ impl Pipeline {
         if self.method == Method::Anchored {
             PLANES.give_phasors(phasors);
             PLANES.give(period);
-            PLANES.give(open.relative);
-            TREES.give(open.tree);
             [marker, zone].into_iter().for_each(|plane| BYTES.give(plane));
         }
         BYTES.give(object);
@@ -384,14 +379,9 @@ impl Pipeline {
         counts.phase = known;
         let unwrapped = clock.time("unwrap", || {
             let (width, height) = (wrapped.width(), wrapped.height());
-            let mut out = Unwrapped {
-                absolute: PLANES.take(width, height),
-                open: OpenTrees { relative: PLANES.take(width, height), tree: TREES.take(width, height) },
-                refused_px: 0,
-                contradictions: 0,
-            };
-            out.absolute.as_mut_slice().fill(f32::NAN);
-            out.open.tree.as_mut_slice().fill(0);
+            let phase = PLANES.take(width, height);
+            let mut out = Unwrapped { phase, open: Vec::new(), contradictions: 0 };
+            out.phase.as_mut_slice().fill(f32::NAN);
             let misfit = &phasors.misfit;
             let input =
                 unwrap::Input { wrapped: &wrapped, period: &period, misfit, anchor: &marker, runs: &runs };
@@ -400,7 +390,7 @@ impl Pipeline {
             out
         });
         BUFFERS.give(buffers);
-        counts.refused = unwrapped.refused_px;
+        counts.refused = unwrapped.open.iter().map(|(_, run)| run.columns().len()).sum();
         counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
         if self.keep_maps {
@@ -411,6 +401,8 @@ impl Pipeline {
             let normalized = quality::normalized_amplitude(&amplitude, &runs);
             let quality = quality::quality([&border, &normalized, &vertical, &stability], &runs);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
+            let mut unwrapped_alone = unwrapped.phase.clone();
+            unwrap::refuse(&mut unwrapped_alone, &unwrapped.open);
             planes = vec![
                 ("Om", number(object)),
                 ("Pm", period.clone()),
@@ -422,12 +414,12 @@ impl Pipeline {
                 ("Qm", quality),
                 ("Em", energy.unwrap_or_default()),
                 ("Mm", number(&marker)),
-                ("Um", unwrapped.absolute.clone()),
+                ("Um", unwrapped_alone),
                 ("misfit", phasors.misfit.clone()),
             ];
         }
         PLANES.give(wrapped);
-        let (absolute, open) = (unwrapped.absolute, unwrapped.open);
+        let Unwrapped { phase: absolute, open, .. } = unwrapped;
         Resolved { absolute, open, marker, runs, phasors, period, zone, planes }
     }
 
@@ -485,7 +477,7 @@ impl Pipeline {
                 ("Mm", convert(&segment, f32::from)),
             ];
         }
-        let open = OpenTrees::none(absolute.width(), absolute.height());
+        let open = Vec::new();
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
         Resolved { absolute, open, marker: segment, runs, phasors, period: periods.period, zone, planes }
     }

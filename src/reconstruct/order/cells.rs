@@ -4,8 +4,7 @@
 //! node; where cells meet, the pixel pairs of two nodes tell whether their surfaces continue each other, and by how many
 //! whole turns their phases differ.
 
-use super::lookout::BACKGROUND_PX;
-use super::sighted::{Pixel, Sighted};
+use super::glimpse::{Glimpse, Glimpses, Rim};
 use crate::image::Plane;
 use crate::reconstruct::runs::Runs;
 use crate::reconstruct::simd;
@@ -66,8 +65,6 @@ pub struct Border {
 pub struct Surface<'a> {
     /// Phase unwrapped up to whole turns, rad; NaN where it is unknown.
     pub phase: &'a Plane<f32>,
-    /// What replaces it where the tree is not 0.
-    pub open: Option<(&'a Plane<f32>, &'a Plane<u32>)>,
     /// Local fringe period, px.
     pub period: &'a Plane<f32>,
     /// Not 0 on the object.
@@ -78,39 +75,6 @@ pub struct Surface<'a> {
     pub sign: f32,
 }
 
-/// Cells around the region of interest in the grid that is looked at: beyond them there is nothing but background.
-pub const PAD_CELLS: usize = 3;
-
-/// Cells of the padded grid along so many pixels.
-pub fn padded(px: usize) -> usize {
-    px.div_ceil(CELL_PX) + 2 * PAD_CELLS
-}
-
-/// What a cell is for those who look at it from elsewhere.
-#[derive(Debug, Clone, Copy)]
-pub struct Glimpse {
-    /// The node that fills it; or one of the following.
-    pub node: u32,
-    /// The phase of the node's plane at the cell's first pixel, rad.
-    pub phase: f32,
-    /// Its step from column to column, and from row to row, rad.
-    pub steps: [f32; 2],
-}
-
-impl Glimpse {
-    /// Beside the object, and so is all within [`BACKGROUND_PX`].
-    pub const FAR: u32 = u32::MAX;
-    /// Beside the object.
-    pub const NEAR: u32 = u32::MAX - 1;
-    /// Its pixels have to be asked.
-    pub const MIXED: u32 = u32::MAX - 2;
-
-    /// A cell that no node fills.
-    pub const fn none(kind: u32) -> Self {
-        Self { node: kind, phase: f32::NAN, steps: [0.0; 2] }
-    }
-}
-
 /// The nodes of a view and where they touch.
 #[derive(Debug)]
 pub struct Cells {
@@ -118,17 +82,14 @@ pub struct Cells {
     pub width: usize,
     /// Cells in a row.
     pub columns: usize,
-    /// The pixels with their nodes.
-    pub pixels: Sighted,
     /// The nodes, cell by cell.
     pub nodes: Vec<Node>,
     /// Their borders.
     pub borders: Vec<Border>,
     /// First node and number of nodes of each cell.
     grid: Vec<(u32, u32)>,
-    /// The cells at a glance, with [`PAD_CELLS`] around. Looks come from anywhere in the image and wait for memory: these
-    /// few stay in the cache.
-    pub glimpses: Vec<Glimpse>,
+    /// The cells at a glance.
+    pub glimpses: Glimpses,
 }
 
 /// Values of a cell's pixels.
@@ -139,16 +100,14 @@ impl Cells {
     pub fn new(surface: &Surface<'_>) -> Self {
         let (w, h) = (surface.phase.width(), surface.phase.height());
         let (columns, rows) = (w.div_ceil(CELL_PX), h.div_ceil(CELL_PX));
-        let pixels = Sighted::new(surface.runs);
         let (nodes, borders) = (Vec::with_capacity(columns * rows), Vec::with_capacity(2 * columns * rows));
         let mut cells = Self {
             width: w,
             columns,
-            pixels,
             nodes,
             borders,
             grid: vec![(0, 0); columns * rows],
-            glimpses: vec![Glimpse::none(Glimpse::FAR); padded(w) * padded(h)],
+            glimpses: Glimpses::new(w, h),
         };
         simd::dispatch(
             #[inline(always)]
@@ -163,31 +122,10 @@ impl Cells {
                         cells.touch(surface, column, row);
                     }
                 }
-                cells.blur_outlines(surface.runs);
+                cells.glimpses.blur_outlines(surface.runs);
             },
         );
         cells
-    }
-
-    /// Marks the background around the object.
-    #[inline(always)]
-    fn blur_outlines(&mut self, runs: &Runs) {
-        const REACH: usize = (BACKGROUND_PX as usize).div_ceil(CELL_PX);
-        let stride = padded(self.width);
-        for row in 0..self.grid.len() / self.columns.max(1) {
-            for column in band(runs, row) {
-                let at = (row + PAD_CELLS) * stride + column + PAD_CELLS;
-                if self.glimpses[at].node >= Glimpse::NEAR {
-                    continue;
-                }
-                for step in 1..=REACH {
-                    for other in [at - step, at + step, at - step * stride, at + step * stride] {
-                        let node = &mut self.glimpses[other].node;
-                        *node = if *node == Glimpse::FAR { Glimpse::NEAR } else { *node };
-                    }
-                }
-            }
-        }
     }
 
     /// The nodes of one cell.
@@ -242,24 +180,67 @@ impl Cells {
         }
         let nodes = &self.nodes[first..];
         self.grid[cell] = (first as u32, nodes.len() as u32);
-        let mut shows = false;
-        for (v, line) in phase.iter().enumerate().take(surface.phase.height() - top) {
-            let object = &surface.object.row(top + v)[left..surface.phase.width().min(left + CELL_PX)];
-            for (pixel, u) in self.pixels.part(top + v, left, object.len()) {
-                shows |= object[u] != 0;
-                let bit = 1 << (v * CELL_PX + u);
-                let node = match nodes {
-                    [node] if node.mask == ALL => Some(0),
-                    nodes => nodes.iter().position(|node| node.mask & bit != 0),
-                };
-                *pixel = Pixel::new(line[u], object[u] != 0, node.map(|i| (first + i) as u32));
+        if let [node] = nodes
+            && node.mask == ALL
+        {
+            self.glimpses.set(column, row, plane(first as u32, &phase));
+        } else {
+            self.rim(surface, column, row, &phase);
+        }
+    }
+
+    /// Keeps the pixels of a cell that no node fills, if it shows the object.
+    #[inline(never)]
+    fn rim(&mut self, surface: &Surface<'_>, column: usize, row: usize, phase: &Patch) {
+        let (left, top) = (column * CELL_PX, row * CELL_PX);
+        let (first, count) = self.grid[row * self.columns + column];
+        let mut rim =
+            Rim { object: 0, first, of: [0; CELL_PX * CELL_PX], phase: [[f32::NAN; CELL_PX + 1]; CELL_PX] };
+        for (v, (line, phase)) in rim.phase.iter_mut().zip(phase).enumerate() {
+            line[..CELL_PX].copy_from_slice(phase);
+            if top + v < surface.phase.height() {
+                line[CELL_PX] = surface.phase.row(top + v).get(left + CELL_PX).copied().unwrap_or(f32::NAN);
+                let object = part(surface.object.row(top + v), left, 0);
+                for (u, &x) in object.iter().enumerate() {
+                    rim.object |= u64::from(x != 0) << (v * CELL_PX + u);
+                }
             }
         }
-        let place = (row + PAD_CELLS) * padded(self.width) + column + PAD_CELLS;
-        self.glimpses[place] = match nodes {
-            [node] if node.mask == ALL => plane(first as u32, &phase),
-            _ => Glimpse::none(if shows { Glimpse::MIXED } else { Glimpse::FAR }),
-        };
+        if rim.object == 0 {
+            return;
+        }
+        let nodes = &self.nodes[first as usize..(first + count) as usize];
+        for (i, node) in nodes.iter().enumerate() {
+            let mut rest = node.mask;
+            while rest != 0 {
+                rim.of[rest.trailing_zeros() as usize] = i as u8 + 1;
+                rest &= rest - 1;
+            }
+        }
+        self.glimpses.set_rim(column, row, rim);
+    }
+
+    /// Adds to the phases of every node what `by` has for it; NaN takes them away.
+    #[inline(always)]
+    pub fn shift(&self, phase: &mut Plane<f32>, by: &[f32]) {
+        for (cell, &(first, count)) in self.grid.iter().enumerate().filter(|(_, grid)| grid.1 > 0) {
+            let (left, top) = (cell % self.columns * CELL_PX, cell / self.columns * CELL_PX);
+            let mut add = [[f32::NAN; CELL_PX]; CELL_PX];
+            for node in first as usize..(first + count) as usize {
+                let (rows, by) = (self.nodes[node].mask.to_le_bytes(), by[node]);
+                for (add, row) in add.iter_mut().zip(rows) {
+                    for (u, add) in add.iter_mut().enumerate() {
+                        *add = if row >> u & 1 != 0 { by } else { *add };
+                    }
+                }
+            }
+            for (v, add) in (top..phase.height()).zip(&add) {
+                match phase.row_mut(v)[left..].first_chunk_mut::<CELL_PX>() {
+                    Some(to) => to.iter_mut().zip(add).for_each(|(to, add)| *to += add),
+                    None => phase.row_mut(v)[left..].iter_mut().zip(add).for_each(|(to, add)| *to += add),
+                }
+            }
+        }
     }
 
     /// The borders between the nodes of one cell, and to those of the cells to the right and below.
@@ -292,13 +273,14 @@ impl Cells {
             for (v, rest) in rest.iter_mut().enumerate() {
                 let (x, y) = (left + CELL_PX - 1, top + v);
                 let expected = surface.carrier(x, y) + (from.right + to.right) / 2.0;
-                *rest = surface.phase(x + 1, y) - surface.phase(x, y) - expected;
+                *rest = surface.phase.at(x + 1, y) - surface.phase.at(x, y) - expected;
             }
             self.borders.push(border(a, b, rest));
         }
         if let Some(b) = below.and_then(|x| whole(&self.grid, &self.nodes, x)) {
             let to = &self.nodes[b as usize];
-            let (above, below) = (surface.row(left, top + CELL_PX - 1), surface.row(left, top + CELL_PX));
+            let row = |v: usize| part(surface.phase.row(v), left, f32::NAN);
+            let (above, below) = (row(top + CELL_PX - 1), row(top + CELL_PX));
             let mut rest = [0f32; CELL_PX];
             for u in 0..CELL_PX {
                 rest[u] = below[u] - above[u] - (from.down + to.down) / 2.0;
@@ -316,18 +298,16 @@ impl Cells {
         let mut found: Vec<(u32, u32, i32, u32)> = Vec::with_capacity(8);
         for v in top..(top + CELL_PX).min(h) {
             for u in left..(left + CELL_PX).min(w) {
-                let (here, right) = self.pixels.at(u, v);
-                let Some(a) = here.node() else { continue };
-                let below = if v + 1 < h { self.pixels.at(u, v + 1).0 } else { Pixel::BESIDE };
-                for (down, there) in [(false, right), (true, below)] {
-                    let Some(b) = there.node().filter(|b| *b != a) else { continue };
+                let Some(a) = self.glimpses.node(u, v) else { continue };
+                for (down, x, y) in [(false, u + 1, v), (true, u, v + 1)] {
+                    let Some(b) = self.glimpses.node(x, y).filter(|b| *b != a) else { continue };
                     let (from, to) = (&self.nodes[a as usize], &self.nodes[b as usize]);
                     let expected = if down {
                         (from.down + to.down) / 2.0
                     } else {
                         surface.carrier(u, v) + (from.right + to.right) / 2.0
                     };
-                    let (turns, good) = turns(there.phase - here.phase - expected);
+                    let (turns, good) = turns(surface.phase.at(x, y) - surface.phase.at(u, v) - expected);
                     let (a, b, turns) = if a < b { (a, b, turns) } else { (b, a, -turns) };
                     let turns = if good { turns } else { i32::MAX };
                     match found.iter_mut().find(|x| (x.0, x.1, x.2) == (a, b, turns)) {
@@ -348,34 +328,12 @@ impl Cells {
 }
 
 impl Surface<'_> {
-    /// The phase of a pixel.
-    #[inline(always)]
-    fn phase(&self, u: usize, v: usize) -> f32 {
-        match self.open {
-            Some((relative, tree)) if tree.at(u, v) != 0 => relative.at(u, v),
-            _ => self.phase.at(u, v),
-        }
-    }
-
-    /// Phases of a row of a cell; NaN beyond the last column.
-    #[inline(always)]
-    fn row(&self, left: usize, v: usize) -> [f32; CELL_PX] {
-        let mut out = part(self.phase.row(v), left, f32::NAN);
-        if let Some((relative, tree)) = self.open {
-            let (relative, tree) = (part(relative.row(v), left, f32::NAN), part(tree.row(v), left, 0));
-            for u in 0..CELL_PX {
-                out[u] = if tree[u] != 0 { relative[u] } else { out[u] };
-            }
-        }
-        out
-    }
-
     /// Phases of a cell; NaN beyond the region of interest.
     #[inline(always)]
     fn patch(&self, left: usize, top: usize) -> Patch {
         let mut out = [[f32::NAN; CELL_PX]; CELL_PX];
         for (v, out) in (top..self.phase.height()).zip(&mut out) {
-            *out = self.row(left, v);
+            *out = part(self.phase.row(v), left, f32::NAN);
         }
         out
     }
@@ -412,7 +370,7 @@ fn part<T: Copy>(row: &[T], left: usize, beyond: T) -> [T; CELL_PX] {
 
 /// Columns of the cells of a row that the object touches.
 #[inline(always)]
-fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
+pub fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
     let spans = (row * CELL_PX..runs.height().min((row + 1) * CELL_PX)).map(|v| runs.span(v));
     let (mut first, mut end) = (usize::MAX, 0);
     for span in spans.filter(|span| !span.is_empty()) {
@@ -498,7 +456,7 @@ fn plane(node: u32, phase: &Patch) -> Glimpse {
     let steps = [((b + d) - (a + c)) * per, ((c + d) - (a + b)) * per];
     let middle = ((a + b) + (c + d)) / (CELL_PX * CELL_PX) as f32;
     let phase = middle - (steps[0] + steps[1]) * (CELL_PX - 1) as f32 / 2.0;
-    Glimpse { node, phase, steps }
+    Glimpse::plane(node, phase, steps)
 }
 
 /// Whole turns to add so that nothing but a small rest stays, and whether it is small enough.

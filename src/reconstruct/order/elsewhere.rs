@@ -91,7 +91,7 @@ impl Seeker {
     }
 
     /// Gives stretches that no other head confirms the order at which other heads see them.
-    pub fn seek(&mut self, scenes: &[Scene<'_>], views: &mut [View]) {
+    pub fn seek(&mut self, scenes: &[Scene<'_>], views: &mut [View<'_>]) {
         let known = known(views);
         let mut changed = Blocks::default();
         for (first, (is, was)) in self.first_block.iter().zip(known.iter().zip(&self.known)) {
@@ -117,7 +117,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn view(&self, number: usize, view: &mut View, trials: &mut BTreeMap<usize, Trial>) {
+    fn view(&self, number: usize, view: &mut View<'_>, trials: &mut BTreeMap<usize, Trial>) {
         let scene = &self.scenes[number];
         // Of what the others say, only what other heads confirm.
         let heads: Vec<Words> = view
@@ -154,24 +154,21 @@ impl Search<'_> {
         let size = |node: u32| scene.witness.cells.nodes[node as usize].size;
         let large: Vec<(u32, i32)> = stretch.iter().copied().filter(|x| size(x.0) >= MIN_SAMPLE_PX).collect();
         let step = large.len().div_ceil(SAMPLES).max(1);
-        // Pixel, and phase at order 0 of the stretch.
-        let places: Vec<(usize, usize, f32)> = large
-            .iter()
-            .step_by(step)
-            .map(|&(node, turns)| {
-                let (u, v, phase) = scene.place(node);
-                (u, v, phase + TAU * (turns - scene.pieces.turns[node as usize]) as f32)
-            })
-            .collect();
+        let places: Vec<(u32, i32)> = large.into_iter().step_by(step).collect();
         if places.len() < MIN_NODES {
             return None;
         }
-        let ends = places.iter().step_by(places.len().div_ceil(2));
-        let ends =
-            ends.filter_map(|&(u, v, phase)| volume::orders_inside(scene.triangulator.pair(), u, v, phase));
+        // At order 0 of the stretch.
+        let phase = |(node, turns): (u32, i32)| {
+            scene.phase(node) + TAU * (turns - scene.pieces.turns[node as usize]) as f32
+        };
+        let ends = places.iter().step_by(places.len().div_ceil(2)).filter_map(|&place| {
+            let (u, v, _) = scene.place(place.0);
+            volume::orders_inside(scene.triangulator.pair(), u, v, phase(place))
+        });
         let orders = ends.reduce(|a, b| *a.start().min(b.start())..=*a.end().max(b.end()))?;
-        let samples: Vec<(Sightline, f32)> =
-            places.into_iter().map(|(u, v, phase)| (scene.lookout.sightline(u, v), phase / TAU)).collect();
+        let samples: Vec<(&Sightline, f32)> =
+            places.iter().map(|&place| (&scene.lines[place.0 as usize], phase(place) / TAU)).collect();
         let (mut best, mut second) = ((i32::MIN, 0, 0, 0), 0);
         let mut sights = Vec::new();
         for order in orders {
@@ -221,7 +218,7 @@ impl Search<'_> {
 /// The lonely nodes of a square that continue one another from `first` on, with the turns that each needs beside those of
 /// `first`.
 fn stretch(
-    view: &View,
+    view: &View<'_>,
     scene: &Scene<'_>,
     first: usize,
     lonely: &[bool],
@@ -251,7 +248,7 @@ fn stretch(
 }
 
 /// Gives a stretch its order where a place is confirmed; the rest of it is open again.
-fn take(scenes: &[Scene<'_>], view: &mut View, stretch: &[(u32, i32)], order: i32, known: &[Vec<i32>]) {
+fn take(scenes: &[Scene<'_>], view: &mut View<'_>, stretch: &[(u32, i32)], order: i32, known: &[Vec<i32>]) {
     for &(node, turns) in stretch {
         let (node, turns) = (node as usize, order + turns);
         if view.turns[node] == turns {

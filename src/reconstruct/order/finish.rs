@@ -33,7 +33,7 @@ const KNOWN: i16 = 6;
 const CONTRADICTED: i16 = 2;
 
 /// The labels of a view's nodes, from what growth has come to. `known`: the orders of all views.
-pub fn labels(mut view: View, scenes: &[Scene<'_>], scene: &Scene<'_>, known: &[Vec<i32>]) -> Vec<Label> {
+pub fn labels(mut view: View<'_>, scenes: &[Scene<'_>], scene: &Scene<'_>, known: &[Vec<i32>]) -> Vec<Label> {
     let mut sum = sums(&view, &view.words);
     let mut labels: Vec<Label> = (0..view.turns.len())
         .map(|node| match view.turns[node] {
@@ -51,7 +51,7 @@ pub fn labels(mut view: View, scenes: &[Scene<'_>], scene: &Scene<'_>, known: &[
 }
 
 /// Whether too little vouches for a node's order. `sum`: words for it and the nodes within two steps.
-fn doubtful(view: &View, scene: &Scene<'_>, node: usize, sum: &Words) -> bool {
+fn doubtful(view: &View<'_>, scene: &Scene<'_>, node: usize, sum: &Words) -> bool {
     if !view.partnered {
         return view.graph.clearance[node] <= 1 && sum.good() < 3;
     }
@@ -74,7 +74,7 @@ fn doubtful(view: &View, scene: &Scene<'_>, node: usize, sum: &Words) -> bool {
 
 /// Gives nodes the order that all known neighbours propose, ring by ring; it may not be another than the piece's.
 fn close(
-    view: &mut View,
+    view: &mut View<'_>,
     scenes: &[Scene<'_>],
     scene: &Scene<'_>,
     known: &[Vec<i32>],
@@ -85,7 +85,7 @@ fn close(
     for _ in 0..ROUNDS {
         let mut found = Vec::new();
         for &node in &open {
-            let Some(hole) = Hole::around(&view.graph, sum, labels, node) else { continue };
+            let Some(hole) = Hole::around(view.graph, sum, labels, node) else { continue };
             let least = if hole.good >= THREE_SIDES { KNOWN } else { KNOWN_WELL };
             let enough = hole.good >= TWO_SIDES
                 && hole.rim.partner >= least
@@ -164,8 +164,7 @@ mod tests {
         let phase = Plane::from_vec(px, px, data).expect("the plane's size");
         let (object, period) = (Plane::filled(px, px, 1), Plane::filled(px, px, period));
         let runs = Runs::of(&object);
-        let surface =
-            Surface { phase: &phase, open: None, period: &period, object: &object, runs: &runs, sign: 1.0 };
+        let surface = Surface { phase: &phase, period: &period, object: &object, runs: &runs, sign: 1.0 };
         let graph = Graph::new(&Cells::new(&surface));
         let labels: Vec<Label> =
             (0..SIDE * SIDE).map(|node| Label { turns: turns(node), contradicted: false }).collect();

@@ -24,6 +24,11 @@ pub struct Edge {
     pub bad: u32,
 }
 
+/// Whether nearly all pixel pairs of a border continue.
+pub fn is_clean(good: u32, bad: u32) -> bool {
+    good >= CLEAN_PAIRS && bad <= 1
+}
+
 /// The borders of every node.
 #[derive(Debug)]
 pub struct Graph {
@@ -55,17 +60,34 @@ impl Graph {
             }
         }
         let mut graph = Self { start, edges, clearance: vec![0; n] };
-        let mut inside: Vec<bool> = cells.nodes.iter().map(|x| x.size >= FULL_NODE_PX).collect();
-        for step in 1..=WIDEST {
-            let clean = |e: &&Edge| e.good >= CLEAN_PAIRS && e.bad <= 1 && inside[e.other as usize];
-            let next: Vec<bool> =
-                (0..n).map(|i| inside[i] && graph.of(i).iter().filter(clean).count() == 4).collect();
-            for (clearance, _) in graph.clearance.iter_mut().zip(&next).filter(|x| *x.1) {
-                *clearance = step;
-            }
-            inside = next;
-        }
+        graph.measure(cells);
         graph
+    }
+
+    /// Finds the clearance of all nodes, ring by ring from those that have none.
+    fn measure(&mut self, cells: &Cells) {
+        let n = cells.nodes.len();
+        let full: Vec<bool> = cells.nodes.iter().map(|x| x.size >= FULL_NODE_PX).collect();
+        let continues = |e: &&Edge| is_clean(e.good, e.bad) && full[e.other as usize];
+        let mut inside: Vec<bool> =
+            (0..n).map(|i| full[i] && self.of(i).iter().filter(continues).count() == 4).collect();
+        self.clearance = inside.iter().map(|&inside| if inside { WIDEST } else { 0 }).collect();
+        let mut ring: Vec<u32> = (0..n as u32).filter(|&i| !inside[i as usize]).collect();
+        for step in 1..WIDEST {
+            let mut next = Vec::new();
+            for &node in &ring {
+                let place = self.start[node as usize] as usize..self.start[node as usize + 1] as usize;
+                for edge in self.edges[place].iter().filter(|e| is_clean(e.good, e.bad)) {
+                    let other = edge.other as usize;
+                    if inside[other] && full[node as usize] {
+                        inside[other] = false;
+                        self.clearance[other] = step;
+                        next.push(edge.other);
+                    }
+                }
+            }
+            ring = next;
+        }
     }
 
     /// The borders of a node.

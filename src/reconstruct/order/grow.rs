@@ -62,9 +62,9 @@ const PASSES: [Pass; 6] = [
 
 /// A view while orders grow over it.
 #[derive(Debug)]
-pub struct View {
+pub struct View<'a> {
     /// Its nodes and borders.
-    pub graph: Graph,
+    pub graph: &'a Graph,
     /// Whole turns that make each node's phases absolute, or [`NONE`].
     pub turns: Vec<i32>,
     /// What the other cameras say of each node, as of the last time that it was tried.
@@ -90,7 +90,8 @@ pub struct Label {
 /// The order of every node of every view. The same for any number of threads: in each step all views go by what was known
 /// before it.
 pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
-    let mut views: Vec<View> = (0..scenes.len()).into_par_iter().map(|view| begin(scenes, view)).collect();
+    let mut views: Vec<View<'_>> =
+        (0..scenes.len()).into_par_iter().map(|view| begin(scenes, view)).collect();
     check(scenes, &mut views);
     views.par_iter_mut().for_each(drop_unconfirmed);
     let mut seeker = Seeker::new(scenes);
@@ -120,12 +121,12 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
 }
 
 /// The orders of all nodes of all views.
-pub fn known(views: &[View]) -> Vec<Vec<i32>> {
+pub fn known(views: &[View<'_>]) -> Vec<Vec<i32>> {
     views.iter().map(|view| view.turns.clone()).collect()
 }
 
 /// The cores of the settled pieces, or all of them.
-fn begin(scenes: &[Scene<'_>], view: usize) -> View {
+fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
     let scene = &scenes[view];
     let of_head = scenes.iter().filter(|x| x.witness.head == scene.witness.head).count();
     let partnered = of_head > 1;
@@ -137,7 +138,7 @@ fn begin(scenes: &[Scene<'_>], view: usize) -> View {
     };
     let n = scene.pieces.of.len();
     View {
-        graph: Graph::new(&scene.witness.cells),
+        graph: &scene.graph,
         turns: (0..n).map(order).collect(),
         words: vec![Words::default(); n],
         banned: vec![Vec::new(); n],
@@ -156,11 +157,12 @@ struct Proposal {
 }
 
 /// Lets the orders grow over a view: always to the node that is farthest from any step.
-fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View, known: &[Vec<i32>], pass: Pass) {
+fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &[Vec<i32>], pass: Pass) {
     let mut heap = BinaryHeap::new();
     let mut steps = vec![0u32; view.turns.len()];
-    let open =
-        |view: &View, node: usize| view.turns[node] == NONE && view.graph.clearance[node] >= pass.clearance;
+    let open = |view: &View<'_>, node: usize| {
+        view.turns[node] == NONE && view.graph.clearance[node] >= pass.clearance
+    };
     for node in (0..view.turns.len()).filter(|&node| open(view, node)) {
         if view.graph.of(node).iter().any(|e| view.turns[e.other as usize] != NONE) {
             heap.push((view.graph.clearance[node], Reverse(0), Reverse(node as u32)));
@@ -206,7 +208,7 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View, known: &[Vec<i
 
 /// The orders that the neighbours of a node propose, those of most pixel pairs first; the steps that the farthest of
 /// these neighbours is from where growth began.
-fn propose(view: &View, node: usize, steps: &[u32], proposals: &mut Vec<Proposal>) -> u32 {
+fn propose(view: &View<'_>, node: usize, steps: &[u32], proposals: &mut Vec<Proposal>) -> u32 {
     proposals.clear();
     let mut farthest = 0;
     for edge in view.graph.of(node) {
@@ -237,7 +239,7 @@ fn contradicted(own: Words, sum: Words, core: bool) -> bool {
 }
 
 /// Words of the nodes within two steps, along borders that continue.
-pub fn sums(view: &View, words: &[Words]) -> Vec<Words> {
+pub fn sums(view: &View<'_>, words: &[Words]) -> Vec<Words> {
     let mut sum = words.to_vec();
     for _ in 0..2 {
         let before = sum.clone();
@@ -253,7 +255,7 @@ pub fn sums(view: &View, words: &[Words]) -> Vec<Words> {
 }
 
 /// Pixel pairs on which neighbours continue a node, though their order is another, and those that continue nothing.
-pub fn conflict(view: &View, node: usize) -> (u32, u32) {
+pub fn conflict(view: &View<'_>, node: usize) -> (u32, u32) {
     let (mut conflict, mut bad) = (0, 0);
     for edge in view.graph.of(node) {
         let other = view.turns[edge.other as usize];
@@ -269,7 +271,7 @@ pub fn conflict(view: &View, node: usize) -> (u32, u32) {
 pub const FIRM: i16 = 11;
 
 /// Tries all that has an order against all that has, and takes it from what is contradicted.
-fn check(scenes: &[Scene<'_>], views: &mut [View]) {
+fn check(scenes: &[Scene<'_>], views: &mut [View<'_>]) {
     let known = known(views);
     views.par_iter_mut().zip(scenes).for_each(|(view, scene)| {
         for node in 0..view.turns.len() {
@@ -294,7 +296,7 @@ fn check(scenes: &[Scene<'_>], views: &mut [View]) {
 }
 
 /// Takes the order from nodes that no camera confirms: the next round may reach them from a better side.
-fn drop_unconfirmed(view: &mut View) {
+fn drop_unconfirmed(view: &mut View<'_>) {
     if !view.partnered {
         return;
     }

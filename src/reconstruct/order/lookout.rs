@@ -5,7 +5,8 @@
 //! quotient of the coordinates matters, so `w a + b` does as well and there is nothing to divide by `w`. The inverse
 //! depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in lanes.
 
-use super::cells::{CELL_PX, PAD_CELLS, padded};
+use super::cells::CELL_PX;
+use super::glimpse::{BACKGROUND_PX, PAD_CELLS, padded};
 use crate::geometry::Device;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::rays::{RayTable, Sightline};
@@ -17,9 +18,6 @@ use nalgebra::{Point3, Vector3};
 pub const LANES: usize = 8;
 
 type Lanes = [f32; LANES];
-
-/// Background must be as wide around a place, px: outlines are not sharp.
-pub const BACKGROUND_PX: f32 = 10.0;
 
 /// Where each camera of some would see a place.
 #[derive(Debug, Clone, Copy)]
@@ -185,11 +183,6 @@ impl<'a> Lookout<'a> {
         Self { table, blocks }
     }
 
-    /// The line of sight of pixel (u, v).
-    pub fn sightline(&self, u: usize, v: usize) -> Sightline {
-        self.table.sightline(u, v)
-    }
-
     /// Where each camera sees the place on a line of sight at an absolute phase, in fringes: `each` gets the first camera's
     /// number with eight of them. False, and nothing, where the place is outside of the volume.
     #[inline]
@@ -238,10 +231,11 @@ impl Block {
 
 #[cfg(test)]
 mod tests {
-    use super::{BACKGROUND_PX, LANES, Lookout, NOWHERE};
+    use super::{LANES, Lookout, NOWHERE};
     use crate::calibrate::Calibration;
     use crate::config::Rig;
-    use crate::reconstruct::order::cells::{CELL_PX, PAD_CELLS, padded};
+    use crate::reconstruct::order::cells::CELL_PX;
+    use crate::reconstruct::order::glimpse::{BACKGROUND_PX, PAD_CELLS, padded};
     use crate::reconstruct::pair::Pair;
     use crate::reconstruct::rays::RayTable;
     use crate::reconstruct::roi::Roi;
@@ -274,7 +268,7 @@ mod tests {
         for (i, fringe) in (0..2000).map(|i| (i, f64::from(i) * 0.618 % 128.0)) {
             let (u, v) = (i * 37 % 1900, i * 53 % 1190);
             let Some((_, world)) = triangulator.point(u as usize, v as usize, fringe * TAU) else { continue };
-            let line = lookout.sightline(u as usize, v as usize);
+            let line = table.sightline(u as usize, v as usize);
             let inside = lookout.look(&line, fringe as f32, |first, spots| {
                 for (pair, i) in pairs[first..].iter().zip(0..LANES).filter(|x| first + x.1 != view) {
                     let Some(place) = pair.camera.project(&world) else { continue };

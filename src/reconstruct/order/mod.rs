@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! cells     the unwrapped phase in patches of 8 x 8 px, and where they continue each other
+//! glimpse   the patches as other cameras look at them
 //! pieces    patches grown to pieces of surface, joined only along whole borders
 //! lookout   where the other cameras would see a place
 //! witness   what another camera has at the place where a piece would be
@@ -19,28 +20,28 @@
 mod cells;
 mod elsewhere;
 mod finish;
+mod glimpse;
 mod graph;
 mod grow;
 mod lookout;
 mod pieces;
 mod settle;
-mod sighted;
 mod split;
 mod volume;
 mod witness;
 mod words;
 
 use super::pipeline::Prepared;
-use super::runs::Runs;
+use super::runs::each_not_0;
+use super::simd;
 use super::triangulate::Triangulator;
-use crate::image::Plane;
 use cells::{CELL_PX, Cells, Surface};
+use graph::Graph;
 use grow::{Label, NONE};
 use lookout::Lookout;
 use pieces::Pieces;
 use rayon::prelude::*;
 use settle::{Refusal, Scene, State};
-use sighted::{FIRST_NODE, Sighted};
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 use std::time::Instant;
@@ -107,8 +108,8 @@ pub fn settle(views: &mut [View<'_>]) {
 }
 
 struct Outcome {
-    pixels: Sighted,
-    /// What to add to the phases of each label ([`Pixel::label`]), rad; NaN where there is no order.
+    cells: Cells,
+    /// What to add to the phases of each node, rad; NaN where there is no order.
     shift: Vec<f32>,
     regions: Regions,
     contradicted: usize,
@@ -121,38 +122,41 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let pair = view.triangulator.pair();
     let cells = Cells::new(&Surface {
         phase: &prepared.absolute,
-        open: Some((&prepared.open.relative, &prepared.open.tree)),
         period: prepared.period(),
         object: &prepared.object,
         runs: prepared.runs(),
         sign: pair.sign,
     });
-    let votes = votes(&cells, &prepared.marker, prepared.runs(), &pair.markers);
-    let pieces = Pieces::new(&cells, &votes, settle::MIN_VOTES);
+    let votes = votes(&cells, prepared, &pair.markers);
+    let graph = Graph::new(&cells);
+    let pieces = Pieces::new(&cells, &graph, &votes, settle::MIN_VOTES);
     let px =
         pieces.nodes.iter().map(|nodes| nodes.iter().map(|&x| cells.nodes[x as usize].size).sum()).collect();
     let open = State { order: Err(Refusal::NoEvidence), margin: 0.0 };
     let states = vec![open; pieces.nodes.len()];
-    let witness = Witness::new(pair, view.head, prepared.roi, cells);
+    let settled = vec![NONE; cells.nodes.len()];
+    let roi = prepared.roi;
+    let line = |pixel: usize| prepared.table.sightline(roi.u + pixel % roi.width, roi.v + pixel / roi.width);
+    let lines = cells.nodes.iter().map(|node| line(node.pixel as usize)).collect();
+    let witness = Witness::new(pair, view.head, roi, cells);
     let lookout =
         Lookout::new(&prepared.table, number, views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)));
-    Scene { triangulator: view.triangulator, lookout, witness, pieces, states, px }
+    Scene { triangulator: view.triangulator, lookout, witness, graph, lines, pieces, states, px, settled }
 }
 
 /// The orders that marker pixels give their nodes: node, order, pixels.
-fn votes(cells: &Cells, marker: &Plane<u8>, runs: &Runs, markers: &[u32]) -> Vec<(u32, i32, u32)> {
+fn votes(cells: &Cells, prepared: &Prepared, markers: &[u32]) -> Vec<(u32, i32, u32)> {
     let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
-    for v in 0..marker.height() {
-        let (columns, pixels) = cells.pixels.row(v);
-        for run in runs.row(v) {
-            let marker = &marker.row(v)[run.columns()];
-            let pixels = pixels.get(run.start() - columns.start..).unwrap_or_default();
-            for (marker, pixel) in marker.iter().zip(pixels).filter(|(marker, _)| **marker != 0) {
-                let Some(node) = pixel.node() else { continue };
+    for v in 0..prepared.marker.height() {
+        for run in prepared.runs().row(v) {
+            let (marker, phase) =
+                (&prepared.marker.row(v)[run.columns()], &prepared.absolute.row(v)[run.columns()]);
+            each_not_0(marker, |i| {
+                let Some(node) = cells.glimpses.node(run.start() + i, v) else { return };
                 // On the marker's core the wrapped phase is small: the nearest whole turn is the node's own.
-                let order = markers[usize::from(marker - 1)] as i32 - (pixel.phase / TAU).round() as i32;
+                let order = markers[usize::from(marker[i] - 1)] as i32 - (phase[i] / TAU).round() as i32;
                 *votes.entry((node, order)).or_default() += 1;
-            }
+            });
         }
     }
     votes.into_iter().map(|((node, order), n)| (node, order, n)).collect()
@@ -167,9 +171,8 @@ fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
         margin: scene.states.iter().map(|x| x.margin).collect(),
     };
     let mut contradicted = 0;
-    let mut shift = vec![f32::NAN; FIRST_NODE as usize + labels.len()];
-    let shifts = &mut shift[FIRST_NODE as usize..];
-    for (i, ((node, label), shift)) in cells.nodes.iter().zip(labels).zip(shifts).enumerate() {
+    let mut shift = vec![f32::NAN; labels.len()];
+    for (i, ((node, label), shift)) in cells.nodes.iter().zip(labels).zip(&mut shift).enumerate() {
         if label.turns == NONE {
             contradicted += if label.contradicted { node.size as usize } else { 0 };
         } else {
@@ -180,25 +183,21 @@ fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
             }
         }
     }
-    Outcome { pixels: scene.witness.cells.pixels, shift, regions, contradicted }
+    Outcome { cells: scene.witness.cells, shift, regions, contradicted }
 }
 
 /// Writes the absolute phase of a view by the orders of its nodes.
 fn apply(prepared: &mut Prepared, outcome: Outcome) {
-    let (mut gained, mut known) = (0, 0);
-    for v in 0..prepared.absolute.height() {
-        let (columns, pixels) = outcome.pixels.row(v);
-        for (absolute, pixel) in prepared.absolute.row_mut(v)[columns].iter_mut().zip(pixels) {
-            let phase = pixel.phase + outcome.shift.get(pixel.label()).copied().unwrap_or(f32::NAN);
-            gained += usize::from(absolute.is_nan() & !phase.is_nan());
-            known += usize::from(!phase.is_nan());
-            *absolute = phase;
-        }
-    }
-    outcome.pixels.give_back();
+    let Outcome { cells, shift, regions, contradicted } = outcome;
+    simd::dispatch(
+        #[inline(always)]
+        || cells.shift(&mut prepared.absolute, &shift),
+    );
+    prepared.open.clear();
+    let sizes = cells.nodes.iter().zip(&shift).filter(|(_, shift)| !shift.is_nan());
+    let known: usize = sizes.map(|(node, _)| node.size as usize).sum();
     let counts = &mut prepared.counts;
     counts.refused = counts.phase.saturating_sub(known);
-    counts.contradicted = outcome.contradicted;
-    counts.by_partner = gained;
-    prepared.regions = outcome.regions;
+    counts.contradicted = contradicted;
+    prepared.regions = regions;
 }

@@ -5,14 +5,12 @@
 //! along it. So the wide parts of a view are grown first (their cores, away from any step, then what continues them), and
 //! pieces are joined only where nearly the whole border between them agrees on the same turns.
 
-use super::cells::{Border, Cells};
+use super::cells::Cells;
+use super::graph::{Graph, is_clean};
 use std::collections::BTreeMap;
 
-/// Pixel pairs on which a border between cells must agree to be clean, of eight.
-const CLEAN_PAIRS: u32 = 7;
-
-/// Pixels of a node that fills its cell.
-const FULL_NODE_PX: u32 = 60;
+/// Nodes of a core are so many cells away from any step.
+const CORE_CLEARANCE: u8 = 2;
 
 /// Pixel pairs on which a node must agree with the piece that takes it in.
 const GROW_PAIRS: u32 = 4;
@@ -75,14 +73,15 @@ pub struct Pieces {
 
 impl Pieces {
     /// Grows and joins the pieces. `votes` are those of single nodes: node, order, number.
-    pub fn new(cells: &Cells, votes: &[(u32, i32, u32)], min_votes: u32) -> Self {
+    pub fn new(cells: &Cells, graph: &Graph, votes: &[(u32, i32, u32)], min_votes: u32) -> Self {
         let mut links = Links::new(cells.nodes.len());
-        let neighbours = neighbours(cells);
-        let core = cores(cells);
-        for border in cells.borders.iter().filter(|x| core[x.a as usize] && core[x.b as usize] && clean(x)) {
-            links.join(border.a as usize, border.b as usize, border.turns);
+        let core: Vec<bool> = graph.clearance.iter().map(|&x| x >= CORE_CLEARANCE).collect();
+        for x in cells.borders.iter().filter(|x| core[x.a as usize] && core[x.b as usize]) {
+            if is_clean(x.good, x.bad) {
+                links.join(x.a as usize, x.b as usize, x.turns);
+            }
         }
-        grow(&mut links, &core, cells, &neighbours);
+        grow(&mut links, &core, cells, graph);
         let mut pieces = collect(&mut links, cells, votes);
         pieces.join(min_votes);
         let mut pieces = pieces.compact();
@@ -211,62 +210,47 @@ impl Pieces {
     }
 }
 
-fn clean(border: &Border) -> bool {
-    border.good >= CLEAN_PAIRS && border.bad <= 1
-}
-
-/// Borders of each node, as (other node, turns to add to it, good, bad).
-type Neighbours = Vec<Vec<(u32, i32, u32, u32)>>;
-
-fn neighbours(cells: &Cells) -> Neighbours {
-    let mut out: Neighbours = vec![Vec::with_capacity(4); cells.nodes.len()];
-    for x in &cells.borders {
-        out[x.a as usize].push((x.b, x.turns, x.good, x.bad));
-        out[x.b as usize].push((x.a, -x.turns, x.good, x.bad));
-    }
-    out
-}
-
-/// Nodes two cells away from any step: their neighbours' neighbours are full, and all borders between are clean.
-fn cores(cells: &Cells) -> Vec<bool> {
-    let full = |node: u32| cells.nodes[node as usize].size >= FULL_NODE_PX;
-    let mut inside: Vec<bool> = (0..cells.nodes.len() as u32).map(full).collect();
-    for _ in 0..2 {
-        let mut count = vec![0u8; inside.len()];
-        for x in cells.borders.iter().filter(|x| clean(x) && inside[x.a as usize] && inside[x.b as usize]) {
-            count[x.a as usize] += 1;
-            count[x.b as usize] += 1;
-        }
-        inside = count.iter().map(|&n| n == 4).collect();
-    }
-    inside
+/// What the neighbours of a node in one piece say about it.
+#[derive(Debug, Default)]
+struct Sum {
+    /// Root of the piece, and the turns that the node would need there.
+    to: (usize, i32),
+    good: u32,
+    bad: u32,
+    /// One of them, and the turns that continue it.
+    other: u32,
+    turns: i32,
 }
 
 /// Lets the cores take in what continues them, ring by ring; what no core reaches is joined among itself.
-fn grow(links: &mut Links, core: &[bool], cells: &Cells, neighbours: &Neighbours) {
+fn grow(links: &mut Links, core: &[bool], cells: &Cells, graph: &Graph) {
     let mut taken = core.to_vec();
     let mut front: Vec<u32> = (0..core.len() as u32).filter(|&i| core[i as usize]).collect();
+    let mut sums: Vec<Sum> = Vec::new();
     let mut grow = |links: &mut Links, taken: &mut [bool], pairs: u32| {
         while !front.is_empty() {
-            let mut next: Vec<u32> =
-                front.iter().flat_map(|&i| neighbours[i as usize].iter().map(|x| x.0)).collect();
-            next.retain(|&i| !taken[i as usize]);
+            let beside = front.iter().flat_map(|&i| graph.of(i as usize)).map(|x| x.other);
+            let mut next: Vec<u32> = beside.filter(|&i| !taken[i as usize]).collect();
             next.sort_unstable();
             next.dedup();
             // All of a ring are decided before any is taken in: the result does not depend on their order.
             let mut ring = Vec::new();
             for &node in &next {
-                let mut sums: BTreeMap<(usize, i32), (u32, u32, u32, u32)> = BTreeMap::new();
-                for &(other, turns, good, bad) in
-                    neighbours[node as usize].iter().filter(|x| taken[x.0 as usize])
-                {
-                    let (root, own) = links.find(other as usize);
-                    let sum = sums.entry((root, own - turns)).or_default();
-                    *sum = (sum.0 + good, other, turns as u32, sum.3 + bad);
+                sums.clear();
+                for edge in graph.of(node as usize).iter().filter(|x| taken[x.other as usize]) {
+                    let (root, own) = links.find(edge.other as usize);
+                    let to = (root, own - edge.turns);
+                    let place = sums.iter().position(|x| x.to == to).unwrap_or(sums.len());
+                    if place == sums.len() {
+                        sums.push(Sum { to, ..Sum::default() });
+                    }
+                    let sum = &mut sums[place];
+                    (sum.good, sum.bad) = (sum.good + edge.good, sum.bad + edge.bad);
+                    (sum.other, sum.turns) = (edge.other, edge.turns);
                 }
-                let best = sums.into_values().max_by_key(|x| x.0);
-                let best = best.filter(|x| x.0 >= pairs && (pairs == 1 || x.0 >= GROW_SHARE * x.3));
-                ring.extend(best.map(|x| (node, x.1, x.2 as i32)));
+                let best = sums.iter().max_by_key(|x| (x.good, x.to));
+                let best = best.filter(|x| x.good >= pairs && (pairs == 1 || x.good >= GROW_SHARE * x.bad));
+                ring.extend(best.map(|x| (node, x.other, x.turns)));
             }
             for &(node, other, turns) in &ring {
                 // `turns` continue the other from this node; the link says the reverse.
@@ -284,12 +268,12 @@ fn grow(links: &mut Links, core: &[bool], cells: &Cells, neighbours: &Neighbours
         }
     }
     // Crumbs on outlines belong to no surface. They must not stand between pieces as if these did not touch.
-    let mut size: BTreeMap<usize, u32> = BTreeMap::new();
-    for node in 0..taken.len() {
-        *size.entry(links.find(node).0).or_default() += cells.nodes[node].size;
+    let mut size = vec![0u32; taken.len()];
+    for (node, own) in cells.nodes.iter().enumerate() {
+        size[links.find(node).0] += own.size;
     }
     for (node, taken) in taken.iter_mut().enumerate() {
-        *taken |= size[&links.find(node).0] >= 64;
+        *taken |= size[links.find(node).0] >= 64;
     }
     grow(links, &mut taken, 1);
 }
@@ -363,7 +347,7 @@ impl Links {
 #[cfg(test)]
 mod tests {
     use super::super::cells::Surface;
-    use super::{Cells, Pieces};
+    use super::{Cells, Graph, Pieces};
     use crate::image::Plane;
     use crate::reconstruct::runs::Runs;
     use std::f32::consts::TAU;
@@ -378,10 +362,9 @@ mod tests {
         let phase = Plane::from_vec(W, H, data).expect("the plane's size");
         let (object, period) = (Plane::filled(W, H, 1), Plane::filled(W, H, PERIOD));
         let runs = Runs::of(&object);
-        let surface =
-            Surface { phase: &phase, open: None, period: &period, object: &object, runs: &runs, sign: 1.0 };
+        let surface = Surface { phase: &phase, period: &period, object: &object, runs: &runs, sign: 1.0 };
         let cells = Cells::new(&surface);
-        let pieces = Pieces::new(&cells, &[], 20);
+        let pieces = Pieces::new(&cells, &Graph::new(&cells), &[], 20);
         let large = (0..pieces.nodes.len()).filter(|&i| pieces.nodes[i].len() >= 10).collect();
         (cells, pieces, large)
     }

@@ -6,6 +6,8 @@
 //! a margin; else the piece waits for others to be settled. At last every settled piece is tried against all others, the
 //! most doubtful first: one that is contradicted takes the order that is not, if there is one, or is refused.
 
+use super::graph::Graph;
+use super::grow::NONE;
 use super::lookout::{LANES, Lookout};
 use super::pieces::Pieces;
 use super::witness::{Sight, Verdict, Witness};
@@ -92,16 +94,36 @@ pub struct Scene<'a> {
     pub lookout: Lookout<'a>,
     /// The view as a witness.
     pub witness: Witness,
+    /// The borders of its nodes.
+    pub graph: Graph,
+    /// Line of sight of each node's pixel.
+    pub lines: Vec<Sightline>,
     /// Its pieces.
     pub pieces: Pieces,
     /// What is known of each.
     pub states: Vec<State>,
     /// Pixels of each piece.
     pub px: Vec<u32>,
+    /// Whole turns that make each node's phases absolute where its piece is settled, or [`NONE`].
+    pub settled: Vec<i32>,
 }
 
-/// What the cameras have at the sampled places, by view, piece and order, each looked up once.
-type Cache = BTreeMap<(usize, usize, i32), Vec<Sight>>;
+/// What is found out once for each piece.
+#[derive(Debug, Default)]
+struct Cache {
+    /// What the cameras have at the sampled places, by view, piece and order.
+    sights: BTreeMap<(usize, usize, i32), Vec<Sight>>,
+    /// Orders worth a look, by view and piece.
+    orders: BTreeMap<(usize, usize), Vec<i32>>,
+}
+
+impl Cache {
+    /// Forgets a piece whose nodes have changed.
+    fn forget(&mut self, view: usize, piece: usize) {
+        self.sights.retain(|x, _| (x.0, x.1) != (view, piece));
+        self.orders.remove(&(view, piece));
+    }
+}
 
 /// Evidence for one order of a piece.
 #[derive(Debug, Clone, Copy, Default)]
@@ -120,9 +142,11 @@ struct Evidence {
 /// Settles all pieces of all views.
 pub fn settle(scenes: &mut [Scene<'_>]) {
     for scene in scenes.iter_mut() {
-        scene.states = scene.pieces.votes.iter().map(by_marker).collect();
+        for piece in 0..scene.states.len() {
+            scene.set(piece, by_marker(&scene.pieces.votes[piece]));
+        }
     }
-    let mut cache = Cache::new();
+    let mut cache = Cache::default();
     for _ in 0..MAX_ROUNDS {
         spread(scenes, &mut cache);
         let moved = verify(scenes, &mut cache);
@@ -164,9 +188,9 @@ fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
             scene.px = scene.pieces.nodes.iter().map(size).collect();
             scene.states.resize(scene.px.len(), State { order: Err(Refusal::NoEvidence), margin: 0.0 });
             for new in std::iter::once(piece).chain(first..scene.px.len()) {
-                scene.states[new] = by_marker(&scene.pieces.votes[new]);
+                scene.set(new, by_marker(&scene.pieces.votes[new]));
             }
-            *cache = std::mem::take(cache).into_iter().filter(|x| (x.0.0, x.0.1) != (view, piece)).collect();
+            cache.forget(view, piece);
             parted = true;
         }
     }
@@ -207,7 +231,7 @@ fn spread(scenes: &mut [Scene<'_>], cache: &mut Cache) {
             strictness = 0;
         }
         for (view, piece, order, margin) in found {
-            scenes[view].states[piece] = State { order: Ok(order), margin };
+            scenes[view].set(piece, State { order: Ok(order), margin });
         }
     }
 }
@@ -254,13 +278,13 @@ fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
         if state.order != Ok(order) {
             changed = true;
         }
-        scenes[view].states[piece] = state;
+        scenes[view].set(piece, state);
     }
 }
 
 /// Evidence for every order of a piece that is worth a look.
 fn weigh(scenes: &[Scene<'_>], view: usize, piece: usize, cache: &mut Cache) -> Vec<Evidence> {
-    let orders = orders(&scenes[view], piece);
+    let orders = cache.orders.entry((view, piece)).or_insert_with(|| orders(&scenes[view], piece)).clone();
     orders.into_iter().map(|order| evidence(scenes, view, piece, order, cache)).collect()
 }
 
@@ -289,16 +313,28 @@ fn samples(scene: &Scene<'_>, piece: usize) -> Vec<u32> {
 impl Scene<'_> {
     /// Frame pixel of a node and its phase in its piece, rad.
     pub fn place(&self, node: u32) -> (usize, usize, f32) {
-        let (roi, turns) = (self.witness.roi, self.pieces.turns[node as usize]);
-        let node = &self.witness.cells.nodes[node as usize];
-        let (pixel, phase) = (node.pixel as usize, node.phase + TAU * turns as f32);
-        (roi.u + pixel % roi.width, roi.v + pixel / roi.width, phase)
+        let roi = self.witness.roi;
+        let pixel = self.witness.cells.nodes[node as usize].pixel as usize;
+        (roi.u + pixel % roi.width, roi.v + pixel / roi.width, self.phase(node))
+    }
+
+    /// Phase of a node's pixel in its piece, rad.
+    pub fn phase(&self, node: u32) -> f32 {
+        self.witness.cells.nodes[node as usize].phase + TAU * self.pieces.turns[node as usize] as f32
     }
 
     /// Whole turns that make a node's phases absolute, where its piece is settled.
     pub fn turns_of(&self, node: u32) -> Option<i32> {
-        let order = self.states[self.pieces.of[node as usize] as usize].order.ok()?;
-        Some(order + self.pieces.turns[node as usize])
+        Some(self.settled[node as usize]).filter(|turns| *turns != NONE)
+    }
+
+    /// States what is known of a piece.
+    fn set(&mut self, piece: usize, state: State) {
+        self.states[piece] = state;
+        for &node in &self.pieces.nodes[piece] {
+            let turns = self.pieces.turns[node as usize];
+            self.settled[node as usize] = state.order.map_or(NONE, |order| order + turns);
+        }
     }
 }
 
@@ -306,8 +342,8 @@ impl Scene<'_> {
 /// nothing appended, outside the volume.
 pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut Vec<Sight>) -> bool {
     let scene = &scenes[view];
-    let (u, v, phase) = scene.place(node);
-    look_along(scenes, view, &scene.lookout.sightline(u, v), phase / TAU + order as f32, out)
+    let line = &scene.lines[node as usize];
+    look_along(scenes, view, line, scene.phase(node) / TAU + order as f32, out)
 }
 
 /// The same along a line of sight of the view, at an absolute phase in fringes.
@@ -338,7 +374,7 @@ pub fn verdict(scene: &Scene<'_>, sight: Sight) -> Verdict {
 }
 
 fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: &mut Cache) -> Evidence {
-    let sights = cache.entry((view, piece, order)).or_insert_with(|| {
+    let sights = cache.sights.entry((view, piece, order)).or_insert_with(|| {
         let (mut out, mut inside) = (Vec::new(), 0);
         for (i, &node) in samples(&scenes[view], piece).iter().enumerate() {
             if i == FIRST_SAMPLES && inside == 0 {

@@ -4,11 +4,10 @@
 //! cameras at different orders. Nodes whose surroundings clearly agree at one order are seeds of it; from them the orders
 //! spread over the piece, through its wide parts first, so that they meet at its necks.
 
-use super::cells::Cells;
 use super::settle::{Scene, look, verdict};
 use super::witness::{Sight, Verdict};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 
 /// Cells to each side over which the words for and against an order are summed.
 const REACH: usize = 2;
@@ -33,16 +32,14 @@ const MIN_PART: usize = 6;
 pub fn parts(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> Option<Vec<Vec<u32>>> {
     let scene = &scenes[view];
     let seeds = seeds(scenes, view, piece, orders);
-    let mut found: Vec<usize> = seeds.values().copied().collect();
-    found.sort_unstable();
-    found.dedup();
-    if found.len() < 2 {
+    let first = seeds.first()?.1;
+    if seeds.iter().all(|seed| seed.1 == first) {
         return None;
     }
     let label = spread(scene, piece, &seeds);
     let mut parts = vec![Vec::new(); orders.len() + 1];
     for &node in &scene.pieces.nodes[piece] {
-        parts[label.get(&node).map_or(orders.len(), |x| *x)].push(node);
+        parts[label[node as usize].unwrap_or(orders.len())].push(node);
     }
     parts.retain(|x| !x.is_empty());
     let large = parts.iter().filter(|x| x.len() >= MIN_PART).count();
@@ -50,7 +47,7 @@ pub fn parts(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) ->
 }
 
 /// Nodes that agree with the other cameras, and the place of their order in `orders`.
-fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTreeMap<u32, usize> {
+fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> Vec<(u32, usize)> {
     let scene = &scenes[view];
     let nodes = &scene.pieces.nodes[piece];
     let step = nodes.len().div_ceil(MAX_ASKED).max(1);
@@ -74,7 +71,7 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTr
             *word = (word.0 + good, word.1 + bad);
         }
     }
-    let mut seeds = BTreeMap::new();
+    let mut seeds = Vec::new();
     let mut sums = vec![(0, 0); orders.len()];
     for &node in &asked {
         let (x, y) = cell(scene, node);
@@ -91,7 +88,7 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> BTr
         };
         let second = sums.iter().enumerate().filter(|x| x.0 != best).map(|x| x.1.0).max().unwrap_or(0);
         if good >= MIN_FOR && good >= LEAD * bad && good >= LEAD * second {
-            seeds.insert(node, best);
+            seeds.push((node, best));
         }
     }
     seeds
@@ -119,64 +116,73 @@ fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[Sight]) -> (i32, i32) {
     (good, bad)
 }
 
-/// Spreads the seeds' labels over the piece, from wide parts to narrow ones.
-fn spread(scene: &Scene<'_>, piece: usize, seeds: &BTreeMap<u32, usize>) -> BTreeMap<u32, usize> {
-    let borders = borders(&scene.witness.cells, scene, piece);
-    let clearance = clearance(&borders);
-    let mut label = BTreeMap::new();
+/// Spreads the seeds' labels over the piece, from wide parts to narrow ones: the label of each node of the view.
+fn spread(scene: &Scene<'_>, piece: usize, seeds: &[(u32, usize)]) -> Vec<Option<usize>> {
+    let inner = Inner { scene, piece };
+    let clearance = inner.clearance();
+    let mut label = vec![None; clearance.len()];
+    let mut is_seed = vec![false; clearance.len()];
     let mut heap = BinaryHeap::new();
-    for (&node, &seed) in seeds {
-        heap.push((clearance.get(&node).copied().unwrap_or(0), Reverse(0u32), Reverse(node), seed));
+    for &(node, seed) in seeds {
+        is_seed[node as usize] = true;
+        heap.push((clearance[node as usize], Reverse(0u32), Reverse(node), seed));
     }
     while let Some((_, Reverse(distance), Reverse(node), seed)) = heap.pop() {
-        if label.contains_key(&node) {
+        if label[node as usize].is_some() {
             continue;
         }
-        label.insert(node, seed);
-        for &next in borders.get(&node).map_or(&[][..], Vec::as_slice) {
+        label[node as usize] = Some(seed);
+        for next in inner.beside(node) {
             // A seed keeps its own label.
-            if !label.contains_key(&next) && !seeds.contains_key(&next) {
-                let room = clearance.get(&next).copied().unwrap_or(0);
-                heap.push((room, Reverse(distance + 1), Reverse(next), seed));
+            if label[next as usize].is_none() && !is_seed[next as usize] {
+                heap.push((clearance[next as usize], Reverse(distance + 1), Reverse(next), seed));
             }
         }
     }
     label
 }
 
-/// For each node of a piece, the nodes of it that it continues.
-fn borders(cells: &Cells, scene: &Scene<'_>, piece: usize) -> BTreeMap<u32, Vec<u32>> {
-    let mut borders: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
-    let of = &scene.pieces.of;
-    for x in &cells.borders {
-        let inside = of[x.a as usize] as usize == piece && of[x.b as usize] as usize == piece;
-        let turns = &scene.pieces.turns;
-        let same = x.turns == turns[x.b as usize] - turns[x.a as usize];
-        if inside && same && x.good >= SPREAD_PAIRS && x.good > x.bad {
-            borders.entry(x.a).or_default().push(x.b);
-            borders.entry(x.b).or_default().push(x.a);
-        }
-    }
-    borders
+/// A piece as a graph of its own.
+struct Inner<'a> {
+    scene: &'a Scene<'a>,
+    piece: usize,
 }
 
-/// Steps from each node to the nearest that does not continue on all four sides.
-fn clearance(borders: &BTreeMap<u32, Vec<u32>>) -> BTreeMap<u32, u32> {
-    let mut front: Vec<u32> = borders.iter().filter(|x| x.1.len() < 4).map(|x| *x.0).collect();
-    let mut clearance: BTreeMap<u32, u32> = front.iter().map(|x| (*x, 0)).collect();
-    let mut steps = 0;
-    while !front.is_empty() {
-        steps += 1;
-        let mut next = Vec::new();
-        for node in front {
-            for &other in &borders[&node] {
-                if let std::collections::btree_map::Entry::Vacant(slot) = clearance.entry(other) {
-                    slot.insert(steps);
-                    next.push(other);
+impl Inner<'_> {
+    /// The nodes of the piece that a node continues.
+    fn beside(&self, node: u32) -> impl Iterator<Item = u32> {
+        let (of, turns) = (&self.scene.pieces.of, &self.scene.pieces.turns);
+        let edges = self.scene.graph.of(node as usize).iter().filter(move |x| {
+            of[x.other as usize] as usize == self.piece
+                && x.turns == turns[x.other as usize] - turns[node as usize]
+                && x.good >= SPREAD_PAIRS
+                && x.good > x.bad
+        });
+        edges.map(|x| x.other)
+    }
+
+    /// Steps from each node to the nearest that does not continue on all four sides; 0 where there is none.
+    fn clearance(&self) -> Vec<u32> {
+        let nodes = &self.scene.pieces.nodes[self.piece];
+        let mut clearance = vec![0; self.scene.pieces.of.len()];
+        let narrow = |&node: &u32| (1..4).contains(&self.beside(node).count());
+        let mut front: Vec<u32> = nodes.iter().copied().filter(narrow).collect();
+        let mut reached = vec![false; clearance.len()];
+        front.iter().for_each(|&node| reached[node as usize] = true);
+        let mut steps = 0;
+        while !front.is_empty() {
+            steps += 1;
+            let mut next = Vec::new();
+            for node in front {
+                for other in self.beside(node) {
+                    if !std::mem::replace(&mut reached[other as usize], true) {
+                        clearance[other as usize] = steps;
+                        next.push(other);
+                    }
                 }
             }
+            front = next;
         }
-        front = next;
+        clearance
     }
-    clearance
 }

@@ -5,8 +5,9 @@
 //! before what another camera sees there, or where that camera looks past the body, is not there. Places are compared by
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
-use super::cells::{Cells, Glimpse};
-use super::lookout::{BACKGROUND_PX, Spots};
+use super::cells::{CELL_PX, Cells};
+use super::glimpse::{BACKGROUND_PX, Kind, Rim};
+use super::lookout::Spots;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
 use nalgebra::{Point3, Vector3};
@@ -31,7 +32,7 @@ pub struct Witness {
     pub head: usize,
     /// Where its planes lie in the frame.
     pub roi: Roi,
-    /// Its nodes, and the pixels with the phase that it has unwrapped, up to the orders of the pieces.
+    /// Its nodes, with the phase that it has unwrapped, up to the orders of the pieces.
     pub cells: Cells,
     /// Sign of the projected phase's change with the distance from the camera.
     towards: f32,
@@ -99,12 +100,15 @@ impl Witness {
     /// What the camera has at one of `spots`.
     #[inline(always)]
     pub fn see(&self, spots: &Spots, i: usize) -> Sight {
-        let Some(cell) = self.cells.glimpses.get(spots.cell[i] as usize) else { return Sight::NONE };
-        match cell.node {
-            Glimpse::FAR => Sight { node: Sight::PAST, ahead: 0.0 },
-            Glimpse::NEAR => self.past(spots.x[i], spots.y[i]),
-            Glimpse::MIXED => self.see_closely(spots.x[i], spots.y[i], spots.cast[i]),
-            node => {
+        let Some(cell) = self.cells.glimpses.at(spots.cell[i] as usize) else { return Sight::NONE };
+        match cell.kind() {
+            Kind::Far => Sight { node: Sight::PAST, ahead: 0.0 },
+            Kind::Near => self.past(spots.x[i], spots.y[i]),
+            Kind::Rim(place) => match self.cells.glimpses.rims.get(place) {
+                Some(rim) => self.see_closely(rim, spots, i),
+                None => Sight::NONE,
+            },
+            Kind::Node(node) => {
                 let seen = cell.phase + (spots.right[i] * cell.steps[0] + spots.down[i] * cell.steps[1]);
                 Sight::of(node, seen - spots.cast[i])
             }
@@ -112,16 +116,19 @@ impl Witness {
     }
 
     /// The same where a cell's pixels have to be asked.
-    fn see_closely(&self, x: f32, y: f32, cast: f32) -> Sight {
-        let (here, right) = self.cells.pixels.at(column(x), column(y + 0.5));
-        match here.node() {
-            None if !here.is_object() => self.past(x, y),
+    fn see_closely(&self, rim: &Rim, spots: &Spots, i: usize) -> Sight {
+        let (right, down) = (spots.right[i], spots.down[i] + 0.5);
+        let (u, v) = ((right as usize).min(CELL_PX - 1), (down as usize).min(CELL_PX - 1));
+        let pixel = v * CELL_PX + u;
+        match rim.node(pixel) {
+            None if rim.object >> pixel & 1 == 0 => self.past(spots.x[i], spots.y[i]),
             None => Sight::NONE,
             Some(node) => {
-                let step = right.phase - here.phase;
+                let (here, next) = (rim.phase[v][u], rim.phase[v][u + 1]);
+                let step = next - here;
                 // Across a step there is nothing to interpolate; NaN is no step either.
                 let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
-                Sight::of(node, here.phase + (x - x.floor()) * step - cast)
+                Sight::of(node, here + (right - right.floor()) * step - spots.cast[i])
             }
         }
     }
@@ -131,7 +138,7 @@ impl Witness {
         let margin = BACKGROUND_PX;
         let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
         let near =
-            |(a, b): (f32, f32)| self.cells.pixels.at(column(x + a + 0.5), column(y + b + 0.5)).0.is_object();
+            |(a, b): (f32, f32)| self.cells.glimpses.is_object(column(x + a + 0.5), column(y + b + 0.5));
         Sight { node: if around.into_iter().any(near) { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
     }
 

@@ -18,7 +18,7 @@ mod forest;
 mod segments;
 
 use super::pair::Pair;
-use super::runs::Runs;
+use super::runs::{Run, Runs};
 use super::simd;
 use crate::image::Plane;
 use costs::UNITS;
@@ -56,29 +56,18 @@ impl Default for Settings {
 /// What came of the forest.
 #[derive(Debug)]
 pub struct Unwrapped {
-    /// Absolute phase, rad; NaN where it is unresolved.
-    pub absolute: Plane<f32>,
-    /// The trees without a known order.
-    pub open: OpenTrees,
-    /// Pixels in trees without a known order.
-    pub refused_px: usize,
+    /// Absolute phase, rad; NaN where there is none.
+    pub phase: Plane<f32>,
+    /// Where it is known but for the order of its tree, which is not: rows, and stretches of them.
+    pub open: Vec<(u32, Run)>,
     /// Merges refused because the votes contradicted.
     pub contradictions: usize,
 }
 
-/// Pixels whose phase is known but for the order of the tree that they belong to.
-#[derive(Debug)]
-pub struct OpenTrees {
-    /// Phase within the tree, rad; meaningless where `tree` is 0.
-    pub relative: Plane<f32>,
-    /// Tree of each pixel, 0 where there is none; the numbers have no order.
-    pub tree: Plane<u32>,
-}
-
-impl OpenTrees {
-    /// No trees.
-    pub fn none(width: usize, height: usize) -> Self {
-        Self { relative: Plane::filled(width, height, 0.0), tree: Plane::filled(width, height, 0) }
+/// Takes away the phases that lack an order.
+pub fn refuse(phase: &mut Plane<f32>, open: &[(u32, Run)]) {
+    for (v, run) in open {
+        phase.row_mut(*v as usize)[run.columns()].fill(f32::NAN);
     }
 }
 
@@ -105,12 +94,8 @@ pub fn unwrap(
     for (known, phase) in known.as_mut_slice().iter_mut().zip(wrapped.as_slice()) {
         *known = u8::from(!phase.is_nan());
     }
-    let mut out = Unwrapped {
-        absolute: Plane::filled(width, height, f32::NAN),
-        open: OpenTrees::none(width, height),
-        refused_px: 0,
-        contradictions: 0,
-    };
+    let phase = Plane::filled(width, height, f32::NAN);
+    let mut out = Unwrapped { phase, open: Vec::new(), contradictions: 0 };
     let runs = Runs::of(&known);
     let input = Input { wrapped, period, misfit, anchor, runs: &runs };
     unwrap_into(&input, pair, settings, &mut Buffers::default(), &mut out);
@@ -132,7 +117,7 @@ pub struct Input<'a> {
     pub runs: &'a Runs,
 }
 
-/// [`unwrap`] in memory that is used again. `out` has the size of the planes, no phase and no tree.
+/// [`unwrap`] in memory that is used again. `out` has the size of the planes, and no phase.
 pub fn unwrap_into(
     input: &Input<'_>,
     pair: &Pair,
@@ -216,13 +201,11 @@ fn write(
                 node += 1;
             }
             let phases = wrapped.row(v)[columns.clone()].iter().zip(&turns.row(v)[columns.clone()]);
-            let to = if own.tree == 0 { &mut out.absolute } else { &mut out.open.relative };
-            for (to, (phase, &turns)) in to.row_mut(v)[columns.clone()].iter_mut().zip(phases) {
+            for (to, (phase, &turns)) in out.phase.row_mut(v)[columns.clone()].iter_mut().zip(phases) {
                 *to = phase + TAU * (own.turns + i32::from(turns)) as f32;
             }
             if own.tree != 0 {
-                out.refused_px += columns.len();
-                out.open.tree.row_mut(v)[columns].fill(own.tree);
+                out.open.push((v as u32, Run::new(columns.start, columns.end)));
             }
         }
     }
@@ -230,7 +213,7 @@ fn write(
 
 #[cfg(test)]
 mod tests {
-    use super::{Settings, Unwrapped, unwrap};
+    use super::{Settings, Unwrapped, refuse, unwrap};
     use crate::calibrate::Calibration;
     use crate::config::Rig;
     use crate::image::Plane;
@@ -261,7 +244,13 @@ mod tests {
             }
         }
         let (period, misfit) = (map(&|_| PERIOD), map(&|_| 0.0));
-        unwrap(&wrapped, &period, &misfit, &anchor, &pair, &Settings::default())
+        let mut found = unwrap(&wrapped, &period, &misfit, &anchor, &pair, &Settings::default());
+        refuse(&mut found.phase, &found.open);
+        found
+    }
+
+    fn refused_px(found: &Unwrapped) -> usize {
+        found.open.iter().map(|(_, run)| run.columns().len()).sum()
     }
 
     /// A tilted, gently curved surface that shows the marker near column 60.
@@ -282,10 +271,10 @@ mod tests {
         fn a_smooth_surface_is_unwrapped_whole(tilt in -0.4f32..0.4, curve in -0.0005f32..0.0005) {
             let truth = surface(tilt, curve);
             let found = run(&truth, 0..H);
-            for (found, truth) in found.absolute.as_slice().iter().zip(truth.as_slice()) {
+            for (found, truth) in found.phase.as_slice().iter().zip(truth.as_slice()) {
                 prop_assert!((found - truth).abs() < 1e-2, "{found} {truth}");
             }
-            prop_assert_eq!(found.refused_px, 0);
+            prop_assert_eq!(refused_px(&found), 0);
         }
 
         #[test]
@@ -298,14 +287,14 @@ mod tests {
             let found = run(&truth, 0..45);
             for v in 0..H {
                 for u in 0..W {
-                    let (found, truth) = (found.absolute.at(u, v), truth.at(u, v));
+                    let (found, truth) = (found.phase.at(u, v), truth.at(u, v));
                     prop_assert!(found.is_nan() || (found - truth).abs() < 1e-2, "({u}, {v})");
                     // Rows just before the step may go with it.
                     prop_assert!(found.is_nan() || v < 50, "({u}, {v})");
                     prop_assert!(!found.is_nan() || v >= 44, "({u}, {v})");
                 }
             }
-            prop_assert!(found.refused_px >= (H - 50) * W);
+            prop_assert!(refused_px(&found) >= (H - 50) * W);
         }
     }
 
@@ -319,15 +308,14 @@ mod tests {
         let found = run(&truth, 0..H);
         assert!(found.contradictions > 0);
         let wrong =
-            found.absolute.as_slice().iter().zip(truth.as_slice()).filter(|(a, b)| (*a - *b).abs() > 1.0);
+            found.phase.as_slice().iter().zip(truth.as_slice()).filter(|(a, b)| (*a - *b).abs() > 1.0);
         assert!(wrong.count() < 3 * W, "only the seam may be wrong");
     }
 
     #[test]
     fn without_a_marker_everything_is_refused() {
         let found = run(&surface(0.1, 0.0), 0..0);
-        assert!(found.absolute.as_slice().iter().all(|x| x.is_nan()));
-        assert_eq!(found.refused_px, W * H);
-        assert!(found.open.tree.as_slice().iter().all(|&tree| tree != 0));
+        assert!(found.phase.as_slice().iter().all(|x| x.is_nan()));
+        assert_eq!(refused_px(&found), W * H);
     }
 }

@@ -1,0 +1,228 @@
+//! A view's cells as other cameras look at them.
+//!
+//! Looks come from anywhere in the image and wait for memory. A cell that one node fills is a plane of 16 bytes, of which all stay
+//! in the cache; only the others, on outlines and at steps, keep their pixels, side by side.
+
+use super::cells::CELL_PX;
+use crate::reconstruct::runs::Runs;
+
+/// Cells around the region of interest in the grid that is looked at: beyond them there is nothing but background.
+pub const PAD_CELLS: usize = 3;
+
+/// Background must be as wide around a place, px: outlines are not sharp.
+pub const BACKGROUND_PX: f32 = 10.0;
+
+/// Cells of the padded grid along so many pixels.
+pub fn padded(px: usize) -> usize {
+    px.div_ceil(CELL_PX) + 2 * PAD_CELLS
+}
+
+/// What a cell is for those who look at it from elsewhere.
+#[derive(Debug, Clone, Copy)]
+pub struct Glimpse {
+    /// The node that fills it; or one of the following.
+    node: u32,
+    /// The phase of the node's plane at the cell's first pixel, rad.
+    pub phase: f32,
+    /// Its step from column to column, and from row to row, rad.
+    pub steps: [f32; 2],
+}
+
+/// What is seen in a cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Beside the object, and so is all within [`BACKGROUND_PX`].
+    Far,
+    /// Beside the object.
+    Near,
+    /// Pixels of several kinds: the place in [`Glimpses::rims`].
+    Rim(usize),
+    /// Nothing but this node.
+    Node(u32),
+}
+
+impl Glimpse {
+    const FAR: u32 = u32::MAX;
+    const NEAR: u32 = u32::MAX - 1;
+    /// From here on: places of rims.
+    const RIM: u32 = 1 << 31;
+
+    /// A cell that a node fills, as a plane.
+    #[inline(always)]
+    pub fn plane(node: u32, phase: f32, steps: [f32; 2]) -> Self {
+        Self { node, phase, steps }
+    }
+
+    const fn none(kind: u32) -> Self {
+        Self { node: kind, phase: f32::NAN, steps: [0.0; 2] }
+    }
+
+    /// What it shows.
+    #[inline(always)]
+    pub fn kind(&self) -> Kind {
+        match self.node {
+            Self::FAR => Kind::Far,
+            Self::NEAR => Kind::Near,
+            node if node >= Self::RIM => Kind::Rim((node - Self::RIM) as usize),
+            node => Kind::Node(node),
+        }
+    }
+}
+
+/// A cell whose pixels have to be asked.
+#[derive(Debug, Clone)]
+pub struct Rim {
+    /// A bit for each pixel of the object, row by row.
+    pub object: u64,
+    /// The first of its nodes.
+    pub first: u32,
+    /// For each pixel 0, or the number of its node among the cell's, from 1.
+    pub of: [u8; CELL_PX * CELL_PX],
+    /// Phases of its pixels, and of the first column of the next cell, rad; NaN where they are unknown.
+    pub phase: [[f32; CELL_PX + 1]; CELL_PX],
+}
+
+impl Rim {
+    /// The node of a pixel, row by row.
+    #[inline(always)]
+    pub fn node(&self, pixel: usize) -> Option<u32> {
+        u32::from(self.of[pixel % (CELL_PX * CELL_PX)]).checked_sub(1).map(|i| self.first + i)
+    }
+}
+
+/// All cells of a view, with [`PAD_CELLS`] around.
+#[derive(Debug)]
+pub struct Glimpses {
+    stride: usize,
+    rows: usize,
+    cells: Vec<Glimpse>,
+    /// Cells that no node fills, though they show the object.
+    pub rims: Vec<Rim>,
+}
+
+impl Glimpses {
+    /// Nothing but background, `width` times `height` pixels.
+    pub fn new(width: usize, height: usize) -> Self {
+        let (stride, rows) = (padded(width), padded(height));
+        Self { stride, rows, cells: vec![Glimpse::none(Glimpse::FAR); stride * rows], rims: Vec::new() }
+    }
+
+    /// The place of a cell of the region of interest in the padded grid.
+    #[inline(always)]
+    fn place(&self, column: usize, row: usize) -> usize {
+        (row + PAD_CELLS) * self.stride + column + PAD_CELLS
+    }
+
+    /// The cell at a place in the padded grid.
+    #[inline(always)]
+    pub fn at(&self, place: usize) -> Option<&Glimpse> {
+        self.cells.get(place)
+    }
+
+    /// Sets a cell that a node fills.
+    #[inline(always)]
+    pub fn set(&mut self, column: usize, row: usize, cell: Glimpse) {
+        let place = self.place(column, row);
+        self.cells[place] = cell;
+    }
+
+    /// Sets a cell whose pixels have to be asked.
+    pub fn set_rim(&mut self, column: usize, row: usize, rim: Rim) {
+        self.set(column, row, Glimpse::none(Glimpse::RIM + self.rims.len() as u32));
+        self.rims.push(rim);
+    }
+
+    /// The cell of column `u / CELL_PX` and row `v / CELL_PX`; beyond the grid there is nothing but background.
+    #[inline(always)]
+    fn of(&self, u: usize, v: usize) -> Kind {
+        let (column, row) = (u / CELL_PX, v / CELL_PX);
+        if column + PAD_CELLS >= self.stride || row + PAD_CELLS >= self.rows {
+            return Kind::Far;
+        }
+        self.cells[self.place(column, row)].kind()
+    }
+
+    /// Whether a pixel of the region of interest is on the object; none beyond it is.
+    #[inline(always)]
+    pub fn is_object(&self, u: usize, v: usize) -> bool {
+        match self.of(u, v) {
+            Kind::Far | Kind::Near => false,
+            Kind::Rim(place) => self
+                .rims
+                .get(place)
+                .is_some_and(|rim| rim.object >> (v % CELL_PX * CELL_PX + u % CELL_PX) & 1 != 0),
+            Kind::Node(_) => true,
+        }
+    }
+
+    /// The node of a pixel.
+    #[inline(always)]
+    pub fn node(&self, u: usize, v: usize) -> Option<u32> {
+        match self.of(u, v) {
+            Kind::Far | Kind::Near => None,
+            Kind::Rim(place) => self.rims.get(place)?.node(v % CELL_PX * CELL_PX + u % CELL_PX),
+            Kind::Node(node) => Some(node),
+        }
+    }
+
+    /// Marks the background around the object.
+    #[inline(always)]
+    pub fn blur_outlines(&mut self, runs: &Runs) {
+        const REACH: usize = (BACKGROUND_PX as usize).div_ceil(CELL_PX);
+        let stride = self.stride;
+        for row in 0..runs.height().div_ceil(CELL_PX) {
+            for column in super::cells::band(runs, row) {
+                let at = self.place(column, row);
+                if self.cells[at].node >= Glimpse::NEAR {
+                    continue;
+                }
+                for step in 1..=REACH {
+                    for other in [at - step, at + step, at - step * stride, at + step * stride] {
+                        let node = &mut self.cells[other].node;
+                        *node = if *node == Glimpse::FAR { Glimpse::NEAR } else { *node };
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Glimpse, Glimpses, Kind, Rim};
+    use crate::image::Plane;
+    use crate::reconstruct::runs::Runs;
+
+    #[test]
+    fn pixels_are_what_their_cells_say() {
+        // Three by two cells of 20 x 14 px: a node, a rim of two nodes with a hole, nothing.
+        let (w, h) = (20, 14);
+        let mut object = Plane::filled(w, h, 0u8);
+        (0..8).for_each(|v| object.row_mut(v)[..12].fill(1));
+        let mut glimpses = Glimpses::new(w, h);
+        glimpses.set(0, 0, Glimpse::plane(5, 0.0, [0.0; 2]));
+        let mut of = [0; 64];
+        for (i, of) in of.iter_mut().enumerate().filter(|x| x.0 % 8 < 4) {
+            *of = if i == 8 { 0 } else { 1 + u8::from(i >= 32) };
+        }
+        let columns = 0x0f0f_0f0f_0f0f_0f0f;
+        glimpses.set_rim(1, 0, Rim { object: columns, first: 6, of, phase: [[0.0; 9]; 8] });
+        glimpses.blur_outlines(&Runs::of(&object));
+        for v in 0..40 {
+            for u in 0..40 {
+                assert_eq!(glimpses.is_object(u, v), u < 12 && v < 8, "({u}, {v})");
+                let expected = match (u, v) {
+                    (..8, ..8) => Some(5),
+                    (8, 1) => None,
+                    (8..12, ..8) => Some(6 + u32::from(v >= 4)),
+                    _ => None,
+                };
+                assert_eq!(glimpses.node(u, v), expected, "({u}, {v})");
+            }
+        }
+        assert!(!glimpses.is_object(usize::MAX, 0) && !glimpses.is_object(0, usize::MAX / 2));
+        let kind = |column: usize, row: usize| glimpses.of(8 * column, 8 * row);
+        assert_eq!([kind(0, 0), kind(1, 0)], [Kind::Node(5), Kind::Rim(0)]);
+        assert_eq!([kind(2, 0), kind(0, 1), kind(2, 1)], [Kind::Near, Kind::Near, Kind::Far]);
+    }
+}
