@@ -72,11 +72,35 @@ impl Edge {
     const NODE: u32 = (1 << 30) - 1;
 
     #[inline(always)]
-    fn new(a: u32, b: u32, phases: [f32; 2]) -> Self {
+    fn new(a: usize, b: usize, key: Key) -> Self {
+        Self([a as u32 | u32::from(key.0 >> Key::TURNS) << 30, b as u32])
+    }
+}
+
+/// Where an edge belongs, in the lower bits, and one more than the turns that its second node has more.
+#[derive(Clone, Copy)]
+struct Key(u16);
+
+impl Key {
+    /// The first bit of the turns.
+    const TURNS: u32 = 13;
+    /// The bucket of edges that are not kept.
+    const NOT_KEPT: u16 = STEPS as u16;
+
+    /// The edge between two nodes, given by their steps and phases.
+    #[inline(always)]
+    fn new(kept: u8, steps: [u16; 2], phases: [f32; 2]) -> Self {
         // -1, 0 or 1: phases are wrapped.
         let step = phases[1] - phases[0];
-        let turns = i32::from(step <= -PI) - i32::from(step >= PI);
-        Self([a | ((turns + 1) as u32) << 30, b])
+        let turns = 1 + u16::from(step <= -PI) - u16::from(step >= PI);
+        let bucket = if kept != 0 { steps[0].max(steps[1]) } else { Self::NOT_KEPT };
+        Self(bucket | turns << Self::TURNS)
+    }
+
+    /// Quality step of its worse node, or [`Key::NOT_KEPT`].
+    #[inline(always)]
+    fn bucket(self) -> usize {
+        usize::from(self.0 & ((1 << Self::TURNS) - 1))
     }
 }
 
@@ -114,21 +138,56 @@ impl Nodes {
     /// The edges by falling quality; ties in the order of the pixels, that to the right before that down. The last one is
     /// none.
     fn edges_by_quality(&self, runs: &Runs) -> Vec<Edge> {
-        let kept = self.kept(runs);
-        // What is not kept goes to a place behind all others, which is not moved on: a branch would be as good as chance.
-        let bucket = |step: u16, kept: u8| if kept != 0 { usize::from(step) } else { STEPS };
-        let mut start = vec![0u32; STEPS + 2];
-        self.each_edge(&kept, runs, |step, kept, _, _| start[bucket(step, kept) + 1] += u32::from(kept));
-        for i in 0..STEPS {
-            start[i + 1] += start[i];
+        let keys = self.keys(runs);
+        let mut counts = [[0u32; STEPS + 1]; 2];
+        for (right, down) in keys[0].iter().zip(&keys[1]) {
+            counts[0][right.bucket()] += 1;
+            counts[1][down.bucket()] += 1;
         }
+        let mut start = [0u32; STEPS + 1];
+        for i in 0..STEPS {
+            start[i + 1] = start[i] + counts[0][i] + counts[1][i];
+        }
+        // What is not kept goes to a place behind all others, which is not moved on: a branch would be as good as chance.
         let mut edges = vec![Edge::default(); start[STEPS] as usize + 1];
-        self.each_edge(&kept, runs, |step, kept, a, b| {
-            let place = &mut start[bucket(step, kept)];
-            edges[*place as usize] = Edge::new(a as u32, b as u32, [self.phase[a], self.phase[b]]);
-            *place += u32::from(kept);
+        self.each_edge(&keys, runs, |key, a, b| {
+            let bucket = key.bucket();
+            edges[start[bucket] as usize] = Edge::new(a, b, key);
+            start[bucket] += u32::from(bucket != STEPS);
         });
         edges
+    }
+
+    /// Where the edges to the right and down of each node belong.
+    fn keys(&self, runs: &Runs) -> [Vec<Key>; 2] {
+        let [right, down] = self.kept(runs);
+        let mut keys = [(); 2].map(|()| vec![Key(Key::NOT_KEPT); self.step.len()]);
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                self.keys_beside(0, 1, &right, &mut keys[0]);
+                for v in 0..runs.height().saturating_sub(1) {
+                    self.each_overlap(
+                        v,
+                        runs,
+                        #[inline(always)]
+                        |a, b, n| self.keys_beside(a, b, &down[a..a + n], &mut keys[1][a..a + n]),
+                    );
+                }
+            },
+        );
+        keys
+    }
+
+    /// Keys of the edges from the nodes from `a` on to those from `b` on.
+    #[inline(always)]
+    fn keys_beside(&self, a: usize, b: usize, kept: &[u8], keys: &mut [Key]) {
+        let n = kept.len().min(self.step.len() - b);
+        let (kept, keys) = (&kept[..n], &mut keys[..n]);
+        let [from, to] = [a, b].map(|first| (&self.step[first..first + n], &self.phase[first..first + n]));
+        for i in 0..n {
+            keys[i] = Key::new(kept[i], [from.0[i], to.0[i]], [from.1[i], to.1[i]]);
+        }
     }
 
     /// Which of the edges to the right and down of each node may be taken. Of the four around a square of pixels the last
@@ -181,21 +240,14 @@ impl Nodes {
         }
     }
 
-    /// Calls `each` with the step of every edge, which is that of its worse node, whether it is kept, and its nodes.
+    /// Calls `each` with every edge: its key and its nodes.
     #[inline(always)]
-    fn each_edge(
-        &self,
-        [right, down]: &[Vec<u8>; 2],
-        runs: &Runs,
-        mut each: impl FnMut(u16, u8, usize, usize),
-    ) {
+    fn each_edge(&self, [right, down]: &[Vec<Key>; 2], runs: &Runs, mut each: impl FnMut(Key, usize, usize)) {
         let mut stretch = |from: usize, to: usize, apart: usize| {
             for a in from..to {
-                if a + 1 < self.step.len() {
-                    each(self.step[a].max(self.step[a + 1]), right[a], a, a + 1);
-                }
+                each(right[a], a, a + 1);
                 if apart != 0 {
-                    each(self.step[a].max(self.step[a + apart]), down[a], a, a + apart);
+                    each(down[a], a, a + apart);
                 }
             }
         };
