@@ -6,6 +6,7 @@
 
 use super::glimpse::{Glimpse, Glimpses, Rim};
 use crate::image::Plane;
+use crate::reconstruct::bits::gathered;
 use crate::reconstruct::runs::Runs;
 use crate::reconstruct::simd;
 use std::f32::consts::TAU;
@@ -22,6 +23,9 @@ const BORDER_RAD: f32 = 0.3;
 
 /// All pixels of a cell, a bit each, row by row.
 const ALL: u64 = !0;
+
+/// The first row of a cell's bits.
+const FIRST_ROW: u64 = 0xff;
 
 /// The first column of a cell's bits.
 const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
@@ -151,9 +155,10 @@ impl Cells {
                 #[inline(always)]
                 |u, v| v > 0 && (phase[v][u] - phase[v.max(1) - 1][u]).abs() < INNER_RAD,
             );
+            let smooth = known == ALL && right == !FIRST_COLUMN && down == !FIRST_ROW;
             let mut rest = known;
             while rest != 0 {
-                let mask = flood(rest & rest.wrapping_neg(), right, down);
+                let mask = if smooth { ALL } else { flood(rest & rest.wrapping_neg(), right, down) };
                 rest &= !mask;
                 let (inner_right, inner_down) =
                     (mask & (mask << 1) & !FIRST_COLUMN, mask & (mask << CELL_PX));
@@ -382,13 +387,13 @@ pub fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
 /// A bit for every pixel (u, v) of a cell.
 #[inline(always)]
 fn bits(is: impl Fn(usize, usize) -> bool) -> u64 {
-    let mut rows = [0u8; CELL_PX];
-    for (v, row) in rows.iter_mut().enumerate() {
+    let mut ones = [0u8; CELL_PX * CELL_PX];
+    for v in 0..CELL_PX {
         for u in 0..CELL_PX {
-            *row |= u8::from(is(u, v)) << u;
+            ones[v * CELL_PX + u] = u8::from(is(u, v));
         }
     }
-    u64::from_le_bytes(rows)
+    gathered(&ones)
 }
 
 /// All pixels that hang together with some: `right` and `down` tell which continue the one to their left and above.
@@ -429,6 +434,12 @@ fn middle(mask: u64) -> usize {
 fn mean(mask: u64, value: impl Fn(usize, usize) -> f32) -> f32 {
     let mut sums = [0f32; CELL_PX];
     for (v, bits) in mask.to_le_bytes().into_iter().enumerate() {
+        if bits == u8::MAX {
+            for (u, sum) in sums.iter_mut().enumerate() {
+                *sum += value(u, v);
+            }
+            continue;
+        }
         for (u, sum) in sums.iter_mut().enumerate() {
             *sum += if bits >> u & 1 != 0 { value(u, v) } else { 0.0 };
         }
@@ -469,6 +480,16 @@ fn turns(rest: f32) -> (i32, bool) {
 /// The border of two nodes by what their eight pixel pairs say.
 #[inline(always)]
 fn border(a: u32, b: u32, rest: [f32; CELL_PX]) -> Border {
+    // Nearly everywhere all say the same.
+    let (first, _) = turns(rest[0]);
+    let mut same = true;
+    for rest in rest {
+        let (turns, good) = turns(rest);
+        same &= good & (turns == first);
+    }
+    if same {
+        return Border { a, b, turns: first, good: CELL_PX as u32, bad: 0 };
+    }
     let mut counts = [(0i32, 0u32); CELL_PX];
     let mut kinds = 0;
     for rest in rest {

@@ -69,6 +69,8 @@ pub struct View<'a> {
     pub turns: Vec<i32>,
     /// What the other cameras say of each node, as of the last time that it was tried.
     pub words: Vec<Words>,
+    /// Turns and words of each node as of the last check.
+    checked: Vec<(i32, Words)>,
     /// Turns that were contradicted in this round: node, turns.
     pub banned: Vec<Vec<i32>>,
     /// What the cameras have at its places.
@@ -141,6 +143,7 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
         graph: &scene.graph,
         turns: (0..n).map(order).collect(),
         words: vec![Words::default(); n],
+        checked: vec![(NONE, Words::default()); n],
         banned: vec![Vec::new(); n],
         sights: Sights::new(scenes, view),
         partnered,
@@ -273,12 +276,19 @@ pub const FIRM: i16 = 11;
 /// Tries all that has an order against all that has, and takes it from what is contradicted.
 fn check(scenes: &[Scene<'_>], views: &mut [View<'_>]) {
     let known = known(views);
+    let differs =
+        |view: &View<'_>| view.turns.iter().zip(&view.checked).map(|(is, was)| *is != was.0).collect();
+    let changed: Vec<Vec<bool>> = views.iter().map(differs).collect();
     views.par_iter_mut().zip(scenes).for_each(|(view, scene)| {
         for node in 0..view.turns.len() {
-            view.words[node] = match view.turns[node] {
-                NONE => Words::default(),
-                turns => view.sights.words(scenes, node, turns, &known),
-            };
+            let turns = view.turns[node];
+            if turns != NONE
+                && (view.checked[node].0 != turns || view.sights.may_differ(node, turns, &changed))
+            {
+                view.checked[node].1 = view.sights.words(scenes, node, turns, &known);
+            }
+            view.checked[node].0 = turns;
+            view.words[node] = if turns == NONE { Words::default() } else { view.checked[node].1 };
         }
         let sum = sums(view, &view.words);
         let gone = |&node: &usize| {

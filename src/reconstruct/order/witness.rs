@@ -147,6 +147,13 @@ impl Witness {
         if self.towards > 0.0 { turns > others } else { turns < others }
     }
 
+    /// The same as whether it agrees, lies before, or lies behind: without a branch.
+    #[inline(always)]
+    pub fn compare(&self, ahead: f32) -> [bool; 3] {
+        let (far, farther) = (ahead.abs() >= OTHER_RAD, (ahead > 0.0) == (self.towards > 0.0));
+        [ahead.abs() < SAME_RAD, far & farther, far & !farther]
+    }
+
     /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.
     pub fn judge(&self, ahead: f32) -> Verdict {
         if ahead.abs() < SAME_RAD {

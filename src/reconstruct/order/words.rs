@@ -2,7 +2,7 @@
 
 use super::grow::NONE;
 use super::settle::{Scene, look};
-use super::witness::{Sight, Verdict};
+use super::witness::Sight;
 use std::f32::consts::TAU;
 use std::ops::AddAssign;
 
@@ -82,6 +82,15 @@ impl Sights {
         judge(scenes, self.view, known, &self.seen[first..first + self.cameras])
     }
 
+    /// Whether words for a node at `turns` may differ from before, where those of `changed` have other turns than before.
+    pub fn may_differ(&self, node: usize, turns: i32, changed: &[Vec<bool>]) -> bool {
+        let Some(slot) = self.turns[node].iter().position(|x| *x == turns) else { return true };
+        let first = (node * SLOTS + slot) * self.cameras;
+        let seen = changed.iter().zip(&self.seen[first..first + self.cameras]);
+        let changes = seen.map(|(changed, sight)| changed.get(sight.node as usize).copied().unwrap_or(false));
+        self.inside[node][slot] && changes.fold(false, |any, changes| any | changes)
+    }
+
     /// Looks, and tells the slot that keeps it.
     fn look(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32) -> usize {
         let slot = usize::from(self.next[node]);
@@ -103,24 +112,17 @@ pub fn judge(scenes: &[Scene<'_>], view: usize, known: &[Vec<i32>], seen: &[Sigh
     let mut words = Words::default();
     for ((scene, known), sight) in scenes.iter().zip(known).zip(seen) {
         let witness = &scene.witness;
-        let partner = i16::from(witness.head == scenes[view].witness.head);
-        let (agrees, before, behind) = match sight.node {
-            Sight::NOTHING => continue,
-            // What faces away from another head's projector is dark for it.
-            Sight::PAST => (0, partner, 0),
-            node => match known[node as usize] {
-                NONE => continue,
-                turns => {
-                    let verdict = witness.judge(sight.ahead + TAU * turns as f32);
-                    let is = |x: Verdict| i16::from(verdict == x);
-                    (is(Verdict::Agrees), is(Verdict::Before), is(Verdict::Behind))
-                }
-            },
-        };
-        words.partner += agrees & partner;
-        words.heads += agrees & !partner & 1;
-        words.against += before;
-        words.hidden += behind & partner;
+        let partner = witness.head == scenes[view].witness.head;
+        // Nothing here depends on a branch: what the next camera says is as good as chance.
+        let turns = known.get(sight.node as usize).copied().unwrap_or(NONE);
+        let [agrees, before, behind] = witness.compare(sight.ahead + TAU * turns as f32);
+        let known = turns != NONE;
+        // What faces away from another head's projector is dark for it.
+        let past = (sight.node == Sight::PAST) & partner;
+        words.partner += i16::from(known & agrees & partner);
+        words.heads += i16::from(known & agrees & !partner);
+        words.against += i16::from(known & before | past);
+        words.hidden += i16::from(known & behind & partner);
     }
     words
 }
