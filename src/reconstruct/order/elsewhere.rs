@@ -178,7 +178,9 @@ impl Search<'_> {
                 let bad = words.against + words.hidden;
                 agree += u32::from(words.heads > bad);
                 against += u32::from(bad > words.good());
-                if i + 1 == FIRST_SAMPLES && agree == 0 {
+                // What is left cannot make it the best or the second.
+                let hopeless = agree as i32 - against as i32 + ((samples.len() - i - 1) as i32) <= second;
+                if hopeless || i + 1 == FIRST_SAMPLES && agree == 0 {
                     break;
                 }
             }

@@ -21,7 +21,7 @@ pub fn padded(px: usize) -> usize {
 #[derive(Debug, Clone, Copy)]
 pub struct Glimpse {
     /// The node that fills it; or one of the following.
-    node: u32,
+    pub node: u32,
     /// The phase of the node's plane at the cell's first pixel, rad.
     pub phase: f32,
     /// Its step from column to column, and from row to row, rad.
@@ -30,7 +30,7 @@ pub struct Glimpse {
 
 /// What is seen in a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+enum Kind {
     /// Beside the object, and so is all within [`BACKGROUND_PX`].
     Far,
     /// Beside the object.
@@ -42,10 +42,14 @@ pub enum Kind {
 }
 
 impl Glimpse {
-    const FAR: u32 = u32::MAX;
+    /// Beside the object, and so is all within [`BACKGROUND_PX`].
+    pub const FAR: u32 = u32::MAX;
+    /// Beside the object.
     const NEAR: u32 = u32::MAX - 1;
-    /// From here on: places of rims.
-    const RIM: u32 = 1 << 31;
+    /// From here on: places in [`Glimpses::rims`].
+    pub const RIM: u32 = 1 << 31;
+    /// What is not seen: a plane without a phase.
+    const UNSEEN: Self = Self::none(0);
 
     /// A cell that a node fills, as a plane.
     #[inline(always)]
@@ -57,9 +61,15 @@ impl Glimpse {
         Self { node: kind, phase: f32::NAN, steps: [0.0; 2] }
     }
 
+    /// Whether more has to be asked than the cell.
+    #[inline(always)]
+    pub fn is_vague(&self) -> bool {
+        (Self::RIM..Self::FAR).contains(&self.node)
+    }
+
     /// What it shows.
     #[inline(always)]
-    pub fn kind(&self) -> Kind {
+    fn kind(&self) -> Kind {
         match self.node {
             Self::FAR => Kind::Far,
             Self::NEAR => Kind::Near,
@@ -95,16 +105,19 @@ impl Rim {
 pub struct Glimpses {
     stride: usize,
     rows: usize,
+    /// Row by row, and one that stands for all that is not seen.
     cells: Vec<Glimpse>,
     /// Cells that no node fills, though they show the object.
-    pub rims: Vec<Rim>,
+    rims: Vec<Rim>,
 }
 
 impl Glimpses {
     /// Nothing but background, `width` times `height` pixels.
     pub fn new(width: usize, height: usize) -> Self {
         let (stride, rows) = (padded(width), padded(height));
-        Self { stride, rows, cells: vec![Glimpse::none(Glimpse::FAR); stride * rows], rims: Vec::new() }
+        let mut cells = vec![Glimpse::none(Glimpse::FAR); stride * rows + 1];
+        cells[stride * rows] = Glimpse::UNSEEN;
+        Self { stride, rows, cells, rims: Vec::new() }
     }
 
     /// The place of a cell of the region of interest in the padded grid.
@@ -113,10 +126,18 @@ impl Glimpses {
         (row + PAD_CELLS) * self.stride + column + PAD_CELLS
     }
 
-    /// The cell at a place in the padded grid.
+    /// The cell at a place in the padded grid; beyond it nothing is seen.
     #[inline(always)]
-    pub fn at(&self, place: usize) -> Option<&Glimpse> {
-        self.cells.get(place)
+    pub fn at(&self, place: u32) -> &Glimpse {
+        &self.cells[(place as usize).min(self.cells.len() - 1)]
+    }
+
+    /// The rim that a cell names.
+    pub fn rim(&self, cell: &Glimpse) -> Option<&Rim> {
+        match cell.kind() {
+            Kind::Rim(place) => self.rims.get(place),
+            Kind::Far | Kind::Near | Kind::Node(_) => None,
+        }
     }
 
     /// Sets a cell that a node fills.

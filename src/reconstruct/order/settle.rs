@@ -357,7 +357,18 @@ pub fn look_along(
 ) -> bool {
     scenes[view].lookout.look(line, fringes, |first, spots| {
         let scenes = &scenes[first..scenes.len().min(first + LANES)];
-        out.extend(scenes.iter().enumerate().map(|(i, scene)| scene.witness.see(spots, i)));
+        let (mut sights, mut vague) = ([Sight::NONE; LANES], 0u32);
+        for (i, (scene, sight)) in scenes.iter().zip(&mut sights).enumerate() {
+            let (seen, ask) = scene.witness.glance(spots, i);
+            *sight = seen;
+            vague |= u32::from(ask) << i;
+        }
+        while vague != 0 {
+            let i = vague.trailing_zeros() as usize;
+            sights[i] = scenes[i].witness.see_closely(spots, i);
+            vague &= vague - 1;
+        }
+        out.extend_from_slice(&sights[..scenes.len()]);
     })
 }
 

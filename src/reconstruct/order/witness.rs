@@ -6,7 +6,7 @@
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
 use super::cells::{CELL_PX, Cells};
-use super::glimpse::{BACKGROUND_PX, Kind, Rim};
+use super::glimpse::{BACKGROUND_PX, Glimpse};
 use super::lookout::Spots;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
@@ -97,26 +97,24 @@ impl Witness {
         Self { head, roi, cells, towards }
     }
 
-    /// What the camera has at one of `spots`.
+    /// What the camera has at one of `spots`, and whether it has to be asked [`closely`](Self::see_closely). Nothing here depends
+    /// on a branch: what the next camera has is as good as chance.
     #[inline(always)]
-    pub fn see(&self, spots: &Spots, i: usize) -> Sight {
-        let Some(cell) = self.cells.glimpses.at(spots.cell[i] as usize) else { return Sight::NONE };
-        match cell.kind() {
-            Kind::Far => Sight { node: Sight::PAST, ahead: 0.0 },
-            Kind::Near => self.past(spots.x[i], spots.y[i]),
-            Kind::Rim(place) => match self.cells.glimpses.rims.get(place) {
-                Some(rim) => self.see_closely(rim, spots, i),
-                None => Sight::NONE,
-            },
-            Kind::Node(node) => {
-                let seen = cell.phase + (spots.right[i] * cell.steps[0] + spots.down[i] * cell.steps[1]);
-                Sight::of(node, seen - spots.cast[i])
-            }
-        }
+    pub fn glance(&self, spots: &Spots, i: usize) -> (Sight, bool) {
+        let cell = self.cells.glimpses.at(spots.cell[i]);
+        let seen = cell.phase + (spots.right[i] * cell.steps[0] + spots.down[i] * cell.steps[1]);
+        let ahead = seen - spots.cast[i];
+        const { assert!(Sight::PAST == Glimpse::FAR) };
+        let unknown = ahead.is_nan() & (cell.node < Glimpse::RIM);
+        (Sight { node: if unknown { Sight::NOTHING } else { cell.node }, ahead }, cell.is_vague())
     }
 
-    /// The same where a cell's pixels have to be asked.
-    fn see_closely(&self, rim: &Rim, spots: &Spots, i: usize) -> Sight {
+    /// The same at outlines and steps, where pixels have to be asked.
+    pub fn see_closely(&self, spots: &Spots, i: usize) -> Sight {
+        let glimpses = &self.cells.glimpses;
+        let Some(rim) = glimpses.rim(glimpses.at(spots.cell[i])) else {
+            return self.past(spots.x[i], spots.y[i]);
+        };
         let (right, down) = (spots.right[i], spots.down[i] + 0.5);
         let (u, v) = ((right as usize).min(CELL_PX - 1), (down as usize).min(CELL_PX - 1));
         let pixel = v * CELL_PX + u;
