@@ -151,7 +151,7 @@ pub fn demodulate(
     out
 }
 
-/// [`demodulate`] for one row; `light` is memory to use.
+/// [`demodulate`] for one row, of which its runs are written; `light` is memory to use, of finite numbers.
 #[inline(always)]
 pub(super) fn demodulate_row(
     image: &[u8],
@@ -164,9 +164,6 @@ pub(super) fn demodulate_row(
 ) {
     let PhasorRow { c, s, mean, misfit } = out;
     sample::reserve(light, image.len());
-    for row in [&mut *c, &mut *s, &mut *mean, &mut *misfit] {
-        row.fill(0.0);
-    }
     for run in runs {
         let columns = run.columns();
         for (light, &x) in light[PAD + columns.start..].iter_mut().zip(&image[columns.clone()]) {
@@ -195,15 +192,11 @@ fn demodulate_block(
     sign: f32,
 ) -> [Lanes; 4] {
     let periods = &Periods::new(period);
-    let samples = [
-        sixths_beside(light, first, periods, -3.0),
-        sixths_beside(light, first, periods, -2.0),
-        sixths_beside(light, first, periods, -1.0),
-        sample::load(&light[PAD..], first),
-        sixths_beside(light, first, periods, 1.0),
-        sixths_beside(light, first, periods, 2.0),
-        sixths_beside(light, first, periods, 3.0),
-    ];
+    let [before_1, behind_1] = sample::both_sides(light, first, periods, 1.0 / 6.0);
+    let [before_2, behind_2] = sample::both_sides(light, first, periods, 2.0 / 6.0);
+    let [before_3, behind_3] = sample::both_sides(light, first, periods, 3.0 / 6.0);
+    let own = sample::load(&light[PAD..], first);
+    let samples = [before_3, before_2, before_1, own, behind_1, behind_2, behind_3];
     let [gain_s, gain_c] = gains.at(period);
     let [mut out_c, mut out_s, mut out_mean, mut out_misfit] = [[0f32; LANES]; 4];
     let (left, right) = (inside.0 as f32, inside.1 as f32);
@@ -221,13 +214,6 @@ fn demodulate_block(
         out_misfit[i] = if known { misfit } else { 0.0 };
     }
     [out_c, out_s, out_mean, out_misfit]
-}
-
-/// The light so many sixths of a period beside each pixel of a block. (Not a closure: that would be a function of its own,
-/// compiled for the narrowest processor.)
-#[inline(always)]
-fn sixths_beside(light: &[f32], first: usize, periods: &Periods, sixths: f32) -> Lanes {
-    sample::between(light, first, periods, sixths / 6.0, 0.0)
 }
 
 /// Mean light of the window, and the RMS of what offset, slope and fringe `c cos - s sin` leave, relative to

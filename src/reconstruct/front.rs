@@ -46,7 +46,9 @@ pub struct Buffers {
     bridged: [Vec<Vec<f32>>; 2],
     /// Lengths of the latter.
     sizes: Vec<Vec<f32>>,
+    /// Light of a row's pixels, and of their windows.
     light: Vec<f32>,
+    mean: Vec<f32>,
     /// Phases found so far.
     known: usize,
 }
@@ -96,13 +98,22 @@ impl Planes<f32> {
     }
 }
 
+/// What is wanted besides.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Keep {
+    /// The marker's energy.
+    pub energy: bool,
+    /// Light and misfit of 0 beside the runs, where they are any otherwise.
+    pub beside: bool,
+}
+
 /// Runs the front end on the part of a frame that holds the object; `object` is a mask of zeros and ones.
 pub(super) fn run(
     image: Mono8<'_>,
     object: &Plane<u8>,
     pair: &Pair,
     gains: &Gains,
-    keep_energy: bool,
+    keep: Keep,
     (buffers, planes, bytes): (&mut Buffers, &Planes<f32>, &Planes<u8>),
     clock: &mut Clock,
 ) -> Front {
@@ -113,7 +124,7 @@ pub(super) fn run(
         period_fast::measure(image, &runs, pair.period_px, &mut buffers.period, &mut period);
         runs
     });
-    let mut energy = keep_energy.then(Plane::default);
+    let mut energy = keep.energy.then(Plane::default);
     let (ridges, zone, zone_runs) = clock.time("marker", || {
         let ridges = marker::ridges(image, &runs, &period, pair, &mut buffers.marker, energy.as_mut());
         let mut zone = bytes.take(w, h);
@@ -124,6 +135,10 @@ pub(super) fn run(
     });
     let plane = || planes.take(w, h);
     let mut phasors = Phasors { c: plane(), s: plane(), mean: plane(), misfit: plane() };
+    if keep.beside {
+        phasors.mean.as_mut_slice().fill(0.0);
+        phasors.misfit.as_mut_slice().fill(0.0);
+    }
     let mut wrapped = plane();
     clock.time("phase", || {
         let (zone, zone_runs) = (&zone, &zone_runs);
@@ -168,12 +183,10 @@ impl Input<'_> {
         let reach = average.reach();
         for (rings, length) in [(&mut buffers.raw, 2 * reach + 1), (&mut buffers.bridged, BRIDGED)] {
             for ring in rings {
-                ring.resize(length, Vec::new());
-                ring.iter_mut().for_each(|row| row.resize(w, 0.0));
+                empty(ring, length, w);
             }
         }
-        buffers.sizes.resize(BRIDGED, Vec::new());
-        buffers.sizes.iter_mut().for_each(|row| row.resize(w, 0.0));
+        empty(&mut buffers.sizes, BRIDGED, w);
         buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
         for next in 0..h + reach + LATER {
@@ -183,11 +196,11 @@ impl Input<'_> {
             if let Some(v) = next.checked_sub(reach)
                 && v < h
             {
-                bridge(v, h, &average, self.zone_runs, buffers, phasors.misfit.row_mut(v));
+                let misfit = phasors.misfit.row_mut(v);
+                bridge(v, h, &average, (self.runs, self.zone_runs), buffers, misfit);
                 let Buffers { bridged: [c, s], sizes, .. } = &mut *buffers;
                 let row = v % BRIDGED;
-                // Beside the runs there is none.
-                sizes[row].fill(0.0);
+                clear(&mut sizes[row], self.runs, v, BRIDGED);
                 for run in self.runs.row(v) {
                     let columns = run.columns();
                     let out = &mut sizes[row][columns.clone()];
@@ -203,13 +216,15 @@ impl Input<'_> {
     /// Demodulates row `v` and takes off the bias of shading.
     #[inline(always)]
     fn demodulate(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors) {
-        let Buffers { raw: [c, s], light, .. } = buffers;
-        let at = v % c.len();
+        let Buffers { raw: [c, s], light, mean: known_mean, .. } = buffers;
+        let (at, length) = (v % c.len(), c.len());
+        clear(&mut c[at], self.runs, v, length);
+        clear(&mut s[at], self.runs, v, length);
         let (c, s, mean) = (&mut c[at][..], &mut s[at][..], phasors.mean.row_mut(v));
         let out = PhasorRow { c, s, mean, misfit: phasors.misfit.row_mut(v) };
         let (runs, period) = (self.runs.row(v), self.period.row(v));
         demodulate::demodulate_row(self.image.row(v), runs, period, self.gains, self.pair.sign, light, out);
-        shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, light);
+        shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, known_mean);
     }
 
     /// Averages row `v` with those around it, and takes its phases.
@@ -244,20 +259,42 @@ impl Input<'_> {
     }
 }
 
+/// Makes a ring of rows of zeros.
+fn empty(ring: &mut Vec<Vec<f32>>, length: usize, width: usize) {
+    ring.resize(length, Vec::new());
+    for row in ring {
+        row.clear();
+        row.resize(width, 0.0);
+    }
+}
+
+/// Clears what the row of a ring of so many rows, which is to become row `v`, holds of the one that it was: beside the
+/// runs there is nothing.
+#[inline(always)]
+fn clear(row: &mut [f32], runs: &Runs, v: usize, length: usize) {
+    if let Some(before) = v.checked_sub(length) {
+        runs.row(before).iter().for_each(|run| row[run.columns()].fill(0.0));
+    }
+}
+
 /// Row `v` of the phasors with the marker's means in its zone.
 #[inline(always)]
 fn bridge(
     v: usize,
     height: usize,
     average: &marker_phase::Average,
-    zone: &Runs,
+    (runs, zone): (&Runs, &Runs),
     buffers: &mut Buffers,
     misfit: &mut [f32],
 ) {
     let Buffers { raw: [raw_c, raw_s], bridged: [c, s], .. } = buffers;
     let (from, to, reach) = (v % raw_c.len(), v % BRIDGED, average.reach());
-    c[to].copy_from_slice(&raw_c[from]);
-    s[to].copy_from_slice(&raw_s[from]);
+    for (row, raw) in [(&mut c[to], &raw_c[from]), (&mut s[to], &raw_s[from])] {
+        clear(row, runs, v, BRIDGED);
+        for run in runs.row(v) {
+            row[run.columns()].copy_from_slice(&raw[run.columns()]);
+        }
+    }
     let whole = v >= reach && v + reach < height;
     let ring = Ring { c: raw_c, s: raw_s };
     for run in zone.row(v) {

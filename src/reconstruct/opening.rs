@@ -1,6 +1,6 @@
 //! Opening of what lies above a level by a square of five pixels, on rows of bits: 64 pixels a word.
 
-use super::runs::{Run, Runs};
+use super::runs::{Run, Runs, WORD, bits_above};
 use crate::image::Plane;
 
 /// Side of the square.
@@ -10,8 +10,6 @@ const SIDE: usize = 2 * HALF + 1;
 /// Pixels that it reaches to each side.
 const HALF: usize = 2;
 
-/// Pixels of a word.
-const WORD: usize = 64;
 
 /// Rows of bits that are used again from frame to frame.
 #[derive(Debug, Default)]
@@ -53,17 +51,14 @@ impl Opening {
 /// A bit for each pixel above `level`.
 #[inline(always)]
 fn above(row: &[u8], level: u8, bits: &mut [u64]) {
-    for (pixels, word) in row.chunks(WORD).zip(bits) {
-        let mut ones = [0u8; WORD];
-        for (one, &x) in ones.iter_mut().zip(pixels) {
-            *one = u8::from(x > level);
-        }
-        *word = 0;
-        for (k, eight) in ones.as_chunks::<8>().0.iter().enumerate() {
-            // Bit i of the product's highest byte is byte i.
-            let byte = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-            *word |= byte << (8 * k);
-        }
+    let (words, rest) = row.as_chunks::<WORD>();
+    for (pixels, word) in words.iter().zip(&mut *bits) {
+        *word = bits_above(pixels, level);
+    }
+    if let Some(word) = bits.get_mut(words.len()) {
+        let mut pixels = [0; WORD];
+        pixels[..rest.len()].copy_from_slice(rest);
+        *word = bits_above(&pixels, level);
     }
 }
 

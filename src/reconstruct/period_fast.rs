@@ -7,7 +7,7 @@
 //! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
 
 use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
-use super::runs::{Run, Runs};
+use super::runs::{Run, Runs, WORD, bits_of};
 use super::simd;
 use crate::image::{Mono8, Plane};
 
@@ -17,9 +17,6 @@ const LIGHT_PERIODS: f32 = 1.3;
 
 /// Steps of a pixel in which distances are summed.
 const STEPS: f32 = 4096.0;
-
-/// Pixels whose sides are looked at as bits of a word.
-const WORD: usize = 64;
 
 /// Bits of a sum that count how many distances it has; above are the distances.
 const COUNT_BITS: u32 = 8;
@@ -243,7 +240,7 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let mut before = u64::from(sides[0] & ABOVE);
     let (mut settled, mut seen) = (None, 0);
     for (k, word) in sides.as_chunks::<WORD>().0.iter().enumerate() {
-        let [above, mut far] = [bits(word, ABOVE), bits(word, FAR)];
+        let (above, mut far) = (bits_of(word, ABOVE), bits_of(word, FAR));
         let mut changes = above ^ (above << 1 | before);
         loop {
             let end = changes.trailing_zeros();
@@ -262,18 +259,6 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
             (before, seen) = (before ^ 1, k * WORD + end as usize);
         }
     }
-}
-
-/// A bit for each byte that has those of `mask`, which are one bit.
-#[inline(always)]
-fn bits(bytes: &[u8; WORD], mask: u8) -> u64 {
-    let mut out = 0;
-    for (k, eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
-        let ones = u64::from_le_bytes(*eight) >> mask.trailing_zeros() & 0x0101_0101_0101_0101;
-        // Bit i of the product's highest byte is byte i.
-        out |= ones.wrapping_mul(0x0102_0408_1020_4080) >> 56 << (8 * k);
-    }
-    out
 }
 
 /// Mean of the known values in the box around each pixel of a row's runs, from the ring of rows.

@@ -377,7 +377,8 @@ impl Pipeline {
         let image = Mono8::from(image);
         let mut buffers = BUFFERS.take();
         let memory = (&mut buffers.front, &PLANES, &BYTES);
-        let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
+        let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
+        let front = front::run(image, object, pair, &self.gains, keep, memory, clock);
         let Front { runs, period, phasors, wrapped, zone, mut marker, energy, known } = front;
         counts.object = runs.area();
         counts.marker = clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));

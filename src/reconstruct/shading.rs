@@ -70,9 +70,12 @@ pub(super) fn correct_row(
     let span = first.start()..last.end();
     sample::reserve(light, mean.len());
     light[span.start..span.end + 2 * PAD + LANES].fill(f32::NAN);
-    let known = mean[span.clone()].iter().zip(&skip[span.clone()]);
-    for (light, (&mean, &skip)) in light[PAD + span.start..].iter_mut().zip(known) {
-        *light = if (mean > 0.0) & (skip == 0) { mean } else { f32::NAN };
+    for run in runs {
+        let columns = run.columns();
+        let known = mean[columns.clone()].iter().zip(&skip[columns.clone()]);
+        for (light, (&mean, &skip)) in light[PAD + columns.start..].iter_mut().zip(known) {
+            *light = if (mean > 0.0) & (skip == 0) { mean } else { f32::NAN };
+        }
     }
     for run in runs {
         for first in run.columns().step_by(LANES) {
