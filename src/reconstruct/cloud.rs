@@ -192,7 +192,8 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
 }
 
 fn reserve(cloud: &mut Cloud, points: usize, sigma: bool) {
-    // Lanes are appended sixteen at a time.
+    // Lanes are appended sixteen at a time, and cut where fewer are good.
+    let points = points + LANES;
     cloud.position_m.reserve_exact(points);
     cloud.normal.reserve_exact(points);
     cloud.intensity.reserve_exact(points);
@@ -329,8 +330,14 @@ fn append_good(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u
         pixel[count] = [u + i as u16, v];
         count += usize::from(oriented.good[i]);
     }
-    cloud.position_m.extend_from_slice(&position[..count]);
-    cloud.normal.extend_from_slice(&normal[..count]);
-    cloud.intensity.extend_from_slice(&bright[..count]);
-    cloud.pixel.extend_from_slice(&pixel[..count]);
+    // All of them, less those that are none: copies of so many would be calls.
+    let points = cloud.position_m.len() + count;
+    cloud.position_m.extend_from_slice(&position);
+    cloud.normal.extend_from_slice(&normal);
+    cloud.intensity.extend_from_slice(&bright);
+    cloud.pixel.extend_from_slice(&pixel);
+    cloud.position_m.truncate(points);
+    cloud.normal.truncate(points);
+    cloud.intensity.truncate(points);
+    cloud.pixel.truncate(points);
 }

@@ -35,6 +35,9 @@ const MAX_BEND_ROWS: f32 = 1.0;
 /// Columns beyond the ends of a row that may be asked for; no period is longer.
 const PAD: usize = 64;
 
+/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
+const ROUND: f32 = 12_582_912.0;
+
 thread_local! {
     static SUPPORT: RefCell<Support> = RefCell::default();
 }
@@ -106,18 +109,13 @@ fn correct_run(
         for i in 0..LANES {
             k[i] = columns(period[i]);
         }
-        let (before, behind) = beside(row, first + PAD, &k);
+        let Beside { before, behind, share } = beside(row, first + PAD, &k);
         let (mut wide, mut bias) = ([0f32; LANES], [0f32; LANES]);
         let mut steep = 0u32;
         for i in 0..LANES {
             wide[i] = before[i] - 2.0 * x[i] + behind[i];
-            let stretch = period[i] / k[i] as f32;
-            let power = c[i] * c[i] + s[i] * s[i];
-            let length = power.sqrt();
-            let noise = 6.0 * NOISE_RAD_DN / if length < 3.0 { 3.0 } else { length };
-            // cos 2 phi = cos^2 - sin^2.
-            let per_bend =
-                MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / if power < 1.0 { 1.0 } else { power };
+            let stretch = period[i] * share[i];
+            let (noise, per_bend) = noise_and_bias(c[i], s[i]);
             let smooth = wide[i].abs() < 4.0 * MAX_BEND;
             let bend = if smooth { shrunk(wide[i] * stretch * stretch, noise) / 4.0 } else { 0.0 };
             let along = above[i] - 2.0 * x[i] + below[i];
@@ -128,9 +126,7 @@ fn correct_run(
         }
         if steep != 0 {
             for i in (0..count).filter(|&i| !x[i].is_nan() && !(wide[i].abs() < 4.0 * MAX_BEND)) {
-                let power = c[i] * c[i] + s[i] * s[i];
-                let noise = 6.0 * NOISE_RAD_DN / power.sqrt().max(3.0);
-                let per_bend = MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / power.max(1.0);
+                let (noise, per_bend) = noise_and_bias(c[i], s[i]);
                 bias[i] += per_bend * bend_beside(row, first + i + PAD, x[i], period[i], noise);
             }
         }
@@ -142,14 +138,33 @@ fn correct_run(
     }
 }
 
+/// Noise of a phase, rad, and the formula's bias per bend.
+#[inline(always)]
+fn noise_and_bias(c: f32, s: f32) -> (f32, f32) {
+    let power = c * c + s * s;
+    let power = if power < 9.0 { 9.0 } else { power };
+    // One quotient for both: the length is the power over it. cos 2 phi = cos^2 - sin^2.
+    let per_power = 1.0 / power;
+    (6.0 * NOISE_RAD_DN * power.sqrt() * per_power, MEAN - RIPPLE * (c * c - s * s) * per_power)
+}
+
+/// What lies some columns before and behind each pixel of a block.
+struct Beside {
+    before: Lanes,
+    behind: Lanes,
+    /// One over the number of these columns.
+    share: Lanes,
+}
+
 /// The values `k` columns before and behind each pixel of a block.
 #[inline(always)]
-fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> (Lanes, Lanes) {
+fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> Beside {
     let (mut least, mut most) = (k[0], k[0]);
     for &k in k {
         (least, most) = (least.min(k), most.max(k));
     }
-    let (mut before, mut behind) = ([0f32; LANES], [0f32; LANES]);
+    let (mut before, mut behind, mut share) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
+    let shares = [1.0 / least as f32, 1.0 / most as f32];
     if most - least <= 1 {
         let (low, high) = (least as usize, most as usize);
         let near = (sample::load(row, first - low), sample::load(row, first + low));
@@ -158,23 +173,28 @@ fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> (Lanes, Lanes) {
             let choose = |near: f32, far: f32| if k[i] == least { near } else { far };
             before[i] = choose(near.0[i], far.0[i]);
             behind[i] = choose(near.1[i], far.1[i]);
+            share[i] = choose(shares[0], shares[1]);
         }
     } else {
         for i in 0..LANES {
+            share[i] = 1.0 / k[i] as f32;
             let k = k[i] as usize;
             before[i] = row[first + i - k];
             // A block may reach beyond the row's end: what is there is nobody's.
             behind[i] = row.get(first + i + k).copied().unwrap_or(f32::NAN);
         }
     }
-    (before, behind)
+    Beside { before, behind, share }
 }
 
 /// A period in whole columns.
 #[inline(always)]
 fn columns(period: f32) -> i32 {
-    // Not 0 for NaN or nothing, either. Not as `usize`, which the compiler makes no vectors of.
-    ((period + 0.5) as i32).clamp(1, PAD as i32)
+    // Not 0 for NaN or nothing, either.
+    let period = if period > 1.0 { period } else { 1.0 };
+    let period = if period < PAD as f32 { period } else { PAD as f32 };
+    // From its bits: a conversion has to care for numbers that are not here.
+    (period + ROUND).to_bits() as i32 - ROUND.to_bits() as i32
 }
 
 /// Second difference of the phase over half a period to each side, less the noise, where that over a whole one is of

@@ -44,8 +44,8 @@ pub struct Buffers {
     /// C and S of each row as demodulated, and with the marker's means.
     raw: [Vec<Vec<f32>>; 2],
     bridged: [Vec<Vec<f32>>; 2],
-    /// Lengths of the latter.
-    sizes: Vec<Vec<f32>>,
+    /// The latter with a length of 1, and their lengths.
+    units: [Vec<Vec<f32>>; 3],
     /// Light of a row's pixels, and of their windows.
     light: Vec<f32>,
     mean: Vec<f32>,
@@ -186,7 +186,7 @@ impl Input<'_> {
                 empty(ring, length, w);
             }
         }
-        empty(&mut buffers.sizes, BRIDGED, w);
+        buffers.units.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
         buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
         for next in 0..h + reach + LATER {
@@ -198,13 +198,16 @@ impl Input<'_> {
             {
                 let misfit = phasors.misfit.row_mut(v);
                 bridge(v, h, &average, (self.runs, self.zone_runs), buffers, misfit);
-                let Buffers { bridged: [c, s], sizes, .. } = &mut *buffers;
+                let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], .. } = &mut *buffers;
                 let row = v % BRIDGED;
-                clear(&mut sizes[row], self.runs, v, BRIDGED);
+                let (unit_c, unit_s, length) = (&mut unit_c[row], &mut unit_s[row], &mut length[row]);
+                clear(unit_c, self.runs, v, BRIDGED);
+                clear(unit_s, self.runs, v, BRIDGED);
+                clear(length, self.runs, v, BRIDGED);
                 for run in self.runs.row(v) {
-                    let columns = run.columns();
-                    let out = &mut sizes[row][columns.clone()];
-                    demodulate::sizes(&c[row][columns.clone()], &s[row][columns], out);
+                    let at = run.columns();
+                    let out = [&mut unit_c[at.clone()], &mut unit_s[at.clone()], &mut length[at.clone()]];
+                    demodulate::units(&c[row][at.clone()], &s[row][at], out);
                 }
             }
             if let Some(v) = next.checked_sub(reach + LATER) {
@@ -230,12 +233,13 @@ impl Input<'_> {
     /// Averages row `v` with those around it, and takes its phases.
     #[inline(always)]
     fn finish(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
-        let Buffers { bridged: [c, s], sizes, known, .. } = buffers;
+        let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], known, .. } = buffers;
         let Phasors { c: out_c, s: out_s, misfit, .. } = phasors;
         let rows = |v: usize| {
             let row = v % BRIDGED;
-            [&c[row][..], &s[row][..], &sizes[row][..], misfit.row(v)]
+            [&unit_c[row][..], &unit_s[row][..], &length[row][..], misfit.row(v)]
         };
+        let own = [&c[v % BRIDGED][..], &s[v % BRIDGED][..]];
         let reach = demodulate::row_reach(v, misfit.height());
         let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
         let (out_c, out_s) = (out_c.row_mut(v), out_s.row_mut(v));
@@ -244,7 +248,8 @@ impl Input<'_> {
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
                 let count = LANES.min(run.end() - first);
-                let [c, s] = demodulate::average_block(rows(v), &pairs[..reach], self.zone.row(v), first);
+                let [c, s] =
+                    demodulate::average_block(own, rows(v), &pairs[..reach], self.zone.row(v), first);
                 let mut phases = [0.0; LANES];
                 for i in 0..LANES {
                     phases[i] = demodulate::phase(c[i], s[i]);

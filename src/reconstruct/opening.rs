@@ -10,7 +10,6 @@ const SIDE: usize = 2 * HALF + 1;
 /// Pixels that it reaches to each side.
 const HALF: usize = 2;
 
-
 /// Rows of bits that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub(super) struct Opening {

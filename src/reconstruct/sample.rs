@@ -39,7 +39,13 @@ pub(super) fn load(row: &[f32], first: usize) -> Lanes {
 pub(super) fn store(row: &mut [f32], first: usize, count: usize, lanes: &Lanes) {
     match row[first..].first_chunk_mut() {
         Some(all) if count == LANES => *all = *lanes,
-        _ => row[first..first + count].copy_from_slice(&lanes[..count]),
+        // A choice for each: a copy of so many would be a call.
+        Some(all) => {
+            for i in 0..LANES {
+                all[i] = if i < count { lanes[i] } else { all[i] };
+            }
+        }
+        None => row[first..first + count].copy_from_slice(&lanes[..count]),
     }
 }
 
