@@ -6,11 +6,12 @@
 //! by `phi_vv (n^2 - 1) / 24`: on a fore-arm 0.1 mm, the larger part of the error that is left there. Both second
 //! derivatives are taken from the absolute phase itself over a wider base and the bias is taken off.
 
-use super::demodulate::Phasors;
+use super::angle;
 use super::runs::{Run, Runs};
 use super::sample::{self, LANES, Lanes};
 use super::simd;
 use super::support::Support;
+use super::windows::{self, Windows};
 use crate::image::Plane;
 use std::cell::RefCell;
 
@@ -42,12 +43,12 @@ thread_local! {
     static SUPPORT: RefCell<Support> = RefCell::default();
 }
 
-/// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phasors are means of `rows` rows, of
+/// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phases are means of `rows` rows, of
 /// `marker_rows` where `zone` is not zero.
 pub fn correct(
     absolute: &mut Plane<f32>,
     runs: &Runs,
-    phasors: &Phasors,
+    windows: &Windows,
     period: &Plane<f32>,
     zone: &Plane<u8>,
     (rows, marker_rows): (f32, f32),
@@ -67,13 +68,13 @@ pub fn correct(
                         runs,
                         #[inline(always)]
                         |v, run, phase, to| {
-                            let misfit = &phasors.misfit.row(v)[run.columns()];
+                            let misfit = &windows.misfit.row(v)[run.columns()];
                             for ((to, &phase), &misfit) in to.iter_mut().zip(phase).zip(misfit) {
                                 *to = if misfit > MAX_MISFIT { f32::NAN } else { phase };
                             }
                         },
                     );
-                    let rows = [phasors.c.row(v), phasors.s.row(v), period.row(v)];
+                    let rows = (windows.strength.row(v), period.row(v));
                     let support = [0, REACH_ROWS, 2 * REACH_ROWS].map(|below| support.row(v, below));
                     for run in runs.row(v) {
                         correct_run(absolute.row_mut(v), run, support, rows, zone.row(v), weight);
@@ -90,20 +91,16 @@ fn correct_run(
     phase: &mut [f32],
     run: &Run,
     [above, row, below]: [&[f32]; 3],
-    [c, s, period]: [&[f32]; 3],
+    (strength, period): (&[u16], &[f32]),
     zone: &[u8],
     weight: [f32; 2],
 ) {
     for first in run.columns().step_by(LANES) {
         let count = LANES.min(run.end() - first);
         let x = sample::load(phase, first);
-        let (c, s, period) = (sample::load(c, first), sample::load(s, first), sample::load(period, first));
+        let (strength, period) = (sample::load(strength, first), sample::load(period, first));
         let (above, below) = (sample::load(above, first + PAD), sample::load(below, first + PAD));
-        let mut marked = [0u8; LANES];
-        match zone[first..].first_chunk() {
-            Some(all) => marked = *all,
-            None => marked[..zone.len() - first].copy_from_slice(&zone[first..]),
-        }
+        let marked = sample::load(zone, first);
         // The slope along the row has no part in a difference to both sides: whole columns do.
         let mut k = [0i32; LANES];
         for i in 0..LANES {
@@ -115,7 +112,7 @@ fn correct_run(
         for i in 0..LANES {
             wide[i] = before[i] - 2.0 * x[i] + behind[i];
             let stretch = period[i] * share[i];
-            let (noise, per_bend) = noise_and_bias(c[i], s[i]);
+            let (noise, per_bend) = noise_and_bias(strength[i], x[i]);
             let smooth = wide[i].abs() < 4.0 * MAX_BEND;
             let bend = if smooth { shrunk(wide[i] * stretch * stretch, noise) / 4.0 } else { 0.0 };
             let along = above[i] - 2.0 * x[i] + below[i];
@@ -126,7 +123,7 @@ fn correct_run(
         }
         if steep != 0 {
             for i in (0..count).filter(|&i| !x[i].is_nan() && !(wide[i].abs() < 4.0 * MAX_BEND)) {
-                let (noise, per_bend) = noise_and_bias(c[i], s[i]);
+                let (noise, per_bend) = noise_and_bias(strength[i], x[i]);
                 bias[i] += per_bend * bend_beside(row, first + i + PAD, x[i], period[i], noise);
             }
         }
@@ -140,12 +137,10 @@ fn correct_run(
 
 /// Noise of a phase, rad, and the formula's bias per bend.
 #[inline(always)]
-fn noise_and_bias(c: f32, s: f32) -> (f32, f32) {
-    let power = c * c + s * s;
-    let power = if power < 9.0 { 9.0 } else { power };
-    // One quotient for both: the length is the power over it. cos 2 phi = cos^2 - sin^2.
-    let per_power = 1.0 / power;
-    (6.0 * NOISE_RAD_DN * power.sqrt() * per_power, MEAN - RIPPLE * (c * c - s * s) * per_power)
+fn noise_and_bias(strength: u16, phase: f32) -> (f32, f32) {
+    let amplitude = windows::amplitude(strength);
+    let noise = NOISE_RAD_DN / if amplitude < 0.5 { 0.5 } else { amplitude };
+    (noise, MEAN - RIPPLE * angle::cos_of_double(phase))
 }
 
 /// What lies some columns before and behind each pixel of a block.
@@ -220,6 +215,7 @@ mod tests {
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::demodulate::{Gains, ROWS, average_rows, demodulate, wrapped};
     use crate::reconstruct::runs::Runs;
+    use crate::reconstruct::windows::Windows;
     use std::f32::consts::TAU;
 
     const W: usize = 160;
@@ -252,7 +248,8 @@ mod tests {
             (squares.sum::<f32>() / 1280.0).sqrt()
         };
         let before = rms(&absolute);
-        correct(&mut absolute, &Runs::of(&mask), &phasors, &period, &none, (ROWS as f32, 12.0));
+        let runs = Runs::of(&mask);
+        correct(&mut absolute, &runs, &Windows::of(phasors, &runs), &period, &none, (ROWS as f32, 12.0));
         [before, rms(&absolute)]
     }
 

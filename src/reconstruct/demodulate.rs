@@ -341,11 +341,7 @@ pub(super) fn average_block(
         }
     }
     let mut out = [c, s];
-    let mut skipped = [0u8; LANES];
-    match skip[first..].first_chunk() {
-        Some(all) => skipped = *all,
-        None => skipped[..skip.len() - first].copy_from_slice(&skip[first..]),
-    }
+    let skipped = sample::load(skip, first);
     for i in 0..LANES {
         let known = (c[i] != 0.0) | (s[i] != 0.0);
         let least = MIN_COHERENCE * length[i];

@@ -4,13 +4,14 @@
 //! takes its means. That one demodulates row after row and keeps what the following stages look back at in rings of
 //! rows, which stay in the cache: only finished rows go to the planes.
 
-use super::demodulate::{self, Gains, PhasorRow, Phasors};
+use super::demodulate::{self, Gains, PhasorRow};
 use super::marker_phase::{self, Ring};
 use super::pair::Pair;
 use super::pipeline::Clock;
 use super::pool::Pool;
 use super::runs::Runs;
 use super::sample::{self, LANES};
+use super::windows::{self, Windows};
 use super::{marker, period_fast, shading, simd};
 use crate::image::{Mono8, Plane};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -22,8 +23,8 @@ pub struct Front {
     pub runs: Runs,
     /// Pm, px; 0 where it is unknown.
     pub period: Plane<f32>,
-    /// Phasors of Wm.
-    pub phasors: Phasors,
+    /// What is left of the windows of Wm.
+    pub windows: Windows,
     /// Wm, rad; NaN where it is unknown.
     pub wrapped: Plane<f32>,
     /// Around the marker: not 0.
@@ -46,9 +47,10 @@ pub struct Buffers {
     bridged: [Vec<Vec<f32>>; 2],
     /// The latter with a length of 1, and their lengths.
     units: [Vec<Vec<f32>>; 3],
-    /// Light of a row's pixels, and of their windows.
+    /// Light of a row's pixels, and of their windows, and that with room to either side.
     light: Vec<f32>,
     mean: Vec<f32>,
+    padded_mean: Vec<f32>,
     /// Phases found so far.
     known: usize,
 }
@@ -90,14 +92,6 @@ impl<T: Copy + Default> Planes<T> {
     }
 }
 
-impl Planes<f32> {
-    /// Gives the planes of phasors back.
-    pub(super) fn give_phasors(&self, phasors: Phasors) {
-        let Phasors { c, s, mean, misfit } = phasors;
-        [c, s, mean, misfit].into_iter().for_each(|plane| self.give(plane));
-    }
-}
-
 /// What is wanted besides.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Keep {
@@ -114,7 +108,7 @@ pub(super) fn run(
     pair: &Pair,
     gains: &Gains,
     keep: Keep,
-    (buffers, planes, bytes): (&mut Buffers, &Planes<f32>, &Planes<u8>),
+    (buffers, planes, words, bytes): (&mut Buffers, &Planes<f32>, &Planes<u16>, &Planes<u8>),
     clock: &mut Clock,
 ) -> Front {
     let (w, h) = (image.width(), image.height());
@@ -133,19 +127,19 @@ pub(super) fn run(
         marker_phase::bridge_period(&mut period, &zone_runs, pair.period_px);
         (ridges, zone, zone_runs)
     });
-    let plane = || planes.take(w, h);
-    let mut phasors = Phasors { c: plane(), s: plane(), mean: plane(), misfit: plane() };
+    let (strength, light) = (words.take(w, h), words.take(w, h));
+    let mut windows = Windows { strength, light, misfit: planes.take(w, h) };
     if keep.beside {
-        phasors.mean.as_mut_slice().fill(0.0);
-        phasors.misfit.as_mut_slice().fill(0.0);
+        windows.light.as_mut_slice().fill(0);
+        windows.misfit.as_mut_slice().fill(0.0);
     }
-    let mut wrapped = plane();
+    let mut wrapped = planes.take(w, h);
     clock.time("phase", || {
         let (zone, zone_runs) = (&zone, &zone_runs);
         let input = Input { image, runs: &runs, period: &period, zone, zone_runs, pair, gains };
         simd::dispatch(
             #[inline(always)]
-            || input.phases(buffers, &mut phasors, &mut wrapped),
+            || input.phases(buffers, &mut windows, &mut wrapped),
         );
     });
     let marker = clock.time("anchors", || {
@@ -160,7 +154,7 @@ pub(super) fn run(
         marker
     });
     let known = buffers.known;
-    Front { runs, period, phasors, wrapped, zone, marker, energy, known }
+    Front { runs, period, windows, wrapped, zone, marker, energy, known }
 }
 
 /// What the second pass reads.
@@ -177,7 +171,7 @@ struct Input<'a> {
 impl Input<'_> {
     /// The second pass: phasors and wrapped phases of all rows.
     #[inline(always)]
-    fn phases(&self, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut Plane<f32>) {
+    fn phases(&self, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut Plane<f32>) {
         let (w, h) = (self.image.width(), self.image.height());
         let average = marker_phase::Average::new(self.pair);
         let reach = average.reach();
@@ -187,16 +181,17 @@ impl Input<'_> {
             }
         }
         buffers.units.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
+        buffers.mean.resize(w, 0.0);
         buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
         for next in 0..h + reach + LATER {
             if next < h {
-                self.demodulate(next, buffers, phasors);
+                self.demodulate(next, buffers, windows);
             }
             if let Some(v) = next.checked_sub(reach)
                 && v < h
             {
-                let misfit = phasors.misfit.row_mut(v);
+                let misfit = windows.misfit.row_mut(v);
                 bridge(v, h, &average, (self.runs, self.zone_runs), buffers, misfit);
                 let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], .. } = &mut *buffers;
                 let row = v % BRIDGED;
@@ -211,30 +206,36 @@ impl Input<'_> {
                 }
             }
             if let Some(v) = next.checked_sub(reach + LATER) {
-                self.finish(v, buffers, phasors, wrapped.row_mut(v));
+                self.finish(v, buffers, windows, wrapped.row_mut(v));
             }
         }
     }
 
     /// Demodulates row `v` and takes off the bias of shading.
     #[inline(always)]
-    fn demodulate(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors) {
-        let Buffers { raw: [c, s], light, mean: known_mean, .. } = buffers;
+    fn demodulate(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows) {
+        let Buffers { raw: [c, s], light, mean, padded_mean, .. } = buffers;
         let (at, length) = (v % c.len(), c.len());
         clear(&mut c[at], self.runs, v, length);
         clear(&mut s[at], self.runs, v, length);
-        let (c, s, mean) = (&mut c[at][..], &mut s[at][..], phasors.mean.row_mut(v));
-        let out = PhasorRow { c, s, mean, misfit: phasors.misfit.row_mut(v) };
+        let (c, s, mean) = (&mut c[at][..], &mut s[at][..], &mut mean[..]);
+        let out = PhasorRow { c, s, mean, misfit: windows.misfit.row_mut(v) };
         let (runs, period) = (self.runs.row(v), self.period.row(v));
         demodulate::demodulate_row(self.image.row(v), runs, period, self.gains, self.pair.sign, light, out);
-        shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, known_mean);
+        shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, padded_mean);
+        for run in runs {
+            let light = &mut windows.light.row_mut(v)[run.columns()];
+            for (light, &mean) in light.iter_mut().zip(&mean[run.columns()]) {
+                *light = windows::light_steps(mean);
+            }
+        }
     }
 
     /// Averages row `v` with those around it, and takes its phases.
     #[inline(always)]
-    fn finish(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
+    fn finish(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut [f32]) {
         let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], known, .. } = buffers;
-        let Phasors { c: out_c, s: out_s, misfit, .. } = phasors;
+        let Windows { strength, misfit, .. } = windows;
         let rows = |v: usize| {
             let row = v % BRIDGED;
             [&unit_c[row][..], &unit_s[row][..], &length[row][..], misfit.row(v)]
@@ -242,20 +243,22 @@ impl Input<'_> {
         let own = [&c[v % BRIDGED][..], &s[v % BRIDGED][..]];
         let reach = demodulate::row_reach(v, misfit.height());
         let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
-        let (out_c, out_s) = (out_c.row_mut(v), out_s.row_mut(v));
-        // Nobody looks at phasors outside of the runs.
+        // Nobody looks at windows outside of the runs.
+        let strength = strength.row_mut(v);
         wrapped.fill(f32::NAN);
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
                 let count = LANES.min(run.end() - first);
                 let [c, s] =
                     demodulate::average_block(own, rows(v), &pairs[..reach], self.zone.row(v), first);
-                let mut phases = [0.0; LANES];
+                let (mut phases, mut lengths) = ([0.0; LANES], [0u16; LANES]);
                 for i in 0..LANES {
                     phases[i] = demodulate::phase(c[i], s[i]);
                 }
-                sample::store(out_c, first, count, &c);
-                sample::store(out_s, first, count, &s);
+                for i in 0..LANES {
+                    lengths[i] = windows::strength_steps(c[i], s[i]);
+                }
+                sample::store(strength, first, count, &lengths);
                 sample::store(wrapped, first, count, &phases);
             }
             let phases = &wrapped[run.columns()];

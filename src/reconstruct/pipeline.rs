@@ -1,6 +1,6 @@
 //! One frame to one directional cloud: the stages in their order, each timed.
 
-use super::demodulate::{Gains, Phasors};
+use super::demodulate::Gains;
 use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
 use super::order::Regions;
@@ -10,6 +10,7 @@ use super::roi::Roi;
 use super::runs::Runs;
 use super::triangulate::Triangulator;
 use super::unwrap::{OpenTrees, Unwrapped};
+use super::windows::Windows;
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, simd, uncertainty,
     unwrap, unwrap_paper,
@@ -113,6 +114,7 @@ struct Buffers {
 static BUFFERS: Pool<Buffers> = Pool::new();
 static PLANES: Planes<f32> = Planes::new();
 static TREES: Planes<u32> = Planes::new();
+static WORDS: Planes<u16> = Planes::new();
 static BYTES: Planes<u8> = Planes::new();
 
 /// Runs stages and keeps their times.
@@ -151,7 +153,7 @@ pub struct Prepared {
     pub counts: Counts,
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
-    phasors: Phasors,
+    windows: Windows,
     period: Plane<f32>,
     /// Around the marker: not 0.
     zone: Plane<u8>,
@@ -183,7 +185,7 @@ struct Resolved {
     marker: Plane<u8>,
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
-    phasors: Phasors,
+    windows: Windows,
     period: Plane<f32>,
     /// Around the marker: not 0.
     zone: Plane<u8>,
@@ -198,6 +200,7 @@ impl Pipeline {
         let camera = &triangulator.pair().camera;
         PLANES.make_room(camera.width * camera.height);
         TREES.make_room(camera.width * camera.height);
+        WORDS.make_room(camera.width * camera.height);
         BYTES.make_room(camera.width * camera.height);
         Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
@@ -261,7 +264,7 @@ impl Pipeline {
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
         BYTES.give(image);
-        let Resolved { absolute, open, marker, runs, phasors, period, zone, planes } = resolved;
+        let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = resolved;
         // Until all cameras are heard.
         let regions = Regions::default();
         Ok(Prepared {
@@ -274,7 +277,7 @@ impl Pipeline {
             object,
             counts,
             runs,
-            phasors,
+            windows,
             period,
             zone,
             planes,
@@ -291,7 +294,7 @@ impl Pipeline {
             regions,
             mut counts,
             runs,
-            phasors,
+            windows,
             period,
             zone,
             mut planes,
@@ -311,30 +314,30 @@ impl Pipeline {
                     &mut absolute,
                     &runs,
                     &period,
-                    &phasors,
+                    &windows,
                     pair.sign,
                     &absolute::Settings::default(),
                 )
             });
             clock.time("curvature", || {
                 let rows = (demodulate::ROWS as f32, pair.marker_period_px);
-                curvature::correct(&mut absolute, &runs, &phasors, &period, &zone, rows);
+                curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows);
             });
             counts.dropped += clock.time("edges", || {
                 let (settings, expected) = (edges::Settings::default(), expected.as_mut());
-                edges::refine(&mut absolute, &runs, &phasors, &period, &zone, pair.sign, &settings, expected)
+                edges::refine(&mut absolute, &runs, &windows, &period, &zone, pair.sign, &settings, expected)
             });
         }
         let doubts = expected.map(|expected| {
             let rows = pair.marker_period_px;
-            clock.time("uncertainty", || uncertainty::doubts(&absolute, &phasors, &expected, &zone, rows))
+            clock.time("uncertainty", || uncertainty::doubts(&absolute, &windows, &expected, &zone, rows))
         });
         let frame = (pair.camera.width, pair.camera.height);
         let map = clock.time("quantize", || {
             cloud::phase_map(
                 &absolute,
                 &runs,
-                &phasors.mean,
+                &windows.light,
                 doubts.as_ref(),
                 roi,
                 [frame.0 as u16, frame.1 as u16],
@@ -342,8 +345,9 @@ impl Pipeline {
         });
         let cloud = clock.time("points", || cloud::make(&self.table, &map));
         if self.method == Method::Anchored {
-            PLANES.give_phasors(phasors);
-            PLANES.give(period);
+            let Windows { strength, light, misfit } = windows;
+            [strength, light].into_iter().for_each(|plane| WORDS.give(plane));
+            [misfit, period].into_iter().for_each(|plane| PLANES.give(plane));
             PLANES.give(open.relative);
             TREES.give(open.tree);
             [marker, zone].into_iter().for_each(|plane| BYTES.give(plane));
@@ -376,10 +380,10 @@ impl Pipeline {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
         let mut buffers = BUFFERS.take();
-        let memory = (&mut buffers.front, &PLANES, &BYTES);
+        let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
         let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
         let front = front::run(image, object, pair, &self.gains, keep, memory, clock);
-        let Front { runs, period, phasors, wrapped, zone, mut marker, energy, known } = front;
+        let Front { runs, period, windows, wrapped, zone, mut marker, energy, known } = front;
         counts.object = runs.area();
         counts.marker = clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
@@ -393,7 +397,7 @@ impl Pipeline {
             };
             out.absolute.as_mut_slice().fill(f32::NAN);
             out.open.tree.as_mut_slice().fill(0);
-            let misfit = &phasors.misfit;
+            let misfit = &windows.misfit;
             let input =
                 unwrap::Input { wrapped: &wrapped, period: &period, misfit, anchor: &marker, runs: &runs };
             let settings = unwrap::Settings::default();
@@ -424,12 +428,12 @@ impl Pipeline {
                 ("Em", energy.unwrap_or_default()),
                 ("Mm", number(&marker)),
                 ("Um", unwrapped.absolute.clone()),
-                ("misfit", phasors.misfit.clone()),
+                ("misfit", windows.misfit.clone()),
             ];
         }
         PLANES.give(wrapped);
         let (absolute, open) = (unwrapped.absolute, unwrapped.open);
-        Resolved { absolute, open, marker, runs, phasors, period, zone, planes }
+        Resolved { absolute, open, marker, runs, windows, period, zone, planes }
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -449,7 +453,8 @@ impl Pipeline {
         let stability = clock.time("stability", || period::stability(period, &runs, pair.period_px));
         let phasors = clock
             .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
-        let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
+        let (wrapped, windows) =
+            clock.time("phase", || (demodulate::wrapped(&phasors), Windows::of(phasors, &runs)));
         counts.phase = known(&wrapped, &runs);
         let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
         let border = clock.time("border", || quality::border(object, &runs));
@@ -488,7 +493,7 @@ impl Pipeline {
         }
         let open = OpenTrees::none(absolute.width(), absolute.height());
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
-        Resolved { absolute, open, marker: segment, runs, phasors, period: periods.period, zone, planes }
+        Resolved { absolute, open, marker: segment, runs, windows, period: periods.period, zone, planes }
     }
 }
 

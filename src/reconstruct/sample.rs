@@ -23,11 +23,11 @@ pub(super) fn reserve(padded: &mut Vec<f32>, width: usize) {
 
 /// The block's part of a row that may end before the block does; 0 beyond.
 #[inline(always)]
-pub(super) fn load(row: &[f32], first: usize) -> Lanes {
+pub(super) fn load<T: Copy + Default>(row: &[T], first: usize) -> [T; LANES] {
     match row[first..].first_chunk() {
         Some(lanes) => *lanes,
         None => {
-            let mut lanes = [0.0; LANES];
+            let mut lanes = [T::default(); LANES];
             lanes[..row.len() - first].copy_from_slice(&row[first..]);
             lanes
         }
@@ -36,7 +36,7 @@ pub(super) fn load(row: &[f32], first: usize) -> Lanes {
 
 /// Writes the first `count` of a block's values to a row.
 #[inline(always)]
-pub(super) fn store(row: &mut [f32], first: usize, count: usize, lanes: &Lanes) {
+pub(super) fn store<T: Copy>(row: &mut [T], first: usize, count: usize, lanes: &[T; LANES]) {
     match row[first..].first_chunk_mut() {
         Some(all) if count == LANES => *all = *lanes,
         // A choice for each: a copy of so many would be a call.
