@@ -9,7 +9,7 @@ use super::marker_phase::{self, Ring};
 use super::pair::Pair;
 use super::pipeline::Clock;
 use super::pool::Pool;
-use super::runs::Runs;
+use super::runs::{Runs, fill_beside};
 use super::sample::{self, LANES};
 use super::windows::{self, Windows};
 use super::{marker, period_fast, shading, simd};
@@ -243,9 +243,9 @@ impl Input<'_> {
         let own = [&c[v % BRIDGED][..], &s[v % BRIDGED][..]];
         let reach = demodulate::row_reach(v, misfit.height());
         let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
-        // Nobody looks at windows outside of the runs.
+        // Nobody looks at windows outside of the runs, but at phases.
         let strength = strength.row_mut(v);
-        wrapped.fill(f32::NAN);
+        fill_beside(self.runs.row(v), wrapped, f32::NAN);
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
                 let count = LANES.min(run.end() - first);

@@ -7,7 +7,7 @@
 //! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
 
 use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
-use super::runs::{Run, Runs, WORD, bits_of};
+use super::runs::{Run, Runs, WORD, bits_of, fill_beside};
 use super::simd;
 use crate::image::{Mono8, Plane};
 
@@ -95,8 +95,10 @@ pub(super) fn measure_with(
         || {
             for v in 0..h + SMOOTH_ROWS {
                 let mut raw = std::mem::take(&mut buffers.raw[v % RING]);
-                raw.fill(0);
-                if v < h {
+                if v >= h {
+                    raw.fill(0);
+                } else {
+                    fill_beside(runs.row(v), &mut raw, 0);
                     for run in runs.row(v) {
                         each(v, run, buffers, &mut raw[run.columns()]);
                     }
@@ -270,17 +272,17 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
 #[inline(always)]
 fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
     let w = period.len();
-    period.fill(0.0);
+    fill_beside(runs, period, 0.0);
     let ([first, ..], [.., last]) = (runs, runs) else { return };
     let from = first.start().saturating_sub(SMOOTH_COLUMNS);
     let to = (last.end() + SMOOTH_COLUMNS).min(w);
     let Buffers { raw, column_sums, row_sums, .. } = buffers;
-    column_sums.clear();
     column_sums.resize(to - from, 0);
-    for row in raw {
-        for (sum, &x) in column_sums.iter_mut().zip(&row[from..to]) {
-            *sum += x;
-        }
+    const { assert!(SMOOTH_ROWS == 1, "three rows are added at once") };
+    let [a, b, c] = [&raw[0][from..to], &raw[1][from..to], &raw[2][from..to]];
+    let rows = a.iter().zip(b).zip(c);
+    for (sum, ((&a, &b), &c)) in column_sums.iter_mut().zip(rows) {
+        *sum = a + b + c;
     }
     // The sum over a whole row does not fit; that of a box does, and differences of what wraps are right.
     row_sums.resize(column_sums.len() + 1, 0);

@@ -119,6 +119,17 @@ impl Runs {
     }
 }
 
+/// Fills what lies beside the runs of a row.
+#[inline(always)]
+pub(super) fn fill_beside<T: Copy>(runs: &[Run], row: &mut [T], value: T) {
+    let mut done = 0;
+    for run in runs {
+        row[done..run.start()].fill(value);
+        done = run.end();
+    }
+    row[done..].fill(value);
+}
+
 /// Calls `each` with the first column of every run of ones, and the column after its last.
 #[inline(always)]
 pub(super) fn runs_of(row: &[u8], mut each: impl FnMut(usize, usize)) {
