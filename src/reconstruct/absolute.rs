@@ -3,9 +3,9 @@
 //! A demodulation window that crosses a depth step mixes two surfaces; its phase is neither's. Such pixels are
 //! dropped with a margin: completeness may suffer, truth may not.
 
-use super::demodulate::Phasors;
 use super::runs::{Run, Runs, each_not_0};
 use super::simd;
+use super::windows::{STEPS_PER_DN, Windows};
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
@@ -17,7 +17,7 @@ pub struct Settings {
     pub step_rad: f32,
     /// Least fringe amplitude, DN.
     pub min_amplitude: f32,
-    /// Largest misfit of the fringe model (see [`Phasors::misfit`]).
+    /// Largest misfit of the fringe model (see [`Windows::misfit`]).
     pub max_misfit: f32,
 }
 
@@ -49,7 +49,7 @@ pub fn select(
     absolute: &mut Plane<f32>,
     runs: &Runs,
     period: &Plane<f32>,
-    phasors: &Phasors,
+    windows: &Windows,
     sign: f32,
     settings: &Settings,
 ) -> usize {
@@ -76,10 +76,11 @@ pub fn select(
                     let Some(v) = next.checked_sub(1) else { continue };
                     for run in runs.row(v) {
                         let columns = run.columns();
-                        let phasors = [&phasors.c, &phasors.s, &phasors.misfit];
-                        let phasors = phasors.map(|plane| &plane.row(v)[columns.clone()]);
+                        let strength = &windows.strength.row(v)[columns.clone()];
+                        let misfit = &windows.misfit.row(v)[columns.clone()];
                         let near = &buffers.near[v % 3][columns.clone()];
-                        dropped += drop_from(&mut absolute.row_mut(v)[columns], phasors, near, settings);
+                        let phase = &mut absolute.row_mut(v)[columns];
+                        dropped += drop_from(phase, (strength, misfit, near), settings);
                     }
                 }
             },
@@ -103,8 +104,9 @@ impl Buffers {
         let (row, p) = (&row[run.columns()][..n], &period[run.columns()][..n]);
         let (right, beside) = (&mut self.right[..n], &mut self.beside[..n]);
         for i in 0..n - 1 {
-            let carrier = sign * 2.0 * TAU / (p[i] + p[i + 1]);
-            right[i] = u8::from((row[i + 1] - row[i] - carrier).abs() > step_rad);
+            // The carrier is a turn in two periods' mean; times these, because a quotient is slow.
+            let both = p[i] + p[i + 1];
+            right[i] = u8::from(((row[i + 1] - row[i]) * both - sign * 2.0 * TAU).abs() > step_rad * both);
         }
         right[n - 1] = 0;
         // From the row above; only known phases have steps, so that those of other runs are 0.
@@ -150,15 +152,17 @@ impl Buffers {
 
 /// Drops the pixels of a run that are not good; returns how many.
 #[inline(always)]
-fn drop_from(phase: &mut [f32], [c, s, misfit]: [&[f32]; 3], near: &[u8], settings: &Settings) -> usize {
+fn drop_from(
+    phase: &mut [f32],
+    (strength, misfit, near): (&[u16], &[f32], &[u8]),
+    settings: &Settings,
+) -> usize {
     let n = phase.len();
-    let (c, s, misfit, near) = (&c[..n], &s[..n], &misfit[..n], &near[..n]);
-    let least = 6.0 * settings.min_amplitude;
+    let (strength, misfit, near) = (&strength[..n], &misfit[..n], &near[..n]);
+    let least = (6.0 * settings.min_amplitude * STEPS_PER_DN) as u16;
     let mut dropped = 0u32;
     for i in 0..n {
-        let good = (c[i] * c[i] + s[i] * s[i] >= least * least)
-            & (misfit[i] <= settings.max_misfit)
-            & (near[i] == 0);
+        let good = (strength[i] >= least) & (misfit[i] <= settings.max_misfit) & (near[i] == 0);
         dropped += u32::from(!good & !phase[i].is_nan());
         phase[i] = if good { phase[i] } else { f32::NAN };
     }

@@ -3,38 +3,74 @@
 /// Pixels of a word.
 pub(super) const WORD: usize = u64::BITS as usize;
 
-/// The bits of bytes that are 0 or 1 each; bit i is byte i.
+/// A bit for each place where it is so.
 #[inline(always)]
-pub(super) fn gathered(ones: &[u8; WORD]) -> u64 {
-    gathered_from(ones, 0)
+pub(super) fn bits_where(is: impl Fn(usize) -> bool) -> u64 {
+    let mut marks = [0u8; WORD];
+    for i in 0..WORD {
+        marks[i] = if is(i) { MARKS[i] } else { 0 };
+    }
+    together(&marks)
 }
 
-/// Bit `from` of each byte; bit i of the result is byte i's.
+/// A bit for each byte that has any of those of `mask`.
 #[inline(always)]
-pub(super) fn gathered_from(bytes: &[u8; WORD], from: u32) -> u64 {
-    let mut out = 0;
-    for (k, eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
-        let ones = u64::from_le_bytes(*eight) >> from & 0x0101_0101_0101_0101;
-        // Bit i of the product's highest byte is byte i.
-        out |= ones.wrapping_mul(0x0102_0408_1020_4080) >> 56 << (8 * k);
+pub(super) fn bits_of(bytes: &[u8; WORD], mask: u8) -> u64 {
+    bits_where(
+        #[inline(always)]
+        |i| bytes[i] & mask != 0,
+    )
+}
+
+/// A bit for each byte above `level`.
+#[inline(always)]
+pub(super) fn bits_above(bytes: &[u8; WORD], level: u8) -> u64 {
+    bits_where(
+        #[inline(always)]
+        |i| bytes[i] > level,
+    )
+}
+
+/// Which bit stands for each byte: one for each eight bytes, so that these can be put together as they are.
+const MARKS: [u8; WORD] = {
+    let mut marks = [0; WORD];
+    let mut i = 0;
+    while i < WORD {
+        marks[i] = 1 << (i / 8);
+        i += 1;
     }
-    out
+    marks
+};
+
+/// Bits of bytes that are 0 or have their one of [`MARKS`].
+#[inline(always)]
+fn together(marks: &[u8; WORD]) -> u64 {
+    let mut x = 0;
+    for eight in marks.as_chunks::<8>().0 {
+        x |= u64::from_le_bytes(*eight);
+    }
+    // Bit i of byte j is pixel 8 i + j: a matrix of bits to transpose (Hacker's Delight, 7-3).
+    let t = (x ^ x >> 7) & 0x00aa_00aa_00aa_00aa;
+    x ^= t ^ t << 7;
+    let t = (x ^ x >> 14) & 0x0000_cccc_0000_cccc;
+    x ^= t ^ t << 14;
+    let t = (x ^ x >> 28) & 0x0000_0000_f0f0_f0f0;
+    x ^ t ^ t << 28
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{WORD, gathered, gathered_from};
+    use super::{WORD, bits_above, bits_of};
     use proptest::prelude::{any, prop_assert_eq, proptest};
 
     proptest! {
         #[test]
-        fn each_byte_gives_its_bit(seed in proptest::collection::vec(any::<u8>(), WORD), from in 0u32..8) {
+        fn each_byte_gives_its_bit(seed in proptest::collection::vec(any::<u8>(), WORD), mask in any::<u8>()) {
             let bytes: [u8; WORD] = std::array::from_fn(|i| seed[i]);
-            let ones = bytes.map(|byte| byte >> from & 1);
-            let word = gathered_from(&bytes, from);
-            prop_assert_eq!(gathered(&ones), word);
-            for (i, one) in ones.into_iter().enumerate() {
-                prop_assert_eq!(word >> i & 1, u64::from(one));
+            let (any, above) = (bits_of(&bytes, mask), bits_above(&bytes, mask));
+            for (i, byte) in bytes.into_iter().enumerate() {
+                prop_assert_eq!(any >> i & 1 != 0, byte & mask != 0);
+                prop_assert_eq!(above >> i & 1 != 0, byte > mask);
             }
         }
     }

@@ -25,12 +25,12 @@ const ROUNDER: f32 = 12_582_912.0;
 /// Fringes beyond this are no phase.
 const MAX_STEPS: f32 = 4e6;
 
-/// Puts the known pixels of a frame together: `absolute` phase, rad (NaN: unknown), known within `runs` only, and `mean` light,
-/// DN, on the region of interest. `doubt` holds the standard uncertainty of the phase, as a byte, where it is asked for.
+/// Puts the known pixels of a frame together: `absolute` phase, rad (NaN: unknown), known within `runs` only, and their
+/// `light`, in whole steps, on the region of interest. `doubt` holds the standard uncertainty of the phase, as a byte, where it is asked for.
 pub fn phase_map(
     absolute: &Plane<f32>,
     runs: &Runs,
-    mean: &Plane<f32>,
+    light: &Plane<u16>,
     doubt: Option<&Plane<u8>>,
     roi: Roi,
     frame: [u16; 2],
@@ -62,16 +62,14 @@ pub fn phase_map(
             for run in &map.runs {
                 let v = usize::from(run.row) - roi.v;
                 let columns = usize::from(run.first) - roi.u..run.end() - roi.u;
-                let (phase, light);
+                let (phase, to);
                 (phase, phases) = phases.split_at_mut(columns.len());
-                (light, lights) = lights.split_at_mut(columns.len());
+                (to, lights) = lights.split_at_mut(columns.len());
                 // Loops, not `extend`: that would be a call, compiled for the narrowest processor.
                 for (to, &x) in phase.iter_mut().zip(&absolute.row(v)[columns.clone()]) {
                     *to = steps(x);
                 }
-                for (to, &x) in light.iter_mut().zip(&mean.row(v)[columns.clone()]) {
-                    *to = light_steps(x);
-                }
+                to.copy_from_slice(&light.row(v)[columns.clone()]);
                 if let Some(doubt) = doubt {
                     map.doubt.extend_from_slice(&doubt.row(v)[columns]);
                 }
@@ -85,11 +83,6 @@ pub fn phase_map(
 #[inline(always)]
 fn steps(phase: f32) -> i32 {
     rounded((phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS))
-}
-
-#[inline(always)]
-fn light_steps(light: f32) -> u16 {
-    rounded((light * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL)) as u16
 }
 
 /// The nearest whole number of a float below 2^22, from its bits: a conversion has to care for all others, too.
@@ -192,7 +185,8 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
 }
 
 fn reserve(cloud: &mut Cloud, points: usize, sigma: bool) {
-    // Lanes are appended sixteen at a time.
+    // Lanes are appended sixteen at a time, and cut where fewer are good.
+    let points = points + LANES;
     cloud.position_m.reserve_exact(points);
     cloud.normal.reserve_exact(points);
     cloud.intensity.reserve_exact(points);
@@ -329,8 +323,14 @@ fn append_good(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u
         pixel[count] = [u + i as u16, v];
         count += usize::from(oriented.good[i]);
     }
-    cloud.position_m.extend_from_slice(&position[..count]);
-    cloud.normal.extend_from_slice(&normal[..count]);
-    cloud.intensity.extend_from_slice(&bright[..count]);
-    cloud.pixel.extend_from_slice(&pixel[..count]);
+    // All of them, less those that are none: copies of so many would be calls.
+    let points = cloud.position_m.len() + count;
+    cloud.position_m.extend_from_slice(&position);
+    cloud.normal.extend_from_slice(&normal);
+    cloud.intensity.extend_from_slice(&bright);
+    cloud.pixel.extend_from_slice(&pixel);
+    cloud.position_m.truncate(points);
+    cloud.normal.truncate(points);
+    cloud.intensity.truncate(points);
+    cloud.pixel.truncate(points);
 }

@@ -6,11 +6,12 @@
 //! by `phi_vv (n^2 - 1) / 24`: on a fore-arm 0.1 mm, the larger part of the error that is left there. Both second
 //! derivatives are taken from the absolute phase itself over a wider base and the bias is taken off.
 
-use super::demodulate::Phasors;
+use super::angle;
 use super::runs::{Run, Runs};
 use super::sample::{self, LANES, Lanes};
 use super::simd;
 use super::support::Support;
+use super::windows::{self, Windows};
 use crate::image::Plane;
 use std::cell::RefCell;
 
@@ -35,16 +36,19 @@ const MAX_BEND_ROWS: f32 = 1.0;
 /// Columns beyond the ends of a row that may be asked for; no period is longer.
 const PAD: usize = 64;
 
+/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
+const ROUND: f32 = 12_582_912.0;
+
 thread_local! {
     static SUPPORT: RefCell<Support> = RefCell::default();
 }
 
-/// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phasors are means of `rows` rows, of
+/// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phases are means of `rows` rows, of
 /// `marker_rows` where `zone` is not zero.
 pub fn correct(
     absolute: &mut Plane<f32>,
     runs: &Runs,
-    phasors: &Phasors,
+    windows: &Windows,
     period: &Plane<f32>,
     zone: &Plane<u8>,
     (rows, marker_rows): (f32, f32),
@@ -64,13 +68,13 @@ pub fn correct(
                         runs,
                         #[inline(always)]
                         |v, run, phase, to| {
-                            let misfit = &phasors.misfit.row(v)[run.columns()];
+                            let misfit = &windows.misfit.row(v)[run.columns()];
                             for ((to, &phase), &misfit) in to.iter_mut().zip(phase).zip(misfit) {
                                 *to = if misfit > MAX_MISFIT { f32::NAN } else { phase };
                             }
                         },
                     );
-                    let rows = [phasors.c.row(v), phasors.s.row(v), period.row(v)];
+                    let rows = (windows.strength.row(v), period.row(v));
                     let support = [0, REACH_ROWS, 2 * REACH_ROWS].map(|below| support.row(v, below));
                     for run in runs.row(v) {
                         correct_run(absolute.row_mut(v), run, support, rows, zone.row(v), weight);
@@ -87,37 +91,28 @@ fn correct_run(
     phase: &mut [f32],
     run: &Run,
     [above, row, below]: [&[f32]; 3],
-    [c, s, period]: [&[f32]; 3],
+    (strength, period): (&[u16], &[f32]),
     zone: &[u8],
     weight: [f32; 2],
 ) {
     for first in run.columns().step_by(LANES) {
         let count = LANES.min(run.end() - first);
         let x = sample::load(phase, first);
-        let (c, s, period) = (sample::load(c, first), sample::load(s, first), sample::load(period, first));
+        let (strength, period) = (sample::load(strength, first), sample::load(period, first));
         let (above, below) = (sample::load(above, first + PAD), sample::load(below, first + PAD));
-        let mut marked = [0u8; LANES];
-        match zone[first..].first_chunk() {
-            Some(all) => marked = *all,
-            None => marked[..zone.len() - first].copy_from_slice(&zone[first..]),
-        }
+        let marked = sample::load(zone, first);
         // The slope along the row has no part in a difference to both sides: whole columns do.
         let mut k = [0i32; LANES];
         for i in 0..LANES {
             k[i] = columns(period[i]);
         }
-        let (before, behind) = beside(row, first + PAD, &k);
+        let Beside { before, behind, share } = beside(row, first + PAD, &k);
         let (mut wide, mut bias) = ([0f32; LANES], [0f32; LANES]);
         let mut steep = 0u32;
         for i in 0..LANES {
             wide[i] = before[i] - 2.0 * x[i] + behind[i];
-            let stretch = period[i] / k[i] as f32;
-            let power = c[i] * c[i] + s[i] * s[i];
-            let length = power.sqrt();
-            let noise = 6.0 * NOISE_RAD_DN / if length < 3.0 { 3.0 } else { length };
-            // cos 2 phi = cos^2 - sin^2.
-            let per_bend =
-                MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / if power < 1.0 { 1.0 } else { power };
+            let stretch = period[i] * share[i];
+            let (noise, per_bend) = noise_and_bias(strength[i], x[i]);
             let smooth = wide[i].abs() < 4.0 * MAX_BEND;
             let bend = if smooth { shrunk(wide[i] * stretch * stretch, noise) / 4.0 } else { 0.0 };
             let along = above[i] - 2.0 * x[i] + below[i];
@@ -128,9 +123,7 @@ fn correct_run(
         }
         if steep != 0 {
             for i in (0..count).filter(|&i| !x[i].is_nan() && !(wide[i].abs() < 4.0 * MAX_BEND)) {
-                let power = c[i] * c[i] + s[i] * s[i];
-                let noise = 6.0 * NOISE_RAD_DN / power.sqrt().max(3.0);
-                let per_bend = MEAN - RIPPLE * (c[i] * c[i] - s[i] * s[i]) / power.max(1.0);
+                let (noise, per_bend) = noise_and_bias(strength[i], x[i]);
                 bias[i] += per_bend * bend_beside(row, first + i + PAD, x[i], period[i], noise);
             }
         }
@@ -142,14 +135,31 @@ fn correct_run(
     }
 }
 
+/// Noise of a phase, rad, and the formula's bias per bend.
+#[inline(always)]
+fn noise_and_bias(strength: u16, phase: f32) -> (f32, f32) {
+    let amplitude = windows::amplitude(strength);
+    let noise = NOISE_RAD_DN / if amplitude < 0.5 { 0.5 } else { amplitude };
+    (noise, MEAN - RIPPLE * angle::cos_of_double(phase))
+}
+
+/// What lies some columns before and behind each pixel of a block.
+struct Beside {
+    before: Lanes,
+    behind: Lanes,
+    /// One over the number of these columns.
+    share: Lanes,
+}
+
 /// The values `k` columns before and behind each pixel of a block.
 #[inline(always)]
-fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> (Lanes, Lanes) {
+fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> Beside {
     let (mut least, mut most) = (k[0], k[0]);
     for &k in k {
         (least, most) = (least.min(k), most.max(k));
     }
-    let (mut before, mut behind) = ([0f32; LANES], [0f32; LANES]);
+    let (mut before, mut behind, mut share) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
+    let shares = [1.0 / least as f32, 1.0 / most as f32];
     if most - least <= 1 {
         let (low, high) = (least as usize, most as usize);
         let near = (sample::load(row, first - low), sample::load(row, first + low));
@@ -158,23 +168,28 @@ fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> (Lanes, Lanes) {
             let choose = |near: f32, far: f32| if k[i] == least { near } else { far };
             before[i] = choose(near.0[i], far.0[i]);
             behind[i] = choose(near.1[i], far.1[i]);
+            share[i] = choose(shares[0], shares[1]);
         }
     } else {
         for i in 0..LANES {
+            share[i] = 1.0 / k[i] as f32;
             let k = k[i] as usize;
             before[i] = row[first + i - k];
             // A block may reach beyond the row's end: what is there is nobody's.
             behind[i] = row.get(first + i + k).copied().unwrap_or(f32::NAN);
         }
     }
-    (before, behind)
+    Beside { before, behind, share }
 }
 
 /// A period in whole columns.
 #[inline(always)]
 fn columns(period: f32) -> i32 {
-    // Not 0 for NaN or nothing, either. Not as `usize`, which the compiler makes no vectors of.
-    ((period + 0.5) as i32).clamp(1, PAD as i32)
+    // Not 0 for NaN or nothing, either.
+    let period = if period > 1.0 { period } else { 1.0 };
+    let period = if period < PAD as f32 { period } else { PAD as f32 };
+    // From its bits: a conversion has to care for numbers that are not here.
+    (period + ROUND).to_bits() as i32 - ROUND.to_bits() as i32
 }
 
 /// Second difference of the phase over half a period to each side, less the noise, where that over a whole one is of
@@ -200,6 +215,7 @@ mod tests {
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::demodulate::{Gains, ROWS, average_rows, demodulate, wrapped};
     use crate::reconstruct::runs::Runs;
+    use crate::reconstruct::windows::Windows;
     use std::f32::consts::TAU;
 
     const W: usize = 160;
@@ -232,7 +248,8 @@ mod tests {
             (squares.sum::<f32>() / 1280.0).sqrt()
         };
         let before = rms(&absolute);
-        correct(&mut absolute, &Runs::of(&mask), &phasors, &period, &none, (ROWS as f32, 12.0));
+        let runs = Runs::of(&mask);
+        correct(&mut absolute, &runs, &Windows::of(phasors, &runs), &period, &none, (ROWS as f32, 12.0));
         [before, rms(&absolute)]
     }
 

@@ -44,21 +44,26 @@ pub struct Phasors {
 }
 
 /// Gains of the two sums by period, with linear interpolation of the samples.
-#[derive(Debug)]
-pub struct Gains(Vec<[f32; 2]>);
+#[derive(Debug, Clone)]
+pub struct Gains(Box<[[f32; 2]; GAINS]>);
 
-const GAIN_STEP_PX: f32 = 1.0 / 32.0;
+const GAINS_PER_PX: f32 = 32.0;
 const GAIN_MAX_PX: f32 = 40.0;
+
+/// Room for them: a power of two, so that the low bits of any number are a place.
+const GAINS: usize = 2048;
 
 /// Half of the longest period that is demodulated, px.
 const MAX_HALF: f32 = GAIN_MAX_PX / 2.0;
 
+/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
+const ROUND: f32 = 12_582_912.0;
+
 impl Gains {
     /// The table, from the interpolated cosine and sine themselves.
     pub fn new() -> Self {
-        let entries = (GAIN_MAX_PX / GAIN_STEP_PX) as usize;
         let gain = |i: usize| {
-            let period = (i as f32 * GAIN_STEP_PX).max(2.0);
+            let period = (i as f32 / GAINS_PER_PX).clamp(2.0, GAIN_MAX_PX);
             let sampled = |phase: f32| {
                 let wave = |x: f32| (TAU * x / period + phase).cos();
                 let samples = std::array::from_fn(|k| {
@@ -72,20 +77,25 @@ impl Gains {
             let (s, _) = sampled(TAU / 4.0);
             [6.0 / s, 6.0 / c]
         };
-        Self((0..=entries).map(gain).collect())
+        let mut table = Box::new([[0.0; 2]; GAINS]);
+        for (i, entry) in table.iter_mut().enumerate() {
+            *entry = gain(i);
+        }
+        Self(table)
     }
 
     /// Factors for S and C, for a block of periods.
     #[inline(always)]
-    fn at(&self, period: &Lanes) -> [Lanes; 2] {
-        let last = self.0.len() as i32 - 1;
-        let mut index = [0i32; LANES];
-        for (index, period) in index.iter_mut().zip(period) {
-            *index = ((period / GAIN_STEP_PX + 0.5) as i32).clamp(0, last);
+    fn at(&self, period: &Lanes) -> [[f32; 2]; LANES] {
+        const LAST: f32 = GAIN_MAX_PX * GAINS_PER_PX;
+        let mut place = [0u32; LANES];
+        for (place, period) in place.iter_mut().zip(period) {
+            let at = period * GAINS_PER_PX;
+            *place = (if at < LAST { at } else { LAST } + ROUND).to_bits();
         }
-        let mut out = [[0f32; LANES]; 2];
-        for (i, &index) in index.iter().enumerate() {
-            [out[0][i], out[1][i]] = self.0[index as usize];
+        let mut out = [[0f32; 2]; LANES];
+        for (out, place) in out.iter_mut().zip(place) {
+            *out = self.0[place as usize % GAINS];
         }
         out
     }
@@ -97,13 +107,60 @@ impl Default for Gains {
     }
 }
 
+const ROOT3: f32 = 1.732_050_8;
+
+/// Seven samples as their middle, and the sums and differences of those at equal distances, from the nearest on.
+struct Folded {
+    middle: f32,
+    even: [f32; 3],
+    odd: [f32; 3],
+}
+
+impl Folded {
+    #[inline(always)]
+    fn of(i: &[f32; 7]) -> Self {
+        Self {
+            middle: i[3],
+            even: [i[4] + i[2], i[5] + i[1], i[6] + i[0]],
+            odd: [i[4] - i[2], i[5] - i[1], i[6] - i[0]],
+        }
+    }
+
+    /// (S, C).
+    #[inline(always)]
+    fn sums(&self) -> (f32, f32) {
+        let Self { middle, even, odd } = self;
+        let s = odd[2] * (1.0 / ROOT3) - ROOT3 * (odd[0] + odd[1]);
+        let c = 2.0 * middle + even[0] - even[1] - even[2];
+        (s, c)
+    }
+
+    /// Mean light of the window, and the RMS of what offset, slope and fringe `c cos - s sin` leave, relative to
+    /// the fringe's amplitude. The slope is that of the outermost samples, of which no difference is left.
+    #[inline(always)]
+    fn remainder(&self, s: f32, c: f32) -> (f32, f32) {
+        let Self { middle, even, odd } = self;
+        let middle = middle - c;
+        let even = [even[0] - c, even[1] + c, even[2] + 2.0 * c];
+        let third = odd[2] * (1.0 / 3.0);
+        let odd = [odd[0] + (ROOT3 * s - third), odd[1] + (ROOT3 * s - 2.0 * third)];
+        let mean = (middle + even[0] + even[1] + even[2]) * (1.0 / 7.0);
+        let own = middle - mean;
+        let beside = [even[0] - 2.0 * mean, even[1] - 2.0 * mean, even[2] - 2.0 * mean];
+        let pairs = beside[0] * beside[0]
+            + beside[1] * beside[1]
+            + beside[2] * beside[2]
+            + (odd[0] * odd[0] + odd[1] * odd[1]);
+        let power = own * own + 0.5 * pairs;
+        let strength = s * s + c * c;
+        (mean, (power * (1.0 / 7.0) / if strength > 1e-6 { strength } else { 1e-6 }).sqrt())
+    }
+}
+
 /// (S, C) of seven samples.
 #[inline(always)]
 pub(super) fn sums(i: &[f32; 7]) -> (f32, f32) {
-    const ROOT3: f32 = 1.732_050_8;
-    let s = ROOT3 * (i[1] + i[2] - i[4] - i[5]) + (i[6] - i[0]) / ROOT3;
-    let c = -i[0] - i[1] + i[2] + 2.0 * i[3] + i[4] - i[5] - i[6];
-    (s, c)
+    Folded::of(i).sums()
 }
 
 /// Four rows of [`Phasors`], to be written.
@@ -151,7 +208,7 @@ pub fn demodulate(
     out
 }
 
-/// [`demodulate`] for one row; `light` is memory to use.
+/// [`demodulate`] for one row, of which its runs are written; `light` is memory to use, of finite numbers.
 #[inline(always)]
 pub(super) fn demodulate_row(
     image: &[u8],
@@ -164,9 +221,6 @@ pub(super) fn demodulate_row(
 ) {
     let PhasorRow { c, s, mean, misfit } = out;
     sample::reserve(light, image.len());
-    for row in [&mut *c, &mut *s, &mut *mean, &mut *misfit] {
-        row.fill(0.0);
-    }
     for run in runs {
         let columns = run.columns();
         for (light, &x) in light[PAD + columns.start..].iter_mut().zip(&image[columns.clone()]) {
@@ -195,24 +249,21 @@ fn demodulate_block(
     sign: f32,
 ) -> [Lanes; 4] {
     let periods = &Periods::new(period);
-    let samples = [
-        sixths_beside(light, first, periods, -3.0),
-        sixths_beside(light, first, periods, -2.0),
-        sixths_beside(light, first, periods, -1.0),
-        sample::load(&light[PAD..], first),
-        sixths_beside(light, first, periods, 1.0),
-        sixths_beside(light, first, periods, 2.0),
-        sixths_beside(light, first, periods, 3.0),
-    ];
-    let [gain_s, gain_c] = gains.at(period);
+    let [before_1, behind_1] = sample::both_sides(light, first, periods, 1.0 / 6.0);
+    let [before_2, behind_2] = sample::both_sides(light, first, periods, 2.0 / 6.0);
+    let [before_3, behind_3] = sample::both_sides(light, first, periods, 3.0 / 6.0);
+    let own = sample::load(&light[PAD..], first);
+    let samples = [before_3, before_2, before_1, own, behind_1, behind_2, behind_3];
+    let gains = gains.at(period);
     let [mut out_c, mut out_s, mut out_mean, mut out_misfit] = [[0f32; LANES]; 4];
     let (left, right) = (inside.0 as f32, inside.1 as f32);
     for i in 0..LANES {
         let sample = [0, 1, 2, 3, 4, 5, 6].map(|k: usize| samples[k][i]);
-        let (s, c) = sums(&sample);
-        let (s, c) = (s * gain_s[i], c * gain_c[i]);
-        let (mean, misfit) = remainder(&sample, s / 6.0, c / 6.0);
-        let half = period[i] / 2.0;
+        let folded = Folded::of(&sample);
+        let (s, c) = folded.sums();
+        let (s, c) = (s * gains[i][0], c * gains[i][1]);
+        let (mean, misfit) = folded.remainder(s * (1.0 / 6.0), c * (1.0 / 6.0));
+        let half = period[i] * 0.5;
         let known =
             (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
         out_c[i] = if known { c } else { 0.0 };
@@ -223,36 +274,6 @@ fn demodulate_block(
     [out_c, out_s, out_mean, out_misfit]
 }
 
-/// The light so many sixths of a period beside each pixel of a block. (Not a closure: that would be a function of its own,
-/// compiled for the narrowest processor.)
-#[inline(always)]
-fn sixths_beside(light: &[f32], first: usize, periods: &Periods, sixths: f32) -> Lanes {
-    sample::between(light, first, periods, sixths / 6.0, 0.0)
-}
-
-/// Mean light of the window, and the RMS of what offset, slope and fringe `c cos - s sin` leave, relative to
-/// the fringe's amplitude.
-#[inline(always)]
-fn remainder(samples: &[f32; 7], s: f32, c: f32) -> (f32, f32) {
-    // cos and sin of k * 60 degrees, k = -3..3.
-    const COS: [f32; 7] = [-1.0, -0.5, 0.5, 1.0, 0.5, -0.5, -1.0];
-    const SIN: [f32; 7] = [0.0, -0.866_025_4, -0.866_025_4, 0.0, 0.866_025_4, 0.866_025_4, 0.0];
-    let slope = (samples[6] - samples[0]) / 6.0;
-    let mut rest = [0f32; 7];
-    let mut sum = 0.0;
-    for k in 0..7 {
-        rest[k] = samples[k] - c * COS[k] + s * SIN[k] - slope * (k as f32 - 3.0);
-        sum += rest[k];
-    }
-    let mean = sum / 7.0;
-    let mut power = 0.0;
-    for x in rest {
-        power += (x - mean) * (x - mean);
-    }
-    let strength = s * s + c * c;
-    (mean, (power / 7.0 / if strength > 1e-6 { strength } else { 1e-6 }).sqrt())
-}
-
 /// Mean phasor of up to five rows; the rows above and below take part in pairs, so that the mean stays centred.
 /// A pair takes part where both are known, each as strong as the weaker one (else an edge of colour along the
 /// fringe would draw the mean to its bright side), and neither has more misfit than the pixel's own row allows:
@@ -261,20 +282,22 @@ fn remainder(samples: &[f32; 7], s: f32, c: f32) -> (f32, f32) {
 pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
     let (w, h) = (phasors.c.width(), phasors.c.height());
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
-    let mut lengths = Plane::filled(w, h, 0f32);
+    let [mut unit_c, mut unit_s, mut lengths] = [(); 3].map(|()| Plane::filled(w, h, 0f32));
     simd::dispatch(
         #[inline(always)]
         || {
-            sizes(c.as_slice(), s.as_slice(), lengths.as_mut_slice());
+            let out = [&mut unit_c, &mut unit_s, &mut lengths].map(Plane::as_mut_slice);
+            units(c.as_slice(), s.as_slice(), out);
             for v in 0..h {
-                let row = |v: usize| [c.row(v), s.row(v), lengths.row(v), phasors.misfit.row(v)];
+                let row = |v: usize| [unit_c.row(v), unit_s.row(v), lengths.row(v), phasors.misfit.row(v)];
                 let reach = row_reach(v, h);
                 let pairs: [_; ROWS_EACH_SIDE] =
                     std::array::from_fn(|k| [row(v - reach.min(k + 1)), row(v + reach.min(k + 1))]);
                 let (out_c, out_s) = (phasors.c.row_mut(v), phasors.s.row_mut(v));
                 for first in (0..w).step_by(LANES) {
                     let end = w.min(first + LANES);
-                    let [c, s] = average_block(row(v), &pairs[..reach], skip.row(v), first);
+                    let [c, s] =
+                        average_block([c.row(v), s.row(v)], row(v), &pairs[..reach], skip.row(v), first);
                     sample::store(out_c, first, end - first, &c);
                     sample::store(out_s, first, end - first, &s);
                 }
@@ -288,43 +311,47 @@ pub(super) fn row_reach(v: usize, h: usize) -> usize {
     ROWS_EACH_SIDE.min(v).min(h - 1 - v)
 }
 
-/// Rows of C, S, their length and misfit.
+/// Rows of phasors of length 1, their true lengths and misfit.
 pub(super) type Rows<'a> = [&'a [f32]; 4];
 
-/// [`average_rows`] for one block: from its own row, and the rows above and below in pairs.
+/// [`average_rows`] for one block: from its own row and C and S of it, and the rows above and below in pairs.
 #[inline(always)]
-pub(super) fn average_block(own: Rows<'_>, pairs: &[[Rows<'_>; 2]], skip: &[u8], first: usize) -> [Lanes; 2] {
-    let [c, s, mut length, misfit] = load(own, first);
+pub(super) fn average_block(
+    [c, s]: [&[f32]; 2],
+    own: Rows<'_>,
+    pairs: &[[Rows<'_>; 2]],
+    skip: &[u8],
+    first: usize,
+) -> [Lanes; 2] {
+    let (c, s) = (sample::load(c, first), sample::load(s, first));
+    let (mut length, misfit) = (sample::load(own[2], first), sample::load(own[3], first));
     let (mut sum_c, mut sum_s, mut rows) = (c, s, [1f32; LANES]);
     for pair in pairs {
         let [c_a, s_a, size_a, misfit_a] = load(pair[0], first);
         let [c_b, s_b, size_b, misfit_b] = load(pair[1], first);
         for i in 0..LANES {
-            let a_is_weaker = size_a[i] < size_b[i];
-            let (weaker, stronger) =
-                if a_is_weaker { (size_a[i], size_b[i]) } else { (size_b[i], size_a[i]) };
+            let weaker = if size_a[i] < size_b[i] { size_a[i] } else { size_b[i] };
             let most = misfit[i] + MORE_MISFIT;
             let takes_part = (weaker > 0.0) & (misfit_a[i] <= most) & (misfit_b[i] <= most);
-            let scale = weaker / stronger;
-            let (scale_a, scale_b) = if a_is_weaker { (1.0, scale) } else { (scale, 1.0) };
-            sum_c[i] += if takes_part { scale_a * c_a[i] + scale_b * c_b[i] } else { 0.0 };
-            sum_s[i] += if takes_part { scale_a * s_a[i] + scale_b * s_b[i] } else { 0.0 };
-            length[i] += if takes_part { 2.0 * weaker } else { 0.0 };
+            let weaker = if takes_part { weaker } else { 0.0 };
+            sum_c[i] += weaker * (c_a[i] + c_b[i]);
+            sum_s[i] += weaker * (s_a[i] + s_b[i]);
+            length[i] += 2.0 * weaker;
             rows[i] += if takes_part { 2.0 } else { 0.0 };
         }
     }
     let mut out = [c, s];
-    let mut skipped = [0u8; LANES];
-    match skip[first..].first_chunk() {
-        Some(all) => skipped = *all,
-        None => skipped[..skip.len() - first].copy_from_slice(&skip[first..]),
-    }
+    let skipped = sample::load(skip, first);
     for i in 0..LANES {
         let known = (c[i] != 0.0) | (s[i] != 0.0);
-        let coherent = size(sum_c[i], sum_s[i]) > MIN_COHERENCE * length[i];
+        let least = MIN_COHERENCE * length[i];
+        let coherent = sum_c[i] * sum_c[i] + sum_s[i] * sum_s[i] > least * least;
         let averaged = (skipped[i] == 0) & known & coherent;
-        out[0][i] = if averaged { sum_c[i] / rows[i] } else { c[i] };
-        out[1][i] = if averaged { sum_s[i] / rows[i] } else { s[i] };
+        // One, three or five.
+        let share = if rows[i] > 4.0 { 1.0 / 5.0 } else { 1.0 / 3.0 };
+        let share = if rows[i] > 2.0 { share } else { 1.0 };
+        out[0][i] = if averaged { sum_c[i] * share } else { c[i] };
+        out[1][i] = if averaged { sum_s[i] * share } else { s[i] };
     }
     out
 }
@@ -335,17 +362,18 @@ fn load([c, s, length, misfit]: Rows<'_>, first: usize) -> [Lanes; 4] {
     [sample::load(c, first), sample::load(s, first), sample::load(length, first), sample::load(misfit, first)]
 }
 
-/// Lengths of a row's phasors.
+/// Phasors of length 1 in the direction of a row's, and the lengths of these; 0 where there is none.
 #[inline(always)]
-pub(super) fn sizes(c: &[f32], s: &[f32], out: &mut [f32]) {
-    for ((out, &c), &s) in out.iter_mut().zip(c).zip(s) {
-        *out = size(c, s);
+pub(super) fn units(c: &[f32], s: &[f32], [unit_c, unit_s, length]: [&mut [f32]; 3]) {
+    let n = c.len();
+    let (s, unit_c, unit_s, length) = (&s[..n], &mut unit_c[..n], &mut unit_s[..n], &mut length[..n]);
+    for i in 0..n {
+        let size = (c[i] * c[i] + s[i] * s[i]).sqrt();
+        let scale = 1.0 / if size > 0.0 { size } else { 1.0 };
+        length[i] = size;
+        unit_c[i] = c[i] * scale;
+        unit_s[i] = s[i] * scale;
     }
-}
-
-#[inline(always)]
-fn size(c: f32, s: f32) -> f32 {
-    (c * c + s * s).sqrt()
 }
 
 /// Wm: the phase of each phasor in (-pi, pi]; NaN where it is unknown.

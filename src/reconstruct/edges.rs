@@ -8,10 +8,10 @@
 //! than the pixel's own phase, it is taken instead; on the strongly curved skin beside an outline, where the
 //! misfit grows too, they do not, and the pixel keeps its own. What remains uncertain beyond a bound is dropped.
 
-use super::demodulate::Phasors;
 use super::runs::{Runs, each_not_0};
 use super::simd;
 use super::support::Support;
+use super::windows::{self, Windows};
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
@@ -71,7 +71,7 @@ thread_local! {
 pub fn refine(
     absolute: &mut Plane<f32>,
     runs: &Runs,
-    phasors: &Phasors,
+    windows: &Windows,
     period: &Plane<f32>,
     zone: &Plane<u8>,
     sign: f32,
@@ -83,10 +83,10 @@ pub fn refine(
         simd::dispatch(
             #[inline(always)]
             || {
-                support.begin(absolute, REACH.1, REACH.0);
+                support.begin(absolute, REACH.1, PAD);
                 let mut dropped = 0;
                 for v in 0..absolute.height() {
-                    let (misfit, zone) = (phasors.misfit.row(v), zone.row(v));
+                    let (misfit, zone) = (windows.misfit.row(v), zone.row(v));
                     support.advance(
                         v,
                         absolute,
@@ -95,7 +95,7 @@ pub fn refine(
                         |v, run, phase, to| {
                             let columns = run.columns();
                             let (misfit, zone) =
-                                (&phasors.misfit.row(v)[columns.clone()], &outside.row(v)[columns]);
+                                (&windows.misfit.row(v)[columns.clone()], &outside.row(v)[columns]);
                             for (((to, &phase), &misfit), &zone) in
                                 to.iter_mut().zip(phase).zip(misfit).zip(zone)
                             {
@@ -110,22 +110,36 @@ pub fn refine(
                         let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
                         list_doubtful(stretch, settings.doubtful_misfit, run.start(), doubtful);
                     }
-                    for &u in doubtful.iter() {
-                        let amplitude = size(phasors.c.at(u, v), phasors.s.at(u, v)) / 6.0;
-                        let mut error = own_error(misfit[u], amplitude);
-                        let (phase, carrier) = (absolute.at(u, v), sign * TAU / period.at(u, v));
-                        if let Some(plane) = lay_plane(support, (u, v), phase, carrier)
-                            && plane.error < error
-                        {
-                            absolute.set(u, v, plane.phase);
-                            error = plane.error;
+                    let mut good: [&[f32]; ROWS] = [&[]; ROWS];
+                    for (row, good) in good.iter_mut().enumerate() {
+                        *good = support.row(v, row);
+                    }
+                    let mut left = &doubtful[..];
+                    while let Some(&first) = left.first() {
+                        let count = left.iter().take_while(|&&u| u < first + LANES).count();
+                        let block;
+                        (block, left) = left.split_at(count);
+                        let phase = lanes(absolute.row(v), first);
+                        let mut carrier = lanes(period.row(v), first);
+                        for carrier in &mut carrier {
+                            *carrier = sign * TAU / *carrier;
                         }
-                        if let Some(expected) = expected.as_deref_mut() {
-                            expected.set(u, v, error);
-                        }
-                        if error > settings.max_error {
-                            absolute.set(u, v, f32::NAN);
-                            dropped += 1;
+                        let laid = lay_planes(&good, first, &phase, &carrier);
+                        for &u in block {
+                            let amplitude = windows::amplitude(windows.strength.at(u, v));
+                            let mut error = own_error(misfit[u], amplitude);
+                            let i = u - first;
+                            if laid.error[i] < error {
+                                absolute.set(u, v, laid.phase[i]);
+                                error = laid.error[i];
+                            }
+                            if let Some(expected) = expected.as_deref_mut() {
+                                expected.set(u, v, error);
+                            }
+                            if error > settings.max_error {
+                                absolute.set(u, v, f32::NAN);
+                                dropped += 1;
+                            }
                         }
                     }
                 }
@@ -133,6 +147,19 @@ pub fn refine(
             },
         )
     })
+}
+
+/// The part of a row from `first` on; NaN beyond its end.
+#[inline(always)]
+fn lanes(row: &[f32], first: usize) -> Lanes {
+    match row[first..].first_chunk() {
+        Some(lanes) => *lanes,
+        None => {
+            let mut lanes = [f32::NAN; LANES];
+            lanes[..row.len() - first].copy_from_slice(&row[first..]);
+            lanes
+        }
+    }
 }
 
 /// Adds the columns of a run, which begins at `start`, whose phase is known and doubtful.
@@ -156,11 +183,6 @@ fn list_doubtful(
     }
 }
 
-#[inline(always)]
-fn size(c: f32, s: f32) -> f32 {
-    (c * c + s * s).sqrt()
-}
-
 /// The RMS error to expect of a phase from its window's misfit and the fringe's amplitude, rad.
 #[inline(always)]
 pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
@@ -168,80 +190,113 @@ pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
     ERROR_PER_MISFIT * (misfit * misfit - noise * noise).max(0.0).sqrt()
 }
 
-/// What a plane through good phases says of the pixel in its middle.
-struct Laid {
-    phase: f32,
-    error: f32,
-}
+/// Pixels beside each other whose planes are laid at once: doubtful ones come in stretches, and their samples lie side by
+/// side in memory.
+const LANES: usize = 16;
+type Lanes = [f32; LANES];
 
-/// Samples that a plane is laid through, at most, and that number rounded up to whole vectors.
+/// Columns and rows that a plane is laid through.
 const COLUMNS: usize = 2 * REACH.0 / COLUMN_STEP + 1;
-const SAMPLES: usize = COLUMNS * (2 * REACH.1 + 1);
-const LANES: usize = 8;
-const VECTORS: usize = SAMPLES.div_ceil(LANES);
+const ROWS: usize = 2 * REACH.1 + 1;
 
-/// Columns and rows of the samples from the pixel.
-const PLACES: [[[f32; LANES]; VECTORS]; 2] = places();
+/// Room beside the rows of support: the reach, and lanes beyond the row's end.
+const PAD: usize = REACH.0 + LANES;
 
-const fn places() -> [[[f32; LANES]; VECTORS]; 2] {
-    let mut places = [[[0.0; LANES]; VECTORS]; 2];
-    let mut i = 0;
-    while i < SAMPLES {
-        places[0][i / LANES][i % LANES] = (i % COLUMNS * COLUMN_STEP) as f32 - REACH.0 as f32;
-        places[1][i / LANES][i % LANES] = (i / COLUMNS) as f32 - REACH.1 as f32;
-        i += 1;
-    }
-    places
+/// What planes through good phases say of the pixels in their middles.
+struct Laid {
+    phase: Lanes,
+    /// Infinite where there is no plane.
+    error: Lanes,
 }
 
-/// The least-squares plane through the good phases around (u, v), those on the surface of `phase`.
-#[inline(always)]
-fn lay_plane(good: &Support, (u, v): (usize, usize), phase: f32, carrier: f32) -> Option<Laid> {
-    let mut samples = [f32::NAN; LANES * VECTORS];
-    for (below, to) in samples[..SAMPLES].chunks_exact_mut(COLUMNS).enumerate() {
-        let row = &good.row(v, below)[u..=u + 2 * REACH.0];
-        for (k, to) in to.iter_mut().enumerate() {
-            *to = row[k * COLUMN_STEP];
-        }
-    }
-    // Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
-    let mut sums = [[0f32; LANES]; 10];
-    for ((z, x), y) in samples.as_chunks::<LANES>().0.iter().zip(&PLACES[0]).zip(&PLACES[1]) {
-        for i in 0..LANES {
-            let (x, y) = (x[i], y[i]);
-            let z = z[i] - phase - carrier * x;
-            // Not so for NaN.
-            let same = z.abs() < SAME_SURFACE;
-            let one = if same { 1.0 } else { 0.0 };
-            let z = if same { z } else { 0.0 };
-            let terms =
-                [one, one * x, one * y, one * x * x, one * x * y, one * y * y, z, x * z, y * z, z * z];
-            for (sum, term) in sums.iter_mut().zip(terms) {
-                sum[i] += term;
+/// Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
+#[derive(Default)]
+struct Sums {
+    n: Lanes,
+    x: Lanes,
+    y: Lanes,
+    xx: Lanes,
+    xy: Lanes,
+    yy: Lanes,
+    z: Lanes,
+    xz: Lanes,
+    yz: Lanes,
+    zz: Lanes,
+}
+
+impl Sums {
+    /// Of the good phases in the rows around column u and those behind it, those on the surface of `phase`.
+    #[inline(always)]
+    fn of(good: &[&[f32]; ROWS], u: usize, phase: &Lanes, carrier: &Lanes) -> Self {
+        let mut sums = Self::default();
+        for column in 0..COLUMNS {
+            let place = u + PAD - REACH.0 + column * COLUMN_STEP;
+            let x = (column * COLUMN_STEP) as f32 - REACH.0 as f32;
+            let mut along = [0f32; LANES];
+            for i in 0..LANES {
+                along[i] = carrier[i] * x;
+            }
+            // Of the column alone, in which x is the same.
+            let [mut n, mut y1, mut z1, mut yz] = [[0f32; LANES]; 4];
+            for (row, good) in good.iter().enumerate() {
+                let y = row as f32 - REACH.1 as f32;
+                let mut sample = [0f32; LANES];
+                sample.copy_from_slice(&good[place..place + LANES]);
+                for i in 0..LANES {
+                    let z = sample[i] - phase[i] - along[i];
+                    // Not so for NaN.
+                    let same = z.abs() < SAME_SURFACE;
+                    let z = if same { z } else { 0.0 };
+                    n[i] += if same { 1.0 } else { 0.0 };
+                    y1[i] += if same { y } else { 0.0 };
+                    sums.yy[i] += if same { y * y } else { 0.0 };
+                    z1[i] += z;
+                    yz[i] += y * z;
+                    sums.zz[i] += z * z;
+                }
+            }
+            for i in 0..LANES {
+                sums.n[i] += n[i];
+                sums.x[i] += x * n[i];
+                sums.y[i] += y1[i];
+                sums.xx[i] += x * x * n[i];
+                sums.xy[i] += x * y1[i];
+                sums.z[i] += z1[i];
+                sums.xz[i] += x * z1[i];
+                sums.yz[i] += yz[i];
             }
         }
+        sums
     }
-    // Always in the same order, whatever the width of the processor's vectors.
-    let [n, x1, y1, xx, xy, yy, z1, xz, yz, zz] = sums.map(|sum| sum.iter().fold(0.0, |a, b| a + b));
-    if n < MIN_SUPPORT as f32 {
-        return None;
+}
+
+/// The least-squares planes through the good phases in the rows around column u and those behind it, those on the surface
+/// of `phase`.
+#[inline(always)]
+fn lay_planes(good: &[&[f32]; ROWS], u: usize, phase: &Lanes, carrier: &Lanes) -> Laid {
+    let sums = Sums::of(good, u, phase, carrier);
+    let mut laid = Laid { phase: [0.0; LANES], error: [0.0; LANES] };
+    for i in 0..LANES {
+        let (n, x1, y1, z1) = (sums.n[i], sums.x[i], sums.y[i], sums.z[i]);
+        // Moments about the centre of gravity; the plane there is the mean.
+        let per_n = 1.0 / n;
+        let (x0, y0, z0) = (x1 * per_n, y1 * per_n, z1 * per_n);
+        let (xx, xy, yy) = (sums.xx[i] - x0 * x1, sums.xy[i] - x0 * y1, sums.yy[i] - y0 * y1);
+        let (xz, yz, zz) = (sums.xz[i] - x0 * z1, sums.yz[i] - y0 * z1, sums.zz[i] - z0 * z1);
+        let det = xx * yy - xy * xy;
+        let per_det = 1.0 / det;
+        let (a, b) = ((yy * xz - xy * yz) * per_det, (xx * yz - xy * xz) * per_det);
+        let leverage = per_n + (yy * x0 * x0 - 2.0 * xy * x0 * y0 + xx * y0 * y0) * per_det;
+        let rest = zz - a * xz - b * yz;
+        let residual = (if rest > 0.0 { rest } else { 0.0 } * per_n).sqrt();
+        let residual = if residual > MIN_RESIDUAL { residual } else { MIN_RESIDUAL };
+        let error = DEPENDENCE * (leverage + 0.005).sqrt() * residual;
+        let good =
+            (n >= MIN_SUPPORT as f32) & (det >= 1e-3 * xx * yy) & (det > 0.0) & (leverage <= MAX_LEVERAGE);
+        laid.phase[i] = phase[i] + z0 - a * x0 - b * y0;
+        laid.error[i] = if good { error } else { f32::INFINITY };
     }
-    // Moments about the centre of gravity; the plane there is the mean.
-    let (x0, y0, z0) = (x1 / n, y1 / n, z1 / n);
-    let (xx, xy, yy) = (xx - x0 * x1, xy - x0 * y1, yy - y0 * y1);
-    let (xz, yz, zz) = (xz - x0 * z1, yz - y0 * z1, zz - z0 * z1);
-    let det = xx * yy - xy * xy;
-    if det < 1e-3 * xx * yy || det <= 0.0 {
-        return None;
-    }
-    let (a, b) = ((yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det);
-    let leverage = 1.0 / n + (yy * x0 * x0 - 2.0 * xy * x0 * y0 + xx * y0 * y0) / det;
-    if leverage > MAX_LEVERAGE {
-        return None;
-    }
-    let residual = ((zz - a * xz - b * yz).max(0.0) / n).sqrt().max(MIN_RESIDUAL);
-    let error = DEPENDENCE * (leverage + 0.005).sqrt() * residual;
-    Some(Laid { phase: phase + z0 - a * x0 - b * y0, error })
+    laid
 }
 
 #[cfg(test)]
@@ -250,6 +305,7 @@ mod tests {
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::demodulate::{self, Gains, demodulate, wrapped};
     use crate::reconstruct::runs::Runs;
+    use crate::reconstruct::windows::Windows;
     use crate::reconstruct::{curvature, period, shading};
     use std::f32::consts::TAU;
 
@@ -324,8 +380,9 @@ mod tests {
         shading::correct(&mut phasors, &period, &none, 1.0);
         demodulate::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
-        curvature::correct(&mut phase, &runs, &phasors, &period, &none, (5.0, 12.0));
-        refine(&mut phase, &runs, &phasors, &period, &none, 1.0, &Settings::default(), None);
+        let windows = Windows::of(phasors, &runs);
+        curvature::correct(&mut phase, &runs, &windows, &period, &none, (5.0, 12.0));
+        refine(&mut phase, &runs, &windows, &period, &none, 1.0, &Settings::default(), None);
         [before, score(&phase)]
     }
 
@@ -355,7 +412,8 @@ mod tests {
         phasors.misfit.row_mut(60)[100..110].fill(0.01);
         let mut phase = wrapped(&phasors);
         let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let dropped = refine(&mut phase, &runs, &phasors, &period, &none, 1.0, &Settings::default(), None);
+        let windows = Windows::of(phasors, &runs);
+        let dropped = refine(&mut phase, &runs, &windows, &period, &none, 1.0, &Settings::default(), None);
         assert_eq!(dropped, known - 10);
         assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));
     }

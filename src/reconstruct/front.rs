@@ -4,13 +4,14 @@
 //! takes its means. That one demodulates row after row and keeps what the following stages look back at in rings of
 //! rows, which stay in the cache: only finished rows go to the planes.
 
-use super::demodulate::{self, Gains, PhasorRow, Phasors};
+use super::demodulate::{self, Gains, PhasorRow};
 use super::marker_phase::{self, Ring};
 use super::pair::Pair;
 use super::pipeline::Clock;
 use super::pool::Pool;
-use super::runs::Runs;
+use super::runs::{Runs, fill_beside};
 use super::sample::{self, LANES};
+use super::windows::{self, Windows};
 use super::{marker, period_fast, shading, simd};
 use crate::image::{Mono8, Plane};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -22,8 +23,8 @@ pub struct Front {
     pub runs: Runs,
     /// Pm, px; 0 where it is unknown.
     pub period: Plane<f32>,
-    /// Phasors of Wm.
-    pub phasors: Phasors,
+    /// What is left of the windows of Wm.
+    pub windows: Windows,
     /// Wm, rad; NaN where it is unknown.
     pub wrapped: Plane<f32>,
     /// Around the marker: not 0.
@@ -44,9 +45,12 @@ pub struct Buffers {
     /// C and S of each row as demodulated, and with the marker's means.
     raw: [Vec<Vec<f32>>; 2],
     bridged: [Vec<Vec<f32>>; 2],
-    /// Lengths of the latter.
-    sizes: Vec<Vec<f32>>,
+    /// The latter with a length of 1, and their lengths.
+    units: [Vec<Vec<f32>>; 3],
+    /// Light of a row's pixels, and of their windows, and that with room to either side.
     light: Vec<f32>,
+    mean: Vec<f32>,
+    padded_mean: Vec<f32>,
     /// Phases found so far.
     known: usize,
 }
@@ -88,12 +92,13 @@ impl<T: Copy + Default> Planes<T> {
     }
 }
 
-impl Planes<f32> {
-    /// Gives the planes of phasors back.
-    pub(super) fn give_phasors(&self, phasors: Phasors) {
-        let Phasors { c, s, mean, misfit } = phasors;
-        [c, s, mean, misfit].into_iter().for_each(|plane| self.give(plane));
-    }
+/// What is wanted besides.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Keep {
+    /// The marker's energy.
+    pub energy: bool,
+    /// Light and misfit of 0 beside the runs, where they are any otherwise.
+    pub beside: bool,
 }
 
 /// Runs the front end on the part of a frame that holds the object; `object` is a mask of zeros and ones.
@@ -102,8 +107,8 @@ pub(super) fn run(
     object: &Plane<u8>,
     pair: &Pair,
     gains: &Gains,
-    keep_energy: bool,
-    (buffers, planes, bytes): (&mut Buffers, &Planes<f32>, &Planes<u8>),
+    keep: Keep,
+    (buffers, planes, words, bytes): (&mut Buffers, &Planes<f32>, &Planes<u16>, &Planes<u8>),
     clock: &mut Clock,
 ) -> Front {
     let (w, h) = (image.width(), image.height());
@@ -113,7 +118,7 @@ pub(super) fn run(
         period_fast::measure(image, &runs, pair.period_px, &mut buffers.period, &mut period);
         runs
     });
-    let mut energy = keep_energy.then(Plane::default);
+    let mut energy = keep.energy.then(Plane::default);
     let (ridges, zone, zone_runs) = clock.time("marker", || {
         let ridges = marker::ridges(image, &runs, &period, pair, &mut buffers.marker, energy.as_mut());
         let mut zone = bytes.take(w, h);
@@ -122,15 +127,19 @@ pub(super) fn run(
         marker_phase::bridge_period(&mut period, &zone_runs, pair.period_px);
         (ridges, zone, zone_runs)
     });
-    let plane = || planes.take(w, h);
-    let mut phasors = Phasors { c: plane(), s: plane(), mean: plane(), misfit: plane() };
-    let mut wrapped = plane();
+    let (strength, light) = (words.take(w, h), words.take(w, h));
+    let mut windows = Windows { strength, light, misfit: planes.take(w, h) };
+    if keep.beside {
+        windows.light.as_mut_slice().fill(0);
+        windows.misfit.as_mut_slice().fill(0.0);
+    }
+    let mut wrapped = planes.take(w, h);
     clock.time("phase", || {
         let (zone, zone_runs) = (&zone, &zone_runs);
         let input = Input { image, runs: &runs, period: &period, zone, zone_runs, pair, gains };
         simd::dispatch(
             #[inline(always)]
-            || input.phases(buffers, &mut phasors, &mut wrapped),
+            || input.phases(buffers, &mut windows, &mut wrapped),
         );
     });
     let marker = clock.time("anchors", || {
@@ -145,7 +154,7 @@ pub(super) fn run(
         marker
     });
     let known = buffers.known;
-    Front { runs, period, phasors, wrapped, zone, marker, energy, known }
+    Front { runs, period, windows, wrapped, zone, marker, energy, known }
 }
 
 /// What the second pass reads.
@@ -162,85 +171,117 @@ struct Input<'a> {
 impl Input<'_> {
     /// The second pass: phasors and wrapped phases of all rows.
     #[inline(always)]
-    fn phases(&self, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut Plane<f32>) {
+    fn phases(&self, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut Plane<f32>) {
         let (w, h) = (self.image.width(), self.image.height());
         let average = marker_phase::Average::new(self.pair);
         let reach = average.reach();
         for (rings, length) in [(&mut buffers.raw, 2 * reach + 1), (&mut buffers.bridged, BRIDGED)] {
             for ring in rings {
-                ring.resize(length, Vec::new());
-                ring.iter_mut().for_each(|row| row.resize(w, 0.0));
+                empty(ring, length, w);
             }
         }
-        buffers.sizes.resize(BRIDGED, Vec::new());
-        buffers.sizes.iter_mut().for_each(|row| row.resize(w, 0.0));
+        buffers.units.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
+        buffers.mean.resize(w, 0.0);
         buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
         for next in 0..h + reach + LATER {
             if next < h {
-                self.demodulate(next, buffers, phasors);
+                self.demodulate(next, buffers, windows);
             }
             if let Some(v) = next.checked_sub(reach)
                 && v < h
             {
-                bridge(v, h, &average, self.zone_runs, buffers, phasors.misfit.row_mut(v));
-                let Buffers { bridged: [c, s], sizes, .. } = &mut *buffers;
+                let misfit = windows.misfit.row_mut(v);
+                bridge(v, h, &average, (self.runs, self.zone_runs), buffers, misfit);
+                let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], .. } = &mut *buffers;
                 let row = v % BRIDGED;
-                // Beside the runs there is none.
-                sizes[row].fill(0.0);
+                let (unit_c, unit_s, length) = (&mut unit_c[row], &mut unit_s[row], &mut length[row]);
+                clear(unit_c, self.runs, v, BRIDGED);
+                clear(unit_s, self.runs, v, BRIDGED);
+                clear(length, self.runs, v, BRIDGED);
                 for run in self.runs.row(v) {
-                    let columns = run.columns();
-                    let out = &mut sizes[row][columns.clone()];
-                    demodulate::sizes(&c[row][columns.clone()], &s[row][columns], out);
+                    let at = run.columns();
+                    let out = [&mut unit_c[at.clone()], &mut unit_s[at.clone()], &mut length[at.clone()]];
+                    demodulate::units(&c[row][at.clone()], &s[row][at], out);
                 }
             }
             if let Some(v) = next.checked_sub(reach + LATER) {
-                self.finish(v, buffers, phasors, wrapped.row_mut(v));
+                self.finish(v, buffers, windows, wrapped.row_mut(v));
             }
         }
     }
 
     /// Demodulates row `v` and takes off the bias of shading.
     #[inline(always)]
-    fn demodulate(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors) {
-        let Buffers { raw: [c, s], light, .. } = buffers;
-        let at = v % c.len();
-        let (c, s, mean) = (&mut c[at][..], &mut s[at][..], phasors.mean.row_mut(v));
-        let out = PhasorRow { c, s, mean, misfit: phasors.misfit.row_mut(v) };
+    fn demodulate(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows) {
+        let Buffers { raw: [c, s], light, mean, padded_mean, .. } = buffers;
+        let (at, length) = (v % c.len(), c.len());
+        clear(&mut c[at], self.runs, v, length);
+        clear(&mut s[at], self.runs, v, length);
+        let (c, s, mean) = (&mut c[at][..], &mut s[at][..], &mut mean[..]);
+        let out = PhasorRow { c, s, mean, misfit: windows.misfit.row_mut(v) };
         let (runs, period) = (self.runs.row(v), self.period.row(v));
         demodulate::demodulate_row(self.image.row(v), runs, period, self.gains, self.pair.sign, light, out);
-        shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, light);
+        shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, padded_mean);
+        for run in runs {
+            let light = &mut windows.light.row_mut(v)[run.columns()];
+            for (light, &mean) in light.iter_mut().zip(&mean[run.columns()]) {
+                *light = windows::light_steps(mean);
+            }
+        }
     }
 
     /// Averages row `v` with those around it, and takes its phases.
     #[inline(always)]
-    fn finish(&self, v: usize, buffers: &mut Buffers, phasors: &mut Phasors, wrapped: &mut [f32]) {
-        let Buffers { bridged: [c, s], sizes, known, .. } = buffers;
-        let Phasors { c: out_c, s: out_s, misfit, .. } = phasors;
+    fn finish(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut [f32]) {
+        let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], known, .. } = buffers;
+        let Windows { strength, misfit, .. } = windows;
         let rows = |v: usize| {
             let row = v % BRIDGED;
-            [&c[row][..], &s[row][..], &sizes[row][..], misfit.row(v)]
+            [&unit_c[row][..], &unit_s[row][..], &length[row][..], misfit.row(v)]
         };
+        let own = [&c[v % BRIDGED][..], &s[v % BRIDGED][..]];
         let reach = demodulate::row_reach(v, misfit.height());
         let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
-        let (out_c, out_s) = (out_c.row_mut(v), out_s.row_mut(v));
-        // Nobody looks at phasors outside of the runs.
-        wrapped.fill(f32::NAN);
+        // Nobody looks at windows outside of the runs, but at phases.
+        let strength = strength.row_mut(v);
+        fill_beside(self.runs.row(v), wrapped, f32::NAN);
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
                 let count = LANES.min(run.end() - first);
-                let [c, s] = demodulate::average_block(rows(v), &pairs[..reach], self.zone.row(v), first);
-                let mut phases = [0.0; LANES];
+                let [c, s] =
+                    demodulate::average_block(own, rows(v), &pairs[..reach], self.zone.row(v), first);
+                let (mut phases, mut lengths) = ([0.0; LANES], [0u16; LANES]);
                 for i in 0..LANES {
                     phases[i] = demodulate::phase(c[i], s[i]);
                 }
-                sample::store(out_c, first, count, &c);
-                sample::store(out_s, first, count, &s);
+                for i in 0..LANES {
+                    lengths[i] = windows::strength_steps(c[i], s[i]);
+                }
+                sample::store(strength, first, count, &lengths);
                 sample::store(wrapped, first, count, &phases);
             }
             let phases = &wrapped[run.columns()];
             *known += phases.iter().map(|x| u32::from(!x.is_nan())).sum::<u32>() as usize;
         }
+    }
+}
+
+/// Makes a ring of rows of zeros.
+fn empty(ring: &mut Vec<Vec<f32>>, length: usize, width: usize) {
+    ring.resize(length, Vec::new());
+    for row in ring {
+        row.clear();
+        row.resize(width, 0.0);
+    }
+}
+
+/// Clears what the row of a ring of so many rows, which is to become row `v`, holds of the one that it was: beside the
+/// runs there is nothing.
+#[inline(always)]
+fn clear(row: &mut [f32], runs: &Runs, v: usize, length: usize) {
+    if let Some(before) = v.checked_sub(length) {
+        runs.row(before).iter().for_each(|run| row[run.columns()].fill(0.0));
     }
 }
 
@@ -250,14 +291,18 @@ fn bridge(
     v: usize,
     height: usize,
     average: &marker_phase::Average,
-    zone: &Runs,
+    (runs, zone): (&Runs, &Runs),
     buffers: &mut Buffers,
     misfit: &mut [f32],
 ) {
     let Buffers { raw: [raw_c, raw_s], bridged: [c, s], .. } = buffers;
     let (from, to, reach) = (v % raw_c.len(), v % BRIDGED, average.reach());
-    c[to].copy_from_slice(&raw_c[from]);
-    s[to].copy_from_slice(&raw_s[from]);
+    for (row, raw) in [(&mut c[to], &raw_c[from]), (&mut s[to], &raw_s[from])] {
+        clear(row, runs, v, BRIDGED);
+        for run in runs.row(v) {
+            row[run.columns()].copy_from_slice(&raw[run.columns()]);
+        }
+    }
     let whole = v >= reach && v + reach < height;
     let ring = Ring { c: raw_c, s: raw_s };
     for run in zone.row(v) {

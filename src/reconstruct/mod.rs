@@ -75,5 +75,7 @@ pub mod uncertainty;
 pub mod unwrap;
 /// The paper's spanning tree and marker.
 pub mod unwrap_paper;
+/// What later stages need of the demodulation's windows.
+pub mod windows;
 
 pub use source::{Frame, FrameSource, SourceStatement, StatedCamera};

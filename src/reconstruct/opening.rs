@@ -1,6 +1,6 @@
 //! Opening of what lies above a level by a square of five pixels, on rows of bits: 64 pixels a word.
 
-use super::bits::{WORD, gathered};
+use super::bits::{WORD, bits_above};
 use super::runs::{Run, Runs};
 use crate::image::Plane;
 
@@ -51,12 +51,14 @@ impl Opening {
 /// A bit for each pixel above `level`.
 #[inline(always)]
 fn above(row: &[u8], level: u8, bits: &mut [u64]) {
-    for (pixels, word) in row.chunks(WORD).zip(bits) {
-        let mut ones = [0u8; WORD];
-        for (one, &x) in ones.iter_mut().zip(pixels) {
-            *one = u8::from(x > level);
-        }
-        *word = gathered(&ones);
+    let (words, rest) = row.as_chunks::<WORD>();
+    for (pixels, word) in words.iter().zip(&mut *bits) {
+        *word = bits_above(pixels, level);
+    }
+    if let Some(word) = bits.get_mut(words.len()) {
+        let mut pixels = [0; WORD];
+        pixels[..rest.len()].copy_from_slice(rest);
+        *word = bits_above(&pixels, level);
     }
 }
 

@@ -6,15 +6,18 @@
 //! and one list of crossings serves all windows of a run. Which of them lie in a window changes a few times in a
 //! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
 
-use super::bits::{WORD, gathered_from};
+use super::bits::{WORD, bits_of};
 use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
-use super::runs::{Run, Runs};
+use super::runs::{Run, Runs, fill_beside};
 use super::simd;
 use crate::image::{Mono8, Plane};
 
 /// The threshold is the mean over this many nominal periods to each side. Shorter means find more crossings where the
 /// light falls off towards an outline, and more wrong ones (docs/design/reconstruction.md).
 const LIGHT_PERIODS: f32 = 1.3;
+
+/// Half of the longest window that a threshold is the mean of: the sum of its pixels fits 15 bits.
+const MAX_REACH: usize = 63;
 
 /// Steps of a pixel in which distances are summed.
 const STEPS: f32 = 4096.0;
@@ -28,11 +31,11 @@ pub struct Buffers {
     /// Largest and smallest value from each pixel on, and what they are made from.
     high: [Vec<u8>; 2],
     low: [Vec<u8>; 2],
-    /// Sums of the run's pixels before each.
-    sums: Vec<u32>,
+    /// Sums of the run's pixels before each, of which the low bits suffice for the differences.
+    sums: Vec<u16>,
     /// Thresholds and margins, times the length of what they are taken from.
-    threshold: Vec<i32>,
-    margin: Vec<i32>,
+    threshold: Vec<i16>,
+    margin: Vec<i16>,
     /// 1 above the threshold; above it, and below it, by more than the margin.
     sides: Vec<u8>,
     crossings: Vec<Crossing>,
@@ -62,7 +65,7 @@ pub fn measure(
     period: &mut Plane<f32>,
 ) {
     let half = (1.3 * nominal_px).round() as usize;
-    let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
+    let reach = ((LIGHT_PERIODS * nominal_px).round() as usize).min(MAX_REACH);
     measure_with(
         runs,
         (image.width(), image.height()),
@@ -93,8 +96,10 @@ pub(super) fn measure_with(
         || {
             for v in 0..h + SMOOTH_ROWS {
                 let mut raw = std::mem::take(&mut buffers.raw[v % RING]);
-                raw.fill(0);
-                if v < h {
+                if v >= h {
+                    raw.fill(0);
+                } else {
+                    fill_beside(runs.row(v), &mut raw, 0);
                     for run in runs.row(v) {
                         each(v, run, buffers, &mut raw[run.columns()]);
                     }
@@ -174,9 +179,9 @@ fn thresholds(row: &[u8], length: usize, buffers: &mut Buffers) {
     extremes(row, length, low, u8::min);
     sums.resize(row.len() + 1, 0);
     sums[0] = 0;
-    let mut sum = 0;
+    let mut sum = 0u16;
     for (out, &x) in sums[1..].iter_mut().zip(row) {
-        sum += u32::from(x);
+        sum = sum.wrapping_add(u16::from(x));
         *out = sum;
     }
     threshold.resize(windows, 0);
@@ -185,8 +190,10 @@ fn thresholds(row: &[u8], length: usize, buffers: &mut Buffers) {
     let (starts, ends) = (&sums[..windows], &sums[length..length + windows]);
     let (high, low) = (&high[0][..windows], &low[0][..windows]);
     for i in 0..windows {
-        threshold[i] = (ends[i] - starts[i]) as i32;
-        margin[i] = (scale * f32::from(high[i] - low[i])) as i32;
+        threshold[i] = ends[i].wrapping_sub(starts[i]) as i16;
+    }
+    for i in 0..windows {
+        margin[i] = (scale * f32::from(high[i] - low[i])) as i32 as i16;
     }
 }
 
@@ -216,11 +223,12 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let Buffers { threshold, margin, sides, crossings, .. } = buffers;
     let last = threshold.len() - 1;
     crossings.clear();
-    let value = |i: usize| i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)];
-    const ABOVE: u32 = 0;
-    const FAR: u32 = 1;
+    let value = |i: usize| i16::from(row[i]) * length as i16 - threshold[i.saturating_sub(half).min(last)];
+    const ABOVE: u8 = 1;
+    const FAR: u8 = 2;
     sides.resize(row.len().next_multiple_of(WORD), 0);
-    let side = |value: i32, margin: i32| u8::from(value > 0) << ABOVE | u8::from(value.abs() > margin) << FAR;
+    let side =
+        |value: i16, margin: i16| (u8::from(value > 0) * ABOVE) | (u8::from(value.abs() > margin) * FAR);
     let middle = half.min(row.len())..(half + last + 1).min(row.len());
     for i in (0..middle.start).chain(middle.end..row.len()) {
         sides[i] = side(value(i), margin[i.saturating_sub(half).min(last)]);
@@ -228,19 +236,19 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let n = middle.len();
     let (row_middle, sides_middle) = (&row[middle.clone()], &mut sides[middle]);
     for i in 0..n {
-        sides_middle[i] = side(i32::from(row_middle[i]) * length as i32 - threshold[i], margin[i]);
+        sides_middle[i] = side(i16::from(row_middle[i]) * length as i16 - threshold[i], margin[i]);
     }
     sides[row.len()..].fill(0);
     let mut found = |seen: usize, certain: usize| {
-        let (a, b) = (value(seen - 1) as f32, value(seen) as f32);
+        let (a, b) = (f32::from(value(seen - 1)), f32::from(value(seen)));
         let at = seen as f32 - b / (b - a);
         crossings.push(Crossing { at, behind: at as u32 + 1, certain: certain as u32 });
     };
     // Where it is certain on which side, and since when the light is on the side where it is.
-    let mut before = u64::from(sides[0] >> ABOVE & 1);
+    let mut before = u64::from(sides[0] & ABOVE);
     let (mut settled, mut seen) = (None, 0);
     for (k, word) in sides.as_chunks::<WORD>().0.iter().enumerate() {
-        let [above, mut far] = [gathered_from(word, ABOVE), gathered_from(word, FAR)];
+        let (above, mut far) = (bits_of(word, ABOVE), bits_of(word, FAR));
         let mut changes = above ^ (above << 1 | before);
         loop {
             let end = changes.trailing_zeros();
@@ -265,17 +273,17 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
 #[inline(always)]
 fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
     let w = period.len();
-    period.fill(0.0);
+    fill_beside(runs, period, 0.0);
     let ([first, ..], [.., last]) = (runs, runs) else { return };
     let from = first.start().saturating_sub(SMOOTH_COLUMNS);
     let to = (last.end() + SMOOTH_COLUMNS).min(w);
     let Buffers { raw, column_sums, row_sums, .. } = buffers;
-    column_sums.clear();
     column_sums.resize(to - from, 0);
-    for row in raw {
-        for (sum, &x) in column_sums.iter_mut().zip(&row[from..to]) {
-            *sum += x;
-        }
+    const { assert!(SMOOTH_ROWS == 1, "three rows are added at once") };
+    let [a, b, c] = [&raw[0][from..to], &raw[1][from..to], &raw[2][from..to]];
+    let rows = a.iter().zip(b).zip(c);
+    for (sum, ((&a, &b), &c)) in column_sums.iter_mut().zip(rows) {
+        *sum = a + b + c;
     }
     // The sum over a whole row does not fit; that of a box does, and differences of what wraps are right.
     row_sums.resize(column_sums.len() + 1, 0);

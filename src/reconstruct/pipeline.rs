@@ -1,6 +1,6 @@
 //! One frame to one directional cloud: the stages in their order, each timed.
 
-use super::demodulate::{Gains, Phasors};
+use super::demodulate::Gains;
 use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
 use super::order::Regions;
@@ -10,6 +10,7 @@ use super::roi::Roi;
 use super::runs::{Run, Runs};
 use super::triangulate::Triangulator;
 use super::unwrap::Unwrapped;
+use super::windows::Windows;
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, simd, uncertainty,
     unwrap, unwrap_paper,
@@ -110,6 +111,7 @@ struct Buffers {
 /// Of all cameras: a thread that goes from one to the next finds its memory there.
 static BUFFERS: Pool<Buffers> = Pool::new();
 static PLANES: Planes<f32> = Planes::new();
+static WORDS: Planes<u16> = Planes::new();
 static BYTES: Planes<u8> = Planes::new();
 
 /// Runs stages and keeps their times.
@@ -148,7 +150,7 @@ pub struct Prepared {
     pub counts: Counts,
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
-    phasors: Phasors,
+    windows: Windows,
     period: Plane<f32>,
     /// Around the marker: not 0.
     zone: Plane<u8>,
@@ -180,7 +182,7 @@ struct Resolved {
     marker: Plane<u8>,
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
-    phasors: Phasors,
+    windows: Windows,
     period: Plane<f32>,
     /// Around the marker: not 0.
     zone: Plane<u8>,
@@ -194,6 +196,7 @@ impl Pipeline {
         let table = Arc::new(RayTable::new(triangulator.pair()));
         let camera = &triangulator.pair().camera;
         PLANES.make_room(camera.width * camera.height);
+        WORDS.make_room(camera.width * camera.height);
         BYTES.make_room(camera.width * camera.height);
         Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
@@ -257,7 +260,7 @@ impl Pipeline {
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
         BYTES.give(image);
-        let Resolved { absolute, open, marker, runs, phasors, period, zone, planes } = resolved;
+        let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = resolved;
         // Until all cameras are heard.
         let regions = Regions::default();
         Ok(Prepared {
@@ -270,7 +273,7 @@ impl Pipeline {
             object,
             counts,
             runs,
-            phasors,
+            windows,
             period,
             zone,
             planes,
@@ -287,7 +290,7 @@ impl Pipeline {
             regions,
             mut counts,
             runs,
-            phasors,
+            windows,
             period,
             zone,
             mut planes,
@@ -308,30 +311,30 @@ impl Pipeline {
                     &mut absolute,
                     &runs,
                     &period,
-                    &phasors,
+                    &windows,
                     pair.sign,
                     &absolute::Settings::default(),
                 )
             });
             clock.time("curvature", || {
                 let rows = (demodulate::ROWS as f32, pair.marker_period_px);
-                curvature::correct(&mut absolute, &runs, &phasors, &period, &zone, rows);
+                curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows);
             });
             counts.dropped += clock.time("edges", || {
                 let (settings, expected) = (edges::Settings::default(), expected.as_mut());
-                edges::refine(&mut absolute, &runs, &phasors, &period, &zone, pair.sign, &settings, expected)
+                edges::refine(&mut absolute, &runs, &windows, &period, &zone, pair.sign, &settings, expected)
             });
         }
         let doubts = expected.map(|expected| {
             let rows = pair.marker_period_px;
-            clock.time("uncertainty", || uncertainty::doubts(&absolute, &phasors, &expected, &zone, rows))
+            clock.time("uncertainty", || uncertainty::doubts(&absolute, &windows, &expected, &zone, rows))
         });
         let frame = (pair.camera.width, pair.camera.height);
         let map = clock.time("quantize", || {
             cloud::phase_map(
                 &absolute,
                 &runs,
-                &phasors.mean,
+                &windows.light,
                 doubts.as_ref(),
                 roi,
                 [frame.0 as u16, frame.1 as u16],
@@ -339,8 +342,9 @@ impl Pipeline {
         });
         let cloud = clock.time("points", || cloud::make(&self.table, &map));
         if self.method == Method::Anchored {
-            PLANES.give_phasors(phasors);
-            PLANES.give(period);
+            let Windows { strength, light, misfit } = windows;
+            [strength, light].into_iter().for_each(|plane| WORDS.give(plane));
+            [misfit, period].into_iter().for_each(|plane| PLANES.give(plane));
             [marker, zone].into_iter().for_each(|plane| BYTES.give(plane));
         }
         BYTES.give(object);
@@ -371,9 +375,10 @@ impl Pipeline {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
         let mut buffers = BUFFERS.take();
-        let memory = (&mut buffers.front, &PLANES, &BYTES);
-        let front = front::run(image, object, pair, &self.gains, self.keep_maps, memory, clock);
-        let Front { runs, period, phasors, wrapped, zone, mut marker, energy, known } = front;
+        let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
+        let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
+        let front = front::run(image, object, pair, &self.gains, keep, memory, clock);
+        let Front { runs, period, windows, wrapped, zone, mut marker, energy, known } = front;
         counts.object = runs.area();
         counts.marker = clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
@@ -382,7 +387,7 @@ impl Pipeline {
             let phase = PLANES.take(width, height);
             let mut out = Unwrapped { phase, open: Vec::new(), contradictions: 0 };
             out.phase.as_mut_slice().fill(f32::NAN);
-            let misfit = &phasors.misfit;
+            let misfit = &windows.misfit;
             let input =
                 unwrap::Input { wrapped: &wrapped, period: &period, misfit, anchor: &marker, runs: &runs };
             let settings = unwrap::Settings::default();
@@ -415,12 +420,12 @@ impl Pipeline {
                 ("Em", energy.unwrap_or_default()),
                 ("Mm", number(&marker)),
                 ("Um", unwrapped_alone),
-                ("misfit", phasors.misfit.clone()),
+                ("misfit", windows.misfit.clone()),
             ];
         }
         PLANES.give(wrapped);
         let Unwrapped { phase: absolute, open, .. } = unwrapped;
-        Resolved { absolute, open, marker, runs, phasors, period, zone, planes }
+        Resolved { absolute, open, marker, runs, windows, period, zone, planes }
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -440,7 +445,8 @@ impl Pipeline {
         let stability = clock.time("stability", || period::stability(period, &runs, pair.period_px));
         let phasors = clock
             .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
-        let wrapped = clock.time("phase", || demodulate::wrapped(&phasors));
+        let (wrapped, windows) =
+            clock.time("phase", || (demodulate::wrapped(&phasors), Windows::of(phasors, &runs)));
         counts.phase = known(&wrapped, &runs);
         let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
         let border = clock.time("border", || quality::border(object, &runs));
@@ -479,7 +485,7 @@ impl Pipeline {
         }
         let open = Vec::new();
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
-        Resolved { absolute, open, marker: segment, runs, phasors, period: periods.period, zone, planes }
+        Resolved { absolute, open, marker: segment, runs, windows, period: periods.period, zone, planes }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Runs of a mask's pixels: stages touch these alone, not the rectangle around them.
 
+use super::bits::{WORD, bits_of};
+use super::simd;
 use crate::image::Plane;
 use std::ops::Range;
 
@@ -51,10 +53,19 @@ impl Runs {
     /// Replaces these by the runs of a mask of zeros and ones.
     pub fn find(&mut self, mask: &Plane<u8>) {
         self.clear();
-        for v in 0..mask.height() {
-            runs_of(mask.row(v), |first, end| self.push(Run::new(first, end)));
-            self.end_row();
-        }
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for v in 0..mask.height() {
+                    runs_of(
+                        mask.row(v),
+                        #[inline(always)]
+                        |first, end| self.push(Run::new(first, end)),
+                    );
+                    self.end_row();
+                }
+            },
+        );
     }
 
     /// Forgets all runs and rows.
@@ -109,6 +120,17 @@ impl Runs {
     }
 }
 
+/// Fills what lies beside the runs of a row.
+#[inline(always)]
+pub(super) fn fill_beside<T: Copy>(runs: &[Run], row: &mut [T], value: T) {
+    let mut done = 0;
+    for run in runs {
+        row[done..run.start()].fill(value);
+        done = run.end();
+    }
+    row[done..].fill(value);
+}
+
 /// Calls `each` with the first column of every run of ones, and the column after its last.
 #[inline(always)]
 pub(super) fn runs_of(row: &[u8], mut each: impl FnMut(usize, usize)) {
@@ -122,41 +144,52 @@ pub(super) fn runs_of(row: &[u8], mut each: impl FnMut(usize, usize)) {
     }
 }
 
-/// Calls `at` with each column whose value differs from that before it; before the first is 0. Eight at a time.
+/// Calls `at` with each column whose value differs from that before it; before the first is 0.
+#[inline(always)]
 fn transitions(row: &[u8], mut at: impl FnMut(usize)) {
-    const ONES: u64 = 0x0101_0101_0101_0101;
-    let (mut u, mut inside) = (0, false);
-    while u < row.len() {
-        if let Some(eight) = row[u..].first_chunk() {
-            let differ = u64::from_le_bytes(*eight) ^ if inside { ONES } else { 0 };
-            if differ == 0 {
-                u += 8;
-                continue;
+    let mut inside = 0;
+    each_word(
+        row,
+        #[inline(always)]
+        |first, count, bits| {
+            let mut changes = bits ^ (bits << 1 | inside);
+            // Beyond the row's end nothing changes.
+            changes &= u64::MAX >> (WORD - count);
+            while changes != 0 {
+                at(first + changes.trailing_zeros() as usize);
+                changes &= changes - 1;
             }
-            u += differ.trailing_zeros() as usize / 8;
-        } else if (row[u] != 0) == inside {
-            u += 1;
-            continue;
-        }
-        inside = !inside;
-        at(u);
-    }
+            inside = bits >> (count - 1) & 1;
+        },
+    );
 }
 
-/// Calls `at` with the place of each byte that is not 0. Eight at a time.
+/// Calls `at` with the place of each byte that is not 0.
 #[inline(always)]
 pub(super) fn each_not_0(bytes: &[u8], mut at: impl FnMut(usize)) {
-    let (eights, rest) = bytes.as_chunks::<8>();
-    for (k, eight) in eights.iter().enumerate() {
-        let mut word = u64::from_le_bytes(*eight);
-        while word != 0 {
-            let i = word.trailing_zeros() as usize / 8;
-            at(8 * k + i);
-            word &= u64::MAX.checked_shl(8 * (i as u32 + 1)).unwrap_or(0);
-        }
+    each_word(
+        bytes,
+        #[inline(always)]
+        |first, _, mut bits| {
+            while bits != 0 {
+                at(first + bits.trailing_zeros() as usize);
+                bits &= bits - 1;
+            }
+        },
+    );
+}
+
+/// Calls `each` with the place of the first of up to [`WORD`] bytes, how many they are, and a bit for each that is not 0.
+#[inline(always)]
+fn each_word(bytes: &[u8], mut each: impl FnMut(usize, usize, u64)) {
+    let (words, rest) = bytes.as_chunks::<WORD>();
+    for (k, word) in words.iter().enumerate() {
+        each(k * WORD, WORD, bits_of(word, u8::MAX));
     }
-    for (i, _) in rest.iter().enumerate().filter(|(_, x)| **x != 0) {
-        at(8 * eights.len() + i);
+    if !rest.is_empty() {
+        let mut word = [0; WORD];
+        word[..rest.len()].copy_from_slice(rest);
+        each(words.len() * WORD, rest.len(), bits_of(&word, u8::MAX));
     }
 }
 

@@ -23,11 +23,11 @@ pub(super) fn reserve(padded: &mut Vec<f32>, width: usize) {
 
 /// The block's part of a row that may end before the block does; 0 beyond.
 #[inline(always)]
-pub(super) fn load(row: &[f32], first: usize) -> Lanes {
+pub(super) fn load<T: Copy + Default>(row: &[T], first: usize) -> [T; LANES] {
     match row[first..].first_chunk() {
         Some(lanes) => *lanes,
         None => {
-            let mut lanes = [0.0; LANES];
+            let mut lanes = [T::default(); LANES];
             lanes[..row.len() - first].copy_from_slice(&row[first..]);
             lanes
         }
@@ -36,10 +36,16 @@ pub(super) fn load(row: &[f32], first: usize) -> Lanes {
 
 /// Writes the first `count` of a block's values to a row.
 #[inline(always)]
-pub(super) fn store(row: &mut [f32], first: usize, count: usize, lanes: &Lanes) {
+pub(super) fn store<T: Copy>(row: &mut [T], first: usize, count: usize, lanes: &[T; LANES]) {
     match row[first..].first_chunk_mut() {
         Some(all) if count == LANES => *all = *lanes,
-        _ => row[first..first + count].copy_from_slice(&lanes[..count]),
+        // A choice for each: a copy of so many would be a call.
+        Some(all) => {
+            for i in 0..LANES {
+                all[i] = if i < count { lanes[i] } else { all[i] };
+            }
+        }
+        None => row[first..first + count].copy_from_slice(&lanes[..count]),
     }
 }
 
@@ -116,10 +122,41 @@ pub(super) fn between(padded: &[f32], first: usize, periods: &Periods, share: f3
     out
 }
 
+/// [`between`] before and behind each pixel, at the distance of `share` of its period, of a row of whole numbers, finite
+/// everywhere. A line through the first two of three values, and what the second line is steeper: no pixel has to choose.
+#[inline(always)]
+pub(super) fn both_sides(padded: &[f32], first: usize, periods: &Periods, share: f32) -> [Lanes; 2] {
+    let least = parts(distance(periods.least, share, 0.0)).0;
+    let most = parts(distance(periods.most, share, 0.0)).0;
+    if most - least > 1 {
+        return [between(padded, first, periods, -share, 0.0), between(padded, first, periods, share, 0.0)];
+    }
+    let base = first + PAD;
+    let (low, offset) = (least as usize, least as f32);
+    let values_behind = &padded[base + low..base + low + LANES + 2];
+    let values_before = &padded[base - low - 2..base - low + LANES];
+    let [mut before, mut behind] = [[0f32; LANES]; 2];
+    for i in 0..LANES {
+        let along = distance(periods.lanes[i], share, 0.0) - offset;
+        let [a, b, c] = [values_behind[i], values_behind[i + 1], values_behind[i + 2]];
+        behind[i] = bent(along, [a, b, c]);
+        let [a, b, c] = [values_before[i], values_before[i + 1], values_before[i + 2]];
+        before[i] = bent(2.0 - along, [a, b, c]);
+    }
+    [before, behind]
+}
+
+/// The value at 0..2 of three at 0, 1 and 2.
+#[inline(always)]
+fn bent(at: f32, [a, b, c]: [f32; 3]) -> f32 {
+    let first = if at < 1.0 { at } else { 1.0 };
+    a + first * (b - a) + (at - first) * (c - b)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{LANES, PAD, Periods, between, load};
-    use proptest::prelude::{any, prop_assert, proptest};
+    use super::{LANES, PAD, Periods, between, both_sides, load};
+    use proptest::prelude::{any, prop_assert, prop_assert_eq, proptest};
 
     proptest! {
         #[test]
@@ -143,6 +180,26 @@ mod tests {
                 let expected = (1.0 - f) * at(low) + f * at(low + 1.0);
                 prop_assert!((f64::from(found[i]) - expected).abs() < 1e-3, "{} {expected}", found[i]);
             }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn both_sides_are_those_of_each(
+            values in proptest::collection::vec(any::<u8>(), 200),
+            first in 0usize..=136,
+            start in 2.0f32..24.0,
+            step in -0.4f32..0.4,
+            sixths in 1u8..=3,
+        ) {
+            let mut padded = vec![0.0; PAD];
+            padded.extend(values.iter().map(|&x| f32::from(x)));
+            padded.resize(200 + 2 * PAD + LANES, 0.0);
+            let periods = Periods::new(&std::array::from_fn(|i| (start + step * i as f32).max(1.0)));
+            let share = f32::from(sixths) / 6.0;
+            let [before, behind] = both_sides(&padded, first, &periods, share);
+            prop_assert_eq!(before, between(&padded, first, &periods, -share, 0.0));
+            prop_assert_eq!(behind, between(&padded, first, &periods, share, 0.0));
         }
     }
 

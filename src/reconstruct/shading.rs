@@ -70,9 +70,12 @@ pub(super) fn correct_row(
     let span = first.start()..last.end();
     sample::reserve(light, mean.len());
     light[span.start..span.end + 2 * PAD + LANES].fill(f32::NAN);
-    let known = mean[span.clone()].iter().zip(&skip[span.clone()]);
-    for (light, (&mean, &skip)) in light[PAD + span.start..].iter_mut().zip(known) {
-        *light = if (mean > 0.0) & (skip == 0) { mean } else { f32::NAN };
+    for run in runs {
+        let columns = run.columns();
+        let known = mean[columns.clone()].iter().zip(&skip[columns.clone()]);
+        for (light, (&mean, &skip)) in light[PAD + columns.start..].iter_mut().zip(known) {
+            *light = if (mean > 0.0) & (skip == 0) { mean } else { f32::NAN };
+        }
     }
     for run in runs {
         for first in run.columns().step_by(LANES) {
@@ -104,11 +107,14 @@ fn correct_block(
         let light = light[i];
         // The formula's own S: the phasor's imaginary part carries the sign of the phase.
         let (sin, cos) = (s[i] * sign, c[i]);
-        let ripple = RIPPLE * (sin / (6.0 * light)).clamp(-1.0, 1.0);
-        let after = (after[i] - light) / (1.0 + ripple);
-        let before = (light - before[i]) / (1.0 - ripple);
+        let per_light = 1.0 / light;
+        let ripple = (RIPPLE / 6.0 * sin * per_light).clamp(-RIPPLE, RIPPLE);
+        // One quotient for both sides: over `1 + ripple` and over `1 - ripple`.
+        let scale = 1.0 / (1.0 - ripple * ripple);
+        let after = (after[i] - light) * ((1.0 - ripple) * scale);
+        let before = (light - before[i]) * ((1.0 + ripple) * scale);
         let change = slope(before, after, SLOPE_FLOOR * light);
-        let q = (change / light).clamp(-MAX_CHANGE, MAX_CHANGE);
+        let q = (change * per_light).clamp(-MAX_CHANGE, MAX_CHANGE);
         // NaN: its light is unknown, or that on both sides.
         out[0][i] = if q.is_nan() { c[i] } else { cos - q * TURN * sin };
         out[1][i] = if q.is_nan() { s[i] } else { sign * (sin + q * (FROM_MEAN * light + TURN * cos)) };

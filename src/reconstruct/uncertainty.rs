@@ -13,9 +13,9 @@
 //! orders, which are refused and have no distribution. `fourdbody validate truth --uncertainty` holds it against
 //! rendered truth.
 
-use super::demodulate::Phasors;
 use super::simd;
-use crate::export::doubt_of;
+use super::windows::{self, Windows};
+use crate::export::{STEPS_PER_LEVEL, doubt_of};
 use crate::image::Plane;
 
 /// Classes of light, and their width in DN.
@@ -62,30 +62,30 @@ const MORE_MISFIT: f32 = 0.03;
 /// for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0.
 pub fn doubts(
     absolute: &Plane<f32>,
-    phasors: &Phasors,
+    windows: &Windows,
     expected: &Plane<f32>,
     zone: &Plane<u8>,
     marker_rows: f32,
 ) -> Plane<u8> {
     let (width, height) = (absolute.width(), absolute.height());
-    let noise = Noise::of(absolute, phasors);
+    let noise = Noise::of(absolute, windows);
     let mut doubts = Plane::filled(width, height, 0u8);
     simd::dispatch(
         #[inline(always)]
         || {
             let mut rows = vec![0f32; width];
             for v in 0..height {
-                averaged_rows(phasors, v, &mut rows);
-                let (phase, misfit) = (absolute.row(v), phasors.misfit.row(v));
-                let (c, s, mean) = (phasors.c.row(v), phasors.s.row(v), phasors.mean.row(v));
+                averaged_rows(windows, v, &mut rows);
+                let (phase, misfit) = (absolute.row(v), windows.misfit.row(v));
+                let (strength, light) = (windows.strength.row(v), windows.light.row(v));
                 let (zone, expected) = (zone.row(v), expected.row(v));
                 for (u, doubt) in doubts.row_mut(v).iter_mut().enumerate() {
                     if phase[u].is_nan() {
                         continue;
                     }
-                    let amplitude = ((c[u] * c[u] + s[u] * s[u]).sqrt() / 6.0).max(0.1);
+                    let amplitude = windows::amplitude(strength[u]).max(0.1);
                     let rows = if zone[u] != 0 { marker_rows.max(1.0) } else { rows[u] };
-                    let [variance, usual] = noise.at(mean[u]).map(|x| x / (amplitude * amplitude));
+                    let [variance, usual] = noise.at(mean(light[u])).map(|x| x / (amplitude * amplitude));
                     let random = (variance / rows).sqrt();
                     let shape = if expected[u].is_nan() {
                         let beyond = misfit[u] * misfit[u] - USUAL * usual;
@@ -103,15 +103,15 @@ pub fn doubts(
 
 /// How many rows went into each phasor of row `v`.
 #[inline(always)]
-fn averaged_rows(phasors: &Phasors, v: usize, rows: &mut [f32]) {
+fn averaged_rows(windows: &Windows, v: usize, rows: &mut [f32]) {
     rows.fill(1.0);
-    let misfit = &phasors.misfit;
+    let misfit = &windows.misfit;
     let own = misfit.row(v);
     for k in 1..=ROWS_EACH_SIDE.min(v).min(misfit.height() - 1 - v) {
         let (above, below) = (misfit.row(v - k), misfit.row(v + k));
-        let (mean_above, mean_below) = (phasors.mean.row(v - k), phasors.mean.row(v + k));
+        let (light_above, light_below) = (windows.light.row(v - k), windows.light.row(v + k));
         for (u, rows) in rows.iter_mut().enumerate() {
-            let known = (mean_above[u] > 0.0) & (mean_below[u] > 0.0);
+            let known = (light_above[u] > 0) & (light_below[u] > 0);
             let takes_part = known & (above[u].max(below[u]) <= own[u] + MORE_MISFIT);
             *rows += if takes_part { 2.0 } else { 0.0 };
         }
@@ -125,18 +125,18 @@ struct Noise([[f32; 2]; CLASSES]);
 type Counts = [[u32; BINS]; CLASSES];
 
 impl Noise {
-    fn of(absolute: &Plane<f32>, phasors: &Phasors) -> Self {
+    fn of(absolute: &Plane<f32>, windows: &Windows) -> Self {
         let (mut differences, mut residuals): (Counts, Counts) = ([[0; BINS]; CLASSES], [[0; BINS]; CLASSES]);
         for v in 2..absolute.height().saturating_sub(2) {
             let rows: [&[f32]; 5] = std::array::from_fn(|k| absolute.row(v + k - 2));
-            let (c, s) = (phasors.c.row(v), phasors.s.row(v));
-            let (misfit, mean) = (phasors.misfit.row(v), phasors.mean.row(v));
+            let (strength, light) = (windows.strength.row(v), windows.light.row(v));
+            let misfit = windows.misfit.row(v);
             for u in 0..absolute.width() {
                 let difference = rows[0][u] + rows[4][u] - 4.0 * (rows[1][u] + rows[3][u]) + 6.0 * rows[2][u];
                 // Not so for NaN.
                 if (difference.abs() < MAX_DIFFERENCE) & (misfit[u] < MAX_MISFIT) {
-                    let power = (c[u] * c[u] + s[u] * s[u]) / 36.0;
-                    let class = class(mean[u]);
+                    let power = windows::amplitude(strength[u]).powi(2);
+                    let class = class(mean(light[u]));
                     differences[class][bin(difference * difference * power)] += 1;
                     residuals[class][bin(misfit[u] * misfit[u] * power)] += 1;
                 }
@@ -176,6 +176,12 @@ fn by_class(counts: &Counts, part: u32, factor: f32, default: f32) -> [f32; CLAS
         *x = last;
     }
     values
+}
+
+/// A stored light, DN.
+#[inline(always)]
+fn mean(light: u16) -> f32 {
+    f32::from(light) * (1.0 / STEPS_PER_LEVEL)
 }
 
 fn class(light: f32) -> usize {

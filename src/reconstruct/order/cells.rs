@@ -6,7 +6,7 @@
 
 use super::glimpse::{Glimpse, Glimpses, Rim};
 use crate::image::Plane;
-use crate::reconstruct::bits::gathered;
+use crate::reconstruct::bits::{WORD, bits_where};
 use crate::reconstruct::runs::Runs;
 use crate::reconstruct::simd;
 use std::f32::consts::TAU;
@@ -387,13 +387,11 @@ pub fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
 /// A bit for every pixel (u, v) of a cell.
 #[inline(always)]
 fn bits(is: impl Fn(usize, usize) -> bool) -> u64 {
-    let mut ones = [0u8; CELL_PX * CELL_PX];
-    for v in 0..CELL_PX {
-        for u in 0..CELL_PX {
-            ones[v * CELL_PX + u] = u8::from(is(u, v));
-        }
-    }
-    gathered(&ones)
+    const { assert!(CELL_PX * CELL_PX == WORD) };
+    bits_where(
+        #[inline(always)]
+        |i| is(i % CELL_PX, i / CELL_PX),
+    )
 }
 
 /// All pixels that hang together with some: `right` and `down` tell which continue the one to their left and above.

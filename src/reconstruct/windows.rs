@@ -1,0 +1,90 @@
+//! What the stages behind the wrapped phase need of its windows: their phasors have given the phase, and what is left of
+//! them and of the light fits 16 bits. Eight frames wait for each other, and memory is what they wait in.
+
+use super::demodulate::Phasors;
+use super::runs::Runs;
+use super::simd;
+use crate::export::STEPS_PER_LEVEL;
+use crate::image::Plane;
+
+/// Steps of a phasor's length in a DN.
+pub const STEPS_PER_DN: f32 = 64.0;
+
+/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
+const ROUND: f32 = 12_582_912.0;
+
+/// The windows of a frame, by their middle pixel.
+#[derive(Debug)]
+pub struct Windows {
+    /// Length of the phasor, 6 B, DN times [`STEPS_PER_DN`]; 0 where it is unknown.
+    pub strength: Plane<u16>,
+    /// Light over the window's one period: the mean, DN times [`STEPS_PER_LEVEL`].
+    pub light: Plane<u16>,
+    /// What the samples have beside offset, slope and fringe: RMS relative to B.
+    pub misfit: Plane<f32>,
+}
+
+impl Windows {
+    /// Those of phasors, of the pixels of `runs`.
+    pub fn of(phasors: Phasors, runs: &Runs) -> Self {
+        let Phasors { c, s, mean, misfit } = phasors;
+        let (width, height) = (misfit.width(), misfit.height());
+        let [mut strength, mut light] = [(); 2].map(|()| Plane::filled(width, height, 0u16));
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for v in 0..height {
+                    for run in runs.row(v) {
+                        let at = run.columns();
+                        let phasors = c.row(v)[at.clone()].iter().zip(&s.row(v)[at.clone()]);
+                        for (to, (&c, &s)) in strength.row_mut(v)[at.clone()].iter_mut().zip(phasors) {
+                            *to = strength_steps(c, s);
+                        }
+                        for (to, &mean) in light.row_mut(v)[at.clone()].iter_mut().zip(&mean.row(v)[at]) {
+                            *to = light_steps(mean);
+                        }
+                    }
+                }
+            },
+        );
+        Self { strength, light, misfit }
+    }
+}
+
+/// The length of a phasor in whole steps.
+#[inline(always)]
+pub(super) fn strength_steps(c: f32, s: f32) -> u16 {
+    let steps = (c * c + s * s).sqrt() * STEPS_PER_DN;
+    rounded(if steps < 65535.0 { steps } else { 65535.0 })
+}
+
+/// The amplitude B of a phasor of so many steps, DN.
+#[inline(always)]
+pub(super) fn amplitude(strength: u16) -> f32 {
+    f32::from(strength) * (1.0 / (6.0 * STEPS_PER_DN))
+}
+
+/// A mean light, DN, in whole steps.
+#[inline(always)]
+pub(super) fn light_steps(mean: f32) -> u16 {
+    rounded((mean * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL))
+}
+
+/// The nearest whole number of a float of 16 bits, from its bits: a conversion has to care for all others, too.
+#[inline(always)]
+fn rounded(x: f32) -> u16 {
+    (x + ROUND).to_bits() as u16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{amplitude, light_steps, strength_steps};
+
+    #[test]
+    fn steps_are_the_nearest() {
+        assert_eq!([0.0, 0.12, 0.13, 100.0, 300.0].map(light_steps), [0, 0, 1, 400, 1020]);
+        assert_eq!(strength_steps(3.0, -4.0), 320);
+        assert_eq!(strength_steps(0.0, 2000.0), 65535);
+        assert_eq!(amplitude(strength_steps(60.0, 80.0)), 100.0 / 6.0);
+    }
+}
