@@ -37,7 +37,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 /// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 9;
+const ALGORITHM: u32 = 10;
 
 /// What is written of each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

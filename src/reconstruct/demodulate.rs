@@ -186,7 +186,7 @@ pub(super) fn demodulate_row(
 
 /// c, s, mean and misfit of a block whose first pixel has `inside` pixels of its run before and behind it.
 #[inline(always)]
-fn demodulate_block(
+pub(super) fn demodulate_block(
     light: &[f32],
     first: usize,
     inside: (usize, usize),

@@ -88,7 +88,7 @@ pub(super) fn correct_row(
 
 /// C and S of a block without the bias. `light` is NaN where it is not known or must not be used.
 #[inline(always)]
-fn correct_block(
+pub(super) fn correct_block(
     (c, s): (Lanes, Lanes),
     light: &[f32],
     first: usize,
