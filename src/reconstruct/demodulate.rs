@@ -75,7 +75,12 @@ impl Gains {
         Self((0..=entries).map(gain).collect())
     }
 
-    /// Factors for S and C, for a block of periods.
+    /// Factors for S and C.
+    fn of(&self, period: f32) -> [f32; 2] {
+        self.0[((period / GAIN_STEP_PX + 0.5) as usize).min(self.0.len() - 1)]
+    }
+
+    /// The same for a block of periods.
     #[inline(always)]
     fn at(&self, period: &Lanes) -> [Lanes; 2] {
         let last = self.0.len() as i32 - 1;
@@ -186,7 +191,7 @@ pub(super) fn demodulate_row(
 
 /// c, s, mean and misfit of a block whose first pixel has `inside` pixels of its run before and behind it.
 #[inline(always)]
-pub(super) fn demodulate_block(
+fn demodulate_block(
     light: &[f32],
     first: usize,
     inside: (usize, usize),
@@ -221,6 +226,15 @@ pub(super) fn demodulate_block(
         out_misfit[i] = if known { misfit } else { 0.0 };
     }
     [out_c, out_s, out_mean, out_misfit]
+}
+
+/// S, C, mean and misfit of one pixel's seven samples, whose distance is a sixth of `period`.
+pub(super) fn of_samples(samples: &[f32; 7], period: f32, gains: &Gains) -> (f32, f32, f32, f32) {
+    let (s, c) = sums(samples);
+    let [gain_s, gain_c] = gains.of(period);
+    let (s, c) = (s * gain_s, c * gain_c);
+    let (mean, misfit) = remainder(samples, s / 6.0, c / 6.0);
+    (s, c, mean, misfit)
 }
 
 /// The light so many sixths of a period beside each pixel of a block. (Not a closure: that would be a function of its own,

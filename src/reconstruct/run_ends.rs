@@ -10,17 +10,15 @@
 //! demodulated again. Nothing here has a part in fringe orders: a pixel takes that of the one beside it.
 
 use super::demodulate::{self, Gains, Phasors};
-use super::runs::{Run, Runs};
-use super::sample::{self, LANES, Lanes, PAD};
-use super::{shading, simd};
+use super::runs::Runs;
+use super::shading;
 use crate::image::Plane;
-use std::cell::RefCell;
 use std::f32::consts::TAU;
 use std::ops::Range;
 
 /// How far a window may reach beyond its run: share of a period, and px.
 const BEYOND: f32 = 0.35;
-const BEYOND_PX: usize = 6;
+const BEYOND_PX: f32 = 6.0;
 
 /// Largest misfit of a window that does.
 const BEYOND_MISFIT: f32 = 0.2;
@@ -40,7 +38,7 @@ const MAX_BEND: f32 = 0.3;
 /// Pixels up to this distance from the end are demodulated again from this misfit on, if the period of the phases differs by
 /// no more than this share of the counted one.
 const END_PX: usize = 12;
-const DOUBTFUL_MISFIT: f32 = 0.06;
+const DOUBTFUL_MISFIT: f32 = 0.08;
 const PERIOD_CHANGE: f32 = 0.3;
 
 /// What is found is better if its misfit is less than this share of what it was, and the phase changes by no more, rad.
@@ -58,17 +56,6 @@ pub(super) struct Input<'a> {
     pub sign: f32,
 }
 
-/// Light and mean light of a row, padded.
-#[derive(Default)]
-struct Buffers {
-    light: Vec<f32>,
-    mean: Vec<f32>,
-}
-
-thread_local! {
-    static BUFFERS: RefCell<Buffers> = RefCell::default();
-}
-
 /// Adds phases at the ends of runs to `absolute`, which is known within them only, and improves those that are doubtful there.
 /// Returns how many were added.
 pub(super) fn complete(
@@ -77,37 +64,30 @@ pub(super) fn complete(
     phasors: &mut Phasors,
     period: &mut Plane<f32>,
 ) -> usize {
-    BUFFERS.with_borrow_mut(|buffers| {
-        sample::reserve(&mut buffers.light, absolute.width());
-        sample::reserve(&mut buffers.mean, absolute.width());
-        simd::dispatch(
-            #[inline(always)]
-            || {
-                let mut added = 0;
-                for v in 0..absolute.height() {
-                    let mut row = Row {
-                        absolute: absolute.row_mut(v),
-                        c: phasors.c.row_mut(v),
-                        s: phasors.s.row_mut(v),
-                        mean: phasors.mean.row_mut(v),
-                        misfit: phasors.misfit.row_mut(v),
-                        period: period.row_mut(v),
-                        zone: input.zone.row(v),
-                        image: input.image.row(v),
-                        gains: input.gains,
-                        sign: input.sign,
-                        buffers,
-                    };
-                    for run in input.runs.row(v) {
-                        added += row.go_on(run, -1) + row.go_on(run, 1);
-                        row.improve(run, -1);
-                        row.improve(run, 1);
-                    }
-                }
-                added
-            },
-        )
-    })
+    let mut added = 0;
+    for v in 0..absolute.height() {
+        let mut row = Row {
+            absolute: absolute.row_mut(v),
+            c: phasors.c.row_mut(v),
+            s: phasors.s.row_mut(v),
+            mean: phasors.mean.row_mut(v),
+            misfit: phasors.misfit.row_mut(v),
+            period: period.row_mut(v),
+            zone: input.zone.row(v),
+            image: input.image.row(v),
+            gains: input.gains,
+            sign: input.sign,
+        };
+        for run in input.runs.row(v) {
+            let columns = run.columns();
+            added += row.go_on(&columns, -1) + row.go_on(&columns, 1);
+            let end = columns.len().min(END_PX);
+            row.improve(&columns, columns.start..columns.start + end);
+            // Not twice in short runs.
+            row.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
+        }
+    }
+    added
 }
 
 /// One row of what is read and written.
@@ -122,133 +102,116 @@ struct Row<'a> {
     image: &'a [u8],
     gains: &'a Gains,
     sign: f32,
-    buffers: &'a mut Buffers,
 }
 
-/// What demodulation gives for a block.
+/// What demodulation gives for a pixel.
 struct Found {
-    c: Lanes,
-    s: Lanes,
-    mean: Lanes,
-    misfit: Lanes,
+    c: f32,
+    s: f32,
+    mean: f32,
+    misfit: f32,
 }
 
 impl Row<'_> {
     /// From the last known phase of a run towards its end, which is behind (`step` 1) or before it (-1).
-    #[inline(always)]
-    fn go_on(&mut self, run: &Run, step: isize) -> usize {
-        let columns = run.columns();
-        let unknown = |u: usize| self.c[u] == 0.0 && self.s[u] == 0.0;
-        let mut from = if step > 0 { columns.end - 1 } else { columns.start };
-        while unknown(from) {
+    fn go_on(&mut self, columns: &Range<usize>, step: isize) -> usize {
+        let (mut from, mut count) = (if step > 0 { columns.end - 1 } else { columns.start }, 0);
+        while self.c[from] == 0.0 && self.s[from] == 0.0 {
             match from.checked_add_signed(-step).filter(|u| columns.contains(u)) {
-                Some(next) => from = next,
+                Some(next) => (from, count) = (next, count + 1),
                 None => return 0,
             }
         }
-        let count = if step > 0 { columns.end - 1 - from } else { from - columns.start }.min(LANES);
         if count == 0 || self.absolute[from].is_nan() || self.zone[from] != 0 {
             return 0;
         }
-        let first = if step > 0 { from + 1 } else { from - count };
-        let course = self.course(&columns, from, step);
-        let mut period = [0.0; LANES];
-        for (i, period) in period[..count].iter_mut().enumerate() {
-            let p = TAU / course.slope((first + i).abs_diff(from) as f32).abs();
-            *period = if PERIODS_PX.contains(&p) { p } else { 0.0 };
-        }
-        let found = self.demodulate(&columns, first, count, &period);
+        let course = self.course(columns, from, step);
         for k in 1..=count {
             let u = from.wrapping_add_signed(step * k as isize);
-            let i = u - first;
+            let period = TAU / course.slope(k as f32).abs();
+            let Some(found) = self.demodulate(columns, u, period) else { return k - 1 };
             let expected = course.phase(k as f32);
-            let phase = nearest(demodulate::phase(found.c[i], found.s[i]), expected);
-            let beyond = period[i] / 2.0 > to_end(&columns, u) as f32;
+            let phase = nearest(demodulate::phase(found.c, found.s), expected);
+            let beyond = period / 2.0 > to_end(columns, u) as f32;
             // NaN where there is none.
-            let agrees = (phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit[i] > BEYOND_MISFIT);
+            let agrees = (phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > BEYOND_MISFIT);
             if !agrees || self.zone[u] != 0 {
                 return k - 1;
             }
-            self.set(u, i, phase, period[i], &found);
+            self.set(u, phase, period, &found);
         }
         count
     }
 
-    /// Demodulates doubtful pixels at an end again, at the period that the phases around them tell.
-    #[inline(always)]
-    fn improve(&mut self, run: &Run, step: isize) {
-        let columns = run.columns();
-        let count = columns.len().min(END_PX);
-        let first = if step > 0 { columns.end - count } else { columns.start };
-        let mut period = [0.0; LANES];
-        let mut any = false;
-        for (i, period) in period[..count].iter_mut().enumerate() {
-            let u = first + i;
-            if self.misfit[u] < DOUBTFUL_MISFIT || self.absolute[u].is_nan() || self.zone[u] != 0 {
+    /// Demodulates doubtful pixels of a part of a run again, at the period that the phases around them tell.
+    fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
+        let first = part.start;
+        let mut found: [Option<(f32, f32, Found)>; END_PX] = [const { None }; END_PX];
+        // All of them before any is changed.
+        for u in part {
+            let before = self.absolute[u];
+            if self.misfit[u] < DOUBTFUL_MISFIT || before.is_nan() || self.zone[u] != 0 {
                 continue;
             }
-            let p = TAU / self.slope(&columns, u).abs();
-            if PERIODS_PX.contains(&p) && (p / self.period[u] - 1.0).abs() <= PERIOD_CHANGE {
-                (*period, any) = (p, true);
+            let period = TAU / self.slope(columns, u).abs();
+            if !((period / self.period[u] - 1.0).abs() <= PERIOD_CHANGE) {
+                continue;
+            }
+            let Some(new) = self.demodulate(columns, u, period) else { continue };
+            let phase = nearest(demodulate::phase(new.c, new.s), before);
+            if (phase - before).abs() <= PHASE_CHANGE && new.misfit < LESS_MISFIT * self.misfit[u] {
+                found[u - first] = Some((phase, period, new));
             }
         }
-        if !any {
-            return;
-        }
-        let found = self.demodulate(&columns, first, count, &period);
-        for i in 0..count {
-            let (u, before) = (first + i, self.absolute[first + i]);
-            let phase = nearest(demodulate::phase(found.c[i], found.s[i]), before);
-            if (phase - before).abs() <= PHASE_CHANGE && found.misfit[i] < LESS_MISFIT * self.misfit[u] {
-                self.set(u, i, phase, period[i], &found);
+        for (i, found) in found.iter().enumerate() {
+            if let Some((phase, period, found)) = found {
+                self.set(first + i, *phase, *period, found);
             }
         }
     }
 
-    #[inline(always)]
-    fn set(&mut self, u: usize, i: usize, phase: f32, period: f32, found: &Found) {
+    fn set(&mut self, u: usize, phase: f32, period: f32, found: &Found) {
         self.absolute[u] = phase;
-        (self.c[u], self.s[u]) = (found.c[i], found.s[i]);
-        (self.mean[u], self.misfit[u], self.period[u]) = (found.mean[i], found.misfit[i], period);
+        (self.c[u], self.s[u]) = (found.c, found.s);
+        (self.mean[u], self.misfit[u], self.period[u]) = (found.mean, found.misfit, period);
     }
 
-    /// Demodulates `count` pixels from `first` on at the periods of a block and takes off the bias of shading. Unknown (0)
-    /// where the period is 0, or the window reaches too far beyond the run.
-    #[inline(always)]
-    fn demodulate(&mut self, columns: &Range<usize>, first: usize, count: usize, period: &Lanes) -> Found {
-        let Buffers { light, mean: means } = &mut *self.buffers;
-        let seen = first.saturating_sub(PAD).max(columns.start.saturating_sub(BEYOND_PX))
-            ..(first + LANES + PAD).min(columns.end + BEYOND_PX).min(self.image.len());
-        for (light, &x) in light[PAD + seen.start..].iter_mut().zip(&self.image[seen]) {
-            *light = f32::from(x);
+    /// Demodulates a pixel at a period and takes off the bias of shading; `None` where the window reaches too far
+    /// beyond the run, or the period is none.
+    fn demodulate(&self, columns: &Range<usize>, u: usize, period: f32) -> Option<Found> {
+        let reach = (BEYOND * period).min(BEYOND_PX);
+        if !PERIODS_PX.contains(&period) || period / 2.0 - reach > to_end(columns, u) as f32 {
+            return None;
         }
-        let inside = (first - columns.start + BEYOND_PX, columns.end - 1 - first + BEYOND_PX);
-        let [mut c, mut s, mean, misfit] =
-            demodulate::demodulate_block(light, first, inside, period, self.gains, self.sign);
-        means[first..first + 2 * PAD + LANES].fill(f32::NAN);
-        let near = first.saturating_sub(PAD).max(columns.start)..(first + LANES + PAD).min(columns.end);
-        for u in near {
-            let own = u.checked_sub(first).filter(|&i| i < count && mean[i] > 0.0);
-            let mean = own.map_or(self.mean[u], |i| mean[i]);
-            means[PAD + u] = if mean > 0.0 && self.zone[u] == 0 { mean } else { f32::NAN };
+        let reach = period / 2.0;
+        if u as f32 - reach < 0.0 || u as f32 + reach + 1.0 >= self.image.len() as f32 {
+            return None;
         }
-        [c, s] = shading::correct_block((c, s), means, first, period, self.sign);
-        for i in 0..count {
-            let reach = (BEYOND * period[i]).min(BEYOND_PX as f32);
-            let fits = period[i] > 0.0 && period[i] / 2.0 - reach <= to_end(columns, first + i) as f32;
-            (c[i], s[i]) = if fits { (c[i], s[i]) } else { (0.0, 0.0) };
+        let mut samples = [0.0; 7];
+        for (k, sample) in (-3i8..).zip(&mut samples) {
+            let place = u as f32 + f32::from(k) / 6.0 * period;
+            let [a, b] = [0, 1].map(|next| f32::from(self.image[place as usize + next]));
+            *sample = a + place.fract() * (b - a);
         }
-        Found { c, s, mean, misfit }
+        let (s, c, mean, misfit) = demodulate::of_samples(&samples, period, self.gains);
+        // Its light half a period to each side, where it is known and not the marker's.
+        let known = |x: usize| columns.contains(&x) && self.mean[x] > 0.0 && self.zone[x] == 0;
+        let [before, after] = [-0.5, 0.5].map(|share| {
+            let place = u as f32 + share * period;
+            let low = place as usize;
+            let (a, b) = (self.mean[low], self.mean[low + 1]);
+            if known(low) && known(low + 1) { a + place.fract() * (b - a) } else { f32::NAN }
+        });
+        let [c, s] = shading::correct_one(c, s, [before, mean, after]);
+        Some(Found { c, s: self.sign * s, mean, misfit })
     }
 
     /// A pixel's phase, NaN beyond the run.
-    #[inline(always)]
     fn at(&self, columns: &Range<usize>, u: usize, steps: isize) -> f32 {
         u.checked_add_signed(steps).filter(|u| columns.contains(u)).map_or(f32::NAN, |u| self.absolute[u])
     }
 
     /// How the phase goes on from a pixel towards `step`.
-    #[inline(always)]
     fn course(&self, columns: &Range<usize>, from: usize, step: isize) -> Course {
         let period = self.period[from];
         let carrier = self.sign * step as f32 * TAU / period;
@@ -266,7 +229,6 @@ impl Row<'_> {
     }
 
     /// Slope of the phase at a pixel, rad/px; NaN where none can be told.
-    #[inline(always)]
     fn slope(&self, columns: &Range<usize>, u: usize) -> f32 {
         let carrier = self.sign * TAU / self.period[u];
         let reach = (self.period[u] / 3.0).round().max(2.0);
@@ -294,27 +256,23 @@ struct Course {
 
 impl Course {
     /// Slope after so many pixels, rad/px.
-    #[inline(always)]
     fn slope(&self, distance: f32) -> f32 {
         let most = MAX_BEND * self.slope.abs();
         self.slope + (self.bend * (distance + self.behind)).clamp(-most, most)
     }
 
     /// Phase after so many pixels, rad.
-    #[inline(always)]
     fn phase(&self, distance: f32) -> f32 {
         self.phase + distance * self.slope(distance / 2.0)
     }
 }
 
 /// Pixels from `u` to the nearer end of a run.
-#[inline(always)]
 fn to_end(columns: &Range<usize>, u: usize) -> usize {
     (u - columns.start).min(columns.end - 1 - u)
 }
 
 /// A wrapped phase by whole turns nearest to another.
-#[inline(always)]
 fn nearest(wrapped: f32, to: f32) -> f32 {
     wrapped + TAU * ((to - wrapped) / TAU).round()
 }
