@@ -53,7 +53,7 @@ def one(scene, camera, index, ours):
             wrapped, absolute = file["wrapped"].astype(float), file["absolute"].astype(float)
     stages = answer["stages"]
     # Everything that is not unwrapping or beyond is what leads to the wrapped phase.
-    later = {"unwrap", "partner", "select", "curvature", "edges", "triangulate", "normals"}
+    later = {"unwrap", "partner", "run_ends", "select", "curvature", "edges", "triangulate", "normals"}
     first = [name for name in stages if name not in later]
     report = {"scene": scene.name, "camera": camera, "index": index, "period_px": period, "lit_px": int(lit.sum())}
     known = lit & np.isfinite(wrapped)

@@ -1,7 +1,7 @@
 //! Absolute phase Fm: which of the unwrapped pixels are good enough to become points.
 //!
 //! A demodulation window that crosses a depth step mixes two surfaces; its phase is neither's. Such pixels are
-//! dropped with a margin: completeness may suffer, truth may not.
+//! dropped with a margin, unless it is certain that their own has not: completeness may suffer, truth may not.
 
 use super::runs::{Run, Runs, each_not_0};
 use super::simd;
@@ -19,11 +19,13 @@ pub struct Settings {
     pub min_amplitude: f32,
     /// Largest misfit of the fringe model (see [`Windows::misfit`]).
     pub max_misfit: f32,
+    /// Pixels of less misfit stay beside a step, too: their window has not seen it.
+    pub clear_misfit: f32,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6 }
+        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6, clear_misfit: 0.05 }
     }
 }
 
@@ -162,7 +164,8 @@ fn drop_from(
     let least = (6.0 * settings.min_amplitude * STEPS_PER_DN) as u16;
     let mut dropped = 0u32;
     for i in 0..n {
-        let good = (strength[i] >= least) & (misfit[i] <= settings.max_misfit) & (near[i] == 0);
+        let apart = (near[i] == 0) | (misfit[i] < settings.clear_misfit);
+        let good = (strength[i] >= least) & (misfit[i] <= settings.max_misfit) & apart;
         dropped += u32::from(!good & !phase[i].is_nan());
         phase[i] = if good { phase[i] } else { f32::NAN };
     }

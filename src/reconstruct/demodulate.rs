@@ -84,7 +84,15 @@ impl Gains {
         Self(table)
     }
 
-    /// Factors for S and C, for a block of periods.
+    /// Factors for S and C.
+    #[inline(always)]
+    fn of(&self, period: f32) -> [f32; 2] {
+        const LAST: f32 = GAIN_MAX_PX * GAINS_PER_PX;
+        let at = period * GAINS_PER_PX;
+        self.0[(if at < LAST { at } else { LAST } + ROUND).to_bits() as usize % GAINS]
+    }
+
+    /// The same for a block of periods.
     #[inline(always)]
     fn at(&self, period: &Lanes) -> [[f32; 2]; LANES] {
         const LAST: f32 = GAIN_MAX_PX * GAINS_PER_PX;
@@ -272,6 +280,16 @@ fn demodulate_block(
         out_misfit[i] = if known { misfit } else { 0.0 };
     }
     [out_c, out_s, out_mean, out_misfit]
+}
+
+/// S, C, mean and misfit of one pixel's seven samples, whose distance is a sixth of `period`.
+pub(super) fn of_samples(samples: &[f32; 7], period: f32, gains: &Gains) -> (f32, f32, f32, f32) {
+    let folded = Folded::of(samples);
+    let (s, c) = folded.sums();
+    let [gain_s, gain_c] = gains.of(period);
+    let (s, c) = (s * gain_s, c * gain_c);
+    let (mean, misfit) = folded.remainder(s * (1.0 / 6.0), c * (1.0 / 6.0));
+    (s, c, mean, misfit)
 }
 
 /// Mean phasor of up to five rows; the rows above and below take part in pairs, so that the mean stays centred.

@@ -12,8 +12,8 @@ use super::triangulate::Triangulator;
 use super::unwrap::Unwrapped;
 use super::windows::Windows;
 use super::{
-    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, simd, uncertainty,
-    unwrap, unwrap_paper,
+    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, run_ends, simd,
+    uncertainty, unwrap, unwrap_paper,
 };
 use crate::export::{Cloud, PhaseMap};
 use crate::image::{Mono8, Plane};
@@ -151,6 +151,8 @@ pub struct Prepared {
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
     windows: Windows,
+    /// The photograph.
+    image: Plane<u8>,
     period: Plane<f32>,
     /// Around the marker: not 0.
     zone: Plane<u8>,
@@ -259,7 +261,6 @@ impl Pipeline {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
         };
-        BYTES.give(image);
         let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = resolved;
         // Until all cameras are heard.
         let regions = Regions::default();
@@ -271,6 +272,7 @@ impl Pipeline {
             regions,
             marker,
             object,
+            image,
             counts,
             runs,
             windows,
@@ -290,8 +292,9 @@ impl Pipeline {
             regions,
             mut counts,
             runs,
-            windows,
-            period,
+            mut windows,
+            mut period,
+            image,
             zone,
             mut planes,
             mut clock,
@@ -305,6 +308,11 @@ impl Pipeline {
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
         if self.method == Method::Anchored {
+            counts.phase += clock.time("run_ends", || {
+                let (runs, zone, gains) = (&runs, &zone, &self.gains);
+                let input = run_ends::Input { image: &image, runs, zone, gains, sign: pair.sign };
+                run_ends::complete(&input, &mut absolute, &mut windows, &mut period)
+            });
             counts.dropped = clock.time("select", || {
                 self.bias.correct(&mut absolute);
                 absolute::select(
@@ -348,6 +356,7 @@ impl Pipeline {
             [marker, zone].into_iter().for_each(|plane| BYTES.give(plane));
         }
         BYTES.give(object);
+        BYTES.give(image);
         if self.keep_maps {
             planes.push(("Fm", absolute));
         } else if self.method == Method::Anchored {

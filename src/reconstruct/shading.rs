@@ -104,22 +104,31 @@ fn correct_block(
     let light = sample::load(&light[PAD..], first);
     let mut out = [c, s];
     for i in 0..LANES {
-        let light = light[i];
         // The formula's own S: the phasor's imaginary part carries the sign of the phase.
-        let (sin, cos) = (s[i] * sign, c[i]);
-        let per_light = 1.0 / light;
-        let ripple = (RIPPLE / 6.0 * sin * per_light).clamp(-RIPPLE, RIPPLE);
-        // One quotient for both sides: over `1 + ripple` and over `1 - ripple`.
-        let scale = 1.0 / (1.0 - ripple * ripple);
-        let after = (after[i] - light) * ((1.0 - ripple) * scale);
-        let before = (light - before[i]) * ((1.0 + ripple) * scale);
-        let change = slope(before, after, SLOPE_FLOOR * light);
-        let q = (change * per_light).clamp(-MAX_CHANGE, MAX_CHANGE);
-        // NaN: its light is unknown, or that on both sides.
-        out[0][i] = if q.is_nan() { c[i] } else { cos - q * TURN * sin };
-        out[1][i] = if q.is_nan() { s[i] } else { sign * (sin + q * (FROM_MEAN * light + TURN * cos)) };
+        let [cos, sin] = correct_one(c[i], s[i] * sign, [before[i], light[i], after[i]]);
+        (out[0][i], out[1][i]) = (cos, sign * sin);
     }
     out
+}
+
+/// C and S (the formula's own, of a phase that grows with the column) without the bias, from the light half a period
+/// before, here, and behind; NaN where it is unknown.
+#[inline(always)]
+pub(super) fn correct_one(cos: f32, sin: f32, [before, light, after]: [f32; 3]) -> [f32; 2] {
+    let per_light = 1.0 / light;
+    let ripple = (RIPPLE / 6.0 * sin * per_light).clamp(-RIPPLE, RIPPLE);
+    // One quotient for both sides: over `1 + ripple` and over `1 - ripple`.
+    let scale = 1.0 / (1.0 - ripple * ripple);
+    let after = (after - light) * ((1.0 - ripple) * scale);
+    let before = (light - before) * ((1.0 + ripple) * scale);
+    let change = slope(before, after, SLOPE_FLOOR * light);
+    let q = (change * per_light).clamp(-MAX_CHANGE, MAX_CHANGE);
+    // NaN: its light is unknown, or that on both sides.
+    let known = !q.is_nan();
+    [
+        if known { cos - q * TURN * sin } else { cos },
+        if known { sin + q * (FROM_MEAN * light + TURN * cos) } else { sin },
+    ]
 }
 
 /// Change over one period from the changes over the half periods before and after. Their sum, but limited by the

@@ -1,0 +1,388 @@
+//! Phases at the ends of runs, once their fringe orders are known.
+//!
+//! A mask ends where the light does, in the valley beside the last bright fringe, and the surface often goes on in the
+//! dark: windows of whole fringes that reach over the mask's border by a few pixels are good. And the period, which is
+//! counted over a window that is shifted at the ends of a run, is not that of a surface which turns away there. From the
+//! phases themselves it is known better: they tell how the fringe goes on.
+//!
+//! So the pixels beside the last known phase get windows of the period that its course foretells, one after the other
+//! towards the end, as long as what they see agrees with it; and those at the end whose misfit is doubtful are
+//! demodulated again. Nothing here has a part in fringe orders: a pixel takes that of the one beside it.
+
+use super::demodulate::{self, Gains};
+use super::runs::Runs;
+use super::shading;
+use super::windows::{self, Windows};
+use crate::export::STEPS_PER_LEVEL;
+use crate::image::Plane;
+use std::f32::consts::TAU;
+use std::ops::Range;
+
+/// How far a window may reach beyond its run: share of a period, and px.
+const BEYOND: f32 = 0.35;
+const BEYOND_PX: f32 = 6.0;
+
+/// Largest misfit of a window that does.
+const BEYOND_MISFIT: f32 = 0.2;
+
+/// Largest difference of a phase to what the course of those beside it foretells, rad.
+const MAX_STEP: f32 = 0.4;
+
+/// Periods that are demodulated here, px: those at outlines are shorter and longer than any that is counted.
+const PERIODS_PX: Range<f32> = 4.5..32.0;
+
+/// Slopes that differ from the carrier's by more than this share are not those of one surface.
+const SAME_SLOPE: f32 = 0.6;
+
+/// The bend of the course changes its slope by this share at most.
+const MAX_BEND: f32 = 0.3;
+
+/// Pixels up to this distance from the end are demodulated again from this misfit on, if the period of the phases differs by
+/// no more than this share of the counted one.
+const END_PX: usize = 12;
+const DOUBTFUL_MISFIT: f32 = 0.08;
+const PERIOD_CHANGE: f32 = 0.3;
+
+/// What is found is better if its misfit is less than this share of what it was, and the phase changes by no more, rad.
+const LESS_MISFIT: f32 = 0.9;
+const PHASE_CHANGE: f32 = 0.5;
+
+/// What is read.
+pub(super) struct Input<'a> {
+    pub image: &'a Plane<u8>,
+    pub runs: &'a Runs,
+    /// Around the marker: not 0. Nothing is done there.
+    pub zone: &'a Plane<u8>,
+    pub gains: &'a Gains,
+    /// That of the phase along the columns.
+    pub sign: f32,
+}
+
+/// Adds phases at the ends of runs to `absolute`, which is known within them only, and improves those that are doubtful there.
+/// Returns how many were added.
+pub(super) fn complete(
+    input: &Input<'_>,
+    absolute: &mut Plane<f32>,
+    windows: &mut Windows,
+    period: &mut Plane<f32>,
+) -> usize {
+    let mut added = 0;
+    for v in 0..absolute.height() {
+        let mut row = Row {
+            absolute: absolute.row_mut(v),
+            strength: windows.strength.row_mut(v),
+            light: windows.light.row_mut(v),
+            misfit: windows.misfit.row_mut(v),
+            period: period.row_mut(v),
+            zone: input.zone.row(v),
+            image: input.image.row(v),
+            gains: input.gains,
+            sign: input.sign,
+        };
+        for run in input.runs.row(v) {
+            let columns = run.columns();
+            added += row.go_on(&columns, -1) + row.go_on(&columns, 1);
+            let end = columns.len().min(END_PX);
+            row.improve(&columns, columns.start..columns.start + end);
+            // Not twice in short runs.
+            row.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
+        }
+    }
+    added
+}
+
+/// One row of what is read and written.
+struct Row<'a> {
+    absolute: &'a mut [f32],
+    strength: &'a mut [u16],
+    light: &'a mut [u16],
+    misfit: &'a mut [f32],
+    period: &'a mut [f32],
+    zone: &'a [u8],
+    image: &'a [u8],
+    gains: &'a Gains,
+    sign: f32,
+}
+
+/// What demodulation gives for a pixel.
+struct Found {
+    c: f32,
+    s: f32,
+    mean: f32,
+    misfit: f32,
+}
+
+impl Row<'_> {
+    /// From the last known phase of a run towards its end, which is behind (`step` 1) or before it (-1).
+    fn go_on(&mut self, columns: &Range<usize>, step: isize) -> usize {
+        let (mut from, mut count) = (if step > 0 { columns.end - 1 } else { columns.start }, 0);
+        while self.strength[from] == 0 {
+            match from.checked_add_signed(-step).filter(|u| columns.contains(u)) {
+                Some(next) => (from, count) = (next, count + 1),
+                None => return 0,
+            }
+        }
+        if count == 0 || self.absolute[from].is_nan() || self.zone[from] != 0 {
+            return 0;
+        }
+        let course = self.course(columns, from, step);
+        for k in 1..=count {
+            let u = from.wrapping_add_signed(step * k as isize);
+            let period = TAU / course.slope(k as f32).abs();
+            let Some(found) = self.demodulate(columns, u, period) else { return k - 1 };
+            let expected = course.phase(k as f32);
+            let phase = nearest(demodulate::phase(found.c, found.s), expected);
+            let beyond = period / 2.0 > to_end(columns, u) as f32;
+            // NaN where there is none.
+            let agrees = (phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > BEYOND_MISFIT);
+            if !agrees || self.zone[u] != 0 {
+                return k - 1;
+            }
+            self.set(u, phase, period, &found);
+        }
+        count
+    }
+
+    /// Demodulates doubtful pixels of a part of a run again, at the period that the phases around them tell.
+    fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
+        let first = part.start;
+        let mut found: [Option<(f32, f32, Found)>; END_PX] = [const { None }; END_PX];
+        // All of them before any is changed.
+        for u in part {
+            let before = self.absolute[u];
+            if self.misfit[u] < DOUBTFUL_MISFIT || before.is_nan() || self.zone[u] != 0 {
+                continue;
+            }
+            let period = TAU / self.slope(columns, u).abs();
+            if !((period / self.period[u] - 1.0).abs() <= PERIOD_CHANGE) {
+                continue;
+            }
+            let Some(new) = self.demodulate(columns, u, period) else { continue };
+            let phase = nearest(demodulate::phase(new.c, new.s), before);
+            if (phase - before).abs() <= PHASE_CHANGE && new.misfit < LESS_MISFIT * self.misfit[u] {
+                found[u - first] = Some((phase, period, new));
+            }
+        }
+        for (i, found) in found.iter().enumerate() {
+            if let Some((phase, period, found)) = found {
+                self.set(first + i, *phase, *period, found);
+            }
+        }
+    }
+
+    fn set(&mut self, u: usize, phase: f32, period: f32, found: &Found) {
+        self.absolute[u] = phase;
+        self.strength[u] = windows::strength_steps(found.c, found.s);
+        self.light[u] = windows::light_steps(found.mean);
+        (self.misfit[u], self.period[u]) = (found.misfit, period);
+    }
+
+    /// Demodulates a pixel at a period and takes off the bias of shading; `None` where the window reaches too far
+    /// beyond the run, or the period is none.
+    fn demodulate(&self, columns: &Range<usize>, u: usize, period: f32) -> Option<Found> {
+        let reach = (BEYOND * period).min(BEYOND_PX);
+        if !PERIODS_PX.contains(&period) || period / 2.0 - reach > to_end(columns, u) as f32 {
+            return None;
+        }
+        let reach = period / 2.0;
+        if u as f32 - reach < 0.0 || u as f32 + reach + 1.0 >= self.image.len() as f32 {
+            return None;
+        }
+        let mut samples = [0.0; 7];
+        for (k, sample) in (-3i8..).zip(&mut samples) {
+            let place = u as f32 + f32::from(k) / 6.0 * period;
+            let [a, b] = [0, 1].map(|next| f32::from(self.image[place as usize + next]));
+            *sample = a + place.fract() * (b - a);
+        }
+        let (s, c, mean, misfit) = demodulate::of_samples(&samples, period, self.gains);
+        // Its light half a period to each side, where it is known and not the marker's.
+        let known = |x: usize| columns.contains(&x) && self.light[x] > 0 && self.zone[x] == 0;
+        let [before, after] = [-0.5, 0.5].map(|share| {
+            let place = u as f32 + share * period;
+            let low = place as usize;
+            let [a, b] = [0, 1].map(|next| f32::from(self.light[low + next]) / STEPS_PER_LEVEL);
+            if known(low) && known(low + 1) { a + place.fract() * (b - a) } else { f32::NAN }
+        });
+        let [c, s] = shading::correct_one(c, s, [before, mean, after]);
+        Some(Found { c, s: self.sign * s, mean, misfit })
+    }
+
+    /// A pixel's phase, NaN beyond the run.
+    fn at(&self, columns: &Range<usize>, u: usize, steps: isize) -> f32 {
+        u.checked_add_signed(steps).filter(|u| columns.contains(u)).map_or(f32::NAN, |u| self.absolute[u])
+    }
+
+    /// How the phase goes on from a pixel towards `step`.
+    fn course(&self, columns: &Range<usize>, from: usize, step: isize) -> Course {
+        let period = self.period[from];
+        let carrier = self.sign * step as f32 * TAU / period;
+        let reach = (period / 2.0).round().clamp(3.0, 12.0);
+        let [near, far] = [1, 2].map(|k| self.at(columns, from, -step * k * reach as isize));
+        let phase = self.absolute[from];
+        let [own, before] = [(phase - near) / reach, (near - far) / reach];
+        let is_same = |slope: f32| (slope / carrier - 1.0).abs() < SAME_SLOPE;
+        let (slope, bend) = match (is_same(own), is_same(before)) {
+            (true, true) => (own, (own - before) / reach),
+            (true, false) => (own, 0.0),
+            (false, _) => (carrier, 0.0),
+        };
+        Course { phase, slope, bend, behind: reach / 2.0 }
+    }
+
+    /// Slope of the phase at a pixel, rad/px; NaN where none can be told.
+    fn slope(&self, columns: &Range<usize>, u: usize) -> f32 {
+        let carrier = self.sign * TAU / self.period[u];
+        let reach = (self.period[u] / 3.0).round().max(2.0);
+        let is_same = |slope: f32| (slope / carrier - 1.0).abs() < SAME_SLOPE;
+        let at = |k: isize| self.at(columns, u, k * reach as isize);
+        // From the differences on one side, the farther one for how it bends.
+        let from_side = |near: f32, far: f32| if is_same(far) { near + (near - far) / 2.0 } else { near };
+        let [before, after] = [(at(0) - at(-1)) / reach, (at(1) - at(0)) / reach];
+        match (is_same(before), is_same(after)) {
+            (true, true) => (before + after) / 2.0,
+            (false, true) => from_side(after, (at(2) - at(1)) / reach),
+            (true, false) => from_side(before, (at(-1) - at(-2)) / reach),
+            (false, false) => f32::NAN,
+        }
+    }
+}
+
+/// The phase as it goes on from a pixel: a parabola whose slope was measured `behind` px before it.
+struct Course {
+    phase: f32,
+    slope: f32,
+    bend: f32,
+    behind: f32,
+}
+
+impl Course {
+    /// Slope after so many pixels, rad/px.
+    fn slope(&self, distance: f32) -> f32 {
+        let most = MAX_BEND * self.slope.abs();
+        self.slope + (self.bend * (distance + self.behind)).clamp(-most, most)
+    }
+
+    /// Phase after so many pixels, rad.
+    fn phase(&self, distance: f32) -> f32 {
+        self.phase + distance * self.slope(distance / 2.0)
+    }
+}
+
+/// Pixels from `u` to the nearer end of a run.
+fn to_end(columns: &Range<usize>, u: usize) -> usize {
+    (u - columns.start).min(columns.end - 1 - u)
+}
+
+/// A wrapped phase by whole turns nearest to another.
+fn nearest(wrapped: f32, to: f32) -> f32 {
+    wrapped + TAU * ((to - wrapped) / TAU).round()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Input, complete};
+    use crate::image::{Mono8, Plane};
+    use crate::reconstruct::demodulate::{Gains, demodulate, wrapped};
+    use crate::reconstruct::runs::Runs;
+    use crate::reconstruct::windows::Windows;
+    use std::f32::consts::TAU;
+
+    const WIDTH: usize = 160;
+
+    /// A surface that turns away: the fringes become shorter towards both ends.
+    fn truth(u: usize) -> f32 {
+        let x = u as f32 - 80.0;
+        TAU * (x / 13.0 + x * x * x / 1.6e5) + 900.0
+    }
+
+    /// Lit fringes on black; the mask ends with the light, as that of a frame does.
+    fn scene() -> (Plane<u8>, Plane<u8>) {
+        let light = |u: usize| {
+            let lit = (25..135).contains(&u);
+            if lit { (2.0 + 50.0 * (1.0 + 0.95 * truth(u).cos())) as u8 } else { 2 }
+        };
+        let row: Vec<u8> = (0..WIDTH).map(light).collect();
+        let bright = |u: &usize| row[*u] > 10;
+        let (first, last) = ((0..WIDTH).find(bright), (0..WIDTH).rfind(bright));
+        let on_mask = |u: usize| u8::from(Some(u) >= first && Some(u) <= last);
+        let mask = (0..WIDTH).map(on_mask).collect();
+        let plane = |data| Plane::from_vec(WIDTH, 1, data).expect("a row");
+        (plane(row), plane(mask))
+    }
+
+    /// Absolute phases as a frame has them before, and what else is needed.
+    fn before(image: &Plane<u8>, mask: &Plane<u8>, sign: f32) -> (Plane<f32>, Windows, Plane<f32>) {
+        // As it is counted: that of the middle reaches to the ends.
+        let period = Plane::filled(WIDTH, 1, 12.0);
+        let phasors = demodulate(Mono8::from(image), mask, &period, &Gains::new(), sign);
+        let mut absolute = wrapped(&phasors);
+        for (u, phase) in absolute.as_mut_slice().iter_mut().enumerate() {
+            *phase += TAU * ((sign * truth(u) - *phase) / TAU).round();
+        }
+        (absolute, Windows::of(phasors, &Runs::of(mask)), period)
+    }
+
+    /// Pixels known, and the RMS and largest error of those up to 16 px from the ends of the mask.
+    fn errors(absolute: &Plane<f32>, mask: &Plane<u8>, sign: f32) -> (usize, f32, f32) {
+        let runs = Runs::of(mask);
+        let run = runs.row(0)[0].columns();
+        let near = run.clone().filter(|u| (u - run.start).min(run.end - 1 - u) < 16);
+        let errors = near.map(|u| (absolute.at(u, 0) - sign * truth(u)).abs()).filter(|e| !e.is_nan());
+        let errors: Vec<f32> = errors.collect();
+        let square = errors.iter().map(|e| e * e).sum::<f32>() / errors.len() as f32;
+        (errors.len(), square.sqrt(), errors.iter().copied().fold(0.0, f32::max))
+    }
+
+    #[test]
+    fn runs_are_completed_to_where_their_windows_end_in_the_dark() {
+        let (image, mask) = scene();
+        let (runs, zone, gains) = (Runs::of(&mask), Plane::filled(WIDTH, 1, 0), Gains::new());
+        for sign in [1.0, -1.0] {
+            let (mut absolute, mut windows, mut period) = before(&image, &mask, sign);
+            let (known, rms, _) = errors(&absolute, &mask, sign);
+            let input = Input { image: &image, runs: &runs, zone: &zone, gains: &gains, sign };
+            let added = complete(&input, &mut absolute, &mut windows, &mut period);
+            let (known_after, rms_after, worst) = errors(&absolute, &mask, sign);
+            println!(
+                "{added} added: {known} known, {rms} rad rms; then {known_after}, {rms_after}, worst {worst}"
+            );
+            assert_eq!(known_after, known + added);
+            assert!(added >= 5, "{added}");
+            assert!(rms_after < 0.8 * rms && worst < 0.15, "{rms} {rms_after} {worst}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_added_beside_an_open_order_or_the_marker() {
+        let (image, mask) = scene();
+        let (runs, gains) = (Runs::of(&mask), Gains::new());
+        for marked in [0, 1] {
+            let zone = Plane::filled(WIDTH, 1, marked);
+            let (mut absolute, mut windows, mut period) = before(&image, &mask, 1.0);
+            if marked == 0 {
+                absolute.as_mut_slice().fill(f32::NAN);
+            }
+            let known = absolute.clone();
+            let input = Input { image: &image, runs: &runs, zone: &zone, gains: &gains, sign: 1.0 };
+            assert_eq!(complete(&input, &mut absolute, &mut windows, &mut period), 0);
+            let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits();
+            assert!(absolute.as_slice().iter().zip(known.as_slice()).all(same));
+        }
+    }
+
+    /// Beyond the mask there is another surface, not the dark: what the window sees does not go on.
+    #[test]
+    fn a_window_that_reaches_another_surface_gives_nothing() {
+        let (mut image, mask) = scene();
+        let (runs, zone, gains) = (Runs::of(&mask), Plane::filled(WIDTH, 1, 0), Gains::new());
+        let run = runs.row(0)[0].columns();
+        image.row_mut(0)[..run.start].fill(120);
+        image.row_mut(0)[run.end..].fill(120);
+        let (mut absolute, mut windows, mut period) = before(&image, &mask, 1.0);
+        let input = Input { image: &image, runs: &runs, zone: &zone, gains: &gains, sign: 1.0 };
+        complete(&input, &mut absolute, &mut windows, &mut period);
+        let (_, _, worst) = errors(&absolute, &mask, 1.0);
+        println!("worst {worst}");
+        assert!(worst < 0.3, "{worst}");
+    }
+}
