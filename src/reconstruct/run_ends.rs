@@ -23,7 +23,7 @@ const BEYOND: f32 = 0.35;
 const BEYOND_PX: f32 = 6.0;
 
 /// Largest misfit of a window that does.
-const BEYOND_MISFIT: f32 = 0.2;
+const BEYOND_MISFIT: f32 = 0.15;
 
 /// Largest difference of a phase to what the course of those beside it foretells, rad.
 const MAX_STEP: f32 = 0.4;
