@@ -483,7 +483,7 @@ mod tests {
         let i = [-3, -2, -1, 0, 1, 2, 3].map(sample);
         let s = 3f64.sqrt() * (i[1] + i[2] - i[4] - i[5]) + (i[6] - i[0]) / 3f64.sqrt();
         let c = -i[0] - i[1] + i[2] + 2.0 * i[3] + i[4] - i[5] - i[6];
-        let [gain_s, gain_c] = gains.at(&[period as f32; LANES]).map(|gain| f64::from(gain[0]));
+        let [gain_s, gain_c] = gains.at(&[period as f32; LANES])[0].map(f64::from);
         let mean = (i.iter().sum::<f64>() + c * gain_c / 6.0) / 7.0;
         Some([c * gain_c, s * gain_s, mean])
     }
