@@ -22,8 +22,13 @@ use std::ops::Range;
 const BEYOND: f32 = 0.35;
 const BEYOND_PX: f32 = 6.0;
 
-/// Largest misfit of a window that does.
-const BEYOND_MISFIT: f32 = 0.15;
+/// Largest misfit of a window that does: at an outline, and where the object goes on in the same row, after a hole that may be a
+/// dark spot on it, whose edge the window would see.
+const BEYOND_MISFIT: f32 = 0.2;
+const HOLE_MISFIT: f32 = 0.15;
+
+/// Holes are no longer than this, px.
+const HOLE_PX: usize = 64;
 
 /// Largest difference of a phase to what the course of those beside it foretells, rad.
 const MAX_STEP: f32 = 0.4;
@@ -79,9 +84,13 @@ pub(super) fn complete(
             gains: input.gains,
             sign: input.sign,
         };
-        for run in input.runs.row(v) {
+        let runs = input.runs.row(v);
+        for (i, run) in runs.iter().enumerate() {
             let columns = run.columns();
-            added += row.go_on(&columns, -1) + row.go_on(&columns, 1);
+            let before = i.checked_sub(1).map(|i| run.start() - runs[i].end());
+            let behind = runs.get(i + 1).map(|next| next.start() - run.end());
+            added += row.go_on(&columns, -1, largest_misfit(before));
+            added += row.go_on(&columns, 1, largest_misfit(behind));
             let end = columns.len().min(END_PX);
             row.improve(&columns, columns.start..columns.start + end);
             // Not twice in short runs.
@@ -89,6 +98,11 @@ pub(super) fn complete(
         }
     }
     added
+}
+
+/// Largest misfit of a window that leaves a run, so many px before the next.
+fn largest_misfit(hole: Option<usize>) -> f32 {
+    if hole.is_some_and(|px| px <= HOLE_PX) { HOLE_MISFIT } else { BEYOND_MISFIT }
 }
 
 /// One row of what is read and written.
@@ -113,8 +127,9 @@ struct Found {
 }
 
 impl Row<'_> {
-    /// From the last known phase of a run towards its end, which is behind (`step` 1) or before it (-1).
-    fn go_on(&mut self, columns: &Range<usize>, step: isize) -> usize {
+    /// From the last known phase of a run towards its end, which is behind (`step` 1) or before it (-1). Windows that leave the run
+    /// have a misfit of `most` at most.
+    fn go_on(&mut self, columns: &Range<usize>, step: isize, most: f32) -> usize {
         let (mut from, mut count) = (if step > 0 { columns.end - 1 } else { columns.start }, 0);
         while self.strength[from] == 0 {
             match from.checked_add_signed(-step).filter(|u| columns.contains(u)) {
@@ -134,7 +149,7 @@ impl Row<'_> {
             let phase = nearest(demodulate::phase(found.c, found.s), expected);
             let beyond = period / 2.0 > to_end(columns, u) as f32;
             // NaN where there is none.
-            let agrees = (phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > BEYOND_MISFIT);
+            let agrees = (phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > most);
             if !agrees || self.zone[u] != 0 {
                 return k - 1;
             }
