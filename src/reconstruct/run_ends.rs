@@ -10,7 +10,7 @@
 //! demodulated again. Nothing here has a part in fringe orders: a pixel takes that of the one beside it.
 
 use super::demodulate::{self, Gains};
-use super::runs::Runs;
+use super::runs::{Run, Runs};
 use super::shading;
 use super::windows::{self, Windows};
 use crate::export::STEPS_PER_LEVEL;
@@ -22,13 +22,14 @@ use std::ops::Range;
 const BEYOND: f32 = 0.35;
 const BEYOND_PX: f32 = 6.0;
 
-/// Largest misfit of a window that does: at an outline, and where the object goes on in the same row, after a hole that may be a
-/// dark spot on it, whose edge the window would see.
+/// Largest misfit of a window that does.
 const BEYOND_MISFIT: f32 = 0.2;
-const HOLE_MISFIT: f32 = 0.15;
 
-/// Holes are no longer than this, px.
-const HOLE_PX: usize = 64;
+/// A hole in a row may be a dark spot on one surface, whose edge a window that leaves the run would see. It is no longer than this, px,
+/// and the phase on its other side is where the carrier leads, but for a share of the way and some rad.
+const SPOT_PX: usize = 64;
+const SPOT_SHARE: f32 = 0.25;
+const SPOT_RAD: f32 = 1.0;
 
 /// Largest difference of a phase to what the course of those beside it foretells, rad.
 const MAX_STEP: f32 = 0.4;
@@ -85,24 +86,25 @@ pub(super) fn complete(
             sign: input.sign,
         };
         let runs = input.runs.row(v);
+        // An end at a spot stays as it is.
+        let mut spot_before = false;
         for (i, run) in runs.iter().enumerate() {
+            let spot_behind = runs.get(i + 1).is_some_and(|next| row.is_spot(run, next));
             let columns = run.columns();
-            let before = i.checked_sub(1).map(|i| run.start() - runs[i].end());
-            let behind = runs.get(i + 1).map(|next| next.start() - run.end());
-            added += row.go_on(&columns, -1, largest_misfit(before));
-            added += row.go_on(&columns, 1, largest_misfit(behind));
             let end = columns.len().min(END_PX);
-            row.improve(&columns, columns.start..columns.start + end);
-            // Not twice in short runs.
-            row.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
+            if !spot_before {
+                added += row.go_on(&columns, -1);
+                row.improve(&columns, columns.start..columns.start + end);
+            }
+            if !spot_behind {
+                added += row.go_on(&columns, 1);
+                // Not twice in short runs.
+                row.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
+            }
+            spot_before = spot_behind;
         }
     }
     added
-}
-
-/// Largest misfit of a window that leaves a run, so many px before the next.
-fn largest_misfit(hole: Option<usize>) -> f32 {
-    if hole.is_some_and(|px| px <= HOLE_PX) { HOLE_MISFIT } else { BEYOND_MISFIT }
 }
 
 /// One row of what is read and written.
@@ -127,9 +129,23 @@ struct Found {
 }
 
 impl Row<'_> {
-    /// From the last known phase of a run towards its end, which is behind (`step` 1) or before it (-1). Windows that leave the run
-    /// have a misfit of `most` at most.
-    fn go_on(&mut self, columns: &Range<usize>, step: isize, most: f32) -> usize {
+    /// Whether what lies between two runs may be a spot on one surface.
+    fn is_spot(&self, run: &Run, next: &Run) -> bool {
+        if next.start() - run.end() > SPOT_PX {
+            return false;
+        }
+        let known = |u: &usize| !self.absolute[*u].is_nan();
+        let Some((a, b)) = run.columns().rev().find(known).zip(next.columns().find(known)) else {
+            return true;
+        };
+        let way = self.sign * TAU * (b - a) as f32 * 2.0 / (self.period[a] + self.period[b]);
+        let off = self.absolute[b] - self.absolute[a] - way;
+        // Not where that is no number.
+        !(off.abs() > SPOT_RAD + SPOT_SHARE * way.abs())
+    }
+
+    /// From the last known phase of a run towards its end, which is behind (`step` 1) or before it (-1).
+    fn go_on(&mut self, columns: &Range<usize>, step: isize) -> usize {
         let (mut from, mut count) = (if step > 0 { columns.end - 1 } else { columns.start }, 0);
         while self.strength[from] == 0 {
             match from.checked_add_signed(-step).filter(|u| columns.contains(u)) {
@@ -149,7 +165,7 @@ impl Row<'_> {
             let phase = nearest(demodulate::phase(found.c, found.s), expected);
             let beyond = period / 2.0 > to_end(columns, u) as f32;
             // NaN where there is none.
-            let agrees = (phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > most);
+            let agrees = (phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > BEYOND_MISFIT);
             if !agrees || self.zone[u] != 0 {
                 return k - 1;
             }
@@ -382,6 +398,24 @@ mod tests {
             assert_eq!(complete(&input, &mut absolute, &mut windows, &mut period), 0);
             let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits();
             assert!(absolute.as_slice().iter().zip(known.as_slice()).all(same));
+        }
+    }
+
+    /// A dark stripe: on one surface, or between two.
+    #[test]
+    fn the_ends_at_a_spot_stay_as_they_are() {
+        let (mut image, mut mask) = scene();
+        image.row_mut(0)[70..95].fill(2);
+        mask.row_mut(0)[70..95].fill(0);
+        let (runs, zone, gains) = (Runs::of(&mask), Plane::filled(WIDTH, 1, 0), Gains::new());
+        let beside = |absolute: &Plane<f32>| (56..109).filter(|&u| !absolute.at(u, 0).is_nan()).count();
+        for (turns, spot) in [(0.0, true), (3.0, false)] {
+            let (mut absolute, mut windows, mut period) = before(&image, &mask, 1.0);
+            absolute.row_mut(0)[95..].iter_mut().for_each(|phase| *phase += turns * TAU);
+            let known = beside(&absolute);
+            let input = Input { image: &image, runs: &runs, zone: &zone, gains: &gains, sign: 1.0 };
+            complete(&input, &mut absolute, &mut windows, &mut period);
+            assert_eq!(beside(&absolute) == known, spot, "{known} {}", beside(&absolute));
         }
     }
 
