@@ -25,7 +25,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6, clear_misfit: 0.05 }
+        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6, clear_misfit: 0.08 }
     }
 }
 

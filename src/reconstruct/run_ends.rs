@@ -28,7 +28,7 @@ const BEYOND_MISFIT: f32 = 0.2;
 /// A hole in a row may be a dark spot on one surface, whose edge a window that leaves the run would see. It is no longer than this, px,
 /// and the phase on its other side is where the carrier leads, but for a share of the way and some rad.
 const SPOT_PX: usize = 64;
-const SPOT_SHARE: f32 = 0.25;
+const SPOT_SHARE: f32 = 0.1;
 const SPOT_RAD: f32 = 1.0;
 
 /// Largest difference of a phase to what the course of those beside it foretells, rad.
