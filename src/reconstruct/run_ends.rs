@@ -136,7 +136,7 @@ impl Row<'_> {
         }
         let known = |u: &usize| !self.absolute[*u].is_nan();
         let Some((a, b)) = run.columns().rev().find(known).zip(next.columns().find(known)) else {
-            return true;
+            return false;
         };
         let way = self.sign * TAU * (b - a) as f32 * 2.0 / (self.period[a] + self.period[b]);
         let off = self.absolute[b] - self.absolute[a] - way;
