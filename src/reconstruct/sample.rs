@@ -156,7 +156,7 @@ fn bent(at: f32, [a, b, c]: [f32; 3]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::{LANES, PAD, Periods, between, both_sides, load};
-    use proptest::prelude::{any, prop_assert, prop_assert_eq, proptest};
+    use proptest::prelude::{any, prop_assert, proptest};
 
     proptest! {
         #[test]
@@ -198,8 +198,12 @@ mod tests {
             let periods = Periods::new(&std::array::from_fn(|i| (start + step * i as f32).max(1.0)));
             let share = f32::from(sixths) / 6.0;
             let [before, behind] = both_sides(&padded, first, &periods, share);
-            prop_assert_eq!(before, between(&padded, first, &periods, -share, 0.0));
-            prop_assert_eq!(behind, between(&padded, first, &periods, share, 0.0));
+            for (found, share) in [(before, -share), (behind, share)] {
+                // From the other of both neighbours: the last bits differ.
+                for (x, alone) in found.iter().zip(between(&padded, first, &periods, share, 0.0)) {
+                    prop_assert!((x - alone).abs() < 1e-3, "{x} {alone}");
+                }
+            }
         }
     }
 

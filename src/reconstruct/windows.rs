@@ -85,6 +85,6 @@ mod tests {
         assert_eq!([0.0, 0.12, 0.13, 100.0, 300.0].map(light_steps), [0, 0, 1, 400, 1020]);
         assert_eq!(strength_steps(3.0, -4.0), 320);
         assert_eq!(strength_steps(0.0, 2000.0), 65535);
-        assert_eq!(amplitude(strength_steps(60.0, 80.0)), 100.0 / 6.0);
+        assert!((amplitude(strength_steps(60.0, 80.0)) - 100.0 / 6.0).abs() < 1e-5);
     }
 }
