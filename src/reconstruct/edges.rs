@@ -276,7 +276,7 @@ impl Sums {
 fn lay_planes(good: &[&[f32]; ROWS], u: usize, phase: &Lanes, carrier: &Lanes) -> Laid {
     let sums = Sums::of(good, u, phase, carrier);
     let mut laid = Laid { phase: [0.0; LANES], error: [0.0; LANES] };
-    for i in 0..LANES {
+    for (i, own) in phase.iter().enumerate() {
         let (n, x1, y1, z1) = (sums.n[i], sums.x[i], sums.y[i], sums.z[i]);
         // Moments about the centre of gravity; the plane there is the mean.
         let per_n = 1.0 / n;
@@ -293,7 +293,7 @@ fn lay_planes(good: &[&[f32]; ROWS], u: usize, phase: &Lanes, carrier: &Lanes) -
         let error = DEPENDENCE * (leverage + 0.005).sqrt() * residual;
         let good =
             (n >= MIN_SUPPORT as f32) & (det >= 1e-3 * xx * yy) & (det > 0.0) & (leverage <= MAX_LEVERAGE);
-        laid.phase[i] = phase[i] + z0 - a * x0 - b * y0;
+        laid.phase[i] = own + z0 - a * x0 - b * y0;
         laid.error[i] = if good { error } else { f32::INFINITY };
     }
     laid
