@@ -152,11 +152,12 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
         options.extend(["--scratch".to_owned(), absolute(scratch)?.display().to_string()]);
     }
     // A dry run leaves nothing behind.
-    let summaries = args.dry_run.then(|| Scratch::new(&std::env::temp_dir(), "summaries")).transpose()?;
+    let asked = args.dry_run && store.is_some();
+    let summaries = asked.then(|| Scratch::new(&std::env::temp_dir(), "summaries")).transpose()?;
+    if let Some(summaries) = &summaries {
+        plan.out.clone_from(&summaries.0);
+    }
     if let Some(store) = &store {
-        if let Some(summaries) = &summaries {
-            plan.out.clone_from(&summaries.0);
-        }
         fetch_summaries(store, &plan.out)?;
     }
     let work = Work {

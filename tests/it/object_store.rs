@@ -39,6 +39,18 @@ impl Store {
         Some(store)
     }
 
+    /// A dry run of `cluster submit` says what of the results in the store is done, and makes no directory of its own.
+    fn assert_dry_run_writes_nothing(&self) {
+        let (out, calibration) = (self.fixture.path("planned"), self.fixture.path("calibration.json"));
+        let mut command = Command::new(FOURDBODY);
+        command.args(["cluster", "submit", "s3://lab/sessions/walk", "--store", "s3://lab/results/walk"]);
+        command.arg("--out").arg(&out).arg("--calibration").arg(&calibration);
+        self.tell(&mut command);
+        let done = command.args(["--tasks", "3", "--dry-run"]).output().expect("starts");
+        assert_eq!(done.status.code(), Some(0), "{}", text(&done));
+        assert!(!out.exists(), "a dry run wrote {}", out.display());
+    }
+
     fn start(&mut self) {
         let mut command = Command::new(program());
         command.args(["--host", "127.0.0.1", "--port", &self.port.to_string()]);
@@ -141,6 +153,7 @@ fn shards_of_a_session_in_a_store_are_collected_there_to_the_bytes_of_one_run() 
         [1, 0, 1],
         "the refused collection is the third's"
     );
+    store.assert_dry_run_writes_nothing();
 }
 
 #[test]
