@@ -145,7 +145,8 @@ impl Witness {
         if self.towards > 0.0 { turns > others } else { turns < others }
     }
 
-    /// The same as whether it agrees, lies before, or lies behind: without a branch.
+    /// Whether a place agrees, lies before, or lies behind, when the phase seen there is `ahead` of the one cast on it, rad: without
+    /// a branch. It lies before the surface seen where that has the phase of places farther away.
     #[inline(always)]
     pub fn compare(&self, ahead: f32) -> [bool; 3] {
         let (far, farther) = (ahead.abs() >= OTHER_RAD, (ahead > 0.0) == (self.towards > 0.0));
@@ -154,15 +155,11 @@ impl Witness {
 
     /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.
     pub fn judge(&self, ahead: f32) -> Verdict {
-        if ahead.abs() < SAME_RAD {
-            Verdict::Agrees
-        } else if ahead.abs() < OTHER_RAD {
-            Verdict::Nothing
-        } else if (ahead > 0.0) == (self.towards > 0.0) {
-            // The surface seen has the phase of places farther away.
-            Verdict::Before
-        } else {
-            Verdict::Behind
+        match self.compare(ahead) {
+            [true, _, _] => Verdict::Agrees,
+            [_, true, _] => Verdict::Before,
+            [_, _, true] => Verdict::Behind,
+            [false, false, false] => Verdict::Nothing,
         }
     }
 }
