@@ -162,11 +162,11 @@ impl Search<'_> {
         let phase = |(node, turns): (u32, i32)| {
             scene.phase(node) + TAU * (turns - scene.pieces.turns[node as usize]) as f32
         };
-        let ends = places.iter().step_by(places.len().div_ceil(2)).filter_map(|&place| {
+        let ends = places.iter().step_by(places.len().div_ceil(2)).map(|&place| {
             let (u, v, _) = scene.place(place.0);
-            volume::orders_inside(scene.triangulator.pair(), u, v, phase(place))
+            (u, v, phase(place))
         });
-        let orders = ends.reduce(|a, b| *a.start().min(b.start())..=*a.end().max(b.end()))?;
+        let orders = volume::orders_of(scene.triangulator.pair(), ends)?;
         let samples: Vec<(&Sightline, f32)> =
             places.iter().map(|&place| (&scene.lines[place.0 as usize], phase(place) / TAU)).collect();
         let (mut best, mut second) = ((i32::MIN, 0, 0, 0), 0);

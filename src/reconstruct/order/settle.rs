@@ -10,11 +10,13 @@ use super::graph::Graph;
 use super::grow::NONE;
 use super::lookout::{LANES, Lookout};
 use super::pieces::Pieces;
+use super::volume;
 use super::witness::{Sight, Verdict, Witness};
 use crate::reconstruct::rays::Sightline;
 use crate::reconstruct::triangulate::Triangulator;
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
+use std::ops::RangeInclusive;
 
 /// Marker pixels from which a piece counts as crossed by the marker.
 pub const MIN_VOTES: u32 = 20;
@@ -114,7 +116,7 @@ struct Cache {
     /// What the cameras have at the sampled places, by view, piece and order.
     sights: BTreeMap<(usize, usize, i32), Vec<Sight>>,
     /// Orders worth a look, by view and piece.
-    orders: BTreeMap<(usize, usize), Vec<i32>>,
+    orders: BTreeMap<(usize, usize), Option<RangeInclusive<i32>>>,
 }
 
 impl Cache {
@@ -285,20 +287,14 @@ fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
 /// Evidence for every order of a piece that is worth a look.
 fn weigh(scenes: &[Scene<'_>], view: usize, piece: usize, cache: &mut Cache) -> Vec<Evidence> {
     let orders = cache.orders.entry((view, piece)).or_insert_with(|| orders(&scenes[view], piece)).clone();
-    orders.into_iter().map(|order| evidence(scenes, view, piece, order, cache)).collect()
+    orders.into_iter().flatten().map(|order| evidence(scenes, view, piece, order, cache)).collect()
 }
 
 /// Orders that put a piece into the volume.
-fn orders(scene: &Scene<'_>, piece: usize) -> Vec<i32> {
+fn orders(scene: &Scene<'_>, piece: usize) -> Option<RangeInclusive<i32>> {
     let samples = samples(scene, piece);
-    let pair = scene.triangulator.pair();
-    let inside = samples.iter().step_by(samples.len().div_ceil(FIRST_SAMPLES).max(1)).filter_map(|&node| {
-        let (u, v, phase) = scene.place(node);
-        super::volume::orders_inside(pair, u, v, phase)
-    });
-    inside
-        .reduce(|a, b| *a.start().min(b.start())..=*a.end().max(b.end()))
-        .map_or_else(Vec::new, Iterator::collect)
+    let some = samples.iter().step_by(samples.len().div_ceil(FIRST_SAMPLES).max(1));
+    volume::orders_of(scene.triangulator.pair(), some.map(|&node| scene.place(node)))
 }
 
 /// The nodes of a piece that are tried, evenly.
