@@ -1,5 +1,6 @@
 //! The angle of a phasor, for many pixels at once: no table, no branch, the same bytes at every width of vectors.
 
+use super::round::nearest;
 use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, PI};
 
 /// `atan(t) = t + t^3 (A_0 + A_1 t^2 + ..)` on 0..1, least in the largest error (5e-8 rad).
@@ -23,14 +24,11 @@ pub(super) fn atan2(s: f32, c: f32) -> f32 {
     if s < 0.0 { -half } else { half }
 }
 
-/// Adding this to a number of less than 2^22 rounds it to a whole one.
-const ROUND: f32 = 12_582_912.0;
-
 /// `cos 2 x` to 1e-3.
 #[inline(always)]
 pub(super) fn cos_of_double(x: f32) -> f32 {
     let turns = x * FRAC_1_PI;
-    let t = turns - ((turns + ROUND) - ROUND);
+    let t = turns - nearest(turns);
     // The sine of pi t by its series, t within +-1/2, and cos 2 pi t = 1 - 2 sin^2 pi t.
     let q = t * t;
     let sin = t * (PI - q * (5.167_713 - q * (2.550_164 - q * 0.599_264_5)));

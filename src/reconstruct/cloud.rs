@@ -6,6 +6,7 @@
 use super::normals::{LANES, Oriented, Points, REACH, orient};
 use super::rays::{NODE_PX, PointRow, RayTable};
 use super::roi::Roi;
+use super::round::whole;
 use super::runs::{self, Runs};
 use super::simd;
 use crate::export::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_rad};
@@ -18,9 +19,6 @@ const RING: usize = 2 * REACH + 1;
 
 /// Room to either side of a row of points, for the reach of normals and for lanes beyond its end.
 const PAD: usize = 2 * LANES;
-
-/// Adding and taking away this rounds a float below 2^22 to the nearest whole number.
-const ROUNDER: f32 = 12_582_912.0;
 
 /// Fringes beyond this are no phase.
 const MAX_STEPS: f32 = 4e6;
@@ -82,13 +80,7 @@ pub fn phase_map(
 /// A phase, rad, in whole steps.
 #[inline(always)]
 fn steps(phase: f32) -> i32 {
-    rounded((phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS))
-}
-
-/// The nearest whole number of a float below 2^22, from its bits: a conversion has to care for all others, too.
-#[inline(always)]
-fn rounded(x: f32) -> i32 {
-    ((x + ROUNDER).to_bits() as i32).wrapping_sub(ROUNDER.to_bits() as i32)
+    whole((phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS))
 }
 
 /// Memory that a thread keeps from cloud to cloud.

@@ -7,6 +7,7 @@
 //! derivatives are taken from the absolute phase itself over a wider base and the bias is taken off.
 
 use super::angle;
+use super::round::whole;
 use super::runs::{Run, Runs};
 use super::sample::{self, LANES, Lanes};
 use super::simd;
@@ -35,9 +36,6 @@ const MAX_BEND_ROWS: f32 = 1.0;
 
 /// Columns beyond the ends of a row that may be asked for; no period is longer.
 const PAD: usize = 64;
-
-/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
-const ROUND: f32 = 12_582_912.0;
 
 thread_local! {
     static SUPPORT: RefCell<Support> = RefCell::default();
@@ -188,8 +186,7 @@ fn columns(period: f32) -> i32 {
     // Not 0 for NaN or nothing, either.
     let period = if period > 1.0 { period } else { 1.0 };
     let period = if period < PAD as f32 { period } else { PAD as f32 };
-    // From its bits: a conversion has to care for numbers that are not here.
-    (period + ROUND).to_bits() as i32 - ROUND.to_bits() as i32
+    whole(period)
 }
 
 /// Second difference of the phase over half a period to each side, less the noise, where that over a whole one is of

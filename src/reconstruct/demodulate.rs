@@ -12,6 +12,7 @@
 //! It is insensitive to a wrong period to first order. Linear interpolation between pixels weakens S and C by
 //! different factors that depend on P only: both are divided by them ([`Gains`]).
 
+use super::round::whole;
 use super::runs::{Run, Runs};
 use super::sample::{self, LANES, Lanes, PAD, Periods};
 use super::{angle, simd};
@@ -56,9 +57,6 @@ const GAINS: usize = 2048;
 /// Half of the longest period that is demodulated, px.
 const MAX_HALF: f32 = GAIN_MAX_PX / 2.0;
 
-/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
-const ROUND: f32 = 12_582_912.0;
-
 impl Gains {
     /// The table, from the interpolated cosine and sine themselves.
     pub fn new() -> Self {
@@ -84,24 +82,27 @@ impl Gains {
         Self(table)
     }
 
-    /// Factors for S and C.
+    /// Where the factors of a period are.
     #[inline(always)]
-    fn of(&self, period: f32) -> [f32; 2] {
+    fn place(period: f32) -> u32 {
         const LAST: f32 = GAIN_MAX_PX * GAINS_PER_PX;
         let at = period * GAINS_PER_PX;
-        self.0[(if at < LAST { at } else { LAST } + ROUND).to_bits() as usize % GAINS]
+        whole(if at < LAST { at } else { LAST }) as u32
     }
 
-    /// The same for a block of periods.
+    /// Factors for S and C.
+    #[inline(always)]
+    pub(super) fn of(&self, period: f32) -> [f32; 2] {
+        self.0[Self::place(period) as usize % GAINS]
+    }
+
+    /// The same for a block of periods: all places before the first look, because vectors find these together.
     #[inline(always)]
     fn at(&self, period: &Lanes) -> [[f32; 2]; LANES] {
-        const LAST: f32 = GAIN_MAX_PX * GAINS_PER_PX;
-        let mut place = [0u32; LANES];
-        for (place, period) in place.iter_mut().zip(period) {
-            let at = period * GAINS_PER_PX;
-            *place = (if at < LAST { at } else { LAST } + ROUND).to_bits();
+        let (mut place, mut out) = ([0u32; LANES], [[0f32; 2]; LANES]);
+        for (place, &period) in place.iter_mut().zip(period) {
+            *place = Self::place(period);
         }
-        let mut out = [[0f32; 2]; LANES];
         for (out, place) in out.iter_mut().zip(place) {
             *out = self.0[place as usize % GAINS];
         }
@@ -267,10 +268,7 @@ fn demodulate_block(
     let (left, right) = (inside.0 as f32, inside.1 as f32);
     for i in 0..LANES {
         let sample = [0, 1, 2, 3, 4, 5, 6].map(|k: usize| samples[k][i]);
-        let folded = Folded::of(&sample);
-        let (s, c) = folded.sums();
-        let (s, c) = (s * gains[i][0], c * gains[i][1]);
-        let (mean, misfit) = folded.remainder(s * (1.0 / 6.0), c * (1.0 / 6.0));
+        let (s, c, mean, misfit) = of_samples(&sample, gains[i]);
         let half = period[i] * 0.5;
         let known =
             (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
@@ -282,11 +280,11 @@ fn demodulate_block(
     [out_c, out_s, out_mean, out_misfit]
 }
 
-/// S, C, mean and misfit of one pixel's seven samples, whose distance is a sixth of `period`.
-pub(super) fn of_samples(samples: &[f32; 7], period: f32, gains: &Gains) -> (f32, f32, f32, f32) {
+/// S, C, mean and misfit of one pixel's seven samples, with the gains of their distance.
+#[inline(always)]
+pub(super) fn of_samples(samples: &[f32; 7], [gain_s, gain_c]: [f32; 2]) -> (f32, f32, f32, f32) {
     let folded = Folded::of(samples);
     let (s, c) = folded.sums();
-    let [gain_s, gain_c] = gains.of(period);
     let (s, c) = (s * gain_s, c * gain_c);
     let (mean, misfit) = folded.remainder(s * (1.0 / 6.0), c * (1.0 / 6.0));
     (s, c, mean, misfit)
@@ -418,7 +416,7 @@ pub(super) fn phase(c: f32, s: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Gains, LANES, Phasors, average_rows, demodulate, wrapped};
+    use super::{Gains, Phasors, average_rows, demodulate, wrapped};
     use crate::image::{Mono8, Plane};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
@@ -483,7 +481,7 @@ mod tests {
         let i = [-3, -2, -1, 0, 1, 2, 3].map(sample);
         let s = 3f64.sqrt() * (i[1] + i[2] - i[4] - i[5]) + (i[6] - i[0]) / 3f64.sqrt();
         let c = -i[0] - i[1] + i[2] + 2.0 * i[3] + i[4] - i[5] - i[6];
-        let [gain_s, gain_c] = gains.at(&[period as f32; LANES])[0].map(f64::from);
+        let [gain_s, gain_c] = gains.of(period as f32).map(f64::from);
         let mean = (i.iter().sum::<f64>() + c * gain_c / 6.0) / 7.0;
         Some([c * gain_c, s * gain_s, mean])
     }

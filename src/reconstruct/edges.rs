@@ -9,9 +9,9 @@
 //! misfit grows too, they do not, and the pixel keeps its own. What remains uncertain beyond a bound is dropped.
 
 use super::runs::{Runs, each_not_0};
-use super::simd;
 use super::support::Support;
 use super::windows::{self, Windows};
+use super::{sample, simd};
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
@@ -119,8 +119,8 @@ pub fn refine(
                         let count = left.iter().take_while(|&&u| u < first + LANES).count();
                         let block;
                         (block, left) = left.split_at(count);
-                        let phase = lanes(absolute.row(v), first);
-                        let mut carrier = lanes(period.row(v), first);
+                        let phase = sample::part(absolute.row(v), first, f32::NAN);
+                        let mut carrier: Lanes = sample::part(period.row(v), first, f32::NAN);
                         for carrier in &mut carrier {
                             *carrier = sign * TAU / *carrier;
                         }
@@ -147,19 +147,6 @@ pub fn refine(
             },
         )
     })
-}
-
-/// The part of a row from `first` on; NaN beyond its end.
-#[inline(always)]
-fn lanes(row: &[f32], first: usize) -> Lanes {
-    match row[first..].first_chunk() {
-        Some(lanes) => *lanes,
-        None => {
-            let mut lanes = [f32::NAN; LANES];
-            lanes[..row.len() - first].copy_from_slice(&row[first..]);
-            lanes
-        }
-    }
 }
 
 /// Adds the columns of a run, which begins at `start`, whose phase is known and doubtful.

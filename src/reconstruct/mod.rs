@@ -56,6 +56,7 @@ pub mod quality;
 pub mod rays;
 /// The part of a frame that holds the object.
 pub mod roi;
+mod round;
 mod run_ends;
 /// Runs of a mask's pixels.
 pub mod runs;

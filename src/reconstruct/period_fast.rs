@@ -16,9 +16,6 @@ use crate::image::{Mono8, Plane};
 /// light falls off towards an outline, and more wrong ones (docs/design/reconstruction.md).
 const LIGHT_PERIODS: f32 = 1.3;
 
-/// Half of the longest window that a threshold is the mean of: the sum of its pixels fits 15 bits.
-const MAX_REACH: usize = 63;
-
 /// Steps of a pixel in which distances are summed.
 const STEPS: f32 = 4096.0;
 
@@ -31,11 +28,11 @@ pub struct Buffers {
     /// Largest and smallest value from each pixel on, and what they are made from.
     high: [Vec<u8>; 2],
     low: [Vec<u8>; 2],
-    /// Sums of the run's pixels before each, of which the low bits suffice for the differences.
-    sums: Vec<u16>,
+    /// Sums of the run's pixels before each.
+    sums: Vec<u32>,
     /// Thresholds and margins, times the length of what they are taken from.
-    threshold: Vec<i16>,
-    margin: Vec<i16>,
+    threshold: Vec<i32>,
+    margin: Vec<i32>,
     /// 1 above the threshold; above it, and below it, by more than the margin.
     sides: Vec<u8>,
     crossings: Vec<Crossing>,
@@ -65,7 +62,7 @@ pub fn measure(
     period: &mut Plane<f32>,
 ) {
     let half = (1.3 * nominal_px).round() as usize;
-    let reach = ((LIGHT_PERIODS * nominal_px).round() as usize).min(MAX_REACH);
+    let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
     measure_with(
         runs,
         (image.width(), image.height()),
@@ -179,9 +176,9 @@ fn thresholds(row: &[u8], length: usize, buffers: &mut Buffers) {
     extremes(row, length, low, u8::min);
     sums.resize(row.len() + 1, 0);
     sums[0] = 0;
-    let mut sum = 0u16;
+    let mut sum = 0;
     for (out, &x) in sums[1..].iter_mut().zip(row) {
-        sum = sum.wrapping_add(u16::from(x));
+        sum += u32::from(x);
         *out = sum;
     }
     threshold.resize(windows, 0);
@@ -190,10 +187,8 @@ fn thresholds(row: &[u8], length: usize, buffers: &mut Buffers) {
     let (starts, ends) = (&sums[..windows], &sums[length..length + windows]);
     let (high, low) = (&high[0][..windows], &low[0][..windows]);
     for i in 0..windows {
-        threshold[i] = ends[i].wrapping_sub(starts[i]) as i16;
-    }
-    for i in 0..windows {
-        margin[i] = (scale * f32::from(high[i] - low[i])) as i32 as i16;
+        threshold[i] = (ends[i] - starts[i]) as i32;
+        margin[i] = (scale * f32::from(high[i] - low[i])) as i32;
     }
 }
 
@@ -223,12 +218,12 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let Buffers { threshold, margin, sides, crossings, .. } = buffers;
     let last = threshold.len() - 1;
     crossings.clear();
-    let value = |i: usize| i16::from(row[i]) * length as i16 - threshold[i.saturating_sub(half).min(last)];
+    let value = |i: usize| i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)];
     const ABOVE: u8 = 1;
     const FAR: u8 = 2;
     sides.resize(row.len().next_multiple_of(WORD), 0);
     let side =
-        |value: i16, margin: i16| (u8::from(value > 0) * ABOVE) | (u8::from(value.abs() > margin) * FAR);
+        |value: i32, margin: i32| (u8::from(value > 0) * ABOVE) | (u8::from(value.abs() > margin) * FAR);
     let middle = half.min(row.len())..(half + last + 1).min(row.len());
     for i in (0..middle.start).chain(middle.end..row.len()) {
         sides[i] = side(value(i), margin[i.saturating_sub(half).min(last)]);
@@ -236,11 +231,11 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
     let n = middle.len();
     let (row_middle, sides_middle) = (&row[middle.clone()], &mut sides[middle]);
     for i in 0..n {
-        sides_middle[i] = side(i16::from(row_middle[i]) * length as i16 - threshold[i], margin[i]);
+        sides_middle[i] = side(i32::from(row_middle[i]) * length as i32 - threshold[i], margin[i]);
     }
     sides[row.len()..].fill(0);
     let mut found = |seen: usize, certain: usize| {
-        let (a, b) = (f32::from(value(seen - 1)), f32::from(value(seen)));
+        let (a, b) = (value(seen - 1) as f32, value(seen) as f32);
         let at = seen as f32 - b / (b - a);
         crossings.push(Crossing { at, behind: at as u32 + 1, certain: certain as u32 });
     };

@@ -13,7 +13,6 @@ use super::demodulate::{self, Gains};
 use super::runs::{Run, Runs};
 use super::shading;
 use super::windows::{self, Windows};
-use crate::export::STEPS_PER_LEVEL;
 use crate::image::Plane;
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -129,7 +128,7 @@ struct Found {
 }
 
 impl Row<'_> {
-    /// Whether what lies between two runs may be a spot on one surface.
+    /// Whether what lies between two runs may be a spot on one surface: beside what has no order nothing tells so.
     fn is_spot(&self, run: &Run, next: &Run) -> bool {
         if next.start() - run.end() > SPOT_PX {
             return false;
@@ -225,13 +224,13 @@ impl Row<'_> {
             let [a, b] = [0, 1].map(|next| f32::from(self.image[place as usize + next]));
             *sample = a + place.fract() * (b - a);
         }
-        let (s, c, mean, misfit) = demodulate::of_samples(&samples, period, self.gains);
+        let (s, c, mean, misfit) = demodulate::of_samples(&samples, self.gains.of(period));
         // Its light half a period to each side, where it is known and not the marker's.
         let known = |x: usize| columns.contains(&x) && self.light[x] > 0 && self.zone[x] == 0;
         let [before, after] = [-0.5, 0.5].map(|share| {
             let place = u as f32 + share * period;
             let low = place as usize;
-            let [a, b] = [0, 1].map(|next| f32::from(self.light[low + next]) / STEPS_PER_LEVEL);
+            let [a, b] = [0, 1].map(|next| windows::light(self.light[low + next]));
             if known(low) && known(low + 1) { a + place.fract() * (b - a) } else { f32::NAN }
         });
         let [c, s] = shading::correct_one(c, s, [before, mean, after]);

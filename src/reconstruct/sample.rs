@@ -4,6 +4,8 @@
 //! that the whole part of the distance is the same for most pixels of a block, or one of two neighbours: the values
 //! then lie side by side in memory, and only the fraction differs.
 
+use super::round::{nearest, whole};
+
 /// Pixels of a block.
 pub(super) const LANES: usize = 32;
 
@@ -13,9 +15,6 @@ pub(super) const PAD: usize = 32;
 /// One value for each pixel of a block.
 pub(super) type Lanes = [f32; LANES];
 
-/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
-const ROUND: f32 = 12_582_912.0;
-
 /// Makes `padded` a row of `width` values with [`PAD`] on each side, in the memory that it has.
 pub(super) fn reserve(padded: &mut Vec<f32>, width: usize) {
     padded.resize(width + 2 * PAD + LANES, 0.0);
@@ -24,12 +23,18 @@ pub(super) fn reserve(padded: &mut Vec<f32>, width: usize) {
 /// The block's part of a row that may end before the block does; 0 beyond.
 #[inline(always)]
 pub(super) fn load<T: Copy + Default>(row: &[T], first: usize) -> [T; LANES] {
+    part(row, first, T::default())
+}
+
+/// Some values of a row from `first` on, and `beyond` behind its end.
+#[inline(always)]
+pub(super) fn part<T: Copy, const N: usize>(row: &[T], first: usize, beyond: T) -> [T; N] {
     match row[first..].first_chunk() {
-        Some(lanes) => *lanes,
+        Some(part) => *part,
         None => {
-            let mut lanes = [T::default(); LANES];
-            lanes[..row.len() - first].copy_from_slice(&row[first..]);
-            lanes
+            let mut part = [beyond; N];
+            part[..row.len() - first].copy_from_slice(&row[first..]);
+            part
         }
     }
 }
@@ -86,8 +91,7 @@ fn distance(period: f32, share: f32, more: f32) -> f32 {
 /// that, with a fraction of 1.)
 #[inline(always)]
 fn parts(distance: f32) -> (i32, f32) {
-    let rounded = distance - 0.5 + ROUND;
-    (rounded.to_bits() as i32 - ROUND.to_bits() as i32, distance - (rounded - ROUND))
+    (whole(distance - 0.5), distance - nearest(distance - 0.5))
 }
 
 /// Linear interpolation of `padded` at the distance of `share` of its period and `more` px from each pixel of the block

@@ -15,7 +15,7 @@
 
 use super::simd;
 use super::windows::{self, Windows};
-use crate::export::{STEPS_PER_LEVEL, doubt_of};
+use crate::export::doubt_of;
 use crate::image::Plane;
 
 /// Classes of light, and their width in DN.
@@ -85,7 +85,8 @@ pub fn doubts(
                     }
                     let amplitude = windows::amplitude(strength[u]).max(0.1);
                     let rows = if zone[u] != 0 { marker_rows.max(1.0) } else { rows[u] };
-                    let [variance, usual] = noise.at(mean(light[u])).map(|x| x / (amplitude * amplitude));
+                    let [variance, usual] =
+                        noise.at(windows::light(light[u])).map(|x| x / (amplitude * amplitude));
                     let random = (variance / rows).sqrt();
                     let shape = if expected[u].is_nan() {
                         let beyond = misfit[u] * misfit[u] - USUAL * usual;
@@ -136,7 +137,7 @@ impl Noise {
                 // Not so for NaN.
                 if (difference.abs() < MAX_DIFFERENCE) & (misfit[u] < MAX_MISFIT) {
                     let power = windows::amplitude(strength[u]).powi(2);
-                    let class = class(mean(light[u]));
+                    let class = class(windows::light(light[u]));
                     differences[class][bin(difference * difference * power)] += 1;
                     residuals[class][bin(misfit[u] * misfit[u] * power)] += 1;
                 }
@@ -176,12 +177,6 @@ fn by_class(counts: &Counts, part: u32, factor: f32, default: f32) -> [f32; CLAS
         *x = last;
     }
     values
-}
-
-/// A stored light, DN.
-#[inline(always)]
-fn mean(light: u16) -> f32 {
-    f32::from(light) * (1.0 / STEPS_PER_LEVEL)
 }
 
 fn class(light: f32) -> usize {

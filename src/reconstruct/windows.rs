@@ -2,6 +2,7 @@
 //! them and of the light fits 16 bits. Eight frames wait for each other, and memory is what they wait in.
 
 use super::demodulate::Phasors;
+use super::round::whole;
 use super::runs::Runs;
 use super::simd;
 use crate::export::STEPS_PER_LEVEL;
@@ -9,9 +10,6 @@ use crate::image::Plane;
 
 /// Steps of a phasor's length in a DN.
 pub const STEPS_PER_DN: f32 = 64.0;
-
-/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
-const ROUND: f32 = 12_582_912.0;
 
 /// The windows of a frame, by their middle pixel.
 #[derive(Debug)]
@@ -55,7 +53,7 @@ impl Windows {
 #[inline(always)]
 pub(super) fn strength_steps(c: f32, s: f32) -> u16 {
     let steps = (c * c + s * s).sqrt() * STEPS_PER_DN;
-    rounded(if steps < 65535.0 { steps } else { 65535.0 })
+    whole(if steps < 65535.0 { steps } else { 65535.0 }) as u16
 }
 
 /// The amplitude B of a phasor of so many steps, DN.
@@ -67,13 +65,13 @@ pub(super) fn amplitude(strength: u16) -> f32 {
 /// A mean light, DN, in whole steps.
 #[inline(always)]
 pub(super) fn light_steps(mean: f32) -> u16 {
-    rounded((mean * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL))
+    whole((mean * STEPS_PER_LEVEL).clamp(0.0, 255.0 * STEPS_PER_LEVEL)) as u16
 }
 
-/// The nearest whole number of a float of 16 bits, from its bits: a conversion has to care for all others, too.
+/// The light of so many steps, DN.
 #[inline(always)]
-fn rounded(x: f32) -> u16 {
-    (x + ROUND).to_bits() as u16
+pub(super) fn light(steps: u16) -> f32 {
+    f32::from(steps) * (1.0 / STEPS_PER_LEVEL)
 }
 
 #[cfg(test)]

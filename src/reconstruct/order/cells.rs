@@ -8,6 +8,7 @@ use super::glimpse::{Glimpse, Glimpses, Rim};
 use crate::image::Plane;
 use crate::reconstruct::bits::{WORD, bits_where};
 use crate::reconstruct::runs::Runs;
+use crate::reconstruct::sample::part;
 use crate::reconstruct::simd;
 use std::f32::consts::TAU;
 
@@ -205,7 +206,7 @@ impl Cells {
             line[..CELL_PX].copy_from_slice(phase);
             if top + v < surface.phase.height() {
                 line[CELL_PX] = surface.phase.row(top + v).get(left + CELL_PX).copied().unwrap_or(f32::NAN);
-                let object = part(surface.object.row(top + v), left, 0);
+                let object: [_; CELL_PX] = part(surface.object.row(top + v), left, 0);
                 for (u, &x) in object.iter().enumerate() {
                     rim.object |= u64::from(x != 0) << (v * CELL_PX + u);
                 }
@@ -284,7 +285,7 @@ impl Cells {
         }
         if let Some(b) = below.and_then(|x| whole(&self.grid, &self.nodes, x)) {
             let to = &self.nodes[b as usize];
-            let row = |v: usize| part(surface.phase.row(v), left, f32::NAN);
+            let row = |v: usize| -> [f32; CELL_PX] { part(surface.phase.row(v), left, f32::NAN) };
             let (above, below) = (row(top + CELL_PX - 1), row(top + CELL_PX));
             let mut rest = [0f32; CELL_PX];
             for u in 0..CELL_PX {
@@ -349,7 +350,7 @@ impl Surface<'_> {
     fn carriers(&self, left: usize, top: usize) -> Patch {
         let mut out = [[0.0; CELL_PX]; CELL_PX];
         for (v, out) in (top..self.phase.height()).zip(&mut out) {
-            let period = part(self.period.row(v), left, f32::NAN);
+            let period: [_; CELL_PX] = part(self.period.row(v), left, f32::NAN);
             for u in 1..CELL_PX {
                 out[u] = self.sign * 2.0 * TAU / (period[u - 1] + period[u]);
             }
@@ -361,15 +362,6 @@ impl Surface<'_> {
     #[inline(always)]
     fn carrier(&self, u: usize, v: usize) -> f32 {
         self.sign * 2.0 * TAU / (self.period.at(u, v) + self.period.at(u + 1, v))
-    }
-}
-
-/// Eight values of a row, `beyond` behind its end.
-#[inline(always)]
-fn part<T: Copy>(row: &[T], left: usize, beyond: T) -> [T; CELL_PX] {
-    match row[left..].first_chunk() {
-        Some(part) => *part,
-        None => std::array::from_fn(|i| row.get(left + i).copied().unwrap_or(beyond)),
     }
 }
 

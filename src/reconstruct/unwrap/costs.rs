@@ -4,6 +4,7 @@
 //! of whole numbers, so that what is added to a window and taken off again cancels exactly.
 
 use crate::image::Plane;
+use crate::reconstruct::round::{nearest, whole};
 use crate::reconstruct::runs::{Run, Runs};
 use std::f32::consts::TAU;
 
@@ -32,9 +33,6 @@ const COUNT_BITS: u32 = 9;
 
 /// Rows that costs lag behind the steps.
 const LAG: usize = MEAN_STEP.1 + STRETCH.1;
-
-/// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
-const ROUND: f32 = 12_582_912.0;
 
 /// A step that is no edge.
 pub(super) const NONE: u32 = u32::MAX;
@@ -336,7 +334,7 @@ fn steps_right(input: &Input<'_>, v: usize, out: &mut [i32], turns: &mut [i16]) 
         let (out, turns) = (&mut out[padded(run)][..n], &mut turns[start..end - 1][..n]);
         for i in 0..n {
             let x = b[i] - a[i] - carrier / (p[i] + q[i]);
-            let rounded = x * (1.0 / TAU) + ROUND - ROUND;
+            let rounded = turns_in(x);
             let value = packed(x - rounded * TAU);
             out[i] = value;
             turns[i] = if value == 0 { 0 } else { -whole(rounded) as i16 };
@@ -365,7 +363,7 @@ fn steps_down(input: &Input<'_>, v: usize, out: &mut [i32]) {
 /// Whole turns in a phase, as a whole number; any where it is NaN.
 #[inline(always)]
 pub(super) fn turns_in(phase: f32) -> f32 {
-    phase * (1.0 / TAU) + ROUND - ROUND
+    nearest(phase * (1.0 / TAU))
 }
 
 /// Sums of the turns before each pixel of its run.
@@ -387,12 +385,6 @@ fn packed(x: f32) -> i32 {
     if x.is_nan() { 0 } else { value }
 }
 
-/// The nearest whole number of a number below 2^22.
-#[inline(always)]
-pub(super) fn whole(x: f32) -> i32 {
-    ((x + ROUND).to_bits() as i32).wrapping_sub(ROUND.to_bits() as i32)
-}
-
 /// The mean of a packed sum; 0 where there is nothing in it.
 #[inline(always)]
 fn mean(sum: i32) -> f32 {
@@ -411,7 +403,7 @@ fn mean_exceeds(sum: i32, bound: f32) -> bool {
 #[inline(always)]
 fn wrap_units(x: f32) -> f32 {
     const TURN: f32 = TAU * UNITS;
-    x - (x * (1.0 / TURN) + ROUND - ROUND) * TURN
+    x - nearest(x * (1.0 / TURN)) * TURN
 }
 
 #[cfg(test)]

@@ -5,9 +5,10 @@
 //! run differ by no turns, and segments above each other by those that the pixels of their common border agree on.
 
 use super::Settings;
-use super::costs::{NONE, Row, UNITS, code, turns_in, whole};
+use super::costs::{NONE, Row, UNITS, code, turns_in};
 use super::forest::{Edge, Forest};
 use crate::image::Plane;
+use crate::reconstruct::round::whole;
 use crate::reconstruct::runs::{Run, Runs, each_not_0};
 
 /// Longest segment, px; a multiple of it begins a new one.
