@@ -2,9 +2,11 @@
 
 use super::period::{HYSTERESIS, PERIOD_RANGE_PX};
 
-/// Windows whose medians are sought together, and whose crossings are counted together.
-const MEDIANS: usize = 64;
-const LANES: usize = 16;
+/// Windows that are measured together: their samples are bytes.
+const LANES: usize = 32;
+
+/// A byte of each of these windows.
+type Bytes = [u8; LANES];
 
 /// What [`measure`] finds, and memory for it: one entry for each window.
 #[derive(Debug, Default)]
@@ -28,18 +30,16 @@ impl Windows {
     #[inline(always)]
     pub fn measure(&mut self, row: &[u8], length: usize) -> usize {
         let windows = row.len() + 1 - length;
-        let room = windows.next_multiple_of(MEDIANS);
+        let room = windows.next_multiple_of(LANES);
         self.padded.clear();
         self.padded.extend_from_slice(row);
-        self.padded.resize(room + length + LANES, 0);
+        self.padded.resize(room + length, 0);
         for plane in [&mut self.median, &mut self.low, &mut self.high] {
             plane.resize(room, 0);
         }
         self.distance.resize(room, 0.0);
-        for first in (0..windows).step_by(MEDIANS) {
-            self.order(first, length);
-        }
         for first in (0..windows).step_by(LANES) {
+            self.order(first, length);
             self.cross(first, length);
         }
         windows
@@ -48,91 +48,131 @@ impl Windows {
     /// Lower median and extremes of the windows from `first` on.
     #[inline(always)]
     fn order(&mut self, first: usize, length: usize) {
-        let (mut low, mut high) = ([u8::MAX; MEDIANS], [0u8; MEDIANS]);
-        for samples in self.padded[first..].windows(MEDIANS).take(length) {
-            for i in 0..MEDIANS {
+        let (mut low, mut high) = ([u8::MAX; LANES], [0u8; LANES]);
+        for samples in self.padded[first..].windows(LANES).take(length) {
+            for i in 0..LANES {
                 low[i] = low[i].min(samples[i]);
                 high[i] = high[i].max(samples[i]);
             }
         }
         // The largest value that at most `below` samples are less than, bit after bit.
         let below = ((length - 1) / 2) as u8;
-        let mut median = [0u8; MEDIANS];
+        let mut median = [0u8; LANES];
         for bit in (0..8).rev() {
-            let (mut tried, mut less) = ([0u8; MEDIANS], [0u8; MEDIANS]);
-            for i in 0..MEDIANS {
+            let (mut tried, mut less) = ([0u8; LANES], [0u8; LANES]);
+            for i in 0..LANES {
                 tried[i] = median[i] | 1 << bit;
             }
-            for samples in self.padded[first..].windows(MEDIANS).take(length) {
-                for i in 0..MEDIANS {
+            for samples in self.padded[first..].windows(LANES).take(length) {
+                for i in 0..LANES {
                     less[i] = less[i].wrapping_add(u8::from(samples[i] < tried[i]));
                 }
             }
-            for i in 0..MEDIANS {
+            for i in 0..LANES {
                 median[i] = if less[i] <= below { tried[i] } else { median[i] };
             }
         }
-        self.median[first..first + MEDIANS].copy_from_slice(&median);
-        self.low[first..first + MEDIANS].copy_from_slice(&low);
-        self.high[first..first + MEDIANS].copy_from_slice(&high);
+        self.median[first..first + LANES].copy_from_slice(&median);
+        self.low[first..first + LANES].copy_from_slice(&low);
+        self.high[first..first + LANES].copy_from_slice(&high);
     }
 
     /// Mean distances of crossings of the windows' medians. A crossing counts once the light has left the median by a
-    /// share of the range on the other side.
+    /// share of the range on the other side. Crossings that count rise and fall by turns: of the distances between those
+    /// of one direction all cancel but those of the first two and of the last two.
     #[inline(always)]
     fn cross(&mut self, first: usize, length: usize) {
-        let [mut median, mut margin, mut before] = [[0f32; LANES]; 3];
+        let [mut median, mut above_from, mut below_to]: [Bytes; 3] = [[0; LANES]; 3];
         for i in 0..LANES {
-            median[i] = f32::from(self.median[first + i]);
-            margin[i] = HYSTERESIS * f32::from(self.high[first + i] - self.low[first + i]);
-            before[i] = f32::from(self.padded[first + i]) - median[i];
+            let (low, high) = (self.low[first + i], self.high[first + i]);
+            // Differences are whole numbers: they exceed a margin where they exceed its whole part.
+            let margin = (HYSTERESIS * f32::from(high - low)) as i32 as u8;
+            median[i] = self.median[first + i];
+            above_from[i] = median[i].saturating_add(margin);
+            below_to[i] = median[i].saturating_sub(margin);
         }
-        // The crossing seen last, and those that counted last: falling, rising.
-        let [mut seen, mut fell, mut rose] = [[f32::NAN; LANES]; 3];
-        // Whether the light is above the median for certain, and whether it has been certain at all; as masks, because of
-        // choices the compiler makes branches, and then no vectors.
-        let [mut above, mut settled] = [[0u32; LANES]; 2];
-        let (mut sum, mut count) = ([0f32; LANES], [0u32; LANES]);
+        // The crossing seen last; of those that counted the first two, the last but one and the last, and their number.
+        let [mut seen, mut begin, mut second, mut late, mut last] = [Crossings::default(); 5];
+        let mut count: Bytes = [0; LANES];
+        // Whether the light is above the median for certain, and whether it has been certain at all.
+        let [mut above, mut settled]: [Bytes; 2] = [[0; LANES]; 2];
         for (k, samples) in self.padded[first..].windows(LANES).take(length).enumerate() {
+            let before = &self.padded[first + k.saturating_sub(1)..][..LANES];
+            let mut here = Crossings([[k as u8; LANES]; 3]);
+            here.0[1].copy_from_slice(samples);
+            here.0[2].copy_from_slice(before);
+            let [mut crosses, mut counts]: [Bytes; 2] = [[0; LANES]; 2];
             for i in 0..LANES {
-                let value = f32::from(samples[i]) - median[i];
-                let crosses = mask((value > 0.0) != (before[i] > 0.0));
-                let at = k as f32 - value / (value - before[i]);
-                seen[i] = choose(crosses, at, seen[i]);
-                before[i] = value;
-                let (high, low) = (mask(value > margin[i]), mask(value < -margin[i]));
-                let rises = high & !above[i] & settled[i];
-                let falls = low & above[i] & settled[i];
+                crosses[i] = mask(samples[i] > median[i]) ^ mask(before[i] > median[i]);
+            }
+            seen.take(&crosses, &here);
+            for i in 0..LANES {
+                let (high, low) = (mask(samples[i] > above_from[i]), mask(samples[i] < below_to[i]));
+                counts[i] = (high & !above[i] | low & above[i]) & settled[i];
                 above[i] = (above[i] | high) & !low;
                 settled[i] |= high | low;
-                let rises_again = rises & !mask(rose[i].is_nan());
-                let falls_again = falls & !mask(fell[i].is_nan());
-                // What is not counted adds 0.
-                sum[i] += choose(rises_again, seen[i] - rose[i], 0.0);
-                sum[i] += choose(falls_again, seen[i] - fell[i], 0.0);
-                count[i] += (rises_again | falls_again) & 1;
-                rose[i] = choose(rises, seen[i], rose[i]);
-                fell[i] = choose(falls, seen[i], fell[i]);
+            }
+            let [mut is_first, mut is_second]: [Bytes; 2] = [[0; LANES]; 2];
+            for i in 0..LANES {
+                is_first[i] = counts[i] & mask(count[i] == 0);
+                is_second[i] = counts[i] & mask(count[i] == 1);
+            }
+            begin.take(&is_first, &seen);
+            second.take(&is_second, &seen);
+            late.take(&counts, &last);
+            last.take(&counts, &seen);
+            for i in 0..LANES {
+                count[i] += counts[i] & 1;
             }
         }
+        let distance = &mut self.distance[first..first + LANES];
         for i in 0..LANES {
-            let mean = sum[i] / count[i].max(1) as f32;
+            let median = i32::from(median[i]);
+            let sum = last.place(i, median) + late.place(i, median)
+                - second.place(i, median)
+                - begin.place(i, median);
+            let mean = sum / f32::from(count[i].max(3) - 2);
             let known =
-                (count[i] > 0) & (mean >= *PERIOD_RANGE_PX.start()) & (mean <= *PERIOD_RANGE_PX.end());
-            self.distance[first + i] = if known { mean } else { 0.0 };
+                (count[i] > 2) & (mean >= *PERIOD_RANGE_PX.start()) & (mean <= *PERIOD_RANGE_PX.end());
+            distance[i] = if known { mean } else { 0.0 };
         }
+    }
+}
+
+/// A crossing of each window: its sample's number, that sample, and the one before.
+#[derive(Clone, Copy)]
+struct Crossings([Bytes; 3]);
+
+impl Default for Crossings {
+    fn default() -> Self {
+        Self([[0; LANES]; 3])
+    }
+}
+
+impl Crossings {
+    /// Becomes `new` in the windows where the mask has all bits: of choices the compiler makes branches.
+    #[inline(always)]
+    fn take(&mut self, mask: &Bytes, new: &Self) {
+        for (lanes, new) in self.0.iter_mut().zip(&new.0) {
+            for i in 0..LANES {
+                lanes[i] = new[i] & mask[i] | lanes[i] & !mask[i];
+            }
+        }
+    }
+
+    /// Where the light goes through the median, in samples from the window's first.
+    #[inline(always)]
+    fn place(&self, i: usize, median: i32) -> f32 {
+        let [k, value, before] = &self.0;
+        let (value, before) = (i32::from(value[i]), i32::from(before[i]));
+        f32::from(k[i]) - (value - median) as f32 / (value - before) as f32
     }
 }
 
 /// All bits or none.
 #[inline(always)]
-fn mask(is: bool) -> u32 {
-    0u32.wrapping_sub(u32::from(is))
-}
-
-#[inline(always)]
-fn choose(mask: u32, a: f32, b: f32) -> f32 {
-    f32::from_bits(a.to_bits() & mask | b.to_bits() & !mask)
+fn mask(is: bool) -> u8 {
+    0u8.wrapping_sub(u8::from(is))
 }
 
 #[cfg(test)]
@@ -143,8 +183,7 @@ mod tests {
 
     /// Mean distance of crossings of equal direction by the definition.
     fn plain_distance(samples: &[u8], median: f32, margin: f32) -> f32 {
-        let (mut sum, mut count, mut counted) = (0.0, 0u32, [f32::NAN; 2]);
-        let (mut seen, mut side) = (f32::NAN, 0);
+        let (mut counted, mut seen, mut side) = (Vec::new(), f32::NAN, 0);
         for i in 0..samples.len() {
             let value = f32::from(samples[i]) - median;
             let before = f32::from(samples[i.saturating_sub(1)]) - median;
@@ -159,17 +198,19 @@ mod tests {
                 side
             };
             if now != side && side != 0 {
-                let last = &mut counted[usize::from(now > 0)];
-                if !last.is_nan() {
-                    sum += seen - *last;
-                    count += 1;
-                }
-                *last = seen;
+                counted.push(seen);
             }
             side = now;
         }
-        let mean = sum / count.max(1) as f32;
-        if count > 0 && PERIOD_RANGE_PX.contains(&mean) { mean } else { 0.0 }
+        let distances: Vec<f32> = counted.windows(3).map(|three| three[2] - three[0]).collect();
+        if distances.is_empty() {
+            return 0.0;
+        }
+        // All but four cancel: the same sum in the order in which the lanes add.
+        let (ends, n) = (&counted, counted.len());
+        let mean = (ends[n - 1] + ends[n - 2] - ends[1] - ends[0]) / (n - 2) as f32;
+        assert!((mean - distances.iter().sum::<f32>() / distances.len() as f32).abs() < 1e-5);
+        if PERIOD_RANGE_PX.contains(&mean) { mean } else { 0.0 }
     }
 
     proptest! {
