@@ -29,6 +29,8 @@ pub mod front;
 pub mod marker;
 /// Which of several markers it is.
 pub mod marker_number;
+/// The paper's marker and shift.
+pub mod marker_paper;
 /// Phase under the marker.
 pub mod marker_phase;
 /// Object mask Om.
@@ -75,7 +77,7 @@ pub mod triangulate;
 pub mod uncertainty;
 /// The anchored spanning forest.
 pub mod unwrap;
-/// The paper's spanning tree and marker.
+/// The paper's spanning tree.
 pub mod unwrap_paper;
 /// What later stages need of the demodulation's windows.
 pub mod windows;

@@ -12,8 +12,8 @@ use super::triangulate::Triangulator;
 use super::unwrap::Unwrapped;
 use super::windows::Windows;
 use super::{
-    absolute, cloud, curvature, demodulate, edges, marker_number, mask, period, quality, run_ends, simd,
-    uncertainty, unwrap, unwrap_paper,
+    absolute, cloud, curvature, demodulate, edges, marker_number, marker_paper, mask, period, quality,
+    run_ends, simd, uncertainty, unwrap, unwrap_paper,
 };
 use crate::export::{Cloud, PhaseMap};
 use crate::image::{Mono8, Plane};
@@ -464,9 +464,9 @@ impl Pipeline {
             quality::quality([&border, &amplitude, &vertical, &stability], &runs)
         });
         let unwrapped = clock.time("unwrap", || unwrap_paper::unwrap(&wrapped, &quality, &runs));
-        let (energy, segment) = clock.time("marker", || unwrap_paper::marker(image, object, &runs, pair));
+        let (energy, segment) = clock.time("marker", || marker_paper::marker(image, object, &runs, pair));
         counts.marker = segment.as_slice().iter().filter(|&&x| x != 0).count();
-        let shift = unwrap_paper::shift(&unwrapped, &wrapped, &segment, pair);
+        let shift = marker_paper::shift(&unwrapped, &wrapped, &segment, pair);
         let relative = self.keep_maps.then(|| unwrapped.clone());
         let mut absolute = unwrapped;
         for v in 0..runs.height() {

@@ -1,26 +1,14 @@
-//! The paper's unwrapping and marker (4.1, Figure 9): one spanning tree guided by Qm, one shift.
+//! The paper's unwrapping (4.1, Figure 9): one spanning tree guided by Qm.
 //!
 //! The tree is Kruskal's with union-find. An edge is as good as the worse of its two pixels' Qm; the wrapped
 //! step between neighbours is taken as the true one. The tree from any seed is the same, so that the paper's
 //! random seed pixel, from the best 10 % of Qm, only chooses the component: here the one that holds the pixel
-//! of the best Qm. The marker is found by a band pass in the Fourier transform of each image column, a
-//! threshold and the largest segment; the median of the unwrapped phase under it gives the shift (Equation 5).
+//! of the best Qm.
 
-use super::absolute::shift_of_median;
-use super::components;
-use super::pair::Pair;
 use super::runs::Runs;
 use super::simd;
-use crate::image::{Mono8, Plane};
-use rustfft::FftPlanner;
-use rustfft::num_complex::Complex;
-use std::f32::consts::{FRAC_PI_2, PI, TAU};
-
-/// The marker's band: frequencies from 1 / (this * period) to this / period.
-const BAND: f32 = 1.35;
-
-/// Share of the brightest band energy, relative to the light, that counts as marker.
-const THRESHOLD: f32 = 0.35;
+use crate::image::Plane;
+use std::f32::consts::{PI, TAU};
 
 /// Steps in which quality orders the edges.
 const STEPS: usize = 4096;
@@ -350,105 +338,87 @@ impl Tree {
     }
 }
 
-/// Mm: energy in the marker's band along each column, relative to the local light, and the largest segment of
-/// what exceeds the threshold (1 there). `runs` are the mask's.
-pub fn marker(image: Mono8<'_>, mask: &Plane<u8>, runs: &Runs, pair: &Pair) -> (Plane<f32>, Plane<u8>) {
-    let energy = band_energy(image, mask, pair.marker_period_px);
-    let threshold = THRESHOLD * pair.marker_contrast;
-    let mut segment = Plane::filled(mask.width(), mask.height(), 0u8);
-    for v in 0..runs.height() {
-        for run in runs.row(v) {
-            let above = segment.row_mut(v)[run.columns()].iter_mut().zip(&energy.row(v)[run.columns()]);
-            above.for_each(|(above, &energy)| *above = u8::from(energy > threshold));
-        }
-    }
-    let found = Runs::of(&segment);
-    let (piece, pieces) = components::connect(&found);
-    let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
-    for v in 0..found.height() {
-        for place in found.places(v).filter(|&place| Some(piece[place] as usize) != largest) {
-            segment.row_mut(v)[found.all()[place].columns()].fill(0);
-        }
-    }
-    (energy, segment)
-}
+#[cfg(test)]
+mod tests {
+    use super::{STEPS, unwrap};
+    use crate::image::Plane;
+    use crate::reconstruct::runs::Runs;
+    use proptest::prelude::{any, prop_assert, proptest};
+    use std::f32::consts::{PI, TAU};
 
-/// Columns whose light is read, and whose energies are written, together.
-const COLUMNS: usize = 16;
+    const W: usize = 13;
+    const H: usize = 9;
 
-/// Magnitude of each column after a band pass around the marker's frequency (positive frequencies only, so
-/// that the magnitude is the envelope), divided by the mean light of the column's object pixels. Columns are continued
-/// with darkness to a length that is quick to transform.
-fn band_energy(image: Mono8<'_>, mask: &Plane<u8>, period: f32) -> Plane<f32> {
-    let (w, h) = (image.width(), image.height());
-    let length = quick_length(h);
-    let mut planner = FftPlanner::<f32>::new();
-    let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
-    let band = length as f32 / (period * BAND)..=length as f32 * BAND / period;
-    let band = band.start().ceil() as usize..(band.end().floor() as usize + 1).min(length / 2);
-    let zero = Complex::new(0f32, 0.0);
-    let mut out = Plane::filled(w, h, 0f32);
-    let mut columns = vec![zero; COLUMNS / 2 * length];
-    let mut halves = vec![zero; COLUMNS * length];
-    let mut scratch = vec![zero; forward.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len())];
-    for first in (0..w).step_by(COLUMNS) {
-        let count = COLUMNS.min(w - first);
-        // Two columns are one complex one.
-        let (mut sums, mut counts) = ([0u32; COLUMNS], [0u32; COLUMNS]);
-        columns.fill(zero);
-        for v in 0..h {
-            let (image, mask) = (&image.row(v)[first..first + count], &mask.row(v)[first..first + count]);
-            for i in 0..count {
-                let value = image[i] * mask[i];
-                (sums[i], counts[i]) = (sums[i] + u32::from(value), counts[i] + u32::from(mask[i]));
-                let at = &mut columns[i / 2 * length + v];
-                *if i % 2 == 0 { &mut at.re } else { &mut at.im } = f32::from(value);
+    /// Turns of each pixel of the best one's tree, relative to that one, by Kruskal's algorithm as it is written down.
+    fn plain(wrapped: &Plane<f32>, quality: &Plane<f32>) -> Vec<Option<i32>> {
+        let (phase, quality) = (wrapped.as_slice(), quality.as_slice());
+        let step = |i: usize| ((1.0 - quality[i]).clamp(0.0, 1.0) * (STEPS - 1) as f32) as u16;
+        let mut edges = Vec::new();
+        for a in 0..W * H {
+            let right = (a % W + 1 < W).then_some(a + 1);
+            let down = (a + W < W * H).then_some(a + W);
+            for (side, b) in [right, down].into_iter().enumerate() {
+                if let Some(b) = b.filter(|&b| !phase[a].is_nan() && !phase[b].is_nan()) {
+                    edges.push((step(a).max(step(b)), a, side, b));
+                }
             }
         }
-        if counts == [0; COLUMNS] {
-            continue;
-        }
-        forward.process_with_scratch(&mut columns, &mut scratch);
-        halves.fill(zero);
-        for (pair, halves) in columns.chunks_exact(length).zip(halves.chunks_exact_mut(2 * length)) {
-            for k in band.clone() {
-                let (x, mirrored) = (pair[k], pair[length - k].conj());
-                let (sum, difference) = (x + mirrored, x - mirrored);
-                halves[k] = sum * 0.5;
-                halves[length + k] = Complex::new(difference.im, -difference.re) * 0.5;
+        edges.sort_unstable();
+        let mut tree: Vec<(usize, i32)> = (0..W * H).map(|i| (i, 0)).collect();
+        for (_, a, _, b) in edges {
+            let ((from, turns_a), (to, turns_b)) = (tree[a], tree[b]);
+            if from == to {
+                continue;
+            }
+            let difference = phase[b] - phase[a];
+            let more = i32::from(difference <= -PI) - i32::from(difference >= PI);
+            for place in tree.iter_mut().filter(|place| place.0 == to) {
+                *place = (from, place.1 + turns_a + more - turns_b);
             }
         }
-        inverse.process_with_scratch(&mut halves, &mut scratch);
-        for v in 0..h {
-            let (out, mask) = (&mut out.row_mut(v)[first..first + count], &mask.row(v)[first..first + count]);
-            for i in 0..count {
-                let mean = (sums[i] as f32 / counts[i].max(1) as f32).max(1.0);
-                let energy = 2.0 / length as f32 / mean * halves[i * length + v].norm_sqr().sqrt();
-                out[i] = if mask[i] != 0 { energy } else { 0.0 };
+        let known = (0..W * H).filter(|&i| !phase[i].is_nan());
+        let Some(best) = known.max_by(|&a, &b| quality[a].total_cmp(&quality[b]).then(b.cmp(&a))) else {
+            return vec![None; W * H];
+        };
+        let (root, own) = tree[best];
+        let turns = |i: usize| (tree[i].0 == root && !phase[i].is_nan()).then(|| tree[i].1 - own);
+        (0..W * H).map(turns).collect()
+    }
+
+    proptest! {
+        /// Whatever the mask, with ties of quality and without.
+        #[test]
+        fn the_tree_is_that_of_kruskal(
+            phases in proptest::collection::vec(-PI..PI, W * H),
+            qualities in proptest::collection::vec(0.0f32..1.0, W * H),
+            object in proptest::collection::vec(0u8..5, W * H),
+            unknown in proptest::collection::vec(0u8..9, W * H),
+            levels in 1u8..9,
+            coarse in any::<bool>(),
+        ) {
+            let mask: Vec<u8> = object.iter().map(|&x| u8::from(x > 0)).collect();
+            let mask = Plane::from_vec(W, H, mask).expect("as many");
+            let level = |q: f32| if coarse { (q * f32::from(levels)).floor() / f32::from(levels) } else { q };
+            let quality: Vec<f32> = qualities.into_iter().map(level).collect();
+            let quality = Plane::from_vec(W, H, quality).expect("as many");
+            let known = |i: usize| unknown[i] > 0 && mask.as_slice()[i] > 0;
+            let phases: Vec<f32> =
+                phases.into_iter().enumerate().map(|(i, x)| if known(i) { x } else { f32::NAN }).collect();
+            let wrapped = Plane::from_vec(W, H, phases).expect("as many");
+            let found = unwrap(&wrapped, &quality, &Runs::of(&mask));
+            let expected = plain(&wrapped, &quality);
+            let turns = |i: usize| (found.as_slice()[i] - wrapped.as_slice()[i]) / TAU;
+            let seed = (0..W * H).find(|&i| expected[i] == Some(0));
+            for i in 0..W * H {
+                let value = found.as_slice()[i];
+                match (expected[i], seed) {
+                    (Some(expected), Some(seed)) => {
+                        let here = turns(i) - turns(seed);
+                        prop_assert!((here - expected as f32).abs() < 1e-3, "{here} and not {expected} at {i}");
+                    }
+                    _ => prop_assert!(value.is_nan(), "{value} at {i}"),
+                }
             }
         }
     }
-    out
-}
-
-/// The least length from `n` on that has no other factors than 2 and 3, and at least one 8.
-fn quick_length(n: usize) -> usize {
-    let smooth = |mut n: usize| {
-        while n.is_multiple_of(3) {
-            n /= 3;
-        }
-        n.is_power_of_two()
-    };
-    (n.next_multiple_of(8)..).step_by(8).find(|&n| smooth(n)).unwrap_or(n)
-}
-
-/// Equation 5's shift from the median of the unwrapped phase under the marker's core (|Wm| < pi/2: with the
-/// pixels between two fringes the median can sit on their border). `None` without such pixels.
-pub fn shift(unwrapped: &Plane<f32>, wrapped: &Plane<f32>, segment: &Plane<u8>, pair: &Pair) -> Option<f32> {
-    let pixels = segment.as_slice().iter().zip(wrapped.as_slice()).zip(unwrapped.as_slice());
-    let core = pixels.filter(|((marker, phase), _)| **marker != 0 && phase.abs() < FRAC_PI_2);
-    let mut phases: Vec<f32> = core.map(|(_, u)| *u).filter(|u| !u.is_nan()).collect();
-    phases.sort_unstable_by(f32::total_cmp);
-    let median = *phases.get(phases.len() / 2)?;
-    Some(shift_of_median(median, pair.pattern.marker_index))
 }
