@@ -22,10 +22,11 @@ const MIN_ABOVE_BLACK_DN: u8 = 6;
 /// that weak, and Otsu's threshold, drawn by the mass of bright skin, lies above them.
 const MAX_ABOVE_BLACK_DN: u8 = 8;
 
-/// Planes and rows that [`envelope`] uses again from frame to frame.
+/// Planes and rows that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
     smooth: Plane<u8>,
+    rows: Plane<u8>,
     closed: [Vec<u8>; 3],
     sorted: [Vec<u8>; 3],
     row: Vec<u8>,
@@ -111,11 +112,21 @@ fn median3x3([above, own, below]: [&[u8]; 3], [low, middle, high]: &mut [Vec<u8>
 /// The paper's mask: Otsu on the raw image without over-exposed pixels, dilation and erosion by one fringe
 /// period, largest segment.
 pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
+    let mut mask = Plane::default();
+    otsu_into(image, period_px, &mut Buffers::default(), &mut mask);
+    mask
+}
+
+/// [`otsu`] in memory that is used again.
+pub fn otsu_into(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, mask: &mut Plane<u8>) {
     let mut counts = histogram(image.as_slice());
     counts[usize::from(SATURATED)..].fill(0);
     let level = otsu_level(&counts) as u8;
     let (w, h) = (image.width(), image.height());
-    let [mut raw, mut mask, mut rows] = [(); 3].map(|()| Plane::filled(w, h, 0u8));
+    let Buffers { smooth: raw, rows, .. } = buffers;
+    for plane in [&mut *raw, rows, mask] {
+        plane.reshape(w, h, 0);
+    }
     let width = (1.2 * period_px).ceil() as usize | 1;
     simd::dispatch(
         #[inline(always)]
@@ -123,11 +134,11 @@ pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
             for (raw, &x) in raw.as_mut_slice().iter_mut().zip(image.as_slice()) {
                 *raw = u8::from(x > level);
             }
-            square(&raw, width, &mut rows, &mut mask, u8::max);
-            square(&mask, width, &mut rows, &mut raw, u8::min);
+            square(raw, width, rows, mask, u8::max);
+            square(mask, width, rows, raw, u8::min);
         },
     );
-    let runs = Runs::of(&raw);
+    let runs = Runs::of(raw);
     let (piece, pieces) = components::connect(&runs);
     let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
     mask.as_mut_slice().fill(0);
@@ -138,9 +149,8 @@ pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
     }
     simd::dispatch(
         #[inline(always)]
-        || remove_saturated(&mut mask, image),
+        || remove_saturated(mask, image),
     );
-    mask
 }
 
 /// Threshold on the envelope: Otsu on its logarithm, but never within the noise of the black level.

@@ -10,7 +10,7 @@ use super::roi::Roi;
 use super::runs::{Run, Runs};
 use super::triangulate::Triangulator;
 use super::unwrap::Unwrapped;
-use super::windows::Windows;
+use super::windows::{self, Windows};
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, marker_paper, mask, period, quality,
     run_ends, simd, uncertainty, unwrap, unwrap_paper,
@@ -233,15 +233,17 @@ impl Pipeline {
             let reason = format!("the frame has {found:?} pixels, the calibration {expected:?}");
             return Err(refused(clock, counts, reason));
         }
-        let object = clock.time("mask", || match self.method {
-            Method::Anchored => {
-                let mut buffers = BUFFERS.take();
-                let mut object = std::mem::take(&mut buffers.object);
-                mask::envelope_into(image, pair.period_px, &mut buffers.mask, &mut object);
-                BUFFERS.give(buffers);
-                object
+        let object = clock.time("mask", || {
+            let mut buffers = BUFFERS.take();
+            let mut object = std::mem::take(&mut buffers.object);
+            match self.method {
+                Method::Anchored => {
+                    mask::envelope_into(image, pair.period_px, &mut buffers.mask, &mut object);
+                }
+                Method::Paper => mask::otsu_into(image, pair.period_px, &mut buffers.mask, &mut object),
             }
-            Method::Paper => mask::otsu(image, pair.period_px),
+            BUFFERS.give(buffers);
+            object
         });
         let Some(roi) = Roi::of(&object) else {
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
@@ -252,11 +254,9 @@ impl Pipeline {
         roi.cut(image, &mut part);
         roi.cut(Mono8::from(&whole), &mut object);
         let image = part;
-        if self.method == Method::Anchored {
-            let mut buffers = BUFFERS.take();
-            buffers.object = whole;
-            BUFFERS.give(buffers);
-        }
+        let mut buffers = BUFFERS.take();
+        buffers.object = whole;
+        BUFFERS.give(buffers);
         let resolved = match self.method {
             Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
             Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
@@ -452,10 +452,8 @@ impl Pipeline {
         let periods = clock.time("period", || period::measure(image, object, pair.period_px));
         let (period, amplitude) = (&periods.period, &periods.amplitude);
         let stability = clock.time("stability", || period::stability(period, &runs, pair.period_px));
-        let phasors = clock
-            .time("demodulate", || demodulate::demodulate(image, object, period, &self.gains, pair.sign));
         let (wrapped, windows) =
-            clock.time("phase", || (demodulate::wrapped(&phasors), Windows::of(phasors, &runs)));
+            clock.time("phase", || windows::demodulate(image, &runs, period, &self.gains, pair.sign));
         counts.phase = known(&wrapped, &runs);
         let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
         let border = clock.time("border", || quality::border(object, &runs));

@@ -1,12 +1,12 @@
 //! What the stages behind the wrapped phase need of its windows: their phasors have given the phase, and what is left of
 //! them and of the light fits 16 bits. Eight frames wait for each other, and memory is what they wait in.
 
-use super::demodulate::Phasors;
+use super::demodulate::{Gains, PhasorRow, Phasors, demodulate_row, phase};
 use super::round::whole;
-use super::runs::Runs;
+use super::runs::{Run, Runs};
 use super::simd;
 use crate::export::STEPS_PER_LEVEL;
-use crate::image::Plane;
+use crate::image::{Mono8, Plane};
 
 /// Steps of a phasor's length in a DN.
 pub const STEPS_PER_DN: f32 = 64.0;
@@ -27,26 +27,68 @@ impl Windows {
     pub fn of(phasors: Phasors, runs: &Runs) -> Self {
         let Phasors { c, s, mean, misfit } = phasors;
         let (width, height) = (misfit.width(), misfit.height());
-        let [mut strength, mut light] = [(); 2].map(|()| Plane::filled(width, height, 0u16));
+        let [strength, light] = [(); 2].map(|()| Plane::filled(width, height, 0u16));
+        let mut windows = Self { strength, light, misfit };
         simd::dispatch(
             #[inline(always)]
             || {
                 for v in 0..height {
-                    for run in runs.row(v) {
-                        let at = run.columns();
-                        let phasors = c.row(v)[at.clone()].iter().zip(&s.row(v)[at.clone()]);
-                        for (to, (&c, &s)) in strength.row_mut(v)[at.clone()].iter_mut().zip(phasors) {
-                            *to = strength_steps(c, s);
-                        }
-                        for (to, &mean) in light.row_mut(v)[at.clone()].iter_mut().zip(&mean.row(v)[at]) {
-                            *to = light_steps(mean);
-                        }
-                    }
+                    windows.keep_row(v, runs.row(v), [c.row(v), s.row(v), mean.row(v)]);
                 }
             },
         );
-        Self { strength, light, misfit }
+        windows
     }
+
+    /// Strength and light of row `v` from its C, S and means.
+    #[inline(always)]
+    fn keep_row(&mut self, v: usize, runs: &[Run], [c, s, mean]: [&[f32]; 3]) {
+        for run in runs {
+            let at = run.columns();
+            let phasors = c[at.clone()].iter().zip(&s[at.clone()]);
+            for (to, (&c, &s)) in self.strength.row_mut(v)[at.clone()].iter_mut().zip(phasors) {
+                *to = strength_steps(c, s);
+            }
+            for (to, &mean) in self.light.row_mut(v)[at.clone()].iter_mut().zip(&mean[at]) {
+                *to = light_steps(mean);
+            }
+        }
+    }
+}
+
+/// Wm, rad, and the windows of a frame whose rows are not averaged; the phase is NaN where it is unknown. Each row is
+/// demodulated and at once what it is wanted for: phasors of a whole frame would not stay in the cache.
+pub fn demodulate(
+    image: Mono8<'_>,
+    runs: &Runs,
+    period: &Plane<f32>,
+    gains: &Gains,
+    sign: f32,
+) -> (Plane<f32>, Windows) {
+    let (w, h) = (image.width(), image.height());
+    let mut wrapped = Plane::filled(w, h, f32::NAN);
+    let [strength, light] = [(); 2].map(|()| Plane::filled(w, h, 0u16));
+    let mut windows = Windows { strength, light, misfit: Plane::filled(w, h, 0f32) };
+    let [mut c, mut s, mut mean] = [(); 3].map(|()| vec![0f32; w]);
+    let mut samples = Vec::new();
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..h {
+                let (own, misfit) = (runs.row(v), windows.misfit.row_mut(v));
+                let out = PhasorRow { c: &mut c, s: &mut s, mean: &mut mean, misfit };
+                demodulate_row(image.row(v), own, period.row(v), gains, sign, &mut samples, out);
+                windows.keep_row(v, own, [&c, &s, &mean]);
+                for run in own {
+                    let phasors = c[run.columns()].iter().zip(&s[run.columns()]);
+                    for (to, (&c, &s)) in wrapped.row_mut(v)[run.columns()].iter_mut().zip(phasors) {
+                        *to = phase(c, s);
+                    }
+                }
+            }
+        },
+    );
+    (wrapped, windows)
 }
 
 /// The length of a phasor in whole steps.
