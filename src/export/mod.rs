@@ -8,6 +8,8 @@ pub mod frames;
 mod glb;
 /// Clouds to files of other formats, many at a time.
 pub mod job;
+/// Directional clouds to merged ones.
+pub mod merge;
 /// Triangle meshes.
 pub mod mesh;
 mod pcd;
