@@ -40,7 +40,8 @@ def slope_and_base(pairs):
 
 def points_per_frame(args, scene):
     made = json.loads((args.runs / f"{scene}.summary").read_text())
-    return made["merged_points"] / made["frames"]
+    frames = [frame for trigger in made["triggers"] for frame in trigger["frames"]]
+    return sum(frame["points"] for frame in frames) / made["frames"]
 
 
 def add_scene(summary, args, scene):

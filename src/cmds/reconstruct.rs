@@ -20,6 +20,9 @@ use std::path::{Path, PathBuf};
 
 /// Turn every frame of a session into a point cloud.
 ///
+/// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and another one
+/// sees well within 2 mm; the clouds of the cameras have all of theirs.
+///
 /// Finished clouds that were made with the same calibration and method are kept, so that an interrupted run
 /// goes on where it was. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
 /// `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in --scratch. Exit code 3: some frames are missing, and are listed in summary.json.
@@ -233,7 +236,7 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         Some(count) => collected(&pool, &calibration, &plan, count)?,
     };
     // The merged clouds of other shards may not be there yet: one sequence of all is made when they are collected.
-    if plan.format == Format::Ply && !plan.discard && args.shard.is_none() {
+    if plan.merges() && args.shard.is_none() {
         batch::write_sequence(source.as_ref(), &plan, what.rate_hz, &plan.out.join("sequence.mcap"))
             .map_err(|e| Failure::new(Exit::Failure, e))?;
     }
@@ -320,15 +323,17 @@ fn report(args: &Args, summary: &Summary) {
         println!("{}", serde_json::json!(summary));
         return;
     }
+    let merged = summary.merged_points.map_or(String::new(), |points| {
+        format!("; {points} of them in {} merged clouds", summary.triggers.len())
+    });
     println!(
-        "{} frames: {} clouds, {} refused, {} missing, {} damaged; {} points in {} merged clouds",
+        "{} frames: {} clouds, {} refused, {} missing, {} damaged; {} points{merged}",
         summary.frames,
         summary.clouds,
         summary.refused,
         summary.gaps,
         summary.damaged,
-        summary.merged_points,
-        summary.triggers.len(),
+        summary.points(),
     );
     for trigger in &summary.triggers {
         for frame in &trigger.frames {

@@ -13,6 +13,7 @@
 
 use super::cloud::Cloud;
 use super::format::Format;
+use super::merge::{self, Rule, View, Viewpoint};
 use super::mesh::{self, Mesh, MeshKind};
 use super::shape::Shape;
 use super::source::{CloudSource, Commented};
@@ -206,10 +207,16 @@ impl Job<'_> {
         clouds: &[Commented],
         cameras: &[(u8, String)],
     ) -> Result<(), String> {
-        let comments = &merged_comments(clouds, cameras);
+        let mut comments = merged_comments(clouds, cameras);
+        let mut joined = || {
+            let (cloud, removed) = join(clouds, cameras);
+            comments.extend(removed.map(merge::removed_comment));
+            cloud
+        };
         let mesh = match self.plan.mesh {
             None => {
-                let cloud = &join(clouds, cameras);
+                let cloud = &joined();
+                let comments = &comments;
                 return self.save(outputs, &Shape { cloud, triangles: &[], comments, cameras });
             }
             Some(MeshKind::Grid(limits)) => {
@@ -219,12 +226,12 @@ impl Job<'_> {
                 }
                 Ok(all)
             }
-            Some(MeshKind::Watertight { cell_m }) => mesh::watertight(&join(clouds, cameras), cell_m),
+            Some(MeshKind::Watertight { cell_m }) => mesh::watertight(&joined(), cell_m),
         };
         match mesh {
             Ok(mesh) => {
-                let shape = Shape { cloud: &mesh.vertices, triangles: &mesh.triangles, comments, cameras };
-                self.save(outputs, &shape)
+                let (cloud, comments) = (&mesh.vertices, &comments);
+                self.save(outputs, &Shape { cloud, triangles: &mesh.triangles, comments, cameras })
             }
             Err(reason) => {
                 self.count(|summary| summary.problems.push(format!("trigger {trigger}: {reason}")));
@@ -249,17 +256,15 @@ impl Job<'_> {
     }
 }
 
-/// The merged cloud.
-pub(super) fn join(clouds: &[Commented], cameras: &[(u8, String)]) -> Cloud {
-    let mut merged = Cloud::default();
-    for ((_, cloud), (number, _)) in clouds.iter().zip(cameras) {
-        merged.merge(cloud, *number);
-    }
-    if merged.sigma_m.len() != merged.len() {
-        // Not all of them have it.
-        merged.sigma_m.clear();
-    }
-    merged
+/// The merged cloud, by the rule of [`merge`], and how many points it lacks where that could be decided.
+pub(super) fn join(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, Option<usize>) {
+    let viewpoints: Vec<Option<Viewpoint>> =
+        clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
+    let views = clouds.iter().zip(&viewpoints);
+    let views: Vec<View<'_>> = views.map(|((_, cloud), from)| View { cloud, from: from.as_ref() }).collect();
+    let numbers: Vec<u8> = cameras.iter().map(|(number, _)| *number).collect();
+    let left_out = merge::left_out(&views, Rule::default());
+    (merge::merged(&views, &numbers, &left_out), left_out.decided.then_some(left_out.removed))
 }
 
 fn merged_comments(clouds: &[Commented], cameras: &[(u8, String)]) -> Vec<String> {

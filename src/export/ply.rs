@@ -97,26 +97,48 @@ impl Header {
     }
 }
 
-/// A directional cloud as a part of what is written, with its camera's number in a merged cloud.
-pub type Part<'a> = (u8, &'a Cloud);
+/// A directional cloud as a part of a merged one.
+#[derive(Debug, Clone, Copy)]
+pub struct Part<'a> {
+    /// Its camera's number in merged clouds.
+    pub camera: u8,
+    /// The cloud.
+    pub cloud: &'a Cloud,
+    /// Whether each of its points is left out; empty where none is.
+    pub left_out: &'a [bool],
+}
+
+impl Part<'_> {
+    /// Number of points that are written.
+    fn points(&self) -> usize {
+        self.cloud.len() - self.left_out.iter().filter(|out| **out).count()
+    }
+}
 
 /// Writes a cloud. Line breaks in comments become spaces. The arrays must have equal lengths, as those of a
 /// [`Cloud`] have.
 pub fn write(mut out: impl Write, cloud: &Cloud, comments: &[String]) -> io::Result<()> {
     let layout = Layout { merged: cloud.is_merged(), sigma: !cloud.sigma_m.is_empty() };
     out.write_all(header(cloud.len(), layout, comments).as_bytes())?;
-    write_points(&mut out, cloud, layout, None)
+    write_points(&mut out, cloud, layout, |_| true, None)
 }
 
 /// Writes a merged cloud without putting it together first.
 fn write_merged(mut out: impl Write, parts: &[Part<'_>], comments: &[String]) -> io::Result<()> {
-    let full = || parts.iter().filter(|(_, cloud)| !cloud.is_empty());
-    let sigma = full().next().is_some() && full().all(|(_, cloud)| !cloud.sigma_m.is_empty());
+    let full = || parts.iter().filter(|part| part.points() > 0);
+    let sigma = full().next().is_some() && full().all(|part| !part.cloud.sigma_m.is_empty());
     // A merged cloud without points has no camera to tell.
     let layout = Layout { merged: full().next().is_some(), sigma };
-    let points = parts.iter().map(|(_, cloud)| cloud.len()).sum();
+    let points = parts.iter().map(Part::points).sum();
     out.write_all(header(points, layout, comments).as_bytes())?;
-    parts.iter().try_for_each(|&(camera, cloud)| write_points(&mut out, cloud, layout, Some(camera)))
+    for &Part { camera, cloud, left_out } in parts {
+        if left_out.is_empty() {
+            write_points(&mut out, cloud, layout, |_| true, Some(camera))?;
+        } else {
+            write_points(&mut out, cloud, layout, |i| !left_out[i], Some(camera))?;
+        }
+    }
+    Ok(())
 }
 
 fn header(points: usize, layout: Layout, comments: &[String]) -> String {
@@ -131,16 +153,24 @@ fn header(points: usize, layout: Layout, comments: &[String]) -> String {
     header + "end_header\n"
 }
 
-/// Writes points by the thousand, through a buffer that stays in the cache. `camera`: that of all of them, where the
-/// cloud itself does not tell.
-fn write_points(out: &mut impl Write, cloud: &Cloud, layout: Layout, camera: Option<u8>) -> io::Result<()> {
+/// Writes the points that `keep` holds for (by place) by the thousand, through a buffer that stays in the cache. `camera`: that
+/// of all of them, where the cloud itself does not tell.
+fn write_points(
+    out: &mut impl Write,
+    cloud: &Cloud,
+    layout: Layout,
+    keep: impl Fn(usize) -> bool,
+    camera: Option<u8>,
+) -> io::Result<()> {
     let stride = layout.stride();
     let mut bytes = vec![0; stride * POINTS_AT_ONCE];
     for first in (0..cloud.len()).step_by(POINTS_AT_ONCE) {
         let part = first..cloud.len().min(first + POINTS_AT_ONCE);
+        let kept = || part.clone().filter(|&i| keep(i));
         let points = cloud.position_m[part.clone()].iter().zip(&cloud.normal[part.clone()]);
         let points = points.zip(&cloud.intensity[part.clone()]).zip(&cloud.pixel[part.clone()]);
-        let filled = bytes.chunks_exact_mut(stride).zip(points).map(|(to, (((p, n), i), [u, v]))| {
+        let points = part.clone().zip(points).filter(|(i, _)| keep(*i));
+        let filled = bytes.chunks_exact_mut(stride).zip(points).map(|(to, (_, (((p, n), i), [u, v])))| {
             let floats = [p[0], p[1], p[2], *i, n[0], n[1], n[2]];
             for (to, x) in to.as_chunks_mut::<4>().0.iter_mut().zip(floats) {
                 *to = x.to_le_bytes();
@@ -151,14 +181,14 @@ fn write_points(out: &mut impl Write, cloud: &Cloud, layout: Layout, camera: Opt
         let count = filled.count();
         let bytes = &mut bytes[..count * stride];
         if layout.merged {
-            for (i, to) in bytes.chunks_exact_mut(stride).enumerate() {
-                let own = || cloud.camera.get(first + i).copied().unwrap_or(NO_CAMERA);
+            for (i, to) in kept().zip(bytes.chunks_exact_mut(stride)) {
+                let own = || cloud.camera.get(i).copied().unwrap_or(NO_CAMERA);
                 to[POINT_BYTES] = camera.unwrap_or_else(own);
             }
         }
         if layout.sigma {
-            for (to, sigma) in bytes.chunks_exact_mut(stride).zip(&cloud.sigma_m[part]) {
-                to[stride - 4..].copy_from_slice(&sigma.to_le_bytes());
+            for (i, to) in kept().zip(bytes.chunks_exact_mut(stride)) {
+                to[stride - 4..].copy_from_slice(&cloud.sigma_m[i].to_le_bytes());
             }
         }
         out.write_all(bytes)?;
@@ -172,7 +202,7 @@ pub fn save(path: &Path, cloud: &Cloud, comments: &[String]) -> io::Result<()> {
 }
 
 /// Writes directional clouds as one merged cloud, in their order. The file is the same as that of the cloud that
-/// [`Cloud::merge`] makes of them.
+/// [`merge::merged`](super::merge::merged) makes of them.
 pub fn save_merged(path: &Path, parts: &[Part<'_>], comments: &[String]) -> io::Result<()> {
     write_whole_cached(path, |file| write_merged(file, parts, comments))
 }
@@ -339,8 +369,9 @@ fn read_header(input: &mut impl BufRead) -> Result<Header, String> {
 
 #[cfg(test)]
 mod tests {
-    use super::{read, write, write_merged};
+    use super::{Part, read, write, write_merged};
     use crate::export::Cloud;
+    use crate::export::merge::{self, LeftOut, View};
     use proptest::prelude::{any, prop_assert, prop_assert_eq, proptest};
 
     fn cloud(points: usize, merged: bool, sigma: bool) -> Cloud {
@@ -400,11 +431,24 @@ mod tests {
 
     #[test]
     fn merged_parts_are_written_as_the_merged_cloud_is() {
-        for (sizes, sigma) in [([3, 5000, 0, 7], true), ([0, 0, 0, 0], true), ([1, 0, 2, 9], false)] {
+        for (sizes, sigma, every) in [
+            ([3, 5000, 0, 7], true, 3),
+            ([0, 0, 0, 0], true, 2),
+            ([1, 0, 2, 9], false, 2),
+            ([4, 1, 9, 2], true, 1),
+        ] {
             let clouds = sizes.map(|points| cloud(points, false, sigma));
-            let mut merged = Cloud::default();
-            clouds.iter().zip(2..).for_each(|(cloud, camera)| merged.merge(cloud, camera));
-            let parts: Vec<(u8, &Cloud)> = (2..).zip(&clouds).collect();
+            // Some points of the second and of the last are left out; where `every` is 1, all of them.
+            let out = |i: usize| {
+                if i % 2 == 1 { (0..sizes[i]).map(|k| k % every == 0).collect() } else { Vec::new() }
+            };
+            let left_out: [Vec<bool>; 4] = std::array::from_fn(out);
+            let views: Vec<View<'_>> = clouds.iter().map(|cloud| View { cloud, from: None }).collect();
+            let all = LeftOut { points: left_out.to_vec(), ..LeftOut::default() };
+            let merged = merge::merged(&views, &[2, 3, 4, 5], &all);
+            let parts = (2..).zip(&clouds).zip(&left_out);
+            let parts: Vec<Part<'_>> =
+                parts.map(|((camera, cloud), left_out)| Part { camera, cloud, left_out }).collect();
             let (mut whole, mut streamed) = (Vec::new(), Vec::new());
             write(&mut whole, &merged, &[]).expect("memory");
             write_merged(&mut streamed, &parts, &[]).expect("memory");

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! OUT/clouds/CAMERA_INDEX.ply   one directional cloud (without points where the frame was refused)
-//! OUT/merged/INDEX.ply          all cameras of one trigger
+//! OUT/merged/INDEX.ply          all cameras of one trigger, less what another head sees better (`export::merge`)
 //! OUT/sequence.mcap             the merged clouds, for viewers
 //! OUT/phases/CAMERA_INDEX.phase   instead of all these, where it is asked for: what they follow from
 //! OUT/summary.json              what became of every frame
@@ -20,6 +20,7 @@ use super::source::{Frame, FrameSource};
 use super::stored::{self, phase_path};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
+use crate::export::merge::{self, LeftOut, Rule, View as MergedView, Viewpoint};
 use crate::export::phase_file::{self, Statement};
 use crate::export::{Cloud, ply};
 use crate::ids::{CameraId, TriggerIndex};
@@ -29,15 +30,16 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
-use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
+
+pub use super::timings::Timings;
 
 /// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 10;
+const ALGORITHM: u32 = 11;
 
 /// What is written of each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,6 +78,11 @@ impl Plan {
     pub fn shard_triggers(&self) -> impl Iterator<Item = u64> + '_ {
         self.triggers.clone().filter(|t| t % self.shard.1.max(1) == self.shard.0)
     }
+
+    /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
+    pub fn merges(&self) -> bool {
+        self.format == Format::Ply && !self.discard
+    }
 }
 
 /// What became of one frame.
@@ -110,8 +117,9 @@ impl FrameSummary {
 pub struct TriggerSummary {
     /// Its index.
     pub trigger: u64,
-    /// Points of the merged cloud.
-    pub merged_points: usize,
+    /// Points of the merged cloud; absent where none is made, as of phase maps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub merged_points: Option<usize>,
     /// Its frames, in the calibration's order.
     pub frames: Vec<FrameSummary>,
 }
@@ -134,44 +142,17 @@ pub struct Summary {
     pub gaps: usize,
     /// Frames that could not be read.
     pub damaged: usize,
-    /// Points of all merged clouds.
-    pub merged_points: usize,
+    /// Points of all merged clouds; absent where none are made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub merged_points: Option<usize>,
     /// The triggers, in order.
     pub triggers: Vec<TriggerSummary>,
 }
 
-/// Time spent, over the frames that were computed and not found finished.
-#[derive(Debug, Clone, Default, Serialize)]
-pub struct Timings {
-    /// Frames computed.
-    pub frames: usize,
-    /// Threads that did it.
-    pub threads: usize,
-    /// Sum of each stage, ms.
-    pub stage_ms: BTreeMap<&'static str, f64>,
-    /// Sum of all stages, ms.
-    pub total_ms: f64,
-    /// Sum of the time from asking for a frame to its points and normals in memory, in the thread that did it, ms. With one
-    /// thread this is the whole cost of the frames; with more, what a thread took on meanwhile is in it.
-    pub frame_ms: f64,
-    /// From the first frame to the last on the wall's clock, ms.
-    pub wall_ms: f64,
-    /// The process's processor time meanwhile, user and system, of all threads, ms.
-    pub cpu_ms: f64,
-}
-
-impl Timings {
-    fn add(&mut self, stages: &[(&'static str, Duration)]) {
-        self.frames += 1;
-        for (stage, time) in stages {
-            let ms = time.as_secs_f64() * 1e3;
-            *self.stage_ms.entry(stage).or_default() += ms;
-            self.total_ms += ms;
-        }
-    }
-
-    fn add_frame_time(&mut self, time: Duration) {
-        self.frame_ms += time.as_secs_f64() * 1e3;
+impl Summary {
+    /// Points of all directional clouds.
+    pub fn points(&self) -> usize {
+        self.triggers.iter().flat_map(|trigger| &trigger.frames).map(|frame| frame.points).sum()
     }
 }
 
@@ -209,6 +190,8 @@ struct Camera {
     id: CameraId,
     /// Its number in merged clouds.
     number: u8,
+    /// Where it and its head's projector are, as its clouds state it.
+    viewpoint: Viewpoint,
     pipeline: Pipeline,
 }
 
@@ -256,7 +239,8 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
         let triangulator = Triangulator::new(Pair::new(head, camera, calibration)?);
         let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
         let pipeline = pipeline.with_uncertainty(plan.uncertainty);
-        Ok((&head.id, Camera { id: camera.id.clone(), number, pipeline }))
+        let viewpoint = Viewpoint::new(head.id.as_str(), &camera.device, &head.projector);
+        Ok((&head.id, Camera { id: camera.id.clone(), number, viewpoint, pipeline }))
     });
     let mut heads: Vec<Vec<Camera>> = Vec::new();
     let mut last = None;
@@ -337,7 +321,7 @@ pub(super) fn summarize(triggers: Vec<TriggerSummary>, parameters: &str, plan: &
         refused: count("refused"),
         gaps: count("gap"),
         damaged: count("damaged"),
-        merged_points: triggers.iter().map(|t| t.merged_points).sum(),
+        merged_points: plan.merges().then(|| triggers.iter().filter_map(|t| t.merged_points).sum()),
         triggers,
     }
 }
@@ -347,28 +331,38 @@ pub(super) fn together<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> Strin
     format!("together {}", cameras.map(CameraId::as_str).collect::<Vec<_>>().join(" "))
 }
 
+fn view_of<'a>(camera: &'a Camera, cloud: &'a Cloud) -> MergedView<'a> {
+    MergedView { cloud, from: Some(&camera.viewpoint) }
+}
+
 impl Job<'_> {
     fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
         if let Some(finished) = self.finished_trigger(trigger) {
             return Ok(finished);
         }
         let results = self.clouds(trigger)?;
-        let cameras = || self.heads.iter().flatten();
-        let parts: Vec<ply::Part<'_>> =
-            cameras().map(|c| c.number).zip(results.iter().map(|(_, cloud)| cloud)).collect();
-        if self.merges() {
-            let path = merged_path(&self.plan.out, trigger);
-            ply::save_merged(&path, &parts, &self.merged_comments(trigger))
-                .map_err(|e| format!("{}: {e}", path.display()))?;
-        }
-        let merged_points = results.iter().map(|(summary, _)| summary.points).sum();
+        let merged_points = self.plan.merges().then(|| self.merge(trigger, &results)).transpose()?;
         let frames = results.into_iter().map(|(summary, _)| summary).collect();
         Ok(TriggerSummary { trigger, merged_points, frames })
     }
 
-    /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
-    fn merges(&self) -> bool {
-        self.plan.format == Format::Ply && !self.plan.discard
+    /// Writes the merged cloud; the number of its points.
+    fn merge(&self, trigger: u64, results: &[(FrameSummary, Cloud)]) -> Result<usize, String> {
+        let cameras = || self.heads.iter().flatten().zip(results);
+        let began = Instant::now();
+        let views: Vec<_> = cameras().map(|(camera, (_, cloud))| view_of(camera, cloud)).collect();
+        let LeftOut { points, removed, .. } = merge::left_out(&views, Rule::default());
+        self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner).merge_ms +=
+            began.elapsed().as_secs_f64() * 1e3;
+        let parts: Vec<ply::Part<'_>> = cameras()
+            .zip(&points)
+            .map(|((camera, (_, cloud)), left_out)| ply::Part { camera: camera.number, cloud, left_out })
+            .collect();
+        let path = merged_path(&self.plan.out, trigger);
+        let mut comments = self.merged_comments(trigger);
+        comments.push(merge::removed_comment(removed));
+        ply::save_merged(&path, &parts, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
+        Ok(results.iter().map(|(summary, _)| summary.points).sum::<usize>() - removed)
     }
 
     /// Runs a part of what makes a frame a cloud, and keeps its time.
@@ -456,6 +450,7 @@ impl Job<'_> {
         }
         let mut comments = self.comments(trigger);
         comments.push(format!("camera {id}"));
+        comments.push(camera.viewpoint.comment());
         comments.push(together(self.cameras()));
         comments.push(format!("unresolved_px {}", result.counts.refused));
         comments.push(format!("contradicted_px {}", result.counts.contradicted));
@@ -473,7 +468,7 @@ impl Job<'_> {
         let contradicted_px = result.counts.contradicted;
         let (camera, outcome) = (id.clone(), outcome.into());
         let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, contradicted_px };
-        let cloud = if self.merges() { result.cloud } else { Cloud::default() };
+        let cloud = if self.plan.merges() { result.cloud } else { Cloud::default() };
         Ok((summary, cloud))
     }
 
@@ -519,12 +514,15 @@ impl Job<'_> {
             .flatten()
             .map(|camera| self.finished_frame(camera, trigger))
             .collect::<Option<_>>()?;
-        let merged_points = frames.iter().map(|frame| frame.points).sum();
-        if self.plan.format == Format::Ply {
-            let header = ply::load_whole_header(&merged_path(&self.plan.out, trigger)).ok()?;
-            let same = header.comments == self.merged_comments(trigger) && header.points == merged_points;
-            same.then_some(())?;
+        if self.plan.format != Format::Ply {
+            return Some(TriggerSummary { trigger, merged_points: None, frames });
         }
+        let header = ply::load_whole_header(&merged_path(&self.plan.out, trigger)).ok()?;
+        let (comments, removed) = merge::split_removed(&header.comments)?;
+        let points: usize = frames.iter().map(|frame| frame.points).sum();
+        let whole = header.points.checked_add(removed) == Some(points);
+        (whole && comments == self.merged_comments(trigger)).then_some(())?;
+        let merged_points = Some(header.points);
         Some(TriggerSummary { trigger, merged_points, frames })
     }
 

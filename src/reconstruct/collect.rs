@@ -234,7 +234,7 @@ impl Stated<'_> {
     fn has_merged(&self, trigger: &TriggerSummary) -> bool {
         let header = ply::load_whole_header(&merged_path(self.out, trigger.trigger));
         header.is_ok_and(|header| {
-            header.points == trigger.merged_points && header.comments.contains(&self.parameters)
+            Some(header.points) == trigger.merged_points && header.comments.contains(&self.parameters)
         })
     }
 }

@@ -71,6 +71,7 @@ mod source;
 /// Stored phase maps to clouds.
 pub mod stored;
 mod support;
+mod timings;
 /// From absolute phase to points.
 pub mod triangulate;
 /// Standard uncertainty of every phase.

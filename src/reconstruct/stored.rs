@@ -10,6 +10,7 @@ use super::collect::remove_leftovers;
 use super::pair::Pair;
 use super::rays::RayTable;
 use crate::calibrate::Calibration;
+use crate::export::merge::{self, Rule, View, Viewpoint};
 use crate::export::phase_file::{self, Statement};
 use crate::export::sequence::SequenceWriter;
 use crate::export::{Cloud, CloudSource, Commented, ply, write_whole};
@@ -230,11 +231,16 @@ fn finished(trigger: u64, maps: &Maps, geometry: &Geometry, out: &Path) -> Optio
         (&statement.geometry_sha256, &statement.volume_m) == (&geometry.0, &geometry.1)
             && is_there(&path, statement.points, &statement.comments)
     };
-    let points = statements.iter().map(|statement| statement.points).sum();
-    let comments = &statements.first()?.merged_comments;
-    let there = statements.iter().all(has_cloud) && is_there(&merged_path(out, trigger), points, comments);
+    statements.iter().all(has_cloud).then_some(())?;
+    let merged = ply::load_whole_header(&merged_path(out, trigger)).ok()?;
+    let decides = statements.iter().any(|statement| Viewpoint::of(&statement.comments).is_some());
+    let (comments, removed) =
+        if decides { merge::split_removed(&merged.comments)? } else { (&merged.comments[..], 0) };
+    let points: usize = statements.iter().map(|statement| statement.points).sum();
+    let there =
+        comments == statements.first()?.merged_comments && merged.points.checked_add(removed) == Some(points);
     let time_ns = statements.iter().find_map(|statement| statement.time_ns);
-    there.then_some(Made { trigger, time_ns, points, kept: true })
+    there.then_some(Made { trigger, time_ns, points: merged.points, kept: true })
 }
 
 fn export_trigger(
@@ -258,13 +264,22 @@ fn export_trigger(
         })
         .collect();
     let made = made?;
-    let parts: Vec<ply::Part<'_>> = made.iter().map(|(number, cloud, _)| (*number, cloud)).collect();
+    let viewpoints: Vec<_> =
+        made.iter().map(|(_, _, statement)| Viewpoint::of(&statement.comments)).collect();
+    let views = made.iter().zip(&viewpoints);
+    let views: Vec<View<'_>> =
+        views.map(|((_, cloud, _), from)| View { cloud, from: from.as_ref() }).collect();
+    let left_out = merge::left_out(&views, Rule::default());
+    let parts = made.iter().zip(&left_out.points);
+    let parts: Vec<ply::Part<'_>> =
+        parts.map(|((camera, cloud, _), left_out)| ply::Part { camera: *camera, cloud, left_out }).collect();
     let path = merged_path(out, trigger);
-    let comments = made.first().map_or(&[][..], |(_, _, statement)| &statement.merged_comments);
+    let mut comments = made.first().map_or(Vec::new(), |(_, _, statement)| statement.merged_comments.clone());
+    comments.extend(left_out.decided.then(|| merge::removed_comment(left_out.removed)));
     let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
-    ply::save_merged(&path, &parts, comments).map_err(failed)?;
+    ply::save_merged(&path, &parts, &comments).map_err(failed)?;
     let time_ns = made.iter().find_map(|(_, _, statement)| statement.time_ns);
-    let points = parts.iter().map(|(_, cloud)| cloud.len()).sum();
+    let points = made.iter().map(|(_, cloud, _)| cloud.len()).sum::<usize>() - left_out.removed;
     Ok(Made { trigger, time_ns, points, kept: false })
 }
 

@@ -416,7 +416,7 @@ fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
     let timings: serde_json::Value = serde_json::from_slice(&timings).unwrap_or_default();
     job.peak_memory_bytes = timings["peak_memory_bytes"].as_u64().unwrap_or(0);
     job.frames_without_cloud = (summary.refused + summary.gaps + summary.damaged) as u64;
-    job.merged_points = summary.merged_points as u64;
+    job.points = summary.points() as u64;
     job.parameters = summary.parameters;
     (job.stage, job.done, job.reason) = (Stage::Done, job.of, None);
     Ok(())

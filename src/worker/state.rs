@@ -56,8 +56,9 @@ pub struct Job {
     pub peak_memory_bytes: u64,
     /// Frames without a cloud: missing, refused or damaged.
     pub frames_without_cloud: u64,
-    /// Points of all merged clouds.
-    pub merged_points: u64,
+    /// Points of all directional clouds; earlier versions called it so.
+    #[serde(alias = "merged_points")]
+    pub points: u64,
     /// Hash of what the clouds depend on beside the frames, as in `summary.json`.
     pub parameters: String,
 }

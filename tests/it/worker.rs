@@ -211,7 +211,7 @@ fn a_worker_that_is_killed_ten_times_gives_the_bytes_of_one_run() {
     let job = Job::load(&place.results(), "walk").expect("there");
     assert_eq!((job.stage, job.done, job.of), (Stage::Done, TRIGGERS, TRIGGERS));
     assert_eq!((job.attempts, job.frames_without_cloud), (0, 1));
-    assert!(job.merged_points > 10_000, "{job:?}");
+    assert!(job.points > 10_000, "{job:?}");
 }
 
 #[cfg(feature = "aravis")]

@@ -61,7 +61,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         "merged_p95_mm": score["merged"]["p95_mm"],
         "merged_robust_mm": score["merged"]["robust_mm"],
         "wrong_order_share": score["merged"]["wrong_order_share"],
-        "completeness_of_lit": score["merged"]["completeness_of_lit"],
+        "completeness_of_lit": score["directional"]["completeness_of_lit"],
         "commit": args.commit,
         "machine": machine(),
         "seed": scenario.seed,

@@ -53,7 +53,7 @@ pub struct Args {
     /// Only these cameras, separated by commas.
     #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Which clouds: a file a trigger (`merged`), a file a camera and trigger (`directional`), or both [default: merged].
+    /// Which clouds: a file a trigger (`merged`, less what another head sees better), a file a camera and trigger (`directional`), or both [default: merged].
     #[arg(long, value_enum, value_delimiter = ',', value_name = "KIND,...")]
     clouds: Vec<Clouds>,
     /// Triangles instead of points: `grid` between the neighbouring pixels of each camera, holes stay holes; `watertight`

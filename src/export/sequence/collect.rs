@@ -98,7 +98,7 @@ fn messages(
     };
     let mut made = Vec::new();
     if contents.merged {
-        made.push(ready(None, &join(&clouds, &numbered)));
+        made.push(ready(None, &join(&clouds, &numbered).0));
     }
     if contents.directional {
         made.extend(clouds.iter().zip(numbered).map(|((_, cloud), (_, name))| ready(Some(name), cloud)));
