@@ -339,6 +339,7 @@ impl Tally {
             points: self.points,
             rms_mm: rms(&all),
             rms_right_order_mm: rms(&right),
+            mean_right_order_mm: 1e3 * right.iter().map(|&d| f64::from(d)).sum::<f64>() / right.len() as f64,
             p95_mm: quantile(0.95),
             robust_mm: 1.4826 * quantile(0.5),
             wrong_order_share: share(self.wrong_order + self.off_surface, self.points),
@@ -359,6 +360,8 @@ pub struct Score {
     pub rms_mm: f64,
     /// The same of the points of right fringe order.
     pub rms_right_order_mm: f64,
+    /// Mean distance of these.
+    pub mean_right_order_mm: f64,
     /// 95th percentile of the distance of all points that have a surface, mm.
     pub p95_mm: f64,
     /// 1.4826 times the median distance, mm.

@@ -49,6 +49,7 @@ mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
+mod merging;
 mod object_store;
 #[cfg(feature = "aravis")]
 mod plan_faults;
