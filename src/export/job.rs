@@ -210,6 +210,7 @@ impl Job<'_> {
         let mut comments = merged_comments(clouds, cameras);
         let mut joined = || {
             let (cloud, removed) = join(clouds, cameras);
+            let removed = removed.or_else(|| stated_removed(clouds, &comments));
             comments.extend(removed.map(merge::removed_comment));
             cloud
         };
@@ -274,6 +275,12 @@ fn merged_comments(clouds: &[Commented], cameras: &[(u8, String)]) -> Vec<String
     let names: Vec<String> = cameras.iter().map(|(number, name)| format!("{number}={name}")).collect();
     comments.push(format!("cameras {}", names.join(" ")));
     comments
+}
+
+/// What a merged cloud that these clouds were picked out of says that it lacks, if all of its cameras are there.
+fn stated_removed(clouds: &[Commented], merged: &[String]) -> Option<usize> {
+    let (stated, removed) = merge::split_removed(&clouds.first()?.0)?;
+    (stated.last() == merged.last()).then_some(removed)
 }
 
 /// Makes the folders, and writes down what they are for; an error where they are for something else.
