@@ -3,7 +3,8 @@
 //! The tree is Kruskal's with union-find. An edge is as good as the worse of its two pixels' Qm; the wrapped
 //! step between neighbours is taken as the true one. The tree from any seed is the same, so that the paper's
 //! random seed pixel, from the best 10 % of Qm, only chooses the component: here the one that holds the pixel
-//! of the best Qm.
+//! of the best Qm. Every pixel's best edge is one of the tree's (Boruvka): these are taken first, in the order of the
+//! pixels, and only the edges between the small trees that they make are put into order.
 
 use super::runs::Runs;
 use super::simd;
@@ -20,21 +21,27 @@ const UNKNOWN: u16 = u16::MAX;
 pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>, runs: &Runs) -> Plane<f32> {
     let mut out = Plane::filled(wrapped.width(), wrapped.height(), f32::NAN);
     let nodes = Nodes::of(wrapped, quality, runs);
-    let mut tree = Tree::new(nodes.phase.len());
-    if let [edges @ .., _] = &nodes.edges_by_quality(runs)[..] {
-        edges.iter().for_each(|&edge| tree.merge(edge));
-    }
     let Some(best) = nodes.best() else { return out };
-    let root = tree.find(best as u32).0;
+    let keys = nodes.keys(runs);
+    let groups = nodes.groups(&keys, runs);
+    let mut tree = Tree::new(groups.number);
+    for edge in nodes.edges_by_quality(&keys, &groups, runs) {
+        tree.merge(edge);
+    }
+    // Of each group the turns, where it belongs to the seed's.
+    let root = tree.find(groups.places[best].group).0;
+    let turns: Vec<f32> = (0..groups.number as u32)
+        .map(|group| {
+            let (own, turns) = tree.find(group);
+            if own == root { turns as f32 } else { f32::NAN }
+        })
+        .collect();
     let mut node = 0;
     for v in 0..runs.height() {
         for run in runs.row(v) {
             for out in &mut out.row_mut(v)[run.columns()] {
-                let phase = nodes.phase[node];
-                let (own, turns) = tree.find(node as u32);
-                if own == root && !phase.is_nan() {
-                    *out = phase + TAU * turns as f32;
-                }
+                let place = groups.places[node];
+                *out = nodes.phase[node] + TAU * (turns[place.group as usize] + place.turns as f32);
                 node += 1;
             }
         }
@@ -52,20 +59,30 @@ struct Nodes {
     first: Vec<u32>,
 }
 
-/// An edge: its nodes, and in the two highest bits of the first one more than the turns that the second has more.
+/// An edge: what it joins, and how many turns the second has more.
 #[derive(Clone, Copy, Default)]
-struct Edge([u32; 2]);
-
-impl Edge {
-    const NODE: u32 = (1 << 30) - 1;
-
-    #[inline(always)]
-    fn new(a: usize, b: usize, key: Key) -> Self {
-        Self([a as u32 | u32::from(key.0 >> Key::TURNS) << 30, b as u32])
-    }
+struct Edge {
+    ends: [u32; 2],
+    more: i32,
 }
 
-/// Where an edge belongs, in the lower bits, and one more than the turns that its second node has more.
+/// Trees of the nodes' best edges.
+struct Groups {
+    /// How many they are.
+    number: usize,
+    /// Where each node is.
+    places: Vec<Place>,
+}
+
+/// A node's group, and its turns relative to that.
+#[derive(Clone, Copy)]
+struct Place {
+    group: u32,
+    turns: i32,
+}
+
+/// Where an edge belongs, in the lower bits, one more than the turns that its second node has more, and in the highest
+/// whether it is the best one of one of its nodes.
 #[derive(Clone, Copy)]
 struct Key(u16);
 
@@ -74,6 +91,8 @@ impl Key {
     const TURNS: u32 = 13;
     /// The bucket of edges that are not kept.
     const NOT_KEPT: u16 = STEPS as u16;
+    const BUCKET: u16 = (1 << Self::TURNS) - 1;
+    const BEST: u16 = 1 << 15;
 
     /// The edge between two nodes, given by their steps and phases.
     #[inline(always)]
@@ -87,8 +106,19 @@ impl Key {
 
     /// Quality step of its worse node, or [`Key::NOT_KEPT`].
     #[inline(always)]
-    fn bucket(self) -> usize {
-        usize::from(self.0 & ((1 << Self::TURNS) - 1))
+    fn bucket(self) -> u16 {
+        self.0 & Self::BUCKET
+    }
+
+    /// Turns that its second node has more.
+    #[inline(always)]
+    fn more(self) -> i32 {
+        i32::from(self.0 >> Self::TURNS & 3) - 1
+    }
+
+    #[inline(always)]
+    fn is_best(self) -> bool {
+        self.0 & Self::BEST != 0
     }
 }
 
@@ -123,26 +153,55 @@ impl Nodes {
         known.max_by(|&a, &b| self.quality[a].total_cmp(&self.quality[b]).then(b.cmp(&a)))
     }
 
-    /// The edges by falling quality; ties in the order of the pixels, that to the right before that down. The last one is
-    /// none.
-    fn edges_by_quality(&self, runs: &Runs) -> Vec<Edge> {
-        let keys = self.keys(runs);
-        let mut counts = [[0u32; STEPS + 1]; 2];
-        for (right, down) in keys[0].iter().zip(&keys[1]) {
-            counts[0][right.bucket()] += 1;
-            counts[1][down.bucket()] += 1;
-        }
-        let mut start = [0u32; STEPS + 1];
-        for i in 0..STEPS {
-            start[i + 1] = start[i] + counts[0][i] + counts[1][i];
-        }
-        // What is not kept goes to a place behind all others, which is not moved on: a branch would be as good as chance.
-        let mut edges = vec![Edge::default(); start[STEPS] as usize + 1];
-        self.each_edge(&keys, runs, |key, a, b| {
-            let bucket = key.bucket();
-            edges[start[bucket] as usize] = Edge::new(a, b, key);
-            start[bucket] += u32::from(bucket != STEPS);
+    /// The trees of the edges that are the best of one of their nodes.
+    fn groups(&self, keys: &[Vec<Key>; 2], runs: &Runs) -> Groups {
+        let mut tree = Tree::new(self.step.len());
+        self.each_edge(keys, runs, |key, a, b| {
+            if key.is_best() {
+                tree.merge(Edge { ends: [a as u32, b as u32], more: key.more() });
+            }
         });
+        let mut numbers = vec![u32::MAX; self.step.len()];
+        let mut number = 0;
+        let places = (0..self.step.len() as u32).map(|node| {
+            let (root, turns) = tree.find(node);
+            let group = &mut numbers[root as usize];
+            if *group == u32::MAX {
+                *group = number;
+                number += 1;
+            }
+            Place { group: *group, turns }
+        });
+        let places = places.collect();
+        Groups { number: number as usize, places }
+    }
+
+    /// The edges between groups by falling quality; ties in the order of the pixels, that to the right before that down.
+    fn edges_by_quality(&self, keys: &[Vec<Key>; 2], groups: &Groups, runs: &Runs) -> Vec<Edge> {
+        let mut found = Vec::new();
+        let mut start = [0u32; STEPS];
+        self.each_edge(keys, runs, |key, a, b| {
+            // The last node has none to its right.
+            if key.bucket() == Key::NOT_KEPT {
+                return;
+            }
+            let (from, to) = (groups.places[a], groups.places[b]);
+            if from.group != to.group {
+                let more = from.turns + key.more() - to.turns;
+                found.push((key.bucket(), Edge { ends: [from.group, to.group], more }));
+                start[usize::from(key.bucket())] += 1;
+            }
+        });
+        let mut before = 0;
+        for start in &mut start {
+            (*start, before) = (before, before + *start);
+        }
+        let mut edges = vec![Edge::default(); found.len()];
+        for (bucket, edge) in found {
+            let place = &mut start[usize::from(bucket)];
+            edges[*place as usize] = edge;
+            *place += 1;
+        }
         edges
     }
 
@@ -162,10 +221,71 @@ impl Nodes {
                         |a, b, n| self.keys_beside(a, b, &down[a..a + n], &mut keys[1][a..a + n]),
                     );
                 }
+                self.mark_best(&mut keys, runs);
             },
         );
         keys
     }
+
+    /// Marks the edges that are the first of one of their nodes'.
+    #[inline(always)]
+    fn mark_best(&self, [right, down]: &mut [Vec<Key>; 2], runs: &Runs) {
+        let nodes = self.step.len();
+        // Buckets of the edges to the left of each node and above it.
+        let [mut left, mut up] = [(); 2].map(|()| vec![Key::NOT_KEPT; nodes]);
+        for (left, key) in left[1..].iter_mut().zip(&*right) {
+            *left = key.bucket();
+        }
+        for v in 0..runs.height().saturating_sub(1) {
+            self.each_overlap(
+                v,
+                runs,
+                #[inline(always)]
+                |a, b, n| {
+                    for (up, key) in up[b..b + n].iter_mut().zip(&down[a..a + n]) {
+                        *up = key.bucket();
+                    }
+                },
+            );
+        }
+        // Which one is the first: that of the least bucket, and of these the one up, left, right, down.
+        let mut way = vec![0u8; nodes];
+        let (up, left, right_of, down_of) = (&up[..nodes], &left[..nodes], &right[..nodes], &down[..nodes]);
+        for i in 0..nodes {
+            let (mut least, mut first) = (up[i], Self::UP);
+            let (right, down) = (right_of[i].bucket(), down_of[i].bucket());
+            first = if left[i] < least { Self::LEFT } else { first };
+            least = least.min(left[i]);
+            first = if right < least { Self::RIGHT } else { first };
+            least = least.min(right);
+            first = if down < least { Self::DOWN } else { first };
+            least = least.min(down);
+            way[i] = if least < Key::NOT_KEPT { first } else { 0 };
+        }
+        for (key, way) in right.iter_mut().zip(way.windows(2)) {
+            let best = (way[0] == Self::RIGHT) | (way[1] == Self::LEFT);
+            key.0 |= if best { Key::BEST } else { 0 };
+        }
+        for v in 0..runs.height().saturating_sub(1) {
+            self.each_overlap(
+                v,
+                runs,
+                #[inline(always)]
+                |a, b, n| {
+                    let (keys, above, below) = (&mut down[a..a + n], &way[a..a + n], &way[b..b + n]);
+                    for i in 0..n {
+                        let best = (above[i] == Self::DOWN) | (below[i] == Self::UP);
+                        keys[i].0 |= if best { Key::BEST } else { 0 };
+                    }
+                },
+            );
+        }
+    }
+
+    const UP: u8 = 1;
+    const LEFT: u8 = 2;
+    const RIGHT: u8 = 3;
+    const DOWN: u8 = 4;
 
     /// Keys of the edges from the nodes from `a` on to those from `b` on.
     #[inline(always)]
@@ -321,9 +441,8 @@ impl Tree {
     }
 
     #[inline(always)]
-    fn merge(&mut self, Edge([a, b]): Edge) {
-        let more = (a >> 30) as i32 - 1;
-        let (mut root, turns_a) = self.find(a & Edge::NODE);
+    fn merge(&mut self, Edge { ends: [a, b], more }: Edge) {
+        let (mut root, turns_a) = self.find(a);
         let (mut other, turns_b) = self.find(b);
         if root == other {
             return;
