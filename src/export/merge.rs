@@ -189,11 +189,8 @@ impl Sight {
         let Some(from) = view.from else { return Self::default() };
         let (camera, projector) = (from.camera_m.map(|x| x as f32), from.projector_m.map(|x| x as f32));
         let points = view.cloud.position_m.iter().zip(&view.cloud.normal);
-        let incidence: Vec<Incidence> = points
-            .map(|(place, normal)| {
-                rule.incidence(cosine(camera, *place, *normal), cosine(projector, *place, *normal))
-            })
-            .collect();
+        let incidence: Vec<Incidence> =
+            points.map(|(place, normal)| rule.incidence([camera, projector], *place, *normal)).collect();
         let grazing = (0u32..).zip(&incidence).filter(|(_, incidence)| **incidence == Incidence::Grazing);
         Self { grazing: grazing.map(|(i, _)| i).collect(), incidence }
     }
@@ -204,26 +201,23 @@ impl Sight {
 }
 
 impl Rule {
-    /// Of the squared cosines to camera and projector. What is not a number is neither.
-    fn incidence(&self, camera: f32, projector: f32) -> Incidence {
-        let (grazing, well) = (self.grazing * self.grazing, self.well * self.well);
-        if camera >= well && projector >= well {
-            Incidence::Well
-        } else if camera < grazing || projector < grazing {
-            Incidence::Grazing
-        } else {
-            Incidence::Neither
+    /// How a point is seen from its camera and lit by its projector. What is not a number, or further than 1e19 m away, is
+    /// seen neither well nor grazing. Squares are compared, with their signs: roots and quotients are dearer than all the rest.
+    #[inline]
+    fn incidence(&self, from: [[f32; 3]; 2], place: [f32; 3], normal: [f32; 3]) -> Incidence {
+        let (mut well, mut grazing, mut finite) = (true, false, true);
+        for centre in from {
+            let ray = [centre[0] - place[0], centre[1] - place[1], centre[2] - place[2]];
+            let (along, square) = (dot(ray, normal), dot(ray, ray));
+            let along = along * along.abs();
+            well &= along >= self.well * self.well * square;
+            grazing |= along < self.grazing * self.grazing * square;
+            finite &= square < f32::INFINITY;
         }
+        let seen = if grazing { Incidence::Grazing } else { Incidence::Neither };
+        let seen = if well { Incidence::Well } else { seen };
+        if finite { seen } else { Incidence::Neither }
     }
-}
-
-/// The square, with its sign, of the cosine of the angle between a normal and the direction from its place to `to`; NaN where
-/// that is not finite. A square saves the root, which is dearer than all the rest.
-fn cosine(to: [f32; 3], place: [f32; 3], normal: [f32; 3]) -> f32 {
-    let ray = [to[0] - place[0], to[1] - place[1], to[2] - place[2]];
-    let (along, square) = (dot(ray, normal), dot(ray, ray));
-    // The square of a length beyond 1e19 m is infinite.
-    if square.is_finite() { along * along.abs() / square } else { f32::NAN }
 }
 
 fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
@@ -307,8 +301,7 @@ impl SeenWell {
 #[cfg(test)]
 mod tests {
     use super::{
-        Incidence, LeftOut, Rule, View, Viewpoint, cosine, dot, left_out, merged, removed_comment,
-        split_removed,
+        Incidence, LeftOut, Rule, View, Viewpoint, dot, left_out, merged, removed_comment, split_removed,
     };
     use crate::export::Cloud;
     use proptest::prelude::{
@@ -451,8 +444,8 @@ mod tests {
     /// Whether the points of cloud `a` are left out, by looking at all pairs of points.
     fn by_all_pairs(clouds: &[(&Cloud, &Viewpoint)], a: usize) -> Vec<bool> {
         let seen = |(cloud, from): &(&Cloud, &Viewpoint), i: usize| {
-            let to = |m: [f64; 3]| cosine(m.map(|x| x as f32), cloud.position_m[i], cloud.normal[i]);
-            RULE.incidence(to(from.camera_m), to(from.projector_m))
+            let from = [from.camera_m, from.projector_m].map(|centre| centre.map(|x| x as f32));
+            RULE.incidence(from, cloud.position_m[i], cloud.normal[i])
         };
         let (cloud, from) = clouds[a];
         let stands = |i: usize, other: &(&Cloud, &Viewpoint), k: usize| {
