@@ -210,9 +210,9 @@ fn shrunk(x: f32, noise: f32) -> f32 {
 mod tests {
     use super::correct;
     use crate::image::{Mono8, Plane};
-    use crate::reconstruct::demodulate::{Gains, ROWS, average_rows, demodulate, wrapped};
+    use crate::reconstruct::demodulate::{Gains, ROWS};
+    use crate::reconstruct::phasors::{average_rows, demodulate, windows, wrapped};
     use crate::reconstruct::runs::Runs;
-    use crate::reconstruct::windows::Windows;
     use std::f32::consts::TAU;
 
     const W: usize = 160;
@@ -246,7 +246,7 @@ mod tests {
         };
         let before = rms(&absolute);
         let runs = Runs::of(&mask);
-        correct(&mut absolute, &runs, &Windows::of(phasors, &runs), &period, &none, (ROWS as f32, 12.0));
+        correct(&mut absolute, &runs, &windows(phasors, &runs), &period, &none, (ROWS as f32, 12.0));
         [before, rms(&absolute)]
     }
 

@@ -12,17 +12,16 @@
 //! It is insensitive to a wrong period to first order. Linear interpolation between pixels weakens S and C by
 //! different factors that depend on P only: both are divided by them ([`Gains`]).
 
+use super::angle;
 use super::round::whole;
-use super::runs::{Run, Runs};
+use super::runs::Run;
 use super::sample::{self, LANES, Lanes, PAD, Periods};
-use super::{angle, simd};
-use crate::image::{Mono8, Plane};
 use std::f32::consts::TAU;
 
-/// Rows averaged on each side by [`average_rows`].
+/// Rows averaged on each side.
 const ROWS_EACH_SIDE: usize = 2;
 
-/// Rows that [`average_rows`] takes the mean of.
+/// Rows that a mean is taken of.
 pub const ROWS: usize = 2 * ROWS_EACH_SIDE + 1;
 
 /// Rows whose misfit exceeds the pixel's own by more than this are left out of the mean.
@@ -30,19 +29,6 @@ const MORE_MISFIT: f32 = 0.03;
 
 /// Row phasors must point the same way at least this much for their mean to be taken: |mean| / mean of |.|.
 const MIN_COHERENCE: f32 = 0.9;
-
-/// The phasor of each pixel: `c + i s = 6 B exp(i W)`; both zero where it is unknown.
-#[derive(Debug)]
-pub struct Phasors {
-    /// Real part.
-    pub c: Plane<f32>,
-    /// Imaginary part.
-    pub s: Plane<f32>,
-    /// Light over the window's one period: the mean, DN.
-    pub mean: Plane<f32>,
-    /// What the samples have beside offset, slope and fringe: RMS relative to B.
-    pub misfit: Plane<f32>,
-}
 
 /// Gains of the two sums by period, with linear interpolation of the samples.
 #[derive(Debug, Clone)]
@@ -172,7 +158,8 @@ pub(super) fn sums(i: &[f32; 7]) -> (f32, f32) {
     Folded::of(i).sums()
 }
 
-/// Four rows of [`Phasors`], to be written.
+/// The phasors of a row, `c + i s = 6 B exp(i W)`, both zero where they are unknown, the mean light of their windows, DN, and
+/// what the samples have beside offset, slope and fringe: RMS relative to B. To be written.
 pub(super) struct PhasorRow<'a> {
     pub c: &'a mut [f32],
     pub s: &'a mut [f32],
@@ -180,44 +167,9 @@ pub(super) struct PhasorRow<'a> {
     pub misfit: &'a mut [f32],
 }
 
-impl Phasors {
-    /// Phasors that are all unknown.
-    pub fn unknown(width: usize, height: usize) -> Self {
-        let blank = || Plane::filled(width, height, 0f32);
-        Self { c: blank(), s: blank(), mean: blank(), misfit: blank() }
-    }
-}
-
-/// Demodulates every mask pixel whose window of one period lies within its run of the mask of zeros and ones. `sign`
-/// is that of the phase along the columns: the formula alone always yields a phase that grows with the column.
-pub fn demodulate(
-    image: Mono8<'_>,
-    mask: &Plane<u8>,
-    period: &Plane<f32>,
-    gains: &Gains,
-    sign: f32,
-) -> Phasors {
-    let runs = Runs::of(mask);
-    let mut out = Phasors::unknown(image.width(), image.height());
-    let mut light = Vec::new();
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            for v in 0..image.height() {
-                let row = PhasorRow {
-                    c: out.c.row_mut(v),
-                    s: out.s.row_mut(v),
-                    mean: out.mean.row_mut(v),
-                    misfit: out.misfit.row_mut(v),
-                };
-                demodulate_row(image.row(v), runs.row(v), period.row(v), gains, sign, &mut light, row);
-            }
-        },
-    );
-    out
-}
-
-/// [`demodulate`] for one row, of which its runs are written; `light` is memory to use, of finite numbers.
+/// Demodulates every pixel of a row's runs whose window of one period lies within its run; only the runs are written. `sign`
+/// is that of the phase along the columns: the formula alone always yields a phase that grows with the column. `light` is
+/// memory to use, of finite numbers.
 #[inline(always)]
 pub(super) fn demodulate_row(
     image: &[u8],
@@ -290,39 +242,7 @@ pub(super) fn of_samples(samples: &[f32; 7], [gain_s, gain_c]: [f32; 2]) -> (f32
     (s, c, mean, misfit)
 }
 
-/// Mean phasor of up to five rows; the rows above and below take part in pairs, so that the mean stays centred.
-/// A pair takes part where both are known, each as strong as the weaker one (else an edge of colour along the
-/// fringe would draw the mean to its bright side), and neither has more misfit than the pixel's own row allows:
-/// the window of a row above may touch an edge that this one clears. Averaging along the fringe halves the
-/// noise. Pixels with a non-zero `skip` stay as they are, and so do those whose rows disagree.
-pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
-    let (w, h) = (phasors.c.width(), phasors.c.height());
-    let (c, s) = (phasors.c.clone(), phasors.s.clone());
-    let [mut unit_c, mut unit_s, mut lengths] = [(); 3].map(|()| Plane::filled(w, h, 0f32));
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            let out = [&mut unit_c, &mut unit_s, &mut lengths].map(Plane::as_mut_slice);
-            units(c.as_slice(), s.as_slice(), out);
-            for v in 0..h {
-                let row = |v: usize| [unit_c.row(v), unit_s.row(v), lengths.row(v), phasors.misfit.row(v)];
-                let reach = row_reach(v, h);
-                let pairs: [_; ROWS_EACH_SIDE] =
-                    std::array::from_fn(|k| [row(v - reach.min(k + 1)), row(v + reach.min(k + 1))]);
-                let (out_c, out_s) = (phasors.c.row_mut(v), phasors.s.row_mut(v));
-                for first in (0..w).step_by(LANES) {
-                    let end = w.min(first + LANES);
-                    let [c, s] =
-                        average_block([c.row(v), s.row(v)], row(v), &pairs[..reach], skip.row(v), first);
-                    sample::store(out_c, first, end - first, &c);
-                    sample::store(out_s, first, end - first, &s);
-                }
-            }
-        },
-    );
-}
-
-/// Rows to each side of row `v` of `h` that [`average_rows`] looks at.
+/// Rows to each side of row `v` of `h` that are averaged with it.
 pub(super) fn row_reach(v: usize, h: usize) -> usize {
     ROWS_EACH_SIDE.min(v).min(h - 1 - v)
 }
@@ -330,7 +250,12 @@ pub(super) fn row_reach(v: usize, h: usize) -> usize {
 /// Rows of phasors of length 1, their true lengths and misfit.
 pub(super) type Rows<'a> = [&'a [f32]; 4];
 
-/// [`average_rows`] for one block: from its own row and C and S of it, and the rows above and below in pairs.
+/// Mean phasor of up to five rows; the rows above and below take part in pairs, so that the mean stays centred.
+/// A pair takes part where both are known, each as strong as the weaker one (else an edge of colour along the
+/// fringe would draw the mean to its bright side), and neither has more misfit than the pixel's own row allows:
+/// the window of a row above may touch an edge that this one clears. Averaging along the fringe halves the
+/// noise. Pixels with a non-zero `skip` stay as they are, and so do those whose rows disagree. One block: `own` is its row, of
+/// which `[c, s]` are C and S.
 #[inline(always)]
 pub(super) fn average_block(
     [c, s]: [&[f32]; 2],
@@ -392,21 +317,6 @@ pub(super) fn units(c: &[f32], s: &[f32], [unit_c, unit_s, length]: [&mut [f32];
     }
 }
 
-/// Wm: the phase of each phasor in (-pi, pi]; NaN where it is unknown.
-pub fn wrapped(phasors: &Phasors) -> Plane<f32> {
-    let mut out = Plane::filled(phasors.c.width(), phasors.c.height(), f32::NAN);
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            let phasors = phasors.c.as_slice().iter().zip(phasors.s.as_slice());
-            for (out, (&c, &s)) in out.as_mut_slice().iter_mut().zip(phasors) {
-                *out = phase(c, s);
-            }
-        },
-    );
-    out
-}
-
 /// The phase of a phasor; NaN where it is 0.
 #[inline(always)]
 pub(super) fn phase(c: f32, s: f32) -> f32 {
@@ -416,8 +326,9 @@ pub(super) fn phase(c: f32, s: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Gains, Phasors, average_rows, demodulate, wrapped};
+    use super::Gains;
     use crate::image::{Mono8, Plane};
+    use crate::reconstruct::phasors::{Phasors, average_rows, demodulate, wrapped};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
 

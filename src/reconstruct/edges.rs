@@ -290,10 +290,10 @@ fn lay_planes(good: &[&[f32]; ROWS], u: usize, phase: &Lanes, carrier: &Lanes) -
 mod tests {
     use super::{Settings, refine};
     use crate::image::{Mono8, Plane};
-    use crate::reconstruct::demodulate::{self, Gains, demodulate, wrapped};
+    use crate::reconstruct::demodulate::Gains;
+    use crate::reconstruct::phasors::{self, Phasors, demodulate, wrapped};
     use crate::reconstruct::runs::Runs;
-    use crate::reconstruct::windows::Windows;
-    use crate::reconstruct::{curvature, period, shading};
+    use crate::reconstruct::{curvature, period};
     use std::f32::consts::TAU;
 
     const W: usize = 240;
@@ -345,7 +345,7 @@ mod tests {
         }
         let none = Plane::filled(W, H, 0u8);
         let period = period::measure(image, &object, PERIOD).period;
-        let absolute = |phasors: &demodulate::Phasors| {
+        let absolute = |phasors: &Phasors| {
             let mut phase = wrapped(phasors);
             for v in 0..H {
                 for (u, x) in phase.row_mut(v).iter_mut().enumerate() {
@@ -364,10 +364,10 @@ mod tests {
         let runs = Runs::of(&object);
         let mut phasors = demodulate(image, &object, &period, &Gains::new(), 1.0);
         let before = score(&absolute(&phasors));
-        shading::correct(&mut phasors, &period, &none, 1.0);
-        demodulate::average_rows(&mut phasors, &none);
+        phasors::correct_shading(&mut phasors, &period, &none, 1.0);
+        phasors::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
-        let windows = Windows::of(phasors, &runs);
+        let windows = phasors::windows(phasors, &runs);
         curvature::correct(&mut phase, &runs, &windows, &period, &none, (5.0, 12.0));
         refine(&mut phase, &runs, &windows, &period, &none, 1.0, &Settings::default(), None);
         [before, score(&phase)]
@@ -399,7 +399,7 @@ mod tests {
         phasors.misfit.row_mut(60)[100..110].fill(0.01);
         let mut phase = wrapped(&phasors);
         let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let windows = Windows::of(phasors, &runs);
+        let windows = phasors::windows(phasors, &runs);
         let dropped = refine(&mut phase, &runs, &windows, &period, &none, 1.0, &Settings::default(), None);
         assert_eq!(dropped, known - 10);
         assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));

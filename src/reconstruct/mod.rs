@@ -47,6 +47,8 @@ pub mod period;
 /// Fringe period Pm of the default method.
 pub mod period_fast;
 mod period_windows;
+#[cfg(test)]
+mod phasors;
 /// One frame to one directional cloud.
 pub mod pipeline;
 /// Frames from PNG files.

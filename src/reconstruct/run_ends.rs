@@ -312,7 +312,8 @@ fn nearest(wrapped: f32, to: f32) -> f32 {
 mod tests {
     use super::{Input, complete};
     use crate::image::{Mono8, Plane};
-    use crate::reconstruct::demodulate::{Gains, demodulate, wrapped};
+    use crate::reconstruct::demodulate::Gains;
+    use crate::reconstruct::phasors::{self, demodulate, wrapped};
     use crate::reconstruct::runs::Runs;
     use crate::reconstruct::windows::Windows;
     use std::f32::consts::TAU;
@@ -349,7 +350,7 @@ mod tests {
         for (u, phase) in absolute.as_mut_slice().iter_mut().enumerate() {
             *phase += TAU * ((sign * truth(u) - *phase) / TAU).round();
         }
-        (absolute, Windows::of(phasors, &Runs::of(mask)), period)
+        (absolute, phasors::windows(phasors, &Runs::of(mask)), period)
     }
 
     /// Pixels known, and the RMS and largest error of those up to 16 px from the ends of the mask.

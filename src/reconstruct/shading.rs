@@ -16,11 +16,8 @@
 //! own does not: the limiter of [`slope`] then finds nothing to correct. Where its own does, the first order is
 //! not enough, the misfit of the fringe model tells, and [`super::edges`] deals with it.
 
-use super::demodulate::Phasors;
 use super::runs::Run;
 use super::sample::{self, LANES, Lanes, PAD, Periods};
-use super::simd;
-use crate::image::Plane;
 
 /// `2 / sqrt(3)` and `sqrt(3) / 36`: what a gradient adds to S through the mean light, and turns (C, S) by.
 const FROM_MEAN: f32 = 1.154_700_5;
@@ -39,23 +36,8 @@ const SLOPE_FLOOR: f32 = 0.02;
 /// Steeper light than this (relative change over a period) is not corrected further.
 const MAX_CHANGE: f32 = 1.0;
 
-/// Takes the first-order bias off all phasors but those with a non-zero `skip`, whose light is not used either:
-/// there the marker changes it. `sign` is that of the phase along the columns.
-pub fn correct(phasors: &mut Phasors, period: &Plane<f32>, skip: &Plane<u8>, sign: f32) {
-    let all = [Run::new(0, period.width())];
-    let mut light = Vec::new();
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            for v in 0..period.height() {
-                let phasor = (phasors.c.row_mut(v), phasors.s.row_mut(v));
-                correct_row(phasor, phasors.mean.row(v), period.row(v), skip.row(v), &all, sign, &mut light);
-            }
-        },
-    );
-}
-
-/// [`correct`] for one row's runs; `light` is memory to use.
+/// Takes the first-order bias off the phasors of a row's runs but those with a non-zero `skip`, whose light is not used either:
+/// there the marker changes it. `sign` is that of the phase along the columns; `light` is memory to use.
 #[inline(always)]
 pub(super) fn correct_row(
     (c, s): (&mut [f32], &mut [f32]),
@@ -154,9 +136,10 @@ fn slope(before: f32, after: f32, floor: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{correct, slope};
+    use super::slope;
     use crate::image::{Mono8, Plane};
-    use crate::reconstruct::demodulate::{Gains, Phasors, demodulate, wrapped};
+    use crate::reconstruct::demodulate::Gains;
+    use crate::reconstruct::phasors::{Phasors, correct_shading, demodulate, wrapped};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
 
@@ -183,7 +166,7 @@ mod tests {
             columns.clone().map(off).fold(0.0, f32::max)
         };
         let before = error(&wrapped(&phasors));
-        correct(&mut phasors, &periods, &Plane::filled(WIDTH, 1, 0), sign);
+        correct_shading(&mut phasors, &periods, &Plane::filled(WIDTH, 1, 0), sign);
         [before, error(&wrapped(&phasors))]
     }
 
@@ -256,7 +239,7 @@ mod tests {
                     plain(phasors.mean.row(0), skip.row(0), period.at(u, 0), u, phasor)
                 })
                 .collect();
-            correct(&mut phasors, &period, &skip, 1.0);
+            correct_shading(&mut phasors, &period, &skip, 1.0);
             for (u, [c, s]) in expected.into_iter().enumerate() {
                 let error = (phasors.c.at(u, 0) - c).abs().max((phasors.s.at(u, 0) - s).abs());
                 prop_assert!(error < 0.02, "{error} at {u}");

@@ -1,7 +1,7 @@
 //! What the stages behind the wrapped phase need of its windows: their phasors have given the phase, and what is left of
 //! them and of the light fits 16 bits. Eight frames wait for each other, and memory is what they wait in.
 
-use super::demodulate::{Gains, PhasorRow, Phasors, demodulate_row, phase};
+use super::demodulate::{Gains, PhasorRow, demodulate_row, phase};
 use super::round::whole;
 use super::runs::{Run, Runs};
 use super::simd;
@@ -23,26 +23,9 @@ pub struct Windows {
 }
 
 impl Windows {
-    /// Those of phasors, of the pixels of `runs`.
-    pub fn of(phasors: Phasors, runs: &Runs) -> Self {
-        let Phasors { c, s, mean, misfit } = phasors;
-        let (width, height) = (misfit.width(), misfit.height());
-        let [strength, light] = [(); 2].map(|()| Plane::filled(width, height, 0u16));
-        let mut windows = Self { strength, light, misfit };
-        simd::dispatch(
-            #[inline(always)]
-            || {
-                for v in 0..height {
-                    windows.keep_row(v, runs.row(v), [c.row(v), s.row(v), mean.row(v)]);
-                }
-            },
-        );
-        windows
-    }
-
     /// Strength and light of row `v` from its C, S and means.
     #[inline(always)]
-    fn keep_row(&mut self, v: usize, runs: &[Run], [c, s, mean]: [&[f32]; 3]) {
+    pub(super) fn keep_row(&mut self, v: usize, runs: &[Run], [c, s, mean]: [&[f32]; 3]) {
         for run in runs {
             let at = run.columns();
             let phasors = c[at.clone()].iter().zip(&s[at.clone()]);
