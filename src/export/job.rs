@@ -13,7 +13,7 @@
 
 use super::cloud::Cloud;
 use super::format::Format;
-use super::merge::{self, Rule, View, Viewpoint};
+use super::merge::{self, LeftOut, Rule, View, Viewpoint};
 use super::mesh::{self, Mesh, MeshKind};
 use super::shape::Shape;
 use super::source::{CloudSource, Commented};
@@ -208,18 +208,15 @@ impl Job<'_> {
         cameras: &[(u8, String)],
     ) -> Result<(), String> {
         let mut comments = merged_comments(clouds, cameras);
-        let mut joined = || {
-            let (cloud, removed) = join(clouds, cameras);
-            let removed = removed.or_else(|| stated_removed(clouds, &comments));
-            comments.extend(removed.map(merge::removed_comment));
+        let joined = |comments: &mut Vec<String>| {
+            let (cloud, left_out) = join(clouds, cameras);
+            let stated = || stated_removed(clouds, comments).map(merge::removed_comment);
+            let lacks = left_out.comment().or_else(stated);
+            comments.extend(lacks);
             cloud
         };
         let mesh = match self.plan.mesh {
-            None => {
-                let cloud = &joined();
-                let comments = &comments;
-                return self.save(outputs, &Shape { cloud, triangles: &[], comments, cameras });
-            }
+            None => Ok(Mesh { vertices: joined(&mut comments), triangles: Vec::new() }),
             Some(MeshKind::Grid(limits)) => {
                 let mut all = Mesh::default();
                 for ((_, cloud), (number, _)) in clouds.iter().zip(cameras) {
@@ -227,7 +224,7 @@ impl Job<'_> {
                 }
                 Ok(all)
             }
-            Some(MeshKind::Watertight { cell_m }) => mesh::watertight(&joined(), cell_m),
+            Some(MeshKind::Watertight { cell_m }) => mesh::watertight(&joined(&mut comments), cell_m),
         };
         match mesh {
             Ok(mesh) => {
@@ -257,15 +254,15 @@ impl Job<'_> {
     }
 }
 
-/// The merged cloud, by the rule of [`merge`], and how many points it lacks where that could be decided.
-pub(super) fn join(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, Option<usize>) {
-    let viewpoints: Vec<Option<Viewpoint>> =
-        clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
-    let views = clouds.iter().zip(&viewpoints);
-    let views: Vec<View<'_>> = views.map(|((_, cloud), from)| View { cloud, from: from.as_ref() }).collect();
-    let numbers: Vec<u8> = cameras.iter().map(|(number, _)| *number).collect();
+/// The merged cloud, by the rule of [`merge`], and what it lacks.
+pub(super) fn join(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, LeftOut) {
+    let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
+    let views = clouds.iter().zip(&from).zip(cameras);
+    let views =
+        views.map(|(((_, cloud), from), (camera, _))| View { camera: *camera, cloud, from: from.as_ref() });
+    let views: Vec<View<'_>> = views.collect();
     let left_out = merge::left_out(&views, Rule::default());
-    (merge::merged(&views, &numbers, &left_out), left_out.decided.then_some(left_out.removed))
+    (merge::merged(&views, &left_out), left_out)
 }
 
 fn merged_comments(clouds: &[Commented], cameras: &[(u8, String)]) -> Vec<String> {

@@ -12,9 +12,12 @@
 mod cells;
 
 use super::cloud::Cloud;
+use super::ply::{self, Header, Part};
 use crate::geometry::Device;
 use cells::{Cells, Grid};
 use rayon::prelude::*;
+use std::io;
+use std::path::Path;
 
 /// The comment of directional clouds that tells from where they are seen and lit.
 const SEEN_FROM: &str = "seen_from";
@@ -95,9 +98,11 @@ impl Default for Rule {
 /// for no others.
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a> {
+    /// Its camera's number in merged clouds.
+    pub camera: u8,
     /// The cloud.
     pub cloud: &'a Cloud,
-    /// Its camera.
+    /// Its camera's place.
     pub from: Option<&'a Viewpoint>,
 }
 
@@ -112,15 +117,17 @@ pub struct LeftOut {
     pub decided: bool,
 }
 
+impl LeftOut {
+    /// The comment of the merged cloud; none where there was nothing to decide.
+    pub fn comment(&self) -> Option<String> {
+        self.decided.then(|| removed_comment(self.removed))
+    }
+}
+
 /// The points that a merged cloud of these lacks, on the current rayon pool.
 pub fn left_out(views: &[View<'_>], rule: Rule) -> LeftOut {
-    // Heads matter only in being the same or not.
-    let head = |from: Option<&Viewpoint>| {
-        let same =
-            |view: &View<'_>| view.from.is_some_and(|other| from.is_some_and(|f| f.head == other.head));
-        views.iter().position(same)
-    };
-    let sights: Vec<Sight> = views.par_iter().map(|view| Sight::of(view, rule)).collect();
+    let sights: Vec<Sight> =
+        (0..views.len()).into_par_iter().map(|number| Sight::of(views, number, rule)).collect();
     let mut found = LeftOut {
         points: vec![Vec::new(); views.len()],
         removed: 0,
@@ -129,14 +136,14 @@ pub fn left_out(views: &[View<'_>], rule: Rule) -> LeftOut {
     let grazing = || views.iter().zip(&sights).flat_map(|(view, sight)| sight.grazing(view.cloud));
     let Some(grid) = Grid::around(grazing(), f64::from(rule.reach_m)) else { return found };
     let cells = Cells::mark(grid, grazing());
-    let seen_well = SeenWell::sort(&cells, views, &sights, |view| head(view.from));
+    let seen_well = SeenWell::sort(&cells, views, &sights);
     let decide = |(view, sight): (&View<'_>, &Sight)| {
-        let (cloud, own_head) = (view.cloud, head(view.from));
+        let cloud = view.cloud;
         let mut out = vec![false; cloud.len()];
         let mut removed = 0;
         for &i in &sight.grazing {
             let (place, normal) = (cloud.position_m[i as usize], cloud.normal[i as usize]);
-            if seen_well.stands_for(&cells, place, normal, own_head, rule) {
+            if seen_well.stands_for(&cells, Candidate { place, normal, head: sight.head }, rule) {
                 out[i as usize] = true;
                 removed += 1;
             }
@@ -149,15 +156,15 @@ pub fn left_out(views: &[View<'_>], rule: Rule) -> LeftOut {
     found
 }
 
-/// The merged cloud of directional ones with their cameras' numbers, in this order.
-pub fn merged(views: &[View<'_>], numbers: &[u8], left_out: &LeftOut) -> Cloud {
+/// The merged cloud of directional ones, in this order.
+pub fn merged(views: &[View<'_>], left_out: &LeftOut) -> Cloud {
     let mut merged = Cloud::default();
-    for ((view, &number), out) in views.iter().zip(numbers).zip(&left_out.points) {
+    for (view, out) in views.iter().zip(&left_out.points) {
         if out.is_empty() {
-            merged.merge(view.cloud, number);
+            merged.merge(view.cloud, view.camera);
         } else {
             let kept: Vec<usize> = (0..view.cloud.len()).filter(|&i| !out[i]).collect();
-            merged.merge(&view.cloud.pick(&kept), number);
+            merged.merge(&view.cloud.pick(&kept), view.camera);
         }
     }
     if merged.sigma_m.len() != merged.len() {
@@ -165,6 +172,28 @@ pub fn merged(views: &[View<'_>], numbers: &[u8], left_out: &LeftOut) -> Cloud {
         merged.sigma_m.clear();
     }
     merged
+}
+
+/// Writes the merged cloud with `comments` and what it lacks, without putting it together first; the number of its points.
+pub fn save(
+    path: &Path,
+    views: &[View<'_>],
+    left_out: &LeftOut,
+    mut comments: Vec<String>,
+) -> io::Result<usize> {
+    comments.extend(left_out.comment());
+    let parts = views.iter().zip(&left_out.points);
+    let parts = parts.map(|(view, left_out)| Part { camera: view.camera, cloud: view.cloud, left_out });
+    let parts: Vec<Part<'_>> = parts.collect();
+    ply::save_merged(path, &parts, &comments)?;
+    Ok(parts.iter().map(Part::points).sum())
+}
+
+/// Whether this is the header of what [`save`] writes with `comments` of clouds that have so many points together; `decided` as in
+/// [`LeftOut`].
+pub fn is_finished(header: &Header, comments: &[String], points: usize, decided: bool) -> bool {
+    let stated = if decided { split_removed(&header.comments) } else { Some((&header.comments[..], 0)) };
+    stated.is_some_and(|(own, removed)| own == comments && header.points.checked_add(removed) == Some(points))
 }
 
 /// How a point is seen.
@@ -178,6 +207,8 @@ enum Incidence {
 /// How the points of a cloud are seen.
 #[derive(Default)]
 struct Sight {
+    /// The first cloud of the same head.
+    head: usize,
     /// Each point; empty where from is not known.
     incidence: Vec<Incidence>,
     /// Places of the points at grazing incidence.
@@ -185,14 +216,17 @@ struct Sight {
 }
 
 impl Sight {
-    fn of(view: &View<'_>, rule: Rule) -> Self {
+    fn of(views: &[View<'_>], number: usize, rule: Rule) -> Self {
+        let view = &views[number];
         let Some(from) = view.from else { return Self::default() };
+        let same_head = |other: &View<'_>| other.from.is_some_and(|other| other.head == from.head);
+        let head = views.iter().position(same_head).unwrap_or(number);
         let (camera, projector) = (from.camera_m.map(|x| x as f32), from.projector_m.map(|x| x as f32));
         let points = view.cloud.position_m.iter().zip(&view.cloud.normal);
         let incidence: Vec<Incidence> =
             points.map(|(place, normal)| rule.incidence([camera, projector], *place, *normal)).collect();
         let grazing = (0u32..).zip(&incidence).filter(|(_, incidence)| **incidence == Incidence::Grazing);
-        Self { grazing: grazing.map(|(i, _)| i).collect(), incidence }
+        Self { head, grazing: grazing.map(|(i, _)| i).collect(), incidence }
     }
 
     fn grazing<'a>(&'a self, cloud: &'a Cloud) -> impl Iterator<Item = [f64; 3]> + 'a {
@@ -224,12 +258,13 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// A point that is seen well.
+/// A point that another may stand for, or that may stand for another.
 #[derive(Clone, Copy, Default)]
 struct Candidate {
     place: [f32; 3],
     normal: [f32; 3],
-    head: u32,
+    /// As in [`Sight`].
+    head: usize,
 }
 
 /// The points that are seen well and lie in a marked cell, by cell.
@@ -240,14 +275,9 @@ struct SeenWell {
 }
 
 impl SeenWell {
-    fn sort(
-        cells: &Cells,
-        views: &[View<'_>],
-        sights: &[Sight],
-        head: impl Fn(&View<'_>) -> Option<usize> + Sync,
-    ) -> Self {
+    fn sort(cells: &Cells, views: &[View<'_>], sights: &[Sight]) -> Self {
         let find = |(view, sight): (&View<'_>, &Sight)| {
-            let (head, cloud) = (head(view).unwrap_or_default() as u32, view.cloud);
+            let (head, cloud) = (sight.head, view.cloud);
             let mut found: Vec<(u32, Candidate)> = Vec::new();
             let well = |(_, incidence): &(usize, &Incidence)| **incidence == Incidence::Well;
             for (i, _) in sight.incidence.iter().enumerate().filter(well) {
@@ -276,22 +306,15 @@ impl SeenWell {
     }
 
     /// Whether another head's point stands for this one.
-    fn stands_for(
-        &self,
-        cells: &Cells,
-        place: [f32; 3],
-        normal: [f32; 3],
-        head: Option<usize>,
-        rule: Rule,
-    ) -> bool {
-        let (head, reach_2) = (head.unwrap_or_default() as u32, rule.reach_m * rule.reach_m);
-        let stands = |candidate: &Candidate| {
-            let [x, y, z] = [0, 1, 2].map(|axis| candidate.place[axis] - place[axis]);
-            candidate.head != head
-                && x * x + y * y + z * z <= reach_2
-                && dot(candidate.normal, normal) >= rule.agree
+    fn stands_for(&self, cells: &Cells, point: Candidate, rule: Rule) -> bool {
+        let reach_2 = rule.reach_m * rule.reach_m;
+        let stands = |other: &Candidate| {
+            let apart = [0, 1, 2].map(|axis| other.place[axis] - point.place[axis]);
+            other.head != point.head
+                && dot(apart, apart) <= reach_2
+                && dot(other.normal, point.normal) >= rule.agree
         };
-        cells.grid.any_within_reach(place.map(f64::from), |cell| {
+        cells.grid.any_within_reach(point.place.map(f64::from), |cell| {
             let Some(cell) = cells.number(cell) else { return false };
             self.points[self.starts[cell] as usize..self.starts[cell + 1] as usize].iter().any(stands)
         })
@@ -307,8 +330,6 @@ mod tests {
     use proptest::prelude::{
         ProptestConfig, Strategy, any, prop_assert, prop_assert_eq, prop_assume, proptest,
     };
-
-    const RULE: Rule = Rule { grazing: 0.4, well: 0.6, reach_m: 0.002, agree: 0.7 };
 
     /// A camera with its projector beside it.
     fn at(head: &str, [x, y, z]: [f64; 3]) -> Viewpoint {
@@ -330,8 +351,8 @@ mod tests {
     }
 
     fn decide(clouds: &[(&Cloud, &Viewpoint)]) -> LeftOut {
-        let views = clouds.iter().map(|&(cloud, from)| View { cloud, from: Some(from) });
-        left_out(&views.collect::<Vec<_>>(), RULE)
+        let views = clouds.iter().map(|&(cloud, from)| View { camera: 0, cloud, from: Some(from) });
+        left_out(&views.collect::<Vec<_>>(), Rule::default())
     }
 
     /// From straight above the plane, and from 80 degrees beside that.
@@ -354,8 +375,8 @@ mod tests {
             assert_eq!(*out, pixel[0] <= 10, "{pixel:?}");
         }
         assert_eq!(found.removed, 40 * 11);
-        let views = [View { cloud: &well, from: None }, View { cloud: &grazing, from: None }];
-        let cloud = merged(&views, &[3, 5], &found);
+        let views = [(3, &well), (5, &grazing)].map(|(camera, cloud)| View { camera, cloud, from: None });
+        let cloud = merged(&views, &found);
         assert_eq!(cloud.len(), 2 * 1600 - found.removed);
         assert_eq!(cloud.of_camera(3), well);
         let kept: Vec<usize> = (0..1600).filter(|&i| !found.points[1][i]).collect();
@@ -401,8 +422,9 @@ mod tests {
         assert_eq!(decide(&[(&a, &beside()), (&b, &lit_beside)]).removed, 0);
         // From where is not known: it neither goes nor stands for others.
         for (first, second) in [(Some(above()), None), (None, Some(beside())), (None, None)] {
-            let views = [View { cloud: &a, from: first.as_ref() }, View { cloud: &b, from: second.as_ref() }];
-            let found = left_out(&views, RULE);
+            let views = [(&a, &first), (&b, &second)];
+            let views = views.map(|(cloud, from)| View { camera: 0, cloud, from: from.as_ref() });
+            let found = left_out(&views, Rule::default());
             assert_eq!((found.removed, found.decided), (0, first.is_some() || second.is_some()));
         }
     }
@@ -421,7 +443,7 @@ mod tests {
         assert_eq!(kept, [7, 8, 9, 10, 11]);
         let empty = Cloud::default();
         assert_eq!(decide(&[(&empty, &above()), (&empty, &beside())]).removed, 0);
-        assert_eq!(left_out(&[], RULE), LeftOut::default());
+        assert_eq!(left_out(&[], Rule::default()), LeftOut::default());
     }
 
     /// Points that are crowded, with normals that are anything.
@@ -445,14 +467,15 @@ mod tests {
     fn by_all_pairs(clouds: &[(&Cloud, &Viewpoint)], a: usize) -> Vec<bool> {
         let seen = |(cloud, from): &(&Cloud, &Viewpoint), i: usize| {
             let from = [from.camera_m, from.projector_m].map(|centre| centre.map(|x| x as f32));
-            RULE.incidence(from, cloud.position_m[i], cloud.normal[i])
+            Rule::default().incidence(from, cloud.position_m[i], cloud.normal[i])
         };
         let (cloud, from) = clouds[a];
+        let rule = Rule::default();
         let stands = |i: usize, other: &(&Cloud, &Viewpoint), k: usize| {
             let apart: [f32; 3] =
                 std::array::from_fn(|axis| other.0.position_m[k][axis] - cloud.position_m[i][axis]);
-            dot(apart, apart) <= RULE.reach_m * RULE.reach_m
-                && dot(other.0.normal[k], cloud.normal[i]) >= RULE.agree
+            dot(apart, apart) <= rule.reach_m * rule.reach_m
+                && dot(other.0.normal[k], cloud.normal[i]) >= rule.agree
                 && seen(other, k) == Incidence::Well
         };
         let others: Vec<_> = clouds.iter().filter(|other| other.1.head != from.head).collect();

@@ -110,7 +110,7 @@ pub struct Part<'a> {
 
 impl Part<'_> {
     /// Number of points that are written.
-    fn points(&self) -> usize {
+    pub fn points(&self) -> usize {
         self.cloud.len() - self.left_out.iter().filter(|out| **out).count()
     }
 }
@@ -443,9 +443,10 @@ mod tests {
                 if i % 2 == 1 { (0..sizes[i]).map(|k| k % every == 0).collect() } else { Vec::new() }
             };
             let left_out: [Vec<bool>; 4] = std::array::from_fn(out);
-            let views: Vec<View<'_>> = clouds.iter().map(|cloud| View { cloud, from: None }).collect();
+            let views = (2..).zip(&clouds).map(|(camera, cloud)| View { camera, cloud, from: None });
+            let views: Vec<View<'_>> = views.collect();
             let all = LeftOut { points: left_out.to_vec(), ..LeftOut::default() };
-            let merged = merge::merged(&views, &[2, 3, 4, 5], &all);
+            let merged = merge::merged(&views, &all);
             let parts = (2..).zip(&clouds).zip(&left_out);
             let parts: Vec<Part<'_>> =
                 parts.map(|((camera, cloud), left_out)| Part { camera, cloud, left_out }).collect();

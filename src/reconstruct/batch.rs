@@ -20,7 +20,7 @@ use super::source::{Frame, FrameSource};
 use super::stored::{self, phase_path};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
-use crate::export::merge::{self, LeftOut, Rule, View as MergedView, Viewpoint};
+use crate::export::merge::{self, Viewpoint};
 use crate::export::phase_file::{self, Statement};
 use crate::export::{Cloud, ply};
 use crate::ids::{CameraId, TriggerIndex};
@@ -331,10 +331,6 @@ pub(super) fn together<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> Strin
     format!("together {}", cameras.map(CameraId::as_str).collect::<Vec<_>>().join(" "))
 }
 
-fn view_of<'a>(camera: &'a Camera, cloud: &'a Cloud) -> MergedView<'a> {
-    MergedView { cloud, from: Some(&camera.viewpoint) }
-}
-
 impl Job<'_> {
     fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
         if let Some(finished) = self.finished_trigger(trigger) {
@@ -348,21 +344,18 @@ impl Job<'_> {
 
     /// Writes the merged cloud; the number of its points.
     fn merge(&self, trigger: u64, results: &[(FrameSummary, Cloud)]) -> Result<usize, String> {
-        let cameras = || self.heads.iter().flatten().zip(results);
         let began = Instant::now();
-        let views: Vec<_> = cameras().map(|(camera, (_, cloud))| view_of(camera, cloud)).collect();
-        let LeftOut { points, removed, .. } = merge::left_out(&views, Rule::default());
+        let views = self.heads.iter().flatten().zip(results).map(|(camera, (_, cloud))| {
+            let from = Some(&camera.viewpoint);
+            merge::View { camera: camera.number, cloud, from }
+        });
+        let views: Vec<_> = views.collect();
+        let left_out = merge::left_out(&views, merge::Rule::default());
         self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner).merge_ms +=
             began.elapsed().as_secs_f64() * 1e3;
-        let parts: Vec<ply::Part<'_>> = cameras()
-            .zip(&points)
-            .map(|((camera, (_, cloud)), left_out)| ply::Part { camera: camera.number, cloud, left_out })
-            .collect();
         let path = merged_path(&self.plan.out, trigger);
-        let mut comments = self.merged_comments(trigger);
-        comments.push(merge::removed_comment(removed));
-        ply::save_merged(&path, &parts, &comments).map_err(|e| format!("{}: {e}", path.display()))?;
-        Ok(results.iter().map(|(summary, _)| summary.points).sum::<usize>() - removed)
+        merge::save(&path, &views, &left_out, self.merged_comments(trigger))
+            .map_err(|e| format!("{}: {e}", path.display()))
     }
 
     /// Runs a part of what makes a frame a cloud, and keeps its time.
@@ -518,10 +511,8 @@ impl Job<'_> {
             return Some(TriggerSummary { trigger, merged_points: None, frames });
         }
         let header = ply::load_whole_header(&merged_path(&self.plan.out, trigger)).ok()?;
-        let (comments, removed) = merge::split_removed(&header.comments)?;
-        let points: usize = frames.iter().map(|frame| frame.points).sum();
-        let whole = header.points.checked_add(removed) == Some(points);
-        (whole && comments == self.merged_comments(trigger)).then_some(())?;
+        let points = frames.iter().map(|frame| frame.points).sum();
+        merge::is_finished(&header, &self.merged_comments(trigger), points, true).then_some(())?;
         let merged_points = Some(header.points);
         Some(TriggerSummary { trigger, merged_points, frames })
     }

@@ -233,12 +233,9 @@ fn finished(trigger: u64, maps: &Maps, geometry: &Geometry, out: &Path) -> Optio
     };
     statements.iter().all(has_cloud).then_some(())?;
     let merged = ply::load_whole_header(&merged_path(out, trigger)).ok()?;
-    let decides = statements.iter().any(|statement| Viewpoint::of(&statement.comments).is_some());
-    let (comments, removed) =
-        if decides { merge::split_removed(&merged.comments)? } else { (&merged.comments[..], 0) };
-    let points: usize = statements.iter().map(|statement| statement.points).sum();
-    let there =
-        comments == statements.first()?.merged_comments && merged.points.checked_add(removed) == Some(points);
+    let decided = statements.iter().any(|statement| Viewpoint::of(&statement.comments).is_some());
+    let points = statements.iter().map(|statement| statement.points).sum();
+    let there = merge::is_finished(&merged, &statements.first()?.merged_comments, points, decided);
     let time_ns = statements.iter().find_map(|statement| statement.time_ns);
     there.then_some(Made { trigger, time_ns, points: merged.points, kept: true })
 }
@@ -264,22 +261,16 @@ fn export_trigger(
         })
         .collect();
     let made = made?;
-    let viewpoints: Vec<_> =
-        made.iter().map(|(_, _, statement)| Viewpoint::of(&statement.comments)).collect();
-    let views = made.iter().zip(&viewpoints);
-    let views: Vec<View<'_>> =
-        views.map(|((_, cloud, _), from)| View { cloud, from: from.as_ref() }).collect();
+    let from: Vec<_> = made.iter().map(|(_, _, statement)| Viewpoint::of(&statement.comments)).collect();
+    let views = made.iter().zip(&from);
+    let views = views.map(|((camera, cloud, _), from)| View { camera: *camera, cloud, from: from.as_ref() });
+    let views: Vec<View<'_>> = views.collect();
     let left_out = merge::left_out(&views, Rule::default());
-    let parts = made.iter().zip(&left_out.points);
-    let parts: Vec<ply::Part<'_>> =
-        parts.map(|((camera, cloud, _), left_out)| ply::Part { camera: *camera, cloud, left_out }).collect();
     let path = merged_path(out, trigger);
-    let mut comments = made.first().map_or(Vec::new(), |(_, _, statement)| statement.merged_comments.clone());
-    comments.extend(left_out.decided.then(|| merge::removed_comment(left_out.removed)));
+    let comments = made.first().map_or(Vec::new(), |(_, _, statement)| statement.merged_comments.clone());
     let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
-    ply::save_merged(&path, &parts, &comments).map_err(failed)?;
+    let points = merge::save(&path, &views, &left_out, comments).map_err(failed)?;
     let time_ns = made.iter().find_map(|(_, _, statement)| statement.time_ns);
-    let points = made.iter().map(|(_, cloud, _)| cloud.len()).sum::<usize>() - left_out.removed;
     Ok(Made { trigger, time_ns, points, kept: false })
 }
 

@@ -143,7 +143,8 @@ fn what_is_left_out_is_worse_than_what_is_kept() {
     let (headers, clouds): (Vec<ply::Header>, Vec<Cloud>) = scene.cameras.iter().map(load).unzip();
     let from: Vec<Option<Viewpoint>> = headers.iter().map(|header| Viewpoint::of(&header.comments)).collect();
     assert!(from.iter().all(Option::is_some));
-    let views = clouds.iter().zip(&from).map(|(cloud, from)| View { cloud, from: from.as_ref() });
+    let views = (0..).zip(clouds.iter().zip(&from));
+    let views = views.map(|(camera, (cloud, from))| View { camera, cloud, from: from.as_ref() });
     let views: Vec<View<'_>> = views.collect();
 
     // The merged cloud is a part of the directional ones, bit for bit.
