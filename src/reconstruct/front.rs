@@ -223,12 +223,7 @@ impl Input<'_> {
         let (runs, period) = (self.runs.row(v), self.period.row(v));
         demodulate::demodulate_row(self.image.row(v), runs, period, self.gains, self.pair.sign, light, out);
         shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, padded_mean);
-        for run in runs {
-            let light = &mut windows.light.row_mut(v)[run.columns()];
-            for (light, &mean) in light.iter_mut().zip(&mean[run.columns()]) {
-                *light = windows::light_steps(mean);
-            }
-        }
+        windows.keep_light(v, runs, mean);
     }
 
     /// Averages row `v` with those around it, and takes its phases.

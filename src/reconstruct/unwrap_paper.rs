@@ -17,6 +17,12 @@ const STEPS: usize = 4096;
 /// The step of a pixel without a phase.
 const UNKNOWN: u16 = u16::MAX;
 
+/// Ways from a node to its best neighbour.
+const UP: u8 = 1;
+const LEFT: u8 = 2;
+const RIGHT: u8 = 3;
+const DOWN: u8 = 4;
+
 /// Um: the phase unwrapped over the tree of the best pixel; NaN elsewhere. Phases are known within `runs` only.
 pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>, runs: &Runs) -> Plane<f32> {
     let mut out = Plane::filled(wrapped.width(), wrapped.height(), f32::NAN);
@@ -213,14 +219,11 @@ impl Nodes {
             #[inline(always)]
             || {
                 self.keys_beside(0, 1, &right, &mut keys[0]);
-                for v in 0..runs.height().saturating_sub(1) {
-                    self.each_overlap(
-                        v,
-                        runs,
-                        #[inline(always)]
-                        |a, b, n| self.keys_beside(a, b, &down[a..a + n], &mut keys[1][a..a + n]),
-                    );
-                }
+                self.each_overlap(
+                    runs,
+                    #[inline(always)]
+                    |a, b, n| self.keys_beside(a, b, &down[a..a + n], &mut keys[1][a..a + n]),
+                );
                 self.mark_best(&mut keys, runs);
             },
         );
@@ -236,56 +239,45 @@ impl Nodes {
         for (left, key) in left[1..].iter_mut().zip(&*right) {
             *left = key.bucket();
         }
-        for v in 0..runs.height().saturating_sub(1) {
-            self.each_overlap(
-                v,
-                runs,
-                #[inline(always)]
-                |a, b, n| {
-                    for (up, key) in up[b..b + n].iter_mut().zip(&down[a..a + n]) {
-                        *up = key.bucket();
-                    }
-                },
-            );
-        }
+        self.each_overlap(
+            runs,
+            #[inline(always)]
+            |a, b, n| {
+                for (up, key) in up[b..b + n].iter_mut().zip(&down[a..a + n]) {
+                    *up = key.bucket();
+                }
+            },
+        );
         // Which one is the first: that of the least bucket, and of these the one up, left, right, down.
         let mut way = vec![0u8; nodes];
         let (up, left, right_of, down_of) = (&up[..nodes], &left[..nodes], &right[..nodes], &down[..nodes]);
         for i in 0..nodes {
-            let (mut least, mut first) = (up[i], Self::UP);
+            let (mut least, mut first) = (up[i], UP);
             let (right, down) = (right_of[i].bucket(), down_of[i].bucket());
-            first = if left[i] < least { Self::LEFT } else { first };
+            first = if left[i] < least { LEFT } else { first };
             least = least.min(left[i]);
-            first = if right < least { Self::RIGHT } else { first };
+            first = if right < least { RIGHT } else { first };
             least = least.min(right);
-            first = if down < least { Self::DOWN } else { first };
+            first = if down < least { DOWN } else { first };
             least = least.min(down);
             way[i] = if least < Key::NOT_KEPT { first } else { 0 };
         }
         for (key, way) in right.iter_mut().zip(way.windows(2)) {
-            let best = (way[0] == Self::RIGHT) | (way[1] == Self::LEFT);
+            let best = (way[0] == RIGHT) | (way[1] == LEFT);
             key.0 |= if best { Key::BEST } else { 0 };
         }
-        for v in 0..runs.height().saturating_sub(1) {
-            self.each_overlap(
-                v,
-                runs,
-                #[inline(always)]
-                |a, b, n| {
-                    let (keys, above, below) = (&mut down[a..a + n], &way[a..a + n], &way[b..b + n]);
-                    for i in 0..n {
-                        let best = (above[i] == Self::DOWN) | (below[i] == Self::UP);
-                        keys[i].0 |= if best { Key::BEST } else { 0 };
-                    }
-                },
-            );
-        }
+        self.each_overlap(
+            runs,
+            #[inline(always)]
+            |a, b, n| {
+                let (keys, above, below) = (&mut down[a..a + n], &way[a..a + n], &way[b..b + n]);
+                for i in 0..n {
+                    let best = (above[i] == DOWN) | (below[i] == UP);
+                    keys[i].0 |= if best { Key::BEST } else { 0 };
+                }
+            },
+        );
     }
-
-    const UP: u8 = 1;
-    const LEFT: u8 = 2;
-    const RIGHT: u8 = 3;
-    const DOWN: u8 = 4;
 
     /// Keys of the edges from the nodes from `a` on to those from `b` on.
     #[inline(always)]
@@ -313,25 +305,35 @@ impl Nodes {
                         *right = u8::from((pair[0] != UNKNOWN) & (pair[1] != UNKNOWN));
                     }
                 }
-                for v in 0..runs.height().saturating_sub(1) {
-                    self.each_overlap(
-                        v,
-                        runs,
-                        #[inline(always)]
-                        |a, b, n| {
-                            let (above, below) = (&self.step[a..a + n], &self.step[b..b + n]);
-                            drop_last(above, below, &mut right[b..b + n], &mut down[a..a + n]);
-                        },
-                    );
-                }
+                self.each_overlap(
+                    runs,
+                    #[inline(always)]
+                    |a, b, n| {
+                        let (above, below) = (&self.step[a..a + n], &self.step[b..b + n]);
+                        drop_last(above, below, &mut right[b..b + n], &mut down[a..a + n]);
+                    },
+                );
             },
         );
         [right, down]
     }
 
-    /// Calls `each` for the stretches of row `v` that lie above one of the next row: their first nodes, and their length.
+    /// Calls `each` for all stretches that lie above one of the next row: their first nodes, and their length.
     #[inline(always)]
-    fn each_overlap(&self, v: usize, runs: &Runs, mut each: impl FnMut(usize, usize, usize)) {
+    fn each_overlap(&self, runs: &Runs, mut each: impl FnMut(usize, usize, usize)) {
+        for v in 0..runs.height().saturating_sub(1) {
+            self.each_overlap_of(
+                v,
+                runs,
+                #[inline(always)]
+                |a, b, n| each(a, b, n),
+            );
+        }
+    }
+
+    /// The same for those of row `v`.
+    #[inline(always)]
+    fn each_overlap_of(&self, v: usize, runs: &Runs, mut each: impl FnMut(usize, usize, usize)) {
         let (mut above, mut below) = (runs.places(v), runs.places(v + 1));
         while !above.is_empty() && !below.is_empty() {
             let (upper, lower) = (runs.all()[above.start], runs.all()[below.start]);
@@ -362,7 +364,7 @@ impl Nodes {
         let mut done = 0;
         for v in 0..runs.height() {
             if v + 1 < runs.height() {
-                self.each_overlap(v, runs, |a, b, n| {
+                self.each_overlap_of(v, runs, |a, b, n| {
                     stretch(done, a, 0);
                     stretch(a, a + n, b - a);
                     done = a + n;

@@ -27,12 +27,20 @@ impl Windows {
     #[inline(always)]
     pub(super) fn keep_row(&mut self, v: usize, runs: &[Run], [c, s, mean]: [&[f32]; 3]) {
         for run in runs {
-            let at = run.columns();
-            let phasors = c[at.clone()].iter().zip(&s[at.clone()]);
-            for (to, (&c, &s)) in self.strength.row_mut(v)[at.clone()].iter_mut().zip(phasors) {
+            let phasors = c[run.columns()].iter().zip(&s[run.columns()]);
+            for (to, (&c, &s)) in self.strength.row_mut(v)[run.columns()].iter_mut().zip(phasors) {
                 *to = strength_steps(c, s);
             }
-            for (to, &mean) in self.light.row_mut(v)[at.clone()].iter_mut().zip(&mean[at]) {
+        }
+        self.keep_light(v, runs, mean);
+    }
+
+    /// Light of row `v` from its means.
+    #[inline(always)]
+    pub(super) fn keep_light(&mut self, v: usize, runs: &[Run], mean: &[f32]) {
+        for run in runs {
+            let light = self.light.row_mut(v)[run.columns()].iter_mut();
+            for (to, &mean) in light.zip(&mean[run.columns()]) {
                 *to = light_steps(mean);
             }
         }
