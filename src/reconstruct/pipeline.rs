@@ -9,7 +9,6 @@ use super::rays::RayTable;
 use super::roi::Roi;
 use super::runs::{Run, Runs};
 use super::triangulate::Triangulator;
-use super::unwrap::Unwrapped;
 use super::windows::{self, Windows};
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, marker_paper, mask, period, quality,
@@ -391,23 +390,19 @@ impl Pipeline {
         counts.object = runs.area();
         counts.marker = clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
+        let kept = self.keep_maps.then(|| wrapped.clone());
+        let mut absolute = wrapped;
         let unwrapped = clock.time("unwrap", || {
-            let (width, height) = (wrapped.width(), wrapped.height());
-            let phase = PLANES.take(width, height);
-            let mut out = Unwrapped { phase, open: Vec::new(), contradictions: 0 };
-            out.phase.as_mut_slice().fill(f32::NAN);
             let misfit = &windows.misfit;
-            let input =
-                unwrap::Input { wrapped: &wrapped, period: &period, misfit, anchor: &marker, runs: &runs };
+            let input = unwrap::Input { period: &period, misfit, anchor: &marker, runs: &runs };
             let settings = unwrap::Settings::default();
-            unwrap::unwrap_into(&input, pair, &settings, &mut buffers.unwrap, &mut out);
-            out
+            unwrap::unwrap(&mut absolute, &input, pair, &settings, &mut buffers.unwrap)
         });
         BUFFERS.give(buffers);
         counts.refused = unwrapped.open.iter().map(|(_, run)| run.columns().len()).sum();
         counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
-        if self.keep_maps {
+        if let Some(wrapped) = kept {
             let amplitude = period::measure(image, object, pair.period_px).amplitude;
             let stability = period::stability(&period, &runs, pair.period_px);
             let vertical = quality::verticality(image, &runs, &period);
@@ -415,14 +410,14 @@ impl Pipeline {
             let normalized = quality::normalized_amplitude(&amplitude, &runs);
             let quality = quality::quality([&border, &normalized, &vertical, &stability], &runs);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
-            let mut unwrapped_alone = unwrapped.phase.clone();
+            let mut unwrapped_alone = absolute.clone();
             unwrap::refuse(&mut unwrapped_alone, &unwrapped.open);
             planes = vec![
                 ("Om", number(object)),
                 ("Pm", period.clone()),
                 ("Am", number(&amplitude)),
                 ("Sm", stability),
-                ("Wm", wrapped.clone()),
+                ("Wm", wrapped),
                 ("Vm", vertical),
                 ("Bm", border),
                 ("Qm", quality),
@@ -432,8 +427,7 @@ impl Pipeline {
                 ("misfit", windows.misfit.clone()),
             ];
         }
-        PLANES.give(wrapped);
-        let Unwrapped { phase: absolute, open, .. } = unwrapped;
+        let open = unwrapped.open;
         Resolved { absolute, open, marker, runs, windows, period, zone, planes }
     }
 

@@ -11,8 +11,8 @@
 
 use super::demodulate::{self, Gains};
 use super::runs::{Run, Runs};
-use super::shading;
 use super::windows::{self, Windows};
+use super::{shading, simd};
 use crate::image::Plane;
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -71,39 +71,44 @@ pub(super) fn complete(
     windows: &mut Windows,
     period: &mut Plane<f32>,
 ) -> usize {
-    let mut added = 0;
-    for v in 0..absolute.height() {
-        let mut row = Row {
-            absolute: absolute.row_mut(v),
-            strength: windows.strength.row_mut(v),
-            light: windows.light.row_mut(v),
-            misfit: windows.misfit.row_mut(v),
-            period: period.row_mut(v),
-            zone: input.zone.row(v),
-            image: input.image.row(v),
-            gains: input.gains,
-            sign: input.sign,
-        };
-        let runs = input.runs.row(v);
-        // An end at a spot stays as it is.
-        let mut spot_before = false;
-        for (i, run) in runs.iter().enumerate() {
-            let spot_behind = runs.get(i + 1).is_some_and(|next| row.is_spot(run, next));
-            let columns = run.columns();
-            let end = columns.len().min(END_PX);
-            if !spot_before {
-                added += row.go_on(&columns, -1);
-                row.improve(&columns, columns.start..columns.start + end);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            let mut added = 0;
+            for v in 0..absolute.height() {
+                let mut row = Row {
+                    absolute: absolute.row_mut(v),
+                    strength: windows.strength.row_mut(v),
+                    light: windows.light.row_mut(v),
+                    misfit: windows.misfit.row_mut(v),
+                    period: period.row_mut(v),
+                    zone: input.zone.row(v),
+                    image: input.image.row(v),
+                    gains: input.gains,
+                    sign: input.sign,
+                };
+                let runs = input.runs.row(v);
+                // An end at a spot stays as it is.
+                let mut spot_before = false;
+                for (i, run) in runs.iter().enumerate() {
+                    let spot_behind = runs.get(i + 1).is_some_and(|next| row.is_spot(run, next));
+                    let columns = run.columns();
+                    let end = columns.len().min(END_PX);
+                    if !spot_before {
+                        added += row.go_on(&columns, -1);
+                        row.improve(&columns, columns.start..columns.start + end);
+                    }
+                    if !spot_behind {
+                        added += row.go_on(&columns, 1);
+                        // Not twice in short runs.
+                        row.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
+                    }
+                    spot_before = spot_behind;
+                }
             }
-            if !spot_behind {
-                added += row.go_on(&columns, 1);
-                // Not twice in short runs.
-                row.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
-            }
-            spot_before = spot_behind;
-        }
-    }
-    added
+            added
+        },
+    )
 }
 
 /// One row of what is read and written.
@@ -129,6 +134,7 @@ struct Found {
 
 impl Row<'_> {
     /// Whether what lies between two runs may be a spot on one surface: beside what has no order nothing tells so.
+    #[inline(always)]
     fn is_spot(&self, run: &Run, next: &Run) -> bool {
         if next.start() - run.end() > SPOT_PX {
             return false;
@@ -144,6 +150,7 @@ impl Row<'_> {
     }
 
     /// From the last known phase of a run towards its end, which is behind (`step` 1) or before it (-1).
+    #[inline(always)]
     fn go_on(&mut self, columns: &Range<usize>, step: isize) -> usize {
         let (mut from, mut count) = (if step > 0 { columns.end - 1 } else { columns.start }, 0);
         while self.strength[from] == 0 {
@@ -174,6 +181,7 @@ impl Row<'_> {
     }
 
     /// Demodulates doubtful pixels of a part of a run again, at the period that the phases around them tell.
+    #[inline(always)]
     fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
         let first = part.start;
         let mut found: [Option<(f32, f32, Found)>; END_PX] = [const { None }; END_PX];
@@ -200,6 +208,7 @@ impl Row<'_> {
         }
     }
 
+    #[inline(always)]
     fn set(&mut self, u: usize, phase: f32, period: f32, found: &Found) {
         self.absolute[u] = phase;
         self.strength[u] = windows::strength_steps(found.c, found.s);
@@ -209,6 +218,7 @@ impl Row<'_> {
 
     /// Demodulates a pixel at a period and takes off the bias of shading; `None` where the window reaches too far
     /// beyond the run, or the period is none.
+    #[inline(always)]
     fn demodulate(&self, columns: &Range<usize>, u: usize, period: f32) -> Option<Found> {
         let reach = (BEYOND * period).min(BEYOND_PX);
         if !PERIODS_PX.contains(&period) || period / 2.0 - reach > to_end(columns, u) as f32 {
@@ -238,11 +248,13 @@ impl Row<'_> {
     }
 
     /// A pixel's phase, NaN beyond the run.
+    #[inline(always)]
     fn at(&self, columns: &Range<usize>, u: usize, steps: isize) -> f32 {
         u.checked_add_signed(steps).filter(|u| columns.contains(u)).map_or(f32::NAN, |u| self.absolute[u])
     }
 
     /// How the phase goes on from a pixel towards `step`.
+    #[inline(always)]
     fn course(&self, columns: &Range<usize>, from: usize, step: isize) -> Course {
         let period = self.period[from];
         let carrier = self.sign * step as f32 * TAU / period;
@@ -260,6 +272,7 @@ impl Row<'_> {
     }
 
     /// Slope of the phase at a pixel, rad/px; NaN where none can be told.
+    #[inline(always)]
     fn slope(&self, columns: &Range<usize>, u: usize) -> f32 {
         let carrier = self.sign * TAU / self.period[u];
         let reach = (self.period[u] / 3.0).round().max(2.0);
@@ -287,23 +300,27 @@ struct Course {
 
 impl Course {
     /// Slope after so many pixels, rad/px.
+    #[inline(always)]
     fn slope(&self, distance: f32) -> f32 {
         let most = MAX_BEND * self.slope.abs();
         self.slope + (self.bend * (distance + self.behind)).clamp(-most, most)
     }
 
     /// Phase after so many pixels, rad.
+    #[inline(always)]
     fn phase(&self, distance: f32) -> f32 {
         self.phase + distance * self.slope(distance / 2.0)
     }
 }
 
 /// Pixels from `u` to the nearer end of a run.
+#[inline(always)]
 fn to_end(columns: &Range<usize>, u: usize) -> usize {
     (u - columns.start).min(columns.end - 1 - u)
 }
 
 /// A wrapped phase by whole turns nearest to another.
+#[inline(always)]
 fn nearest(wrapped: f32, to: f32) -> f32 {
     wrapped + TAU * ((to - wrapped) / TAU).round()
 }

@@ -53,12 +53,10 @@ impl Default for Settings {
     }
 }
 
-/// What came of the forest.
+/// What came of the forest, beside the phases.
 #[derive(Debug)]
 pub struct Unwrapped {
-    /// Absolute phase, rad; NaN where there is none.
-    pub phase: Plane<f32>,
-    /// Where it is known but for the order of its tree, which is not: rows, and stretches of them.
+    /// Where the absolute phase is known but for the order of its tree, which is not: rows, and stretches of them.
     pub open: Vec<(u32, Run)>,
     /// Merges refused because the votes contradicted.
     pub contradictions: usize,
@@ -79,34 +77,9 @@ pub struct Buffers {
     turns: Plane<i16>,
 }
 
-/// Unwraps `wrapped` (NaN: unknown) with the marker pixels as absolute anchors: `anchor` is the place of their marker
-/// in [`Pair::markers`], from 1, and 0 elsewhere.
-pub fn unwrap(
-    wrapped: &Plane<f32>,
-    period: &Plane<f32>,
-    misfit: &Plane<f32>,
-    anchor: &Plane<u8>,
-    pair: &Pair,
-    settings: &Settings,
-) -> Unwrapped {
-    let (width, height) = (wrapped.width(), wrapped.height());
-    let mut known = Plane::filled(width, height, 0u8);
-    for (known, phase) in known.as_mut_slice().iter_mut().zip(wrapped.as_slice()) {
-        *known = u8::from(!phase.is_nan());
-    }
-    let phase = Plane::filled(width, height, f32::NAN);
-    let mut out = Unwrapped { phase, open: Vec::new(), contradictions: 0 };
-    let runs = Runs::of(&known);
-    let input = Input { wrapped, period, misfit, anchor, runs: &runs };
-    unwrap_into(&input, pair, settings, &mut Buffers::default(), &mut out);
-    out
-}
-
 /// What a frame's forest is made of.
 #[derive(Debug, Clone, Copy)]
 pub struct Input<'a> {
-    /// Wm, rad; NaN where it is unknown.
-    pub wrapped: &'a Plane<f32>,
     /// Pm, px.
     pub period: &'a Plane<f32>,
     /// Misfit of the fringe model.
@@ -117,16 +90,18 @@ pub struct Input<'a> {
     pub runs: &'a Runs,
 }
 
-/// [`unwrap`] in memory that is used again. `out` has the size of the planes, and no phase.
-pub fn unwrap_into(
+/// Unwraps the wrapped phase Wm, rad (NaN: unknown), in place: every known phase becomes the absolute one, with the marker's pixels as
+/// anchors, or one that lacks the order of its tree.
+pub fn unwrap(
+    phase: &mut Plane<f32>,
     input: &Input<'_>,
     pair: &Pair,
     settings: &Settings,
     buffers: &mut Buffers,
-    out: &mut Unwrapped,
-) {
+) -> Unwrapped {
     let Buffers { costs: rows, graph, turns } = buffers;
-    let Input { wrapped, period, misfit, anchor, runs } = *input;
+    let Input { period, misfit, anchor, runs } = *input;
+    let wrapped = &*phase;
     turns.reshape(wrapped.width(), wrapped.height(), 0);
     graph.begin(wrapped.width());
     let steps = costs::Input { wrapped, period, misfit, runs, sign: pair.sign };
@@ -152,9 +127,11 @@ pub fn unwrap_into(
     graph.finish(settings);
     simd::dispatch(
         #[inline(always)]
-        || write(wrapped, turns, graph, settings, out),
-    );
-    out.contradictions = graph.contradictions;
+        || {
+            let open = write(phase, turns, graph, settings);
+            Unwrapped { open, contradictions: graph.contradictions }
+        },
+    )
 }
 
 /// Where the phases of a segment go.
@@ -169,12 +146,11 @@ struct Place {
 /// Writes the phases of all segments, those beside each other that belong together at once.
 #[inline(always)]
 fn write(
-    wrapped: &Plane<f32>,
+    phase: &mut Plane<f32>,
     turns: &Plane<i16>,
     graph: &mut Graph,
     settings: &Settings,
-    out: &mut Unwrapped,
-) {
+) -> Vec<(u32, Run)> {
     let place = |graph: &mut Graph, node: usize| {
         let (root, turns) = graph.forest.find(node as u32);
         match graph.forest.order(root, settings.min_votes) {
@@ -186,6 +162,7 @@ fn write(
             }
         }
     };
+    let mut open = Vec::new();
     let mut node = 0;
     for v in 0..graph.ends.len() {
         let end = graph.ends[v];
@@ -200,24 +177,26 @@ fn write(
                 columns.end = graph.segments[node].columns().end;
                 node += 1;
             }
-            let phases = wrapped.row(v)[columns.clone()].iter().zip(&turns.row(v)[columns.clone()]);
-            for (to, (phase, &turns)) in out.phase.row_mut(v)[columns.clone()].iter_mut().zip(phases) {
-                *to = phase + TAU * (own.turns + i32::from(turns)) as f32;
+            let phases = phase.row_mut(v)[columns.clone()].iter_mut();
+            for (phase, &turns) in phases.zip(&turns.row(v)[columns.clone()]) {
+                *phase += TAU * (own.turns + i32::from(turns)) as f32;
             }
             if own.tree != 0 {
-                out.open.push((v as u32, Run::new(columns.start, columns.end)));
+                open.push((v as u32, Run::new(columns.start, columns.end)));
             }
         }
     }
+    open
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Settings, Unwrapped, refuse, unwrap};
+    use super::{Buffers, Input, Settings, refuse, unwrap};
     use crate::calibrate::Calibration;
     use crate::config::Rig;
     use crate::image::Plane;
     use crate::reconstruct::pair::Pair;
+    use crate::reconstruct::runs::Runs;
     use proptest::prelude::{ProptestConfig, prop_assert, prop_assert_eq, proptest};
     use std::f32::consts::TAU;
     use std::path::Path;
@@ -226,8 +205,16 @@ mod tests {
     const H: usize = 90;
     const PERIOD: f32 = 11.0;
 
+    /// What was found of a planted phase.
+    struct Found {
+        /// NaN where it was refused.
+        phase: Plane<f32>,
+        refused_px: usize,
+        contradictions: usize,
+    }
+
     /// Unwraps a planted absolute phase (NaN: no surface) whose fringe 80 is the marker in `marker_rows`.
-    fn run(truth: &Plane<f32>, marker_rows: std::ops::Range<usize>) -> Unwrapped {
+    fn run(truth: &Plane<f32>, marker_rows: std::ops::Range<usize>) -> Found {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
         let calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         let head = &calibration.heads[0];
@@ -236,7 +223,7 @@ mod tests {
         let map = |f: &dyn Fn(f32) -> f32| {
             Plane::from_vec(W, H, truth.as_slice().iter().map(|&x| f(x)).collect()).expect("same size")
         };
-        let wrapped = map(&|x| x - TAU * (x / TAU).round());
+        let mut phase = map(&|x| x - TAU * (x / TAU).round());
         let mut anchor = Plane::filled(W, H, 0u8);
         for v in marker_rows {
             for u in 0..W {
@@ -244,13 +231,13 @@ mod tests {
             }
         }
         let (period, misfit) = (map(&|_| PERIOD), map(&|_| 0.0));
-        let mut found = unwrap(&wrapped, &period, &misfit, &anchor, &pair, &Settings::default());
-        refuse(&mut found.phase, &found.open);
-        found
-    }
-
-    fn refused_px(found: &Unwrapped) -> usize {
-        found.open.iter().map(|(_, run)| run.columns().len()).sum()
+        let known = truth.as_slice().iter().map(|x| u8::from(!x.is_nan())).collect();
+        let runs = Runs::of(&Plane::from_vec(W, H, known).expect("same size"));
+        let input = Input { period: &period, misfit: &misfit, anchor: &anchor, runs: &runs };
+        let found = unwrap(&mut phase, &input, &pair, &Settings::default(), &mut Buffers::default());
+        refuse(&mut phase, &found.open);
+        let refused_px = found.open.iter().map(|(_, run)| run.columns().len()).sum();
+        Found { phase, refused_px, contradictions: found.contradictions }
     }
 
     /// A tilted, gently curved surface that shows the marker near column 60.
@@ -274,7 +261,7 @@ mod tests {
             for (found, truth) in found.phase.as_slice().iter().zip(truth.as_slice()) {
                 prop_assert!((found - truth).abs() < 1e-2, "{found} {truth}");
             }
-            prop_assert_eq!(refused_px(&found), 0);
+            prop_assert_eq!(found.refused_px, 0);
         }
 
         #[test]
@@ -294,7 +281,7 @@ mod tests {
                     prop_assert!(!found.is_nan() || v >= 44, "({u}, {v})");
                 }
             }
-            prop_assert!(refused_px(&found) >= (H - 50) * W);
+            prop_assert!(found.refused_px >= (H - 50) * W);
         }
     }
 
@@ -316,6 +303,6 @@ mod tests {
     fn without_a_marker_everything_is_refused() {
         let found = run(&surface(0.1, 0.0), 0..0);
         assert!(found.phase.as_slice().iter().all(|x| x.is_nan()));
-        assert_eq!(refused_px(&found), W * H);
+        assert_eq!(found.refused_px, W * H);
     }
 }
