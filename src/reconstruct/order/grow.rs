@@ -243,15 +243,20 @@ fn contradicted(own: Words, sum: Words, core: bool) -> bool {
 
 /// Words of the nodes within two steps, along borders that continue.
 pub fn sums(view: &View<'_>, words: &[Words]) -> Vec<Words> {
+    let mut shared = Vec::with_capacity(2 * words.len());
+    for (node, &turns) in view.turns.iter().enumerate().filter(|(_, turns)| **turns != NONE) {
+        // Each border once.
+        let others = view.graph.of(node).iter().filter(|x| x.other as usize > node && x.good >= SHARED_PAIRS);
+        let continues = others.filter(|x| view.turns[x.other as usize] == turns.wrapping_add(x.turns));
+        shared.extend(continues.map(|x| (node as u32, x.other)));
+    }
     let mut sum = words.to_vec();
+    let mut before = sum.clone();
     for _ in 0..2 {
-        let before = sum.clone();
-        for (node, sum) in sum.iter_mut().enumerate().filter(|x| view.turns[x.0] != NONE) {
-            for edge in view.graph.of(node).iter().filter(|x| x.good >= SHARED_PAIRS) {
-                if view.turns[edge.other as usize] == view.turns[node].wrapping_add(edge.turns) {
-                    *sum += before[edge.other as usize];
-                }
-            }
+        before.copy_from_slice(&sum);
+        for &(a, b) in &shared {
+            sum[a as usize] += before[b as usize];
+            sum[b as usize] += before[a as usize];
         }
     }
     sum
