@@ -322,18 +322,13 @@ impl Nodes {
     #[inline(always)]
     fn each_overlap(&self, runs: &Runs, mut each: impl FnMut(usize, usize, usize)) {
         for v in 0..runs.height().saturating_sub(1) {
-            self.each_overlap_of(
-                v,
-                runs,
-                #[inline(always)]
-                |a, b, n| each(a, b, n),
-            );
+            self.each_overlap_of(v, runs, &mut each);
         }
     }
 
     /// The same for those of row `v`.
     #[inline(always)]
-    fn each_overlap_of(&self, v: usize, runs: &Runs, mut each: impl FnMut(usize, usize, usize)) {
+    fn each_overlap_of(&self, v: usize, runs: &Runs, each: &mut impl FnMut(usize, usize, usize)) {
         let (mut above, mut below) = (runs.places(v), runs.places(v + 1));
         while !above.is_empty() && !below.is_empty() {
             let (upper, lower) = (runs.all()[above.start], runs.all()[below.start]);
@@ -364,7 +359,7 @@ impl Nodes {
         let mut done = 0;
         for v in 0..runs.height() {
             if v + 1 < runs.height() {
-                self.each_overlap_of(v, runs, |a, b, n| {
+                self.each_overlap_of(v, runs, &mut |a, b, n| {
                     stretch(done, a, 0);
                     stretch(a, a + n, b - a);
                     done = a + n;
