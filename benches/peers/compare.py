@@ -36,7 +36,7 @@ def local_period(phase, lit):
 
 
 def sum_ms(stages, names):
-    return {key: sum(stages[name][key] for name in names if name in stages) for key in ("median_ms", "least_ms")}
+    return {key: sum(stages[name][key] for name in names) for key in ("median_ms", "least_ms")}
 
 
 def one(scene, camera, index, ours):
@@ -52,9 +52,8 @@ def one(scene, camera, index, ours):
         with np.load(maps) as file:
             wrapped, absolute = file["wrapped"].astype(float), file["absolute"].astype(float)
     stages = answer["stages"]
-    # Everything that is not unwrapping or beyond is what leads to the wrapped phase.
-    later = {"unwrap", "partner", "run_ends", "select", "curvature", "edges", "triangulate", "normals"}
-    first = [name for name in stages if name not in later]
+    # What leads to the wrapped phase; the marker's means are part of it.
+    first = ["mask", "period", "marker", "phase"]
     report = {"scene": scene.name, "camera": camera, "index": index, "period_px": period, "lit_px": int(lit.sum())}
     known = lit & np.isfinite(wrapped)
     demodulations = {"fourdbody (mask to wrapped phase)": (wrapped, sum_ms(stages, first))}
