@@ -427,8 +427,7 @@ impl Pipeline {
                 ("misfit", windows.misfit.clone()),
             ];
         }
-        let open = unwrapped.open;
-        Resolved { absolute, open, marker, runs, windows, period, zone, planes }
+        Resolved { absolute, open: unwrapped.open, marker, runs, windows, period, zone, planes }
     }
 
     /// Section 4.1 of the paper as it stands.

@@ -87,24 +87,7 @@ pub(super) fn complete(
                     gains: input.gains,
                     sign: input.sign,
                 };
-                let runs = input.runs.row(v);
-                // An end at a spot stays as it is.
-                let mut spot_before = false;
-                for (i, run) in runs.iter().enumerate() {
-                    let spot_behind = runs.get(i + 1).is_some_and(|next| row.is_spot(run, next));
-                    let columns = run.columns();
-                    let end = columns.len().min(END_PX);
-                    if !spot_before {
-                        added += row.go_on(&columns, -1);
-                        row.improve(&columns, columns.start..columns.start + end);
-                    }
-                    if !spot_behind {
-                        added += row.go_on(&columns, 1);
-                        // Not twice in short runs.
-                        row.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
-                    }
-                    spot_before = spot_behind;
-                }
+                added += row.complete(input.runs.row(v));
             }
             added
         },
@@ -133,6 +116,30 @@ struct Found {
 }
 
 impl Row<'_> {
+    /// Completes and improves the ends of all runs; how many phases were added.
+    #[inline(always)]
+    fn complete(&mut self, runs: &[Run]) -> usize {
+        let mut added = 0;
+        // An end at a spot stays as it is.
+        let mut spot_before = false;
+        for (i, run) in runs.iter().enumerate() {
+            let spot_behind = runs.get(i + 1).is_some_and(|next| self.is_spot(run, next));
+            let columns = run.columns();
+            let end = columns.len().min(END_PX);
+            if !spot_before {
+                added += self.go_on(&columns, -1);
+                self.improve(&columns, columns.start..columns.start + end);
+            }
+            if !spot_behind {
+                added += self.go_on(&columns, 1);
+                // Not twice in short runs.
+                self.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
+            }
+            spot_before = spot_behind;
+        }
+        added
+    }
+
     /// Whether what lies between two runs may be a spot on one surface: beside what has no order nothing tells so.
     #[inline(always)]
     fn is_spot(&self, run: &Run, next: &Run) -> bool {

@@ -251,9 +251,8 @@ pub fn sums(view: &View<'_>, words: &[Words]) -> Vec<Words> {
         shared.extend(continues.map(|x| (node as u32, x.other)));
     }
     let mut sum = words.to_vec();
-    let mut before = sum.clone();
     for _ in 0..2 {
-        before.copy_from_slice(&sum);
+        let before = sum.clone();
         for &(a, b) in &shared {
             sum[a as usize] += before[b as usize];
             sum[b as usize] += before[a as usize];
