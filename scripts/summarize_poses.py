@@ -77,6 +77,7 @@ def row(name, frames, total):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--scores", type=Path, required=True)
+    parser.add_argument("--scenarios", type=Path, required=True)
     parser.add_argument("--method", required=True)
     parser.add_argument("--commit", required=True)
     parser.add_argument("--table", type=Path, required=True)
@@ -95,7 +96,7 @@ def main():
         for path in sorted(args.scores.glob(f"{kind}.*.json")):
             pose = path.name.split(".")[1]
             score = json.loads(path.read_text())
-            scenario = Path("config/scenarios/poses", f"{pose}.toml").read_text().splitlines()
+            scenario = (args.scenarios / f"{pose}.toml").read_text().splitlines()
             values = {line.split("=")[0].strip(): line.split("=")[1] for line in scenario if "=" in line}
             seeds.append(int(values["seed"]))
             count = int(values["instants"]) * len(score["cameras"])
