@@ -8,7 +8,7 @@ use super::rays::{NODE_PX, PointRow, RayTable};
 use super::roi::Roi;
 use super::round::whole;
 use super::runs::{self, Runs};
-use super::simd;
+use super::{sample, simd};
 use crate::export::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_rad};
 use crate::image::Plane;
 use std::cell::RefCell;
@@ -254,18 +254,12 @@ fn emit<const SIGMA: bool>(
             let count = LANES.min(usize::from(run.length) - offset);
             let oriented = orient(points, place, table);
             let from = pixel + done + offset;
-            let light = &map.light[from..from + count];
-            let at = [u as u16, run.row];
-            if count == LANES && oriented.good == [true; LANES] {
-                append_all(cloud, &oriented, light, at);
-            } else {
-                append_good(cloud, &oriented, light, at);
-            }
+            append(cloud, &oriented, &map.light[from..from + count], [u as u16, run.row]);
             if SIGMA {
                 let doubt = map.doubt[from..from + count].iter();
                 let scale = &rows[2].metres_per_rad[place..place + count];
                 let sigma = doubt.zip(scale).map(|(&doubt, scale)| doubt_rad(doubt) * scale);
-                let good = sigma.zip(oriented.good).filter(|(_, good)| *good);
+                let good = sigma.zip(oriented.good).filter(|(_, good)| *good != 0);
                 cloud.sigma_m.extend(good.map(|(sigma, _)| sigma));
             }
         }
@@ -279,48 +273,46 @@ fn intensity(light: u16) -> f32 {
     f32::from(light) * (1.0 / (255.0 * STEPS_PER_LEVEL))
 }
 
+/// Appends the good ones of a block of points, of which the run has as many as there is `light`.
 #[inline(always)]
-fn append_all(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
+fn append(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
     let (p, n) = (&oriented.point, &oriented.normal);
-    let (mut position, mut normal) = ([[0f32; 3]; LANES], [[0f32; 3]; LANES]);
-    let (mut bright, mut pixel) = ([0f32; LANES], [[0u16; 2]; LANES]);
+    // With room behind them, so that whole blocks can be taken from any on: copies of so many would be calls.
+    let (mut position, mut normal) = ([[0f32; 3]; 2 * LANES], [[0f32; 3]; 2 * LANES]);
+    let (mut bright, mut pixel) = ([0f32; 2 * LANES], [[0u16; 2]; 2 * LANES]);
     for i in 0..LANES {
         position[i] = [p[0][i], p[1][i], p[2][i]];
     }
     for i in 0..LANES {
         normal[i] = [n[0][i], n[1][i], n[2][i]];
     }
-    for (bright, &light) in bright.iter_mut().zip(light) {
-        *bright = intensity(light);
+    let points = light.len();
+    let light: [u16; LANES] = sample::part(light, 0, 0);
+    for i in 0..LANES {
+        bright[i] = intensity(light[i]);
     }
-    for (i, pixel) in pixel.iter_mut().enumerate() {
-        *pixel = [u + i as u16, v];
+    for i in 0..LANES {
+        pixel[i] = [u + i as u16, v];
     }
-    cloud.position_m.extend_from_slice(&position);
-    cloud.normal.extend_from_slice(&normal);
-    cloud.intensity.extend_from_slice(&bright);
-    cloud.pixel.extend_from_slice(&pixel);
-}
-
-/// Puts the good ones side by side first, without a branch for each.
-#[inline(always)]
-fn append_good(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
-    let (p, n) = (&oriented.point, &oriented.normal);
-    let (mut position, mut normal) = ([[0f32; 3]; LANES], [[0f32; 3]; LANES]);
-    let (mut bright, mut pixel, mut count) = ([0f32; LANES], [[0u16; 2]; LANES], 0);
-    for (i, &light) in light.iter().enumerate().take(LANES) {
-        position[count] = [p[0][i], p[1][i], p[2][i]];
-        normal[count] = [n[0][i], n[1][i], n[2][i]];
-        bright[count] = intensity(light);
-        pixel[count] = [u + i as u16, v];
-        count += usize::from(oriented.good[i]);
+    // A byte each; what is beyond the run's end belongs to another.
+    let mut good = u128::from_le_bytes(oriented.good) & u128::MAX >> (8 * (LANES - points));
+    let (mut first, count) = (good.trailing_zeros() as usize / 8 % LANES, good.count_ones() as usize);
+    // Nearly everywhere they lie side by side: all, or those up to the end of a run.
+    const ALL: u128 = u128::MAX / 255;
+    if count > 0 && good >> (8 * first) != ALL >> (8 * (LANES - count)) {
+        first = 0;
+        for to in 0..count {
+            let from = good.trailing_zeros() as usize / 8 % LANES;
+            (position[to], normal[to], bright[to], pixel[to]) =
+                (position[from], normal[from], bright[from], pixel[from]);
+            good &= good - 1;
+        }
     }
-    // All of them, less those that are none: copies of so many would be calls.
     let points = cloud.position_m.len() + count;
-    cloud.position_m.extend_from_slice(&position);
-    cloud.normal.extend_from_slice(&normal);
-    cloud.intensity.extend_from_slice(&bright);
-    cloud.pixel.extend_from_slice(&pixel);
+    cloud.position_m.extend_from_slice(&position[first..first + LANES]);
+    cloud.normal.extend_from_slice(&normal[first..first + LANES]);
+    cloud.intensity.extend_from_slice(&bright[first..first + LANES]);
+    cloud.pixel.extend_from_slice(&pixel[first..first + LANES]);
     cloud.position_m.truncate(points);
     cloud.normal.truncate(points);
     cloud.intensity.truncate(points);

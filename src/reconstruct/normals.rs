@@ -47,8 +47,8 @@ fn lanes(from: &[f32], place: usize) -> Lanes {
 pub(super) struct Oriented {
     pub point: [Lanes; 3],
     pub normal: [Lanes; 3],
-    /// Whether there is a point whose normal is known and that the projector sees from before.
-    pub good: [bool; LANES],
+    /// 1 where there is a point whose normal is known and that the projector sees from before.
+    pub good: [u8; LANES],
 }
 
 /// The points at `place ..` of the middle row with their normals, towards the camera. `rows` are those at -3, -1, 0,
@@ -56,12 +56,7 @@ pub(super) struct Oriented {
 #[inline(always)]
 pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Oriented {
     let centre = rows[2].at(place);
-    let mut limit = [0f32; LANES];
-    for (i, limit) in limit.iter_mut().enumerate() {
-        let sight = from(table.centre, &centre, i);
-        let spacing = MAX_STRETCH * dot(sight, table.forward) / table.focal_px;
-        *limit = spacing * spacing;
-    }
+    let limit = limits(&centre, table);
     let [far, near] = REACH_PX;
     let own = rows[2];
     let across = tangent(
@@ -78,7 +73,7 @@ pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Orie
         #[inline(always)]
         || [rows[1].at(place), rows[3].at(place)],
     );
-    let mut out = Oriented { point: centre, normal: [[0.0; LANES]; 3], good: [false; LANES] };
+    let mut out = Oriented { point: centre, normal: [[0.0; LANES]; 3], good: [0; LANES] };
     for i in 0..LANES {
         let (a, b) = (pick(&across, i), pick(&along, i));
         let n = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -88,12 +83,31 @@ pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Orie
         let scale = facing / length;
         let n = [n[0] * scale, n[1] * scale, n[2] * scale];
         // Not so where a tangent is missing: all of it is NaN.
-        out.good[i] = (length > 0.0) & (dot(n, from(table.projector, &centre, i)) < 0.0);
+        out.good[i] = u8::from((length > 0.0) & (dot(n, from(table.projector, &centre, i)) < 0.0));
         out.normal[0][i] = n[0];
         out.normal[1][i] = n[1];
         out.normal[2][i] = n[2];
     }
     out
+}
+
+/// Squares of the largest distances to a neighbouring pixel's point on the same surface.
+#[inline(always)]
+fn limits(points: &[Lanes; 3], table: &RayTable) -> Lanes {
+    // Coordinate by coordinate: of a loop over points the compiler would make vectors of three coordinates.
+    let mut depth = [0f32; LANES];
+    for (axis, points) in points.iter().enumerate() {
+        let (centre, forward) = (table.centre[axis], table.forward[axis]);
+        for i in 0..LANES {
+            depth[i] += (points[i] - centre) * forward;
+        }
+    }
+    let mut limit = [0f32; LANES];
+    for i in 0..LANES {
+        let spacing = MAX_STRETCH * depth[i] / table.focal_px;
+        limit[i] = spacing * spacing;
+    }
+    limit
 }
 
 /// Difference of the points before and after, of one of them to the centre where the other is missing, with the
@@ -205,9 +219,10 @@ mod tests {
             let found = orient([row(-3), row(-1), row(0), row(1), row(3)], place, &table);
             let i = u % LANES;
             let n = Vector3::from(found.normal.map(|axis| axis[i]));
-            assert!((n - expected).norm() < 2e-3 && found.good[i], "({u}, {v}): {n:?}, not {expected:?}");
+            assert!((n - expected).norm() < 2e-3, "({u}, {v}): {n:?}, not {expected:?}");
+            assert_eq!(found.good[i], 1, "({u}, {v})");
         }
         let found = orient([&empty, &empty, &rows[5], &empty, &empty], 3, &table);
-        assert_eq!(found.good, [false; LANES]);
+        assert_eq!(found.good, [0; LANES]);
     }
 }
