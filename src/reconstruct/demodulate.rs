@@ -84,13 +84,13 @@ impl Gains {
 
     /// The same for a block of periods: all places before the first look, because vectors find these together.
     #[inline(always)]
-    fn at(&self, period: &Lanes) -> [[f32; 2]; LANES] {
-        let (mut place, mut out) = ([0u32; LANES], [[0f32; 2]; LANES]);
+    fn at(&self, period: &Lanes) -> [Lanes; 2] {
+        let (mut place, mut out) = ([0u32; LANES], [[0f32; LANES]; 2]);
         for (place, &period) in place.iter_mut().zip(period) {
             *place = Self::place(period);
         }
-        for (out, place) in out.iter_mut().zip(place) {
-            *out = self.0[place as usize % GAINS];
+        for i in 0..LANES {
+            [out[0][i], out[1][i]] = self.0[place[i] as usize % GAINS];
         }
         out
     }
@@ -215,12 +215,12 @@ fn demodulate_block(
     let [before_3, behind_3] = sample::both_sides(light, first, periods, 3.0 / 6.0);
     let own = sample::load(&light[PAD..], first);
     let samples = [before_3, before_2, before_1, own, behind_1, behind_2, behind_3];
-    let gains = gains.at(period);
+    let [gain_s, gain_c] = gains.at(period);
     let [mut out_c, mut out_s, mut out_mean, mut out_misfit] = [[0f32; LANES]; 4];
     let (left, right) = (inside.0 as f32, inside.1 as f32);
     for i in 0..LANES {
         let sample = [0, 1, 2, 3, 4, 5, 6].map(|k: usize| samples[k][i]);
-        let (s, c, mean, misfit) = of_samples(&sample, gains[i]);
+        let (s, c, mean, misfit) = of_samples(&sample, [gain_s[i], gain_c[i]]);
         let half = period[i] * 0.5;
         let known =
             (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
