@@ -145,16 +145,15 @@ impl Cells {
             |u, v| !phase[v][u].is_nan(),
         );
         if known != 0 {
-            let carrier = surface.carriers(left, top);
+            let (right_steps, down_steps) = steps(&phase, &surface.carriers(left, top));
             // A comparison with NaN is false: unknown neighbours do not continue.
-            let right = !FIRST_COLUMN
-                & bits(
-                    #[inline(always)]
-                    |u, v| (phase[v][u] - phase[v][u.max(1) - 1] - carrier[v][u]).abs() < INNER_RAD,
-                );
+            let right = bits(
+                #[inline(always)]
+                |u, v| right_steps[v][u].abs() < INNER_RAD,
+            );
             let down = bits(
                 #[inline(always)]
-                |u, v| v > 0 && (phase[v][u] - phase[v.max(1) - 1][u]).abs() < INNER_RAD,
+                |u, v| down_steps[v][u].abs() < INNER_RAD,
             );
             let smooth = known == ALL && right == !FIRST_COLUMN && down == !FIRST_ROW;
             let mut rest = known;
@@ -171,16 +170,8 @@ impl Cells {
                     size: mask.count_ones(),
                     cell: cell as u32,
                     mask,
-                    right: mean(
-                        inner_right,
-                        #[inline(always)]
-                        |u, v| phase[v][u] - phase[v][u.max(1) - 1] - carrier[v][u],
-                    ),
-                    down: mean(
-                        inner_down,
-                        #[inline(always)]
-                        |u, v| phase[v][u] - phase[v.max(1) - 1][u],
-                    ),
+                    right: mean(inner_right, &right_steps),
+                    down: mean(inner_down, &down_steps),
                 });
             }
         }
@@ -419,19 +410,31 @@ fn middle(mask: u64) -> usize {
     (ring.trailing_zeros() as usize).min(CELL_PX * CELL_PX - 1)
 }
 
-/// The mean of a value over the pixels of a mask; 0 where there are none.
+/// Steps of a cell's phases to each pixel, less the carrier's, from the one to its left and from the one above; NaN where
+/// these are of other cells.
 #[inline(always)]
-fn mean(mask: u64, value: impl Fn(usize, usize) -> f32) -> f32 {
-    let mut sums = [0f32; CELL_PX];
-    for (v, bits) in mask.to_le_bytes().into_iter().enumerate() {
-        if bits == u8::MAX {
-            for (u, sum) in sums.iter_mut().enumerate() {
-                *sum += value(u, v);
-            }
-            continue;
+fn steps(phase: &Patch, carrier: &Patch) -> (Patch, Patch) {
+    let [mut right, mut down] = [[[f32::NAN; CELL_PX]; CELL_PX]; 2];
+    for v in 0..CELL_PX {
+        for u in 1..CELL_PX {
+            right[v][u] = phase[v][u] - phase[v][u - 1] - carrier[v][u];
         }
-        for (u, sum) in sums.iter_mut().enumerate() {
-            *sum += if bits >> u & 1 != 0 { value(u, v) } else { 0.0 };
+    }
+    for v in 1..CELL_PX {
+        for u in 0..CELL_PX {
+            down[v][u] = phase[v][u] - phase[v - 1][u];
+        }
+    }
+    (right, down)
+}
+
+/// The mean of some values over the pixels of a mask; 0 where there are none.
+#[inline(always)]
+fn mean(mask: u64, values: &Patch) -> f32 {
+    let mut sums = [0f32; CELL_PX];
+    for (values, bits) in values.iter().zip(mask.to_le_bytes()) {
+        for (u, (sum, value)) in sums.iter_mut().zip(values).enumerate() {
+            *sum += if bits >> u & 1 != 0 { *value } else { 0.0 };
         }
     }
     let [a, b, c, d, e, f, g, h] = sums;

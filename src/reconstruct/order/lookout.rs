@@ -212,7 +212,8 @@ impl Block {
             // A pixel has its row in the middle; columns are interpolated from one to the next.
             let across = (x + PAD).max(0.0).min(self.last[0][i]);
             let along = (y + (PAD + 0.5)).max(0.0).min(self.last[1][i]);
-            let (column, row) = (across as u32 / CELL_PX as u32, along as u32 / CELL_PX as u32);
+            // By way of signed numbers, which vectors make of fractions.
+            let (column, row) = (across as i32 as u32 / CELL_PX as u32, along as i32 as u32 / CELL_PX as u32);
             let seen = (u[i] >= BACKGROUND_PX)
                 & (u[i] < self.end[0][i])
                 & (v[i] >= BACKGROUND_PX)
