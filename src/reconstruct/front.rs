@@ -101,10 +101,10 @@ pub(super) struct Keep {
     pub beside: bool,
 }
 
-/// Runs the front end on the part of a frame that holds the object; `object` is a mask of zeros and ones.
+/// Runs the front end on the part of a frame that holds the object, whose runs these are.
 pub(super) fn run(
     image: Mono8<'_>,
-    object: &Plane<u8>,
+    runs: Runs,
     pair: &Pair,
     gains: &Gains,
     keep: Keep,
@@ -113,10 +113,8 @@ pub(super) fn run(
 ) -> Front {
     let (w, h) = (image.width(), image.height());
     let mut period = planes.take(w, h);
-    let runs = clock.time("period", || {
-        let runs = Runs::of(object);
+    clock.time("period", || {
         period_fast::measure(image, &runs, pair.period_px, &mut buffers.period, &mut period);
-        runs
     });
     let mut energy = keep.energy.then(Plane::default);
     let (ridges, zone, zone_runs) = clock.time("marker", || {

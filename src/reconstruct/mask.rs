@@ -5,7 +5,7 @@
 //! dilation and erosion, largest segment.
 
 use super::opening::Opening;
-use super::runs::Runs;
+use super::runs::{self, Run, Runs};
 use super::{components, simd};
 use crate::image::{Mono8, Plane};
 
@@ -27,6 +27,7 @@ const MAX_ABOVE_BLACK_DN: u8 = 8;
 pub struct Buffers {
     smooth: Plane<u8>,
     rows: Plane<u8>,
+    widened: Plane<u8>,
     closed: [Vec<u8>; 3],
     sorted: [Vec<u8>; 3],
     row: Vec<u8>,
@@ -35,19 +36,11 @@ pub struct Buffers {
     runs: Runs,
 }
 
-/// The default mask: 1 on the object, 0 elsewhere and on over-exposed pixels. `period_px` is the nominal
-/// fringe period in the image.
-pub fn envelope(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
-    let mut mask = Plane::default();
-    envelope_into(image, period_px, &mut Buffers::default(), &mut mask);
-    mask
-}
-
-/// [`envelope`] in memory that is used again.
-pub fn envelope_into(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, mask: &mut Plane<u8>) {
+/// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in the
+/// image.
+pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
     let (w, h) = (image.width(), image.height());
     buffers.smooth.reshape(w, h, 0);
-    mask.reset(w, h, 0);
     simd::dispatch(
         #[inline(always)]
         || {
@@ -56,7 +49,9 @@ pub fn envelope_into(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, ma
             opening.runs(smooth, log_threshold(smooth), runs);
         },
     );
-    keep_large(&buffers.runs, image, mask);
+    let Buffers { runs, row, .. } = buffers;
+    let (piece, pieces) = components::connect(runs);
+    keep(runs, |place| pieces[piece[place] as usize].area >= MIN_COMPONENT_PX, image, row, object);
 }
 
 /// Row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
@@ -111,20 +106,13 @@ fn median3x3([above, own, below]: [&[u8]; 3], [low, middle, high]: &mut [Vec<u8>
 
 /// The paper's mask: Otsu on the raw image without over-exposed pixels, dilation and erosion by one fringe
 /// period, largest segment.
-pub fn otsu(image: Mono8<'_>, period_px: f32) -> Plane<u8> {
-    let mut mask = Plane::default();
-    otsu_into(image, period_px, &mut Buffers::default(), &mut mask);
-    mask
-}
-
-/// [`otsu`] in memory that is used again.
-pub fn otsu_into(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, mask: &mut Plane<u8>) {
+pub fn otsu(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
     let mut counts = histogram(image.as_slice());
     counts[usize::from(SATURATED)..].fill(0);
     let level = otsu_level(&counts) as u8;
     let (w, h) = (image.width(), image.height());
-    let Buffers { smooth: raw, rows, .. } = buffers;
-    for plane in [&mut *raw, rows, mask] {
+    let Buffers { smooth: raw, rows, widened, runs, row, .. } = buffers;
+    for plane in [&mut *raw, rows, widened] {
         plane.reshape(w, h, 0);
     }
     let width = (1.2 * period_px).ceil() as usize | 1;
@@ -134,23 +122,14 @@ pub fn otsu_into(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, mask: 
             for (raw, &x) in raw.as_mut_slice().iter_mut().zip(image.as_slice()) {
                 *raw = u8::from(x > level);
             }
-            square(raw, width, rows, mask, u8::max);
-            square(mask, width, rows, raw, u8::min);
+            square(raw, width, rows, widened, u8::max);
+            square(widened, width, rows, raw, u8::min);
         },
     );
-    let runs = Runs::of(raw);
-    let (piece, pieces) = components::connect(&runs);
+    runs.find(raw);
+    let (piece, pieces) = components::connect(runs);
     let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
-    mask.as_mut_slice().fill(0);
-    for v in 0..h {
-        for place in runs.places(v).filter(|&place| Some(piece[place] as usize) == largest) {
-            mask.row_mut(v)[runs.all()[place].columns()].fill(1);
-        }
-    }
-    simd::dispatch(
-        #[inline(always)]
-        || remove_saturated(mask, image),
-    );
+    keep(runs, |place| Some(piece[place] as usize) == largest, image, row, object);
 }
 
 /// Threshold on the envelope: Otsu on its logarithm, but never within the noise of the black level.
@@ -228,25 +207,48 @@ fn histogram(values: &[u8]) -> [u32; 256] {
     std::array::from_fn(|i| counts.iter().map(|counts| counts[i]).sum())
 }
 
-#[inline(always)]
-fn remove_saturated(mask: &mut Plane<u8>, image: Mono8<'_>) {
-    for (pixel, &value) in mask.as_mut_slice().iter_mut().zip(image.as_slice()) {
-        *pixel &= u8::from(value < SATURATED);
-    }
+/// Those of some runs, by their place among all, that are the object's, parted by over-exposed pixels. `row` is memory to use.
+fn keep(
+    runs: &Runs,
+    is_object: impl Fn(usize) -> bool,
+    image: Mono8<'_>,
+    row: &mut Vec<u8>,
+    object: &mut Runs,
+) {
+    object.clear();
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..runs.height() {
+                for place in runs.places(v).filter(|&place| is_object(place)) {
+                    let run = runs.all()[place];
+                    part_saturated(run, &image.row(v)[run.columns()], row, object);
+                }
+                object.end_row();
+            }
+        },
+    );
 }
 
-/// Sets the pixels of the components of [`MIN_COMPONENT_PX`] or more that are not over-exposed.
-fn keep_large(runs: &Runs, image: Mono8<'_>, mask: &mut Plane<u8>) {
-    let (piece, pieces) = components::connect(runs);
-    for v in 0..runs.height() {
-        for place in runs.places(v) {
-            if pieces[piece[place] as usize].area >= MIN_COMPONENT_PX {
-                let columns = runs.all()[place].columns();
-                let pixels = mask.row_mut(v)[columns.clone()].iter_mut();
-                pixels.zip(&image.row(v)[columns]).for_each(|(out, &x)| *out = u8::from(x < SATURATED));
-            }
-        }
+/// Adds a run, which has these `pixels`, without those that are over-exposed.
+#[inline(always)]
+fn part_saturated(run: Run, pixels: &[u8], row: &mut Vec<u8>, object: &mut Runs) {
+    let mut most = 0;
+    for &x in pixels {
+        most = most.max(x);
     }
+    if most < SATURATED {
+        return object.push(run);
+    }
+    row.resize(pixels.len(), 0);
+    for (good, &x) in row.iter_mut().zip(pixels) {
+        *good = u8::from(x < SATURATED);
+    }
+    runs::runs_of(
+        row,
+        #[inline(always)]
+        |first, end| object.push(Run::new(run.start() + first, run.start() + end)),
+    );
 }
 
 /// Sliding extreme of zeros and ones over a square of `width` (odd, below 256) pixels, which ends at the image's borders.
@@ -316,9 +318,18 @@ impl Scratch {
 
 #[cfg(test)]
 mod tests {
-    use super::{Scratch, envelope, histogram, median3x3, otsu};
+    use super::{Buffers, Scratch, envelope, histogram, median3x3, otsu};
     use crate::image::{Mono8, Plane};
+    use crate::reconstruct::runs::Runs;
     use proptest::prelude::{any, prop_assert_eq, proptest};
+
+    /// The mask that one of the two methods makes, as a plane.
+    fn mask(image: &Plane<u8>, method: impl Fn(Mono8<'_>, f32, &mut Buffers, &mut Runs)) -> Plane<u8> {
+        let (mut object, mut plane) = (Runs::default(), Plane::filled(image.width(), image.height(), 7));
+        method(Mono8::from(image), 10.0, &mut Buffers::default(), &mut object);
+        object.paint(&mut plane);
+        plane
+    }
 
     /// A bright and a dark fringed rectangle, apart, on black.
     fn two_parts() -> Plane<u8> {
@@ -336,9 +347,9 @@ mod tests {
     #[test]
     fn dark_and_detached_parts_stay_in_the_envelope_mask_only() {
         let image = two_parts();
-        let both = envelope(Mono8::from(&image), 10.0);
+        let both = mask(&image, envelope);
         assert!(both.at(70, 60) == 1 && both.at(230, 60) == 1 && both.at(150, 60) == 0);
-        let largest = otsu(Mono8::from(&image), 10.0);
+        let largest = mask(&image, otsu);
         assert!(largest.at(70, 60) == 1 && largest.at(230, 60) == 0);
     }
 
@@ -346,7 +357,9 @@ mod tests {
     fn over_exposed_pixels_leave() {
         let mut image = two_parts();
         image.set(70, 60, 255);
-        assert_eq!(envelope(Mono8::from(&image), 10.0).at(70, 60), 0);
+        for found in [mask(&image, envelope), mask(&image, otsu)] {
+            assert_eq!([69, 70, 71].map(|u| found.at(u, 60)), [1, 0, 1]);
+        }
     }
 
     proptest! {

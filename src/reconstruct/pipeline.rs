@@ -101,7 +101,7 @@ pub struct Pipeline {
 /// What the stages of one frame use again for the next.
 #[derive(Debug, Default)]
 struct Buffers {
-    object: Plane<u8>,
+    object: Runs,
     mask: mask::Buffers,
     front: front::Buffers,
     unwrap: unwrap::Buffers,
@@ -232,33 +232,30 @@ impl Pipeline {
             let reason = format!("the frame has {found:?} pixels, the calibration {expected:?}");
             return Err(refused(clock, counts, reason));
         }
-        let object = clock.time("mask", || {
-            let mut buffers = BUFFERS.take();
-            let mut object = std::mem::take(&mut buffers.object);
+        let mut buffers = BUFFERS.take();
+        let roi = clock.time("mask", || {
+            let Buffers { mask, object, .. } = &mut buffers;
             match self.method {
-                Method::Anchored => {
-                    mask::envelope_into(image, pair.period_px, &mut buffers.mask, &mut object);
-                }
-                Method::Paper => mask::otsu_into(image, pair.period_px, &mut buffers.mask, &mut object),
+                Method::Anchored => mask::envelope(image, pair.period_px, mask, object),
+                Method::Paper => mask::otsu(image, pair.period_px, mask, object),
             }
-            BUFFERS.give(buffers);
-            object
+            Roi::of(object)
         });
-        let Some(roi) = Roi::of(&object) else {
+        let Some(roi) = roi else {
+            BUFFERS.give(buffers);
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
-        let whole = object;
+        let runs = roi.cut_runs(&buffers.object);
+        BUFFERS.give(buffers);
         let plane = || BYTES.take(roi.width, roi.height);
         let (mut part, mut object) = (plane(), plane());
         roi.cut(image, &mut part);
-        roi.cut(Mono8::from(&whole), &mut object);
+        runs.paint(&mut object);
         let image = part;
-        let mut buffers = BUFFERS.take();
-        buffers.object = whole;
-        BUFFERS.give(buffers);
+        counts.object = runs.area();
         let resolved = match self.method {
-            Method::Anchored => self.anchored(&image, &object, roi, &mut clock, &mut counts),
-            Method::Paper => self.paper(&image, &object, &mut clock, &mut counts),
+            Method::Anchored => self.anchored(&image, &object, runs, roi, &mut clock, &mut counts),
+            Method::Paper => self.paper(&image, &object, runs, &mut clock, &mut counts),
         };
         let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = resolved;
         // Until all cameras are heard.
@@ -376,6 +373,7 @@ impl Pipeline {
         &self,
         image: &Plane<u8>,
         object: &Plane<u8>,
+        runs: Runs,
         roi: Roi,
         clock: &mut Clock,
         counts: &mut Counts,
@@ -385,9 +383,8 @@ impl Pipeline {
         let mut buffers = BUFFERS.take();
         let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
         let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
-        let front = front::run(image, object, pair, &self.gains, keep, memory, clock);
+        let front = front::run(image, runs, pair, &self.gains, keep, memory, clock);
         let Front { runs, period, windows, wrapped, zone, mut marker, energy, known } = front;
-        counts.object = runs.area();
         counts.marker = clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
         let kept = self.keep_maps.then(|| wrapped.clone());
@@ -435,13 +432,12 @@ impl Pipeline {
         &self,
         image: &Plane<u8>,
         object: &Plane<u8>,
+        runs: Runs,
         clock: &mut Clock,
         counts: &mut Counts,
     ) -> Resolved {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
-        let runs = Runs::of(object);
-        counts.object = runs.area();
         let periods = clock.time("period", || period::measure(image, object, pair.period_px));
         let (period, amplitude) = (&periods.period, &periods.amplitude);
         let stability = clock.time("stability", || period::stability(period, &runs, pair.period_px));

@@ -68,6 +68,15 @@ impl Runs {
         );
     }
 
+    /// Writes the mask of zeros and ones that has these runs, of as many rows.
+    pub fn paint(&self, mask: &mut Plane<u8>) {
+        for v in 0..self.height() {
+            let row = mask.row_mut(v);
+            fill_beside(self.row(v), row, 0);
+            self.row(v).iter().for_each(|run| row[run.columns()].fill(1));
+        }
+    }
+
     /// Forgets all runs and rows.
     pub fn clear(&mut self) {
         self.runs.clear();
