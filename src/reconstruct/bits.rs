@@ -1,5 +1,7 @@
 //! Rows of pixels as bits, 64 a word: what is asked of each pixel is asked of a word at once.
 
+use std::ops::Range;
+
 /// Pixels of a word.
 pub(super) const WORD: usize = u64::BITS as usize;
 
@@ -31,6 +33,17 @@ pub(super) fn bits_above(bytes: &[u8; WORD], level: u8) -> u64 {
     )
 }
 
+/// Sets the bits of some places.
+#[inline(always)]
+pub(super) fn set(words: &mut [u64], places: Range<usize>) {
+    let Some(last) = places.end.checked_sub(1).filter(|last| *last >= places.start) else { return };
+    for word in places.start / WORD..=last / WORD {
+        let from = places.start.saturating_sub(word * WORD);
+        let to = (last - word * WORD).min(WORD - 1);
+        words[word] |= u64::MAX << from & u64::MAX >> (WORD - 1 - to);
+    }
+}
+
 /// Which bit stands for each byte: one for each eight bytes, so that these can be put together as they are.
 const MARKS: [u8; WORD] = {
     let mut marks = [0; WORD];
@@ -60,10 +73,19 @@ fn together(marks: &[u8; WORD]) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{WORD, bits_above, bits_of};
+    use super::{WORD, bits_above, bits_of, set};
     use proptest::prelude::{any, prop_assert_eq, proptest};
 
     proptest! {
+        #[test]
+        fn places_are_set(start in 0usize..200, length in 0usize..200) {
+            let mut words = [0u64; 7];
+            set(&mut words, start..start + length);
+            for i in 0..7 * WORD {
+                prop_assert_eq!(words[i / WORD] >> (i % WORD) & 1 != 0, (start..start + length).contains(&i));
+            }
+        }
+
         #[test]
         fn each_byte_gives_its_bit(seed in proptest::collection::vec(any::<u8>(), WORD), mask in any::<u8>()) {
             let bytes: [u8; WORD] = std::array::from_fn(|i| seed[i]);

@@ -4,6 +4,7 @@
 //! in the cache; only the others, on outlines and at steps, keep their pixels, side by side.
 
 use super::cells::CELL_PX;
+use crate::reconstruct::bits::{self, WORD};
 use crate::reconstruct::runs::Runs;
 
 /// Cells around the region of interest in the grid that is looked at: beyond them there is nothing but background.
@@ -15,6 +16,11 @@ pub const BACKGROUND_PX: f32 = 10.0;
 /// Cells of the padded grid along so many pixels.
 pub fn padded(px: usize) -> usize {
     px.div_ceil(CELL_PX) + 2 * PAD_CELLS
+}
+
+/// Words of a row of so many cells.
+fn words(cells: usize) -> usize {
+    (cells * CELL_PX).div_ceil(WORD)
 }
 
 /// What a cell is for those who look at it from elsewhere.
@@ -109,6 +115,9 @@ pub struct Glimpses {
     cells: Vec<Glimpse>,
     /// Cells that no node fills, though they show the object.
     rims: Vec<Rim>,
+    /// A bit for each pixel of the grid, 64 a word, row by row: whether the object is there, or [`BACKGROUND_PX`] to the left, to the
+    /// right, above or below.
+    near: Vec<u64>,
 }
 
 impl Glimpses {
@@ -117,7 +126,8 @@ impl Glimpses {
         let (stride, rows) = (padded(width), padded(height));
         let mut cells = vec![Glimpse::none(Glimpse::FAR); stride * rows + 1];
         cells[stride * rows] = Glimpse::UNSEEN;
-        Self { stride, rows, cells, rims: Vec::new() }
+        let near = vec![0; words(stride) * rows * CELL_PX];
+        Self { stride, rows, cells, rims: Vec::new(), near }
     }
 
     /// The place of a cell of the region of interest in the padded grid.
@@ -163,17 +173,14 @@ impl Glimpses {
         self.cells[self.place(column, row)].kind()
     }
 
-    /// Whether a pixel of the region of interest is on the object; none beyond it is.
+    /// Whether a place of the region of interest, or beyond it, is the object's or has it beside it.
     #[inline(always)]
-    pub fn is_object(&self, u: usize, v: usize) -> bool {
-        match self.of(u, v) {
-            Kind::Far | Kind::Near => false,
-            Kind::Rim(place) => self
-                .rims
-                .get(place)
-                .is_some_and(|rim| rim.object >> (v % CELL_PX * CELL_PX + u % CELL_PX) & 1 != 0),
-            Kind::Node(_) => true,
-        }
+    pub fn is_near(&self, x: f32, y: f32) -> bool {
+        const PAD: f32 = (PAD_CELLS * CELL_PX) as f32;
+        let (u, v) = ((x + (PAD + 0.5)) as usize, (y + (PAD + 0.5)) as usize);
+        let words = words(self.stride);
+        let word = self.near.get(v * words + u / WORD).filter(|_| u / WORD < words);
+        word.is_some_and(|word| word >> (u % WORD) & 1 != 0)
     }
 
     /// The node of a pixel.
@@ -186,9 +193,32 @@ impl Glimpses {
         }
     }
 
+    /// Marks all that is on the object, or beside it.
+    #[inline(always)]
+    fn mark_near(&mut self, runs: &Runs) {
+        const PAD: usize = PAD_CELLS * CELL_PX;
+        const REACH: usize = BACKGROUND_PX as usize;
+        const { assert!(REACH <= PAD) };
+        let words = words(self.stride);
+        for v in 0..runs.height() {
+            for run in runs.row(v) {
+                let (row, start, end) = (v + PAD, run.start() + PAD, run.end() + PAD);
+                let mut mark = |row: usize, start: usize, end: usize| {
+                    bits::set(&mut self.near[row * words..(row + 1) * words], start..end);
+                };
+                mark(row - REACH, start, end);
+                mark(row + REACH, start, end);
+                mark(row, start, end);
+                mark(row, start - REACH, end - REACH);
+                mark(row, start + REACH, end + REACH);
+            }
+        }
+    }
+
     /// Marks the background around the object.
     #[inline(always)]
     pub fn blur_outlines(&mut self, runs: &Runs) {
+        self.mark_near(runs);
         const REACH: usize = (BACKGROUND_PX as usize).div_ceil(CELL_PX);
         let stride = self.stride;
         for row in 0..runs.height().div_ceil(CELL_PX) {
@@ -231,7 +261,6 @@ mod tests {
         glimpses.blur_outlines(&Runs::of(&object));
         for v in 0..40 {
             for u in 0..40 {
-                assert_eq!(glimpses.is_object(u, v), u < 12 && v < 8, "({u}, {v})");
                 let expected = match (u, v) {
                     (..8, ..8) => Some(5),
                     (8, 1) => None,
@@ -241,7 +270,15 @@ mod tests {
                 assert_eq!(glimpses.node(u, v), expected, "({u}, {v})");
             }
         }
-        assert!(!glimpses.is_object(usize::MAX, 0) && !glimpses.is_object(0, usize::MAX / 2));
+        // The object with the places beside it.
+        let is_object = |u: i32, v: i32| (0..12).contains(&u) && (0..8).contains(&v);
+        for v in -30..60 {
+            for u in -30..60 {
+                let beside = [(0, 0), (-10, 0), (10, 0), (0, -10), (0, 10)];
+                let expected = beside.into_iter().any(|(a, b)| is_object(u + a, v + b));
+                assert_eq!(glimpses.is_near(u as f32 + 0.3, v as f32 - 0.4), expected, "({u}, {v})");
+            }
+        }
         let kind = |column: usize, row: usize| glimpses.of(8 * column, 8 * row);
         assert_eq!([kind(0, 0), kind(1, 0)], [Kind::Node(5), Kind::Rim(0)]);
         assert_eq!([kind(2, 0), kind(0, 1), kind(2, 1)], [Kind::Near, Kind::Near, Kind::Far]);

@@ -6,7 +6,7 @@
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
 use super::cells::{CELL_PX, Cells};
-use super::glimpse::{BACKGROUND_PX, Glimpse};
+use super::glimpse::Glimpse;
 use super::lookout::Spots;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
@@ -18,12 +18,6 @@ const SAME_RAD: f32 = 0.8;
 
 /// Phases of different surfaces differ by more, rad; what lies between says nothing.
 const OTHER_RAD: f32 = 1.6;
-
-/// The pixel that begins before a coordinate; one beyond all where that is negative.
-#[inline(always)]
-fn column(x: f32) -> usize {
-    if x >= 0.0 { x as usize } else { usize::MAX }
-}
 
 /// A camera as a witness for the others.
 #[derive(Debug)]
@@ -133,11 +127,8 @@ impl Witness {
 
     /// Whether there is background around a place that is none of the object's.
     fn past(&self, x: f32, y: f32) -> Sight {
-        let margin = BACKGROUND_PX;
-        let around = [(0.0, 0.0), (-margin, 0.0), (margin, 0.0), (0.0, -margin), (0.0, margin)];
-        let near =
-            |(a, b): (f32, f32)| self.cells.glimpses.is_object(column(x + a + 0.5), column(y + b + 0.5));
-        Sight { node: if around.into_iter().any(near) { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
+        let near = self.cells.glimpses.is_near(x, y);
+        Sight { node: if near { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
     }
 
     /// Whether a node whose phases are absolute after `turns` lies behind where `others` would put it.
