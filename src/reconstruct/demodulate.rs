@@ -270,15 +270,19 @@ pub(super) fn average_block(
     for pair in pairs {
         let [c_a, s_a, size_a, misfit_a] = load(pair[0], first);
         let [c_b, s_b, size_b, misfit_b] = load(pair[1], first);
+        // 0 where the pair takes no part. All of them first: else the compiler makes a branch of it, and stores with a mask.
+        let mut weaker = [0f32; LANES];
         for i in 0..LANES {
-            let weaker = if size_a[i] < size_b[i] { size_a[i] } else { size_b[i] };
+            let size = if size_a[i] < size_b[i] { size_a[i] } else { size_b[i] };
             let most = misfit[i] + MORE_MISFIT;
-            let takes_part = (weaker > 0.0) & (misfit_a[i] <= most) & (misfit_b[i] <= most);
-            let weaker = if takes_part { weaker } else { 0.0 };
-            sum_c[i] += weaker * (c_a[i] + c_b[i]);
-            sum_s[i] += weaker * (s_a[i] + s_b[i]);
-            length[i] += 2.0 * weaker;
-            rows[i] += if takes_part { 2.0 } else { 0.0 };
+            let takes_part = (size > 0.0) & (misfit_a[i] <= most) & (misfit_b[i] <= most);
+            weaker[i] = if takes_part { size } else { 0.0 };
+        }
+        for i in 0..LANES {
+            sum_c[i] += weaker[i] * (c_a[i] + c_b[i]);
+            sum_s[i] += weaker[i] * (s_a[i] + s_b[i]);
+            length[i] += 2.0 * weaker[i];
+            rows[i] += if weaker[i] > 0.0 { 2.0 } else { 0.0 };
         }
     }
     let mut out = [c, s];

@@ -199,6 +199,8 @@ struct Side {
     mean: Window,
     along: Window,
     stretch: Window,
+    /// Costs of one run, units.
+    costs: Vec<f32>,
     /// Costs of one row.
     codes: Vec<u32>,
 }
@@ -211,6 +213,7 @@ impl Side {
         self.mean.begin(width, MEAN_STEP);
         self.along.begin(width, along);
         self.stretch.begin(width, STRETCH);
+        self.costs.resize(width, 0.0);
         self.codes.clear();
         self.codes.resize(width, NONE);
     }
@@ -240,12 +243,16 @@ impl Side {
             let along = &self.along.boxes(run, taps)[..n];
             let stretch = &self.stretch.boxes(run, more)[..n];
             let misfit = &input.misfit.row(v)[columns.clone()][..n];
-            let out = &mut self.codes[columns][..n];
+            let (costs, out) = (&mut self.costs[..n], &mut self.codes[columns][..n]);
             for i in 0..n {
                 let (residual, around) = ((own[i] >> COUNT_BITS) as f32, mean(along[i]));
                 let worse = if residual < around { around } else { residual };
                 let excess = misfit[i] - GOOD_MISFIT;
-                let cost = worse + UNITS * if excess > 0.0 { excess } else { 0.0 };
+                costs[i] = worse + UNITS * if excess > 0.0 { excess } else { 0.0 };
+            }
+            // By themselves: else the compiler makes branches of these choices where vectors have no masks.
+            for i in 0..n {
+                let cost = costs[i];
                 let doubtful = (cost > bounds.doubtful) | mean_exceeds(stretch[i], bounds.doubtful_stretch);
                 // What is large is no edge; NaN is none, either.
                 let edge = (own[i] != 0) & (cost <= bounds.largest);
@@ -389,7 +396,7 @@ fn packed(x: f32) -> i32 {
 #[inline(always)]
 fn mean(sum: i32) -> f32 {
     let count = sum & ((1 << COUNT_BITS) - 1);
-    (sum >> COUNT_BITS) as f32 / if count == 0 { 1.0 } else { count as f32 }
+    (sum >> COUNT_BITS) as f32 / count.max(1) as f32
 }
 
 /// Whether [`mean`] is above a bound, without dividing.
