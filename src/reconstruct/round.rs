@@ -16,9 +16,15 @@ pub(super) fn whole(x: f32) -> i32 {
     ((x + ROUND).to_bits() as i32).wrapping_sub(ROUND.to_bits() as i32)
 }
 
+/// The largest whole number that is not above a number below 2^22; any for NaN.
+#[inline(always)]
+pub(super) fn floor(x: f32) -> i32 {
+    whole(x) - i32::from(nearest(x) > x)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{nearest, whole};
+    use super::{floor, nearest, whole};
     use proptest::prelude::{prop_assert_eq, proptest};
 
     proptest! {
@@ -26,6 +32,9 @@ mod tests {
         fn numbers_are_rounded_as_the_library_does(x in -4e6f32..4e6) {
             prop_assert_eq!(nearest(x), x.round_ties_even());
             prop_assert_eq!(whole(x), x.round_ties_even() as i32);
+            for x in [x, x.trunc(), x.trunc() + 0.5] {
+                prop_assert_eq!(floor(x), x.floor() as i32);
+            }
         }
     }
 }

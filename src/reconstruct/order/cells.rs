@@ -232,9 +232,14 @@ impl Cells {
                 }
             }
             for (v, add) in (top..phase.height()).zip(&add) {
-                match phase.row_mut(v)[left..].first_chunk_mut::<CELL_PX>() {
-                    Some(to) => to.iter_mut().zip(add).for_each(|(to, add)| *to += add),
-                    None => phase.row_mut(v)[left..].iter_mut().zip(add).for_each(|(to, add)| *to += add),
+                let row = &mut phase.row_mut(v)[left..];
+                match row.first_chunk_mut::<CELL_PX>() {
+                    Some(to) => {
+                        for u in 0..CELL_PX {
+                            to[u] += add[u];
+                        }
+                    }
+                    None => row.iter_mut().zip(add).for_each(|(to, add)| *to += add),
                 }
             }
         }

@@ -11,6 +11,7 @@ use crate::geometry::Device;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::rays::{RayTable, Sightline};
 use crate::reconstruct::roi::Roi;
+use crate::reconstruct::round::floor;
 use crate::reconstruct::simd;
 use nalgebra::{Point3, Vector3};
 
@@ -212,15 +213,14 @@ impl Block {
             // A pixel has its row in the middle; columns are interpolated from one to the next.
             let across = (x + PAD).max(0.0).min(self.last[0][i]);
             let along = (y + (PAD + 0.5)).max(0.0).min(self.last[1][i]);
-            // By way of signed numbers, which vectors make of fractions.
-            let (column, row) = (across as i32 as u32 / CELL_PX as u32, along as i32 as u32 / CELL_PX as u32);
+            let [column, row] = [floor(across / CELL_PX as f32), floor(along / CELL_PX as f32)];
             let seen = (u[i] >= BACKGROUND_PX)
                 & (u[i] < self.end[0][i])
                 & (v[i] >= BACKGROUND_PX)
                 & (v[i] < self.end[1][i]);
-            out.cell[i] = if seen { row * self.stride[i] + column } else { NOWHERE };
-            out.right[i] = x + PAD - (column * CELL_PX as u32) as f32;
-            out.down[i] = y + PAD - (row * CELL_PX as u32) as f32;
+            out.cell[i] = if seen { row as u32 * self.stride[i] + column as u32 } else { NOWHERE };
+            out.right[i] = x + PAD - (column * CELL_PX as i32) as f32;
+            out.down[i] = y + PAD - (row * CELL_PX as i32) as f32;
             (out.x[i], out.y[i]) = (x, y);
         }
         for ((cast, column), per_column) in out.cast.iter_mut().zip(column).zip(self.per_column) {

@@ -254,10 +254,10 @@ impl Side {
             for i in 0..n {
                 let cost = costs[i];
                 let doubtful = (cost > bounds.doubtful) | mean_exceeds(stretch[i], bounds.doubtful_stretch);
-                // What is large is no edge; NaN is none, either.
+                // What is large is no edge; NaN is none, either, whatever its units come to.
                 let edge = (own[i] != 0) & (cost <= bounds.largest);
-                let units = whole(if edge { cost } else { 0.0 }) as u32;
-                out[i] = if edge { units << 8 | u32::from(doubtful) } else { NONE };
+                let code = (whole(cost) as u32) << 8 | u32::from(doubtful);
+                out[i] = if edge { code } else { NONE };
             }
         }
     }
