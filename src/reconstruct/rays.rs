@@ -156,23 +156,28 @@ impl RayTable {
                     w[i] = w[i] * s[i] + term[i];
                 }
             }
-            let (mut depth, mut good) = ([0f32; NODE_PX], [0u32; NODE_PX]);
+            let mut depth = [0f32; NODE_PX];
             for i in 0..NODE_PX {
                 depth[i] = 1.0 / w[i];
-                good[i] = u32::from((s[i].abs() < 1.0) & (w[i] > 0.0));
             }
             let mut point = [[0f32; NODE_PX]; 3];
             for (axis, point) in point.iter_mut().enumerate() {
                 let (direction, centre) = (along(nodes, axis), self.centre[axis]);
-                let (least, most) = (self.volume[0][axis], self.volume[1][axis]);
                 for i in 0..NODE_PX {
                     point[i] = centre + depth[i] * direction[i];
-                    good[i] &= u32::from((point[i] >= least) & (point[i] <= most));
                 }
             }
+            let mut good = [0f32; NODE_PX];
+            for i in 0..NODE_PX {
+                let mut inside = (s[i].abs() < 1.0) & (w[i] > 0.0);
+                for ((point, least), most) in point.iter().zip(&self.volume[0]).zip(&self.volume[1]) {
+                    inside &= (point[i] >= *least) & (point[i] <= *most);
+                }
+                good[i] = if inside { 0.0 } else { f32::NAN };
+            }
             for (to, point) in [x, y, z].into_iter().zip(&point) {
-                for i in 0..NODE_PX {
-                    to[i] = if good[i] != 0 { point[i] } else { f32::NAN };
+                for ((to, point), good) in to.iter_mut().zip(point).zip(&good) {
+                    *to = point + good;
                 }
             }
             if SCALE {
