@@ -37,10 +37,11 @@ pub(super) fn bits_above(bytes: &[u8; WORD], level: u8) -> u64 {
 #[inline(always)]
 pub(super) fn set(words: &mut [u64], places: Range<usize>) {
     let Some(last) = places.end.checked_sub(1).filter(|last| *last >= places.start) else { return };
-    for word in places.start / WORD..=last / WORD {
-        let from = places.start.saturating_sub(word * WORD);
-        let to = (last - word * WORD).min(WORD - 1);
-        words[word] |= u64::MAX << from & u64::MAX >> (WORD - 1 - to);
+    let first = places.start / WORD;
+    for (k, word) in words[first..=last / WORD].iter_mut().enumerate() {
+        let begin = (first + k) * WORD;
+        let (from, to) = (places.start.saturating_sub(begin), (last - begin).min(WORD - 1));
+        *word |= u64::MAX << from & u64::MAX >> (WORD - 1 - to);
     }
 }
 

@@ -291,8 +291,8 @@ fn append(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2
     for i in 0..LANES {
         bright[i] = intensity(light[i]);
     }
-    for i in 0..LANES {
-        pixel[i] = [u + i as u16, v];
+    for (i, pixel) in pixel[..LANES].iter_mut().enumerate() {
+        *pixel = [u + i as u16, v];
     }
     // A byte each; what is beyond the run's end belongs to another.
     let mut good = u128::from_le_bytes(oriented.good) & u128::MAX >> (8 * (LANES - points));

@@ -19,8 +19,9 @@ pub struct Roi {
 impl Roi {
     /// The smallest rectangle that holds all runs of a frame; `None` where there are none.
     pub fn of(runs: &Runs) -> Option<Self> {
-        let rows = (0..runs.height()).filter(|&v| !runs.row(v).is_empty());
-        let (top, bottom) = (rows.clone().next()?, rows.last()?);
+        let mut rows = (0..runs.height()).filter(|&v| !runs.row(v).is_empty());
+        let top = rows.next()?;
+        let bottom = rows.next_back().unwrap_or(top);
         let left = runs.all().iter().map(Run::start).min()?;
         let right = runs.all().iter().map(Run::end).max()?;
         Some(Self { u: left, v: top, width: right - left, height: bottom - top + 1 })
