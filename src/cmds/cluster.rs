@@ -375,13 +375,14 @@ fn print_job(args: &SubmitArgs, job: &Job) {
 
 fn status(args: &StatusArgs) -> Result<Exit, Failure> {
     let job = Job::load(&args.out).map_err(usage)?;
-    if let Some(url) = &job.work.store {
-        fetch_summaries(&store(Path::new(url))?, &args.out)?;
-    }
+    // Slurm first: a task that is over by then has left its results, and does not seem to have failed.
     let answer = match Slurm::find() {
         Ok(slurm) => slurm.tasks(&job.numbers()),
         Err(reason) => Answer { notes: vec![reason], ..Answer::default() },
     };
+    if let Some(url) = &job.work.store {
+        fetch_summaries(&store(Path::new(url))?, &args.out)?;
+    }
     let status = cluster::read(&job, answer);
     if args.json {
         println!("{}", serde_json::json!(status));
