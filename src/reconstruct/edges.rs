@@ -16,7 +16,7 @@ use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
 
-/// Settings of this stage. Its trade-off is tabulated in `docs/design/reconstruction.md`.
+/// Settings of this stage. Its trade-off is tabulated in `docs/design/reconstruction-experiments.md`.
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {
     /// Pixels from this misfit on are doubtful.
