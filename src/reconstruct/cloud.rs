@@ -286,7 +286,7 @@ fn append(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2
     for i in 0..LANES {
         normal[i] = [n[0][i], n[1][i], n[2][i]];
     }
-    let points = light.len();
+    let pixels = light.len();
     let light: [u16; LANES] = sample::part(light, 0, 0);
     for i in 0..LANES {
         bright[i] = intensity(light[i]);
@@ -295,7 +295,7 @@ fn append(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2
         *pixel = [u + i as u16, v];
     }
     // A byte each; what is beyond the run's end belongs to another.
-    let mut good = u128::from_le_bytes(oriented.good) & u128::MAX >> (8 * (LANES - points));
+    let mut good = u128::from_le_bytes(oriented.good) & u128::MAX >> (8 * (LANES - pixels));
     let (mut first, count) = (good.trailing_zeros() as usize / 8 % LANES, good.count_ones() as usize);
     // Nearly everywhere they lie side by side: all, or those up to the end of a run.
     const ALL: u128 = u128::MAX / 255;

@@ -233,6 +233,7 @@ fn keep(
 /// Adds a run, which has these `pixels`, without those that are over-exposed.
 #[inline(always)]
 fn part_saturated(run: Run, pixels: &[u8], row: &mut Vec<u8>, object: &mut Runs) {
+    // Few runs have any.
     let mut most = 0;
     for &x in pixels {
         most = most.max(x);

@@ -167,17 +167,18 @@ impl RayTable {
                     point[i] = centre + depth[i] * direction[i];
                 }
             }
-            let mut good = [0f32; NODE_PX];
+            // What is added to the points: nothing, or NaN outside.
+            let mut outside = [0f32; NODE_PX];
             for i in 0..NODE_PX {
                 let mut inside = (s[i].abs() < 1.0) & (w[i] > 0.0);
                 for ((point, least), most) in point.iter().zip(&self.volume[0]).zip(&self.volume[1]) {
                     inside &= (point[i] >= *least) & (point[i] <= *most);
                 }
-                good[i] = if inside { 0.0 } else { f32::NAN };
+                outside[i] = if inside { 0.0 } else { f32::NAN };
             }
             for (to, point) in [x, y, z].into_iter().zip(&point) {
-                for ((to, point), good) in to.iter_mut().zip(point).zip(&good) {
-                    *to = point + good;
+                for ((to, point), outside) in to.iter_mut().zip(point).zip(&outside) {
+                    *to = point + outside;
                 }
             }
             if SCALE {

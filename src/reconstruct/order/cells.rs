@@ -234,11 +234,7 @@ impl Cells {
             for (v, add) in (top..phase.height()).zip(&add) {
                 let row = &mut phase.row_mut(v)[left..];
                 match row.first_chunk_mut::<CELL_PX>() {
-                    Some(to) => {
-                        for u in 0..CELL_PX {
-                            to[u] += add[u];
-                        }
-                    }
+                    Some(to) => to.iter_mut().zip(add).for_each(|(to, add)| *to += add),
                     None => row.iter_mut().zip(add).for_each(|(to, add)| *to += add),
                 }
             }

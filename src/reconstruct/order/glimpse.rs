@@ -1,7 +1,8 @@
 //! A view's cells as other cameras look at them.
 //!
 //! Looks come from anywhere in the image and wait for memory. A cell that one node fills is a plane of 16 bytes, of which all stay
-//! in the cache; only the others, on outlines and at steps, keep their pixels, side by side.
+//! in the cache; only the others, on outlines and at steps, keep their pixels, side by side. Whether the object is beside a place is a
+//! bit for each pixel.
 
 use super::cells::CELL_PX;
 use crate::reconstruct::bits::{self, WORD};
@@ -9,6 +10,9 @@ use crate::reconstruct::runs::Runs;
 
 /// Cells around the region of interest in the grid that is looked at: beyond them there is nothing but background.
 pub const PAD_CELLS: usize = 3;
+
+/// The same, px.
+pub const PAD_PX: usize = PAD_CELLS * CELL_PX;
 
 /// Background must be as wide around a place, px: outlines are not sharp.
 pub const BACKGROUND_PX: f32 = 10.0;
@@ -176,11 +180,10 @@ impl Glimpses {
     /// Whether a place of the region of interest, or beyond it, is the object's or has it beside it.
     #[inline(always)]
     pub fn is_near(&self, x: f32, y: f32) -> bool {
-        const PAD: f32 = (PAD_CELLS * CELL_PX) as f32;
-        let (u, v) = ((x + (PAD + 0.5)) as usize, (y + (PAD + 0.5)) as usize);
-        let words = words(self.stride);
-        let word = self.near.get(v * words + u / WORD).filter(|_| u / WORD < words);
-        word.is_some_and(|word| word >> (u % WORD) & 1 != 0)
+        const MIDDLE: f32 = PAD_PX as f32 + 0.5;
+        let (u, v) = ((x + MIDDLE) as usize, (y + MIDDLE) as usize);
+        let inside = u < self.stride * CELL_PX && v < self.rows * CELL_PX;
+        inside && self.near[v * words(self.stride) + u / WORD] >> (u % WORD) & 1 != 0
     }
 
     /// The node of a pixel.
@@ -196,13 +199,12 @@ impl Glimpses {
     /// Marks all that is on the object, or beside it.
     #[inline(always)]
     fn mark_near(&mut self, runs: &Runs) {
-        const PAD: usize = PAD_CELLS * CELL_PX;
         const REACH: usize = BACKGROUND_PX as usize;
-        const { assert!(REACH <= PAD) };
+        const { assert!(REACH <= PAD_PX) };
         let words = words(self.stride);
         for v in 0..runs.height() {
             for run in runs.row(v) {
-                let (row, start, end) = (v + PAD, run.start() + PAD, run.end() + PAD);
+                let (row, start, end) = (v + PAD_PX, run.start() + PAD_PX, run.end() + PAD_PX);
                 let mut mark = |row: usize, start: usize, end: usize| {
                     bits::set(&mut self.near[row * words..(row + 1) * words], start..end);
                 };
@@ -270,7 +272,8 @@ mod tests {
                 assert_eq!(glimpses.node(u, v), expected, "({u}, {v})");
             }
         }
-        // The object with the places beside it.
+        // The object with the places beside it; nothing is anywhere else.
+        assert!(!glimpses.is_near(f32::NAN, 4.0) && !glimpses.is_near(4.0, f32::INFINITY));
         let is_object = |u: i32, v: i32| (0..12).contains(&u) && (0..8).contains(&v);
         for v in -30..60 {
             for u in -30..60 {

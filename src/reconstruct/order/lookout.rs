@@ -6,7 +6,7 @@
 //! depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in lanes.
 
 use super::cells::CELL_PX;
-use super::glimpse::{BACKGROUND_PX, PAD_CELLS, padded};
+use super::glimpse::{BACKGROUND_PX, PAD_PX, padded};
 use crate::geometry::Device;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::rays::{RayTable, Sightline};
@@ -203,7 +203,7 @@ impl<'a> Lookout<'a> {
 impl Block {
     #[inline(always)]
     fn spots(&self, direction: [f32; 3], w: f32) -> Spots {
-        const PAD: f32 = (PAD_CELLS * CELL_PX) as f32;
+        const PAD: f32 = PAD_PX as f32;
         let [u, v] = self.cameras.project(direction, w);
         let [column, _] = self.projectors.project(direction, w);
         let none = [0.0; LANES];
