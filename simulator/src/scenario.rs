@@ -466,13 +466,15 @@ mod tests {
             let scenario = Scenario::load(&shipped(name)).unwrap_or_else(|e| panic!("{e}"));
             assert!(scenario.rig.exists(), "{name}: {}", scenario.rig.display());
         }
-        let poses =
-            shipped("poses").read_dir().expect("a directory").map(|pose| pose.expect("an entry").path());
-        let poses: Vec<Scenario> =
-            poses.map(|pose| Scenario::load(&pose).unwrap_or_else(|e| panic!("{e}"))).collect();
-        // The issue asks for a hundred camera frames and more: eight cameras each.
-        assert!(8 * poses.iter().map(|pose| pose.instants).sum::<usize>() >= 100);
-        assert!(poses.iter().all(|pose| pose.rig.exists() && pose.truth_every == 1));
+        for battery in ["poses", "held_out"] {
+            let poses =
+                shipped(battery).read_dir().expect("a directory").map(|pose| pose.expect("an entry").path());
+            let poses: Vec<Scenario> =
+                poses.map(|pose| Scenario::load(&pose).unwrap_or_else(|e| panic!("{e}"))).collect();
+            // The issue asks for a hundred camera frames and more: eight cameras each.
+            assert!(8 * poses.iter().map(|pose| pose.instants).sum::<usize>() >= 100);
+            assert!(poses.iter().all(|pose| pose.rig.exists() && pose.truth_every == 1));
+        }
         let demo = Scenario::load(&shipped("demo.toml")).expect("valid");
         assert_eq!(demo.instants, 24);
         assert!(matches!(demo.subject, Subject::Mannequin { .. }));
