@@ -111,6 +111,7 @@ fn example() -> Result<Calibration, Failure> {
         id: head.id.clone(),
         channel: head.channel,
         projector: head.projector.clone(),
+        rows: None,
         cameras: head
             .cameras
             .iter()

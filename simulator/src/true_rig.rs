@@ -2,7 +2,7 @@
 
 use crate::random::Stream;
 use crate::scenario::Jitter;
-use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use fourdbody::config::Rig;
 use fourdbody::geometry::{Device, Lens, Pose};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -18,6 +18,7 @@ pub fn true_calibration(rig: &Rig, jitter: &Jitter, seed: u64) -> Calibration {
             jitter.projector_distortion,
             &mut Stream::new(seed, &format!("projector {}", head.id)),
         ),
+        rows: Some(PanelRows::exact()),
         cameras: head
             .cameras
             .iter()

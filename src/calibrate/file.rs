@@ -5,6 +5,7 @@
 
 use super::gamma::Response;
 use super::identity::{Identity, ValidVolume};
+use super::rows::PanelRows;
 use super::world::World;
 use crate::config::{Channel, Rig};
 use crate::geometry::Device;
@@ -35,6 +36,10 @@ pub struct CalibratedHead {
     pub channel: Channel,
     /// The projector as an inverse camera.
     pub projector: Device,
+    /// Which rows of the panel the rows of this geometry are; `None`: not known. Fringes tell nothing of them, and only the
+    /// marker's place along itself needs them ([`crate::reconstruct::dashes`]).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rows: Option<PanelRows>,
     /// Its cameras.
     pub cameras: Vec<CalibratedCamera>,
 }
@@ -151,8 +156,8 @@ pub enum CalibrationError {
 }
 
 const FORMAT: &str = "fourdbody-calibration";
-const VERSION: u32 = 2;
-/// Version 1 has no identity, no valid volume and no responses.
+const VERSION: u32 = 3;
+/// Version 1 has no identity, no valid volume and no responses, version 2 no rows.
 const OLDEST: u32 = 1;
 
 impl Calibration {
@@ -179,6 +184,7 @@ impl Calibration {
             id: head.id.clone(),
             channel: head.channel,
             projector: head.projector.clone(),
+            rows: None,
             cameras: head
                 .cameras
                 .iter()
@@ -265,6 +271,9 @@ impl Calibration {
                 }
             }
         }
+        if let Some(head) = self.heads.iter().find(|head| head.rows.is_some_and(|rows| !rows.is_finite())) {
+            return Err(format!("head {}: not usable rows: {:?}", head.id, head.rows));
+        }
         if ids.is_empty() {
             return Err("no cameras".to_owned());
         }
@@ -321,8 +330,8 @@ mod tests {
             Calibration::load(&path)
         };
         assert_eq!(with_version(1).expect("readable").cameras().count(), 8);
-        let error = with_version(3).expect_err("must be refused").to_string();
-        assert!(error.contains("version 3") && error.contains("newer"), "{error}");
+        let error = with_version(4).expect_err("must be refused").to_string();
+        assert!(error.contains("version 4") && error.contains("newer"), "{error}");
     }
 
     #[test]

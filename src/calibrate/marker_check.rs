@@ -48,13 +48,13 @@ pub(super) fn marker_is_there(view: &View, image: &Plane<u8>, phase: &Plane<f32>
 }
 
 /// The column at which a row's phase passes a value.
-fn crossing(row: &[f32], target: f32) -> Option<usize> {
+pub(super) fn crossing(row: &[f32], target: f32) -> Option<usize> {
     let passes =
         |pair: &[f32]| (pair[0] - target) * (pair[1] - target) <= 0.0 && (pair[0] - pair[1]).abs() < 2.0;
     row.windows(2).position(passes)
 }
 
-fn is_free(view: &View, u: usize, v: usize) -> bool {
+pub(super) fn is_free(view: &View, u: usize, v: usize) -> bool {
     view.sightings.iter().all(|sighting| {
         let ellipse = &sighting.spot.ellipse;
         let (du, dv) = (u as f64 - ellipse.centre[0], v as f64 - ellipse.centre[1]);

@@ -2,7 +2,8 @@
 //!
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
 //! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
-//! fit, `bundle` adjusts lenses and poses, `stages` and `global` are the paper's three stages, `world`
+//! fit, `bundle` adjusts lenses and poses, `rows` finds the
+//! panel's rows, which fringes do not tell, `stages` and `global` are the paper's three stages, `world`
 //! says where the floor is, `run` is all of it.
 //! `docs/design/calibration.md` has the definitions and what was tried.
 
@@ -25,6 +26,7 @@ mod marker_check;
 mod placement;
 pub mod positions;
 pub mod report;
+mod rows;
 pub mod run;
 mod spots;
 pub mod stages;
@@ -44,5 +46,6 @@ pub use gamma::{LightSample, Response};
 pub use identity::{Extent, HeadVolume, Identity, ValidVolume};
 pub use lattice::{NotIdentified, Sighting, identify};
 pub use positions::Position;
+pub use rows::PanelRows;
 pub use spots::{Spot, find_spots};
 pub use world::{Vertical, World, WorldError, nearest_motion};

@@ -5,6 +5,7 @@ use super::board::Board;
 use super::findings::Kind;
 use super::gamma::light_samples;
 use super::marker_check::marker_is_there;
+use super::rows::ridge;
 use super::start::board_pose;
 use super::views::{DARK, Looked, Refusal, View};
 use super::{Calibration, Finding, Sighting};
@@ -251,6 +252,9 @@ fn pair_up(
     let (dark, lit, has_holes) = (confirmed.dark, confirmed.lit, confirmed.has_holes());
     if let Some(white) = view.white.take() {
         view.light = light_samples(view, &white, image, &phase, &confirmed.circles, board, pattern);
+    }
+    if let Some(pair) = pair {
+        view.ridge = ridge(view, image, &phase, pair);
     }
     view.phase = Some(phase);
     view.confirmed = confirmed.circles;

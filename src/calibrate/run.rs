@@ -9,6 +9,7 @@ use super::gamma::{Response, response};
 use super::global::{Together, bring_together, calibration};
 use super::identity::{CONVENTIONS, Extent, HeadVolume, Identity, ValidVolume};
 use super::placement::check_placement;
+use super::rows::find_rows;
 use super::stages::{HeadResult, Rigging, StageError, Terms};
 use super::views::look;
 use super::world::{Vertical, World};
@@ -133,6 +134,7 @@ pub fn solve(
         software: concat!("fourdbody ", env!("CARGO_PKG_VERSION")).to_owned(),
         conventions: CONVENTIONS.to_owned(),
     });
+    find_rows(&mut result, nominal, &used, &positions);
     result.valid = ValidVolume::of(volumes(&kept, &together));
     Ok(Outcome { calibration: result, findings, positions, heads, together, board_size_m: board.size_m })
 }
@@ -246,6 +248,15 @@ impl Outcome {
                 .iter()
                 .map(|(head, rms)| format!("  projector of {head}: {rms:.4} panel px rms")),
         );
+        lines.extend(self.calibration.heads.iter().map(|head| match head.rows {
+            Some(rows) => {
+                format!("  rows of {}'s panel, by the marker's dashes: {:.4} px rms", head.id, rows.rms_px)
+            }
+            None => format!(
+                "  rows of {}'s panel: too few dashes agree to tell; no photograph will be judged by its own",
+                head.id
+            ),
+        }));
         lines.extend(quality.links.iter().map(|link| {
             format!(
                 "  heads {} and {}: {} common positions, {:.3} mm rms",

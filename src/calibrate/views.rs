@@ -9,6 +9,7 @@ use super::findings::Kind;
 use super::gamma::LightSample;
 use super::lattice::{Sighting, identify};
 use super::positions::{Position, arrange};
+use super::rows::RidgePixel;
 use super::spots::find_spots;
 use super::start::board_pose;
 use super::{Calibration, Finding, Observation};
@@ -47,6 +48,8 @@ pub struct View {
     pub white: Option<Plane<u8>>,
     /// How the fringes' light compares with the white light.
     pub light: Vec<LightSample>,
+    /// The markers' ridges in the frame with fringes.
+    pub ridge: Vec<RidgePixel>,
 }
 
 /// What one frame shows.
@@ -126,9 +129,10 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
     if *contrast > FRINGE_CONTRAST { Light::Fringes } else { Light::White }
 }
 
-/// One pipeline for every camera, in the calibration's order.
+/// One pipeline for every camera, in the calibration's order. Nominal geometry has no rows to hold dashes against.
 pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
-    let pipeline = |pair| Pipeline::new(Triangulator::new(pair), Method::Anchored, false);
+    let pipeline =
+        |pair| Pipeline::new(Triangulator::new(Pair { rows: None, ..pair }), Method::Anchored, false);
     nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).map(pipeline)).collect()
 }
 
@@ -244,7 +248,14 @@ fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<V
         ));
     }
     check_sizes(&sightings, board, camera)?;
-    Ok(View { sightings, phase: None, confirmed: Vec::new(), white: Some(owned(image)), light: Vec::new() })
+    Ok(View {
+        sightings,
+        phase: None,
+        confirmed: Vec::new(),
+        white: Some(owned(image)),
+        light: Vec::new(),
+        ridge: Vec::new(),
+    })
 }
 
 /// Circles may seem larger or smaller than the board file says by this share, and by this many px: what blooming does.

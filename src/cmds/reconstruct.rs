@@ -9,6 +9,7 @@ use crate::ids::CameraId;
 use crate::reconstruct::FrameSource;
 use crate::reconstruct::batch::{self, Format, Plan, Summary, Timings};
 use crate::reconstruct::collect::{self, Lack, Shards};
+use crate::reconstruct::dashes::REMARKABLE_PX;
 use crate::reconstruct::pipeline::Method;
 use crate::reconstruct::png_source::PngSource;
 use crate::record::SessionReader;
@@ -340,6 +341,13 @@ fn report(args: &Args, summary: &Summary) {
             if let Some(reason) = &frame.reason {
                 println!("  {} {}: {}: {reason}", frame.camera, trigger.trigger, frame.outcome);
             }
+        }
+    }
+    for (camera, offset) in summary.marker_offsets_px() {
+        if offset.abs() > REMARKABLE_PX {
+            println!(
+                "  {camera}: the marker's dashes lie {offset:.2} px of the panel from where the calibration has them; has a device moved since?"
+            );
         }
     }
 }

@@ -12,6 +12,7 @@
 //! version of this program; a finished cloud with the same hash is not made again.
 
 use super::collect::remove_leftovers;
+use super::dashes::Dashes;
 use super::dump;
 use super::order::{self, View};
 use super::pair::Pair;
@@ -27,7 +28,6 @@ use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
 use crate::time::process_cpu_time;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::ops::Range;
@@ -36,10 +36,11 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
+pub use super::summary::{FrameSummary, Summary, TriggerSummary};
 pub use super::timings::Timings;
 
 /// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 11;
+const ALGORITHM: u32 = 12;
 
 /// What is written of each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,77 +83,6 @@ impl Plan {
     /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
     pub fn merges(&self) -> bool {
         self.format == Format::Ply && !self.discard
-    }
-}
-
-/// What became of one frame.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FrameSummary {
-    /// The camera.
-    pub camera: CameraId,
-    /// `cloud`, `refused` (no fringe order can be trusted), `gap` (no frame) or `damaged`.
-    pub outcome: Cow<'static, str>,
-    /// Why there is no cloud.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub reason: Option<String>,
-    /// Points of the directional cloud.
-    pub points: usize,
-    /// Object pixels left out because their fringe order is not certain.
-    pub unresolved_px: usize,
-    /// Of these, pixels for whose order the evidence contradicts itself; the others have too little.
-    pub contradicted_px: usize,
-}
-
-impl FrameSummary {
-    fn missing(camera: &CameraId, outcome: &'static str, reason: String) -> Self {
-        let (camera, outcome, reason) = (camera.clone(), outcome.into(), Some(reason));
-        Self { camera, outcome, reason, points: 0, unresolved_px: 0, contradicted_px: 0 }
-    }
-}
-
-/// What became of one trigger.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TriggerSummary {
-    /// Its index.
-    pub trigger: u64,
-    /// Points of the merged cloud; absent where none is made, as of phase maps.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub merged_points: Option<usize>,
-    /// Its frames, in the calibration's order.
-    pub frames: Vec<FrameSummary>,
-}
-
-/// What became of a run.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Summary {
-    /// Hash of everything that the clouds depend on beside the frames.
-    pub parameters: String,
-    /// `anchored` or `paper`.
-    pub method: Cow<'static, str>,
-    /// Frames expected.
-    pub frames: usize,
-    /// Frames with a cloud.
-    pub clouds: usize,
-    /// Frames refused.
-    pub refused: usize,
-    /// Frames that are missing.
-    pub gaps: usize,
-    /// Frames that could not be read.
-    pub damaged: usize,
-    /// Points of all merged clouds; absent where none are made.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub merged_points: Option<usize>,
-    /// The triggers, in order.
-    pub triggers: Vec<TriggerSummary>,
-}
-
-impl Summary {
-    /// Points of all directional clouds.
-    pub fn points(&self) -> usize {
-        self.triggers.iter().flat_map(|trigger| &trigger.frames).map(|frame| frame.points).sum()
     }
 }
 
@@ -201,6 +131,24 @@ enum Stage {
     Refused(Box<Reconstruction>),
     /// No frame: outcome and reason.
     Missing(&'static str, String),
+}
+
+/// Where the markers of most cameras contradict the calibration, those of the others agree by chance.
+fn heed_dashes(stages: &mut [Stage]) {
+    let dashes = stages.iter().filter_map(|stage| match stage {
+        Stage::Prepared(prepared) => Some(&prepared.counts.dashes),
+        Stage::Refused(result) => Some(&result.counts.dashes),
+        Stage::Missing(..) => None,
+    });
+    if !Dashes::most_contradict(dashes) {
+        return;
+    }
+    for stage in stages {
+        *stage = match std::mem::replace(stage, Stage::Missing("", String::new())) {
+            Stage::Prepared(prepared) => Stage::Refused(prepared.refuse()),
+            other => other,
+        };
+    }
 }
 
 /// The frames of all cameras of one trigger give each other their fringe orders.
@@ -289,7 +237,7 @@ pub fn run(
         .collect();
     let wall_ms = began.elapsed().as_secs_f64() * 1e3;
     let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
-    let summary = summarize(triggers?, &job.parameters, plan);
+    let summary = Summary::of(triggers?, &job.parameters, plan);
     let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))
@@ -306,24 +254,6 @@ pub fn parameters(calibration: &Calibration, plan: &Plan) -> Result<String, Stri
     });
     let text = serde_json::to_string(&value).map_err(|e| e.to_string())?;
     Ok(Sha256::digest(text).iter().take(16).map(|byte| format!("{byte:02x}")).collect())
-}
-
-/// What became of all triggers together.
-pub(super) fn summarize(triggers: Vec<TriggerSummary>, parameters: &str, plan: &Plan) -> Summary {
-    let count = |outcome: &str| {
-        triggers.iter().flat_map(|t| &t.frames).filter(|frame| frame.outcome == outcome).count()
-    };
-    Summary {
-        parameters: parameters.to_owned(),
-        method: method_name(plan.method).into(),
-        frames: triggers.iter().map(|t| t.frames.len()).sum(),
-        clouds: count("cloud"),
-        refused: count("refused"),
-        gaps: count("gap"),
-        damaged: count("damaged"),
-        merged_points: plan.merges().then(|| triggers.iter().filter_map(|t| t.merged_points).sum()),
-        triggers,
-    }
 }
 
 /// The comment that names the cameras that a directional cloud depends on.
@@ -379,6 +309,7 @@ impl Job<'_> {
         let prepare = |(_, camera): &(usize, &Camera)| self.timed(|| self.prepare(camera, trigger));
         let mut stages: Vec<Stage> = cameras.par_iter().with_max_len(1).map(prepare).collect();
         if self.plan.method == Method::Anchored {
+            heed_dashes(&mut stages);
             self.timed(|| help_each_other(&cameras, &mut stages));
         }
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
@@ -447,6 +378,8 @@ impl Job<'_> {
         comments.push(together(self.cameras()));
         comments.push(format!("unresolved_px {}", result.counts.refused));
         comments.push(format!("contradicted_px {}", result.counts.contradicted));
+        let marker_offset_px = result.counts.dashes.offset_px;
+        comments.extend(marker_offset_px.map(|offset| format!("marker_offset_px {offset}")));
         let (outcome, reason) = match &result.outcome {
             Outcome::Cloud => ("cloud", None),
             Outcome::Refused(reason) => ("refused", Some(reason.clone())),
@@ -460,7 +393,15 @@ impl Job<'_> {
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
         let contradicted_px = result.counts.contradicted;
         let (camera, outcome) = (id.clone(), outcome.into());
-        let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, contradicted_px };
+        let summary = FrameSummary {
+            camera,
+            outcome,
+            reason,
+            points,
+            unresolved_px,
+            contradicted_px,
+            marker_offset_px,
+        };
         let cloud = if self.plan.merges() { result.cloud } else { Cloud::default() };
         Ok((summary, cloud))
     }
@@ -567,6 +508,7 @@ impl Job<'_> {
             points: header.points,
             unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
             contradicted_px: header.comment("contradicted_px").and_then(|x| x.parse().ok()).unwrap_or(0),
+            marker_offset_px: header.comment("marker_offset_px").and_then(|x| x.parse().ok()),
         })
     }
 }

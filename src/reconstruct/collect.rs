@@ -186,7 +186,7 @@ pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
         return Err(CollectError { shards: shards.count, problems });
     }
     merged.sort_by_key(|t| t.trigger);
-    Ok(batch::summarize(merged, &shards.parameters, shards.plan))
+    Ok(Summary::of(merged, &shards.parameters, shards.plan))
 }
 
 /// Triggers of a summary of which a file is missing, cut, or of other parameters, on the current rayon pool.

@@ -20,8 +20,8 @@ const LEAST_SHARE: f32 = 0.9;
 const MOST_OF_ANOTHER: f32 = 0.1;
 
 /// Replaces each piece of `anchor`, zeros and ones, by the marker that it is, 1 for the first of [`Pair::markers`]; by 0 where that
-/// is not certain. `roi` is where the plane lies in the frame. Returns how many pixels belong to a marker.
-pub fn assign(anchor: &mut Plane<u8>, roi: Roi, pair: &Pair) -> usize {
+/// is not certain. `roi` is where the plane lies in the frame.
+pub fn assign(anchor: &mut Plane<u8>, roi: Roi, pair: &Pair) {
     let runs = Runs::of(anchor);
     let (piece, pieces) = components::connect(&runs);
     let mut samples = vec![Vec::new(); pieces.len()];
@@ -43,8 +43,6 @@ pub fn assign(anchor: &mut Plane<u8>, roi: Roi, pair: &Pair) -> usize {
             anchor.row_mut(v)[runs.all()[place].columns()].fill(numbers[piece[place] as usize]);
         }
     }
-    let certain = pieces.iter().zip(&numbers).filter(|(_, number)| **number != 0);
-    certain.map(|(piece, _)| piece.area as usize).sum()
 }
 
 /// The marker that lies in the volume for these pixels, 1 for the first; 0 where there is none or more than one.

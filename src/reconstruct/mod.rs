@@ -17,9 +17,10 @@ pub mod collect;
 pub mod components;
 /// Bias of the phase on curved surfaces.
 pub mod curvature;
+/// Maps as pictures.
+pub mod dashes;
 /// Wrapped phase Wm and modulation.
 pub mod demodulate;
-/// Maps as pictures.
 pub mod dump;
 /// Phase at edges of colour, and the error to expect of it.
 pub mod edges;
@@ -72,6 +73,7 @@ pub mod simd;
 mod source;
 /// Stored phase maps to clouds.
 pub mod stored;
+mod summary;
 mod support;
 mod timings;
 /// From absolute phase to points.

@@ -1,6 +1,6 @@
 //! One camera with the projector of its head: what the phase pipeline must know of the geometry.
 
-use crate::calibrate::{CalibratedCamera, CalibratedHead, Calibration};
+use crate::calibrate::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use crate::geometry::{Device, Ray};
 use crate::pattern::{Marker, Pattern};
 use nalgebra::{Point3, Vector3};
@@ -14,6 +14,8 @@ pub struct Pair {
     pub projector: Device,
     /// What it projects.
     pub pattern: Pattern,
+    /// Which rows of the panel the projector's are, where that is known: what fringes tell is its columns.
+    pub rows: Option<PanelRows>,
     /// Indices of the markers on the panel, rising.
     pub markers: Vec<u32>,
     /// +1 where the absolute phase grows with the image column, -1 where it falls.
@@ -72,6 +74,7 @@ impl Pair {
         Ok(Self {
             camera: camera.device.clone(),
             projector: head.projector.clone(),
+            rows: head.rows,
             sign: across[0].signum() as f32,
             period_px: period_px as f32,
             marker_period_px: marker_period_px as f32,

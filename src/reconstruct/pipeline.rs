@@ -1,5 +1,6 @@
 //! One frame to one directional cloud: the stages in their order, each timed.
 
+use super::dashes::{self, Dashes};
 use super::demodulate::Gains;
 use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
@@ -37,8 +38,12 @@ pub enum Outcome {
     Refused(String),
 }
 
+/// What to ask when dashes lie elsewhere.
+const WHY_ELSEWHERE: &str =
+    "is it the calibration of another camera, or another projector's light, or has a device moved?";
+
 /// Pixel counts that tell how a frame went.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Counts {
     /// Pixels on the object mask.
     pub object: usize,
@@ -46,6 +51,8 @@ pub struct Counts {
     pub phase: usize,
     /// Pixels on marker cores.
     pub marker: usize,
+    /// Whether the marker's dashes lie where the calibration has them.
+    pub dashes: Dashes,
     /// Pixels left out because their fringe order is not certain.
     pub refused: usize,
     /// Of these, pixels for whose order the evidence contradicts itself; the others have too little.
@@ -160,6 +167,16 @@ pub struct Prepared {
 }
 
 impl Prepared {
+    /// No cloud is made of the frame: its marker agrees with the calibration, those of most other cameras do not.
+    pub fn refuse(self) -> Box<Reconstruction> {
+        let mut counts = self.counts;
+        counts.refused = counts.phase;
+        let reason = format!(
+            "the markers of most other cameras do not lie where the calibration has them; {WHY_ELSEWHERE}"
+        );
+        refused(self.clock, counts, reason)
+    }
+
     /// Fringe period Pm, px.
     pub fn period(&self) -> &Plane<f32> {
         &self.period
@@ -255,9 +272,12 @@ impl Pipeline {
         counts.object = runs.area();
         let resolved = match self.method {
             Method::Anchored => self.anchored(&image, &object, runs, roi, &mut clock, &mut counts),
-            Method::Paper => self.paper(&image, &object, runs, &mut clock, &mut counts),
+            Method::Paper => Ok(self.paper(&image, &object, runs, &mut clock, &mut counts)),
         };
-        let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = resolved;
+        let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = match resolved {
+            Ok(resolved) => resolved,
+            Err(reason) => return Err(refused(clock, counts, reason)),
+        };
         // Until all cameras are heard.
         let regions = Regions::default();
         Ok(Prepared {
@@ -377,7 +397,7 @@ impl Pipeline {
         roi: Roi,
         clock: &mut Clock,
         counts: &mut Counts,
-    ) -> Resolved {
+    ) -> Result<Resolved, String> {
         let pair = self.triangulator.pair();
         let image = Mono8::from(image);
         let mut buffers = BUFFERS.take();
@@ -385,8 +405,21 @@ impl Pipeline {
         let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
         let front = front::run(image, runs, pair, &self.gains, keep, memory, clock);
         let Front { runs, period, windows, wrapped, zone, mut marker, energy, known } = front;
-        counts.marker = clock.time("anchors", || marker_number::assign(&mut marker, roi, pair));
         counts.phase = known;
+        counts.dashes = clock.time("anchors", || {
+            marker_number::assign(&mut marker, roi, pair);
+            dashes::check(&mut marker, &wrapped, &windows.light, roi, &self.triangulator)
+        });
+        counts.marker = marker.as_slice().iter().map(|&x| u32::from(x != 0)).sum::<u32>() as usize;
+        if counts.dashes.contradict() {
+            BUFFERS.give(buffers);
+            counts.refused = known;
+            let Dashes { stretches, agreeing, .. } = counts.dashes;
+            return Err(format!(
+                "expected the marker's dashes where the calibration has them, found {} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}",
+                stretches - agreeing
+            ));
+        }
         let kept = self.keep_maps.then(|| wrapped.clone());
         let mut absolute = wrapped;
         let unwrapped = clock.time("unwrap", || {
@@ -424,7 +457,7 @@ impl Pipeline {
                 ("misfit", windows.misfit.clone()),
             ];
         }
-        Resolved { absolute, open: unwrapped.open, marker, runs, windows, period, zone, planes }
+        Ok(Resolved { absolute, open: unwrapped.open, marker, runs, windows, period, zone, planes })
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -506,7 +539,10 @@ fn known(phase: &Plane<f32>, runs: &Runs) -> usize {
 }
 
 fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
-    if cloud.is_empty() && counts.marker == 0 {
+    if cloud.is_empty() && counts.marker == 0 && counts.dashes.stretches > 0 {
+        let reason = "what looks like the marker does not lie where the calibration has it, so that no fringe order is known";
+        Outcome::Refused(format!("{reason}; {WHY_ELSEWHERE}"))
+    } else if cloud.is_empty() && counts.marker == 0 {
         Outcome::Refused("no marker was found, so that no fringe order is known".to_owned())
     } else if cloud.is_empty() {
         Outcome::Refused("no pixel has a fringe order that can be trusted".to_owned())

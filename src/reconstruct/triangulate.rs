@@ -81,6 +81,14 @@ impl Triangulator {
         Some((camera, self.world_from_camera.transform_point(&camera)))
     }
 
+    /// The panel's row that lights what pixel (u, v) sees at absolute phase `phase`, px, as far as the geometry tells, and how far
+    /// before the projector that is, m.
+    pub fn panel_row(&self, u: usize, v: usize, phase: f64) -> Option<(f64, f64)> {
+        let (_, world) = self.point(u, v, phase)?;
+        let [_, row] = self.pair.projector.project(&world)?;
+        Some((row, self.pair.projector.device_point(&world).z))
+    }
+
     /// The undistorted ray (x, y, 1) of a pixel.
     fn ray(&self, u: usize, v: usize) -> Option<Vector3<f64>> {
         let first = v / GRID_PX * self.columns + u / GRID_PX;

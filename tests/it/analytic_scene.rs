@@ -1,6 +1,6 @@
 //! The pipeline on a sphere and a wall that are rendered here by direct formula, through the shipped rig.
 
-use fourdbody::calibrate::Calibration;
+use fourdbody::calibrate::{Calibration, PanelRows};
 use fourdbody::config::Rig;
 use fourdbody::geometry::Ray;
 use fourdbody::image::{Mono8, Plane};
@@ -29,6 +29,7 @@ fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) 
     change(&mut rig.pattern);
     let mut calibration = Calibration::nominal(&rig);
     calibration.heads[head].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
+    calibration.heads[head].rows = Some(PanelRows::exact());
     let head = &calibration.heads[head];
     Pair::new(head, &head.cameras[camera], &calibration).expect("a usable pair")
 }

@@ -69,6 +69,9 @@ fn photographs_become_a_calibration_a_report_and_flat_boards() {
     let path = files.path("calibration.json");
     let calibration = Calibration::load(&path).expect("what was written is readable");
     let (focal, place_m) = errors(&calibration, &scene().truth);
+    let rows = calibration.heads[0].rows.expect("the dashes tell the panel's rows");
+    println!("{rows:?}");
+    assert!(rows.rms_px < 0.2, "{rows:?}");
     assert!(focal < 5e-4 && place_m < 5e-4, "focal {focal}, second camera {place_m} m off");
     let page = std::fs::read_to_string(report.join("index.html")).expect("a page");
     for expected in ["h0_up", "h0_low", "<svg", "Standard deviations", "</html>"] {

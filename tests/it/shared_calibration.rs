@@ -151,6 +151,11 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
     let together = &outcome.together;
     println!("chi {:.3}, {:?}, {:?}", together.all.chi, together.links, together.world);
     let found = &outcome.calibration;
+    for head in &found.heads {
+        let rows = head.rows.expect("the marker's dashes tell the panel's rows");
+        println!("{}: {rows:?}", head.id);
+        assert!(rows.rms_px < 0.1, "{rows:?}");
+    }
     let mut devices = together.all.device_sigma.iter();
     for (head, truth) in found.heads.iter().zip(&truth.heads) {
         for (camera, truth) in head.cameras.iter().zip(&truth.cameras) {

@@ -2,7 +2,7 @@
 //! `calibration.json`.
 
 use crate::rig_file::{aim, to_toml};
-use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use fourdbody::cmds::{Exit, Failure};
 use fourdbody::config::{Board, Channel, Head, Rig, RigCamera};
 use fourdbody::geometry::{Device, Lens, Pose, look_at};
@@ -10,6 +10,10 @@ use fourdbody::ids::{CameraId, HeadId, NodeId};
 use fourdbody::pattern::{Marker, Pattern};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
+
+/// The renderer counts rows of the panel from the upper edge of the first one, not from its middle (measured: its dashes lie
+/// 0.50 rows before those of `Pattern::light`).
+const ROWS: PanelRows = PanelRows { excess: [-0.5, 0.0, 0.0], rms_px: 0.0 };
 
 /// Turn a scene rig (JSON: `x_device = R x_world + t`) into `rig.toml` (nominal: rounded as a drawing would
 /// be) and `calibration.json` (exact).
@@ -120,7 +124,7 @@ fn convert(bytes: &[u8]) -> Result<(Rig, Calibration), String> {
         let (channel, delay_ns, exposure_ns) = (head.channel, 200_000, 1_000_000);
         let nominal = drawn(&projector)?;
         heads.push(Head { id: id.clone(), channel, delay_ns, exposure_ns, projector: nominal, cameras });
-        exact.push(CalibratedHead { id, channel, projector, cameras: calibrated });
+        exact.push(CalibratedHead { id, channel, projector, rows: Some(ROWS), cameras: calibrated });
     }
     let rig = Rig {
         name: "scene".to_owned(),

@@ -1,0 +1,249 @@
+//! Which rows of the panel the projector's rows are.
+//!
+//! Fringes say on which column of the panel a point lies, and a projector that is adjusted to columns alone has its rows where
+//! the rig file had them: its place along its rows, and focal length and principal point along them, are in no column. No
+//! point of a cloud depends on it. But the marker's dashes do lie on rows, and tell them modulo their period: what the
+//! geometry's row `v` at distance `z` lacks is, to first order in all three,
+//!
+//! ```text
+//! a + b v + c / z
+//! ```
+//!
+//! It is fitted to the dashes on the board, in stretches of two (`reconstruct::dashes`), as a correction that is kept beside the
+//! geometry. With it a photograph's own dashes tell whose calibration it is.
+
+use super::marker_check::{crossing, is_free};
+use super::views::View;
+use super::{Calibration, Position};
+use crate::image::Plane;
+use crate::reconstruct::dashes::{Crossing, Stretch, stretches_of};
+use crate::reconstruct::pair::Pair;
+use crate::reconstruct::triangulate::Triangulator;
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+/// Fewest stretches that three numbers are taken from.
+const LEAST_STRETCHES: usize = 30;
+
+/// Share of the stretches that must agree with them, to within this much, px of the panel.
+const LEAST_AGREEING: f64 = 0.8;
+const AGREE_PX: f64 = 0.5;
+
+/// What is tried for the second and the third number, in steps that change no row of the panel by more than a fifth of
+/// the dashes' period or so: px per panel height, and px m.
+const SCALES: (i32, f64) = (6, 2.0);
+const NEARNESSES: (i32, f64) = (8, 4.0);
+
+/// Rounds in which the fit leaves out what it does not explain.
+const ROUNDS: usize = 5;
+
+/// From the rows of a projector's geometry to those of its panel.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PanelRows {
+    /// What the geometry's row has too much: px, px per px, and px m (over the distance).
+    pub excess: [f64; 3],
+    /// RMS of what is left of it on the board, px.
+    pub rms_px: f64,
+}
+
+impl PanelRows {
+    /// Of a projector whose geometry is exact in its rows, too.
+    pub fn exact() -> Self {
+        Self { excess: [0.0; 3], rms_px: 0.0 }
+    }
+
+    /// Whether all are numbers.
+    pub fn is_finite(&self) -> bool {
+        self.excess.iter().all(|x| x.is_finite()) && self.rms_px.is_finite()
+    }
+
+    /// The panel's row, px, for the geometry's row, px, at a distance before the projector, m.
+    pub fn of(&self, row_px: f64, distance_m: f64) -> f64 {
+        let [a, b, c] = self.excess;
+        row_px - (a + b * row_px + c / distance_m)
+    }
+}
+
+/// A pixel on a marker's ridge, and its light over one period of the fringes, DN.
+#[derive(Debug, Clone, Copy)]
+pub struct RidgePixel {
+    u: usize,
+    v: usize,
+    light: f64,
+}
+
+/// The ridges of the markers on the board, between its circles, from row to row.
+pub(super) fn ridge(view: &View, image: &Plane<u8>, phase: &Plane<f32>, pair: &Pair) -> Vec<RidgePixel> {
+    let half = (pair.period_px / 2.0).round() as usize;
+    let mut ridge = Vec::new();
+    for marker in pair.pattern.markers(pair.projector.width) {
+        let target = (TAU * f64::from(marker)) as f32;
+        for v in 0..phase.height() {
+            let Some(u) = crossing(phase.row(v), target).filter(|u| is_free(view, *u, v)) else { continue };
+            let Some(light) = image.row(v).get(u.saturating_sub(half)..=u + half) else { continue };
+            let light = light.iter().map(|x| f64::from(*x)).sum::<f64>() / light.len() as f64;
+            ridge.push(RidgePixel { u, v, light });
+        }
+    }
+    ridge
+}
+
+/// Where the geometry has dashes, and how far behind they are.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    /// 1, the geometry's row, and one over the distance.
+    terms: Vector3<f64>,
+    /// px, modulo the dashes' period.
+    excess: f64,
+}
+
+/// Finds the panel's rows of the heads of `result`, which have the places `used` in `nominal`. Heads whose dashes do not
+/// tell them keep none.
+pub(super) fn find_rows(
+    result: &mut Calibration,
+    nominal: &Calibration,
+    used: &[usize],
+    positions: &[Position],
+) {
+    let found: Vec<Option<PanelRows>> = used
+        .iter()
+        .enumerate()
+        .map(|(kept, &place)| {
+            let head = result.heads.get(kept)?;
+            let mut seen = Vec::new();
+            for (camera, view) in head.cameras.iter().zip(nominal.cameras_of(place)) {
+                let triangulator = Triangulator::new(Pair::new(head, camera, result).ok()?);
+                let views = positions.iter().filter_map(|position| position.views.get(view)?.as_ref());
+                views.for_each(|view| see(view, &triangulator, &mut seen));
+            }
+            fit(&seen, result.pattern.marker_period_px, head.projector.height)
+        })
+        .collect();
+    for (head, rows) in result.heads.iter_mut().zip(found) {
+        head.rows = rows;
+    }
+}
+
+/// The dashes of a view.
+fn see(view: &View, triangulator: &Triangulator, seen: &mut Vec<Seen>) {
+    let Some(phase) = &view.phase else { return };
+    let period = triangulator.pair().pattern.marker_period_px;
+    let (mut crossings, mut distances) = (Vec::new(), Vec::new());
+    for pixel in &view.ridge {
+        let phase = f64::from(phase.at(pixel.u, pixel.v));
+        let Some((row, distance)) = triangulator.panel_row(pixel.u, pixel.v, phase) else { continue };
+        crossings.push(Crossing { v: pixel.v, row, light: pixel.light });
+        distances.push((row, distance));
+    }
+    for stretch in stretches_of(&crossings, period) {
+        let middle = stretch[stretch.len() / 2];
+        let Some(dashes) = Stretch::of(stretch, period).filter(Stretch::is_clear) else { continue };
+        let Some((row, distance)) = distances.iter().find(|(row, _)| *row == middle.row) else { continue };
+        let terms = Vector3::new(1.0, *row, 1.0 / distance);
+        seen.push(Seen { terms, excess: dashes.offset / TAU * period });
+    }
+}
+
+/// The three numbers on which most of what was seen agrees.
+fn fit(seen: &[Seen], period: f64, height: usize) -> Option<PanelRows> {
+    if seen.len() < LEAST_STRETCHES {
+        return None;
+    }
+    // The excess is known modulo the period: what is tried is right when all have one phase after it.
+    let steps = |(n, step): (i32, f64)| (-n..=n).map(move |i| f64::from(i) * step);
+    let mut best = (0.0, Vector3::zeros());
+    for scale in steps(SCALES).map(|x| x / height.max(1) as f64) {
+        for nearness in steps(NEARNESSES) {
+            let tried = Vector3::new(0.0, scale, nearness);
+            let sum = seen.iter().fold([0.0; 2], |[c, s], x| {
+                let (sin, cos) = (TAU * (x.excess - x.terms.dot(&tried)) / period).sin_cos();
+                [c + cos, s + sin]
+            });
+            let length = sum[0].hypot(sum[1]);
+            if length > best.0 {
+                let offset = sum[1].atan2(sum[0]) / TAU * period;
+                best = (length, Vector3::new(offset, scale, nearness));
+            }
+        }
+    }
+    let mut excess = best.1;
+    let left = |x: &Seen, excess: &Vector3<f64>| {
+        let left = x.excess - x.terms.dot(excess);
+        left - period * (left / period).round()
+    };
+    // Loosely known: where the board was at one distance only, the other numbers must not run away.
+    let prior =
+        Matrix3::from_diagonal(&Vector3::new(1e-6, (height as f64 / 20.0).powi(2), 1.0 / 900.0)) * 0.01;
+    for round in 0..ROUNDS {
+        let near = if round == 0 { period / 2.0 } else { 2.0 * AGREE_PX };
+        let (mut normal, mut right) = (prior, -(prior * excess));
+        for x in seen.iter().filter(|x| left(x, &excess).abs() <= near) {
+            normal += x.terms * x.terms.transpose();
+            right += x.terms * left(x, &excess);
+        }
+        excess += normal.cholesky()?.solve(&right);
+    }
+    let agreeing: Vec<f64> =
+        seen.iter().map(|x| left(x, &excess)).filter(|left| left.abs() <= AGREE_PX).collect();
+    if (agreeing.len() as f64) < LEAST_AGREEING * seen.len() as f64 {
+        return None;
+    }
+    let rms_px = (agreeing.iter().map(|x| x * x).sum::<f64>() / agreeing.len() as f64).sqrt();
+    Some(PanelRows { excess: excess.into(), rms_px })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{PanelRows, Seen, fit};
+    use nalgebra::Vector3;
+    use proptest::prelude::{ProptestConfig, prop_assert, proptest};
+
+    const PERIOD: f64 = 8.0;
+    const HEIGHT: usize = 800;
+
+    /// A number from -0.5 to 0.5 that depends on another alone.
+    fn noise(i: usize) -> f64 {
+        let mixed = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        ((mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as f64 / (1u64 << 24) as f64 - 0.5
+    }
+
+    /// Stretches over the panel at six places of the board, of which one in ten is something else.
+    fn seen(excess: [f64; 3], others: usize) -> Vec<Seen> {
+        let stretch = |i: usize| {
+            let (row, distance) = (40.0 + 720.0 * (i % 23) as f64 / 22.0, 1.7 + 0.2 * (i % 6) as f64);
+            let terms = Vector3::new(1.0, row, 1.0 / distance);
+            let is_other = i.is_multiple_of(others);
+            let excess = terms.dot(&Vector3::from(excess)) + noise(i) * if is_other { PERIOD } else { 0.1 };
+            Seen { terms, excess: excess - PERIOD * (excess / PERIOD).round() }
+        };
+        (1..=138).map(stretch).collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn rows_are_found_modulo_the_dashes_period(
+            offset in -30.0f64..30.0, scale in -0.012f64..0.012, nearness in -26.0f64..26.0,
+        ) {
+            let excess = [offset, scale, nearness];
+            let found = fit(&seen(excess, 10), PERIOD, HEIGHT).expect("they agree");
+            let truth = PanelRows { excess, rms_px: 0.0 };
+            prop_assert!(found.rms_px < 0.1, "{found:?}");
+            for (row, distance) in [(100.0, 1.8), (400.0, 2.2), (700.0, 2.6)] {
+                let off = found.of(row, distance) - truth.of(row, distance);
+                let off = off - PERIOD * (off / PERIOD).round();
+                prop_assert!(off.abs() < 0.1, "{off} px at row {row}, {distance} m: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_that_dashes_do_not_tell_are_not_known() {
+        let excess = [1.0, 0.002, 3.0];
+        assert_eq!(fit(&seen(excess, 2), PERIOD, HEIGHT), None, "half of them are something else");
+        assert_eq!(fit(&seen(excess, 10)[..20], PERIOD, HEIGHT), None, "too few");
+        assert_eq!(fit(&[], PERIOD, HEIGHT), None);
+    }
+}

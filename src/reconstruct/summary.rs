@@ -1,0 +1,121 @@
+//! What became of every frame of a run: `OUT/summary.json`.
+
+use super::batch::{Plan, method_name};
+use crate::ids::CameraId;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+/// What became of one frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameSummary {
+    /// The camera.
+    pub camera: CameraId,
+    /// `cloud`, `refused` (no fringe order can be trusted), `gap` (no frame) or `damaged`.
+    pub outcome: Cow<'static, str>,
+    /// Why there is no cloud.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Points of the directional cloud.
+    pub points: usize,
+    /// Object pixels left out because their fringe order is not certain.
+    pub unresolved_px: usize,
+    /// Of these, pixels for whose order the evidence contradicts itself; the others have too little.
+    pub contradicted_px: usize,
+    /// How far the marker's dashes lie from where the calibration has them, px of the panel
+    /// ([`super::dashes::Dashes::offset_px`]): a fraction of one, unless a device has moved.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub marker_offset_px: Option<f32>,
+}
+
+impl FrameSummary {
+    pub(super) fn missing(camera: &CameraId, outcome: &'static str, reason: String) -> Self {
+        let (camera, outcome, reason) = (camera.clone(), outcome.into(), Some(reason));
+        Self {
+            camera,
+            outcome,
+            reason,
+            points: 0,
+            unresolved_px: 0,
+            contradicted_px: 0,
+            marker_offset_px: None,
+        }
+    }
+}
+
+/// What became of one trigger.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TriggerSummary {
+    /// Its index.
+    pub trigger: u64,
+    /// Points of the merged cloud; absent where none is made, as of phase maps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub merged_points: Option<usize>,
+    /// Its frames, in the calibration's order.
+    pub frames: Vec<FrameSummary>,
+}
+
+/// What became of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Summary {
+    /// Hash of everything that the clouds depend on beside the frames.
+    pub parameters: String,
+    /// `anchored` or `paper`.
+    pub method: Cow<'static, str>,
+    /// Frames expected.
+    pub frames: usize,
+    /// Frames with a cloud.
+    pub clouds: usize,
+    /// Frames refused.
+    pub refused: usize,
+    /// Frames that are missing.
+    pub gaps: usize,
+    /// Frames that could not be read.
+    pub damaged: usize,
+    /// Points of all merged clouds; absent where none are made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub merged_points: Option<usize>,
+    /// The triggers, in order.
+    pub triggers: Vec<TriggerSummary>,
+}
+
+impl Summary {
+    /// What became of all triggers together.
+    pub(super) fn of(triggers: Vec<TriggerSummary>, parameters: &str, plan: &Plan) -> Self {
+        let count = |outcome: &str| {
+            triggers.iter().flat_map(|t| &t.frames).filter(|frame| frame.outcome == outcome).count()
+        };
+        Self {
+            parameters: parameters.to_owned(),
+            method: method_name(plan.method).into(),
+            frames: triggers.iter().map(|t| t.frames.len()).sum(),
+            clouds: count("cloud"),
+            refused: count("refused"),
+            gaps: count("gap"),
+            damaged: count("damaged"),
+            merged_points: plan.merges().then(|| triggers.iter().filter_map(|t| t.merged_points).sum()),
+            triggers,
+        }
+    }
+
+    /// The mean of `marker_offset_px` over each camera's clouds.
+    pub fn marker_offsets_px(&self) -> BTreeMap<&CameraId, f32> {
+        let mut sums = BTreeMap::<_, (f32, f32)>::new();
+        let frames = self.triggers.iter().flat_map(|trigger| &trigger.frames);
+        for frame in frames.filter(|frame| frame.outcome == "cloud") {
+            if let Some(offset) = frame.marker_offset_px {
+                let sum = sums.entry(&frame.camera).or_default();
+                (sum.0, sum.1) = (sum.0 + offset, sum.1 + 1.0);
+            }
+        }
+        sums.into_iter().map(|(camera, (sum, frames))| (camera, sum / frames)).collect()
+    }
+
+    /// Points of all directional clouds.
+    pub fn points(&self) -> usize {
+        self.triggers.iter().flat_map(|trigger| &trigger.frames).map(|frame| frame.points).sum()
+    }
+}
