@@ -3,7 +3,7 @@
 //! Fringes say on which column of the panel a point lies, and a projector that is adjusted to columns alone has its rows where
 //! the rig file had them: its place along its rows, and focal length and principal point along them, are in no column. No
 //! point of a cloud depends on it. But the marker's dashes do lie on rows, and tell them modulo their period: what the
-//! geometry's row `v` at distance `z` lacks is, to first order in all three,
+//! geometry's row `v` at distance `z` has too much is, to first order in all three,
 //!
 //! ```text
 //! a + b v + c / z
@@ -173,7 +173,8 @@ fn fit(seen: &[Seen], period: f64, height: usize) -> Option<PanelRows> {
         let left = x.excess - x.terms.dot(excess);
         left - period * (left / period).round()
     };
-    // Loosely known: where the board was at one distance only, the other numbers must not run away.
+    // Loosely known (20 px over the panel, 30 px m, against 0.1 px a stretch): where the board was at one distance only, numbers
+    // must not run away.
     let prior =
         Matrix3::from_diagonal(&Vector3::new(1e-6, (height as f64 / 20.0).powi(2), 1.0 / 900.0)) * 0.01;
     for round in 0..ROUNDS {

@@ -10,8 +10,8 @@
 //! Calibration has to have brought the panel's rows into line with the dashes (`CalibratedHead::rows`): fringes alone do
 //! not tell them. Where it has not, nothing is checked.
 //!
-//! The marker is looked at in stretches of two dashes. A piece of which most stretches lie elsewhere is something else
-//! and no anchor; a frame of which most do is refused.
+//! The marker is looked at in stretches of two dashes. A piece of which most stretches do not look like dashes at their
+//! place is something else and no anchor; a frame of whose dashes most lie elsewhere is refused.
 
 use super::components;
 use super::roi::Roi;
@@ -41,7 +41,7 @@ const MOST_SPREAD: f64 = 0.25;
 /// And when what its light has beside offset, slope and dashes is less than this share of the dashes (RMS to amplitude).
 const MOST_REMAINDER: f64 = 0.5;
 
-/// Fewest stretches by which a whole frame is judged.
+/// Fewest stretches, of those that look like dashes, by which a whole frame is judged.
 const LEAST_STRETCHES: u32 = 3;
 
 /// An offset that is worth a remark, px of the panel: calibrations from photographs are right within hundredths of one.
@@ -54,6 +54,8 @@ pub struct Dashes {
     pub stretches: u32,
     /// Those that lie where the calibration has them.
     pub agreeing: u32,
+    /// Those that look like dashes and lie elsewhere; the others are too faint to tell, or no dashes.
+    pub elsewhere: u32,
     /// How much further along the panel's rows than there most of these lie, px of the panel, in thousandths.
     pub offset_px: Option<f32>,
 }
@@ -61,12 +63,12 @@ pub struct Dashes {
 impl Dashes {
     /// Whether enough of the marker is seen to judge by.
     fn is_enough(&self) -> bool {
-        self.stretches >= LEAST_STRETCHES
+        self.agreeing + self.elsewhere >= LEAST_STRETCHES
     }
 
     /// Whether most of the marker lies elsewhere.
     pub fn contradict(&self) -> bool {
-        self.is_enough() && 2 * self.agreeing < self.stretches
+        self.is_enough() && self.agreeing < self.elsewhere
     }
 
     /// Whether the dashes of most cameras contradict a calibration, and not by a single one of them: then those that agree do
@@ -139,6 +141,7 @@ pub(super) fn check(
         *elsewhere = 2 * agreeing < stretches.len();
         all.stretches += stretches.len() as u32;
         all.agreeing += agreeing as u32;
+        all.elsewhere += stretches.iter().filter(|x| x.is_clear() && !agrees(x)).count() as u32;
     }
     all.offset_px = usual.map(|usual| ((usual / TAU * period * 1e3).round() / 1e3) as f32);
     for v in 0..runs.height() {
@@ -332,8 +335,9 @@ mod tests {
 
     #[test]
     fn most_cameras_decide_and_one_alone_does_not() {
-        let of = |agreeing| Dashes { stretches: 10, agreeing, offset_px: None };
-        let (good, bad, unseen) = (of(10), of(1), Dashes { stretches: 2, ..of(0) });
+        let of = |agreeing, elsewhere| Dashes { stretches: 10, agreeing, elsewhere, offset_px: None };
+        // Of faint ones most are neither.
+        let (good, bad, unseen) = (of(10, 0), of(1, 9), of(0, 2));
         for (cameras, most) in [
             (vec![bad], false),
             (vec![bad, good], false),

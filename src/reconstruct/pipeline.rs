@@ -414,10 +414,9 @@ impl Pipeline {
         if counts.dashes.contradict() {
             BUFFERS.give(buffers);
             counts.refused = known;
-            let Dashes { stretches, agreeing, .. } = counts.dashes;
+            let Dashes { stretches, elsewhere, .. } = counts.dashes;
             return Err(format!(
-                "expected the marker's dashes where the calibration has them, found {} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}",
-                stretches - agreeing
+                "expected the marker's dashes where the calibration has them, found {elsewhere} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
             ));
         }
         let kept = self.keep_maps.then(|| wrapped.clone());
