@@ -19,6 +19,7 @@ use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::Path;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 fn sized(width: u32, height: u32) -> RecordingHeader {
     let mut header = header(None);
@@ -169,11 +170,11 @@ fn a_block_comes_back_when_the_disk_has_it_and_not_before() {
         Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate: gate.clone() }))
     };
     open_gate.send(()).expect("the header may pass");
-    let options = WriterOptions { sync_interval: std::time::Duration::from_secs(1), ..options(1 << 30) };
+    let options = WriterOptions { sync_interval: Duration::from_secs(1), ..options(1 << 30) };
     let mut recording =
         Recording::create_with(&path, sized(80, 80), options, Arc::new(open)).expect("created");
     // One chunk is written, one waits, one is open: no call waits for the disk.
-    recording.options.sync_interval = std::time::Duration::MAX;
+    recording.options.sync_interval = Duration::MAX;
     let (home, returns) = bounded(64);
     for trigger in 0..11 {
         let (meta, mut block) = block(0, trigger, 80, 80);
@@ -265,7 +266,10 @@ fn keeps_the_books(bytes: i64, syncs: i64, segment_bytes: u64) {
         Err(error) => panic!("unexpected: {error}"),
     };
     assert_eq!(verdict.frames() + verdict.gaps(), 2 * triggers);
-    assert_eq!(returns.len() as u64, 2 * triggers, "every block is back");
+    // The thread of a segment that failed lets go of what it had not written after the segment was given up.
+    let back = (0..2 * triggers).take_while(|_| returns.recv_timeout(Duration::from_secs(60)).is_ok());
+    assert_eq!(back.count() as u64, 2 * triggers, "every block is back");
+    assert!(returns.is_empty(), "and none twice");
     let reader = SessionReader::open(&path).expect("readable");
     let recording = &reader.recordings()[0];
     let found =
