@@ -27,11 +27,7 @@ pub(super) fn marker_is_there(view: &View, image: &Plane<u8>, phase: &Plane<f32>
     let rows = (PIECE * period).ceil().max(6.0) as usize;
     let threshold = LEAST_CONTRAST * f64::from(pair.marker_contrast);
     let (mut all, mut modulated) = (0, 0);
-    for marker in pair.pattern.markers(pair.projector.width) {
-        let target = (TAU * f64::from(marker)) as f32;
-        let ridge: Vec<Option<usize>> = (0..phase.height())
-            .map(|v| crossing(phase.row(v), target).filter(|u| is_free(view, *u, v)))
-            .collect();
+    for ridge in ridges(view, phase, pair) {
         let mut v = 0;
         while v + rows <= ridge.len() {
             match levels(image, &ridge, v, rows) {
@@ -47,14 +43,24 @@ pub(super) fn marker_is_there(view: &View, image: &Plane<u8>, phase: &Plane<f32>
     all >= LEAST_PIECES && modulated as f64 >= LEAST_SHARE * all as f64
 }
 
+/// By marker, the column of its ridge in each row; `None` where it is not seen, or beside a circle.
+pub(super) fn ridges(view: &View, phase: &Plane<f32>, pair: &Pair) -> Vec<Vec<Option<usize>>> {
+    let ridge = |marker: u32| {
+        let target = (TAU * f64::from(marker)) as f32;
+        let column = |v| crossing(phase.row(v), target).filter(|u| is_free(view, *u, v));
+        (0..phase.height()).map(column).collect()
+    };
+    pair.pattern.markers(pair.projector.width).into_iter().map(ridge).collect()
+}
+
 /// The column at which a row's phase passes a value.
-pub(super) fn crossing(row: &[f32], target: f32) -> Option<usize> {
+fn crossing(row: &[f32], target: f32) -> Option<usize> {
     let passes =
         |pair: &[f32]| (pair[0] - target) * (pair[1] - target) <= 0.0 && (pair[0] - pair[1]).abs() < 2.0;
     row.windows(2).position(passes)
 }
 
-pub(super) fn is_free(view: &View, u: usize, v: usize) -> bool {
+fn is_free(view: &View, u: usize, v: usize) -> bool {
     view.sightings.iter().all(|sighting| {
         let ellipse = &sighting.spot.ellipse;
         let (du, dv) = (u as f64 - ellipse.centre[0], v as f64 - ellipse.centre[1]);

@@ -12,7 +12,7 @@
 //! It is fitted to the dashes on the board, in stretches of two (`reconstruct::dashes`), as a correction that is kept beside the
 //! geometry. With it a photograph's own dashes tell whose calibration it is.
 
-use super::marker_check::{crossing, is_free};
+use super::marker_check::ridges;
 use super::views::View;
 use super::{Calibration, Position};
 use crate::image::Plane;
@@ -30,8 +30,8 @@ const LEAST_STRETCHES: usize = 30;
 const LEAST_AGREEING: f64 = 0.8;
 const AGREE_PX: f64 = 0.5;
 
-/// What is tried for the second and the third number, in steps that change no row of the panel by more than a fifth of
-/// the dashes' period or so: px per panel height, and px m.
+/// What is tried for the second and the third number: so many steps to each side, and how large they are, px per panel height and
+/// px m. A step moves a row of the shipped panel by 2 px at most, a quarter of the dashes' period.
 const SCALES: (i32, f64) = (6, 2.0);
 const NEARNESSES: (i32, f64) = (8, 4.0);
 
@@ -78,10 +78,9 @@ pub struct RidgePixel {
 pub(super) fn ridge(view: &View, image: &Plane<u8>, phase: &Plane<f32>, pair: &Pair) -> Vec<RidgePixel> {
     let half = (pair.period_px / 2.0).round() as usize;
     let mut ridge = Vec::new();
-    for marker in pair.pattern.markers(pair.projector.width) {
-        let target = (TAU * f64::from(marker)) as f32;
-        for v in 0..phase.height() {
-            let Some(u) = crossing(phase.row(v), target).filter(|u| is_free(view, *u, v)) else { continue };
+    for columns in ridges(view, phase, pair) {
+        for (v, u) in columns.into_iter().enumerate() {
+            let Some(u) = u else { continue };
             let Some(light) = image.row(v).get(u.saturating_sub(half)..=u + half) else { continue };
             let light = light.iter().map(|x| f64::from(*x)).sum::<f64>() / light.len() as f64;
             ridge.push(RidgePixel { u, v, light });
@@ -130,18 +129,16 @@ pub(super) fn find_rows(
 fn see(view: &View, triangulator: &Triangulator, seen: &mut Vec<Seen>) {
     let Some(phase) = &view.phase else { return };
     let period = triangulator.pair().pattern.marker_period_px;
-    let (mut crossings, mut distances) = (Vec::new(), Vec::new());
-    for pixel in &view.ridge {
+    let crossing = |pixel: &RidgePixel| {
         let phase = f64::from(phase.at(pixel.u, pixel.v));
-        let Some((row, distance)) = triangulator.panel_row(pixel.u, pixel.v, phase) else { continue };
-        crossings.push(Crossing { v: pixel.v, row, light: pixel.light });
-        distances.push((row, distance));
-    }
+        let (row, distance) = triangulator.panel_row(pixel.u, pixel.v, phase)?;
+        Some(Crossing { v: pixel.v, row, distance, light: pixel.light })
+    };
+    let crossings: Vec<Crossing> = view.ridge.iter().filter_map(crossing).collect();
     for stretch in stretches_of(&crossings, period) {
-        let middle = stretch[stretch.len() / 2];
         let Some(dashes) = Stretch::of(stretch, period).filter(Stretch::is_clear) else { continue };
-        let Some((row, distance)) = distances.iter().find(|(row, _)| *row == middle.row) else { continue };
-        let terms = Vector3::new(1.0, *row, 1.0 / distance);
+        let Crossing { row, distance, .. } = stretch[stretch.len() / 2];
+        let terms = Vector3::new(1.0, row, 1.0 / distance);
         seen.push(Seen { terms, excess: dashes.offset / TAU * period });
     }
 }

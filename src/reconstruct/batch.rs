@@ -134,21 +134,20 @@ enum Stage {
 }
 
 /// Where the markers of most cameras contradict the calibration, those of the others agree by chance.
-fn heed_dashes(stages: &mut [Stage]) {
+fn heed_dashes(stages: Vec<Stage>) -> Vec<Stage> {
     let dashes = stages.iter().filter_map(|stage| match stage {
         Stage::Prepared(prepared) => Some(&prepared.counts.dashes),
         Stage::Refused(result) => Some(&result.counts.dashes),
         Stage::Missing(..) => None,
     });
     if !Dashes::most_contradict(dashes) {
-        return;
+        return stages;
     }
-    for stage in stages {
-        *stage = match std::mem::replace(stage, Stage::Missing("", String::new())) {
-            Stage::Prepared(prepared) => Stage::Refused(prepared.refuse()),
-            other => other,
-        };
-    }
+    let refuse = |stage| match stage {
+        Stage::Prepared(prepared) => Stage::Refused(prepared.refuse()),
+        other => other,
+    };
+    stages.into_iter().map(refuse).collect()
 }
 
 /// The frames of all cameras of one trigger give each other their fringe orders.
@@ -309,7 +308,7 @@ impl Job<'_> {
         let prepare = |(_, camera): &(usize, &Camera)| self.timed(|| self.prepare(camera, trigger));
         let mut stages: Vec<Stage> = cameras.par_iter().with_max_len(1).map(prepare).collect();
         if self.plan.method == Method::Anchored {
-            heed_dashes(&mut stages);
+            stages = heed_dashes(stages);
             self.timed(|| help_each_other(&cameras, &mut stages));
         }
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {

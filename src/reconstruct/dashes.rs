@@ -13,9 +13,8 @@
 //! The marker is looked at in stretches of two dashes. A piece of which most stretches do not look like dashes at their
 //! place is something else and no anchor; a frame of whose dashes most lie elsewhere is refused.
 
-use super::components;
+use super::marker_pieces::MarkerPieces;
 use super::roi::Roi;
-use super::runs::Runs;
 use super::triangulate::Triangulator;
 use super::windows;
 use crate::image::Plane;
@@ -90,15 +89,16 @@ pub(crate) struct Crossing {
     pub v: usize,
     /// The panel's row that the calibration names, px.
     pub row: f64,
+    /// Before the projector, m.
+    pub distance: f64,
     /// Light over one period of the fringes, DN.
     pub light: f64,
 }
 
-/// Looks at each piece of the marker, whose pixels have its number in `anchor` (1 for the first of the pattern's), and
-/// sets those to 0 that lie elsewhere. `wrapped`, rad, and `light`, in the steps of [`windows`], are those of the same
-/// part `roi` of the frame.
+/// Looks at each piece of the marker, and takes their numbers from those that lie elsewhere. `wrapped`, rad, and `light`, in the
+/// steps of [`windows`], are those of the same part `roi` of the frame.
 pub(super) fn check(
-    anchor: &mut Plane<u8>,
+    marker: &mut MarkerPieces,
     wrapped: &Plane<f32>,
     light: &Plane<u16>,
     roi: Roi,
@@ -106,22 +106,20 @@ pub(super) fn check(
 ) -> Dashes {
     let pair = triangulator.pair();
     let Some(rows) = pair.rows else { return Dashes::default() };
-    let runs = Runs::of(anchor);
-    let (piece, pieces) = components::connect(&runs);
+    let MarkerPieces { cores, of, pieces, number } = marker;
     let mut crossings = vec![Vec::new(); pieces.len()];
-    for v in 0..runs.height() {
-        for place in runs.places(v) {
+    for v in 0..cores.height() {
+        for place in cores.places(v) {
+            let piece = of[place] as usize;
             let off = |u: &usize| wrapped.at(*u, v).abs();
-            let columns = runs.all()[place].columns();
+            let columns = cores.all()[place].columns();
             let Some(u) = columns.min_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
-            let Some(marker) = pair.markers.get(usize::from(anchor.at(u, v)).wrapping_sub(1)) else {
-                continue;
-            };
+            let Some(marker) = pair.markers.get(usize::from(number[piece]).wrapping_sub(1)) else { continue };
             let phase = TAU * f64::from(*marker) + f64::from(wrapped.at(u, v));
-            let Some((row, depth)) = triangulator.panel_row(roi.u + u, roi.v + v, phase) else { continue };
-            let row = rows.of(row, depth);
+            let Some((row, distance)) = triangulator.panel_row(roi.u + u, roi.v + v, phase) else { continue };
+            let row = rows.of(row, distance);
             let light = f64::from(windows::light(light.at(u, v)));
-            crossings[piece[place] as usize].push(Crossing { v, row, light });
+            crossings[piece].push(Crossing { v, row, distance, light });
         }
     }
     let period = pair.pattern.marker_period_px;
@@ -135,20 +133,16 @@ pub(super) fn check(
     let agrees =
         |x: &&Stretch| x.is_near() && usual.is_some_and(|usual| (x.offset - usual).abs() <= MOST_SPREAD);
     let mut all = Dashes::default();
-    let mut elsewhere = vec![false; pieces.len()];
-    for (stretches, elsewhere) in seen.iter().zip(&mut elsewhere) {
+    for (stretches, number) in seen.iter().zip(number) {
         let agreeing = stretches.iter().filter(agrees).count();
-        *elsewhere = 2 * agreeing < stretches.len();
+        if 2 * agreeing < stretches.len() {
+            *number = 0;
+        }
         all.stretches += stretches.len() as u32;
         all.agreeing += agreeing as u32;
         all.elsewhere += stretches.iter().filter(|x| x.is_clear() && !agrees(x)).count() as u32;
     }
     all.offset_px = usual.map(|usual| ((usual / TAU * period * 1e3).round() / 1e3) as f32);
-    for v in 0..runs.height() {
-        for place in runs.places(v).filter(|&place| elsewhere[piece[place] as usize]) {
-            anchor.row_mut(v)[runs.all()[place].columns()].fill(0);
-        }
-    }
     all
 }
 
@@ -225,10 +219,13 @@ mod tests {
     use crate::config::Rig;
     use crate::export::STEPS_PER_LEVEL;
     use crate::image::Plane;
+    use crate::reconstruct::marker_pieces::MarkerPieces;
     use crate::reconstruct::pair::Pair;
     use crate::reconstruct::roi::Roi;
+    use crate::reconstruct::runs::Runs;
     use crate::reconstruct::triangulate::Triangulator;
     use std::f64::consts::TAU;
+    use std::ops::Range;
     use std::path::Path;
 
     const ROI: Roi = Roi { u: 700, v: 400, width: 500, height: 300 };
@@ -270,10 +267,24 @@ mod tests {
         (anchor, wrapped, light)
     }
 
+    /// What the dashes of a photograph say, which holds these anchors, and the anchors that are left.
+    fn left(photograph: &(Plane<u8>, Plane<f32>, Plane<u16>), pair: Pair) -> (Dashes, Plane<u8>) {
+        let (anchor, wrapped, light) = photograph;
+        let mut pieces = MarkerPieces::new(Runs::of(anchor));
+        pieces.number.fill(1);
+        let dashes = check(&mut pieces, wrapped, light, ROI, &Triangulator::new(pair));
+        let mut left = anchor.clone();
+        assert_eq!(pieces.paint(&mut left), count(&left, 0..ROI.height));
+        (dashes, left)
+    }
+
+    fn count(anchor: &Plane<u8>, rows: Range<usize>) -> usize {
+        rows.map(|v| anchor.row(v).iter().filter(|&&x| x != 0).count()).sum()
+    }
+
     fn checked(seen_by: usize, calibrated: usize, shift: f64) -> (Dashes, usize) {
-        let (mut anchor, wrapped, light) = marker(&pair(seen_by), shift, |_| false);
-        let dashes = check(&mut anchor, &wrapped, &light, ROI, &Triangulator::new(pair(calibrated)));
-        (dashes, anchor.as_slice().iter().filter(|&&x| x != 0).count())
+        let (dashes, left) = left(&marker(&pair(seen_by), shift, |_| false), pair(calibrated));
+        (dashes, count(&left, 0..ROI.height))
     }
 
     #[test]
@@ -302,35 +313,29 @@ mod tests {
     #[test]
     fn only_the_piece_that_is_no_marker_is_dropped() {
         // Two pieces: in the upper the light does not change along the fringe.
-        let pair = pair(0);
-        let (mut anchor, wrapped, light) = marker(&pair, 0.0, |v| v < 80);
-        anchor.row_mut(80).fill(0);
-        let count = |anchor: &Plane<u8>, rows: std::ops::Range<usize>| {
-            rows.map(|v| anchor.row(v).iter().filter(|&&x| x != 0).count()).sum::<usize>()
-        };
-        let lower = count(&anchor, 81..ROI.height);
-        let dashes = check(&mut anchor, &wrapped, &light, ROI, &Triangulator::new(pair));
+        let mut photograph = marker(&pair(0), 0.0, |v| v < 80);
+        photograph.0.row_mut(80).fill(0);
+        let (dashes, left) = left(&photograph, pair(0));
         println!("{dashes:?}");
         assert!(dashes.agreeing < dashes.stretches && !dashes.contradict());
-        assert_eq!((count(&anchor, 0..80), count(&anchor, 81..ROI.height)), (0, lower));
+        let lower = 81..ROI.height;
+        assert_eq!((count(&left, 0..80), count(&left, lower.clone())), (0, count(&photograph.0, lower)));
     }
 
     #[test]
     fn a_frame_without_a_marker_contradicts_nothing() {
-        let (anchor, wrapped, light) = marker(&pair(0), 0.0, |_| false);
-        let mut none = Plane::filled(anchor.width(), anchor.height(), 0);
-        let dashes = check(&mut none, &wrapped, &light, ROI, &Triangulator::new(pair(0)));
+        let mut photograph = marker(&pair(0), 0.0, |_| false);
+        photograph.0.as_mut_slice().fill(0);
+        let (dashes, _) = left(&photograph, pair(0));
         assert_eq!(dashes, Dashes::default());
         assert!(!dashes.contradict());
     }
 
     #[test]
     fn without_the_panels_rows_nothing_is_checked() {
-        let unknown = Pair { rows: None, ..pair(1) };
-        let (mut anchor, wrapped, light) = marker(&pair(0), 0.0, |_| false);
-        let before = anchor.clone();
-        let dashes = check(&mut anchor, &wrapped, &light, ROI, &Triangulator::new(unknown));
-        assert_eq!((dashes, anchor), (Dashes::default(), before));
+        let photograph = marker(&pair(0), 0.0, |_| false);
+        let found = left(&photograph, Pair { rows: None, ..pair(1) });
+        assert_eq!(found, (Dashes::default(), photograph.0));
     }
 
     #[test]

@@ -29,8 +29,8 @@ pub struct Front {
     pub wrapped: Plane<f32>,
     /// Around the marker: not 0.
     pub zone: Plane<u8>,
-    /// 1 on the marker's core.
-    pub marker: Plane<u8>,
+    /// The marker's cores.
+    pub cores: Runs,
     /// The marker's modulation relative to the light, where it was asked for.
     pub energy: Option<Plane<f32>>,
     /// Pixels with a wrapped phase.
@@ -140,19 +140,9 @@ pub(super) fn run(
             || input.phases(buffers, &mut windows, &mut wrapped),
         );
     });
-    let marker = clock.time("anchors", || {
-        let cores = marker::detect(&ridges, &period, &wrapped, pair);
-        let mut marker = bytes.take(w, h);
-        marker.as_mut_slice().fill(0);
-        for v in 0..cores.height() {
-            for run in cores.row(v) {
-                marker.row_mut(v)[run.columns()].fill(1);
-            }
-        }
-        marker
-    });
+    let cores = clock.time("anchors", || marker::detect(&ridges, &period, &wrapped, pair));
     let known = buffers.known;
-    Front { runs, period, windows, wrapped, zone, marker, energy, known }
+    Front { runs, period, windows, wrapped, zone, cores, energy, known }
 }
 
 /// What the second pass reads.

@@ -4,11 +4,9 @@
 //! marker whose ridge does not lie between them cannot be what the camera sees there. Markers are so far apart
 //! (`Pattern::marker_every`) that for most rays one is left; where two are, or none, the piece is no anchor.
 
-use super::components;
+use super::marker_pieces::MarkerPieces;
 use super::pair::Pair;
 use super::roi::Roi;
-use super::runs::Runs;
-use crate::image::Plane;
 
 /// Pixels of a piece that are tried.
 const SAMPLES: usize = 64;
@@ -19,17 +17,15 @@ const LEAST_SHARE: f32 = 0.9;
 /// The largest share that may allow any other.
 const MOST_OF_ANOTHER: f32 = 0.1;
 
-/// Replaces each piece of `anchor`, zeros and ones, by the marker that it is, 1 for the first of [`Pair::markers`]; by 0 where that
-/// is not certain. `roi` is where the plane lies in the frame.
-pub fn assign(anchor: &mut Plane<u8>, roi: Roi, pair: &Pair) {
-    let runs = Runs::of(anchor);
-    let (piece, pieces) = components::connect(&runs);
+/// Gives each piece the number of the marker that it is; 0 where that is not certain. `roi` is where they lie in the frame.
+pub fn assign(marker: &mut MarkerPieces, roi: Roi, pair: &Pair) {
+    let MarkerPieces { cores, of, pieces, number: numbers } = marker;
     let mut samples = vec![Vec::new(); pieces.len()];
     let mut seen = vec![0u32; pieces.len()];
-    for v in 0..runs.height() {
-        for place in runs.places(v) {
-            let piece = piece[place] as usize;
-            for u in runs.all()[place].columns() {
+    for v in 0..cores.height() {
+        for place in cores.places(v) {
+            let piece = of[place] as usize;
+            for u in cores.all()[place].columns() {
                 if seen[piece].is_multiple_of(pieces[piece].area.div_ceil(SAMPLES as u32)) {
                     samples[piece].push((roi.u + u, roi.v + v));
                 }
@@ -37,11 +33,8 @@ pub fn assign(anchor: &mut Plane<u8>, roi: Roi, pair: &Pair) {
             }
         }
     }
-    let numbers: Vec<u8> = samples.iter().map(|samples| number(samples, pair)).collect();
-    for v in 0..runs.height() {
-        for place in runs.places(v) {
-            anchor.row_mut(v)[runs.all()[place].columns()].fill(numbers[piece[place] as usize]);
-        }
+    for (out, samples) in numbers.iter_mut().zip(&samples) {
+        *out = number(samples, pair);
     }
 }
 

@@ -17,10 +17,11 @@ pub mod collect;
 pub mod components;
 /// Bias of the phase on curved surfaces.
 pub mod curvature;
-/// Maps as pictures.
+/// Whether the marker's dashes lie where the calibration has them.
 pub mod dashes;
 /// Wrapped phase Wm and modulation.
 pub mod demodulate;
+/// Maps as pictures.
 pub mod dump;
 /// Phase at edges of colour, and the error to expect of it.
 pub mod edges;
@@ -34,6 +35,8 @@ pub mod marker_number;
 pub mod marker_paper;
 /// Phase under the marker.
 pub mod marker_phase;
+/// Pieces of the marker's cores.
+pub mod marker_pieces;
 /// Object mask Om.
 pub mod mask;
 /// Normals from neighbouring points.

@@ -4,6 +4,7 @@ use super::dashes::{self, Dashes};
 use super::demodulate::Gains;
 use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
+use super::marker_pieces::MarkerPieces;
 use super::order::Regions;
 use super::pool::Pool;
 use super::rays::RayTable;
@@ -404,13 +405,15 @@ impl Pipeline {
         let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
         let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
         let front = front::run(image, runs, pair, &self.gains, keep, memory, clock);
-        let Front { runs, period, windows, wrapped, zone, mut marker, energy, known } = front;
+        let Front { runs, period, windows, wrapped, zone, cores, energy, known } = front;
         counts.phase = known;
-        counts.dashes = clock.time("anchors", || {
-            marker_number::assign(&mut marker, roi, pair);
-            dashes::check(&mut marker, &wrapped, &windows.light, roi, &self.triangulator)
+        let mut marker = BYTES.take(image.width(), image.height());
+        clock.time("anchors", || {
+            let mut pieces = MarkerPieces::new(cores);
+            marker_number::assign(&mut pieces, roi, pair);
+            counts.dashes = dashes::check(&mut pieces, &wrapped, &windows.light, roi, &self.triangulator);
+            counts.marker = pieces.paint(&mut marker);
         });
-        counts.marker = marker.as_slice().iter().map(|&x| u32::from(x != 0)).sum::<u32>() as usize;
         if counts.dashes.contradict() {
             BUFFERS.give(buffers);
             counts.refused = known;
