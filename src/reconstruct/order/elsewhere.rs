@@ -9,7 +9,7 @@
 use super::cells::CELL_PX;
 use super::grow::{NONE, View, known, sums};
 use super::settle::{Scene, look_along};
-use super::volume;
+use super::stretch::{self, Member};
 use super::witness::Sight;
 use super::words::{Words, judge};
 use crate::reconstruct::rays::Sightline;
@@ -60,7 +60,7 @@ impl Blocks {
 /// What was tried in vain.
 #[derive(Debug)]
 struct Trial {
-    stretch: Vec<(u32, i32)>,
+    stretch: Vec<Member>,
     /// The blocks in which it would have been seen.
     seen: Blocks,
 }
@@ -133,7 +133,9 @@ impl Search<'_> {
             if !lonely[first] || seen[first] {
                 continue;
             }
-            let stretch = stretch(view, scene, first, &lonely, &mut seen);
+            let own = square(scene, first);
+            let belongs = |other: usize| lonely[other] && square(scene, other) == own;
+            let stretch = stretch::from(view.graph, first, &mut seen, belongs);
             if stretch.len() < MIN_NODES || trials.get(&first).is_some_and(|x| x.stretch == stretch) {
                 continue;
             }
@@ -149,26 +151,17 @@ impl Search<'_> {
     }
 
     /// The order of a stretch that other heads clearly confirm. Where they would see it is marked.
-    fn confirmed(&self, number: usize, stretch: &[(u32, i32)], seen: &mut Blocks) -> Option<i32> {
+    fn confirmed(&self, number: usize, stretch: &[Member], seen: &mut Blocks) -> Option<i32> {
         let scene = &self.scenes[number];
-        let size = |node: u32| scene.witness.cells.nodes[node as usize].size;
-        let large: Vec<(u32, i32)> = stretch.iter().copied().filter(|x| size(x.0) >= MIN_SAMPLE_PX).collect();
-        let step = large.len().div_ceil(SAMPLES).max(1);
-        let places: Vec<(u32, i32)> = large.into_iter().step_by(step).collect();
+        let places = stretch::places(scene, stretch, MIN_SAMPLE_PX, SAMPLES);
         if places.len() < MIN_NODES {
             return None;
         }
-        // At order 0 of the stretch.
-        let phase = |(node, turns): (u32, i32)| {
-            scene.phase(node) + TAU * (turns - scene.pieces.turns[node as usize]) as f32
-        };
-        let ends = places.iter().step_by(places.len().div_ceil(2)).map(|&place| {
-            let (u, v, _) = scene.place(place.0);
-            (u, v, phase(place))
-        });
-        let orders = volume::orders_of(scene.triangulator.pair(), ends)?;
-        let samples: Vec<(&Sightline, f32)> =
-            places.iter().map(|&place| (&scene.lines[place.0 as usize], phase(place) / TAU)).collect();
+        let orders = stretch::orders(scene, &places)?;
+        let samples: Vec<(&Sightline, f32)> = places
+            .iter()
+            .map(|&place| (&scene.lines[place.0 as usize], stretch::phase(scene, place) / TAU))
+            .collect();
         let (mut best, mut second) = ((i32::MIN, 0, 0, 0), 0);
         let mut sights = Vec::new();
         for order in orders {
@@ -217,40 +210,15 @@ impl Search<'_> {
     }
 }
 
-/// The lonely nodes of a square that continue one another from `first` on, with the turns that each needs beside those of
-/// `first`.
-fn stretch(
-    view: &View<'_>,
-    scene: &Scene<'_>,
-    first: usize,
-    lonely: &[bool],
-    seen: &mut [bool],
-) -> Vec<(u32, i32)> {
-    let square = |node: u32| {
-        let pixel = scene.witness.cells.nodes[node as usize].pixel as usize;
-        let width = scene.witness.cells.width;
-        (pixel % width / (CELL_PX * SQUARE), pixel / width / (CELL_PX * SQUARE))
-    };
-    seen[first] = true;
-    let mut found = vec![(first as u32, 0)];
-    let mut at = 0;
-    while let Some(&(node, turns)) = found.get(at) {
-        at += 1;
-        for edge in view.graph.of(node as usize) {
-            let other = edge.other as usize;
-            let continues = edge.good >= 4 && edge.good >= 3 * edge.bad;
-            if continues && lonely[other] && !seen[other] && square(edge.other) == square(first as u32) {
-                seen[other] = true;
-                found.push((edge.other, turns + edge.turns));
-            }
-        }
-    }
-    found.sort_unstable();
-    found
+/// The square in which a node lies.
+fn square(scene: &Scene<'_>, node: usize) -> (usize, usize) {
+    let cells = &scene.witness.cells;
+    let pixel = cells.nodes[node].pixel as usize;
+    (pixel % cells.width / (CELL_PX * SQUARE), pixel / cells.width / (CELL_PX * SQUARE))
 }
 
 /// Gives a stretch its order where a place is confirmed; the rest of it is open again.
-fn take(scenes: &[Scene<'_>], view: &mut View<'_>, stretch: &[(u32, i32)], order: i32, known: &[Vec<i32>]) {
+fn take(scenes: &[Scene<'_>], view: &mut View<'_>, stretch: &[Member], order: i32, known: &[Vec<i32>]) {
     for &(node, turns) in stretch {
         let (node, turns) = (node as usize, order + turns);
         if view.turns[node] == turns {

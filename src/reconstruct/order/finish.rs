@@ -11,6 +11,7 @@ use super::graph::Graph;
 use super::grow::{FIRM, Label, NONE, View, conflict, sums};
 use super::settle::Scene;
 use super::words::Words;
+use super::{confirmed, enclosed};
 
 /// Words of the head's other camera, within two steps, without which an order other than the piece's is refused.
 const DISPUTED: i16 = 16;
@@ -33,7 +34,8 @@ const KNOWN: i16 = 6;
 const CONTRADICTED: i16 = 2;
 
 /// The labels of a view's nodes, from what growth has come to. `known`: the orders of all views.
-pub fn labels(mut view: View<'_>, scenes: &[Scene<'_>], scene: &Scene<'_>, known: &[Vec<i32>]) -> Vec<Label> {
+pub fn labels(number: usize, mut view: View<'_>, scenes: &[Scene<'_>], known: &[Vec<i32>]) -> Vec<Label> {
+    let scene = &scenes[number];
     let mut sum = sums(&view, &view.words);
     let mut labels: Vec<Label> = (0..view.turns.len())
         .map(|node| match view.turns[node] {
@@ -46,6 +48,8 @@ pub fn labels(mut view: View<'_>, scenes: &[Scene<'_>], scene: &Scene<'_>, known
         .collect();
     if view.partnered {
         close(&mut view, scenes, scene, known, &mut sum, &mut labels);
+        confirmed::place(number, &mut view, scenes, known, &mut labels);
+        enclosed::close(number, &mut view, scenes, known, &mut labels);
     }
     labels
 }

@@ -117,8 +117,8 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let known = known(&views);
     views
         .into_par_iter()
-        .zip(scenes)
-        .map(|(view, scene)| finish::labels(view, scenes, scene, &known))
+        .enumerate()
+        .map(|(number, view)| finish::labels(number, view, scenes, &known))
         .collect()
 }
 

@@ -11,6 +11,9 @@
 //! grow      from the pieces' cores to every place, as far as the other cameras confirm it
 //! elsewhere where other heads see what is open, or hidden from all of them
 //! finish    what too little vouches for refused, holes closed
+//! confirmed stretches that are open at last, which the other cameras see at one order alone
+//! enclosed  and those that known surfaces enclose
+//! stretch   nodes that continue one another, and the orders that are tried for them
 //! ```
 //!
 //! One view cannot tell an arm that lies parallel to the hip at a whole number of fringes from one surface. What it can
@@ -18,7 +21,9 @@
 //! cameras, and are refused where they cannot tell.
 
 mod cells;
+mod confirmed;
 mod elsewhere;
+mod enclosed;
 mod finish;
 mod glimpse;
 mod graph;
@@ -27,6 +32,7 @@ mod lookout;
 mod pieces;
 mod settle;
 mod split;
+mod stretch;
 mod volume;
 mod witness;
 mod words;
