@@ -47,11 +47,10 @@ pub fn close(
             found.push((stretch, turns));
         }
     }
-    for (node, turns) in found
-        .into_iter()
-        .flat_map(|(stretch, turns)| stretch.into_iter().map(move |(node, own)| (node, turns + own)))
-    {
-        labels[node as usize] = Label { turns, contradicted: false };
+    for (stretch, turns) in found {
+        for (node, own) in stretch {
+            labels[node as usize] = Label { turns: turns + own, contradicted: false };
+        }
     }
 }
 
