@@ -5,11 +5,10 @@
 //! from. At last, when all that can be known is known, it is none: a large stretch whose places the other heads see at one order, and at
 //! no other, is there. Small ones are seen at wrong orders by chance.
 
-use super::grow::{Label, NONE, View};
-use super::settle::{Scene, look_along};
+use super::grow::{Label, View};
+use super::settle::Scene;
 use super::stretch::{self, Member};
-use super::words::{Words, judge};
-use std::f32::consts::TAU;
+use super::words;
 
 /// Places of a stretch that are tried, at most and at least, and the pixels of a node that counts as a place.
 const SAMPLES: usize = 24;
@@ -35,15 +34,7 @@ pub fn place(
     labels: &mut [Label],
 ) {
     let scene = &scenes[number];
-    let mut seen = vec![false; labels.len()];
-    for first in 0..labels.len() {
-        if labels[first].turns != NONE || seen[first] {
-            continue;
-        }
-        let stretch = stretch::from(view.graph, first, &mut seen, |other| labels[other].turns == NONE);
-        if stretch.len() < MIN_PLACES {
-            continue;
-        }
+    for stretch in stretch::open(view.graph, labels) {
         let places = stretch::places(scene, &stretch, MIN_SAMPLE_PX, SAMPLES);
         let Some(order) = only_order(number, scenes, known, &places) else { continue };
         for (node, own) in stretch {
@@ -63,13 +54,12 @@ fn only_order(number: usize, scenes: &[Scene<'_>], known: &[Vec<i32>], places: &
     let scene = &scenes[number];
     let (mut best, mut second) = ((0, 0, 0), 0);
     let mut sights = Vec::new();
+    let lines = stretch::lines(scene, places);
     for order in stretch::orders(scene, places)? {
         let (mut good, mut against) = (0, 0);
-        for (i, &place) in places.iter().enumerate() {
-            sights.clear();
-            let (line, fringes) = (&scene.lines[place.0 as usize], stretch::phase(scene, place) / TAU);
-            let inside = look_along(scenes, number, line, fringes + order as f32, &mut sights);
-            let words = if inside { judge(scenes, number, known, &sights) } else { Words::IMPOSSIBLE };
+        for (i, &(line, fringes)) in lines.iter().enumerate() {
+            let place = (line, fringes + order as f32);
+            let words = words::along(scenes, number, known, place, &mut sights);
             good += i32::from(words.good());
             against += i32::from(words.against > 0);
             if i + 1 == FIRST_SAMPLES && good == 0 {

@@ -8,14 +8,13 @@
 
 use super::cells::CELL_PX;
 use super::grow::{NONE, View, known, sums};
-use super::settle::{Scene, look_along};
+use super::settle::Scene;
 use super::stretch::{self, Member};
 use super::witness::Sight;
-use super::words::{Words, judge};
+use super::words::{self, Words};
 use crate::reconstruct::rays::Sightline;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::f32::consts::TAU;
 
 /// Stretches are sought within squares of so many cells.
 const SQUARE: usize = 12;
@@ -128,14 +127,9 @@ impl Search<'_> {
         let sum = sums(view, &heads);
         let lonely: Vec<bool> =
             view.turns.iter().zip(&sum).map(|(x, sum)| *x == NONE || sum.heads == 0).collect();
-        let mut seen = vec![false; lonely.len()];
-        for first in 0..lonely.len() {
-            if !lonely[first] || seen[first] {
-                continue;
-            }
-            let own = square(scene, first);
-            let belongs = |other: usize| lonely[other] && square(scene, other) == own;
-            let stretch = stretch::from(view.graph, first, &mut seen, belongs);
+        let together = |first: usize, other: usize| square(scene, first) == square(scene, other);
+        for stretch in stretch::all(view.graph, |node| lonely[node], together) {
+            let first = stretch[0].0 as usize;
             if stretch.len() < MIN_NODES || trials.get(&first).is_some_and(|x| x.stretch == stretch) {
                 continue;
             }
@@ -158,10 +152,7 @@ impl Search<'_> {
             return None;
         }
         let orders = stretch::orders(scene, &places)?;
-        let samples: Vec<(&Sightline, f32)> = places
-            .iter()
-            .map(|&place| (&scene.lines[place.0 as usize], stretch::phase(scene, place) / TAU))
-            .collect();
+        let samples = stretch::lines(scene, &places);
         let (mut best, mut second) = ((i32::MIN, 0, 0, 0), 0);
         let mut sights = Vec::new();
         for order in orders {
@@ -199,14 +190,11 @@ impl Search<'_> {
         sights: &mut Vec<Sight>,
         seen: &mut Blocks,
     ) -> Words {
-        sights.clear();
-        if !look_along(self.scenes, number, line, fringes, sights) {
-            return Words::IMPOSSIBLE;
-        }
+        let words = words::along(self.scenes, number, self.known, (line, fringes), sights);
         for (first, sight) in self.first_block.iter().zip(sights.iter()).filter(|x| x.1.is_node()) {
             seen.mark(first + sight.node as usize / BLOCK_NODES);
         }
-        judge(self.scenes, number, self.known, sights)
+        words
     }
 }
 

@@ -32,13 +32,8 @@ pub fn close(
 ) {
     let scene = &scenes[number];
     let size = |node: u32| scene.witness.cells.nodes[node as usize].size;
-    let mut seen = vec![false; labels.len()];
     let mut found = Vec::new();
-    for first in 0..labels.len() {
-        if labels[first].turns != NONE || seen[first] {
-            continue;
-        }
-        let stretch = stretch::from(view.graph, first, &mut seen, |other| labels[other].turns == NONE);
+    for stretch in stretch::open(view.graph, labels) {
         let Some(turns) = enclosing(view.graph, &stretch, size, labels) else { continue };
         let places = stretch::places(scene, &stretch, MIN_SAMPLE_PX, SAMPLES);
         let mut words = |&(node, own): &Member| view.sights.words(scenes, node as usize, turns + own, known);
@@ -103,10 +98,9 @@ mod tests {
         let graph = Graph::new(&Cells::new(&surface));
         let label = |node: usize| Label { turns: turns(node % SIDE, node / SIDE), contradicted: false };
         let labels: Vec<Label> = (0..SIDE * SIDE).map(label).collect();
-        let first = labels.iter().position(|x| x.turns == NONE).expect("an open node");
-        let mut seen = vec![false; labels.len()];
-        let stretch = stretch::from(&graph, first, &mut seen, |node| labels[node].turns == NONE);
-        (enclosing(&graph, &stretch, |_| (CELL_PX * CELL_PX) as u32, &labels), stretch.len())
+        let stretches = stretch::open(&graph, &labels);
+        let [stretch] = &stretches[..] else { panic!("one stretch, not {stretches:?}") };
+        (enclosing(&graph, stretch, |_| (CELL_PX * CELL_PX) as u32, &labels), stretch.len())
     }
 
     /// Whether a cell is one of the four by four in the middle.

@@ -90,6 +90,11 @@ impl Graph {
         }
     }
 
+    /// Nodes.
+    pub fn len(&self) -> usize {
+        self.clearance.len()
+    }
+
     /// The borders of a node.
     pub fn of(&self, node: usize) -> &[Edge] {
         &self.edges[self.start[node] as usize..self.start[node + 1] as usize]

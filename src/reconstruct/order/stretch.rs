@@ -1,8 +1,10 @@
 //! Stretches: nodes of a view that continue one another, and the orders that are tried for them.
 
 use super::graph::{Edge, Graph};
+use super::grow::{Label, NONE};
 use super::settle::Scene;
 use super::volume;
+use crate::reconstruct::rays::Sightline;
 use std::f32::consts::TAU;
 use std::ops::RangeInclusive;
 
@@ -13,25 +15,42 @@ const MIN_SHARE: u32 = 3;
 /// A node, and the turns that it needs beside those of the stretch's first.
 pub type Member = (u32, i32);
 
-/// The nodes that continue one another from `first` on, of those that `belongs` admits and that are not in `seen` yet; in the order
-/// of their numbers.
-pub fn from(graph: &Graph, first: usize, seen: &mut [bool], belongs: impl Fn(usize) -> bool) -> Vec<Member> {
+/// All stretches of the nodes that are open, none reaching from a node to another that is not `together` with it. Members are in the
+/// order of their numbers.
+pub fn all(
+    graph: &Graph,
+    is_open: impl Fn(usize) -> bool,
+    together: impl Fn(usize, usize) -> bool,
+) -> Vec<Vec<Member>> {
     let continues = |edge: &&Edge| edge.good >= MIN_PAIRS && edge.good >= MIN_SHARE * edge.bad;
-    seen[first] = true;
-    let mut found = vec![(first as u32, 0)];
-    let mut at = 0;
-    while let Some(&(node, turns)) = found.get(at) {
-        at += 1;
-        for edge in graph.of(node as usize).iter().filter(continues) {
-            let other = edge.other as usize;
-            if !seen[other] && belongs(other) {
-                seen[other] = true;
-                found.push((edge.other, turns + edge.turns));
+    let mut seen: Vec<bool> = (0..graph.len()).map(|node| !is_open(node)).collect();
+    let mut stretches = Vec::new();
+    for first in 0..graph.len() {
+        if seen[first] {
+            continue;
+        }
+        seen[first] = true;
+        let mut found = vec![(first as u32, 0)];
+        let mut at = 0;
+        while let Some(&(node, turns)) = found.get(at) {
+            at += 1;
+            for edge in graph.of(node as usize).iter().filter(continues) {
+                let other = edge.other as usize;
+                if !seen[other] && together(first, other) {
+                    seen[other] = true;
+                    found.push((edge.other, turns + edge.turns));
+                }
             }
         }
+        found.sort_unstable();
+        stretches.push(found);
     }
-    found.sort_unstable();
-    found
+    stretches
+}
+
+/// All stretches of the nodes that have no order.
+pub fn open(graph: &Graph, labels: &[Label]) -> Vec<Vec<Member>> {
+    all(graph, |node| labels[node].turns == NONE, |_, _| true)
 }
 
 /// The nodes of a stretch that are tried: so many of those of `min_px` pixels and more, evenly.
@@ -42,8 +61,13 @@ pub fn places(scene: &Scene<'_>, stretch: &[Member], min_px: u32, samples: usize
     large.into_iter().step_by(step).collect()
 }
 
+/// Lines of sight of places, and their phases at order 0 of their stretch, in fringes.
+pub fn lines<'a>(scene: &'a Scene<'_>, places: &[Member]) -> Vec<(&'a Sightline, f32)> {
+    places.iter().map(|&place| (&scene.lines[place.0 as usize], phase(scene, place) / TAU)).collect()
+}
+
 /// Phase of a member's pixel at order 0 of its stretch, rad.
-pub fn phase(scene: &Scene<'_>, (node, turns): Member) -> f32 {
+fn phase(scene: &Scene<'_>, (node, turns): Member) -> f32 {
     scene.phase(node) + TAU * (turns - scene.pieces.turns[node as usize]) as f32
 }
 

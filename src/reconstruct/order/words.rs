@@ -1,8 +1,9 @@
 //! What the other cameras say for and against a node at an order.
 
 use super::grow::NONE;
-use super::settle::{Scene, look};
+use super::settle::{Scene, look, look_along};
 use super::witness::Sight;
+use crate::reconstruct::rays::Sightline;
 use std::f32::consts::TAU;
 use std::ops::AddAssign;
 
@@ -107,8 +108,21 @@ impl Sights {
     }
 }
 
+/// Words for a place on a line of sight of a view, at an absolute phase in fringes. `sights` becomes what the cameras have there.
+pub fn along(
+    scenes: &[Scene<'_>],
+    view: usize,
+    known: &[Vec<i32>],
+    (line, fringes): (&Sightline, f32),
+    sights: &mut Vec<Sight>,
+) -> Words {
+    sights.clear();
+    let inside = look_along(scenes, view, line, fringes, sights);
+    if inside { judge(scenes, view, known, sights) } else { Words::IMPOSSIBLE }
+}
+
 /// Words of what the cameras have.
-pub fn judge(scenes: &[Scene<'_>], view: usize, known: &[Vec<i32>], seen: &[Sight]) -> Words {
+fn judge(scenes: &[Scene<'_>], view: usize, known: &[Vec<i32>], seen: &[Sight]) -> Words {
     let mut words = Words::default();
     for ((scene, known), sight) in scenes.iter().zip(known).zip(seen) {
         let witness = &scene.witness;
