@@ -11,12 +11,15 @@ use super::stretch::{self, Member};
 use super::words;
 
 /// Places of a stretch that are tried, at most and at least, and the pixels of a node that counts as a place.
-const SAMPLES: usize = 24;
+const SAMPLES: usize = 48;
 const MIN_PLACES: usize = 12;
 const MIN_SAMPLE_PX: u32 = 24;
 
 /// So many places say whether an order is worth the rest.
-const FIRST_SAMPLES: usize = 3;
+const FIRST_SAMPLES: usize = 6;
+
+/// What a word of the head's other camera counts, one of another head 1: at wrong orders that camera agrees the least often.
+const PARTNER: i32 = 2;
 
 /// Words for the best order, relative to the places, and to those for any other order.
 const MIN_WORDS: i32 = 1;
@@ -52,26 +55,79 @@ fn only_order(number: usize, scenes: &[Scene<'_>], known: &[Vec<i32>], places: &
         return None;
     }
     let scene = &scenes[number];
-    let (mut best, mut second) = ((0, 0, 0), 0);
     let mut sights = Vec::new();
     let lines = stretch::lines(scene, places);
-    for order in stretch::orders(scene, places)? {
-        let (mut good, mut against) = (0, 0);
+    let trials = stretch::orders(scene, places)?.map(|order| {
+        let mut trial = Trial { order, good: 0, against: 0 };
         for (i, &(line, fringes)) in lines.iter().enumerate() {
             let place = (line, fringes + order as f32);
             let words = words::along(scenes, number, known, place, &mut sights);
-            good += i32::from(words.good());
-            against += i32::from(words.against > 0);
-            if i + 1 == FIRST_SAMPLES && good == 0 {
+            trial.good += PARTNER * i32::from(words.partner) + i32::from(words.heads);
+            trial.against += i32::from(words.against > 0);
+            if i + 1 == FIRST_SAMPLES && trial.good == 0 {
                 break;
             }
         }
-        if good > best.0 {
-            (second, best) = (best.0, (good, against, order));
+        trial
+    });
+    clear(trials, places.len() as i32)
+}
+
+/// What the other cameras say of a stretch at an order.
+#[derive(Debug, Clone, Copy, Default)]
+struct Trial {
+    order: i32,
+    /// Words for it.
+    good: i32,
+    /// Places that are contradicted.
+    against: i32,
+}
+
+/// The order that stands out of these, if one does.
+fn clear(trials: impl Iterator<Item = Trial>, places: i32) -> Option<i32> {
+    let (mut best, mut second) = (Trial::default(), 0);
+    for trial in trials {
+        if trial.good > best.good {
+            (second, best) = (best.good, trial);
         } else {
-            second = second.max(good);
+            second = second.max(trial.good);
         }
     }
-    let ((good, against, order), n) = (best, places.len() as i32);
-    (good >= MIN_WORDS * n && good >= LEAD * second && against * CONTRADICTED <= n).then_some(order)
+    let seen = best.good >= MIN_WORDS * places && best.good >= LEAD * second;
+    (seen && best.against * CONTRADICTED <= places).then_some(best.order)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Trial, clear};
+
+    /// The order that stands out of these words for orders 5, 6, 7, of 20 places; `against` of them are contradicted at order 6.
+    fn of_three(good: [i32; 3], against: i32) -> Option<i32> {
+        let trials = good.into_iter().zip(5..).map(|(good, order)| {
+            let against = if order == 6 { against } else { 0 };
+            Trial { order, good, against }
+        });
+        clear(trials, 20)
+    }
+
+    #[test]
+    fn one_order_that_is_seen_everywhere_stands_out() {
+        assert_eq!(of_three([6, 20, 0], 0), Some(6));
+        assert_eq!(of_three([0, 20, 6], 2), Some(6));
+    }
+
+    #[test]
+    fn what_is_seen_at_two_orders_or_hardly_at_all_stays_open() {
+        assert_eq!(of_three([7, 20, 0], 0), None);
+        assert_eq!(of_three([0, 20, 7], 0), None);
+        assert_eq!(of_three([20, 20, 20], 0), None);
+        assert_eq!(of_three([0, 19, 0], 0), None);
+        assert_eq!(of_three([0; 3], 0), None);
+        assert_eq!(clear(std::iter::empty(), 20), None);
+    }
+
+    #[test]
+    fn what_is_contradicted_stays_open() {
+        assert_eq!(of_three([0, 60, 0], 3), None);
+    }
 }

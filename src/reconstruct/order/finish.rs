@@ -34,24 +34,36 @@ const KNOWN: i16 = 6;
 const CONTRADICTED: i16 = 2;
 
 /// The labels of a view's nodes, from what growth has come to. `known`: the orders of all views.
-pub fn labels(number: usize, mut view: View<'_>, scenes: &[Scene<'_>], known: &[Vec<i32>]) -> Vec<Label> {
+pub fn labels(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &[Vec<i32>]) -> Vec<Label> {
     let scene = &scenes[number];
-    let mut sum = sums(&view, &view.words);
+    let mut sum = sums(view, &view.words);
     let mut labels: Vec<Label> = (0..view.turns.len())
         .map(|node| match view.turns[node] {
             NONE => Label { turns: NONE, contradicted: !view.banned[node].is_empty() },
             turns => {
-                let refused = doubtful(&view, scene, node, &sum[node]);
+                let refused = doubtful(view, scene, node, &sum[node]);
                 Label { turns: if refused { NONE } else { turns }, contradicted: false }
             }
         })
         .collect();
     if view.partnered {
-        close(&mut view, scenes, scene, known, &mut sum, &mut labels);
-        confirmed::place(number, &mut view, scenes, known, &mut labels);
-        enclosed::close(number, &mut view, scenes, known, &mut labels);
+        close(view, scenes, scene, known, &mut sum, &mut labels);
+        stretches(number, view, scenes, known, &mut labels);
     }
     labels
+}
+
+/// Gives stretches that are open their orders, by what is known of all views. For what one view finds another may wait, so this is
+/// asked again when all have their labels.
+pub fn stretches(
+    number: usize,
+    view: &mut View<'_>,
+    scenes: &[Scene<'_>],
+    known: &[Vec<i32>],
+    labels: &mut [Label],
+) {
+    confirmed::place(number, view, scenes, known, labels);
+    enclosed::close(number, view, scenes, known, labels);
 }
 
 /// Whether too little vouches for a node's order. `sum`: words for it and the nodes within two steps.

@@ -115,11 +115,16 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
         }
     }
     let known = known(&views);
+    let labels = views.par_iter_mut().enumerate();
+    let mut labels: Vec<Vec<Label>> =
+        labels.map(|(number, view)| finish::labels(number, view, scenes, &known)).collect();
+    let known: Vec<Vec<i32>> =
+        labels.iter().map(|labels| labels.iter().map(|label| label.turns).collect()).collect();
+    let views = views.par_iter_mut().zip(&mut labels).enumerate();
     views
-        .into_par_iter()
-        .enumerate()
-        .map(|(number, view)| finish::labels(number, view, scenes, &known))
-        .collect()
+        .filter(|(_, (view, _))| view.partnered)
+        .for_each(|(number, (view, labels))| finish::stretches(number, view, scenes, &known, labels));
+    labels
 }
 
 /// The orders of all nodes of all views.
