@@ -7,8 +7,9 @@
 //!
 //! With `--period` the photograph need not be from our instrument: a camera and a projector side by side are made up for
 //! it, whose fringes run along the image's rows' normal with this period; there is then no use in the absolute phase.
-//! OUT has `wrapped` and `absolute` (f32, rad, NaN where unknown) for the whole frame. Prints one JSON object: the stages,
-//! ms, median and least of seven runs after one.
+//! OUT has `wrapped` and `absolute` (f32, rad, NaN where unknown) for the whole frame, and `kept`: the phase of every pixel that would
+//! become a point if its fringe order were known, which without a marker is none. Prints one JSON object: the stages, ms, median and
+//! least of seven runs after one.
 
 use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration};
 use fourdbody::geometry::{Device, Lens, Pose};
@@ -59,9 +60,14 @@ fn main() -> Result<(), Failure> {
             times.into_iter().for_each(|(stage, ms)| stages.entry(stage).or_default().push(ms));
         }
     }
-    let result = Pipeline::new(Triangulator::new(pair), Method::Anchored, true).run(Mono8::from(&image));
+    let pipeline = Pipeline::new(Triangulator::new(pair), Method::Anchored, true);
+    let result = pipeline.run(Mono8::from(&image));
     let maps = result.maps.ok_or_else(|| format!("{:?}", result.outcome))?;
-    write(Path::new(out), &maps)?;
+    let mut prepared =
+        pipeline.prepare(Mono8::from(&image)).map_err(|refused| format!("{:?}", refused.outcome))?;
+    prepared.open.clear();
+    let kept = pipeline.finish(prepared).maps.ok_or("the pipeline keeps no maps")?;
+    write(Path::new(out), &[("wrapped", &maps, "Wm"), ("absolute", &maps, "Fm"), ("kept", &kept, "Fm")])?;
     let figure = |times: &mut Vec<f64>| {
         times.sort_by(f64::total_cmp);
         serde_json::json!({"median_ms": times[times.len() / 2], "least_ms": times[0]})
@@ -121,9 +127,10 @@ fn example() -> Result<Calibration, Failure> {
     Ok(Calibration::new(&rig, "nominal".to_owned(), heads.collect()))
 }
 
-fn write(path: &Path, maps: &Maps) -> Result<(), Failure> {
+/// Writes maps as arrays of the whole frame: the arrays' names, and which map of which they are.
+fn write(path: &Path, arrays: &[(&str, &Maps, &str)]) -> Result<(), Failure> {
     let mut file = npyz::npz::NpzWriter::create(path)?;
-    for (array, map) in [("wrapped", "Wm"), ("absolute", "Fm")] {
+    for &(array, maps, map) in arrays {
         let plane = maps.planes.iter().find(|(name, _)| *name == map).map(|(_, plane)| plane);
         let plane = plane.ok_or_else(|| format!("the pipeline keeps no map {map}"))?;
         let (width, height) = maps.frame;

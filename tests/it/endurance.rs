@@ -85,7 +85,8 @@ fn block_ids_wrap_within_a_session() {
     let (frames, wrapped) = right_frames(&session, triggers);
     println!("{triggers} triggers: {frames} frames of {}, {wrapped} cameras whose ids wrapped", 8 * triggers);
     assert_eq!(wrapped, 8);
-    assert!(frames * 100 >= 8 * triggers * 99, "a busy machine may lose a few: {frames}");
+    // A busy machine may lose some. Without all from before or all from behind the wrap three fifths would be left, at most.
+    assert!(frames * 4 >= 8 * triggers * 3, "too few: {frames}");
 }
 
 /// Frames, each checked against its image; and the cameras whose block ids fell once.

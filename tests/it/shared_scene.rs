@@ -125,7 +125,7 @@ fn a_back_and_a_side_view_are_right_and_nearly_complete() {
     }
 }
 
-/// All cameras give each other their fringe orders. Bounds: what was measured (0.093 % wrong, 84.92 % of lit; see
+/// All cameras give each other their fringe orders. Bounds: what was measured (0.099 % wrong, 89.48 % of lit; see
 /// docs/validation.md) and little room, so that a change for the worse shows.
 #[test]
 fn eight_cameras_together_are_right_and_nearly_complete() {
@@ -167,8 +167,8 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
         all.join(&tally);
     }
     let score = all.score();
-    assert!(score.wrong_order_share < 0.0011, "{score:?}");
-    assert!(score.completeness_of_lit > 0.891, "{score:?}");
+    assert!(score.wrong_order_share < 0.00105, "{score:?}");
+    assert!(score.completeness_of_lit > 0.894, "{score:?}");
 }
 
 /// The paper's method gives a cloud whose right points are as near; it promises no right orders.
