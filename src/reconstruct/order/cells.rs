@@ -117,14 +117,17 @@ impl Cells {
         simd::dispatch(
             #[inline(always)]
             || {
-                for row in 0..rows {
-                    for column in band(surface.runs, row) {
-                        cells.cut(surface, column, row);
+                // Rows touch the next one, which is in the cache yet.
+                for row in 0..=rows {
+                    if row < rows {
+                        for column in band(surface.runs, row) {
+                            cells.cut(surface, column, row);
+                        }
                     }
-                }
-                for row in 0..rows {
-                    for column in band(surface.runs, row) {
-                        cells.touch(surface, column, row);
+                    if let Some(above) = row.checked_sub(1) {
+                        for column in band(surface.runs, above) {
+                            cells.touch(surface, column, above);
+                        }
                     }
                 }
                 cells.glimpses.blur_outlines(surface.runs);
@@ -140,40 +143,22 @@ impl Cells {
         let phase = surface.patch(left, top);
         let cell = row * self.columns + column;
         let first = self.nodes.len();
-        let known = bits(
-            #[inline(always)]
-            |u, v| !phase[v][u].is_nan(),
-        );
-        if known != 0 {
-            let (right_steps, down_steps) = steps(&phase, &surface.carriers(left, top));
-            // A comparison with NaN is false: unknown neighbours do not continue.
-            let right = bits(
+        let (right_steps, down_steps) = steps(&phase, &surface.carriers(left, top));
+        // A comparison with NaN is false: unknown neighbours do not continue.
+        let mut smooth = true;
+        for (right, down) in right_steps.as_flattened().iter().zip(down_steps.as_flattened()) {
+            smooth &= (right.abs() < INNER_RAD) & (down.abs() < INNER_RAD);
+        }
+        if smooth {
+            self.add(ALL, (column, row), &phase, &right_steps, &down_steps);
+        } else {
+            each_patch(
+                &phase,
+                &right_steps,
+                &down_steps,
                 #[inline(always)]
-                |u, v| right_steps[v][u].abs() < INNER_RAD,
+                |mask| self.add(mask, (column, row), &phase, &right_steps, &down_steps),
             );
-            let down = bits(
-                #[inline(always)]
-                |u, v| down_steps[v][u].abs() < INNER_RAD,
-            );
-            let smooth = known == ALL && right == !FIRST_COLUMN && down == !FIRST_ROW;
-            let mut rest = known;
-            while rest != 0 {
-                let mask = if smooth { ALL } else { flood(rest & rest.wrapping_neg(), right, down) };
-                rest &= !mask;
-                let (inner_right, inner_down) =
-                    (mask & (mask << 1) & !FIRST_COLUMN, mask & (mask << CELL_PX));
-                let place = middle(mask);
-                let (u, v) = (place % CELL_PX, place / CELL_PX);
-                self.nodes.push(Node {
-                    pixel: ((top + v) * self.width + left + u) as u32,
-                    phase: phase[v][u],
-                    size: mask.count_ones(),
-                    cell: cell as u32,
-                    mask,
-                    right: mean(inner_right, &right_steps),
-                    down: mean(inner_down, &down_steps),
-                });
-            }
         }
         let nodes = &self.nodes[first..];
         self.grid[cell] = (first as u32, nodes.len() as u32);
@@ -184,6 +169,23 @@ impl Cells {
         } else {
             self.rim(surface, column, row, &phase);
         }
+    }
+
+    /// Adds a node: these pixels of a cell.
+    #[inline(always)]
+    fn add(&mut self, mask: u64, (column, row): (usize, usize), phase: &Patch, right: &Patch, down: &Patch) {
+        let (inner_right, inner_down) = (mask & (mask << 1) & !FIRST_COLUMN, mask & (mask << CELL_PX));
+        let place = middle(mask);
+        let (u, v) = (place % CELL_PX, place / CELL_PX);
+        self.nodes.push(Node {
+            pixel: ((row * CELL_PX + v) * self.width + column * CELL_PX + u) as u32,
+            phase: phase[v][u],
+            size: mask.count_ones(),
+            cell: (row * self.columns + column) as u32,
+            mask,
+            right: mean(inner_right, right),
+            down: mean(inner_down, down),
+        });
     }
 
     /// Keeps the pixels of a cell that no node fills, if it shows the object.
@@ -223,11 +225,15 @@ impl Cells {
         for (cell, &(first, count)) in self.grid.iter().enumerate().filter(|(_, grid)| grid.1 > 0) {
             let (left, top) = (cell % self.columns * CELL_PX, cell / self.columns * CELL_PX);
             let mut add = [[f32::NAN; CELL_PX]; CELL_PX];
-            for node in first as usize..(first + count) as usize {
-                let (rows, by) = (self.nodes[node].mask.to_le_bytes(), by[node]);
-                for (add, row) in add.iter_mut().zip(rows) {
-                    for (u, add) in add.iter_mut().enumerate() {
-                        *add = if row >> u & 1 != 0 { by } else { *add };
+            if self.nodes[first as usize].mask == ALL {
+                add = [[by[first as usize]; CELL_PX]; CELL_PX];
+            } else {
+                for node in first as usize..(first + count) as usize {
+                    let (rows, by) = (self.nodes[node].mask.to_le_bytes(), by[node]);
+                    for (add, row) in add.iter_mut().zip(rows) {
+                        for (u, add) in add.iter_mut().enumerate() {
+                            *add = if row >> u & 1 != 0 { by } else { *add };
+                        }
                     }
                 }
             }
@@ -411,11 +417,36 @@ fn middle(mask: u64) -> usize {
     (ring.trailing_zeros() as usize).min(CELL_PX * CELL_PX - 1)
 }
 
-/// Steps of a cell's phases to each pixel, less the carrier's, from the one to its left and from the one above; NaN where
+/// Calls `each` with the pixels of a cell that hang together, patch by patch.
+#[inline(always)]
+fn each_patch(phase: &Patch, right_steps: &Patch, down_steps: &Patch, mut each: impl FnMut(u64)) {
+    let mut rest = bits(
+        #[inline(always)]
+        |u, v| !phase[v][u].is_nan(),
+    );
+    if rest == 0 {
+        return;
+    }
+    let right = bits(
+        #[inline(always)]
+        |u, v| right_steps[v][u].abs() < INNER_RAD,
+    );
+    let down = bits(
+        #[inline(always)]
+        |u, v| down_steps[v][u].abs() < INNER_RAD,
+    );
+    while rest != 0 {
+        let mask = flood(rest & rest.wrapping_neg(), right & !FIRST_COLUMN, down & !FIRST_ROW);
+        rest &= !mask;
+        each(mask);
+    }
+}
+
+/// Steps of a cell's phases to each pixel, less the carrier's, from the one to its left and from the one above; 0 where
 /// these are of other cells.
 #[inline(always)]
 fn steps(phase: &Patch, carrier: &Patch) -> (Patch, Patch) {
-    let [mut right, mut down] = [[[f32::NAN; CELL_PX]; CELL_PX]; 2];
+    let [mut right, mut down] = [[[0.0; CELL_PX]; CELL_PX]; 2];
     for v in 0..CELL_PX {
         for u in 1..CELL_PX {
             right[v][u] = phase[v][u] - phase[v][u - 1] - carrier[v][u];
