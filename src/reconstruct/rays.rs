@@ -101,17 +101,18 @@ impl RayTable {
         Sightline { direction: std::array::from_fn(mix), terms: std::array::from_fn(|k| mix(3 + k)) }
     }
 
-    /// Inverse of the depth at which a line of sight has an absolute phase, in fringes; `None` outside of the volume.
+    /// Inverse of the depth at which a line of sight has an absolute phase, in fringes; no number outside of the volume.
     #[inline]
-    pub(super) fn inverse_depth(&self, line: &Sightline, fringes: f32) -> Option<f32> {
+    pub(super) fn inverse_depth(&self, line: &Sightline, fringes: f32) -> f32 {
         let s = fringes * self.per_fringe - 1.0;
         let w = line.terms.iter().rev().fold(0.0, |w, term| w * s + term);
         let depth = 1.0 / w;
-        let inside = (0..3).all(|i| {
+        let mut inside = (s.abs() < 1.0) & (w > 0.0);
+        for i in 0..3 {
             let x = self.centre[i] + depth * line.direction[i];
-            (self.volume[0][i]..=self.volume[1][i]).contains(&x)
-        });
-        (s.abs() < 1.0 && w > 0.0 && inside).then_some(w)
+            inside &= (self.volume[0][i] <= x) & (x <= self.volume[1][i]);
+        }
+        if inside { w } else { f32::NAN }
     }
 
     /// Nodes of row `v` for blocks `first .. first + blocks` of 8 px, and the node after them, into `line`.

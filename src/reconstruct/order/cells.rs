@@ -130,7 +130,7 @@ impl Cells {
                         }
                     }
                 }
-                cells.glimpses.blur_outlines(surface.runs);
+                cells.glimpses.mark_outlines(surface.runs);
             },
         );
         cells
@@ -193,8 +193,8 @@ impl Cells {
     fn rim(&mut self, surface: &Surface<'_>, column: usize, row: usize, phase: &Patch) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
         let (first, count) = self.grid[row * self.columns + column];
-        let mut rim =
-            Rim { object: 0, first, of: [0; CELL_PX * CELL_PX], phase: [[f32::NAN; CELL_PX + 1]; CELL_PX] };
+        let of = [0; CELL_PX * CELL_PX];
+        let mut rim = Rim { object: 0, near: 0, first, of, phase: [[f32::NAN; CELL_PX + 1]; CELL_PX] };
         for (v, (line, phase)) in rim.phase.iter_mut().zip(phase).enumerate() {
             line[..CELL_PX].copy_from_slice(phase);
             if top + v < surface.phase.height() {

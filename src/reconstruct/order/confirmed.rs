@@ -6,6 +6,7 @@
 //! no other, is there. Small ones are seen at wrong orders by chance.
 
 use super::grow::{Label, View};
+use super::looks::Looks;
 use super::settle::Scene;
 use super::stretch::{self, Member};
 use super::words;
@@ -55,16 +56,20 @@ fn only_order(number: usize, scenes: &[Scene<'_>], known: &[Vec<i32>], places: &
         return None;
     }
     let scene = &scenes[number];
-    let mut sights = Vec::new();
     let lines = stretch::lines(scene, places);
+    let mut looks = Looks::default();
     let trials = stretch::orders(scene, places)?.map(|order| {
         let mut trial = Trial { order, good: 0, against: 0 };
-        for (i, &(line, fringes)) in lines.iter().enumerate() {
-            let place = (line, fringes + order as f32);
-            let words = words::along(scenes, number, known, place, &mut sights);
-            trial.good += PARTNER * i32::from(words.partner) + i32::from(words.heads);
-            trial.against += i32::from(words.against > 0);
-            if i + 1 == FIRST_SAMPLES && trial.good == 0 {
+        let (first, rest) = lines.split_at(FIRST_SAMPLES);
+        for places in [first, rest] {
+            looks.clear();
+            looks.add(scenes, number, places, order..=order);
+            for place in 0..places.len() {
+                let words = words::of(scenes, number, known, &looks, place);
+                trial.good += PARTNER * i32::from(words.partner) + i32::from(words.heads);
+                trial.against += i32::from(words.against > 0);
+            }
+            if trial.good == 0 {
                 break;
             }
         }

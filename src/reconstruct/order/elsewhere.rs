@@ -8,11 +8,10 @@
 
 use super::cells::CELL_PX;
 use super::grow::{NONE, View, known, sums};
+use super::looks::{Looks, PLACES};
 use super::settle::Scene;
 use super::stretch::{self, Member};
-use super::witness::Sight;
 use super::words::{self, Words};
-use crate::reconstruct::rays::Sightline;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -56,9 +55,30 @@ impl Blocks {
     }
 }
 
+/// What the other cameras say of a stretch at an order.
+#[derive(Debug, Clone, Copy, Default)]
+struct Trial {
+    /// Places that other heads confirm.
+    agree: u32,
+    /// Places that are contradicted.
+    against: u32,
+}
+
+impl Trial {
+    fn add(&mut self, words: Words) {
+        let bad = words.against + words.hidden;
+        self.agree += u32::from(words.heads > bad);
+        self.against += u32::from(bad > words.good());
+    }
+
+    fn score(&self) -> i32 {
+        self.agree as i32 - self.against as i32
+    }
+}
+
 /// What was tried in vain.
 #[derive(Debug)]
-struct Trial {
+struct Failure {
     stretch: Vec<Member>,
     /// The blocks in which it would have been seen.
     seen: Blocks,
@@ -72,7 +92,7 @@ pub struct Seeker {
     /// What was known in the last round.
     known: Vec<Vec<i32>>,
     /// By view and first node.
-    trials: Vec<BTreeMap<usize, Trial>>,
+    failures: Vec<BTreeMap<usize, Failure>>,
 }
 
 impl Seeker {
@@ -85,8 +105,8 @@ impl Seeker {
             first
         });
         let first_block = first_block.collect();
-        let trials = scenes.iter().map(|_| BTreeMap::new()).collect();
-        Self { first_block, known: Vec::new(), trials }
+        let failures = scenes.iter().map(|_| BTreeMap::new()).collect();
+        Self { first_block, known: Vec::new(), failures }
     }
 
     /// Gives stretches that no other head confirms the order at which other heads see them.
@@ -99,10 +119,10 @@ impl Seeker {
             }
         }
         let search = Search { scenes, known: &known, first_block: &self.first_block };
-        let views = views.par_iter_mut().zip(&mut self.trials).enumerate();
-        views.filter(|(_, (view, _))| view.partnered).for_each(|(number, (view, trials))| {
-            trials.retain(|_, trial| !trial.seen.meet(&changed));
-            search.view(number, view, trials);
+        let views = views.par_iter_mut().zip(&mut self.failures).enumerate();
+        views.filter(|(_, (view, _))| view.partnered).for_each(|(number, (view, failures))| {
+            failures.retain(|_, failure| !failure.seen.meet(&changed));
+            search.view(number, view, failures);
         });
         self.known = known;
     }
@@ -116,7 +136,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn view(&self, number: usize, view: &mut View<'_>, trials: &mut BTreeMap<usize, Trial>) {
+    fn view(&self, number: usize, view: &mut View<'_>, failures: &mut BTreeMap<usize, Failure>) {
         let scene = &self.scenes[number];
         // Of what the others say, only what other heads confirm.
         let heads: Vec<Words> = view
@@ -130,16 +150,16 @@ impl Search<'_> {
         let together = |first: usize, other: usize| square(scene, first) == square(scene, other);
         for stretch in stretch::all(view.graph, |node| lonely[node], together) {
             let first = stretch[0].0 as usize;
-            if stretch.len() < MIN_NODES || trials.get(&first).is_some_and(|x| x.stretch == stretch) {
+            if stretch.len() < MIN_NODES || failures.get(&first).is_some_and(|x| x.stretch == stretch) {
                 continue;
             }
             let mut seen = Blocks::default();
             match self.confirmed(number, &stretch, &mut seen) {
                 Some(order) => {
-                    trials.remove(&first);
+                    failures.remove(&first);
                     take(self.scenes, view, &stretch, order, self.known);
                 }
-                None => drop(trials.insert(first, Trial { stretch, seen })),
+                None => drop(failures.insert(first, Failure { stretch, seen })),
             }
         }
     }
@@ -153,48 +173,48 @@ impl Search<'_> {
         }
         let orders = stretch::orders(scene, &places)?;
         let samples = stretch::lines(scene, &places);
-        let (mut best, mut second) = ((i32::MIN, 0, 0, 0), 0);
-        let mut sights = Vec::new();
-        for order in orders {
-            let (mut agree, mut against) = (0u32, 0u32);
-            for (i, (line, fringes)) in samples.iter().enumerate() {
-                let words = self.words(number, line, fringes + order as f32, &mut sights, seen);
-                let bad = words.against + words.hidden;
-                agree += u32::from(words.heads > bad);
-                against += u32::from(bad > words.good());
-                // What is left cannot make it the best or the second.
-                let hopeless = agree as i32 - against as i32 + ((samples.len() - i - 1) as i32) <= second;
-                if hopeless || i + 1 == FIRST_SAMPLES && agree == 0 {
+        let (first, rest) = samples.split_at(samples.len().min(FIRST_SAMPLES));
+        let mut looks = Looks::default();
+        looks.add(self.scenes, number, first, orders.clone());
+        let mut trials: Vec<(i32, Trial)> = orders.map(|order| (order, Trial::default())).collect();
+        for (i, (_, trial)) in trials.iter_mut().enumerate() {
+            for place in i * first.len()..(i + 1) * first.len() {
+                trial.add(self.words(number, &looks, place, seen));
+            }
+        }
+        let (mut best, mut second) = ((i32::MIN, Trial::default()), 0);
+        for (order, mut trial) in trials {
+            let mut left = rest.len() as i32;
+            for places in rest.chunks(PLACES) {
+                // Either nothing speaks for it, or what is left cannot make it the best or the second.
+                if trial.agree == 0 || trial.score() + left <= second {
                     break;
                 }
+                left -= places.len() as i32;
+                looks.clear();
+                looks.add(self.scenes, number, places, order..=order);
+                (0..places.len()).for_each(|place| trial.add(self.words(number, &looks, place, seen)));
             }
-            let score = agree as i32 - against as i32;
-            if score > best.0 {
-                second = best.0.max(0);
-                best = (score, order, agree, against);
+            if best.1.score() < trial.score() {
+                second = best.1.score();
+                best = (order, trial);
             } else {
-                second = second.max(score);
+                second = second.max(trial.score());
             }
         }
-        let (score, order, agree, against) = best;
-        let enough = agree >= MIN_CONFIRMED && agree as f32 >= MIN_SHARE * samples.len() as f32;
-        (enough && score >= 2 * second.max(1) && against * LEAD <= agree).then_some(order)
+        let (order, trial) = best;
+        let enough = trial.agree >= MIN_CONFIRMED && trial.agree as f32 >= MIN_SHARE * samples.len() as f32;
+        (enough && trial.score() >= 2 * second.max(1) && trial.against * LEAD <= trial.agree).then_some(order)
     }
 
-    /// Words for a place on a line of sight.
-    fn words(
-        &self,
-        number: usize,
-        line: &Sightline,
-        fringes: f32,
-        sights: &mut Vec<Sight>,
-        seen: &mut Blocks,
-    ) -> Words {
-        let words = words::along(self.scenes, number, self.known, (line, fringes), sights);
-        for (first, sight) in self.first_block.iter().zip(sights.iter()).filter(|x| x.1.is_node()) {
-            seen.mark(first + sight.node as usize / BLOCK_NODES);
+    /// Words for a place that was looked at. Where it would be seen is marked.
+    fn words(&self, number: usize, looks: &Looks, place: usize, seen: &mut Blocks) -> Words {
+        for (first, sight) in self.first_block.iter().zip(looks.at(place).into_iter().flatten()) {
+            if sight.is_node() {
+                seen.mark(first + sight.node as usize / BLOCK_NODES);
+            }
         }
-        words
+        words::of(self.scenes, number, self.known, looks, place)
     }
 }
 

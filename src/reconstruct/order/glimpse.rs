@@ -1,8 +1,8 @@
 //! A view's cells as other cameras look at them.
 //!
 //! Looks come from anywhere in the image and wait for memory. A cell that one node fills is a plane of 16 bytes, of which all stay
-//! in the cache; only the others, on outlines and at steps, keep their pixels, side by side. Whether the object is beside a place is a
-//! bit for each pixel.
+//! in the cache, and so is one beside the object: a bit for each of its pixels. Only the others, on outlines and at steps, keep
+//! their pixels, side by side.
 
 use super::cells::CELL_PX;
 use crate::reconstruct::bits::{self, WORD};
@@ -32,10 +32,10 @@ fn words(cells: usize) -> usize {
 pub struct Glimpse {
     /// The node that fills it; or one of the following.
     pub node: u32,
-    /// The phase of the node's plane at the cell's first pixel, rad.
+    /// The phase of the node's plane at the cell's first pixel, rad; NaN where there is none.
     pub phase: f32,
-    /// Its step from column to column, and from row to row, rad.
-    pub steps: [f32; 2],
+    /// Of a plane its steps, of [`Self::NEAR`] its pixels.
+    bits: u64,
 }
 
 /// What is seen in a cell.
@@ -55,26 +55,45 @@ impl Glimpse {
     /// Beside the object, and so is all within [`BACKGROUND_PX`].
     pub const FAR: u32 = u32::MAX;
     /// Beside the object.
-    const NEAR: u32 = u32::MAX - 1;
+    pub const NEAR: u32 = u32::MAX - 1;
     /// From here on: places in [`Glimpses::rims`].
     pub const RIM: u32 = 1 << 31;
     /// What is not seen: a plane without a phase.
     const UNSEEN: Self = Self::none(0);
 
-    /// A cell that a node fills, as a plane.
+    /// A cell that a node fills, as a plane: its phase at the first pixel, its step from column to column, and from row to row, rad.
     #[inline(always)]
     pub fn plane(node: u32, phase: f32, steps: [f32; 2]) -> Self {
-        Self { node, phase, steps }
+        let [right, down] = steps.map(f32::to_bits);
+        Self { node, phase, bits: u64::from(right) | u64::from(down) << 32 }
+    }
+
+    /// A cell beside the object, with its [`near`](Self::near).
+    fn beside(near: u64) -> Self {
+        Self { node: Self::NEAR, phase: f32::NAN, bits: near }
     }
 
     const fn none(kind: u32) -> Self {
-        Self { node: kind, phase: f32::NAN, steps: [0.0; 2] }
+        Self { node: kind, phase: f32::NAN, bits: 0 }
     }
 
-    /// Whether more has to be asked than the cell.
+    /// The step of its plane from column to column, and from row to row, rad.
     #[inline(always)]
-    pub fn is_vague(&self) -> bool {
-        (Self::RIM..Self::FAR).contains(&self.node)
+    pub fn steps(&self) -> [f32; 2] {
+        [self.bits as u32, (self.bits >> 32) as u32].map(f32::from_bits)
+    }
+
+    /// Whether it has pixels that have to be asked.
+    #[inline(always)]
+    pub fn is_rim(&self) -> bool {
+        (Self::RIM..Self::NEAR).contains(&self.node)
+    }
+
+    /// Of a cell beside the object: a bit for each pixel, row by row, that has the object [`BACKGROUND_PX`] to the left, to the right,
+    /// above or below. Of any other nothing of use.
+    #[inline(always)]
+    pub fn near(&self) -> u64 {
+        self.bits
     }
 
     /// What it shows.
@@ -94,6 +113,8 @@ impl Glimpse {
 pub struct Rim {
     /// A bit for each pixel of the object, row by row.
     pub object: u64,
+    /// A bit for each pixel that is the object or has it [`BACKGROUND_PX`] to the left, to the right, above or below.
+    pub near: u64,
     /// The first of its nodes.
     pub first: u32,
     /// For each pixel 0, or the number of its node among the cell's, from 1.
@@ -119,9 +140,6 @@ pub struct Glimpses {
     cells: Vec<Glimpse>,
     /// Cells that no node fills, though they show the object.
     rims: Vec<Rim>,
-    /// A bit for each pixel of the grid, 64 a word, row by row: whether the object is there, or [`BACKGROUND_PX`] to the left, to the
-    /// right, above or below.
-    near: Vec<u64>,
 }
 
 impl Glimpses {
@@ -130,8 +148,7 @@ impl Glimpses {
         let (stride, rows) = (padded(width), padded(height));
         let mut cells = vec![Glimpse::none(Glimpse::FAR); stride * rows + 1];
         cells[stride * rows] = Glimpse::UNSEEN;
-        let near = vec![0; words(stride) * rows * CELL_PX];
-        Self { stride, rows, cells, rims: Vec::new(), near }
+        Self { stride, rows, cells, rims: Vec::new() }
     }
 
     /// The place of a cell of the region of interest in the padded grid.
@@ -144,6 +161,19 @@ impl Glimpses {
     #[inline(always)]
     pub fn at(&self, place: u32) -> &Glimpse {
         &self.cells[(place as usize).min(self.cells.len() - 1)]
+    }
+
+    /// Whether a pixel is the object's or has it beside it. `place` is a cell; the pixel is counted from its first, and may be in the
+    /// next column of cells.
+    pub fn is_near(&self, place: u32, u: usize, v: usize) -> bool {
+        let cell = self.at(place + (u / CELL_PX) as u32);
+        let pixel = v % CELL_PX * CELL_PX + u % CELL_PX;
+        match cell.kind() {
+            Kind::Far => false,
+            Kind::Near => cell.near() >> pixel & 1 != 0,
+            Kind::Rim(rim) => self.rims.get(rim).is_some_and(|rim| rim.near >> pixel & 1 != 0),
+            Kind::Node(_) => true,
+        }
     }
 
     /// The rim that a cell names.
@@ -177,15 +207,6 @@ impl Glimpses {
         self.cells[self.place(column, row)].kind()
     }
 
-    /// Whether a place of the region of interest, or beyond it, is the object's or has it beside it.
-    #[inline(always)]
-    pub fn is_near(&self, x: f32, y: f32) -> bool {
-        const MIDDLE: f32 = PAD_PX as f32 + 0.5;
-        let (u, v) = ((x + MIDDLE) as usize, (y + MIDDLE) as usize);
-        let inside = u < self.stride * CELL_PX && v < self.rows * CELL_PX;
-        inside && self.near[v * words(self.stride) + u / WORD] >> (u % WORD) & 1 != 0
-    }
-
     /// The node of a pixel.
     #[inline(always)]
     pub fn node(&self, u: usize, v: usize) -> Option<u32> {
@@ -196,17 +217,19 @@ impl Glimpses {
         }
     }
 
-    /// Marks all that is on the object, or beside it.
+    /// A bit for each pixel of the grid, 64 a word, row by row: whether the object is there, or [`BACKGROUND_PX`] to the left, to the
+    /// right, above or below.
     #[inline(always)]
-    fn mark_near(&mut self, runs: &Runs) {
+    fn near(&self, runs: &Runs) -> Vec<u64> {
         const REACH: usize = BACKGROUND_PX as usize;
         const { assert!(REACH <= PAD_PX) };
         let words = words(self.stride);
+        let mut near = vec![0; words * self.rows * CELL_PX];
         for v in 0..runs.height() {
             for run in runs.row(v) {
                 let (row, start, end) = (v + PAD_PX, run.start() + PAD_PX, run.end() + PAD_PX);
                 let mut mark = |row: usize, start: usize, end: usize| {
-                    bits::set(&mut self.near[row * words..(row + 1) * words], start..end);
+                    bits::set(&mut near[row * words..(row + 1) * words], start..end);
                 };
                 mark(row - REACH, start, end);
                 mark(row + REACH, start, end);
@@ -215,24 +238,35 @@ impl Glimpses {
                 mark(row, start + REACH, end + REACH);
             }
         }
+        near
     }
 
-    /// Marks the background around the object.
+    /// Marks the background around the object, when all cells that show it are set.
     #[inline(always)]
-    pub fn blur_outlines(&mut self, runs: &Runs) {
-        self.mark_near(runs);
+    pub fn mark_outlines(&mut self, runs: &Runs) {
         const REACH: usize = (BACKGROUND_PX as usize).div_ceil(CELL_PX);
+        let near = self.near(runs);
         let stride = self.stride;
+        let near_of = |place: usize| {
+            let (column, row) = (place % stride, place / stride);
+            let (word, byte) = (column * CELL_PX / WORD, column % (WORD / CELL_PX));
+            let first = row * CELL_PX * words(stride) + word;
+            let rows = (0..CELL_PX).map(|v| near[first + v * words(stride)] >> (byte * CELL_PX) & 0xff);
+            rows.rev().fold(0, |all, row| all << CELL_PX | row)
+        };
         for row in 0..runs.height().div_ceil(CELL_PX) {
             for column in super::cells::band(runs, row) {
                 let at = self.place(column, row);
-                if self.cells[at].node >= Glimpse::NEAR {
-                    continue;
+                match self.cells[at].kind() {
+                    Kind::Far | Kind::Near => continue,
+                    Kind::Rim(rim) => self.rims[rim].near = near_of(at),
+                    Kind::Node(_) => {}
                 }
                 for step in 1..=REACH {
                     for other in [at - step, at + step, at - step * stride, at + step * stride] {
-                        let node = &mut self.cells[other].node;
-                        *node = if *node == Glimpse::FAR { Glimpse::NEAR } else { *node };
+                        if self.cells[other].node == Glimpse::FAR {
+                            self.cells[other] = Glimpse::beside(near_of(other));
+                        }
                     }
                 }
             }
@@ -258,9 +292,12 @@ mod tests {
         for (i, of) in of.iter_mut().enumerate().filter(|x| x.0 % 8 < 4) {
             *of = if i == 8 { 0 } else { 1 + u8::from(i >= 32) };
         }
-        let columns = 0x0f0f_0f0f_0f0f_0f0f;
-        glimpses.set_rim(1, 0, Rim { object: columns, first: 6, of, phase: [[0.0; 9]; 8] });
-        glimpses.blur_outlines(&Runs::of(&object));
+        glimpses.set_rim(
+            1,
+            0,
+            Rim { object: 0x0f0f_0f0f_0f0f_0f0f, near: 0, first: 6, of, phase: [[0.0; 9]; 8] },
+        );
+        glimpses.mark_outlines(&Runs::of(&object));
         for v in 0..40 {
             for u in 0..40 {
                 let expected = match (u, v) {
@@ -272,14 +309,19 @@ mod tests {
                 assert_eq!(glimpses.node(u, v), expected, "({u}, {v})");
             }
         }
-        // The object with the places beside it; nothing is anywhere else.
-        assert!(!glimpses.is_near(f32::NAN, 4.0) && !glimpses.is_near(4.0, f32::INFINITY));
-        let is_object = |u: i32, v: i32| (0..12).contains(&u) && (0..8).contains(&v);
-        for v in -30..60 {
-            for u in -30..60 {
-                let beside = [(0, 0), (-10, 0), (10, 0), (0, -10), (0, 10)];
-                let expected = beside.into_iter().any(|(a, b)| is_object(u + a, v + b));
-                assert_eq!(glimpses.is_near(u as f32 + 0.3, v as f32 - 0.4), expected, "({u}, {v})");
+        // The object with the places beside it; nothing is anywhere else. The padded grid has 9 x 8 cells.
+        let is_object = |u: usize, v: usize| (24..36).contains(&u) && (24..32).contains(&v);
+        for v in 0..64usize {
+            for u in 0..72usize {
+                let beside = [(10, 10), (0, 10), (20, 10), (10, 0), (10, 20)];
+                let is_near = beside
+                    .into_iter()
+                    .any(|(a, b)| is_object((u + a).wrapping_sub(10), (v + b).wrapping_sub(10)));
+                let place = (v / 8 * 9 + u / 8) as u32;
+                assert_eq!(glimpses.is_near(place, u % 8, v % 8), is_near, "({u}, {v})");
+                if u % 8 == 0 && u > 0 {
+                    assert_eq!(glimpses.is_near(place - 1, 8, v % 8), is_near, "({u}, {v})");
+                }
             }
         }
         let kind = |column: usize, row: usize| glimpses.of(8 * column, 8 * row);

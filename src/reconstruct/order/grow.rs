@@ -289,6 +289,7 @@ fn check(scenes: &[Scene<'_>], views: &mut [View<'_>]) {
         |view: &View<'_>| view.turns.iter().zip(&view.checked).map(|(is, was)| *is != was.0).collect();
     let changed: Vec<Vec<bool>> = views.iter().map(differs).collect();
     views.par_iter_mut().zip(scenes).for_each(|(view, scene)| {
+        view.sights.prepare(scenes, &view.turns);
         for node in 0..view.turns.len() {
             let turns = view.turns[node];
             if turns != NONE

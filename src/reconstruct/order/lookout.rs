@@ -23,10 +23,6 @@ type Lanes = [f32; LANES];
 /// Where each camera of some would see a place.
 #[derive(Debug, Clone, Copy)]
 pub struct Spots {
-    /// Column in the region of interest.
-    pub x: Lanes,
-    /// Row in the region of interest.
-    pub y: Lanes,
     /// Cell of the padded grid; [`NOWHERE`] where the camera does not see it.
     pub cell: [u32; LANES],
     /// Columns from the cell's first.
@@ -39,6 +35,31 @@ pub struct Spots {
 
 /// No cell.
 pub const NOWHERE: u32 = u32::MAX;
+
+/// How to get to a place from a view.
+#[derive(Debug, Clone, Copy)]
+pub struct Ray {
+    /// Direction of the line of sight, as [`RayTable`] has it.
+    direction: [f32; 3],
+    /// Inverse of the depth, 1/m; no number outside of the volume.
+    inverse_depth: f32,
+}
+
+impl Ray {
+    /// To nowhere.
+    pub const NONE: Self = Self { direction: [0.0; 3], inverse_depth: f32::NAN };
+
+    /// Whether the place lies in the volume.
+    pub fn is_inside(&self) -> bool {
+        !self.inverse_depth.is_nan()
+    }
+}
+
+impl Spots {
+    /// None.
+    pub const NONE: Self =
+        Self { cell: [NOWHERE; LANES], right: [0.0; LANES], down: [0.0; LANES], cast: [f32::NAN; LANES] };
+}
 
 /// Devices side by side: what [`Device::project`] does, for lines of sight of one view.
 #[derive(Debug, Clone)]
@@ -184,30 +205,33 @@ impl<'a> Lookout<'a> {
         Self { table, blocks }
     }
 
-    /// Where each camera sees the place on a line of sight at an absolute phase, in fringes: `each` gets the first camera's
-    /// number with eight of them. False, and nothing, where the place is outside of the volume.
+    /// How to get to a place on a line of sight at an absolute phase, in fringes.
     #[inline]
-    pub fn look(&self, line: &Sightline, fringes: f32, mut each: impl FnMut(usize, &Spots)) -> bool {
-        let Some(w) = self.table.inverse_depth(line, fringes) else { return false };
-        for (i, block) in self.blocks.iter().enumerate() {
-            let spots = simd::dispatch(
-                #[inline(always)]
-                || block.spots(line.direction, w),
-            );
-            each(i * LANES, &spots);
-        }
-        true
+    pub fn ray(&self, (line, fringes): (&Sightline, f32)) -> Ray {
+        Ray { direction: line.direction, inverse_depth: self.table.inverse_depth(line, fringes) }
+    }
+
+    /// Where each camera of a block of eight sees places.
+    #[inline]
+    pub fn spots(&self, block: usize, places: &[Ray], out: &mut [Spots]) {
+        let block = &self.blocks[block];
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for (out, place) in out.iter_mut().zip(places) {
+                    block.spots(place, out);
+                }
+            },
+        );
     }
 }
 
 impl Block {
     #[inline(always)]
-    fn spots(&self, direction: [f32; 3], w: f32) -> Spots {
+    fn spots(&self, place: &Ray, out: &mut Spots) {
         const PAD: f32 = PAD_PX as f32;
-        let [u, v] = self.cameras.project(direction, w);
-        let [column, _] = self.projectors.project(direction, w);
-        let none = [0.0; LANES];
-        let mut out = Spots { x: none, y: none, cell: [0; LANES], right: none, down: none, cast: none };
+        let [u, v] = self.cameras.project(place.direction, place.inverse_depth);
+        let [column, _] = self.projectors.project(place.direction, place.inverse_depth);
         for i in 0..LANES {
             let (x, y) = (u[i] - self.origin[0][i], v[i] - self.origin[1][i]);
             // A pixel has its row in the middle; columns are interpolated from one to the next.
@@ -221,22 +245,20 @@ impl Block {
             out.cell[i] = if seen { row as u32 * self.stride[i] + column as u32 } else { NOWHERE };
             out.right[i] = x + PAD - (column * CELL_PX as i32) as f32;
             out.down[i] = y + PAD - (row * CELL_PX as i32) as f32;
-            (out.x[i], out.y[i]) = (x, y);
         }
         for ((cast, column), per_column) in out.cast.iter_mut().zip(column).zip(self.per_column) {
             *cast = (column + 0.5) * per_column;
         }
-        out
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, Lookout, NOWHERE};
+    use super::{LANES, Lookout, NOWHERE, Spots};
     use crate::calibrate::Calibration;
     use crate::config::Rig;
     use crate::reconstruct::order::cells::CELL_PX;
-    use crate::reconstruct::order::glimpse::{BACKGROUND_PX, PAD_CELLS, padded};
+    use crate::reconstruct::order::glimpse::{BACKGROUND_PX, PAD_CELLS, PAD_PX, padded};
     use crate::reconstruct::pair::Pair;
     use crate::reconstruct::rays::RayTable;
     use crate::reconstruct::roi::Roi;
@@ -265,12 +287,21 @@ mod tests {
         let (view, table) = (1, RayTable::new(&pairs[1]));
         let triangulator = Triangulator::new(pairs[view].clone());
         let lookout = Lookout::new(&table, view, pairs.iter().map(|pair| (pair, roi)));
+        let stride = padded(roi.width);
         let (mut seen, mut looks) = (0, 0);
-        for (i, fringe) in (0..2000).map(|i| (i, f64::from(i) * 0.618 % 128.0)) {
+        for (i, fringe) in (0..2000u32).map(|i| (i, f64::from(i) * 0.618 % 128.0)) {
             let (u, v) = (i * 37 % 1900, i * 53 % 1190);
             let Some((_, world)) = triangulator.point(u as usize, v as usize, fringe * TAU) else { continue };
             let line = table.sightline(u as usize, v as usize);
-            let inside = lookout.look(&line, fringe as f32, |first, spots| {
+            let ray = lookout.ray((&line, fringe as f32));
+            if !ray.is_inside() {
+                continue;
+            }
+            looks += 1;
+            for first in (0..pairs.len()).step_by(LANES) {
+                let mut spots = [Spots::NONE; 1];
+                lookout.spots(first / LANES, &[ray], &mut spots);
+                let [spots] = spots;
                 for (pair, i) in pairs[first..].iter().zip(0..LANES).filter(|x| first + x.1 != view) {
                     let Some(place) = pair.camera.project(&world) else { continue };
                     let margin = f64::from(BACKGROUND_PX) + 0.1;
@@ -278,23 +309,24 @@ mod tests {
                     if !near(place[0], pair.camera.width) || !near(place[1], pair.camera.height) {
                         continue;
                     }
-                    let (x, y) = (f64::from(spots.x[i]), f64::from(spots.y[i]));
+                    assert_ne!(spots.cell[i], NOWHERE);
+                    let first_px = |cell: usize| (cell * CELL_PX) as f64 - PAD_PX as f64;
+                    let (column, row) = (spots.cell[i] as usize % stride, spots.cell[i] as usize / stride);
+                    let x = first_px(column) + f64::from(spots.right[i]);
+                    let y = first_px(row) + f64::from(spots.down[i]);
                     let off = (x + 300.0 - place[0]).hypot(y + 200.0 - place[1]);
                     assert!(off < 0.05, "{off} px");
-                    assert_ne!(spots.cell[i], NOWHERE);
                     if let Some([column, _]) = pair.projector.project(&world) {
                         let off = (f64::from(spots.cast[i]) - pair.pattern.phase(column)).abs();
                         assert!(off < 0.02, "{off} rad");
                     }
                     if (0.0..1100.0).contains(&x) && (0.0..699.0).contains(&y) {
                         let cell = |x: f64| x as usize / CELL_PX + PAD_CELLS;
-                        let expected = cell(y + 0.5) * padded(roi.width) + cell(x);
-                        assert_eq!(spots.cell[i] as usize, expected, "({x}, {y})");
+                        assert_eq!((column, row), (cell(x), cell(y + 0.5)), "({x}, {y})");
                         seen += 1;
                     }
                 }
-            });
-            looks += usize::from(inside);
+            }
         }
         assert!(looks > 200 && seen > 500, "{looks} places, {seen} seen");
     }

@@ -8,7 +8,8 @@
 
 use super::graph::Graph;
 use super::grow::NONE;
-use super::lookout::{LANES, Lookout};
+use super::lookout::Lookout;
+use super::looks::{Looks, Place};
 use super::pieces::Pieces;
 use super::volume;
 use super::witness::{Sight, Verdict, Witness};
@@ -114,7 +115,7 @@ pub struct Scene<'a> {
 #[derive(Debug, Default)]
 struct Cache {
     /// What the cameras have at the sampled places, by view, piece and order.
-    sights: BTreeMap<(usize, usize, i32), Vec<Sight>>,
+    looks: BTreeMap<(usize, usize, i32), Looks>,
     /// Orders worth a look, by view and piece.
     orders: BTreeMap<(usize, usize), Option<RangeInclusive<i32>>>,
 }
@@ -122,7 +123,7 @@ struct Cache {
 impl Cache {
     /// Forgets a piece whose nodes have changed.
     fn forget(&mut self, view: usize, piece: usize) {
-        self.sights.retain(|x, _| (x.0, x.1) != (view, piece));
+        self.looks.retain(|x, _| (x.0, x.1) != (view, piece));
         self.orders.remove(&(view, piece));
     }
 }
@@ -314,6 +315,11 @@ impl Scene<'_> {
         (roi.u + pixel % roi.width, roi.v + pixel / roi.width, self.phase(node))
     }
 
+    /// Line of sight of a node's pixel, with its phase in its piece.
+    pub fn at(&self, node: u32) -> Place<'_> {
+        (&self.lines[node as usize], self.phase(node) / TAU)
+    }
+
     /// Phase of a node's pixel in its piece, rad.
     pub fn phase(&self, node: u32) -> f32 {
         self.witness.cells.nodes[node as usize].phase + TAU * self.pieces.turns[node as usize] as f32
@@ -334,40 +340,6 @@ impl Scene<'_> {
     }
 }
 
-/// What all cameras have where a node would be at an order, appended to `out`: of the view itself nothing. False, and
-/// nothing appended, outside the volume.
-pub fn look(scenes: &[Scene<'_>], view: usize, node: u32, order: i32, out: &mut Vec<Sight>) -> bool {
-    let scene = &scenes[view];
-    let line = &scene.lines[node as usize];
-    look_along(scenes, view, line, scene.phase(node) / TAU + order as f32, out)
-}
-
-/// The same along a line of sight of the view, at an absolute phase in fringes.
-#[inline]
-pub fn look_along(
-    scenes: &[Scene<'_>],
-    view: usize,
-    line: &Sightline,
-    fringes: f32,
-    out: &mut Vec<Sight>,
-) -> bool {
-    scenes[view].lookout.look(line, fringes, |first, spots| {
-        let scenes = &scenes[first..scenes.len().min(first + LANES)];
-        let (mut sights, mut vague) = ([Sight::NONE; LANES], 0u32);
-        for (i, (scene, sight)) in scenes.iter().zip(&mut sights).enumerate() {
-            let (seen, ask) = scene.witness.glance(spots, i);
-            *sight = seen;
-            vague |= u32::from(ask) << i;
-        }
-        while vague != 0 {
-            let i = vague.trailing_zeros() as usize;
-            sights[i] = scenes[i].witness.see_closely(spots, i);
-            vague &= vague - 1;
-        }
-        out.extend_from_slice(&sights[..scenes.len()]);
-    })
-}
-
 /// What a sight says, as far as the other camera's pieces are settled.
 pub fn verdict(scene: &Scene<'_>, sight: Sight) -> Verdict {
     match sight.node {
@@ -381,27 +353,28 @@ pub fn verdict(scene: &Scene<'_>, sight: Sight) -> Verdict {
 }
 
 fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: &mut Cache) -> Evidence {
-    let sights = cache.sights.entry((view, piece, order)).or_insert_with(|| {
-        let (mut out, mut inside) = (Vec::new(), 0);
-        for (i, &node) in samples(&scenes[view], piece).iter().enumerate() {
-            if i == FIRST_SAMPLES && inside == 0 {
-                break;
-            }
-            inside += u32::from(look(scenes, view, node, order, &mut out));
+    let looks = cache.looks.entry((view, piece, order)).or_insert_with(|| {
+        let scene = &scenes[view];
+        let places: Vec<Place<'_>> = samples(scene, piece).into_iter().map(|node| scene.at(node)).collect();
+        let (first, rest) = places.split_at(places.len().min(FIRST_SAMPLES));
+        let mut looks = Looks::default();
+        looks.add(scenes, view, first, order..=order);
+        if (0..looks.len()).any(|place| looks.at(place).is_some()) {
+            looks.add(scenes, view, rest, order..=order);
         }
-        out
+        looks
     });
     // Per camera: agreeing, before, behind, past.
     let mut counts = vec![[0u32; 4]; scenes.len()];
-    for (i, &sight) in sights.iter().enumerate() {
-        let other = i % scenes.len();
-        let count = &mut counts[other];
-        match verdict(&scenes[other], sight) {
-            Verdict::Nothing => {}
-            Verdict::Agrees => count[0] += 1,
-            Verdict::Before => count[1] += 1,
-            Verdict::Behind => count[2] += 1,
-            Verdict::Past => count[3] += 1,
+    for sights in (0..looks.len()).filter_map(|place| looks.at(place)) {
+        for ((scene, &sight), count) in scenes.iter().zip(sights).zip(&mut counts) {
+            match verdict(scene, sight) {
+                Verdict::Nothing => {}
+                Verdict::Agrees => count[0] += 1,
+                Verdict::Before => count[1] += 1,
+                Verdict::Behind => count[2] += 1,
+                Verdict::Past => count[3] += 1,
+            }
         }
     }
     let mut found = Evidence { order, ..Evidence::default() };

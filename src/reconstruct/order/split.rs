@@ -4,7 +4,8 @@
 //! cameras at different orders. Nodes whose surroundings clearly agree at one order are seeds of it; from them the orders
 //! spread over the piece, through its wide parts first, so that they meet at its necks.
 
-use super::settle::{Scene, look, verdict};
+use super::looks::Looks;
+use super::settle::{Scene, verdict};
 use super::witness::{Sight, Verdict};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -59,15 +60,15 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> Vec
     // For and against, by row, column and order.
     let mut words = vec![(0, 0); rows * columns * orders.len()];
     let of = |x: usize, y: usize| (y * columns + x) * orders.len()..(y * columns + x + 1) * orders.len();
-    let mut sights = Vec::new();
-    for &node in &asked {
-        let (x, y) = cell(scene, node);
-        for (word, &order) in words[of(x, y)].iter_mut().zip(orders) {
-            sights.clear();
-            if !look(scenes, view, node, order, &mut sights) {
-                word.1 += 1;
-            }
-            let (good, bad) = words_of(scenes, view, &sights);
+    let places: Vec<_> = asked.iter().map(|&node| scene.at(node)).collect();
+    let mut looks = Looks::default();
+    for (number, &order) in orders.iter().enumerate() {
+        looks.clear();
+        looks.add(scenes, view, &places, order..=order);
+        for (place, &node) in asked.iter().enumerate() {
+            let (x, y) = cell(scene, node);
+            let word = &mut words[of(x, y)][number];
+            let (good, bad) = looks.at(place).map_or((0, 1), |sights| words_of(scenes, view, sights));
             *word = (word.0 + good, word.1 + bad);
         }
     }

@@ -2,9 +2,9 @@
 
 use super::graph::{Edge, Graph};
 use super::grow::{Label, NONE};
+use super::looks::Place;
 use super::settle::Scene;
 use super::volume;
-use crate::reconstruct::rays::Sightline;
 use std::f32::consts::TAU;
 use std::ops::RangeInclusive;
 
@@ -62,7 +62,7 @@ pub fn places(scene: &Scene<'_>, stretch: &[Member], min_px: u32, samples: usize
 }
 
 /// Lines of sight of places, and their phases at order 0 of their stretch, in fringes.
-pub fn lines<'a>(scene: &'a Scene<'_>, places: &[Member]) -> Vec<(&'a Sightline, f32)> {
+pub fn lines<'a>(scene: &'a Scene<'_>, places: &[Member]) -> Vec<Place<'a>> {
     places.iter().map(|&place| (&scene.lines[place.0 as usize], phase(scene, place) / TAU)).collect()
 }
 

@@ -96,24 +96,29 @@ impl Witness {
     #[inline(always)]
     pub fn glance(&self, spots: &Spots, i: usize) -> (Sight, bool) {
         let cell = self.cells.glimpses.at(spots.cell[i]);
-        let seen = cell.phase + (spots.right[i] * cell.steps[0] + spots.down[i] * cell.steps[1]);
+        let steps = cell.steps();
+        let seen = cell.phase + (spots.right[i] * steps[0] + spots.down[i] * steps[1]);
         let ahead = seen - spots.cast[i];
-        const { assert!(Sight::PAST == Glimpse::FAR) };
+        const { assert!(Sight::PAST == Glimpse::FAR && Sight::NOTHING == Glimpse::NEAR) };
+        // Beside the object pixels are asked that have their columns in the middle, too: the last half is the next cell's.
+        let [u, v] = [spots.right[i], spots.down[i]].map(|x| (x + 0.5) as i32 as u32);
+        let near = cell.node == Glimpse::NEAR;
+        let past = near & (cell.near() >> ((v * CELL_PX as u32 + u) & 63) & 1 == 0);
+        let node = if past { Sight::PAST } else { cell.node };
         let unknown = ahead.is_nan() & (cell.node < Glimpse::RIM);
-        (Sight { node: if unknown { Sight::NOTHING } else { cell.node }, ahead }, cell.is_vague())
+        let ask = cell.is_rim() | near & (u >= CELL_PX as u32);
+        (Sight { node: if unknown { Sight::NOTHING } else { node }, ahead }, ask)
     }
 
     /// The same at outlines and steps, where pixels have to be asked.
     pub fn see_closely(&self, spots: &Spots, i: usize) -> Sight {
         let glimpses = &self.cells.glimpses;
-        let Some(rim) = glimpses.rim(glimpses.at(spots.cell[i])) else {
-            return self.past(spots.x[i], spots.y[i]);
-        };
+        let Some(rim) = glimpses.rim(glimpses.at(spots.cell[i])) else { return self.past(spots, i) };
         let (right, down) = (spots.right[i], spots.down[i] + 0.5);
         let (u, v) = ((right as usize).min(CELL_PX - 1), (down as usize).min(CELL_PX - 1));
         let pixel = v * CELL_PX + u;
         match rim.node(pixel) {
-            None if rim.object >> pixel & 1 == 0 => self.past(spots.x[i], spots.y[i]),
+            None if rim.object >> pixel & 1 == 0 => self.past(spots, i),
             None => Sight::NONE,
             Some(node) => {
                 let (here, next) = (rim.phase[v][u], rim.phase[v][u + 1]);
@@ -126,8 +131,9 @@ impl Witness {
     }
 
     /// Whether there is background around a place that is none of the object's.
-    fn past(&self, x: f32, y: f32) -> Sight {
-        let near = self.cells.glimpses.is_near(x, y);
+    fn past(&self, spots: &Spots, i: usize) -> Sight {
+        let [u, v] = [spots.right[i], spots.down[i]].map(|x| (x + 0.5) as usize);
+        let near = self.cells.glimpses.is_near(spots.cell[i], u, v);
         Sight { node: if near { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
     }
 
@@ -152,5 +158,71 @@ impl Witness {
             [_, _, true] => Verdict::Behind,
             [false, false, false] => Verdict::Nothing,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Sight, Witness};
+    use crate::image::Plane;
+    use crate::reconstruct::order::cells::{CELL_PX, Cells, Surface};
+    use crate::reconstruct::order::glimpse::{PAD_PX, padded};
+    use crate::reconstruct::order::lookout::Spots;
+    use crate::reconstruct::roi::Roi;
+    use crate::reconstruct::runs::Runs;
+    use std::f32::consts::TAU;
+
+    const PERIOD: f32 = 10.0;
+
+    /// A camera that sees a plane of 50 x 40 px, all but the last four rows of it with a phase, in a region of 100 x 80.
+    fn witness() -> Witness {
+        let (w, h) = (100, 80);
+        let (mut phase, mut object) = (Plane::filled(w, h, f32::NAN), Plane::filled(w, h, 0));
+        for v in 0..40 {
+            object.row_mut(v)[..50].fill(1);
+            for (u, phase) in phase.row_mut(v)[..50].iter_mut().enumerate().filter(|_| v < 36) {
+                *phase = u as f32 * TAU / PERIOD;
+            }
+        }
+        let (runs, period) = (Runs::of(&object), Plane::filled(w, h, PERIOD));
+        let surface = Surface { phase: &phase, period: &period, object: &object, runs: &runs, sign: 1.0 };
+        let roi = Roi { u: 0, v: 0, width: w, height: h };
+        Witness { head: 0, roi, cells: Cells::new(&surface), towards: 1.0 }
+    }
+
+    /// What it has at a place on which a phase of 3 rad is cast.
+    fn sight(witness: &Witness, x: f32, y: f32) -> Sight {
+        let [column, row] = [x, y + 0.5].map(|x| (x + PAD_PX as f32) as usize / CELL_PX);
+        let mut spots = Spots::NONE;
+        spots.cell[5] = (row * padded(witness.roi.width) + column) as u32;
+        spots.right[5] = x + PAD_PX as f32 - (column * CELL_PX) as f32;
+        spots.down[5] = y + PAD_PX as f32 - (row * CELL_PX) as f32;
+        spots.cast[5] = 3.0;
+        let (sight, ask) = witness.glance(&spots, 5);
+        if ask { witness.see_closely(&spots, 5) } else { sight }
+    }
+
+    #[test]
+    fn a_camera_sees_its_surface_and_past_it() {
+        let witness = witness();
+        // Within cells that are filled, and in those on the outline.
+        for (x, y) in [(3.0, 3.0), (20.25, 17.5), (47.5, 12.0), (49.0, 35.4), (48.3, 33.0)] {
+            let sight = sight(&witness, x, y);
+            assert!(sight.is_node(), "({x}, {y})");
+            assert!((sight.ahead - (x * TAU / PERIOD - 3.0)).abs() < 1e-3, "({x}, {y}): {sight:?}");
+        }
+        // On the object, but without a phase; beside it; and as far from it as it takes.
+        for (x, y) in [(20.0, 38.0), (49.5, 36.0), (50.5, 10.0), (59.4, 30.0), (20.0, 49.4), (-10.4, 3.0)] {
+            assert_eq!(sight(&witness, x, y).node, Sight::NOTHING, "({x}, {y})");
+        }
+        for (x, y) in [(59.6, 10.0), (55.0, 45.0), (20.0, 49.6), (-10.6, 3.0), (90.0, 70.0), (3.0, -11.0)] {
+            assert_eq!(sight(&witness, x, y).node, Sight::PAST, "({x}, {y})");
+        }
+    }
+
+    #[test]
+    fn nothing_is_seen_beyond_the_frame() {
+        let (sight, ask) = witness().glance(&Spots::NONE, 0);
+        assert_eq!((sight.node, ask), (Sight::NOTHING, false));
     }
 }

@@ -1,9 +1,9 @@
 //! What the other cameras say for and against a node at an order.
 
 use super::grow::NONE;
-use super::settle::{Scene, look, look_along};
+use super::looks::{Looks, PLACES, Place};
+use super::settle::Scene;
 use super::witness::Sight;
-use crate::reconstruct::rays::Sightline;
 use std::f32::consts::TAU;
 use std::ops::AddAssign;
 
@@ -51,7 +51,7 @@ pub struct Sights {
     /// What each camera has there; for a place outside of the volume nothing.
     seen: Vec<Sight>,
     inside: Vec<[bool; SLOTS]>,
-    scratch: Vec<Sight>,
+    looks: Looks,
 }
 
 /// Orders of a node that are kept.
@@ -68,19 +68,30 @@ impl Sights {
             next: vec![0; n],
             seen: vec![Sight::NONE; n * SLOTS * scenes.len()],
             inside: vec![[false; SLOTS]; n],
-            scratch: Vec::new(),
+            looks: Looks::default(),
         }
     }
 
     /// Words for a node whose phases are absolute after `turns`, from cameras whose nodes are known by `known`.
     pub fn words(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32, known: &[Vec<i32>]) -> Words {
         let slot = self.turns[node].iter().position(|x| *x == turns);
-        let slot = slot.unwrap_or_else(|| self.look(scenes, node, turns));
+        let slot = slot.unwrap_or_else(|| {
+            self.look(scenes, &[(node, turns)]);
+            (usize::from(self.next[node]) + SLOTS - 1) % SLOTS
+        });
         if !self.inside[node][slot] {
             return Words::IMPOSSIBLE;
         }
         let first = (node * SLOTS + slot) * self.cameras;
         judge(scenes, self.view, known, &self.seen[first..first + self.cameras])
+    }
+
+    /// Looks at all nodes of the view at their `turns`, where that has not been done: several at once take less time.
+    pub fn prepare(&mut self, scenes: &[Scene<'_>], turns: &[i32]) {
+        let all = turns.iter().copied().enumerate();
+        let new: Vec<(usize, i32)> =
+            all.filter(|&(node, x)| x != NONE && !self.turns[node].contains(&x)).collect();
+        self.look(scenes, &new);
     }
 
     /// Whether words for a node at `turns` may differ from before, where those of `changed` have other turns than before.
@@ -92,33 +103,34 @@ impl Sights {
         self.inside[node][slot] && changes.fold(false, |any, changes| any | changes)
     }
 
-    /// Looks, and tells the slot that keeps it.
-    fn look(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32) -> usize {
-        let slot = usize::from(self.next[node]);
-        self.next[node] = ((slot + 1) % SLOTS) as u8;
-        self.turns[node][slot] = turns;
-        self.scratch.clear();
-        let order = turns - scenes[self.view].pieces.turns[node];
-        self.inside[node][slot] = look(scenes, self.view, node as u32, order, &mut self.scratch);
-        let first = (node * SLOTS + slot) * self.cameras;
-        if self.inside[node][slot] {
-            self.seen[first..first + self.cameras].copy_from_slice(&self.scratch);
+    /// Looks at nodes at some turns, and keeps what there is.
+    fn look(&mut self, scenes: &[Scene<'_>], nodes: &[(usize, i32)]) {
+        let scene = &scenes[self.view];
+        for some in nodes.chunks(PLACES) {
+            let places: [Place<'_>; PLACES] = std::array::from_fn(|i| {
+                let (node, turns) = some[i.min(some.len() - 1)];
+                let (line, fringes) = scene.at(node as u32);
+                (line, fringes + (turns - scene.pieces.turns[node]) as f32)
+            });
+            self.looks.clear();
+            self.looks.add(scenes, self.view, &places[..some.len()], 0..=0);
+            for (place, &(node, turns)) in some.iter().enumerate() {
+                let slot = usize::from(self.next[node]);
+                self.next[node] = ((slot + 1) % SLOTS) as u8;
+                let seen = self.looks.at(place);
+                (self.turns[node][slot], self.inside[node][slot]) = (turns, seen.is_some());
+                if let Some(seen) = seen {
+                    let first = (node * SLOTS + slot) * self.cameras;
+                    self.seen[first..first + self.cameras].copy_from_slice(seen);
+                }
+            }
         }
-        slot
     }
 }
 
-/// Words for a place on a line of sight of a view, at an absolute phase in fringes. `sights` becomes what the cameras have there.
-pub fn along(
-    scenes: &[Scene<'_>],
-    view: usize,
-    known: &[Vec<i32>],
-    (line, fringes): (&Sightline, f32),
-    sights: &mut Vec<Sight>,
-) -> Words {
-    sights.clear();
-    let inside = look_along(scenes, view, line, fringes, sights);
-    if inside { judge(scenes, view, known, sights) } else { Words::IMPOSSIBLE }
+/// Words for a place that was looked at.
+pub fn of(scenes: &[Scene<'_>], view: usize, known: &[Vec<i32>], looks: &Looks, place: usize) -> Words {
+    looks.at(place).map_or(Words::IMPOSSIBLE, |sights| judge(scenes, view, known, sights))
 }
 
 /// Words of what the cameras have.
