@@ -8,6 +8,7 @@
 use super::cells::{CELL_PX, Cells};
 use super::glimpse::Glimpse;
 use super::lookout::Spots;
+use crate::reconstruct::bits::WORD;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
 use nalgebra::{Point3, Vector3};
@@ -103,7 +104,9 @@ impl Witness {
         // Beside the object pixels are asked that have their columns in the middle, too: the last half is the next cell's.
         let [u, v] = [spots.right[i], spots.down[i]].map(|x| (x + 0.5) as i32 as u32);
         let near = cell.node == Glimpse::NEAR;
-        let past = near & (cell.near() >> ((v * CELL_PX as u32 + u) & 63) & 1 == 0);
+        // Where nothing is seen they are any numbers.
+        let pixel = v.wrapping_mul(CELL_PX as u32) | u;
+        let past = near & (cell.near() >> (pixel % WORD as u32) & 1 == 0);
         let node = if past { Sight::PAST } else { cell.node };
         let unknown = ahead.is_nan() & (cell.node < Glimpse::RIM);
         let ask = cell.is_rim() | near & (u >= CELL_PX as u32);
@@ -222,7 +225,12 @@ mod tests {
 
     #[test]
     fn nothing_is_seen_beyond_the_frame() {
-        let (sight, ask) = witness().glance(&Spots::NONE, 0);
-        assert_eq!((sight.node, ask), (Sight::NOTHING, false));
+        let witness = witness();
+        for place in [0.0, 3e38, -3e38, f32::INFINITY, f32::NAN] {
+            let mut spots = Spots::NONE;
+            (spots.right[2], spots.down[2], spots.cast[2]) = (place, place, place);
+            let (sight, ask) = witness.glance(&spots, 2);
+            assert_eq!((sight.node, ask), (Sight::NOTHING, false), "{place}");
+        }
     }
 }
