@@ -57,6 +57,7 @@ impl Looks {
         self.sights.resize(first + count * scenes.len(), Sight::NONE);
         let mut places = orders
             .flat_map(|order| places.iter().map(move |&(line, fringes)| (line, fringes + order as f32)));
+        let mut spots = [Spots::NONE; PLACES];
         for sights in self.sights[first..].chunks_mut(PLACES * scenes.len()) {
             let mut rays = [Ray::NONE; PLACES];
             let rays = &mut rays[..sights.len() / scenes.len()];
@@ -65,7 +66,6 @@ impl Looks {
             }
             self.inside.extend(rays.iter().map(|ray| ray.is_inside()));
             for (block, scenes_of) in scenes.chunks(LANES).enumerate() {
-                let mut spots = [Spots::NONE; PLACES];
                 lookout.spots(block, rays, &mut spots);
                 let sights = &mut sights[block * LANES..];
                 // A bit for each camera of each place.

@@ -76,8 +76,9 @@ impl Sights {
     pub fn words(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32, known: &[Vec<i32>]) -> Words {
         let slot = self.turns[node].iter().position(|x| *x == turns);
         let slot = slot.unwrap_or_else(|| {
-            self.look(scenes, &[(node, turns)]);
-            (usize::from(self.next[node]) + SLOTS - 1) % SLOTS
+            self.looks.clear();
+            self.looks.add(scenes, self.view, &[place(&scenes[self.view], node, turns)], 0..=0);
+            self.keep(0, node, turns)
         });
         if !self.inside[node][slot] {
             return Words::IMPOSSIBLE;
@@ -91,7 +92,15 @@ impl Sights {
         let all = turns.iter().copied().enumerate();
         let new: Vec<(usize, i32)> =
             all.filter(|&(node, x)| x != NONE && !self.turns[node].contains(&x)).collect();
-        self.look(scenes, &new);
+        let places: Vec<Place<'_>> =
+            new.iter().map(|&(node, x)| place(&scenes[self.view], node, x)).collect();
+        for (new, places) in new.chunks(PLACES).zip(places.chunks(PLACES)) {
+            self.looks.clear();
+            self.looks.add(scenes, self.view, places, 0..=0);
+            for (i, &(node, turns)) in new.iter().enumerate() {
+                self.keep(i, node, turns);
+            }
+        }
     }
 
     /// Whether words for a node at `turns` may differ from before, where those of `changed` have other turns than before.
@@ -103,29 +112,24 @@ impl Sights {
         self.inside[node][slot] && changes.fold(false, |any, changes| any | changes)
     }
 
-    /// Looks at nodes at some turns, and keeps what there is.
-    fn look(&mut self, scenes: &[Scene<'_>], nodes: &[(usize, i32)]) {
-        let scene = &scenes[self.view];
-        for some in nodes.chunks(PLACES) {
-            let places: [Place<'_>; PLACES] = std::array::from_fn(|i| {
-                let (node, turns) = some[i.min(some.len() - 1)];
-                let (line, fringes) = scene.at(node as u32);
-                (line, fringes + (turns - scene.pieces.turns[node]) as f32)
-            });
-            self.looks.clear();
-            self.looks.add(scenes, self.view, &places[..some.len()], 0..=0);
-            for (place, &(node, turns)) in some.iter().enumerate() {
-                let slot = usize::from(self.next[node]);
-                self.next[node] = ((slot + 1) % SLOTS) as u8;
-                let seen = self.looks.at(place);
-                (self.turns[node][slot], self.inside[node][slot]) = (turns, seen.is_some());
-                if let Some(seen) = seen {
-                    let first = (node * SLOTS + slot) * self.cameras;
-                    self.seen[first..first + self.cameras].copy_from_slice(seen);
-                }
-            }
+    /// Keeps what the looks have for one of their places: a node at some turns. The slot that has it.
+    fn keep(&mut self, place: usize, node: usize, turns: i32) -> usize {
+        let slot = usize::from(self.next[node]);
+        self.next[node] = ((slot + 1) % SLOTS) as u8;
+        let seen = self.looks.at(place);
+        (self.turns[node][slot], self.inside[node][slot]) = (turns, seen.is_some());
+        if let Some(seen) = seen {
+            let first = (node * SLOTS + slot) * self.cameras;
+            self.seen[first..first + self.cameras].copy_from_slice(seen);
         }
+        slot
     }
+}
+
+/// Where a node lies when its phases are absolute after `turns`.
+fn place<'a>(scene: &'a Scene<'_>, node: usize, turns: i32) -> Place<'a> {
+    let (line, fringes) = scene.at(node as u32);
+    (line, fringes + (turns - scene.pieces.turns[node]) as f32)
 }
 
 /// Words for a place that was looked at.
