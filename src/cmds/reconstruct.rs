@@ -336,6 +336,9 @@ fn report(args: &Args, summary: &Summary) {
         summary.damaged,
         summary.points(),
     );
+    for lack in &summary.unchecked {
+        println!("  not checked: {lack}");
+    }
     for trigger in &summary.triggers {
         for frame in &trigger.frames {
             if let Some(reason) = &frame.reason {

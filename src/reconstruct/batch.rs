@@ -236,7 +236,7 @@ pub fn run(
         .collect();
     let wall_ms = began.elapsed().as_secs_f64() * 1e3;
     let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
-    let summary = Summary::of(triggers?, &job.parameters, plan);
+    let summary = Summary::of(triggers?, &job.parameters, plan, calibration);
     let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))

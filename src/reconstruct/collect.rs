@@ -94,6 +94,7 @@ impl fmt::Display for CollectError {
 pub struct Shards<'a> {
     /// The run; its own shard does not matter.
     plan: &'a Plan,
+    calibration: &'a Calibration,
     parameters: String,
     /// The cameras asked for, in the calibration's order.
     cameras: Vec<&'a CameraId>,
@@ -106,6 +107,7 @@ impl<'a> Shards<'a> {
         let all = calibration.cameras().map(|(_, camera)| &camera.id);
         Ok(Self {
             plan,
+            calibration,
             parameters: batch::parameters(calibration, plan)?,
             cameras: all.filter(|id| plan.cameras.contains(id)).collect(),
             count: count.max(1),
@@ -186,7 +188,7 @@ pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
         return Err(CollectError { shards: shards.count, problems });
     }
     merged.sort_by_key(|t| t.trigger);
-    Ok(Summary::of(merged, &shards.parameters, shards.plan))
+    Ok(Summary::of(merged, &shards.parameters, shards.plan, shards.calibration))
 }
 
 /// Triggers of a summary of which a file is missing, cut, or of other parameters, on the current rayon pool.

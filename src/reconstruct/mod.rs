@@ -83,6 +83,7 @@ mod timings;
 pub mod triangulate;
 /// Standard uncertainty of every phase.
 pub mod uncertainty;
+mod unchecked;
 /// The anchored spanning forest.
 pub mod unwrap;
 /// The paper's spanning tree.

@@ -1,6 +1,8 @@
 //! What became of every frame of a run: `OUT/summary.json`.
 
 use super::batch::{Plan, method_name};
+use super::unchecked::unchecked;
+use crate::calibrate::Calibration;
 use crate::ids::CameraId;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -65,6 +67,9 @@ pub struct Summary {
     pub parameters: String,
     /// `anchored` or `paper`.
     pub method: Cow<'static, str>,
+    /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unchecked: Vec<String>,
     /// Frames expected.
     pub frames: usize,
     /// Frames with a cloud.
@@ -84,13 +89,19 @@ pub struct Summary {
 
 impl Summary {
     /// What became of all triggers together.
-    pub(super) fn of(triggers: Vec<TriggerSummary>, parameters: &str, plan: &Plan) -> Self {
+    pub(super) fn of(
+        triggers: Vec<TriggerSummary>,
+        parameters: &str,
+        plan: &Plan,
+        calibration: &Calibration,
+    ) -> Self {
         let count = |outcome: &str| {
             triggers.iter().flat_map(|t| &t.frames).filter(|frame| frame.outcome == outcome).count()
         };
         Self {
             parameters: parameters.to_owned(),
             method: method_name(plan.method).into(),
+            unchecked: unchecked(calibration, &plan.cameras, plan.method),
             frames: triggers.iter().map(|t| t.frames.len()).sum(),
             clouds: count("cloud"),
             refused: count("refused"),
