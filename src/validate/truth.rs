@@ -93,7 +93,7 @@ impl Truth {
     }
 
     /// Place of a frame pixel in the crop.
-    fn place(&self, [u, v]: [u16; 2]) -> Option<(usize, usize)> {
+    pub(super) fn place(&self, [u, v]: [u16; 2]) -> Option<(usize, usize)> {
         let u = usize::from(u).checked_sub(self.origin[0])?;
         let v = usize::from(v).checked_sub(self.origin[1])?;
         (u < self.points.width() && v < self.points.height()).then_some((u, v))

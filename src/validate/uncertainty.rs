@@ -5,11 +5,15 @@
 //! where the prediction is right, larger where it promises too much. Points of wrong fringe order are left out: no
 //! standard uncertainty describes them.
 
+use super::light::Light;
 use super::truth::{Reference, Truth};
 use crate::export::Cloud;
 use serde::Serialize;
 
-/// Upper bounds of the classes of light (mean over a fringe; the modulation is proportional to it), DN.
+/// Upper bounds of the classes of modulation, as the photograph and the truth tell it ([`Light`]), DN.
+const MODULATION_DN: [f32; 8] = [1.5, 3.0, 4.0, 6.0, 10.0, 20.0, 40.0, f32::INFINITY];
+
+/// Upper bounds of the classes of light (mean over a fringe), DN.
 const LIGHT_DN: [f32; 7] = [8.0, 16.0, 32.0, 48.0, 64.0, 96.0, 256.0];
 
 /// Upper bounds of the classes of predicted uncertainty, mm.
@@ -18,14 +22,22 @@ const SIGMA_MM: [f32; 8] = [0.03, 0.045, 0.06, 0.09, 0.15, 0.3, 0.6, f32::INFINI
 /// Errors and predictions of points, which add up over clouds.
 #[derive(Debug, Clone, Default)]
 pub struct Points {
-    /// Light DN, predicted mm, actual mm.
-    points: Vec<[f32; 3]>,
+    points: Vec<Point>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Point {
+    /// NaN where it is not known.
+    modulation_dn: f32,
+    light_dn: f32,
+    predicted_mm: f32,
+    error_mm: f32,
 }
 
 /// One class.
 #[derive(Debug, Clone, Serialize)]
 pub struct Class {
-    /// `light DN` or `predicted mm`.
+    /// `modulation DN`, `light DN`, `predicted mm` or `all`.
     pub by: &'static str,
     /// Lower bound.
     pub from: f32,
@@ -44,12 +56,18 @@ pub struct Class {
 }
 
 impl Points {
-    /// Adds the points of a cloud that carry an uncertainty.
-    pub fn add(&mut self, cloud: &Cloud, truth: &Truth, reference: Reference<'_>) {
+    /// Adds the points of a cloud that carry an uncertainty; with the fringes of its photograph, by their modulation, too.
+    pub fn add(&mut self, cloud: &Cloud, truth: &Truth, reference: Reference<'_>, light: Option<&Light>) {
         for (i, sigma) in cloud.sigma_m.iter().enumerate() {
-            if let Some(error) = truth.error_along_sight(cloud, i, reference) {
-                self.points.push([cloud.intensity[i] * 255.0, sigma * 1e3, (error * 1e3) as f32]);
-            }
+            let Some(error) = truth.error_along_sight(cloud, i, reference) else { continue };
+            let modulation =
+                light.zip(truth.place(cloud.pixel[i])).and_then(|(light, place)| light.at(place));
+            self.points.push(Point {
+                modulation_dn: modulation.map_or(f32::NAN, |(modulation, _)| modulation),
+                light_dn: cloud.intensity[i] * 255.0,
+                predicted_mm: sigma * 1e3,
+                error_mm: (error * 1e3) as f32,
+            });
         }
     }
 
@@ -58,42 +76,43 @@ impl Points {
         self.points.is_empty()
     }
 
-    /// The table: classes of light, then of prediction, then all.
+    /// The table: classes of modulation, of light, of prediction, then all.
     pub fn classes(&self) -> Vec<Class> {
-        let bounds = |by, bounds: &[f32], of: usize| {
+        let bounds = |by, bounds: &[f32], of: fn(&Point) -> f32| {
             let lower = std::iter::once(0.0).chain(bounds.iter().copied());
             let classes = lower.zip(bounds.iter().copied());
             classes
                 .map(|(from, to)| {
-                    let chosen = self.points.iter().filter(|x| (from..to).contains(&x[of]));
+                    let chosen = self.points.iter().filter(|x| (from..to).contains(&of(x)));
                     class(by, from, to, chosen)
                 })
                 .filter(|class| class.points > 0)
                 .collect::<Vec<_>>()
         };
-        let mut table = bounds("light DN", &LIGHT_DN, 0);
-        table.extend(bounds("predicted mm", &SIGMA_MM, 1));
+        let mut table = bounds("modulation DN", &MODULATION_DN, |x| x.modulation_dn);
+        table.extend(bounds("light DN", &LIGHT_DN, |x| x.light_dn));
+        table.extend(bounds("predicted mm", &SIGMA_MM, |x| x.predicted_mm));
         table.push(class("all", 0.0, f32::INFINITY, self.points.iter()));
         table
     }
 }
 
-fn class<'a>(by: &'static str, from: f32, to: f32, points: impl Iterator<Item = &'a [f32; 3]>) -> Class {
+fn class<'a>(by: &'static str, from: f32, to: f32, points: impl Iterator<Item = &'a Point>) -> Class {
     let points: Vec<_> = points.collect();
-    let median = |value: &dyn Fn(&[f32; 3]) -> f32| {
+    let median = |value: fn(&Point) -> f32| {
         let mut values: Vec<f32> = points.iter().map(|x| value(x)).collect();
         values.sort_unstable_by(f32::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or(f32::NAN)
     };
-    let within = points.iter().filter(|x| x[2].abs() <= 2.0 * x[1]).count();
+    let within = points.iter().filter(|x| x.error_mm.abs() <= 2.0 * x.predicted_mm).count();
     Class {
         by,
         from,
         to,
         points: points.len(),
-        predicted_mm: median(&|x| x[1]),
-        robust_mm: 1.4826 * median(&|x| x[2].abs()),
-        ratio: 1.4826 * median(&|x| x[2].abs() / x[1]),
+        predicted_mm: median(|x| x.predicted_mm),
+        robust_mm: 1.4826 * median(|x| x.error_mm.abs()),
+        ratio: 1.4826 * median(|x| x.error_mm.abs() / x.predicted_mm),
         within_two: within as f32 / points.len().max(1) as f32,
     }
 }

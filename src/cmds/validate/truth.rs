@@ -44,7 +44,7 @@ pub struct Args {
     /// Score against a mesh instead: a closed surface as Wavefront OBJ, world axes, m.
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
-    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness is told by modulation, too.
+    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness and uncertainties are told by modulation, too.
     #[arg(long, value_name = "SESSION", requires = "truth")]
     images: Option<PathBuf>,
     /// Print one JSON object instead of a table.
@@ -158,7 +158,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
         let tally = per_camera.entry(number).or_default();
         tally.add_with_light(&cloud, |_| true, &truth, reference, light.as_ref());
         if args.uncertainty {
-            predicted.add(&cloud, &truth, reference);
+            predicted.add(&cloud, &truth, reference, light.as_ref());
         }
         if let Some(folder) = &args.pictures {
             let (width, height, rgb) = truth.picture(&cloud, reference);
