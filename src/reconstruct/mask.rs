@@ -34,6 +34,8 @@ pub struct Buffers {
     scratch: Scratch,
     opening: Opening,
     runs: Runs,
+    /// The object's runs with the pixels that are over-exposed.
+    pub lit: Runs,
 }
 
 /// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in the
@@ -49,9 +51,10 @@ pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object:
             opening.runs(smooth, log_threshold(smooth), runs);
         },
     );
-    let Buffers { runs, row, .. } = buffers;
+    let Buffers { runs, row, lit, .. } = buffers;
     let (piece, pieces) = components::connect(runs);
-    keep(runs, |place| pieces[piece[place] as usize].area >= MIN_COMPONENT_PX, image, row, object);
+    keep(runs, |place| pieces[piece[place] as usize].area >= MIN_COMPONENT_PX, lit);
+    part(lit, image, row, object);
 }
 
 /// Row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
@@ -111,7 +114,7 @@ pub fn otsu(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mu
     counts[usize::from(SATURATED)..].fill(0);
     let level = otsu_level(&counts) as u8;
     let (w, h) = (image.width(), image.height());
-    let Buffers { smooth: raw, rows, widened, runs, row, .. } = buffers;
+    let Buffers { smooth: raw, rows, widened, runs, row, lit, .. } = buffers;
     for plane in [&mut *raw, rows, widened] {
         plane.reshape(w, h, 0);
     }
@@ -129,7 +132,8 @@ pub fn otsu(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mu
     runs.find(raw);
     let (piece, pieces) = components::connect(runs);
     let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
-    keep(runs, |place| Some(piece[place] as usize) == largest, image, row, object);
+    keep(runs, |place| Some(piece[place] as usize) == largest, lit);
+    part(lit, image, row, object);
 }
 
 /// Threshold on the envelope: Otsu on its logarithm, but never within the noise of the black level.
@@ -207,22 +211,24 @@ fn histogram(values: &[u8]) -> [u32; 256] {
     std::array::from_fn(|i| counts.iter().map(|counts| counts[i]).sum())
 }
 
-/// Those of some runs, by their place among all, that are the object's, parted by over-exposed pixels. `row` is memory to use.
-fn keep(
-    runs: &Runs,
-    is_object: impl Fn(usize) -> bool,
-    image: Mono8<'_>,
-    row: &mut Vec<u8>,
-    object: &mut Runs,
-) {
+/// Those of some runs, by their place among all, that are the object's.
+fn keep(runs: &Runs, is_object: impl Fn(usize) -> bool, lit: &mut Runs) {
+    lit.clear();
+    for v in 0..runs.height() {
+        runs.places(v).filter(|&place| is_object(place)).for_each(|place| lit.push(runs.all()[place]));
+        lit.end_row();
+    }
+}
+
+/// The object's runs, parted by over-exposed pixels. `row` is memory to use.
+fn part(lit: &Runs, image: Mono8<'_>, row: &mut Vec<u8>, object: &mut Runs) {
     object.clear();
     simd::dispatch(
         #[inline(always)]
         || {
-            for v in 0..runs.height() {
-                for place in runs.places(v).filter(|&place| is_object(place)) {
-                    let run = runs.all()[place];
-                    part_saturated(run, &image.row(v)[run.columns()], row, object);
+            for v in 0..lit.height() {
+                for run in lit.row(v) {
+                    part_saturated(*run, &image.row(v)[run.columns()], row, object);
                 }
                 object.end_row();
             }

@@ -151,11 +151,13 @@ pub struct Prepared {
     pub regions: Regions,
     /// Not 0 on marker cores.
     pub marker: Plane<u8>,
-    /// Not 0 on the object.
+    /// Not 0 on the object, over-exposed or not.
     pub object: Plane<u8>,
+    /// Its runs.
+    pub(super) lit: Runs,
     /// How it went so far.
     pub counts: Counts,
-    /// Runs of the object: nothing is known outside of them.
+    /// Runs of the object without what is over-exposed: nothing is known outside of them.
     runs: Runs,
     windows: Windows,
     /// The photograph.
@@ -183,7 +185,7 @@ impl Prepared {
         &self.period
     }
 
-    /// Runs of the object.
+    /// Runs of the object without what is over-exposed.
     pub(super) fn runs(&self) -> &Runs {
         &self.runs
     }
@@ -257,13 +259,21 @@ impl Pipeline {
                 Method::Anchored => mask::envelope(image, pair.period_px, mask, object),
                 Method::Paper => mask::otsu(image, pair.period_px, mask, object),
             }
-            Roi::of(object)
+            // What is over-exposed hides the background from the other cameras: it belongs to the region, too.
+            Roi::of(object).and_then(|roi| match self.method {
+                Method::Anchored => Roi::of(&mask.lit),
+                Method::Paper => Some(roi),
+            })
         });
         let Some(roi) = roi else {
             BUFFERS.give(buffers);
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
         let runs = roi.cut_runs(&buffers.object);
+        let lit = match self.method {
+            Method::Anchored => roi.cut_runs(&buffers.mask.lit),
+            Method::Paper => runs.clone(),
+        };
         BUFFERS.give(buffers);
         let plane = || BYTES.take(roi.width, roi.height);
         let (mut part, mut object) = (plane(), plane());
@@ -279,6 +289,9 @@ impl Pipeline {
             Ok(resolved) => resolved,
             Err(reason) => return Err(refused(clock, counts, reason)),
         };
+        if lit.area() > counts.object {
+            lit.paint(&mut object);
+        }
         // Until all cameras are heard.
         let regions = Regions::default();
         Ok(Prepared {
@@ -289,6 +302,7 @@ impl Pipeline {
             regions,
             marker,
             object,
+            lit,
             image,
             counts,
             runs,

@@ -72,9 +72,9 @@ pub struct Surface<'a> {
     pub phase: &'a Plane<f32>,
     /// Local fringe period, px.
     pub period: &'a Plane<f32>,
-    /// Not 0 on the object.
+    /// Not 0 on the object, whether or not it has a phase there.
     pub object: &'a Plane<u8>,
-    /// The object's runs.
+    /// The same in runs.
     pub runs: &'a Runs,
     /// Sign of the phase's step along the row.
     pub sign: f32,

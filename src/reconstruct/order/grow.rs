@@ -75,8 +75,8 @@ pub struct View<'a> {
     pub banned: Vec<Vec<i32>>,
     /// What the cameras have at its places.
     pub sights: Sights,
-    /// Whether the head's other camera is there. It is the one that confirms most; a view without it keeps the orders of
-    /// its pieces where they are not contradicted.
+    /// Whether the head's other camera is there, and sees. It is the one that confirms most; a view without it keeps the
+    /// orders of its pieces where they are not contradicted.
     pub partnered: bool,
 }
 
@@ -135,8 +135,8 @@ pub fn known(views: &[View<'_>]) -> Vec<Vec<i32>> {
 /// The cores of the settled pieces, or all of them.
 fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
     let scene = &scenes[view];
-    let of_head = scenes.iter().filter(|x| x.witness.head == scene.witness.head).count();
-    let partnered = of_head > 1;
+    let mut others = scenes.iter().enumerate().filter(|(number, _)| *number != view);
+    let partnered = others.any(|(_, x)| x.witness.head == scene.witness.head && x.sees);
     let order = |node: usize| {
         let state = &scene.states[scene.pieces.of[node] as usize];
         let begins = !partnered || state.margin >= MIN_MARGIN && scene.pieces.core[node];

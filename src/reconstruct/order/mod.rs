@@ -55,6 +55,10 @@ use std::f32::consts::TAU;
 use std::time::Instant;
 use witness::Witness;
 
+/// A camera that has a phase on less than one in so many of its object's pixels, as when it is over-exposed, is nobody's
+/// partner.
+const MIN_SEEN: usize = 2;
+
 /// One camera's frame and its geometry.
 #[derive(Debug)]
 pub struct View<'a> {
@@ -132,7 +136,7 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
         phase: &prepared.absolute,
         period: prepared.period(),
         object: &prepared.object,
-        runs: prepared.runs(),
+        runs: &prepared.lit,
         sign: pair.sign,
     });
     let votes = votes(&cells, prepared, &pair.markers);
@@ -149,7 +153,19 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let witness = Witness::new(pair, view.head, roi, cells);
     let lookout =
         Lookout::new(&prepared.table, number, views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)));
-    Scene { triangulator: view.triangulator, lookout, witness, graph, lines, pieces, states, px, settled }
+    let sees = prepared.counts.phase * MIN_SEEN >= prepared.lit.area();
+    Scene {
+        triangulator: view.triangulator,
+        lookout,
+        witness,
+        graph,
+        lines,
+        pieces,
+        states,
+        px,
+        settled,
+        sees,
+    }
 }
 
 /// The orders that marker pixels give their nodes: node, order, pixels.
