@@ -31,7 +31,7 @@ impl Fixture {
     /// With so many frame sets.
     fn of(triggers: u64) -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
-        let images = render(dir.path());
+        let images = render(dir.path(), 1);
         for camera in images.read_dir().expect("a directory") {
             let folder = camera.expect("an entry").path();
             for trigger in 2..triggers {
@@ -332,7 +332,7 @@ fn a_task_that_cannot_succeed_ends_it(fixture: &Fixture, slurm: &PrivateSlurm) {
 #[test]
 fn without_slurm_the_scripts_can_be_read_and_nothing_is_submitted() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let images = render(dir.path());
+    let images = render(dir.path(), 1);
     let timings = dir.path().join("timings.json");
     let measured =
         r#"{"frames": 4, "threads": 1, "cpu_ms": 400.0, "peak_memory_bytes": 104857600, "wall_ms": 1.0}"#;

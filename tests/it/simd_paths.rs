@@ -1,6 +1,6 @@
 //! The same bytes from any number of threads, any shard and any width of vectors.
 //!
-//! Two photographs of a mannequin by each camera of one head at half size, reconstructed by child processes: the width is
+//! Two photographs of a mannequin by each camera of two heads at half size, reconstructed by child processes: the width is
 //! chosen once per process.
 
 use fourdbody::config::Rig;
@@ -14,13 +14,13 @@ use std::process::Command;
 /// Everything that a run leaves beside its summary, by name.
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// Renders the light; returns the images' directory.
-pub fn render(dir: &Path) -> PathBuf {
+/// Renders the light of the first so many heads; returns the images' directory.
+pub fn render(dir: &Path, heads: usize) -> PathBuf {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/scenarios/poses/arms_crossed.toml");
     let mut scenario = Scenario::load(&path).expect("a valid scenario");
     scenario.optics.exposure_samples = 1;
     let mut rig = Rig::load(&scenario.rig).expect("a valid rig");
-    rig.heads.truncate(1);
+    rig.heads.truncate(heads);
     let changes = Changes { size_divisor: 2, instants: Some(2), ..Changes::default() };
     Run::new(scenario, &rig, &changes).expect("fits").render(dir, |_, _| {}).expect("rendered");
     let (manifest, images) = (Manifest::load(dir).expect("complete"), dir.join("images"));
@@ -54,7 +54,7 @@ fn reconstruct(dir: &Path, name: &str, simd: Option<&str>, options: &[&[&str]]) 
         assert!(made.status.success(), "{name}: {}", String::from_utf8_lossy(&made.stderr));
     }
     let mut files = Files::new();
-    for folder in ["clouds", "merged"] {
+    for folder in ["clouds", "merged", "phases"].into_iter().filter(|folder| out.join(folder).exists()) {
         for entry in std::fs::read_dir(out.join(folder)).expect("a directory") {
             let path = entry.expect("an entry").path();
             let name = format!("{folder}/{}", path.file_name().expect("a name").to_string_lossy());
@@ -67,10 +67,10 @@ fn reconstruct(dir: &Path, name: &str, simd: Option<&str>, options: &[&[&str]]) 
 #[test]
 fn threads_shards_and_vectors_give_the_same_bytes() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    render(dir.path());
+    render(dir.path(), 2);
     let run = |name: &str, simd, options: &[&[&str]]| reconstruct(dir.path(), name, simd, options);
     let one = run("one", None, &[&["--jobs", "1"]]);
-    assert_eq!(one.len(), 6, "{:?}", one.keys());
+    assert_eq!(one.len(), 10, "{:?}", one.keys());
     assert!(one.values().map(Vec::len).sum::<usize>() > 1_000_000, "there is something to compare");
     let shards: [&[&str]; 2] = [&["--shard", "0/2", "--jobs", "1"], &["--shard", "1/2", "--jobs", "2"]];
     let paper: [&[&str]; 1] = [&["--jobs", "1", "--method", "paper"]];
@@ -84,6 +84,10 @@ fn threads_shards_and_vectors_give_the_same_bytes() {
     ] {
         assert_same(name, &one, &files);
     }
+    let phases: [&[&str]; 1] = [&["--jobs", "2", "--format", "phase", "--uncertainty"]];
+    let maps = run("phases", None, &phases);
+    assert_eq!(maps.len(), 8, "{:?}", maps.keys());
+    assert_same("phase maps, portable", &maps, &run("phases-portable", Some("portable"), &phases));
     let plain = run("paper", None, &paper);
     assert_same("paper, portable", &plain, &run("paper-portable", Some("portable"), &paper));
 }
