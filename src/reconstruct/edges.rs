@@ -212,42 +212,45 @@ struct Sums {
 }
 
 impl Sums {
-    /// Of the good phases in the rows around column u and those behind it, those on the surface of `phase`. A column of
-    /// samples after the other, in which x is the same, with all its rows: so its sums stay in registers.
+    /// Of the good phases in the rows around column u and those behind it, those on the surface of `phase`.
     #[inline(always)]
     fn of(good: &[&[f32]; ROWS], u: usize, phase: &Lanes, carrier: &Lanes) -> Self {
         let mut sums = Self::default();
         for column in 0..COLUMNS {
             let place = u + PAD - REACH.0 + column * COLUMN_STEP;
             let x = (column * COLUMN_STEP) as f32 - REACH.0 as f32;
-            let good = good.map(|row| &row[place..place + LANES]);
+            let mut along = [0f32; LANES];
             for i in 0..LANES {
-                let along = carrier[i] * x;
-                let [mut n, mut y1, mut z1, mut yz] = [0f32; 4];
-                let (mut yy, mut zz) = (sums.yy[i], sums.zz[i]);
-                for (row, good) in good.iter().enumerate() {
-                    let y = row as f32 - REACH.1 as f32;
-                    let z = good[i] - phase[i] - along;
+                along[i] = carrier[i] * x;
+            }
+            // Of the column alone, in which x is the same.
+            let [mut n, mut y1, mut z1, mut yz] = [[0f32; LANES]; 4];
+            for (row, good) in good.iter().enumerate() {
+                let y = row as f32 - REACH.1 as f32;
+                let mut sample = [0f32; LANES];
+                sample.copy_from_slice(&good[place..place + LANES]);
+                for i in 0..LANES {
+                    let z = sample[i] - phase[i] - along[i];
                     // Not so for NaN.
                     let same = z.abs() < SAME_SURFACE;
                     let z = if same { z } else { 0.0 };
-                    n += if same { 1.0 } else { 0.0 };
-                    y1 += if same { y } else { 0.0 };
-                    yy += if same { y * y } else { 0.0 };
-                    z1 += z;
-                    yz += y * z;
-                    zz += z * z;
+                    n[i] += if same { 1.0 } else { 0.0 };
+                    y1[i] += if same { y } else { 0.0 };
+                    sums.yy[i] += if same { y * y } else { 0.0 };
+                    z1[i] += z;
+                    yz[i] += y * z;
+                    sums.zz[i] += z * z;
                 }
-                sums.n[i] += n;
-                sums.x[i] += x * n;
-                sums.y[i] += y1;
-                sums.xx[i] += x * x * n;
-                sums.xy[i] += x * y1;
-                sums.yy[i] = yy;
-                sums.z[i] += z1;
-                sums.xz[i] += x * z1;
-                sums.yz[i] += yz;
-                sums.zz[i] = zz;
+            }
+            for i in 0..LANES {
+                sums.n[i] += n[i];
+                sums.x[i] += x * n[i];
+                sums.y[i] += y1[i];
+                sums.xx[i] += x * x * n[i];
+                sums.xy[i] += x * y1[i];
+                sums.z[i] += z1[i];
+                sums.xz[i] += x * z1[i];
+                sums.yz[i] += yz[i];
             }
         }
         sums
