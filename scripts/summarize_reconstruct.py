@@ -69,6 +69,9 @@ def add_body(summary, args):
     summary["frames_per_s_2_threads_most"] = max(two)
     summary["frames_per_s_1_thread"] = statistics.median(one)
     summary["scaling_2_threads"] = max(two) / max(one)
+    # From nothing: what a preview of one instant waits for.
+    for kind in ("first_1_thread", "first_2_threads"):
+        median_and_least(summary, f"frame_set_{kind}_ms", [run["timings"]["wall_ms"] for run in runs_of(args.runs, kind, body)])
     for kind in ("paper", "portable", "avx2", "avx512"):
         values = [per_frame(run) for run in runs_of(args.runs, kind, body)]
         if values:
@@ -119,7 +122,9 @@ def main():
     parser.add_argument("--body", required=True)
     parser.add_argument("--commit", required=True)
     args = parser.parse_args()
-    scenario = Path("config/scenarios", f"{args.body}.toml")
+    # As the bench looks for them.
+    places = [Path("config/scenarios", folder, f"{args.body}.toml") for folder in ("poses", ".")]
+    scenario = next(path for path in places if path.exists())
     seed = int(re.search(r"^seed = (\d+)", scenario.read_text(), re.M).group(1))
     summary = {"commit": args.commit, "machine": machine(), "seed": seed, "load_1_min": os.getloadavg()[0]}
     summary["repetitions"] = len(runs_of(args.runs, "one", args.body))
