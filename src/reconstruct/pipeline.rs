@@ -16,7 +16,7 @@ use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, marker_paper, mask, period, quality,
     run_ends, simd, uncertainty, unwrap, unwrap_paper,
 };
-use crate::export::{Cloud, PhaseMap};
+use crate::export::{Cloud, PhaseMap, STEPS_PER_LEVEL};
 use crate::image::{Mono8, Plane};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -188,6 +188,12 @@ impl Prepared {
     /// Runs of the object without what is over-exposed.
     pub(super) fn runs(&self) -> &Runs {
         &self.runs
+    }
+
+    /// Light over one period around a pixel that has a phase, by its place in the region of interest, row by row, DN.
+    pub(super) fn light_dn(&self, pixel: usize) -> f32 {
+        let light = self.windows.light.at(pixel % self.roi.width, pixel / self.roi.width);
+        f32::from(light) / STEPS_PER_LEVEL
     }
 
     /// Notes a frame's share of work that was done for several.

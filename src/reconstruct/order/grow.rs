@@ -75,7 +75,7 @@ pub struct View<'a> {
     pub banned: Vec<Vec<i32>>,
     /// What the cameras have at its places.
     pub sights: Sights,
-    /// Whether the head's other camera is there, and sees. It is the one that confirms most; a view without it keeps the
+    /// Whether the head's other camera is there, sees, and is not far darker. It is the one that confirms most; a view without it keeps the
     /// orders of its pieces where they are not contradicted.
     pub partnered: bool,
 }
@@ -136,7 +136,8 @@ pub fn known(views: &[View<'_>]) -> Vec<Vec<i32>> {
 fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
     let scene = &scenes[view];
     let mut others = scenes.iter().enumerate().filter(|(number, _)| *number != view);
-    let partnered = others.any(|(_, x)| x.witness.head == scene.witness.head && x.sees);
+    let partnered =
+        others.any(|(_, x)| x.witness.head == scene.witness.head && x.sees && !x.is_dim_beside(scene));
     let order = |node: usize| {
         let state = &scene.states[scene.pieces.of[node] as usize];
         let begins = !partnered || state.margin >= MIN_MARGIN && scene.pieces.core[node];

@@ -153,18 +153,20 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let witness = Witness::new(pair, view.head, roi, cells);
     let lookout =
         Lookout::new(&prepared.table, number, views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)));
-    let sees = prepared.counts.phase * MIN_SEEN >= prepared.lit.area();
+    let nodes = &witness.cells.nodes;
+    let light: f32 = nodes.iter().map(|node| prepared.light_dn(node.pixel as usize)).sum();
     Scene {
         triangulator: view.triangulator,
         lookout,
-        witness,
         graph,
         lines,
         pieces,
         states,
         px,
         settled,
-        sees,
+        sees: prepared.counts.phase * MIN_SEEN >= prepared.lit.area(),
+        light_dn: light / nodes.len().max(1) as f32,
+        witness,
     }
 }
 

@@ -67,6 +67,10 @@ const MIN_PARTED_AGREE: u32 = 4;
 /// Orders that a piece is parted by, at most.
 const MAX_PARTS: usize = 5;
 
+/// A view that is so many times darker than another one cannot tell it what is background: the mask ends where a fringe is a few
+/// DN above black.
+const DIM: f32 = 4.0;
+
 /// Rounds of settling and parting, at most.
 const MAX_ROUNDS: usize = 3;
 
@@ -111,6 +115,8 @@ pub struct Scene<'a> {
     pub settled: Vec<i32>,
     /// Whether it has a phase on so much of its object that its confirmation is worth waiting for.
     pub sees: bool,
+    /// Mean light of its nodes, DN.
+    pub light_dn: f32,
 }
 
 /// What is found out once for each piece.
@@ -332,6 +338,11 @@ impl Scene<'_> {
         Some(self.settled[node as usize]).filter(|turns| *turns != NONE)
     }
 
+    /// Whether it is so much darker than another view that what it takes for background may be the object's dark parts.
+    pub fn is_dim_beside(&self, other: &Self) -> bool {
+        self.light_dn * DIM < other.light_dn
+    }
+
     /// States what is known of a piece.
     fn set(&mut self, piece: usize, state: State) {
         self.states[piece] = state;
@@ -342,10 +353,11 @@ impl Scene<'_> {
     }
 }
 
-/// What a sight says, as far as the other camera's pieces are settled.
-pub fn verdict(scene: &Scene<'_>, sight: Sight) -> Verdict {
+/// What a sight of another camera says to a view, as far as its pieces are settled.
+pub fn verdict(scene: &Scene<'_>, sight: Sight, view: &Scene<'_>) -> Verdict {
     match sight.node {
         Sight::NOTHING => Verdict::Nothing,
+        Sight::PAST if scene.is_dim_beside(view) => Verdict::Nothing,
         Sight::PAST => Verdict::Past,
         node => match scene.turns_of(node) {
             Some(turns) => scene.witness.judge(sight.ahead + TAU * turns as f32),
@@ -370,7 +382,7 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
     let mut counts = vec![[0u32; 4]; scenes.len()];
     for sights in (0..looks.len()).filter_map(|place| looks.at(place)) {
         for ((scene, &sight), count) in scenes.iter().zip(sights).zip(&mut counts) {
-            match verdict(scene, sight) {
+            match verdict(scene, sight, &scenes[view]) {
                 Verdict::Nothing => {}
                 Verdict::Agrees => count[0] += 1,
                 Verdict::Before => count[1] += 1,

@@ -107,7 +107,7 @@ fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[Sight]) -> (i32, i32) {
     let (mut good, mut bad) = (0, 0);
     for (scene, &sight) in scenes.iter().zip(sights) {
         let partner = scene.witness.head == scenes[view].witness.head;
-        match verdict(scene, sight) {
+        match verdict(scene, sight, &scenes[view]) {
             Verdict::Agrees => good += 1,
             Verdict::Before => bad += 1,
             Verdict::Behind | Verdict::Past => bad += i32::from(partner),

@@ -148,7 +148,7 @@ fn judge(scenes: &[Scene<'_>], view: usize, known: &[Vec<i32>], seen: &[Sight]) 
         let [agrees, before, behind] = witness.compare(sight.ahead + TAU * turns as f32);
         let known = turns != NONE;
         // What faces away from another head's projector is dark for it.
-        let past = (sight.node == Sight::PAST) & partner;
+        let past = (sight.node == Sight::PAST) & partner & !scene.is_dim_beside(&scenes[view]);
         words.partner += i16::from(known & agrees & partner);
         words.heads += i16::from(known & agrees & !partner);
         words.against += i16::from(known & before | past);
