@@ -1,17 +1,20 @@
-//! The reconstruction of one photograph, by a calibration of which numbers have been changed.
+//! The reconstruction of photographs, one alone and three of one instant, by a calibration of which numbers have been changed.
 
 use super::Script;
-use fourdbody::calibrate::Calibration;
+use fourdbody::calibrate::{Calibration, PanelRows};
 use fourdbody::config::Rig;
+use fourdbody::geometry::Device;
 use fourdbody::image::{Mono8, Plane};
+use fourdbody::pattern::Pattern;
+use fourdbody::reconstruct::order::{self, View};
 use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
+use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
 use fourdbody::reconstruct::triangulate::Triangulator;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use tempfile::TempDir;
 
-/// Size of the camera: a part of the shipped rig's, around the volume's middle, with the same fringes.
+/// Size of the cameras: parts of the shipped rig's, around the volume's middle, with the same fringes.
 const SIZE: (usize, usize) = (192, 72);
 
 thread_local! {
@@ -19,40 +22,55 @@ thread_local! {
         tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).expect("a directory");
 }
 
-/// The shipped rig's first head with one small camera.
+/// Cameras: both of one head, and one of its neighbour.
+const CAMERAS: usize = 3;
+
+/// The column that they see, around the volume's axis, m.
+const RADIUS_M: f64 = 0.12;
+
+/// The shipped rig's first two heads with three small cameras.
 fn calibration() -> Calibration {
     let table = include_str!("../../config/rig.toml").parse().expect("TOML");
     let mut calibration = Calibration::nominal(&Rig::from_table(&table).expect("the shipped rig"));
-    calibration.heads.truncate(1);
-    calibration.heads[0].cameras.truncate(1);
-    let camera = &mut calibration.heads[0].cameras[0].device;
-    camera.lens.cx -= (camera.width - SIZE.0) as f64 / 2.0;
-    camera.lens.cy -= (camera.height - SIZE.1) as f64 / 2.0;
-    (camera.width, camera.height) = SIZE;
+    calibration.heads.truncate(2);
+    calibration.heads[1].cameras.truncate(CAMERAS - 2);
+    for camera in calibration.heads.iter_mut().flat_map(|head| &mut head.cameras) {
+        let camera = &mut camera.device;
+        camera.lens.cx -= (camera.width - SIZE.0) as f64 / 2.0;
+        camera.lens.cy -= (camera.height - SIZE.1) as f64 / 2.0;
+        (camera.width, camera.height) = SIZE;
+    }
     calibration
 }
 
-/// A wall in the middle of the volume, lit by the pattern.
-fn good_frame() -> &'static Plane<u8> {
-    static FRAME: OnceLock<Plane<u8>> = OnceLock::new();
-    FRAME.get_or_init(|| {
+/// A round column in the middle of the volume, lit by the pattern, as each camera sees it.
+fn good_frames() -> &'static [Plane<u8>] {
+    static FRAMES: OnceLock<Vec<Plane<u8>>> = OnceLock::new();
+    FRAMES.get_or_init(|| {
         let calibration = calibration();
-        let (head, camera) = calibration.cameras().next().expect("a camera");
-        let mut image = Plane::filled(SIZE.0, SIZE.1, 2u8);
-        for v in 6..SIZE.1 - 6 {
-            for u in 12..SIZE.0 - 12 {
-                let seen = camera.device.ray(u as f64, v as f64).and_then(|ray| {
-                    // The wall x = 0.05.
-                    let point = ray.at((0.05 - ray.origin.x) / ray.direction.x);
-                    head.projector.project(&point)
-                });
-                if let Some([u_p, v_p]) = seen {
-                    image.set(u, v, (3.0 + 200.0 * calibration.pattern.light(u_p, v_p)).round() as u8);
-                }
+        let cameras = calibration.cameras();
+        cameras.map(|(head, camera)| frame(&camera.device, &head.projector, &calibration.pattern)).collect()
+    })
+}
+
+fn frame(camera: &Device, projector: &Device, pattern: &Pattern) -> Plane<u8> {
+    let mut image = Plane::filled(SIZE.0, SIZE.1, 2u8);
+    for v in 6..SIZE.1 - 6 {
+        for u in 12..SIZE.0 - 12 {
+            let seen = camera.ray(u as f64, v as f64).and_then(|ray| {
+                // Seen from above the column is a circle.
+                let (from, along) = (ray.origin.coords.xy(), ray.direction.xy());
+                let (nearest, length) = (-from.dot(&along) / along.norm_squared(), along.norm());
+                let aside = (from + along * nearest).norm_squared();
+                let half = (RADIUS_M * RADIUS_M - aside).max(0.0).sqrt() / length;
+                (half > 0.0).then(|| projector.project(&ray.at(nearest - half))).flatten()
+            });
+            if let Some([u_p, v_p]) = seen {
+                image.set(u, v, (3.0 + 200.0 * pattern.light(u_p, v_p)).round() as u8);
             }
         }
-        image
-    })
+    }
+    image
 }
 
 /// Every number of a calibration that a photograph's reconstruction depends on.
@@ -87,9 +105,10 @@ fn changed_number(old: f64, how: u8, by: u16) -> f64 {
     }
 }
 
-/// Changes the frame: a rectangle set to one value, brighter, darker, noisy, or taken from the fuzzer's bytes.
-fn change_frame(image: &mut Plane<u8>, script: &mut Script<'_>) -> Option<()> {
+/// Changes a frame: a rectangle set to one value, brighter, darker, noisy, or taken from the fuzzer's bytes.
+fn change_frame(images: &mut [Plane<u8>], script: &mut Script<'_>) -> Option<()> {
     let (kind, value) = (script.byte()?, script.byte()?);
+    let image = &mut images[usize::from(kind / 5) % CAMERAS];
     let (u, v) = (usize::from(script.byte()?) % SIZE.0, usize::from(script.byte()?) % SIZE.1);
     let (width, height) = (usize::from(script.byte()?), usize::from(script.byte()?));
     for y in v..(v + height).min(SIZE.1) {
@@ -108,13 +127,16 @@ fn change_frame(image: &mut Plane<u8>, script: &mut Script<'_>) -> Option<()> {
     Some(())
 }
 
-/// A script: how many numbers of the calibration are changed, which and how; then changes of the frame.
+/// A script: whether the calibration knows the panel's rows, and how many of its numbers are changed, which and how; then changes of the frames.
 ///
-/// Holds: a calibration that its file's reader accepts is refused with words or used; what comes of the frame is a cloud of
+/// Holds: a calibration that its file's reader accepts is refused with words or used; what comes of a frame is a cloud of
 /// finite points within the volume, with unit normals, at pixels of the frame, or a refusal with words and without points.
 pub fn photograph(data: &[u8]) {
     let mut script = Script(data);
     let (Some(first), mut calibration) = (script.byte(), calibration()) else { return };
+    if first & 0x20 != 0 {
+        calibration.heads.iter_mut().for_each(|head| head.rows = Some(PanelRows::exact()));
+    }
     for _ in 0..first % 4 {
         let (Some(which), Some(how), Some(by)) = (script.byte(), script.byte(), script.word()) else {
             return;
@@ -129,17 +151,40 @@ pub fn photograph(data: &[u8]) {
     else {
         return;
     };
-    let (head, camera) = calibration.cameras().next().expect("one camera");
-    let pair = match Pair::new(head, camera, &calibration) {
-        Ok(pair) => pair,
-        Err(why) => return assert!(!why.is_empty()),
-    };
-    let mut image = good_frame().clone();
-    while change_frame(&mut image, &mut script).is_some() {}
+    let mut images = good_frames().to_vec();
+    while change_frame(&mut images, &mut script).is_some() {}
     let method = if first & 0x80 == 0 { Method::Anchored } else { Method::Paper };
-    let volume = [pair.volume_min_m, pair.volume_max_m];
-    let found = Pipeline::new(Triangulator::new(pair), method, first & 0x40 != 0).run(Mono8::from(&image));
-    hold(&found, volume);
+    let volume = [calibration.volume_min_m, calibration.volume_max_m];
+    let mut pipelines = Vec::new();
+    for (head, camera) in calibration.cameras() {
+        match Pair::new(head, camera, &calibration) {
+            Ok(pair) => pipelines.push(Pipeline::new(Triangulator::new(pair), method, first & 0x40 != 0)),
+            Err(why) => return assert!(!why.is_empty()),
+        }
+    }
+    hold(&pipelines[0].run(Mono8::from(&images[0])), volume);
+    if method == Method::Anchored {
+        let found = together(&pipelines, &images);
+        found.iter().for_each(|found| hold(found, volume));
+        // Unchanged they are good ones: else the fuzzer would see refusals only.
+        assert!(data.len() > 1 || found.iter().all(|found| found.outcome == Outcome::Cloud));
+    }
+}
+
+/// The clouds of photographs of one instant.
+fn together(pipelines: &[Pipeline], images: &[Plane<u8>]) -> Vec<Reconstruction> {
+    let all = pipelines.iter().zip(images);
+    let mut prepared: Vec<Result<Prepared, _>> =
+        all.map(|(x, image)| x.prepare(Mono8::from(image))).collect();
+    let views = pipelines.iter().zip([0, 0, 1]).zip(&mut prepared).filter_map(|((x, head), prepared)| {
+        Some(View { triangulator: x.triangulator(), head, prepared: prepared.as_mut().ok()? })
+    });
+    order::settle(&mut views.collect::<Vec<_>>());
+    let finished = pipelines.iter().zip(prepared).map(|(x, prepared)| match prepared {
+        Ok(prepared) => x.finish(prepared),
+        Err(refused) => *refused,
+    });
+    finished.collect()
 }
 
 fn hold(found: &Reconstruction, [min, max]: [[f64; 3]; 2]) {

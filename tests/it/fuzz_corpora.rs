@@ -397,13 +397,14 @@ fn config_seeds_from_shipped() {
     }
 }
 
-/// Scripts for the target `reconstruct`: changes of the calibration (which, how, by), then of the frame (kind, value, u, v,
+/// Scripts for the target `reconstruct`: changes of the calibration (which, how, by), then of the frames (kind and frame, value, u, v,
 /// width, height).
 fn reconstruct_seeds_by_hand() {
     let whole = [0, 0, 255, 255];
     let frame = |kind: u8, value: u8, place: [u8; 4]| [[kind, value].as_slice(), &place].concat();
-    let seeds: [(&str, Vec<u8>); 14] = [
+    let seeds: [(&str, Vec<u8>); 18] = [
         ("good", vec![0]),
+        ("good_with_rows", vec![0x20]),
         ("good_by_the_papers_method", vec![0x80]),
         ("good_with_maps", vec![0x40]),
         ("black", [vec![0], frame(0, 0, whole)].concat()),
@@ -413,6 +414,9 @@ fn reconstruct_seeds_by_hand() {
         ("noisy", [vec![0x40], frame(3, 90, whole)].concat()),
         ("hand_before_it", [vec![0], frame(0, 120, [60, 10, 40, 60])].concat()),
         ("without_marker", [vec![0], frame(0, 2, [88, 0, 20, 80])].concat()),
+        ("one_of_three_over_exposed", [vec![0], frame(6, 7, whole)].concat()),
+        ("one_of_three_dark", [vec![0x20], frame(2, 11, whole)].concat()),
+        ("hand_before_the_neighbour", [vec![0], frame(10, 120, [60, 10, 40, 60])].concat()),
         ("no_number", vec![1, 0, 0, 0, 0]),
         ("short_focus", vec![1, 0, 5, 0, 0]),
         ("twisted_lens", vec![2, 4, 9, 0, 240, 14, 9, 9, 2]),
