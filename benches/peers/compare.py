@@ -1,7 +1,7 @@
 """Our phase beside other programs', on the same rendered frames in the same run: error against the truth, and time.
 
-python compare.py --frames DIR --camera NAME --index N --ours EXAMPLE --out compare.json [...]: DIR holds what
-`fourdbody-sim render` wrote, with images/ beside (`scripts/bench-reconstruct.sh`)."""
+python compare.py --scene DIR:CAMERA:INDEX [--scene ...] --ours EXAMPLE --out compare.json: DIR/light holds what
+`fourdbody-sim render` wrote, DIR/images its photographs (`scripts/bench-reconstruct.sh`)."""
 
 import argparse
 import json
