@@ -154,7 +154,6 @@ pub fn photograph(data: &[u8]) {
     let mut images = good_frames().to_vec();
     while change_frame(&mut images, &mut script).is_some() {}
     let method = if first & 0x80 == 0 { Method::Anchored } else { Method::Paper };
-    let volume = [calibration.volume_min_m, calibration.volume_max_m];
     let mut pipelines = Vec::new();
     for (head, camera) in calibration.cameras() {
         match Pair::new(head, camera, &calibration) {
@@ -162,6 +161,9 @@ pub fn photograph(data: &[u8]) {
             Err(why) => return assert!(!why.is_empty()),
         }
     }
+    // A little more than the calibration's, and the same for all.
+    let pair = pipelines[0].triangulator().pair();
+    let volume = [pair.volume_min_m, pair.volume_max_m];
     hold(&pipelines[0].run(Mono8::from(&images[0])), volume);
     if method == Method::Anchored {
         let found = together(&pipelines, &images);

@@ -345,8 +345,9 @@ fn a_spoilt_frame_spoils_no_other() {
         spoilt[0].1.as_mut_slice().iter_mut().for_each(|x| *x = spoil(*x));
         let found = together(&spoilt);
         println!(
-            "{name}: {:?}, phase on {} of {} px",
+            "{name}: {:?}, {} wrong, phase on {} of {} px",
             points(&found),
+            found.iter().map(wrong).sum::<usize>(),
             found[0].counts.phase,
             found[0].counts.object
         );
