@@ -255,6 +255,9 @@ fn the_calibration_of_another_camera_or_head_is_refused() {
     assert_refused("light of the head behind", &by(pair(), &lit_by(2)));
 }
 
+/// What becomes of a pixel's light.
+type Light = fn(u8) -> u8;
+
 /// Head, and camera in it.
 type Place = (usize, usize);
 
@@ -333,7 +336,7 @@ fn a_spoilt_frame_spoils_no_other() {
     let points = |found: &[Reconstruction]| -> Vec<usize> { found.iter().map(|x| x.cloud.len()).collect() };
     let [all, alone] = [&photographs[..], &photographs[1..]].map(|some| points(&together(some)));
     println!("all: {all:?}, without the first: {alone:?}");
-    let spoils: [(&str, fn(u8) -> u8, f64); 5] = [
+    let spoils: [(&str, Light, f64); 5] = [
         ("no light", |_| 0, 1.0),
         ("over-exposed", |x| x.saturating_mul(60), 1.0),
         ("saturated", |x| x.saturating_mul(4), 0.98),
