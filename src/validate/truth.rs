@@ -6,7 +6,8 @@
 //! The distance of a point is the Euclidean one to the true surface around its pixel, triangulated from the
 //! depth map. Its fringe order is wrong when the phase at which the projector sees the point differs by more
 //! than pi from that of the true surface at its pixel. A point whose pixel sees no surface counts as wrong too
-//! (`off_surface`).
+//! (`off_surface`). Its normal is held against that of the true points [`NORMAL_PX`] around its pixel, as far as these
+//! lie on one surface.
 
 use super::light::{Classes, Light, LightScore};
 use crate::export::Cloud;
@@ -24,6 +25,9 @@ const MAX_STRETCH: f64 = 12.0;
 
 /// Up to this distance, m, the cells that touch the pixel are enough to find the nearest surface.
 const NEAR_M: f64 = 0.001;
+
+/// Pixels to the true points that tell the normal: as many as clouds take for theirs.
+const NORMAL_PX: usize = 3;
 
 /// Cells searched on each side where the nearest surface is further away.
 const WIDE_PX: usize = 4;
@@ -130,6 +134,32 @@ impl Truth {
         let surface = Vector3::from(self.points.at(u, v));
         let point = reference.camera.device_point(&Point3::from(cloud.position_m[i]).cast::<f64>());
         Some((point.z - surface.z) * surface.norm() / surface.z)
+    }
+
+    /// Angle between the normal of point `i` of a cloud of this camera and the true one at its pixel, rad. `None` where there
+    /// is no smooth surface around.
+    fn tilt(&self, cloud: &Cloud, i: usize, reference: Reference<'_>) -> Option<f32> {
+        let truth = self.normal(self.place(cloud.pixel[i])?)?;
+        let world = Vector3::from(cloud.normal[i]).cast::<f64>();
+        let own = reference.camera.world_from_device.isometry().inverse_transform_vector(&world);
+        Some(own.angle(&truth) as f32)
+    }
+
+    /// The true normal around a pixel of the crop, towards the camera, in its axes.
+    fn normal(&self, (u, v): (usize, usize)) -> Option<Vector3<f64>> {
+        let (left, above) = (u.checked_sub(NORMAL_PX)?, v.checked_sub(NORMAL_PX)?);
+        let (right, below) = (u + NORMAL_PX, v + NORMAL_PX);
+        if right >= self.points.width() || below >= self.points.height() {
+            return None;
+        }
+        let at = |u: usize, v: usize| Vector3::from(self.points.at(u, v));
+        let own = at(u, v);
+        let limit = MAX_STRETCH * NORMAL_PX as f64 * own.z / self.focal_px;
+        let around = [at(left, v), at(right, v), at(u, above), at(u, below)];
+        // Not so of what is not there.
+        let smooth = around.iter().all(|x| (x - own).norm() < limit);
+        let normal = (around[1] - around[0]).cross(&(around[3] - around[2])).try_normalize(0.0)?;
+        smooth.then(|| if normal.dot(&own) > 0.0 { -normal } else { normal })
     }
 
     /// Where a cloud of this camera is right, wrong or missing: columns, rows and RGB of the crop. Blue: lit,
@@ -261,6 +291,8 @@ pub struct Tally {
     lit_right: usize,
     /// Distances of the points that have a surface, m, with whether their order is right.
     distances: Vec<(f32, bool)>,
+    /// Angles between the normals of points of right order and the true ones, rad.
+    tilts: Vec<f32>,
     /// Counts by modulation, where photographs are given.
     classes: Classes,
 }
@@ -302,6 +334,7 @@ impl Tally {
                     }
                     self.wrong_order += usize::from(!right);
                     self.lit_right += usize::from(right && lit);
+                    self.tilts.extend(right.then(|| truth.tilt(cloud, i, reference)).flatten());
                     if distance_m.is_finite() {
                         self.distances.push((distance_m as f32, right));
                     }
@@ -318,6 +351,7 @@ impl Tally {
         self.lit += other.lit;
         self.lit_right += other.lit_right;
         self.distances.extend_from_slice(&other.distances);
+        self.tilts.extend_from_slice(&other.tilts);
         self.classes.join(&other.classes);
     }
 
@@ -327,10 +361,13 @@ impl Tally {
         let mut all: Vec<f32> = self.distances.iter().map(|&(d, _)| d).collect();
         all.sort_unstable_by(f32::total_cmp);
         let right: Vec<f32> = self.distances.iter().filter(|x| x.1).map(|x| x.0).collect();
-        let quantile = |q: f64| {
-            let i = (q * all.len().saturating_sub(1) as f64).round() as usize;
-            all.get(i).map_or(f64::NAN, |&d| 1e3 * f64::from(d))
+        let mut tilts = self.tilts.clone();
+        tilts.sort_unstable_by(f32::total_cmp);
+        let of = |sorted: &[f32], q: f64| {
+            let i = (q * sorted.len().saturating_sub(1) as f64).round() as usize;
+            sorted.get(i).map_or(f64::NAN, |&x| f64::from(x))
         };
+        let quantile = |q: f64| 1e3 * of(&all, q);
         let rms = |values: &[f32]| {
             let sum: f64 = values.iter().map(|&d| f64::from(d) * f64::from(d)).sum();
             1e3 * (sum / values.len() as f64).sqrt()
@@ -346,6 +383,8 @@ impl Tally {
             off_surface_share: share(self.off_surface, self.points),
             completeness_of_lit: share(self.lit_right, self.lit),
             lit_px: self.lit,
+            normal_median_deg: of(&tilts, 0.5).to_degrees(),
+            normal_p95_deg: of(&tilts, 0.95).to_degrees(),
             by_modulation: self.classes.score(self.lit),
         }
     }
@@ -374,6 +413,10 @@ pub struct Score {
     pub completeness_of_lit: f64,
     /// Number of lit pixels.
     pub lit_px: usize,
+    /// Median angle between the normals of points of right order and the true ones, degrees.
+    pub normal_median_deg: f64,
+    /// 95th percentile of that, degrees.
+    pub normal_p95_deg: f64,
     /// Completeness and wrong points by modulation; empty without photographs.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub by_modulation: Vec<LightScore>,
@@ -381,9 +424,33 @@ pub struct Score {
 
 #[cfg(test)]
 mod tests {
-    use super::closest;
+    use super::{NORMAL_PX, Truth, closest};
+    use crate::image::Plane;
     use nalgebra::Vector3;
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
+
+    #[test]
+    fn the_true_normal_is_that_of_the_surface_and_none_at_its_edge() {
+        // A plane seen from the origin by a camera of 1000 px focal length; from column 15 on another one, half a metre behind.
+        let (side, focal_px) = (30, 1000.0);
+        let normal = Vector3::new(0.3, -0.2, -0.9).normalize();
+        let mut points = Plane::filled(side, side, [f64::NAN; 3]);
+        for v in 0..side {
+            for u in 0..side {
+                let ray = Vector3::new(u as f64 / focal_px, v as f64 / focal_px, 1.0);
+                let behind = if u < 15 { 0.0 } else { 0.5 };
+                points.set(u, v, (ray * ((2.0 + behind) * normal.z / normal.dot(&ray))).into());
+            }
+        }
+        let truth = Truth { origin: [0, 0], points, lit: Plane::filled(side, side, 1), focal_px };
+        for place in [(3, 3), (8, 20), (11, 26), (18, 10)] {
+            let found = truth.normal(place).expect("a smooth surface");
+            assert!(found.angle(&normal) < 1e-6, "{place:?}: {found:?}");
+        }
+        for place in [(NORMAL_PX - 1, 10), (10, side - NORMAL_PX), (14, 10), (15, 10), (17, 10)] {
+            assert_eq!(truth.normal(place), None, "{place:?}");
+        }
+    }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]

@@ -178,6 +178,7 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     assert!(all.wrong_order_share < 0.001, "{all:?}");
     assert!(all.completeness_of_lit > 0.894, "{all:?}");
     assert!(all.robust_mm < 0.055 && all.p95_mm < 0.3, "{all:?}");
+    assert!(all.normal_median_deg < 0.55 && all.normal_p95_deg < 5.6, "{all:?}");
     for pair in curve.windows(2) {
         assert!(pair[1].1.wrong_order_share <= pair[0].1.wrong_order_share, "{pair:?}");
     }

@@ -20,7 +20,8 @@ use std::path::{Path, PathBuf};
 ///
 /// The distance of a point is the Euclidean one to the true surface around its pixel. A point has the wrong
 /// fringe order when the projector sees it more than pi from the true phase at its pixel; points whose pixel
-/// sees no surface count as wrong, too.
+/// sees no surface count as wrong, too. Normals of points of right order are held against those of the true surface, three
+/// pixels to each side.
 ///
 /// Against a sphere or a mesh the distance is signed (positive outside) and to the nearest point of the solid; points
 /// more than 10 mm away are counted (gross) and do not enter the other figures.
@@ -239,13 +240,13 @@ fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Scor
         return;
     }
     println!(
-        "{:<12} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9}",
+        "{:<12} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9}  normals: median, p95 deg",
         "", "points", "rms mm", "right mm", "p95 mm", "robust mm", "wrong %", "(off %)", "of lit %"
     );
     let named = rows.iter().map(|(name, score)| (name.as_str(), score));
     for (name, score) in named.chain([("directional", all)]).chain(merged.map(|score| ("merged", score))) {
         println!(
-            "{name:<12} {:>9} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.2}",
+            "{name:<12} {:>9} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.2}  {:.2}, {:.2}",
             score.points,
             score.rms_mm,
             score.rms_right_order_mm,
@@ -254,6 +255,8 @@ fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Scor
             100.0 * score.wrong_order_share,
             100.0 * score.off_surface_share,
             100.0 * score.completeness_of_lit,
+            score.normal_median_deg,
+            score.normal_p95_deg,
         );
     }
     print_modulation(all);
