@@ -120,7 +120,7 @@ impl Seeker {
         }
         let search = Search { scenes, known: &known, first_block: &self.first_block };
         let views = views.par_iter_mut().zip(&mut self.failures).enumerate();
-        views.filter(|(_, (view, _))| view.partnered).for_each(|(number, (view, failures))| {
+        views.for_each(|(number, (view, failures))| {
             failures.retain(|_, failure| !failure.seen.meet(&changed));
             search.view(number, view, failures);
         });

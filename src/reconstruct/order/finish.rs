@@ -46,10 +46,8 @@ pub fn labels(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &
             }
         })
         .collect();
-    if view.partnered {
-        close(view, scenes, scene, known, &mut sum, &mut labels);
-        stretches(number, view, scenes, known, &mut labels);
-    }
+    close(view, scenes, scene, known, &mut sum, &mut labels);
+    stretches(number, view, scenes, known, &mut labels);
     labels
 }
 
@@ -68,9 +66,6 @@ pub fn stretches(
 
 /// Whether too little vouches for a node's order. `sum`: words for it and the nodes within two steps.
 fn doubtful(view: &View<'_>, scene: &Scene<'_>, node: usize, sum: &Words) -> bool {
-    if !view.partnered {
-        return view.graph.clearance[node] <= 1 && sum.good() < 3;
-    }
     let piece = scene.turns_of(node as u32);
     let agreed = piece == Some(view.turns[node]);
     let (conflict, bad) = conflict(view, node);

@@ -75,9 +75,6 @@ pub struct View<'a> {
     pub banned: Vec<Vec<i32>>,
     /// What the cameras have at its places.
     pub sights: Sights,
-    /// Whether the head's other camera is there, sees, and is not far darker. It is the one that confirms most; a view without it keeps the
-    /// orders of its pieces where they are not contradicted.
-    pub partnered: bool,
 }
 
 /// What became of a node.
@@ -121,9 +118,7 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let known: Vec<Vec<i32>> =
         labels.iter().map(|labels| labels.iter().map(|label| label.turns).collect()).collect();
     let views = views.par_iter_mut().zip(&mut labels).enumerate();
-    views
-        .filter(|(_, (view, _))| view.partnered)
-        .for_each(|(number, (view, labels))| finish::stretches(number, view, scenes, &known, labels));
+    views.for_each(|(number, (view, labels))| finish::stretches(number, view, scenes, &known, labels));
     labels
 }
 
@@ -132,15 +127,12 @@ pub fn known(views: &[View<'_>]) -> Vec<Vec<i32>> {
     views.iter().map(|view| view.turns.clone()).collect()
 }
 
-/// The cores of the settled pieces, or all of them.
+/// The cores of the settled pieces.
 fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
     let scene = &scenes[view];
-    let mut others = scenes.iter().enumerate().filter(|(number, _)| *number != view);
-    let partnered =
-        others.any(|(_, x)| x.witness.head == scene.witness.head && x.sees && !x.is_dim_beside(scene));
     let order = |node: usize| {
         let state = &scene.states[scene.pieces.of[node] as usize];
-        let begins = !partnered || state.margin >= MIN_MARGIN && scene.pieces.core[node];
+        let begins = state.margin >= MIN_MARGIN && scene.pieces.core[node];
         let order = state.order.ok().filter(|_| begins);
         order.map_or(NONE, |order| order + scene.pieces.turns[node])
     };
@@ -152,7 +144,6 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
         checked: vec![(NONE, Words::default()); n],
         banned: vec![Vec::new(); n],
         sights: Sights::new(scenes, view),
-        partnered,
     }
 }
 
@@ -305,7 +296,7 @@ fn check(scenes: &[Scene<'_>], views: &mut [View<'_>]) {
         let gone = |&node: &usize| {
             view.turns[node] != NONE
                 && (contradicted(view.words[node], sum[node], scene.pieces.core[node])
-                    || view.partnered && sum[node].partner <= FIRM && conflict(view, node).0 > 0)
+                    || sum[node].partner <= FIRM && conflict(view, node).0 > 0)
         };
         let gone: Vec<usize> = (0..view.turns.len()).filter(gone).collect();
         for node in gone {
@@ -318,9 +309,6 @@ fn check(scenes: &[Scene<'_>], views: &mut [View<'_>]) {
 
 /// Takes the order from nodes that no camera confirms: the next round may reach them from a better side.
 fn drop_unconfirmed(view: &mut View<'_>) {
-    if !view.partnered {
-        return;
-    }
     for (turns, words) in view.turns.iter_mut().zip(&mut view.words) {
         if words.good() == 0 {
             (*turns, *words) = (NONE, Words::default());

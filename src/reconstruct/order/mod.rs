@@ -55,10 +55,6 @@ use std::f32::consts::TAU;
 use std::time::Instant;
 use witness::Witness;
 
-/// A camera that has a phase on less than one in so many of its object's pixels, as when it is over-exposed, is nobody's
-/// partner.
-const MIN_SEEN: usize = 2;
-
 /// One camera's frame and its geometry.
 #[derive(Debug)]
 pub struct View<'a> {
@@ -164,7 +160,6 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
         states,
         px,
         settled,
-        sees: prepared.counts.phase * MIN_SEEN >= prepared.lit.area(),
         light_dn: light / nodes.len().max(1) as f32,
         witness,
     }

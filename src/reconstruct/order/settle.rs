@@ -113,8 +113,6 @@ pub struct Scene<'a> {
     pub px: Vec<u32>,
     /// Whole turns that make each node's phases absolute where its piece is settled, or [`NONE`].
     pub settled: Vec<i32>,
-    /// Whether it has a phase on so much of its object that its confirmation is worth waiting for.
-    pub sees: bool,
     /// Mean light of its nodes, DN.
     pub light_dn: f32,
 }
