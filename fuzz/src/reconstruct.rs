@@ -168,8 +168,8 @@ pub fn photograph(data: &[u8]) {
     if method == Method::Anchored {
         let found = together(&pipelines, &images);
         found.iter().for_each(|found| hold(found, volume));
-        // Unchanged they are good ones: else the fuzzer would see refusals only.
-        assert!(data.len() > 1 || found.iter().all(|found| found.outcome == Outcome::Cloud));
+        // Unchanged those of one head confirm each other: else the fuzzer would see refusals only.
+        assert!(data.len() > 1 || found[..2].iter().all(|found| found.outcome == Outcome::Cloud));
     }
 }
 
