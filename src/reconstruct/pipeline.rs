@@ -266,20 +266,14 @@ impl Pipeline {
                 Method::Paper => mask::otsu(image, pair.period_px, mask, object),
             }
             // What is over-exposed hides the background from the other cameras: it belongs to the region, too.
-            Roi::of(object).and_then(|roi| match self.method {
-                Method::Anchored => Roi::of(&mask.lit),
-                Method::Paper => Some(roi),
-            })
+            Roi::of(&mask.lit).filter(|_| !object.all().is_empty())
         });
         let Some(roi) = roi else {
             BUFFERS.give(buffers);
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
         let runs = roi.cut_runs(&buffers.object);
-        let lit = match self.method {
-            Method::Anchored => roi.cut_runs(&buffers.mask.lit),
-            Method::Paper => runs.clone(),
-        };
+        let lit = roi.cut_runs(&buffers.mask.lit);
         BUFFERS.give(buffers);
         let plane = || BYTES.take(roi.width, roi.height);
         let (mut part, mut object) = (plane(), plane());
