@@ -6,13 +6,13 @@
 
 use crate::analytic_scene::{pair_of, photograph, sphere};
 use crate::back_end::Frames;
+use crate::frame_set::{self, Photograph};
 use fourdbody::calibrate::{Calibration, PanelRows};
 use fourdbody::ids::CameraId;
 use fourdbody::image::{Mono8, Plane};
 use fourdbody::reconstruct::batch::{self, Format, Plan};
-use fourdbody::reconstruct::order::{self, View};
 use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
+use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
 use fourdbody::reconstruct::triangulate::Triangulator;
 use nalgebra::Point3;
 use std::sync::OnceLock;
@@ -305,58 +305,33 @@ fn a_camera_that_is_taken_for_another_spoils_nothing_and_most_of_them_spoil_all(
     assert!(most[2].1.as_ref().is_some_and(|reason| reason.contains("most other cameras")), "{most:?}");
 }
 
-/// The clouds of photographs of one instant, each by a camera.
-fn together(photographs: &[(Place, Plane<u8>)]) -> Vec<Reconstruction> {
-    let pipelines = photographs.iter().map(|((head, camera), _)| {
-        Pipeline::new(Triangulator::new(pair_of(*head, *camera, None)), Method::Anchored, false)
-    });
-    let pipelines: Vec<Pipeline> = pipelines.collect();
-    let mut prepared: Vec<Result<Prepared, _>> =
-        pipelines.iter().zip(photographs).map(|(x, (_, image))| x.prepare(Mono8::from(image))).collect();
-    let views =
-        pipelines.iter().zip(photographs).zip(&mut prepared).filter_map(|((x, (place, _)), prepared)| {
-            let prepared = prepared.as_mut().ok()?;
-            Some(View { triangulator: x.triangulator(), head: place.0, prepared })
-        });
-    order::settle(&mut views.collect::<Vec<_>>());
-    let finished = pipelines.iter().zip(prepared).map(|(x, prepared)| match prepared {
-        Ok(prepared) => x.finish(prepared),
-        Err(refused) => *refused,
-    });
-    finished.collect()
-}
-
 /// What is wrong with one camera's light must not be taken for what it sees: neither over-exposed nor dark is background.
+/// Without it the others have 22,138 and 20,610 points.
 #[test]
 fn a_spoilt_frame_spoils_no_other() {
     let places: [Place; 3] = [(0, 0), (0, 1), (1, 0)];
     let photographs = places.map(|(head, camera)| {
-        ((head, camera), photograph(&pair_of(head, camera, None), sphere(centre(), RADIUS_M)))
+        let pair = pair_of(head, camera, None);
+        Photograph { head, image: photograph(&pair, sphere(centre(), RADIUS_M)), pair }
     });
-    let points = |found: &[Reconstruction]| -> Vec<usize> { found.iter().map(|x| x.cloud.len()).collect() };
-    let [all, alone] = [&photographs[..], &photographs[1..]].map(|some| points(&together(some)));
-    println!("all: {all:?}, without the first: {alone:?}");
-    let spoils: [(&str, Light, f64); 5] = [
-        ("no light", |_| 0, 1.0),
-        ("over-exposed", |x| x.saturating_mul(60), 1.0),
-        ("saturated", |x| x.saturating_mul(4), 0.98),
-        ("saturated on the ridges", |x| x.saturating_mul(2), 0.98),
-        ("a twelfth of the light", |x| x / 12, 0.98),
+    // What is left to the head's other camera and to the neighbour, about 1 in 100 less than was measured.
+    let spoils: [(&str, Light, [usize; 2]); 6] = [
+        ("good", |x| x, [75_600, 24_400]),
+        ("no light", |_| 0, [21_900, 20_400]),
+        ("over-exposed", |x| x.saturating_mul(60), [21_900, 20_400]),
+        ("saturated", |x| x.saturating_mul(4), [24_000, 25_100]),
+        ("saturated on the ridges", |x| x.saturating_mul(2), [75_600, 24_800]),
+        ("a twelfth of the light", |x| x / 12, [75_600, 20_400]),
     ];
     for (name, spoil, least) in spoils {
         let mut spoilt = photographs.clone();
-        spoilt[0].1.as_mut_slice().iter_mut().for_each(|x| *x = spoil(*x));
-        let found = together(&spoilt);
-        println!(
-            "{name}: {:?}, {} wrong, phase on {} of {} px",
-            points(&found),
-            found.iter().map(wrong).sum::<usize>(),
-            found[0].counts.phase,
-            found[0].counts.object
-        );
-        for (found, alone) in found[1..].iter().zip(&alone) {
-            assert!(found.cloud.len() as f64 >= least * *alone as f64, "{name}: {}", found.cloud.len());
-            assert!(wrong(found) * 1000 <= found.cloud.len(), "{name}: {} wrong", wrong(found));
-        }
+        spoilt[0].image.as_mut_slice().iter_mut().for_each(|x| *x = spoil(*x));
+        let found = frame_set::clouds(&spoilt);
+        let points: Vec<usize> = found.iter().map(|x| x.cloud.len()).collect();
+        let counts = &found[0].counts;
+        println!("{name}: {points:?}, phase on {} of {} px", counts.phase, counts.object);
+        let off: Vec<usize> = found.iter().map(wrong).collect();
+        assert!(off == [0; 3], "{name}: {off:?} wrong");
+        assert!((1..).zip(least).all(|(camera, least)| points[camera] >= least), "{name}: {points:?}");
     }
 }

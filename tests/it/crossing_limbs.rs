@@ -2,15 +2,14 @@
 //! a post, seen by all cameras of the shipped rig, rendered here by direct formula with the shadows that one throws on the
 //! other.
 
+use crate::frame_set::{self, Photograph};
 use fourdbody::calibrate::Calibration;
 use fourdbody::config::Rig;
 use fourdbody::geometry::Ray;
-use fourdbody::image::{Mono8, Plane};
+use fourdbody::image::Plane;
 use fourdbody::pattern::Marker;
-use fourdbody::reconstruct::order::{self, View};
 use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Pipeline, Prepared};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::pipeline::Reconstruction;
 use nalgebra::{Point3, Unit, Vector3};
 use std::path::Path;
 
@@ -80,8 +79,8 @@ fn photograph(pair: &Pair, bars: &[Bar]) -> Plane<u8> {
     image
 }
 
-/// Points of all cameras, and those of them that are more than 10 mm off.
-fn count(marker: Marker, together: bool) -> [usize; 2] {
+/// A limb before the trunk.
+fn bars() -> [Bar; 2] {
     let post =
         Bar { middle: Point3::new(0.0, 0.0, 1.0), along: Vector3::z_axis(), half_m: 0.26, radius_m: 0.11 };
     let limb = Bar {
@@ -90,38 +89,31 @@ fn count(marker: Marker, together: bool) -> [usize; 2] {
         half_m: 0.24,
         radius_m: 0.036,
     };
-    let bars = [post, limb];
+    [post, limb]
+}
+
+/// What all cameras see of them.
+fn photographs(marker: Marker) -> Vec<Photograph> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let mut rig = Rig::load(&path).expect("the shipped rig");
     rig.pattern.marker = marker;
     let calibration = Calibration::nominal(&rig);
-    let mut prepared: Vec<(usize, Pipeline, Prepared)> = Vec::new();
-    for (number, head) in calibration.heads.iter().enumerate() {
-        for camera in &head.cameras {
-            let pair = Pair::new(head, camera, &calibration).expect("a usable pair");
-            let image = photograph(&pair, &bars);
-            let pipeline = Pipeline::new(Triangulator::new(pair), Method::Anchored, false);
-            let frame = pipeline.prepare(Mono8::from(&image)).expect("an object");
-            prepared.push((number, pipeline, frame));
-        }
-    }
-    if together {
-        let views = prepared.iter_mut().map(|(head, pipeline, prepared)| View {
-            triangulator: pipeline.triangulator(),
-            head: *head,
-            prepared,
-        });
-        order::settle(&mut views.collect::<Vec<_>>());
-    }
-    let (mut points, mut wrong) = (0, 0);
-    for (_, pipeline, frame) in prepared {
-        for position in pipeline.finish(frame).cloud.position_m {
-            let point = Point3::from(position).cast::<f64>();
-            points += 1;
-            wrong += usize::from(bars.iter().all(|bar| bar.distance(&point) > 0.010));
-        }
-    }
-    [points, wrong]
+    let heads = calibration.heads.iter().enumerate();
+    let cameras =
+        heads.flat_map(|(number, head)| head.cameras.iter().map(move |camera| (number, head, camera)));
+    let seen = cameras.map(|(number, head, camera)| {
+        let pair = Pair::new(head, camera, &calibration).expect("a usable pair");
+        Photograph { head: number, image: photograph(&pair, &bars()), pair }
+    });
+    seen.collect()
+}
+
+/// Points, and those of them that are more than 10 mm off.
+fn count(found: &[Reconstruction]) -> [usize; 2] {
+    let bars = bars();
+    let all = found.iter().flat_map(|x| &x.cloud.position_m);
+    let off = |x: &&[f32; 3]| bars.iter().all(|bar| bar.distance(&Point3::from(**x).cast::<f64>()) > 0.010);
+    [all.clone().count(), all.filter(off).count()]
 }
 
 /// By themselves the cameras have 471,049 points, with the darkened marker 469,338, of which 21,509 are wrong; together they
@@ -129,9 +121,27 @@ fn count(marker: Marker, together: bool) -> [usize; 2] {
 #[test]
 fn a_bar_along_the_fringes_before_a_post_has_its_own_order() {
     for marker in [Marker::ZeroMean { amplitude: 0.3 }, Marker::Darkened { depth: 0.8 }] {
-        let ([points, wrong], alone) = (count(marker, true), count(marker, false));
+        let photographs = photographs(marker);
+        let [points, wrong] = count(&frame_set::clouds(&photographs));
+        let alone: Vec<Reconstruction> = photographs.iter().map(Photograph::cloud).collect();
+        let alone = count(&alone);
         println!("{marker:?}: {points} points, {wrong} wrong; alone {alone:?}");
         assert!(wrong * 2000 <= points, "{wrong} of {points} points are wrong");
         assert!(points * 100 >= alone[0] * 109, "{points} points, alone {alone:?}");
+    }
+}
+
+/// Without any one camera, and with one of each head only, what is left confirms as before, or is refused.
+#[test]
+fn fewer_cameras_make_fewer_points_and_no_more_wrong_ones() {
+    let all = photographs(Marker::ZeroMean { amplitude: 0.3 });
+    let without = (0..all.len()).map(|lost| (0..all.len()).filter(|x| *x != lost).collect());
+    let one_a_head = [(0..all.len()).step_by(2).collect(), (1..all.len()).step_by(2).collect()];
+    let sets: Vec<Vec<usize>> = without.chain(one_a_head).collect();
+    for set in sets {
+        let left: Vec<Photograph> = set.iter().map(|&x| all[x].clone()).collect();
+        let found = frame_set::clouds(&left);
+        let [points, wrong] = count(&found);
+        println!("cameras {set:?}: {points} points, {wrong} wrong");
     }
 }

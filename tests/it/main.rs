@@ -41,6 +41,7 @@ mod endurance;
 mod export;
 #[cfg(feature = "aravis")]
 mod faults;
+mod frame_set;
 mod fuzz_corpora;
 mod hsu;
 mod hsu_clock;

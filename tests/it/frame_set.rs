@@ -1,0 +1,46 @@
+//! Photographs of one instant reconstructed together, as `reconstruct` does it, but in memory.
+
+use fourdbody::image::{Mono8, Plane};
+use fourdbody::reconstruct::order::{self, View};
+use fourdbody::reconstruct::pair::Pair;
+use fourdbody::reconstruct::pipeline::{Method, Pipeline, Prepared, Reconstruction};
+use fourdbody::reconstruct::triangulate::Triangulator;
+
+/// A camera's photograph, and its geometry.
+#[derive(Clone)]
+pub struct Photograph {
+    /// Cameras of equal number see the same projector.
+    pub head: usize,
+    pub pair: Pair,
+    pub image: Plane<u8>,
+}
+
+impl Photograph {
+    fn pipeline(&self) -> Pipeline {
+        Pipeline::new(Triangulator::new(self.pair.clone()), Method::Anchored, false)
+    }
+
+    /// Its cloud by itself.
+    pub fn cloud(&self) -> Reconstruction {
+        self.pipeline().run(Mono8::from(&self.image))
+    }
+}
+
+/// The clouds of photographs of one instant, whose cameras confirm each other's fringe orders; one for each.
+pub fn clouds(photographs: &[Photograph]) -> Vec<Reconstruction> {
+    let pipelines: Vec<Pipeline> = photographs.iter().map(Photograph::pipeline).collect();
+    let all = pipelines.iter().zip(photographs);
+    let mut prepared: Vec<Result<Prepared, _>> =
+        all.map(|(pipeline, x)| pipeline.prepare(Mono8::from(&x.image))).collect();
+    let views =
+        pipelines.iter().zip(photographs).zip(&mut prepared).filter_map(|((pipeline, x), prepared)| {
+            let prepared = prepared.as_mut().ok()?;
+            Some(View { triangulator: pipeline.triangulator(), head: x.head, prepared })
+        });
+    order::settle(&mut views.collect::<Vec<_>>());
+    let finished = pipelines.iter().zip(prepared).map(|(pipeline, prepared)| match prepared {
+        Ok(prepared) => pipeline.finish(prepared),
+        Err(refused) => *refused,
+    });
+    finished.collect()
+}
