@@ -131,17 +131,18 @@ fn a_bar_along_the_fringes_before_a_post_has_its_own_order() {
     }
 }
 
-/// Without any one camera, and with one of each head only, what is left confirms as before, or is refused.
+/// Without the first camera, and with one camera of each head, what is left confirms as before, or is refused.
 #[test]
-fn fewer_cameras_make_fewer_points_and_no_more_wrong_ones() {
+fn fewer_cameras_make_fewer_points_and_no_wrong_ones() {
     let all = photographs(Marker::ZeroMean { amplitude: 0.3 });
-    let without = (0..all.len()).map(|lost| (0..all.len()).filter(|x| *x != lost).collect());
-    let one_a_head = [(0..all.len()).step_by(2).collect(), (1..all.len()).step_by(2).collect()];
-    let sets: Vec<Vec<usize>> = without.chain(one_a_head).collect();
-    for set in sets {
+    let every_second = |first: usize| (first..all.len()).step_by(2).collect();
+    for (set, least) in
+        [((1..all.len()).collect(), 434_000), (every_second(0), 168_000), (every_second(1), 192_000)]
+    {
+        let set: Vec<usize> = set;
         let left: Vec<Photograph> = set.iter().map(|&x| all[x].clone()).collect();
-        let found = frame_set::clouds(&left);
-        let [points, wrong] = count(&found);
+        let [points, wrong] = count(&frame_set::clouds(&left));
         println!("cameras {set:?}: {points} points, {wrong} wrong");
+        assert!(wrong == 0 && points >= least, "cameras {set:?}: {points} points, {wrong} wrong");
     }
 }

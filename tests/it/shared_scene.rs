@@ -203,22 +203,29 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     }
 }
 
-/// A lost camera takes points from the others, and makes none of theirs wrong.
+/// A lost camera takes points from the others, and makes none of theirs wrong. Bounds: what was measured and little room. Before whole
+/// pieces that other heads contradict, and stretches that are only enclosed, were refused to a head's only camera, there were 0.72 %
+/// wrong without `h0_low`, 0.91 % without `h1_low`, and 6.69 % with the upper cameras.
 #[test]
 fn fewer_cameras_make_fewer_points_and_not_more_wrong_ones() {
     let Some(scene) = scene() else { return };
     let calibration = calibration(&scene);
-    let count = |name: &str, is_there: &dyn Fn(&str) -> bool| {
+    let is_upper = |camera: &str| camera.ends_with("up");
+    let cases: [(&str, &dyn Fn(&str) -> bool, f64, f64); 5] = [
+        ("without h0_low", &|camera| camera != "h0_low", 0.0010, 0.860),
+        ("without h1_low", &|camera| camera != "h1_low", 0.0018, 0.785),
+        ("without h3_up", &|camera| camera != "h3_up", 0.0013, 0.787),
+        ("upper cameras", &is_upper, 0.0004, 0.410),
+        ("lower cameras", &|camera| !is_upper(camera), 0.0020, 0.554),
+    ];
+    for (name, is_there, wrong, complete) in cases {
         let mut sum = Tally::default();
         scored(&scene, &calibration, is_there).iter().for_each(|view| sum.join(&view.tally(0.0)));
         let score = sum.score();
         println!("{name}: {}", wrong_and_complete(&score));
-    };
-    for lost in ["h0_up", "h0_low", "h1_up", "h1_low", "h2_up", "h2_low", "h3_up", "h3_low"] {
-        count(&format!("without {lost}"), &|camera| camera != lost);
+        assert!(score.wrong_order_share < wrong, "{name}: {score:?}");
+        assert!(score.completeness_of_lit > complete, "{name}: {score:?}");
     }
-    count("upper cameras", &|camera| camera.ends_with("up"));
-    count("lower cameras", &|camera| camera.ends_with("low"));
 }
 
 /// Margins that are asked of a point: any, that of a region, and those of more and more certain regions.

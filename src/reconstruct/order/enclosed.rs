@@ -2,7 +2,8 @@
 //!
 //! What no other camera sees is refused, node by node: a limb that has taken the trunk's order hangs on the trunk along one side.
 //! But what is continued at one and the same order along most of its outline, by all that is known beside it, can hardly be
-//! anything else than a part of that surface.
+//! anything else than a part of that surface. Without the head's other camera whole limbs are open, and enclosed in the same way by
+//! the trunk before which they cross: there nothing is closed.
 
 use super::graph::Graph;
 use super::grow::{Label, NONE, View};
@@ -31,6 +32,9 @@ pub fn close(
     labels: &mut [Label],
 ) {
     let scene = &scenes[number];
+    if scene.lone {
+        return;
+    }
     let size = |node: u32| scene.witness.cells.nodes[node as usize].size;
     let mut found = Vec::new();
     for stretch in stretch::open(view.graph, labels) {

@@ -160,6 +160,7 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
         states,
         px,
         settled,
+        lone: views.iter().filter(|x| x.head == view.head).count() == 1,
         light_dn: light / nodes.len().max(1) as f32,
         witness,
     }

@@ -71,6 +71,10 @@ const MAX_PARTS: usize = 5;
 /// DN above black.
 const DIM: f32 = 4.0;
 
+/// What other heads alone say for an order, without the marker, is believed where they contradict it once in so many places, at most. A limb
+/// that lies where the trunk is has their word in most places, and is contradicted in the others.
+const LONE: u32 = 8;
+
 /// Rounds of settling and parting, at most.
 const MAX_ROUNDS: usize = 3;
 
@@ -113,6 +117,8 @@ pub struct Scene<'a> {
     pub px: Vec<u32>,
     /// Whole turns that make each node's phases absolute where its piece is settled, or [`NONE`].
     pub settled: Vec<i32>,
+    /// Whether it is its head's only camera.
+    pub lone: bool,
     /// Mean light of its nodes, DN.
     pub light_dn: f32,
 }
@@ -146,6 +152,8 @@ struct Evidence {
     against: u32,
     /// Everything together.
     all: f32,
+    /// Whether it may be believed at all.
+    credible: bool,
 }
 
 /// Settles all pieces of all views.
@@ -245,9 +253,10 @@ fn spread(scenes: &mut [Scene<'_>], cache: &mut Cache) {
     }
 }
 
-/// The order of most evidence, if that is enough, and its lead.
+/// The credible order of most evidence, if that is enough, and its lead.
 fn leader(all: &[Evidence]) -> Option<(Evidence, f32)> {
-    let best = *all.iter().max_by(|a, b| a.all.total_cmp(&b.all).then(b.order.cmp(&a.order)))?;
+    let credible = all.iter().filter(|x| x.credible);
+    let best = *credible.max_by(|a, b| a.all.total_cmp(&b.all).then(b.order.cmp(&a.order)))?;
     let second = all.iter().filter(|x| x.order != best.order).map(|x| x.all).fold(0.0, f32::max);
     (best.all >= MIN_EVIDENCE).then_some((best, best.all - second))
 }
@@ -265,9 +274,8 @@ fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
                     continue;
                 }
                 let evidence = evidence(scenes, view, piece, order, cache);
-                if (evidence.cameras < CONTESTED || evidence.against > evidence.agree)
-                    && worst.is_none_or(|x| evidence.all < x.0)
-                {
+                let contested = evidence.cameras < CONTESTED || evidence.against > evidence.agree;
+                if (contested || !evidence.credible) && worst.is_none_or(|x| evidence.all < x.0) {
                     worst = Some((evidence.all, view, piece, order));
                 }
             }
@@ -405,10 +413,9 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
         found.against += seen - agree;
     }
     let scene = &scenes[view];
-    found.all = found.cameras;
-    if let Some(votes) = scene.pieces.votes[piece].get(&order) {
-        found.all += (*votes as f32 / FULL_VOTES).min(2.0);
-    }
+    let votes = scene.pieces.votes[piece].get(&order).copied().unwrap_or(0);
+    found.all = found.cameras + (votes as f32 / FULL_VOTES).min(2.0);
+    found.credible = !scene.lone || votes >= MIN_VOTES || found.against * LONE <= found.agree;
     for (other, contact) in &scene.pieces.contacts[piece] {
         let Ok(settled) = scene.states[*other as usize].order else { continue };
         // What was parted continues each other by definition.
