@@ -476,7 +476,8 @@ impl Recording {
     }
 
     /// Begins the next segment, which was made ready when half of this one was written. It waits while the last
-    /// split is not over, so that no frame is ever late for its segment.
+    /// split is not over: no frame is ever late for its segment, and never do more than two segments have chunks that
+    /// are not in their files.
     fn split_if_due(&mut self) -> Result<(), RecordError> {
         if !self.closing.is_empty() {
             self.reap_closed()?;
@@ -491,6 +492,7 @@ impl Recording {
         if bytes < self.options.segment_bytes {
             return Ok(());
         }
+        self.join_closing().or_else(|source| self.fail(source))?;
         let boundary = self.newest().0;
         self.open_segment(boundary).or_else(|source| self.fail(source))?;
         self.close_older()

@@ -17,10 +17,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// What a crash costs at most, frames: the open chunk and two in the disk's queue (recording.md, invariant 5).
+/// What a crash costs of a segment at most, frames: the open chunk and two in the disk's queue (recording.md, invariant 5).
 const BOUND: usize = 12;
-/// Frames after a split by which the older segment is surely on the disk.
-const SPLIT_IS_OVER: usize = 100;
 const CAMERAS: [&str; 4] = ["h0_up", "h0_low", "h1_up", "h1_low"];
 
 pub fn number(name: &str, otherwise: u64) -> u64 {
@@ -170,61 +168,86 @@ fn kill_a_recorder(dir: &Path, seed: u64, after: Duration) -> usize {
     done
 }
 
+/// Acknowledged steps of one segment, in their order.
+#[derive(Default)]
+struct Kept {
+    /// Place of the last frame or gap record that is there.
+    last: Option<usize>,
+    /// Frames that are not.
+    lost: usize,
+}
+
 /// Compares what was recovered with what had been recorded; returns recovered frames and acknowledged ones that are lost.
-fn compare(recording: &RecordingReader, split: Option<u64>, seed: u64, done: usize) -> (u64, u64) {
+/// `begins` has the first trigger of each segment, none where a crash came before the segment's header.
+///
+/// What is lost is the end of a segment and no more than its open chunk and its queue hold, however many frames went to the
+/// next segment meanwhile; and it is lost in the last two segments only.
+fn compare(recording: &RecordingReader, begins: &[Option<u64>], seed: u64, done: usize) -> (u64, u64) {
     let mut expected =
         vec![0; (recording.header.cameras[0].width * recording.header.cameras[0].height) as usize];
     let steps: Vec<Step> = Plan::new(seed).steps().take(done).collect();
-    let is_frame = |step: &&Step| matches!(step, Step::Frame(..));
-    let mut younger = steps.iter().filter(is_frame).count();
-    let (mut found, mut lost) = (0, 0);
-    // Around a split two segments have an open chunk and a queue: twice the bound.
-    let since_split = |first: u64| {
-        steps.iter().filter(|step| matches!(step, Step::Frame(_, index) if *index >= first)).count()
-    };
-    let near_split = split.is_some_and(|first| since_split(first) < SPLIT_IS_OVER);
-    let bound = if near_split { BLOCKS_HELD } else { BOUND };
-    for step in &steps {
-        younger -= usize::from(is_frame(&step));
-        let there = match *step {
-            Step::Row(index) => recording.triggers.contains_key(&TriggerIndex(index)),
+    let known: Vec<u64> = begins.iter().copied().flatten().collect();
+    let segment_of = |trigger: u64| known.iter().rposition(|&first| first <= trigger).unwrap_or(0);
+    let mut segments: Vec<Kept> = known.iter().map(|_| Kept::default()).collect();
+    let mut found = 0;
+    let mut lost = Vec::new();
+    for (place, step) in steps.iter().enumerate() {
+        let (index, there) = match *step {
+            Step::Row(index) => (index, recording.triggers.contains_key(&TriggerIndex(index))),
             Step::Gap(camera, index) => {
-                matches!(recording.frame(camera, TriggerIndex(index)), Ok(Err(GapCause::MissingPackets)))
+                let outcome = recording.frame(camera, TriggerIndex(index));
+                (index, matches!(outcome, Ok(Err(GapCause::MissingPackets))))
             }
             Step::Frame(camera, index) => match recording.frame(camera, TriggerIndex(index)) {
                 Ok(Ok(frame)) => {
                     fill(&mut expected, camera, index);
-                    assert!(
-                        frame.image.as_slice() == expected,
-                        "seed {seed}: camera {camera} trigger {index}"
-                    );
+                    let same = frame.image.as_slice() == expected;
+                    assert!(same, "seed {seed}: camera {camera} trigger {index}");
                     found += 1;
-                    true
+                    (index, true)
                 }
-                _ => {
-                    lost += 1;
-                    false
-                }
+                _ => (index, false),
             },
         };
+        let segment = segment_of(index);
+        let kept = &mut segments[segment];
+        match step {
+            _ if !there => {
+                kept.lost += usize::from(matches!(step, Step::Frame(..)));
+                lost.push((place, segment));
+            }
+            // The older segment may have been closed before the row came.
+            Step::Row(_) => {}
+            Step::Frame(..) | Step::Gap(..) => kept.last = Some(place),
+        }
+    }
+    let ends_before =
+        |segment: usize, place| segments.get(segment).is_some_and(|kept| kept.last < Some(place));
+    // Where the last segment has no header, what went there is taken for the end of the one before.
+    let headless = known.len() < begins.len();
+    for (place, segment) in lost {
+        let is_row = matches!(steps[place], Step::Row(_));
+        let at_an_end = ends_before(segment, place) || (is_row && ends_before(segment + 1, place));
+        let of_the_last = segment + 2 >= begins.len();
+        let step = steps[place];
         assert!(
-            there || younger < bound,
-            "seed {seed}: {step:?} is lost, {younger} frames before the kill; bound {bound}, last split at {split:?}"
+            of_the_last && (at_an_end || headless),
+            "seed {seed}: {step:?} is lost, and what came later to segment {segment} of {begins:?} is there"
         );
     }
-    (found, lost)
+    for (number, kept) in segments.iter().enumerate() {
+        let bound = if headless && number + 1 == known.len() { BLOCKS_HELD } else { BOUND };
+        assert!(kept.lost <= bound, "seed {seed}: segment {number} of {begins:?} lost {} frames", kept.lost);
+    }
+    (found, segments.iter().map(|kept| kept.lost as u64).sum())
 }
 
-/// First trigger of the last segment, if there was a split; one whose header is not on disk yet begins at the end.
-fn last_split(source: &Path) -> Option<u64> {
-    let names =
-        std::fs::read_dir(source).expect("a directory").map(|entry| entry.expect("an entry").file_name());
-    let files = names.filter(|name| !name.to_string_lossy().starts_with('.')).count();
+/// First trigger of each segment of what a crash left.
+fn segment_begins(source: &Path) -> Vec<Option<u64>> {
     let reader = SessionReader::open(source).expect("readable");
     let segments = &reader.recordings()[0].segments;
-    let last = segments.last().filter(|_| files > 1)?;
-    let empty = std::fs::metadata(&last.path).expect("there").len() == 0;
-    Some(if empty { u64::MAX } else { last.first_trigger })
+    // Without a header it says 0.
+    segments.iter().map(|s| Some(s.first_trigger).filter(|first| s.number == 0 || *first > 0)).collect()
 }
 
 #[test]
@@ -249,7 +272,7 @@ fn a_killed_recorder_loses_at_most_three_chunks() {
         let report = verify(&out, &|_, _| ()).expect("readable");
         assert_ne!(report.worst, Some(Severity::Corrupt), "seed {seed}: {:?}", report.findings);
         let reader = SessionReader::open(&out).expect("readable");
-        let (found, lost) = compare(&reader.recordings()[0], last_split(&source), seed, done);
+        let (found, lost) = compare(&reader.recordings()[0], &segment_begins(&source), seed, done);
         losses.push(lost);
         total += found;
     }

@@ -11,7 +11,7 @@ use crate::record::verify::{Severity, verify};
 use crate::record::{
     FrameMeta, GapCause, NodeEvent, RecordError, RecordingHeader, SessionEnd, SessionReader, Verdict,
 };
-use crossbeam_channel::{Receiver, bounded, unbounded};
+use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use proptest::prelude::*;
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice};
@@ -191,6 +191,70 @@ fn a_block_comes_back_when_the_disk_has_it_and_not_before() {
     let stored = std::fs::read(path.join("segment-000.mcap")).expect("a segment");
     let name = crate::record::layout::STATISTICS_METADATA.as_bytes();
     assert!(stored.windows(name.len()).any(|bytes| bytes == name), "the statistics are in the file");
+}
+
+/// The first segment's disk writes its header and then nothing until the gate opens; the third one's says that it
+/// was written to.
+struct SlowFirstStore {
+    file: DirectFile,
+    gate: Option<Receiver<()>>,
+    written: Option<Sender<()>>,
+}
+
+impl Store for SlowFirstStore {
+    fn write_at(&mut self, offset: u64, parts: &mut [IoSlice<'_>]) -> io::Result<()> {
+        // Errors mean that the gate stays open, and that nobody listens any more.
+        let _ = self.gate.as_ref().filter(|_| offset > 0).map(Receiver::recv);
+        let _ = self.written.as_ref().map(|written| written.send(()));
+        self.file.write_at(offset, parts)
+    }
+
+    fn set_len(&mut self, length: u64) -> io::Result<()> {
+        self.file.set_len(length)
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.file.sync()
+    }
+}
+
+/// A disk thread that gets no turn while its segment is closed: what waits there, the open chunk and the queue of the
+/// next one are all that a crash may cost, so a third segment has to wait.
+#[test]
+fn a_third_segment_waits_until_the_first_is_closed() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let path = dir.path().join("node-a");
+    let (open_gate, gate) = bounded::<()>(0);
+    let (written, third) = unbounded();
+    let open = move |path: &Path| -> io::Result<Box<dyn Store>> {
+        let is = |number: &str| path.to_string_lossy().contains(number);
+        let (gate, written) = (is("-000").then(|| gate.clone()), is("-002").then(|| written.clone()));
+        Ok(Box::new(SlowFirstStore { file: DirectFile::create(path)?, gate, written }))
+    };
+    // Room for two chunks: the first segment is full before its queue is.
+    let options = options(60_000);
+    let mut recording =
+        Recording::create_with(&path, sized(80, 80), options, Arc::new(open)).expect("created");
+    recording.options.sync_interval = Duration::MAX;
+    let opener = std::thread::spawn(move || {
+        // No turn can be waited for that must not come; time only lets a wrong writer show itself.
+        let early = third.recv_timeout(Duration::from_millis(500)).is_ok();
+        drop(open_gate);
+        early
+    });
+    for trigger in 0..30 {
+        let (meta, block) = block(0, trigger, 80, 80);
+        recording.frame_in_place(0, &meta, block).expect("recorded");
+        recording.gap(1, TriggerIndex(trigger), GapCause::MissingPackets).expect("recorded");
+    }
+    assert!(
+        !opener.join().expect("no panic"),
+        "a third segment was written while the first had unwritten chunks"
+    );
+    let verdict = recording.finish(end(30)).expect("finished");
+    assert_eq!(verdict.frames(), 30);
+    assert!(path.join("segment-002.mcap").exists(), "three segments");
+    check(&path, &verdict, 80, 80);
 }
 
 /// A disk that fails for good at the `syncs`-th sync or the byte after `bytes`, at which the write stops short;
