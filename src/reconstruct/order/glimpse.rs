@@ -59,7 +59,7 @@ impl Glimpse {
     /// From here on: places in [`Glimpses::rims`].
     pub const RIM: u32 = 1 << 31;
     /// What is not seen: a plane without a phase.
-    const UNSEEN: Self = Self::none(0);
+    pub const UNSEEN: Self = Self::none(0);
 
     /// A cell that a node fills, as a plane: its phase at the first pixel, its step from column to column, and from row to row, rad.
     #[inline(always)]
@@ -77,16 +77,19 @@ impl Glimpse {
         Self { node: kind, phase: f32::NAN, bits: 0 }
     }
 
-    /// The step of its plane from column to column, and from row to row, rad.
+    /// Some cells side by side.
     #[inline(always)]
-    pub fn steps(&self) -> [f32; 2] {
-        [self.bits as u32, (self.bits >> 32) as u32].map(f32::from_bits)
-    }
-
-    /// Whether it has pixels that have to be asked.
-    #[inline(always)]
-    pub fn is_rim(&self) -> bool {
-        (Self::RIM..Self::NEAR).contains(&self.node)
+    pub fn lanes<const N: usize>(cells: &[Self; N]) -> GlimpseLanes<N> {
+        let mut lanes =
+            GlimpseLanes { node: [0; N], phase: [0.0; N], right: [0.0; N], down: [0.0; N], near: [0; N] };
+        for (i, cell) in cells.iter().enumerate() {
+            lanes.node[i] = cell.node;
+            lanes.phase[i] = cell.phase;
+            lanes.right[i] = f32::from_bits(cell.bits as u32);
+            lanes.down[i] = f32::from_bits((cell.bits >> 32) as u32);
+            lanes.near[i] = cell.near();
+        }
+        lanes
     }
 
     /// Of a cell beside the object: a bit for each pixel, row by row, that has the object [`BACKGROUND_PX`] to the left, to the right,
@@ -106,6 +109,21 @@ impl Glimpse {
             node => Kind::Node(node),
         }
     }
+}
+
+/// What some cells have, each in its lane.
+#[derive(Debug)]
+pub struct GlimpseLanes<const N: usize> {
+    /// [`Glimpse::node`].
+    pub node: [u32; N],
+    /// [`Glimpse::phase`].
+    pub phase: [f32; N],
+    /// The step of its plane from column to column, rad.
+    pub right: [f32; N],
+    /// The same from row to row.
+    pub down: [f32; N],
+    /// [`Glimpse::near`].
+    pub near: [u64; N],
 }
 
 /// A cell whose pixels have to be asked.

@@ -12,7 +12,6 @@ use crate::reconstruct::pair::Pair;
 use crate::reconstruct::rays::{RayTable, Sightline};
 use crate::reconstruct::roi::Roi;
 use crate::reconstruct::round::floor;
-use crate::reconstruct::simd;
 use nalgebra::{Point3, Vector3};
 
 /// Cameras that are worked on at once.
@@ -212,17 +211,12 @@ impl<'a> Lookout<'a> {
     }
 
     /// Where each camera of a block of eight sees places.
-    #[inline]
+    #[inline(always)]
     pub fn spots(&self, block: usize, places: &[Ray], out: &mut [Spots]) {
         let block = &self.blocks[block];
-        simd::dispatch(
-            #[inline(always)]
-            || {
-                for (out, place) in out.iter_mut().zip(places) {
-                    block.spots(place, out);
-                }
-            },
-        );
+        for (out, place) in out.iter_mut().zip(places) {
+            block.spots(place, out);
+        }
     }
 }
 

@@ -3,10 +3,12 @@
 //! What a camera has there lies anywhere in memory. So the cells of all are asked before anything is decided by one of them, and
 //! then the pixels of those that need it: while the processor waits for one it fetches the others.
 
-use super::lookout::{LANES, Ray, Spots};
+use super::glimpse::Glimpse;
+use super::lookout::{LANES, Lookout, Ray, Spots};
 use super::settle::Scene;
-use super::witness::Sight;
+use super::witness::{Sight, Witness};
 use crate::reconstruct::rays::Sightline;
+use crate::reconstruct::simd;
 use std::ops::RangeInclusive;
 
 /// Places that are worked on at once.
@@ -55,35 +57,66 @@ impl Looks {
         let first = self.sights.len();
         let count = orders.clone().count() * places.len();
         self.sights.resize(first + count * scenes.len(), Sight::NONE);
-        let mut places = orders
+        let all = orders
             .flat_map(|order| places.iter().map(move |&(line, fringes)| (line, fringes + order as f32)));
-        let mut spots = [Spots::NONE; PLACES];
-        for sights in self.sights[first..].chunks_mut(PLACES * scenes.len()) {
-            let mut rays = [Ray::NONE; PLACES];
-            let rays = &mut rays[..sights.len() / scenes.len()];
-            for (ray, place) in rays.iter_mut().zip(&mut places) {
-                *ray = lookout.ray(place);
-            }
-            self.inside.extend(rays.iter().map(|ray| ray.is_inside()));
-            for (block, scenes_of) in scenes.chunks(LANES).enumerate() {
-                lookout.spots(block, rays, &mut spots);
-                let sights = &mut sights[block * LANES..];
-                // A bit for each camera of each place.
-                let mut vague = 0u64;
-                for (k, spots) in spots.iter().enumerate().take(rays.len()) {
-                    for (i, scene) in scenes_of.iter().enumerate() {
-                        let (sight, ask) = scene.witness.glance(spots, i);
-                        sights[k * scenes.len() + i] = sight;
-                        vague |= u64::from(ask) << (k * LANES + i);
-                    }
-                }
-                while vague != 0 {
-                    let at = vague.trailing_zeros() as usize;
-                    let (k, i) = (at / LANES, at % LANES);
-                    sights[k * scenes.len() + i] = scenes_of[i].witness.see_closely(&spots[k], i);
-                    vague &= vague - 1;
+        // What lies outside of the volume is not looked at.
+        let mut batch = Batch { rays: [Ray::NONE; PLACES], at: [0; PLACES], len: 0 };
+        for (place, at) in all.zip((first..).step_by(scenes.len())) {
+            let ray = lookout.ray(place);
+            self.inside.push(ray.is_inside());
+            if ray.is_inside() {
+                (batch.rays[batch.len], batch.at[batch.len]) = (ray, at);
+                batch.len += 1;
+                if batch.len == PLACES {
+                    batch.look(scenes, lookout, &mut self.sights);
                 }
             }
         }
+        batch.look(scenes, lookout, &mut self.sights);
+    }
+}
+
+/// Places that are worked on at once, and where what there is belongs.
+struct Batch {
+    rays: [Ray; PLACES],
+    at: [usize; PLACES],
+    len: usize,
+}
+
+impl Batch {
+    /// Looks at the places, and forgets them.
+    #[inline]
+    fn look(&mut self, scenes: &[Scene<'_>], lookout: &Lookout<'_>, sights: &mut [Sight]) {
+        let (rays, at) = (&self.rays[..self.len], &self.at[..self.len]);
+        let mut spots = [Spots::NONE; PLACES];
+        for (block, scenes) in scenes.chunks(LANES).enumerate() {
+            // A bit for each camera of each place.
+            let mut vague = 0u64;
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    lookout.spots(block, rays, &mut spots);
+                    let mut cells = [[Glimpse::UNSEEN; LANES]; PLACES];
+                    for (i, scene) in scenes.iter().enumerate() {
+                        let glimpses = &scene.witness.cells.glimpses;
+                        for (cells, spots) in cells.iter_mut().zip(&spots).take(rays.len()) {
+                            cells[i] = *glimpses.at(spots.cell[i]);
+                        }
+                    }
+                    for (k, &at) in at.iter().enumerate() {
+                        let (seen, ask) = Witness::glance(&cells[k], &spots[k]);
+                        sights[at + block * LANES..][..scenes.len()].copy_from_slice(&seen[..scenes.len()]);
+                        vague |= u64::from(ask) << (k * LANES);
+                    }
+                },
+            );
+            while vague != 0 {
+                let bit = vague.trailing_zeros() as usize;
+                let (k, i) = (bit / LANES, bit % LANES);
+                sights[at[k] + block * LANES + i] = scenes[i].witness.see_closely(&spots[k], i);
+                vague &= vague - 1;
+            }
+        }
+        self.len = 0;
     }
 }

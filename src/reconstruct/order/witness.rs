@@ -7,7 +7,7 @@
 
 use super::cells::{CELL_PX, Cells};
 use super::glimpse::Glimpse;
-use super::lookout::Spots;
+use super::lookout::{LANES, Spots};
 use crate::reconstruct::bits::WORD;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
@@ -92,25 +92,35 @@ impl Witness {
         Self { head, roi, cells, towards }
     }
 
-    /// What the camera has at one of `spots`, and whether it has to be asked [`closely`](Self::see_closely). Nothing here depends
-    /// on a branch: what the next camera has is as good as chance.
+    /// What the cameras of a block have at a place, which each sees in one of `cells`; a bit for each that has to be asked
+    /// [`closely`](Self::see_closely). Nothing here depends on a branch: what the next camera has is as good as chance.
     #[inline(always)]
-    pub fn glance(&self, spots: &Spots, i: usize) -> (Sight, bool) {
-        let cell = self.cells.glimpses.at(spots.cell[i]);
-        let steps = cell.steps();
-        let seen = cell.phase + (spots.right[i] * steps[0] + spots.down[i] * steps[1]);
-        let ahead = seen - spots.cast[i];
+    pub fn glance(cells: &[Glimpse; LANES], spots: &Spots) -> ([Sight; LANES], u8) {
         const { assert!(Sight::PAST == Glimpse::FAR && Sight::NOTHING == Glimpse::NEAR) };
-        // Beside the object pixels are asked that have their columns in the middle, too: the last half is the next cell's.
-        let [u, v] = [spots.right[i], spots.down[i]].map(|x| (x + 0.5) as i32 as u32);
-        let near = cell.node == Glimpse::NEAR;
-        // Where nothing is seen they are any numbers.
-        let pixel = v.wrapping_mul(CELL_PX as u32) | u;
-        let past = near & (cell.near() >> (pixel % WORD as u32) & 1 == 0);
-        let node = if past { Sight::PAST } else { cell.node };
-        let unknown = ahead.is_nan() & (cell.node < Glimpse::RIM);
-        let ask = cell.is_rim() | near & (u >= CELL_PX as u32);
-        (Sight { node: if unknown { Sight::NOTHING } else { node }, ahead }, ask)
+        let (mut nodes, mut ahead, mut ask) = ([0; LANES], [0.0; LANES], [0u32; LANES]);
+        let cells = Glimpse::lanes(cells);
+        for i in 0..LANES {
+            let node = cells.node[i];
+            let seen = cells.phase[i] + (spots.right[i] * cells.right[i] + spots.down[i] * cells.down[i]);
+            ahead[i] = seen - spots.cast[i];
+            // Beside the object pixels are asked that have their columns in the middle, too: the last half is the next cell's.
+            let u = (spots.right[i] + 0.5) as i32 as u32;
+            let v = (spots.down[i] + 0.5) as i32 as u32;
+            let is_near = node == Glimpse::NEAR;
+            // Where nothing is seen they are any numbers.
+            let pixel = v.wrapping_mul(CELL_PX as u32) | u;
+            let past = is_near & (cells.near[i] >> (pixel % WORD as u32) & 1 == 0);
+            let unknown = ahead[i].is_nan() & (node < Glimpse::RIM);
+            let named = if past { Sight::PAST } else { node };
+            nodes[i] = if unknown { Sight::NOTHING } else { named };
+            let is_rim = (node >= Glimpse::RIM) & (node < Glimpse::NEAR);
+            ask[i] = u32::from(is_rim | is_near & (u >= CELL_PX as u32)) << i;
+        }
+        let mut sights = [Sight::NONE; LANES];
+        for i in 0..LANES {
+            sights[i] = Sight { node: nodes[i], ahead: ahead[i] };
+        }
+        (sights, ask.iter().fold(0, |all, bit| all | bit) as u8)
     }
 
     /// The same at outlines and steps, where pixels have to be asked.
@@ -201,8 +211,10 @@ mod tests {
         spots.right[5] = x + PAD_PX as f32 - (column * CELL_PX) as f32;
         spots.down[5] = y + PAD_PX as f32 - (row * CELL_PX) as f32;
         spots.cast[5] = 3.0;
-        let (sight, ask) = witness.glance(&spots, 5);
-        if ask { witness.see_closely(&spots, 5) } else { sight }
+        let mut cells = [Glimpse::UNSEEN; LANES];
+        cells[5] = *witness.cells.glimpses.at(spots.cell[5]);
+        let (sights, ask) = Witness::glance(&cells, &spots);
+        if ask >> 5 & 1 != 0 { witness.see_closely(&spots, 5) } else { sights[5] }
     }
 
     #[test]
@@ -229,8 +241,9 @@ mod tests {
         for place in [0.0, 3e38, -3e38, f32::INFINITY, f32::NAN] {
             let mut spots = Spots::NONE;
             (spots.right[2], spots.down[2], spots.cast[2]) = (place, place, place);
-            let (sight, ask) = witness.glance(&spots, 2);
-            assert_eq!((sight.node, ask), (Sight::NOTHING, false), "{place}");
+            let (sights, ask) = Witness::glance(&[Glimpse::UNSEEN; LANES], &spots);
+            assert!(witness.cells.glimpses.at(spots.cell[2]).phase.is_nan(), "a cell that is not seen");
+            assert_eq!((sights[2].node, ask), (Sight::NOTHING, 0), "{place}");
         }
     }
 }
