@@ -4,7 +4,7 @@
 //! it there. At its own distance the other heads see it. So each stretch of surface that no other head confirms is
 //! tried at every order that the volume allows; where clearly one is confirmed, it takes that. From round to round most
 //! stretches stay what they are, and so does most of what is known where they would be seen: such a stretch is not tried
-//! again.
+//! again. Where something else is known there now, what the cameras have is judged again, not looked at again.
 
 use super::cells::CELL_PX;
 use super::grow::{NONE, View, known, sums};
@@ -80,8 +80,12 @@ impl Trial {
 #[derive(Debug)]
 struct Failure {
     stretch: Vec<Member>,
+    /// What the cameras have at the first samples, order by order.
+    looks: Looks,
     /// The blocks in which it would have been seen.
     seen: Blocks,
+    /// Whether something else is known there now.
+    outdated: bool,
 }
 
 /// What is kept from round to round.
@@ -121,7 +125,7 @@ impl Seeker {
         let search = Search { scenes, known: &known, first_block: &self.first_block };
         let views = views.par_iter_mut().zip(&mut self.failures).enumerate();
         views.for_each(|(number, (view, failures))| {
-            failures.retain(|_, failure| !failure.seen.meet(&changed));
+            failures.values_mut().for_each(|failure| failure.outdated |= failure.seen.meet(&changed));
             search.view(number, view, failures);
         });
         self.known = known;
@@ -150,22 +154,36 @@ impl Search<'_> {
         let together = |first: usize, other: usize| square(scene, first) == square(scene, other);
         for stretch in stretch::all(view.graph, |node| lonely[node], together) {
             let first = stretch[0].0 as usize;
-            if stretch.len() < MIN_NODES || failures.get(&first).is_some_and(|x| x.stretch == stretch) {
+            if stretch.len() < MIN_NODES {
                 continue;
             }
+            let mut looks = Looks::default();
+            if let Some(failure) = failures.get_mut(&first).filter(|x| x.stretch == stretch) {
+                if !failure.outdated {
+                    continue;
+                }
+                looks = std::mem::take(&mut failure.looks);
+            }
             let mut seen = Blocks::default();
-            match self.confirmed(number, &stretch, &mut seen) {
+            match self.confirmed(number, &stretch, &mut looks, &mut seen) {
                 Some(order) => {
                     failures.remove(&first);
                     take(self.scenes, view, &stretch, order, self.known);
                 }
-                None => drop(failures.insert(first, Failure { stretch, seen })),
+                None => drop(failures.insert(first, Failure { stretch, looks, seen, outdated: false })),
             }
         }
     }
 
-    /// The order of a stretch that other heads clearly confirm. Where they would see it is marked.
-    fn confirmed(&self, number: usize, stretch: &[Member], seen: &mut Blocks) -> Option<i32> {
+    /// The order of a stretch that other heads clearly confirm. `first_looks`: what the cameras have at its first samples, or nothing
+    /// yet. Where they would see it is marked.
+    fn confirmed(
+        &self,
+        number: usize,
+        stretch: &[Member],
+        first_looks: &mut Looks,
+        seen: &mut Blocks,
+    ) -> Option<i32> {
         let scene = &self.scenes[number];
         let places = stretch::places(scene, stretch, MIN_SAMPLE_PX, SAMPLES);
         if places.len() < MIN_NODES {
@@ -174,14 +192,16 @@ impl Search<'_> {
         let orders = stretch::orders(scene, &places)?;
         let samples = stretch::lines(scene, &places);
         let (first, rest) = samples.split_at(samples.len().min(FIRST_SAMPLES));
-        let mut looks = Looks::default();
-        looks.add(self.scenes, number, first, orders.clone());
+        if first_looks.len() == 0 {
+            first_looks.add(self.scenes, number, first, orders.clone());
+        }
         let mut trials: Vec<(i32, Trial)> = orders.map(|order| (order, Trial::default())).collect();
         for (i, (_, trial)) in trials.iter_mut().enumerate() {
             for place in i * first.len()..(i + 1) * first.len() {
-                trial.add(self.words(number, &looks, place, seen));
+                trial.add(self.words(number, first_looks, place, seen));
             }
         }
+        let mut looks = Looks::default();
         let (mut best, mut second) = ((i32::MIN, Trial::default()), 0);
         for (order, mut trial) in trials {
             let mut left = rest.len() as i32;
