@@ -147,6 +147,20 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
     }
 }
 
+/// What is grown to next: the node that is farthest from any step; of several the one of the fewest steps, then the first. One number
+/// that is greater the sooner it is due.
+fn turn(clearance: u8, steps: u32, node: u32) -> u64 {
+    u64::from(clearance) << 56 | u64::from(MOST_STEPS - steps.min(MOST_STEPS)) << 32 | u64::from(!node)
+}
+
+/// Steps from where growth began, at most: more are counted as so many.
+const MOST_STEPS: u32 = (1 << 24) - 1;
+
+/// The node whose [`turn`] it is.
+fn node_of(turn: u64) -> usize {
+    !(turn as u32) as usize
+}
+
 /// An order that the neighbours of a node propose for it.
 struct Proposal {
     turns: i32,
@@ -165,12 +179,12 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &[V
     };
     for node in (0..view.turns.len()).filter(|&node| open(view, node)) {
         if view.graph.of(node).iter().any(|e| view.turns[e.other as usize] != NONE) {
-            heap.push((view.graph.clearance[node], Reverse(0), Reverse(node as u32)));
+            heap.push(turn(view.graph.clearance[node], 0, node as u32));
         }
     }
     let mut proposals = Vec::new();
-    while let Some((_, _, Reverse(node))) = heap.pop() {
-        let node = node as usize;
+    while let Some(next) = heap.pop() {
+        let node = node_of(next);
         if view.turns[node] != NONE {
             continue;
         }
@@ -197,7 +211,7 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &[V
                 for edge in view.graph.of(node) {
                     let other = edge.other as usize;
                     if open(view, other) {
-                        heap.push((view.graph.clearance[other], Reverse(step), Reverse(edge.other)));
+                        heap.push(turn(view.graph.clearance[other], step, edge.other));
                     }
                 }
                 break;

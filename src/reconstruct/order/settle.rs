@@ -11,6 +11,7 @@ use super::grow::NONE;
 use super::lookout::Lookout;
 use super::looks::{Looks, Place};
 use super::pieces::Pieces;
+use super::split::{self, Asked};
 use super::volume;
 use super::witness::{Sight, Verdict, Witness};
 use crate::reconstruct::rays::Sightline;
@@ -130,6 +131,8 @@ struct Cache {
     looks: BTreeMap<(usize, usize, i32), Looks>,
     /// Orders worth a look, by view and piece.
     orders: BTreeMap<(usize, usize), Option<RangeInclusive<i32>>>,
+    /// What the cameras have at the nodes of pieces that might be parted.
+    asked: Asked,
 }
 
 impl Cache {
@@ -137,6 +140,7 @@ impl Cache {
     fn forget(&mut self, view: usize, piece: usize) {
         self.looks.retain(|x, _| (x.0, x.1) != (view, piece));
         self.orders.remove(&(view, piece));
+        self.asked.retain(|x, _| (x.0, x.1) != (view, piece));
     }
 }
 
@@ -197,7 +201,7 @@ fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
             if orders.len() < 2 {
                 continue;
             }
-            let Some(parts) = super::split::parts(scenes, view, piece, &orders) else { continue };
+            let Some(parts) = split::parts(scenes, view, piece, &orders, &mut cache.asked) else { continue };
             let scene = &mut scenes[view];
             let first = scene.states.len();
             scene.pieces.part(piece, parts, &scene.witness.cells);

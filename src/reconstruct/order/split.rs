@@ -8,7 +8,7 @@ use super::looks::Looks;
 use super::settle::{Scene, verdict};
 use super::witness::{Sight, Verdict};
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BTreeMap, BinaryHeap};
 
 /// Cells to each side over which the words for and against an order are summed.
 const REACH: usize = 2;
@@ -28,11 +28,20 @@ const SPREAD_PAIRS: u32 = 4;
 /// The smallest part, nodes.
 const MIN_PART: usize = 6;
 
+/// What the cameras have at the asked nodes of pieces, by view, piece and order.
+pub type Asked = BTreeMap<(usize, usize, i32), Looks>;
+
 /// Parts a piece of a view into those that agree with the other cameras at different ones of `orders`: for each part its
 /// nodes. `None` where there are no two.
-pub fn parts(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> Option<Vec<Vec<u32>>> {
+pub fn parts(
+    scenes: &[Scene<'_>],
+    view: usize,
+    piece: usize,
+    orders: &[i32],
+    known: &mut Asked,
+) -> Option<Vec<Vec<u32>>> {
     let scene = &scenes[view];
-    let seeds = seeds(scenes, view, piece, orders);
+    let seeds = seeds(scenes, view, piece, orders, known);
     let first = seeds.first()?.1;
     if seeds.iter().all(|seed| seed.1 == first) {
         return None;
@@ -48,7 +57,13 @@ pub fn parts(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) ->
 }
 
 /// Nodes that agree with the other cameras, and the place of their order in `orders`.
-fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> Vec<(u32, usize)> {
+fn seeds(
+    scenes: &[Scene<'_>],
+    view: usize,
+    piece: usize,
+    orders: &[i32],
+    known: &mut Asked,
+) -> Vec<(u32, usize)> {
     let scene = &scenes[view];
     let nodes = &scene.pieces.nodes[piece];
     let step = nodes.len().div_ceil(MAX_ASKED).max(1);
@@ -61,10 +76,12 @@ fn seeds(scenes: &[Scene<'_>], view: usize, piece: usize, orders: &[i32]) -> Vec
     let mut words = vec![(0, 0); rows * columns * orders.len()];
     let of = |x: usize, y: usize| (y * columns + x) * orders.len()..(y * columns + x + 1) * orders.len();
     let places: Vec<_> = asked.iter().map(|&node| scene.at(node)).collect();
-    let mut looks = Looks::default();
     for (number, &order) in orders.iter().enumerate() {
-        looks.clear();
-        looks.add(scenes, view, &places, order..=order);
+        let looks = known.entry((view, piece, order)).or_insert_with(|| {
+            let mut looks = Looks::default();
+            looks.add(scenes, view, &places, order..=order);
+            looks
+        });
         for (place, &node) in asked.iter().enumerate() {
             let (x, y) = cell(scene, node);
             let word = &mut words[of(x, y)][number];
