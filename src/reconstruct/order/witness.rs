@@ -113,7 +113,7 @@ impl Witness {
             let unknown = ahead[i].is_nan() & (node < Glimpse::RIM);
             let named = if past { Sight::PAST } else { node };
             nodes[i] = if unknown { Sight::NOTHING } else { named };
-            let is_rim = (node >= Glimpse::RIM) & (node < Glimpse::NEAR);
+            let is_rim = (Glimpse::RIM..Glimpse::NEAR).contains(&node);
             ask[i] = u32::from(is_rim | is_near & (u >= CELL_PX as u32)) << i;
         }
         let mut sights = [Sight::NONE; LANES];
@@ -179,8 +179,8 @@ mod tests {
     use super::{Sight, Witness};
     use crate::image::Plane;
     use crate::reconstruct::order::cells::{CELL_PX, Cells, Surface};
-    use crate::reconstruct::order::glimpse::{PAD_PX, padded};
-    use crate::reconstruct::order::lookout::Spots;
+    use crate::reconstruct::order::glimpse::{Glimpse, PAD_PX, padded};
+    use crate::reconstruct::order::lookout::{LANES, Spots};
     use crate::reconstruct::roi::Roi;
     use crate::reconstruct::runs::Runs;
     use std::f32::consts::TAU;
