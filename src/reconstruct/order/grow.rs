@@ -329,3 +329,24 @@ fn drop_unconfirmed(view: &mut View<'_>) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{MOST_STEPS, node_of, turn};
+    use proptest::prelude::*;
+    use std::cmp::Reverse;
+
+    proptest! {
+        /// Far from steps first, then few steps, then the first node: whatever the numbers, also where they are equal.
+        #[test]
+        fn turns_are_in_the_order_that_they_stand_for(
+            a in (0u8..=10, 0u32..40, 0u32..40),
+            b in (0u8..=10, prop_oneof![0u32..40, Just(MOST_STEPS)], prop_oneof![0u32..40, Just(u32::MAX)]),
+        ) {
+            let order = |(clearance, steps, node): (u8, u32, u32)| (clearance, Reverse(steps), Reverse(node));
+            let of = |(clearance, steps, node)| turn(clearance, steps, node);
+            prop_assert_eq!(of(a).cmp(&of(b)), order(a).cmp(&order(b)));
+            prop_assert_eq!((node_of(of(a)), node_of(of(b))), (a.2 as usize, b.2 as usize));
+        }
+    }
+}
