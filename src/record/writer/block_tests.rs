@@ -139,16 +139,18 @@ fn without_direct_writes_it_is_the_same() {
     }
 }
 
-/// Writes wait until the test lets them.
+/// Writes wait until the test lets them, where there is a gate, and are told, where somebody listens.
 struct GatedStore {
     file: DirectFile,
-    gate: Receiver<()>,
+    gate: Option<Receiver<()>>,
+    told: Option<Sender<()>>,
 }
 
 impl Store for GatedStore {
     fn write_at(&mut self, offset: u64, parts: &mut [IoSlice<'_>]) -> io::Result<()> {
-        // An error means that the gate stays open.
-        let _ = self.gate.recv();
+        // Errors mean that the gate stays open, and that nobody listens any more.
+        let _ = self.gate.as_ref().map(Receiver::recv);
+        let _ = self.told.as_ref().map(|told| told.send(()));
         self.file.write_at(offset, parts)
     }
 
@@ -167,7 +169,7 @@ fn a_block_comes_back_when_the_disk_has_it_and_not_before() {
     let path = dir.path().join("node-a");
     let (open_gate, gate) = unbounded();
     let open = move |path: &Path| -> io::Result<Box<dyn Store>> {
-        Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate: gate.clone() }))
+        Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate: Some(gate.clone()), told: None }))
     };
     open_gate.send(()).expect("the header may pass");
     let options = WriterOptions { sync_interval: Duration::from_secs(1), ..options(1 << 30) };
@@ -193,44 +195,20 @@ fn a_block_comes_back_when_the_disk_has_it_and_not_before() {
     assert!(stored.windows(name.len()).any(|bytes| bytes == name), "the statistics are in the file");
 }
 
-/// The first segment's disk writes its header and then nothing until the gate opens; the third one's says that it
-/// was written to.
-struct SlowFirstStore {
-    file: DirectFile,
-    gate: Option<Receiver<()>>,
-    written: Option<Sender<()>>,
-}
-
-impl Store for SlowFirstStore {
-    fn write_at(&mut self, offset: u64, parts: &mut [IoSlice<'_>]) -> io::Result<()> {
-        // Errors mean that the gate stays open, and that nobody listens any more.
-        let _ = self.gate.as_ref().filter(|_| offset > 0).map(Receiver::recv);
-        let _ = self.written.as_ref().map(|written| written.send(()));
-        self.file.write_at(offset, parts)
-    }
-
-    fn set_len(&mut self, length: u64) -> io::Result<()> {
-        self.file.set_len(length)
-    }
-
-    fn sync(&mut self) -> io::Result<()> {
-        self.file.sync()
-    }
-}
-
 /// A disk thread that gets no turn while its segment is closed: what waits there, the open chunk and the queue of the
 /// next one are all that a crash may cost, so a third segment has to wait.
 #[test]
 fn a_third_segment_waits_until_the_first_is_closed() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let path = dir.path().join("node-a");
-    let (open_gate, gate) = bounded::<()>(0);
-    let (written, third) = unbounded();
+    let (open_gate, gate) = unbounded();
+    let (told, third) = unbounded();
     let open = move |path: &Path| -> io::Result<Box<dyn Store>> {
         let is = |number: &str| path.to_string_lossy().contains(number);
-        let (gate, written) = (is("-000").then(|| gate.clone()), is("-002").then(|| written.clone()));
-        Ok(Box::new(SlowFirstStore { file: DirectFile::create(path)?, gate, written }))
+        let (gate, told) = (is("-000").then(|| gate.clone()), is("-002").then(|| told.clone()));
+        Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate, told }))
     };
+    open_gate.send(()).expect("the first segment's header may pass");
     // Room for two chunks: the first segment is full before its queue is.
     let options = options(60_000);
     let mut recording =
