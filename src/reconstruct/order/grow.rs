@@ -147,18 +147,18 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
     }
 }
 
-/// What is grown to next: the node that is farthest from any step; of several the one of the fewest steps, then the first. One number
-/// that is greater the sooner it is due.
-fn turn(clearance: u8, steps: u32, node: u32) -> u64 {
+/// Which node is grown to next: the one that is farthest from any step; of several the one that the fewest steps of growth lead to, then
+/// the first. One number, greater for what comes before.
+fn priority(clearance: u8, steps: u32, node: u32) -> u64 {
     u64::from(clearance) << 56 | u64::from(MOST_STEPS - steps.min(MOST_STEPS)) << 32 | u64::from(!node)
 }
 
 /// Steps from where growth began, at most: more are counted as so many.
 const MOST_STEPS: u32 = (1 << 24) - 1;
 
-/// The node whose [`turn`] it is.
-fn node_of(turn: u64) -> usize {
-    !(turn as u32) as usize
+/// The node whose [`priority`] it is.
+fn node_of(priority: u64) -> usize {
+    !(priority as u32) as usize
 }
 
 /// An order that the neighbours of a node propose for it.
@@ -179,7 +179,7 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &[V
     };
     for node in (0..view.turns.len()).filter(|&node| open(view, node)) {
         if view.graph.of(node).iter().any(|e| view.turns[e.other as usize] != NONE) {
-            heap.push(turn(view.graph.clearance[node], 0, node as u32));
+            heap.push(priority(view.graph.clearance[node], 0, node as u32));
         }
     }
     let mut proposals = Vec::new();
@@ -211,7 +211,7 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &[V
                 for edge in view.graph.of(node) {
                     let other = edge.other as usize;
                     if open(view, other) {
-                        heap.push(turn(view.graph.clearance[other], step, edge.other));
+                        heap.push(priority(view.graph.clearance[other], step, edge.other));
                     }
                 }
                 break;
@@ -332,19 +332,19 @@ fn drop_unconfirmed(view: &mut View<'_>) {
 
 #[cfg(test)]
 mod tests {
-    use super::{MOST_STEPS, node_of, turn};
+    use super::{MOST_STEPS, node_of, priority};
     use proptest::prelude::*;
     use std::cmp::Reverse;
 
     proptest! {
         /// Far from steps first, then few steps, then the first node: whatever the numbers, also where they are equal.
         #[test]
-        fn turns_are_in_the_order_that_they_stand_for(
+        fn priorities_are_in_the_order_that_they_stand_for(
             a in (0u8..=10, 0u32..40, 0u32..40),
             b in (0u8..=10, prop_oneof![0u32..40, Just(MOST_STEPS)], prop_oneof![0u32..40, Just(u32::MAX)]),
         ) {
             let order = |(clearance, steps, node): (u8, u32, u32)| (clearance, Reverse(steps), Reverse(node));
-            let of = |(clearance, steps, node)| turn(clearance, steps, node);
+            let of = |(clearance, steps, node)| priority(clearance, steps, node);
             prop_assert_eq!(of(a).cmp(&of(b)), order(a).cmp(&order(b)));
             prop_assert_eq!((node_of(of(a)), node_of(of(b))), (a.2 as usize, b.2 as usize));
         }

@@ -9,6 +9,7 @@ use super::settle::Scene;
 use super::witness::{Sight, Witness};
 use crate::reconstruct::rays::Sightline;
 use crate::reconstruct::simd;
+use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// Places that are worked on at once.
@@ -16,6 +17,9 @@ pub const PLACES: usize = 8;
 
 /// A place on a line of sight, at a phase in fringes; absolute at order 0.
 pub type Place<'a> = (&'a Sightline, f32);
+
+/// What the cameras have at places of pieces, by view, piece and order.
+pub type PieceLooks = BTreeMap<(usize, usize, i32), Looks>;
 
 /// What the cameras have at some places, one place after the other.
 #[derive(Debug, Default)]

@@ -9,9 +9,9 @@
 use super::graph::Graph;
 use super::grow::NONE;
 use super::lookout::Lookout;
-use super::looks::{Looks, Place};
+use super::looks::{Looks, PieceLooks, Place};
 use super::pieces::Pieces;
-use super::split::{self, Asked};
+use super::split;
 use super::volume;
 use super::witness::{Sight, Verdict, Witness};
 use crate::reconstruct::rays::Sightline;
@@ -127,12 +127,12 @@ pub struct Scene<'a> {
 /// What is found out once for each piece.
 #[derive(Debug, Default)]
 struct Cache {
-    /// What the cameras have at the sampled places, by view, piece and order.
-    looks: BTreeMap<(usize, usize, i32), Looks>,
+    /// What the cameras have at the sampled places.
+    looks: PieceLooks,
     /// Orders worth a look, by view and piece.
     orders: BTreeMap<(usize, usize), Option<RangeInclusive<i32>>>,
     /// What the cameras have at the nodes of pieces that might be parted.
-    asked: Asked,
+    asked: PieceLooks,
 }
 
 impl Cache {

@@ -4,11 +4,11 @@
 //! cameras at different orders. Nodes whose surroundings clearly agree at one order are seeds of it; from them the orders
 //! spread over the piece, through its wide parts first, so that they meet at its necks.
 
-use super::looks::Looks;
+use super::looks::{Looks, PieceLooks};
 use super::settle::{Scene, verdict};
 use super::witness::{Sight, Verdict};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 
 /// Cells to each side over which the words for and against an order are summed.
 const REACH: usize = 2;
@@ -28,17 +28,14 @@ const SPREAD_PAIRS: u32 = 4;
 /// The smallest part, nodes.
 const MIN_PART: usize = 6;
 
-/// What the cameras have at the asked nodes of pieces, by view, piece and order.
-pub type Asked = BTreeMap<(usize, usize, i32), Looks>;
-
 /// Parts a piece of a view into those that agree with the other cameras at different ones of `orders`: for each part its
-/// nodes. `None` where there are no two.
+/// nodes. `None` where there are no two. `known` keeps what the cameras have at the nodes that are asked.
 pub fn parts(
     scenes: &[Scene<'_>],
     view: usize,
     piece: usize,
     orders: &[i32],
-    known: &mut Asked,
+    known: &mut PieceLooks,
 ) -> Option<Vec<Vec<u32>>> {
     let scene = &scenes[view];
     let seeds = seeds(scenes, view, piece, orders, known);
@@ -62,7 +59,7 @@ fn seeds(
     view: usize,
     piece: usize,
     orders: &[i32],
-    known: &mut Asked,
+    known: &mut PieceLooks,
 ) -> Vec<(u32, usize)> {
     let scene = &scenes[view];
     let nodes = &scene.pieces.nodes[piece];
