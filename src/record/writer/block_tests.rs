@@ -209,8 +209,8 @@ fn a_third_segment_waits_until_the_first_is_closed() {
         Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate, told }))
     };
     open_gate.send(()).expect("the first segment's header may pass");
-    // Room for two chunks: the first segment is full before its queue is.
-    let options = options(60_000);
+    // Room for one chunk: the first segment is closed before its queue is full, and nothing but its end is waited for.
+    let options = options(30_000);
     let mut recording =
         Recording::create_with(&path, sized(80, 80), options, Arc::new(open)).expect("created");
     recording.options.sync_interval = Duration::MAX;
