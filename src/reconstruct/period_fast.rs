@@ -30,9 +30,6 @@ pub struct Buffers {
     low: [Vec<u8>; 2],
     /// Sums of the run's pixels before each.
     sums: Vec<u32>,
-    /// Thresholds and margins, times the length of what they are taken from.
-    threshold: Vec<i32>,
-    margin: Vec<i32>,
     /// 1 above the threshold; above it, and below it, by more than the margin.
     sides: Vec<u8>,
     crossings: Vec<Crossing>,
@@ -116,27 +113,32 @@ pub(super) fn measure_with(
 fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw: &mut [u32]) {
     let length = (2 * half + 1).min(row.len());
     let windows = row.len() - length + 1;
-    let light_length = (2 * reach + 1).min(row.len());
-    thresholds(row, light_length, buffers);
-    find_crossings(row, reach, light_length, buffers);
+    let light = Light { reach, length: (2 * reach + 1).min(row.len()) };
+    extremes(row, light.length, &mut buffers.high, u8::max);
+    extremes(row, light.length, &mut buffers.low, u8::min);
+    add_up(row, &mut buffers.sums);
+    find_sides(row, light, buffers);
+    find_crossings(row, light, buffers);
+    // What no window reaches.
+    buffers.crossings.push(Crossing { at: 0.0, behind: u32::MAX, certain: u32::MAX });
     let crossings = &buffers.crossings[..];
-    // Window `start` holds the crossings `first .. end`.
-    let (mut start, mut first, mut end) = (0, 0, 0);
-    while start < windows {
-        while crossings.get(first).is_some_and(|x| x.behind as usize <= start) {
-            first += 1;
-        }
-        while crossings.get(end).is_some_and(|x| (x.certain as usize) < start + length) {
-            end += 1;
-        }
-        let leaves = crossings.get(first).map_or(usize::MAX, |x| x.behind as usize);
-        let enters = crossings.get(end).map_or(usize::MAX, |x| x.certain as usize + 1 - length);
-        let next = leaves.min(enters).min(windows).max(start + 1);
+    // Window `start` holds the crossings `first .. end`. Which comes next, one that leaves or one that enters, is not to be
+    // foreseen: no branches. (Two may leave together: then one of the stretches is empty.)
+    let (mut start, mut first) = (0, 0);
+    let mut end = crossings.iter().take_while(|x| (x.certain as usize) < length).count();
+    loop {
+        let (leaves, enters) =
+            (crossings[first].behind as usize, crossings[end].certain as usize + 1 - length);
+        let next = leaves.min(enters).min(windows);
         let value = mean_distance(crossings.get(first..end).unwrap_or(&[]));
         // Near the run's ends the window is shifted, not cut: two whole periods are needed.
-        let from = if start == 0 { 0 } else { (start + half).min(row.len()) };
-        let to = if next == windows { row.len() } else { (next + half).min(row.len()) };
-        fill(raw, from, to, value);
+        let from = if start == 0 { 0 } else { start + half };
+        if next == windows {
+            raw[from..].fill(value);
+            return;
+        }
+        fill(raw, from, next + half, value);
+        (first, end) = (first + usize::from(leaves == next), end + usize::from(enters == next));
         start = next;
     }
 }
@@ -167,28 +169,23 @@ pub(super) fn packed(distance: f32) -> u32 {
     if PERIOD_RANGE_PX.contains(&distance) { ((distance * STEPS) as u32) << COUNT_BITS | 1 } else { 0 }
 }
 
-/// Mean and range of each window.
+/// The windows that thresholds and margins are taken from.
+#[derive(Debug, Clone, Copy)]
+struct Light {
+    /// Columns to each side of a pixel, as far as the run goes, and all in all.
+    reach: usize,
+    length: usize,
+}
+
+/// Sums of the row's pixels before each.
 #[inline(always)]
-fn thresholds(row: &[u8], length: usize, buffers: &mut Buffers) {
-    let Buffers { high, low, sums, threshold, margin, .. } = buffers;
-    let windows = row.len() - length + 1;
-    extremes(row, length, high, u8::max);
-    extremes(row, length, low, u8::min);
+fn add_up(row: &[u8], sums: &mut Vec<u32>) {
     sums.resize(row.len() + 1, 0);
     sums[0] = 0;
     let mut sum = 0;
     for (out, &x) in sums[1..].iter_mut().zip(row) {
         sum += u32::from(x);
         *out = sum;
-    }
-    threshold.resize(windows, 0);
-    margin.resize(windows, 0);
-    let scale = HYSTERESIS * length as f32;
-    let (starts, ends) = (&sums[..windows], &sums[length..length + windows]);
-    let (high, low) = (&high[0][..windows], &low[0][..windows]);
-    for i in 0..windows {
-        threshold[i] = (ends[i] - starts[i]) as i32;
-        margin[i] = (scale * f32::from(high[i] - low[i])) as i32;
     }
 }
 
@@ -211,34 +208,71 @@ fn extremes(row: &[u8], length: usize, out: &mut [Vec<u8>; 2], extreme: impl Fn(
     }
 }
 
+/// Above the threshold.
+const ABOVE: u8 = 1;
+
+/// On either side of it by more than the margin.
+const FAR: u8 = 2;
+
+/// On which side of its threshold a pixel of `light` is, of whose window `length` pixels have this sum and range. All is
+/// times that length.
+#[inline(always)]
+fn side(light: u8, length: i32, sum: u32, range: u8) -> u8 {
+    let value = i32::from(light) * length - sum as i32;
+    let margin = HYSTERESIS * length as f32 * f32::from(range);
+    (if value > 0 { ABOVE } else { 0 }) | if value.abs() as f32 > margin { FAR } else { 0 }
+}
+
+/// The sides of a run's pixels.
+#[inline(always)]
+fn find_sides(row: &[u8], Light { reach, length }: Light, buffers: &mut Buffers) {
+    let Buffers { high, low, sums, sides, .. } = buffers;
+    let (windows, length_px) = (row.len() - length + 1, length as i32);
+    sides.resize(row.len().next_multiple_of(WORD), 0);
+    sides[row.len()..].fill(0);
+    let (starts, ends) = (&sums[..windows], &sums[length..length + windows]);
+    let (high, low) = (&high[0][..windows], &low[0][..windows]);
+    // Near the run's ends the window is shifted, not cut.
+    let from = reach.min(row.len());
+    let (before, rest) = sides[..row.len()].split_at_mut(from);
+    let (own, behind) = rest.split_at_mut(windows.min(row.len() - from));
+    let light = &row[from..from + own.len()];
+    let n = own.len();
+    let (starts_own, ends_own, high_own, low_own) = (&starts[..n], &ends[..n], &high[..n], &low[..n]);
+    for i in 0..n {
+        own[i] = side(light[i], length_px, ends_own[i] - starts_own[i], high_own[i] - low_own[i]);
+    }
+    let last = windows - 1;
+    for (sides, from, window) in [(before, 0, 0), (behind, from + n, last)] {
+        let (sum, range) = (ends[window] - starts[window], high[window] - low[window]);
+        for (side_of, &light) in sides.iter_mut().zip(&row[from..]) {
+            *side_of = side(light, length_px, sum, range);
+        }
+    }
+}
+
+/// Where the light crosses its threshold before pixel `seen`, and the first whole column behind that.
+#[inline(always)]
+fn crossing(row: &[u8], light: Light, sums: &[u32], seen: usize) -> (f32, u32) {
+    let (a, b) = (beyond(row, light, sums, seen - 1), beyond(row, light, sums, seen));
+    let at = seen as u32 as f32 - b / (b - a);
+    (at, at as u32 + 1)
+}
+
+/// How far a pixel is above its threshold, times the length of the window that this is taken from.
+#[inline(always)]
+fn beyond(row: &[u8], Light { reach, length }: Light, sums: &[u32], pixel: usize) -> f32 {
+    let window = pixel.saturating_sub(reach).min(row.len() - length);
+    ((u32::from(row[pixel]) * length as u32 + sums[window]) as i32 - sums[window + length] as i32) as f32
+}
+
 /// The crossings of a run: a change of sign counts once the light has left the threshold by the margin on the other
 /// side.
 #[inline(always)]
-fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers) {
-    let Buffers { threshold, margin, sides, crossings, .. } = buffers;
-    let last = threshold.len() - 1;
+fn find_crossings(row: &[u8], light: Light, buffers: &mut Buffers) {
+    let Buffers { sums, sides, crossings, .. } = buffers;
+    let sums = &sums[..row.len() + 1];
     crossings.clear();
-    let value = |i: usize| i32::from(row[i]) * length as i32 - threshold[i.saturating_sub(half).min(last)];
-    const ABOVE: u8 = 1;
-    const FAR: u8 = 2;
-    sides.resize(row.len().next_multiple_of(WORD), 0);
-    let side =
-        |value: i32, margin: i32| (u8::from(value > 0) * ABOVE) | (u8::from(value.abs() > margin) * FAR);
-    let middle = half.min(row.len())..(half + last + 1).min(row.len());
-    for i in (0..middle.start).chain(middle.end..row.len()) {
-        sides[i] = side(value(i), margin[i.saturating_sub(half).min(last)]);
-    }
-    let n = middle.len();
-    let (row_middle, sides_middle) = (&row[middle.clone()], &mut sides[middle]);
-    for i in 0..n {
-        sides_middle[i] = side(i32::from(row_middle[i]) * length as i32 - threshold[i], margin[i]);
-    }
-    sides[row.len()..].fill(0);
-    let mut found = |seen: usize, certain: usize| {
-        let (a, b) = (value(seen - 1) as f32, value(seen) as f32);
-        let at = seen as f32 - b / (b - a);
-        crossings.push(Crossing { at, behind: at as u32 + 1, certain: certain as u32 });
-    };
     // Where it is certain on which side, and since when the light is on the side where it is.
     let mut before = u64::from(sides[0] & ABOVE);
     let (mut settled, mut seen) = (None, 0);
@@ -250,7 +284,9 @@ fn find_crossings(row: &[u8], half: usize, length: usize, buffers: &mut Buffers)
             let here = far & u64::MAX.checked_shr(u64::BITS - end).unwrap_or(0);
             if here != 0 && settled != Some(before) {
                 if settled.is_some() {
-                    found(seen, k * WORD + here.trailing_zeros() as usize);
+                    let (at, behind) = crossing(row, light, sums, seen);
+                    let certain = (k * WORD) as u32 + here.trailing_zeros();
+                    crossings.push(Crossing { at, behind, certain });
                 }
                 settled = Some(before);
             }
