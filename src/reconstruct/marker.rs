@@ -27,11 +27,14 @@ const MAX_HALF: f32 = 20.0;
 /// Energy beside the marker counts this much against it.
 const LATERAL_WEIGHT: f32 = 1.5;
 
+/// Pixels that the band pass takes at once: three sums of each have to stay in registers.
+const BAND_LANES: usize = 16;
+
 /// What [`ridges`] uses again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
-    /// Light without the carrier, of as many rows as the band pass has taps.
-    light: Vec<Vec<f32>>,
+    /// Light without the carrier, of as many rows as the band pass has taps, one behind the other.
+    light: Vec<f32>,
     energy: Vec<f32>,
     sums: Vec<f32>,
     found: Runs,
@@ -52,7 +55,10 @@ pub fn ridges(
     let half = band.taps.len() - 1;
     let threshold = MIN_CONTRAST * pair.marker_contrast;
     let ring = 2 * half + 1;
-    buffers.light.resize(ring, Vec::new());
+    // Blocks may begin anywhere in a row and reach beyond its end.
+    let stride = w + LANES;
+    buffers.light.clear();
+    buffers.light.resize(ring * stride, f32::NAN);
     buffers.found.clear();
     if let Some(energy) = energy.as_deref_mut() {
         energy.reset(w, h, f32::NAN);
@@ -63,7 +69,7 @@ pub fn ridges(
             for next in 0..h + half {
                 let Buffers { light, energy: row, sums, found } = &mut *buffers;
                 if next < h {
-                    let light = &mut light[next % ring];
+                    let light = &mut light[next % ring * stride..][..stride];
                     carrier_free_row(image.row(next), runs.row(next), period.row(next), sums, light);
                 }
                 let Some(v) = next.checked_sub(half) else { continue };
@@ -71,7 +77,7 @@ pub fn ridges(
                     row.clear();
                     row.resize(w, f32::NAN);
                     for run in runs.row(v) {
-                        band.energy(light, v, run, row);
+                        band.energy((light, stride), v, run, row);
                     }
                     ridges_of_row(row, runs.row(v), period.row(v), threshold, found);
                     if let Some(energy) = energy.as_deref_mut() {
@@ -132,10 +138,8 @@ fn push_where(run: &Run, is: impl Fn(usize) -> bool, out: &mut Runs) {
 
 /// Light averaged over exactly one local period along the row; NaN where that window leaves the run.
 #[inline(always)]
-fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f32>, out: &mut Vec<f32>) {
-    // Blocks may begin anywhere in the row and reach beyond its end.
-    out.clear();
-    out.resize(image.len() + LANES, f32::NAN);
+fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f32>, out: &mut [f32]) {
+    out.fill(f32::NAN);
     sample::reserve(sums, image.len() + 1);
     for run in runs {
         let columns = run.columns();
@@ -192,35 +196,56 @@ impl Band {
     }
 
     /// Amplitude of the band around row `v` relative to the mean, for one of its runs. NaN where the window holds
-    /// NaN.
+    /// NaN. `light` is a ring of rows of `stride` values, with room for a block behind each.
     #[inline(always)]
-    fn energy(&self, light: &[Vec<f32>], v: usize, run: &Run, out: &mut [f32]) {
-        let ring = light.len();
-        for first in run.columns().step_by(LANES) {
-            let (mut mean, mut real, mut imaginary): (Lanes, Lanes, Lanes) =
-                (sample::load(&light[v % ring], first), [0.0; LANES], [0.0; LANES]);
-            let [weight, cosine, _] = self.taps[0];
-            for i in 0..LANES {
-                real[i] = cosine * mean[i];
-                mean[i] *= weight;
-            }
-            for (k, &[weight, cosine, sine]) in self.taps.iter().enumerate().skip(1) {
-                let above = sample::load(&light[(v - k) % ring], first);
-                let below = sample::load(&light[(v + k) % ring], first);
-                for i in 0..LANES {
-                    let (sum, difference) = (below[i] + above[i], below[i] - above[i]);
-                    mean[i] += weight * sum;
-                    real[i] += cosine * sum;
-                    imaginary[i] += sine * difference;
+    fn energy(&self, (light, stride): (&[f32], usize), v: usize, run: &Run, out: &mut [f32]) {
+        let row = v % (light.len() / stride) * stride;
+        for first in run.columns().step_by(BAND_LANES) {
+            let energy = self.energy_of_block((light, stride), row + first);
+            let out = &mut out[first..run.end()];
+            match out.first_chunk_mut() {
+                Some(all) => *all = energy,
+                None => {
+                    for (out, energy) in out.iter_mut().zip(energy) {
+                        *out = energy;
+                    }
                 }
             }
-            for i in 0..LANES {
-                let real = real[i] - self.leak * mean[i];
-                let light = if mean[i] < 1.0 { 1.0 } else { mean[i] };
-                mean[i] = 2.0 * (real * real + imaginary[i] * imaginary[i]).sqrt() / light;
-            }
-            sample::store(out, first, LANES.min(run.end() - first), &mean);
         }
+    }
+
+    /// The same for a block that begins at this place of the ring.
+    #[inline(always)]
+    fn energy_of_block(&self, (light, stride): (&[f32], usize), at: usize) -> [f32; BAND_LANES] {
+        let block = |at: usize| -> &[f32; BAND_LANES] { light[at..].first_chunk().expect("room") };
+        let own = block(at);
+        let (mut mean, mut real, mut imaginary) =
+            ([0f32; BAND_LANES], [0f32; BAND_LANES], [0f32; BAND_LANES]);
+        let [weight, cosine, _] = self.taps[0];
+        for i in 0..BAND_LANES {
+            mean[i] = weight * own[i];
+            real[i] = cosine * own[i];
+        }
+        let (mut above, mut below) = (at, at);
+        for &[weight, cosine, sine] in &self.taps[1..] {
+            above = if above < stride { above + light.len() } else { above } - stride;
+            below += stride;
+            below = if below < light.len() { below } else { below - light.len() };
+            let (above, below) = (block(above), block(below));
+            for i in 0..BAND_LANES {
+                let (sum, difference) = (below[i] + above[i], below[i] - above[i]);
+                mean[i] += weight * sum;
+                real[i] += cosine * sum;
+                imaginary[i] += sine * difference;
+            }
+        }
+        let mut energy = [0f32; BAND_LANES];
+        for i in 0..BAND_LANES {
+            let real = real[i] - self.leak * mean[i];
+            let light = if mean[i] < 1.0 { 1.0 } else { mean[i] };
+            energy[i] = 2.0 * (real * real + imaginary[i] * imaginary[i]).sqrt() / light;
+        }
+        energy
     }
 }
 
@@ -228,11 +253,32 @@ impl Band {
 #[inline(always)]
 fn ridges_of_row(energy: &[f32], runs: &[Run], period: &[f32], threshold: f32, found: &mut Runs) {
     for run in runs {
-        push_where(
-            run,
-            |u| energy[u] > threshold && lateral_contrast(energy, u, period[u]) > threshold,
-            found,
-        );
+        let mut start = None;
+        for first in run.columns().step_by(LANES) {
+            let end = run.end().min(first + LANES);
+            // Most blocks have none.
+            let mut any = false;
+            for &energy in &energy[first..end] {
+                any |= energy > threshold;
+            }
+            if !any {
+                if let Some(start) = start.take() {
+                    found.push(Run::new(start, first));
+                }
+                continue;
+            }
+            for u in first..end {
+                let is = energy[u] > threshold && lateral_contrast(energy, u, period[u]) > threshold;
+                if is {
+                    start.get_or_insert(u);
+                } else if let Some(start) = start.take() {
+                    found.push(Run::new(start, u));
+                }
+            }
+        }
+        if let Some(start) = start {
+            found.push(Run::new(start, run.end()));
+        }
     }
 }
 
@@ -264,7 +310,7 @@ fn select(runs: &Runs, keep: impl Fn(usize, &Piece) -> bool) -> Runs {
 
 #[cfg(test)]
 mod tests {
-    use super::{Band, carrier_free_row};
+    use super::{Band, LANES, carrier_free_row};
     use crate::reconstruct::runs::Run;
     use proptest::prelude::{ProptestConfig, prop_assert, prop_assert_eq, proptest};
     use std::f64::consts::TAU;
@@ -279,7 +325,7 @@ mod tests {
             from in 0usize..40,
         ) {
             let period: Vec<f32> = (0..150).map(|u| (start + step * u as f32).max(5.0)).collect();
-            let mut found = Vec::new();
+            let mut found = vec![0.0; 150 + LANES];
             carrier_free_row(&image, &[Run::new(from, 141)], &period, &mut Vec::new(), &mut found);
             for u in 0..150 {
                 let half = f64::from(period[u]) / 2.0;
@@ -309,7 +355,7 @@ mod tests {
             let mut found = vec![f32::NAN; 60];
             let ring: Vec<_> = (0..=2 * half).map(|i| (v - half..=v + half).find(|row| row % (2 * half + 1) == i)).collect();
             let ring: Vec<Vec<f32>> = ring.into_iter().map(|row| rows[row.expect("a row")].clone()).collect();
-            band.energy(&ring, v, &Run::new(3, 58), &mut found);
+            band.energy((&ring.concat(), 100), v, &Run::new(3, 58), &mut found);
             for u in 0..60 {
                 let sum = |weight: &dyn Fn(f64) -> f64| -> f64 {
                     let row = |i: usize| f64::from(rows[v + i - half][u]) * weight(i as f64 - half as f64);
