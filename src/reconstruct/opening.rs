@@ -53,7 +53,12 @@ impl Opening {
 fn above(row: &[u8], level: u8, bits: &mut [u64]) {
     let (words, rest) = row.as_chunks::<WORD>();
     for (pixels, word) in words.iter().zip(&mut *bits) {
-        *word = bits_above(pixels, level);
+        // Most of a frame is dark.
+        let mut most = 0;
+        for &x in pixels {
+            most = most.max(x);
+        }
+        *word = if most > level { bits_above(pixels, level) } else { 0 };
     }
     if let Some(word) = bits.get_mut(words.len()) {
         let mut pixels = [0; WORD];
