@@ -15,8 +15,10 @@
 use super::angle;
 use super::round::whole;
 use super::runs::Run;
-use super::sample::{self, LANES, Lanes, PAD, Periods};
+use super::sample::{self, LANES, Lanes, Light, Periods};
 use std::f32::consts::TAU;
+use std::hint::black_box;
+use std::ops::Range;
 
 /// Rows averaged on each side.
 const ROWS_EACH_SIDE: usize = 2;
@@ -30,9 +32,9 @@ const MORE_MISFIT: f32 = 0.03;
 /// Row phasors must point the same way at least this much for their mean to be taken: |mean| / mean of |.|.
 const MIN_COHERENCE: f32 = 0.9;
 
-/// Gains of the two sums by period, with linear interpolation of the samples.
+/// Gains of the two sums by period, with linear interpolation of the samples: the bits of that of S, and above those of C.
 #[derive(Debug, Clone)]
-pub struct Gains(Box<[[f32; 2]; GAINS]>);
+pub struct Gains(Box<[u64; GAINS]>);
 
 const GAINS_PER_PX: f32 = 32.0;
 const GAIN_MAX_PX: f32 = 40.0;
@@ -59,9 +61,9 @@ impl Gains {
             };
             let (_, c) = sampled(0.0);
             let (s, _) = sampled(TAU / 4.0);
-            [6.0 / s, 6.0 / c]
+            u64::from((6.0 / c).to_bits()) << 32 | u64::from((6.0 / s).to_bits())
         };
-        let mut table = Box::new([[0.0; 2]; GAINS]);
+        let mut table = Box::new([0; GAINS]);
         for (i, entry) in table.iter_mut().enumerate() {
             *entry = gain(i);
         }
@@ -79,20 +81,22 @@ impl Gains {
     /// Factors for S and C.
     #[inline(always)]
     pub(super) fn of(&self, period: f32) -> [f32; 2] {
-        self.0[Self::place(period) as usize % GAINS]
+        let both = self.0[Self::place(period) as usize % GAINS];
+        [f32::from_bits(both as u32), f32::from_bits((both >> 32) as u32)]
     }
 
-    /// The same for a block of periods: all places before the first look, because vectors find these together.
+    /// The same for a block of periods, as they are in the table.
     #[inline(always)]
-    fn at(&self, period: &Lanes) -> [Lanes; 2] {
-        let (mut place, mut out) = ([0u32; LANES], [[0f32; LANES]; 2]);
-        for (place, &period) in place.iter_mut().zip(period) {
-            *place = Self::place(period);
+    fn at(&self, period: &Lanes) -> [u64; LANES] {
+        // All places before the first look, because vectors find these together.
+        let (mut place, mut both) = ([0u32; LANES], [0u64; LANES]);
+        for i in 0..LANES {
+            place[i] = Self::place(period[i]) % GAINS as u32;
         }
         for i in 0..LANES {
-            [out[0][i], out[1][i]] = self.0[place[i] as usize % GAINS];
+            both[i] = self.0[place[i] as usize % GAINS];
         }
-        out
+        both
     }
 }
 
@@ -158,18 +162,10 @@ pub(super) fn sums(i: &[f32; 7]) -> (f32, f32) {
     Folded::of(i).sums()
 }
 
-/// The phasors of a row, `c + i s = 6 B exp(i W)`, both zero where they are unknown, the mean light of their windows, DN, and
-/// what the samples have beside offset, slope and fringe: RMS relative to B. To be written.
-pub(super) struct PhasorRow<'a> {
-    pub c: &'a mut [f32],
-    pub s: &'a mut [f32],
-    pub mean: &'a mut [f32],
-    pub misfit: &'a mut [f32],
-}
-
-/// Demodulates every pixel of a row's runs whose window of one period lies within its run; only the runs are written. `sign`
-/// is that of the phase along the columns: the formula alone always yields a phase that grows with the column. `light` is
-/// memory to use, of finite numbers.
+/// Demodulates every pixel of a row's runs whose window of one period lies within its run. `sign` is that of the phase along
+/// the columns: the formula alone always yields a phase that grows with the column. `light` is memory to use. `each` gets the columns of each block and its c, s, mean and misfit: the phasor `c + i s = 6 B exp(i W)`,
+/// the mean light of the window, DN, and what the samples have beside offset, slope and fringe, RMS relative to B. All are
+/// 0 where they are unknown, and beyond the run.
 #[inline(always)]
 pub(super) fn demodulate_row(
     image: &[u8],
@@ -177,24 +173,18 @@ pub(super) fn demodulate_row(
     period: &[f32],
     gains: &Gains,
     sign: f32,
-    light: &mut Vec<f32>,
-    out: PhasorRow<'_>,
+    light: &mut Light,
+    mut each: impl FnMut(Range<usize>, &[Lanes; 4]),
 ) {
-    let PhasorRow { c, s, mean, misfit } = out;
-    sample::reserve(light, image.len());
+    light.reserve(image.len());
     for run in runs {
         let columns = run.columns();
-        for (light, &x) in light[PAD + columns.start..].iter_mut().zip(&image[columns.clone()]) {
-            *light = f32::from(x);
-        }
+        light.set(columns.start, &image[columns.clone()]);
         for first in columns.clone().step_by(LANES) {
-            let end = columns.end.min(first + LANES);
             let period = sample::load(period, first);
             let inside = (first - columns.start, columns.end - 1 - first);
-            let block = demodulate_block(light, first, inside, &period, gains, sign);
-            for (row, lanes) in [&mut *c, &mut *s, &mut *mean, &mut *misfit].into_iter().zip(&block) {
-                sample::store(row, first, end - first, lanes);
-            }
+            let end = columns.end.min(first + LANES);
+            each(first..end, &demodulate_block(light, first, inside, &period, gains, sign));
         }
     }
 }
@@ -202,34 +192,46 @@ pub(super) fn demodulate_row(
 /// c, s, mean and misfit of a block whose first pixel has `inside` pixels of its run before and behind it.
 #[inline(always)]
 fn demodulate_block(
-    light: &[f32],
+    light: &Light,
     first: usize,
     inside: (usize, usize),
     period: &Lanes,
     gains: &Gains,
     sign: f32,
 ) -> [Lanes; 4] {
+    // First of all: vectors wait until what was written one by one has come to the cache.
+    let gains = gains.at(period);
     let periods = &Periods::new(period);
-    let [before_1, behind_1] = sample::both_sides(light, first, periods, 1.0 / 6.0);
-    let [before_2, behind_2] = sample::both_sides(light, first, periods, 2.0 / 6.0);
-    let [before_3, behind_3] = sample::both_sides(light, first, periods, 3.0 / 6.0);
-    let own = sample::load(&light[PAD..], first);
-    let samples = [before_3, before_2, before_1, own, behind_1, behind_2, behind_3];
-    let [gain_s, gain_c] = gains.at(period);
-    let [mut out_c, mut out_s, mut out_mean, mut out_misfit] = [[0f32; LANES]; 4];
-    let (left, right) = (inside.0 as f32, inside.1 as f32);
+    let sides_1 = light.both_sides(first, periods, 1.0 / 6.0);
+    let sides_2 = light.both_sides(first, periods, 2.0 / 6.0);
+    let sides_3 = light.both_sides(first, periods, 3.0 / 6.0);
+    let own = light.own(first);
+    // The compiler must not know what they are: it would part them one by one.
+    let gains = black_box(&gains);
+    let (mut gain_s, mut gain_c) = ([0f32; LANES], [0f32; LANES]);
     for i in 0..LANES {
-        let sample = [0, 1, 2, 3, 4, 5, 6].map(|k: usize| samples[k][i]);
-        let (s, c, mean, misfit) = of_samples(&sample, [gain_s[i], gain_c[i]]);
-        let half = period[i] * 0.5;
-        let known =
-            (half > 0.0) & (half <= left + i as f32) & (half <= right - i as f32) & (half <= MAX_HALF);
-        out_c[i] = if known { c } else { 0.0 };
-        out_s[i] = if known { sign * s } else { 0.0 };
-        out_mean[i] = if known { mean } else { 0.0 };
-        out_misfit[i] = if known { misfit } else { 0.0 };
+        gain_s[i] = f32::from_bits(gains[i] as u32);
+        gain_c[i] = f32::from_bits((gains[i] >> 32) as u32);
     }
-    [out_c, out_s, out_mean, out_misfit]
+    let (left, right) = (inside.0 as i32 as f32, inside.1 as i32 as f32);
+    let mut out = [[0f32; LANES]; 4];
+    for i in 0..LANES {
+        let before = [sides_3[0][i], sides_2[0][i], sides_1[0][i]];
+        let behind = [sides_1[1][i], sides_2[1][i], sides_3[1][i]];
+        let samples = [before[0], before[1], before[2], own[i], behind[0], behind[1], behind[2]];
+        let (s, c, mean, misfit) = of_samples(&samples, [gain_s[i], gain_c[i]]);
+        let half = period[i] * 0.5;
+        let known = (half > 0.0)
+            & (half <= left + sample::PLACES[i])
+            & (half <= right - sample::PLACES[i])
+            & (half <= MAX_HALF);
+        let known = if known { u32::MAX } else { 0 };
+        out[0][i] = f32::from_bits(c.to_bits() & known);
+        out[1][i] = f32::from_bits((sign * s).to_bits() & known);
+        out[2][i] = f32::from_bits(mean.to_bits() & known);
+        out[3][i] = f32::from_bits(misfit.to_bits() & known);
+    }
+    out
 }
 
 /// S, C, mean and misfit of one pixel's seven samples, with the gains of their distance.
@@ -247,78 +249,64 @@ pub(super) fn row_reach(v: usize, h: usize) -> usize {
     ROWS_EACH_SIDE.min(v).min(h - 1 - v)
 }
 
-/// Rows of phasors of length 1, their true lengths and misfit.
-pub(super) type Rows<'a> = [&'a [f32]; 4];
+/// A block of a row of phasors of length 1, their true lengths and misfit.
+pub(super) type Row<'a> = [&'a Lanes; 4];
 
 /// Mean phasor of up to five rows; the rows above and below take part in pairs, so that the mean stays centred.
 /// A pair takes part where both are known, each as strong as the weaker one (else an edge of colour along the
 /// fringe would draw the mean to its bright side), and neither has more misfit than the pixel's own row allows:
 /// the window of a row above may touch an edge that this one clears. Averaging along the fringe halves the
-/// noise. Pixels with a non-zero `skip` stay as they are, and so do those whose rows disagree. One block: `own` is its row, of
-/// which `[c, s]` are C and S.
+/// noise. Pixels with a non-zero `skip` stay as they are, and so do those whose rows disagree. One block: of its own row are
+/// `[c, s]`, their `length` and `misfit`.
 #[inline(always)]
 pub(super) fn average_block(
-    [c, s]: [&[f32]; 2],
-    own: Rows<'_>,
-    pairs: &[[Rows<'_>; 2]],
-    skip: &[u8],
-    first: usize,
+    [c, s, length, misfit]: Row<'_>,
+    [near, far]: &[[Row<'_>; 2]; 2],
+    skip: &[u8; LANES],
 ) -> [Lanes; 2] {
-    let (c, s) = (sample::load(c, first), sample::load(s, first));
-    let (mut length, misfit) = (sample::load(own[2], first), sample::load(own[3], first));
-    let (mut sum_c, mut sum_s, mut rows) = (c, s, [1f32; LANES]);
-    for pair in pairs {
-        let [c_a, s_a, size_a, misfit_a] = load(pair[0], first);
-        let [c_b, s_b, size_b, misfit_b] = load(pair[1], first);
-        // 0 where the pair takes no part. All of them first: else the compiler makes a branch of it, and stores with a mask.
-        let mut weaker = [0f32; LANES];
-        for i in 0..LANES {
-            let size = if size_a[i] < size_b[i] { size_a[i] } else { size_b[i] };
-            let most = misfit[i] + MORE_MISFIT;
-            let takes_part = (size > 0.0) & (misfit_a[i] <= most) & (misfit_b[i] <= most);
-            weaker[i] = if takes_part { size } else { 0.0 };
-        }
-        for i in 0..LANES {
-            sum_c[i] += weaker[i] * (c_a[i] + c_b[i]);
-            sum_s[i] += weaker[i] * (s_a[i] + s_b[i]);
-            length[i] += 2.0 * weaker[i];
-            rows[i] += if weaker[i] > 0.0 { 2.0 } else { 0.0 };
-        }
-    }
-    let mut out = [c, s];
-    let skipped = sample::load(skip, first);
+    let mut out = [[0f32; LANES]; 2];
     for i in 0..LANES {
+        let most = misfit[i] + MORE_MISFIT;
+        let near = of_pair(near, most, i);
+        let far = of_pair(far, most, i);
+        let sum_c = c[i] + near[1] + far[1];
+        let sum_s = s[i] + near[2] + far[2];
+        let length = length[i] + 2.0 * near[0] + 2.0 * far[0];
         let known = (c[i] != 0.0) | (s[i] != 0.0);
-        let least = MIN_COHERENCE * length[i];
-        let coherent = sum_c[i] * sum_c[i] + sum_s[i] * sum_s[i] > least * least;
-        let averaged = (skipped[i] == 0) & known & coherent;
-        // One, three or five.
-        let share = if rows[i] > 4.0 { 1.0 / 5.0 } else { 1.0 / 3.0 };
-        let share = if rows[i] > 2.0 { share } else { 1.0 };
-        out[0][i] = if averaged { sum_c[i] * share } else { c[i] };
-        out[1][i] = if averaged { sum_s[i] * share } else { s[i] };
+        let least = MIN_COHERENCE * length;
+        let coherent = sum_c * sum_c + sum_s * sum_s > least * least;
+        let averaged = (skip[i] == 0) & known & coherent;
+        // One, three or five rows.
+        let more = if (near[0] > 0.0) | (far[0] > 0.0) { 1.0 / 3.0 } else { 1.0 };
+        let share = if (near[0] > 0.0) & (far[0] > 0.0) { 1.0 / 5.0 } else { more };
+        out[0][i] = if averaged { sum_c * share } else { c[i] };
+        out[1][i] = if averaged { sum_s * share } else { s[i] };
     }
     out
 }
 
+/// How strong a pair of rows is at a place, 0 where it takes no part, and what it adds to C and S.
 #[inline(always)]
-fn load([c, s, length, misfit]: Rows<'_>, first: usize) -> [Lanes; 4] {
-    // Not by `map`: that would be a call, compiled for the narrowest processor.
-    [sample::load(c, first), sample::load(s, first), sample::load(length, first), sample::load(misfit, first)]
+fn of_pair([a, b]: &[Row<'_>; 2], most_misfit: f32, i: usize) -> [f32; 3] {
+    let size = if a[2][i] < b[2][i] { a[2][i] } else { b[2][i] };
+    let takes_part = (size > 0.0) & (a[3][i] <= most_misfit) & (b[3][i] <= most_misfit);
+    // By its bits: else the compiler makes a branch of it, and stores with a mask.
+    let weaker = f32::from_bits(size.to_bits() & if takes_part { u32::MAX } else { 0 });
+    [weaker, weaker * (a[0][i] + b[0][i]), weaker * (a[1][i] + b[1][i])]
 }
 
-/// Phasors of length 1 in the direction of a row's, and the lengths of these; 0 where there is none.
+/// Phasors of length 1 in the direction of a block's, and the lengths of these; 0 where there is none.
 #[inline(always)]
-pub(super) fn units(c: &[f32], s: &[f32], [unit_c, unit_s, length]: [&mut [f32]; 3]) {
-    let n = c.len();
-    let (s, unit_c, unit_s, length) = (&s[..n], &mut unit_c[..n], &mut unit_s[..n], &mut length[..n]);
-    for i in 0..n {
+pub(super) fn units(c: &Lanes, s: &Lanes) -> [Lanes; 3] {
+    let mut out = [[0f32; LANES]; 3];
+    for i in 0..LANES {
         let size = (c[i] * c[i] + s[i] * s[i]).sqrt();
         let scale = 1.0 / if size > 0.0 { size } else { 1.0 };
-        length[i] = size;
-        unit_c[i] = c[i] * scale;
-        unit_s[i] = s[i] * scale;
+        out[0][i] = c[i] * scale;
+        out[1][i] = s[i] * scale;
+        out[2][i] = size;
     }
+    out
 }
 
 /// The phase of a phasor; NaN where it is 0.

@@ -4,13 +4,13 @@
 //! takes its means. That one demodulates row after row and keeps what the following stages look back at in rings of
 //! rows, which stay in the cache: only finished rows go to the planes.
 
-use super::demodulate::{self, Gains, PhasorRow};
+use super::demodulate::{self, Gains};
 use super::marker_phase::{self, Ring};
 use super::pair::Pair;
 use super::pipeline::Clock;
 use super::pool::Pool;
 use super::runs::{Runs, fill_beside};
-use super::sample::{self, LANES};
+use super::sample::{self, LANES, Light};
 use super::windows::{self, Windows};
 use super::{marker, period_fast, shading, simd};
 use crate::image::{Mono8, Plane};
@@ -47,10 +47,15 @@ pub struct Buffers {
     bridged: [Vec<Vec<f32>>; 2],
     /// The latter with a length of 1, and their lengths.
     units: [Vec<Vec<f32>>; 3],
-    /// Light of a row's pixels, and of their windows, and that with room to either side.
-    light: Vec<f32>,
+    /// What their windows have beside the fringe.
+    misfit: Vec<Vec<f32>>,
+    /// C and S of a row before the bias of shading is taken off.
+    shaded: [Vec<f32>; 2],
+    /// A row of zeros.
+    zeros: Vec<f32>,
+    /// Light of a row's pixels, and of their windows, with room to either side.
+    light: Light,
     mean: Vec<f32>,
-    padded_mean: Vec<f32>,
     /// Phases found so far.
     known: usize,
 }
@@ -157,21 +162,34 @@ struct Input<'a> {
 }
 
 impl Input<'_> {
+    /// Values of a row with room for a block behind its end.
+    #[inline(always)]
+    fn room(&self) -> usize {
+        self.image.width() + LANES
+    }
+
+    /// A plane from row `v` on: blocks that end behind a row's end are written whole, because the row below is written
+    /// later.
+    #[inline(always)]
+    fn rest<'p, T: Copy>(&self, plane: &'p mut Plane<T>, v: usize) -> &'p mut [T] {
+        let (w, h) = (self.image.width(), self.image.height());
+        &mut plane.as_mut_slice()[v * w..][..(h - v) * w]
+    }
+
     /// The second pass: phasors and wrapped phases of all rows.
     #[inline(always)]
     fn phases(&self, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut Plane<f32>) {
         let (w, h) = (self.image.width(), self.image.height());
         let average = marker_phase::Average::new(self.pair);
         let reach = average.reach();
-        for (rings, length) in [(&mut buffers.raw, 2 * reach + 1), (&mut buffers.bridged, BRIDGED)] {
-            for ring in rings {
-                empty(ring, length, w);
-            }
-        }
-        buffers.units.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
-        buffers.mean.resize(w, 0.0);
-        buffers.known = 0;
         const LATER: usize = demodulate::ROWS / 2;
+        buffers.raw.iter_mut().for_each(|ring| empty(ring, 2 * reach + 1, w));
+        buffers.bridged.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
+        buffers.units.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
+        empty(&mut buffers.misfit, reach + BRIDGED, w);
+        buffers.shaded.iter_mut().for_each(|row| sample::with_room(row, w));
+        sample::with_room(&mut buffers.zeros, w);
+        buffers.known = 0;
         for next in 0..h + reach + LATER {
             if next < h {
                 self.demodulate(next, buffers, windows);
@@ -179,22 +197,10 @@ impl Input<'_> {
             if let Some(v) = next.checked_sub(reach)
                 && v < h
             {
-                let misfit = windows.misfit.row_mut(v);
-                bridge(v, h, &average, (self.runs, self.zone_runs), buffers, misfit);
-                let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], .. } = &mut *buffers;
-                let row = v % BRIDGED;
-                let (unit_c, unit_s, length) = (&mut unit_c[row], &mut unit_s[row], &mut length[row]);
-                clear(unit_c, self.runs, v, BRIDGED);
-                clear(unit_s, self.runs, v, BRIDGED);
-                clear(length, self.runs, v, BRIDGED);
-                for run in self.runs.row(v) {
-                    let at = run.columns();
-                    let out = [&mut unit_c[at.clone()], &mut unit_s[at.clone()], &mut length[at.clone()]];
-                    demodulate::units(&c[row][at.clone()], &s[row][at], out);
-                }
+                self.bridge(v, &average, buffers);
             }
             if let Some(v) = next.checked_sub(reach + LATER) {
-                self.finish(v, buffers, windows, wrapped.row_mut(v));
+                self.finish(v, buffers, windows, wrapped);
             }
         }
     }
@@ -202,107 +208,165 @@ impl Input<'_> {
     /// Demodulates row `v` and takes off the bias of shading.
     #[inline(always)]
     fn demodulate(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows) {
-        let Buffers { raw: [c, s], light, mean, padded_mean, .. } = buffers;
-        let (at, length) = (v % c.len(), c.len());
-        clear(&mut c[at], self.runs, v, length);
-        clear(&mut s[at], self.runs, v, length);
-        let (c, s, mean) = (&mut c[at][..], &mut s[at][..], &mut mean[..]);
-        let out = PhasorRow { c, s, mean, misfit: windows.misfit.row_mut(v) };
+        let Buffers { raw: [c, s], misfit, shaded, light, mean, .. } = buffers;
+        let (length, misfits) = (c.len(), misfit.len());
+        // Rows that are known to be of one length need one look whether a block fits.
+        let room = ..self.room();
+        let (c, s) = (&mut c[v % length][room], &mut s[v % length][room]);
+        let misfit = &mut misfit[v % misfits][room];
+        clear(c, self.runs, v, length);
+        clear(s, self.runs, v, length);
+        clear(misfit, self.runs, v, misfits);
+        let [shaded_c, shaded_s] = shaded;
+        let (shaded_c, shaded_s) = (&mut shaded_c[room], &mut shaded_s[room]);
+        clear(shaded_c, self.runs, v, 1);
+        clear(shaded_s, self.runs, v, 1);
         let (runs, period) = (self.runs.row(v), self.period.row(v));
-        demodulate::demodulate_row(self.image.row(v), runs, period, self.gains, self.pair.sign, light, out);
-        shading::correct_row((c, s), mean, period, self.zone.row(v), runs, self.pair.sign, padded_mean);
-        windows.keep_light(v, runs, mean);
+        shading::clear_light(mean, self.image.width(), self.runs.span(v));
+        let steps = self.rest(&mut windows.light, v);
+        demodulate::demodulate_row(
+            self.image.row(v),
+            runs,
+            period,
+            self.gains,
+            self.pair.sign,
+            light,
+            #[inline(always)]
+            |at, block| {
+                let first = at.start;
+                sample::put(shaded_c, first, &block[0]);
+                sample::put(shaded_s, first, &block[1]);
+                sample::put(misfit, first, &block[3]);
+                shading::keep_light(mean, first, &block[2]);
+                sample::put(steps, first, &windows::light_block(&block[2]));
+            },
+        );
+        self.zone_runs.row(v).iter().for_each(|run| shading::skip_light(mean, run.columns()));
+        shading::correct_row([shaded_c, shaded_s], mean, period, runs, self.pair.sign, [c, s]);
+    }
+
+    /// Row `v` of the phasors with the marker's means in its zone, and their directions.
+    #[inline(always)]
+    fn bridge(&self, v: usize, average: &marker_phase::Average, buffers: &mut Buffers) {
+        let Buffers { raw: [raw_c, raw_s], bridged: [c, s], units: [unit_c, unit_s, length], misfit, .. } =
+            buffers;
+        let (from, to, misfits) = (v % raw_c.len(), v % BRIDGED, misfit.len());
+        let room = ..self.room();
+        let (c, s, misfit) = (&mut c[to][room], &mut s[to][room], &mut misfit[v % misfits][room]);
+        let (unit_c, unit_s, length) = (&mut unit_c[to][room], &mut unit_s[to][room], &mut length[to][room]);
+        let (own_c, own_s) = (&raw_c[from][room], &raw_s[from][room]);
+        for row in [&mut *c, s, unit_c, unit_s, length] {
+            clear(row, self.runs, v, BRIDGED);
+        }
+        for run in self.runs.row(v) {
+            for first in run.columns().step_by(LANES) {
+                let block = [sample::block(own_c, first), sample::block(own_s, first)];
+                sample::put(c, first, block[0]);
+                sample::put(s, first, block[1]);
+                let units = demodulate::units(block[0], block[1]);
+                sample::put(unit_c, first, &units[0]);
+                sample::put(unit_s, first, &units[1]);
+                sample::put(length, first, &units[2]);
+            }
+        }
+        let (reach, height) = (average.reach(), self.image.height());
+        let whole = v >= reach && v + reach < height;
+        let ring = Ring { c: raw_c, s: raw_s };
+        for run in self.zone_runs.row(v) {
+            for first in run.columns().step_by(LANES) {
+                let count = LANES.min(run.end() - first);
+                let mut block = if whole { average.block(&ring, v, first) } else { [[0.0; LANES]; 2] };
+                for i in 0..count {
+                    let known = (own_c[first + i] != 0.0) | (own_s[first + i] != 0.0);
+                    for lanes in &mut block {
+                        lanes[i] = if known { lanes[i] } else { 0.0 };
+                    }
+                    // A lobe of other height than its neighbours is no misfit here.
+                    let at = &mut misfit[first + i];
+                    *at = if known { 0.0 } else { *at };
+                }
+                sample::store(c, first, count, &block[0]);
+                sample::store(s, first, count, &block[1]);
+                let units = demodulate::units(sample::block(c, first), sample::block(s, first));
+                sample::put(unit_c, first, &units[0]);
+                sample::put(unit_s, first, &units[1]);
+                sample::put(length, first, &units[2]);
+            }
+        }
     }
 
     /// Averages row `v` with those around it, and takes its phases.
     #[inline(always)]
-    fn finish(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut [f32]) {
-        let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], known, .. } = buffers;
-        let Windows { strength, misfit, .. } = windows;
+    fn finish(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut Plane<f32>) {
+        let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], misfit, zeros, known, .. } = buffers;
+        let room = ..self.room();
         let rows = |v: usize| {
             let row = v % BRIDGED;
-            [&unit_c[row][..], &unit_s[row][..], &length[row][..], misfit.row(v)]
+            [&unit_c[row][room], &unit_s[row][room], &length[row][room], &misfit[v % misfit.len()][room]]
         };
-        let own = [&c[v % BRIDGED][..], &s[v % BRIDGED][..]];
-        let reach = demodulate::row_reach(v, misfit.height());
-        let pairs = [1, 2].map(|k| [rows(v - reach.min(k)), rows(v + reach.min(k))]);
+        let reach = demodulate::row_reach(v, self.image.height());
+        // Rows beyond the frame take no part.
+        let beyond = [&zeros[room]; 4];
+        let near = if reach < 1 { [beyond; 2] } else { [rows(v - 1), rows(v + 1)] };
+        let far = if reach < 2 { [beyond; 2] } else { [rows(v - 2), rows(v + 2)] };
+        let [_, _, length, misfit] = rows(v);
+        let own = [&c[v % BRIDGED][room], &s[v % BRIDGED][room], length, misfit];
         // Nobody looks at windows outside of the runs, but at phases.
-        let strength = strength.row_mut(v);
-        fill_beside(self.runs.row(v), wrapped, f32::NAN);
+        fill_beside(self.runs.row(v), wrapped.row_mut(v), f32::NAN);
+        let (strength, misfit) = (self.rest(&mut windows.strength, v), self.rest(&mut windows.misfit, v));
+        let phases = self.rest(wrapped, v);
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
-                let count = LANES.min(run.end() - first);
-                let [c, s] =
-                    demodulate::average_block(own, rows(v), &pairs[..reach], self.zone.row(v), first);
-                let (mut phases, mut lengths) = ([0.0; LANES], [0u16; LANES]);
+                let pairs = [pair(&near, first), pair(&far, first)];
+                let skip = sample::load(self.zone.row(v), first);
+                let own = block(&own, first);
+                let [c, s] = demodulate::average_block(own, &pairs, &skip);
+                let mut angles = [0.0; LANES];
                 for i in 0..LANES {
-                    phases[i] = demodulate::phase(c[i], s[i]);
+                    angles[i] = demodulate::phase(c[i], s[i]);
                 }
-                for i in 0..LANES {
-                    lengths[i] = windows::strength_steps(c[i], s[i]);
-                }
-                sample::store(strength, first, count, &lengths);
-                sample::store(wrapped, first, count, &phases);
+                sample::put(misfit, first, own[3]);
+                sample::put(strength, first, &windows::strength_block(&c, &s));
+                sample::put(phases, first, &angles);
             }
-            let phases = &wrapped[run.columns()];
+            let phases = &phases[run.columns()];
             *known += phases.iter().map(|x| u32::from(!x.is_nan())).sum::<u32>() as usize;
         }
     }
 }
 
+/// Blocks of four rows.
+#[inline(always)]
+fn block<'a>(rows: &[&'a [f32]; 4], first: usize) -> demodulate::Row<'a> {
+    // Not by `map`: that would be a call, compiled for the narrowest processor.
+    let [a, b, c, d] = rows;
+    [sample::block(a, first), sample::block(b, first), sample::block(c, first), sample::block(d, first)]
+}
+
+/// Blocks of the rows above and below.
+#[inline(always)]
+fn pair<'a>([above, below]: &[[&'a [f32]; 4]; 2], first: usize) -> [demodulate::Row<'a>; 2] {
+    [block(above, first), block(below, first)]
+}
+
 /// Makes a ring of rows of zeros.
 fn empty(ring: &mut Vec<Vec<f32>>, length: usize, width: usize) {
     ring.resize(length, Vec::new());
-    for row in ring {
-        row.clear();
-        row.resize(width, 0.0);
-    }
+    ring.iter_mut().for_each(|row| sample::with_room(row, width));
 }
 
-/// Clears what the row of a ring of so many rows, which is to become row `v`, holds of the one that it was: beside the
-/// runs there is nothing.
+/// Clears what the row of a ring of so many rows, which is to become row `v`, holds of the one that it was, but where it is
+/// written anyway: beside the runs there is nothing.
 #[inline(always)]
 fn clear(row: &mut [f32], runs: &Runs, v: usize, length: usize) {
-    if let Some(before) = v.checked_sub(length) {
-        runs.row(before).iter().for_each(|run| row[run.columns()].fill(0.0));
-    }
-}
-
-/// Row `v` of the phasors with the marker's means in its zone.
-#[inline(always)]
-fn bridge(
-    v: usize,
-    height: usize,
-    average: &marker_phase::Average,
-    (runs, zone): (&Runs, &Runs),
-    buffers: &mut Buffers,
-    misfit: &mut [f32],
-) {
-    let Buffers { raw: [raw_c, raw_s], bridged: [c, s], .. } = buffers;
-    let (from, to, reach) = (v % raw_c.len(), v % BRIDGED, average.reach());
-    for (row, raw) in [(&mut c[to], &raw_c[from]), (&mut s[to], &raw_s[from])] {
-        clear(row, runs, v, BRIDGED);
-        for run in runs.row(v) {
-            row[run.columns()].copy_from_slice(&raw[run.columns()]);
+    let Some(before) = v.checked_sub(length) else { return };
+    for old in runs.row(before) {
+        let mut from = old.start();
+        for new in runs.row(v).iter().filter(|new| new.end() > old.start() && new.start() < old.end()) {
+            // Few: without a call.
+            (from..new.start()).for_each(|u| row[u] = 0.0);
+            from = new.end();
         }
-    }
-    let whole = v >= reach && v + reach < height;
-    let ring = Ring { c: raw_c, s: raw_s };
-    for run in zone.row(v) {
-        for first in run.columns().step_by(LANES) {
-            let count = LANES.min(run.end() - first);
-            let mut block = if whole { average.block(&ring, v, first) } else { [[0.0; LANES]; 2] };
-            for i in 0..count {
-                let known = (raw_c[from][first + i] != 0.0) | (raw_s[from][first + i] != 0.0);
-                for lanes in &mut block {
-                    lanes[i] = if known { lanes[i] } else { 0.0 };
-                }
-                // A lobe of other height than its neighbours is no misfit here.
-                let at = &mut misfit[first + i];
-                *at = if known { 0.0 } else { *at };
-            }
-            sample::store(&mut c[to], first, count, &block[0]);
-            sample::store(&mut s[to], first, count, &block[1]);
-        }
+        (from..old.end()).for_each(|u| row[u] = 0.0);
     }
 }

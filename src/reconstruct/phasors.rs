@@ -1,9 +1,9 @@
 //! Stages of the front end by themselves, on whole frames: what tests ask of each. What is run goes row by row
 //! ([`super::front`], [`super::windows::demodulate`]).
 
-use super::demodulate::{Gains, PhasorRow, average_block, demodulate_row, phase, row_reach, units};
+use super::demodulate::{Gains, average_block, demodulate_row, phase, row_reach, units};
 use super::runs::{Run, Runs};
-use super::sample::{self, LANES};
+use super::sample::{self, LANES, Light};
 use super::shading;
 use super::windows::Windows;
 use crate::image::{Mono8, Plane};
@@ -33,15 +33,15 @@ pub fn demodulate(
     let runs = Runs::of(mask);
     let blank = || Plane::filled(image.width(), image.height(), 0f32);
     let mut out = Phasors { c: blank(), s: blank(), mean: blank(), misfit: blank() };
-    let mut light = Vec::new();
+    let mut light = Light::default();
     for v in 0..image.height() {
-        let row = PhasorRow {
-            c: out.c.row_mut(v),
-            s: out.s.row_mut(v),
-            mean: out.mean.row_mut(v),
-            misfit: out.misfit.row_mut(v),
-        };
-        demodulate_row(image.row(v), runs.row(v), period.row(v), gains, sign, &mut light, row);
+        let (own, period) = (runs.row(v), period.row(v));
+        demodulate_row(image.row(v), own, period, gains, sign, &mut light, |at, block| {
+            let planes = [&mut out.c, &mut out.s, &mut out.mean, &mut out.misfit];
+            for (plane, lanes) in planes.into_iter().zip(block) {
+                sample::store(plane.row_mut(v), at.start, at.len(), lanes);
+            }
+        });
     }
     out
 }
@@ -50,19 +50,23 @@ pub fn demodulate(
 pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
     let (w, h) = (phasors.c.width(), phasors.c.height());
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
-    let [mut unit_c, mut unit_s, mut lengths] = [(); 3].map(|()| Plane::filled(w, h, 0f32));
-    let out = [&mut unit_c, &mut unit_s, &mut lengths].map(Plane::as_mut_slice);
-    units(c.as_slice(), s.as_slice(), out);
     for v in 0..h {
-        let row = |v: usize| [unit_c.row(v), unit_s.row(v), lengths.row(v), phasors.misfit.row(v)];
         let reach = row_reach(v, h);
-        let pairs = [1, 2].map(|k| [row(v - reach.min(k)), row(v + reach.min(k))]);
-        let (out_c, out_s) = (phasors.c.row_mut(v), phasors.s.row_mut(v));
         for first in (0..w).step_by(LANES) {
-            let end = w.min(first + LANES);
-            let [c, s] = average_block([c.row(v), s.row(v)], row(v), &pairs[..reach], skip.row(v), first);
-            sample::store(out_c, first, end - first, &c);
-            sample::store(out_s, first, end - first, &s);
+            let block = |plane: &Plane<f32>, v: usize| sample::load(plane.row(v), first);
+            let row = |v: usize| {
+                let [unit_c, unit_s, length] = units(&block(&c, v), &block(&s, v));
+                [unit_c, unit_s, length, block(&phasors.misfit, v)]
+            };
+            let pairs =
+                [1, 2].map(|k| if k <= reach { [row(v - k), row(v + k)] } else { [[[0.0; LANES]; 4]; 2] });
+            let pairs = pairs.each_ref().map(|pair| pair.each_ref().map(|row| row.each_ref()));
+            let [_, _, length, misfit] = row(v);
+            let own = [&block(&c, v), &block(&s, v), &length, &misfit];
+            let [c, s] = average_block(own, &pairs, &sample::load(skip.row(v), first));
+            let count = LANES.min(w - first);
+            sample::store(phasors.c.row_mut(v), first, count, &c);
+            sample::store(phasors.s.row_mut(v), first, count, &s);
         }
     }
 }
@@ -80,11 +84,18 @@ pub fn wrapped(phasors: &Phasors) -> Plane<f32> {
 /// Takes the first-order bias off all phasors but those with a non-zero `skip`, whose light is not used either:
 /// there the marker changes it. `sign` is that of the phase along the columns.
 pub fn correct_shading(phasors: &mut Phasors, period: &Plane<f32>, skip: &Plane<u8>, sign: f32) {
-    let all = [Run::new(0, period.width())];
+    let (width, all) = (period.width(), [Run::new(0, period.width())]);
     let mut light = Vec::new();
     for v in 0..period.height() {
-        let phasor = (phasors.c.row_mut(v), phasors.s.row_mut(v));
-        shading::correct_row(phasor, phasors.mean.row(v), period.row(v), skip.row(v), &all, sign, &mut light);
+        shading::clear_light(&mut light, width, 0..width);
+        for first in (0..width).step_by(LANES) {
+            shading::keep_light(&mut light, first, &sample::load(phasors.mean.row(v), first));
+        }
+        (0..width).filter(|&u| skip.at(u, v) != 0).for_each(|u| shading::skip_light(&mut light, u..u + 1));
+        let with_room = |plane: &Plane<f32>| [plane.row(v), &[0.0; LANES]].concat();
+        let own = [&with_room(&phasors.c)[..], &with_room(&phasors.s)[..]];
+        let out = [phasors.c.row_mut(v), phasors.s.row_mut(v)];
+        shading::correct_row(own, &light, period.row(v), &all, sign, out);
     }
 }
 
@@ -95,7 +106,12 @@ pub fn windows(phasors: Phasors, runs: &Runs) -> Windows {
     let [strength, light] = [(); 2].map(|()| Plane::filled(width, height, 0u16));
     let mut windows = Windows { strength, light, misfit };
     for v in 0..height {
-        windows.keep_row(v, runs.row(v), [c.row(v), s.row(v), mean.row(v)]);
+        for run in runs.row(v) {
+            for first in run.columns().step_by(LANES) {
+                let block = [&c, &s, &mean].map(|plane| sample::load(plane.row(v), first));
+                windows.keep_block(v, first..run.end().min(first + LANES), block.each_ref());
+            }
+        }
     }
     windows
 }

@@ -5,6 +5,7 @@
 //! then lie side by side in memory, and only the fraction differs.
 
 use super::round::{nearest, whole};
+use std::hint::black_box;
 
 /// Pixels of a block.
 pub(super) const LANES: usize = 32;
@@ -14,6 +15,17 @@ pub(super) const PAD: usize = 32;
 
 /// One value for each pixel of a block.
 pub(super) type Lanes = [f32; LANES];
+
+/// The place of each pixel in a block. (A conversion of the counter would be one pixel at a time.)
+pub(super) const PLACES: Lanes = {
+    let mut places = [0.0; LANES];
+    let mut i = 0;
+    while i < LANES {
+        places[i] = i as f32;
+        i += 1;
+    }
+    places
+};
 
 /// Makes `padded` a row of `width` values with [`PAD`] on each side, in the memory that it has.
 pub(super) fn reserve(padded: &mut Vec<f32>, width: usize) {
@@ -54,6 +66,35 @@ pub(super) fn store<T: Copy>(row: &mut [T], first: usize, count: usize, lanes: &
     }
 }
 
+/// The block of a row that has room for one behind its end ([`with_room`]).
+#[inline(always)]
+pub(super) fn block<T>(row: &[T], first: usize) -> &[T; LANES] {
+    row[first..].first_chunk().expect("a row with room for a block behind its end")
+}
+
+/// Writes a whole block to a row, as far as that goes: what follows is of no matter, or is written next.
+#[inline(always)]
+pub(super) fn put<T: Copy>(row: &mut [T], first: usize, lanes: &[T; LANES]) {
+    let row = &mut row[first..];
+    match row.first_chunk_mut() {
+        Some(all) => *all = *lanes,
+        None => put_end(row, lanes),
+    }
+}
+
+/// Apart, because the compiler would make one copy of both cases, of a length that it does not know: a call.
+#[cold]
+#[inline(never)]
+fn put_end<T: Copy>(row: &mut [T], lanes: &[T; LANES]) {
+    row.copy_from_slice(&lanes[..row.len()]);
+}
+
+/// Makes a row one of zeros, as many as a row of `width` values and a block behind its end.
+pub(super) fn with_room(row: &mut Vec<f32>, width: usize) {
+    row.clear();
+    row.resize(width + LANES, 0.0);
+}
+
 /// The periods of a block; an unknown one (0) is the largest of the block, so that it does not spoil the others.
 pub(super) struct Periods {
     lanes: Lanes,
@@ -65,101 +106,174 @@ pub(super) struct Periods {
 impl Periods {
     #[inline(always)]
     pub(super) fn new(period: &Lanes) -> Self {
-        // Positive numbers are ordered as their bits are.
+        // Half of it has to lie within the padding. Positive numbers are ordered as their bits are.
+        const LONGEST: f32 = 2.0 * (PAD - 2) as f32;
         let mut most = 0;
         for p in period {
             most = most.max(p.to_bits());
         }
-        let most = f32::from_bits(most);
+        let most = f32::from_bits(most).min(LONGEST);
         let (mut lanes, mut least) = ([0.0; LANES], most.to_bits());
-        for (lane, &p) in lanes.iter_mut().zip(period) {
-            *lane = if p > 0.0 { p } else { most };
+        for i in 0..LANES {
+            let known = if period[i] > 0.0 { period[i] } else { most };
+            lanes[i] = if known < most { known } else { most };
+        }
+        for lane in &lanes {
             least = least.min(lane.to_bits());
         }
         Self { lanes, least: f32::from_bits(least), most }
     }
 }
 
-/// `share` of a period and `more` px, but not further than the padding allows.
+/// `share` of a period, of at most a half, and `more` px.
 #[inline(always)]
 fn distance(period: f32, share: f32, more: f32) -> f32 {
-    let limit = (PAD - 2) as f32;
-    (period * share).clamp(-limit, limit) + more
+    let distance = period * share;
+    if more == 0.0 { distance } else { distance + more }
 }
 
-/// The pixel before a distance and how far it is from there. (Half a pixel back, rounded. A tie may give the pixel before
-/// that, with a fraction of 1.)
+/// The pixel before a distance. (Half a pixel back, rounded. A tie may give the pixel before that.)
 #[inline(always)]
-fn parts(distance: f32) -> (i32, f32) {
-    (whole(distance - 0.5), distance - nearest(distance - 0.5))
+fn pixel_before(distance: f32) -> f32 {
+    nearest(distance - 0.5)
+}
+
+/// `a` where `mask` has no bits, `b` where it has all. Bits, because the compiler makes a gather of a choice between two
+/// places in memory.
+#[inline(always)]
+fn choose(a: f32, b: f32, mask: u32) -> f32 {
+    f32::from_bits(a.to_bits() & !mask | b.to_bits() & mask)
 }
 
 /// Linear interpolation of `padded` at the distance of `share` of its period and `more` px from each pixel of the block
 /// that begins at `first`. NaN where one of the two neighbours is NaN.
 #[inline(always)]
 pub(super) fn between(padded: &[f32], first: usize, periods: &Periods, share: f32, more: f32) -> Lanes {
-    let (mut whole, mut fraction) = ([0i32; LANES], [0f32; LANES]);
-    for i in 0..LANES {
-        (whole[i], fraction[i]) = parts(distance(periods.lanes[i], share, more));
-    }
     // Nothing on the way from a period to its whole pixels changes the order.
-    let ends = if share < 0.0 { [periods.most, periods.least] } else { [periods.least, periods.most] };
-    let [least, most] = ends.map(|period| parts(distance(period, share, more)).0);
-    let mut out = [0.0; LANES];
+    let (near, far) = (distance(periods.least, share, more), distance(periods.most, share, more));
+    let (least, most) = if share < 0.0 { (far, near) } else { (near, far) };
+    let (low, most) = (pixel_before(least), whole(most - 0.5));
+    let least = whole(least - 0.5);
     let base = (first + PAD).wrapping_add_signed(least as isize);
+    let mut out = [0.0; LANES];
     if most - least <= 1 {
-        let values = &padded[base..base + LANES + 2];
+        let values: &[f32; LANES + 2] = part_of(padded, base);
         for i in 0..LANES {
-            // Bits, because the compiler makes a gather of a choice between two places in memory.
-            let next = if whole[i] == least { 0 } else { u32::MAX };
-            let choose = |a: f32, b: f32| f32::from_bits(a.to_bits() & !next | b.to_bits() & next);
-            let (a, b) = (choose(values[i], values[i + 1]), choose(values[i + 1], values[i + 2]));
-            out[i] = a + fraction[i] * (b - a);
+            let distance = distance(periods.lanes[i], share, more);
+            let before = pixel_before(distance);
+            let next = if before == low { 0 } else { u32::MAX };
+            let (a, b) = (choose(values[i], values[i + 1], next), choose(values[i + 1], values[i + 2], next));
+            out[i] = a + (distance - before) * (b - a);
         }
-    } else {
+        return out;
+    }
+    // Each distance in whole pixels gives its two values to those that have it.
+    let (mut before, mut a, mut b) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    for i in 0..LANES {
+        before[i] = pixel_before(distance(periods.lanes[i], share, more));
+    }
+    for step in 0..=(most - least) as usize {
+        let values: Lanes = *part_of(padded, base + step);
+        let next: Lanes = *part_of(padded, base + step + 1);
+        let pixel = low + step as i32 as f32;
         for i in 0..LANES {
-            let at = base + i + (whole[i] - least) as usize;
-            let (a, b) = (padded[at], padded[at + 1]);
-            out[i] = a + fraction[i] * (b - a);
+            let here = if before[i] == pixel { u32::MAX } else { 0 };
+            a[i] = choose(a[i], values[i], here);
+            b[i] = choose(b[i], next[i], here);
         }
+    }
+    for i in 0..LANES {
+        let distance = distance(periods.lanes[i], share, more);
+        out[i] = a[i] + (distance - before[i]) * (b[i] - a[i]);
     }
     out
 }
 
-/// [`between`] before and behind each pixel, at the distance of `share` of its period, of a row of whole numbers, finite
-/// everywhere. A line through the first two of three values, and what the second line is steeper: no pixel has to choose.
+/// Some values of a padded row.
 #[inline(always)]
-pub(super) fn both_sides(padded: &[f32], first: usize, periods: &Periods, share: f32) -> [Lanes; 2] {
-    let least = parts(distance(periods.least, share, 0.0)).0;
-    let most = parts(distance(periods.most, share, 0.0)).0;
-    if most - least > 1 {
-        return [between(padded, first, periods, -share, 0.0), between(padded, first, periods, share, 0.0)];
-    }
-    let base = first + PAD;
-    let (low, offset) = (least as usize, least as f32);
-    let values_behind = &padded[base + low..base + low + LANES + 2];
-    let values_before = &padded[base - low - 2..base - low + LANES];
-    let [mut before, mut behind] = [[0f32; LANES]; 2];
-    for i in 0..LANES {
-        let along = distance(periods.lanes[i], share, 0.0) - offset;
-        let [a, b, c] = [values_behind[i], values_behind[i + 1], values_behind[i + 2]];
-        behind[i] = bent(along, [a, b, c]);
-        let [a, b, c] = [values_before[i], values_before[i + 1], values_before[i + 2]];
-        before[i] = bent(2.0 - along, [a, b, c]);
-    }
-    [before, behind]
+fn part_of<const N: usize>(padded: &[f32], first: usize) -> &[f32; N] {
+    padded[first..].first_chunk().expect("padding")
 }
 
-/// The value at 0..2 of three at 0, 1 and 2.
+/// The light of a row, with padding, and how much more the next pixel has than each.
+#[derive(Debug, Default)]
+pub(super) struct Light {
+    padded: Vec<f32>,
+    steps: Vec<f32>,
+}
+
+impl Light {
+    /// Makes room for a row of so many pixels.
+    pub(super) fn reserve(&mut self, width: usize) {
+        reserve(&mut self.padded, width);
+        reserve(&mut self.steps, width);
+    }
+
+    /// Takes the light of a run that begins at `first`. What lies beside it is any.
+    #[inline(always)]
+    pub(super) fn set(&mut self, first: usize, pixels: &[u8]) {
+        let n = pixels.len();
+        let padded = &mut self.padded[PAD + first..][..n + 1];
+        for i in 0..n {
+            padded[i] = f32::from(pixels[i]);
+        }
+        // Beside a run nobody looks, but the first and the last pixel have neighbours there.
+        let (padded, steps) =
+            (&self.padded[PAD + first - 1..][..n + 2], &mut self.steps[PAD + first - 1..][..n + 1]);
+        for i in 0..n + 1 {
+            steps[i] = padded[i + 1] - padded[i];
+        }
+    }
+
+    /// That of the pixels of a block.
+    #[inline(always)]
+    pub(super) fn own(&self, first: usize) -> &Lanes {
+        part_of(&self.padded, PAD + first)
+    }
+
+    /// [`between`] before and behind each pixel, at the distance of `share` of its period. A line through the first two of
+    /// three values, and what the second line is steeper: no pixel has to choose.
+    #[inline(always)]
+    pub(super) fn both_sides(&self, first: usize, periods: &Periods, share: f32) -> [Lanes; 2] {
+        let least = whole(distance(periods.least, share, 0.0) - 0.5);
+        let most = whole(distance(periods.most, share, 0.0) - 0.5);
+        if most - least > 1 {
+            let at = |share: f32| between(&self.padded, first, periods, share, 0.0);
+            return [at(-share), at(share)];
+        }
+        let (low, offset) = (least as usize, least as f32);
+        let [before, behind] = [first + PAD - low - 2, first + PAD + low];
+        let (value_before, value_behind): (&Lanes, &Lanes) =
+            (part_of(&self.padded, before), part_of(&self.padded, behind));
+        let steps_before = [part_of(&self.steps, before), next_of(&self.steps, before)];
+        let steps_behind = [part_of(&self.steps, behind), next_of(&self.steps, behind)];
+        let mut sides = [[0f32; LANES]; 2];
+        for i in 0..LANES {
+            let along = distance(periods.lanes[i], share, 0.0) - offset;
+            sides[0][i] = bent(2.0 - along, value_before[i], [steps_before[0][i], steps_before[1][i]]);
+            sides[1][i] = bent(along, value_behind[i], [steps_behind[0][i], steps_behind[1][i]]);
+        }
+        sides
+    }
+}
+
+/// A block of a padded row from behind `first` on, of which the compiler does not know that it has most of it already: it
+/// would put it together from that instead of loading it.
 #[inline(always)]
-fn bent(at: f32, [a, b, c]: [f32; 3]) -> f32 {
+fn next_of(padded: &[f32], first: usize) -> &Lanes {
+    black_box(part_of(padded, first + 1))
+}
+
+/// The value at 0..2 of three at 0, 1 and 2, of which the first is `a`, and the steps to the next two.
+#[inline(always)]
+fn bent(at: f32, a: f32, steps: [f32; 2]) -> f32 {
     let first = if at < 1.0 { at } else { 1.0 };
-    a + first * (b - a) + (at - first) * (c - b)
+    a + first * steps[0] + (at - first) * steps[1]
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, PAD, Periods, between, both_sides, load};
+    use super::{LANES, Light, PAD, Periods, between, load};
     use proptest::prelude::{any, prop_assert, proptest};
 
     proptest! {
@@ -196,12 +310,12 @@ mod tests {
             step in -0.4f32..0.4,
             sixths in 1u8..=3,
         ) {
-            let mut padded = vec![0.0; PAD];
-            padded.extend(values.iter().map(|&x| f32::from(x)));
-            padded.resize(200 + 2 * PAD + LANES, 0.0);
+            let mut light = Light::default();
+            light.reserve(200);
+            light.set(0, &values);
             let periods = Periods::new(&std::array::from_fn(|i| (start + step * i as f32).max(1.0)));
             let share = f32::from(sixths) / 6.0;
-            let [before, behind] = both_sides(&padded, first, &periods, share);
+            let [before, behind] = light.both_sides(first, &periods, share);
             for (found, share) in [(before, -share), (behind, share)] {
                 // From the other of both neighbours: the last bits differ.
                 for (x, alone) in found.iter().zip(between(&padded, first, &periods, share, 0.0)) {

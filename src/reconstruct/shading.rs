@@ -18,6 +18,7 @@
 
 use super::runs::Run;
 use super::sample::{self, LANES, Lanes, PAD, Periods};
+use std::ops::Range;
 
 /// `2 / sqrt(3)` and `sqrt(3) / 36`: what a gradient adds to S through the mean light, and turns (C, S) by.
 const FROM_MEAN: f32 = 1.154_700_5;
@@ -36,59 +37,64 @@ const SLOPE_FLOOR: f32 = 0.02;
 /// Steeper light than this (relative change over a period) is not corrected further.
 const MAX_CHANGE: f32 = 1.0;
 
-/// Takes the first-order bias off the phasors of a row's runs but those with a non-zero `skip`, whose light is not used either:
-/// there the marker changes it. `sign` is that of the phase along the columns; `light` is memory to use.
+/// Memory for the light of a row whose runs span these columns: nowhere known yet.
+#[inline(always)]
+pub(super) fn clear_light(light: &mut Vec<f32>, width: usize, span: Range<usize>) {
+    sample::reserve(light, width);
+    light[span.start..span.end + 2 * PAD + LANES].fill(f32::NAN);
+}
+
+/// Keeps a block's mean light for [`correct_row`], which must not use it where it is not positive: there it is unknown.
+#[inline(always)]
+pub(super) fn keep_light(light: &mut [f32], first: usize, mean: &Lanes) {
+    let mut known = [f32::NAN; LANES];
+    for i in 0..LANES {
+        known[i] = if mean[i] > 0.0 { mean[i] } else { f32::NAN };
+    }
+    sample::put(light, PAD + first, &known);
+}
+
+/// Forgets the light of some columns: where the marker changes it, it is not used.
+#[inline(always)]
+pub(super) fn skip_light(light: &mut [f32], columns: Range<usize>) {
+    light[PAD + columns.start..PAD + columns.end].fill(f32::NAN);
+}
+
+/// Takes the first-order bias off the phasors of a row's runs but those whose `light` is not known. `sign` is that of the
+/// phase along the columns. All rows have room for a block behind their ends.
 #[inline(always)]
 pub(super) fn correct_row(
-    (c, s): (&mut [f32], &mut [f32]),
-    mean: &[f32],
+    [c, s]: [&[f32]; 2],
+    light: &[f32],
     period: &[f32],
-    skip: &[u8],
     runs: &[Run],
     sign: f32,
-    light: &mut Vec<f32>,
+    [out_c, out_s]: [&mut [f32]; 2],
 ) {
-    let ([first, ..], [.., last]) = (runs, runs) else { return };
-    let span = first.start()..last.end();
-    sample::reserve(light, mean.len());
-    light[span.start..span.end + 2 * PAD + LANES].fill(f32::NAN);
-    for run in runs {
-        let columns = run.columns();
-        let known = mean[columns.clone()].iter().zip(&skip[columns.clone()]);
-        for (light, (&mean, &skip)) in light[PAD + columns.start..].iter_mut().zip(known) {
-            *light = if (mean > 0.0) & (skip == 0) { mean } else { f32::NAN };
-        }
-    }
     for run in runs {
         for first in run.columns().step_by(LANES) {
-            let end = run.end().min(first + LANES);
             let period = sample::load(period, first);
-            let phasor = (sample::load(c, first), sample::load(s, first));
+            let phasor = [sample::block(c, first), sample::block(s, first)];
             let block = correct_block(phasor, light, first, &period, sign);
-            sample::store(c, first, end - first, &block[0]);
-            sample::store(s, first, end - first, &block[1]);
+            sample::put(out_c, first, &block[0]);
+            sample::put(out_s, first, &block[1]);
         }
     }
 }
 
 /// C and S of a block without the bias. `light` is NaN where it is not known or must not be used.
 #[inline(always)]
-fn correct_block(
-    (c, s): (Lanes, Lanes),
-    light: &[f32],
-    first: usize,
-    period: &Lanes,
-    sign: f32,
-) -> [Lanes; 2] {
+fn correct_block([c, s]: [&Lanes; 2], light: &[f32], first: usize, period: &Lanes, sign: f32) -> [Lanes; 2] {
     let periods = Periods::new(period);
     let after = sample::between(light, first, &periods, 0.5, 0.0);
     let before = sample::between(light, first, &periods, -0.5, 0.0);
-    let light = sample::load(&light[PAD..], first);
-    let mut out = [c, s];
+    let light = sample::block(&light[PAD..], first);
+    let mut out = [[0f32; LANES]; 2];
     for i in 0..LANES {
         // The formula's own S: the phasor's imaginary part carries the sign of the phase.
         let [cos, sin] = correct_one(c[i], s[i] * sign, [before[i], light[i], after[i]]);
-        (out[0][i], out[1][i]) = (cos, sign * sin);
+        out[0][i] = cos;
+        out[1][i] = sign * sin;
     }
     out
 }

@@ -1,12 +1,14 @@
 //! What the stages behind the wrapped phase need of its windows: their phasors have given the phase, and what is left of
 //! them and of the light fits 16 bits. Eight frames wait for each other, and memory is what they wait in.
 
-use super::demodulate::{Gains, PhasorRow, demodulate_row, phase};
+use super::demodulate::{Gains, demodulate_row, phase};
 use super::round::whole;
-use super::runs::{Run, Runs};
+use super::runs::Runs;
+use super::sample::{self, LANES, Lanes, Light};
 use super::simd;
 use crate::export::STEPS_PER_LEVEL;
 use crate::image::{Mono8, Plane};
+use std::ops::Range;
 
 /// Steps of a phasor's length in a DN.
 pub const STEPS_PER_DN: f32 = 64.0;
@@ -23,28 +25,32 @@ pub struct Windows {
 }
 
 impl Windows {
-    /// Strength and light of row `v` from its C, S and means.
+    /// Strength and light of some columns of row `v`, a block at most, from their C, S and means.
     #[inline(always)]
-    pub(super) fn keep_row(&mut self, v: usize, runs: &[Run], [c, s, mean]: [&[f32]; 3]) {
-        for run in runs {
-            let phasors = c[run.columns()].iter().zip(&s[run.columns()]);
-            for (to, (&c, &s)) in self.strength.row_mut(v)[run.columns()].iter_mut().zip(phasors) {
-                *to = strength_steps(c, s);
-            }
-        }
-        self.keep_light(v, runs, mean);
+    pub(super) fn keep_block(&mut self, v: usize, at: Range<usize>, [c, s, mean]: [&Lanes; 3]) {
+        sample::store(self.strength.row_mut(v), at.start, at.len(), &strength_block(c, s));
+        sample::store(self.light.row_mut(v), at.start, at.len(), &light_block(mean));
     }
+}
 
-    /// Light of row `v` from its means.
-    #[inline(always)]
-    pub(super) fn keep_light(&mut self, v: usize, runs: &[Run], mean: &[f32]) {
-        for run in runs {
-            let light = self.light.row_mut(v)[run.columns()].iter_mut();
-            for (to, &mean) in light.zip(&mean[run.columns()]) {
-                *to = light_steps(mean);
-            }
-        }
+/// Lengths of phasors in whole steps.
+#[inline(always)]
+pub(super) fn strength_block(c: &Lanes, s: &Lanes) -> [u16; LANES] {
+    let mut steps = [0; LANES];
+    for i in 0..LANES {
+        steps[i] = strength_steps(c[i], s[i]);
     }
+    steps
+}
+
+/// Mean lights in whole steps.
+#[inline(always)]
+pub(super) fn light_block(mean: &Lanes) -> [u16; LANES] {
+    let mut steps = [0; LANES];
+    for i in 0..LANES {
+        steps[i] = light_steps(mean[i]);
+    }
+    steps
 }
 
 /// Wm, rad, and the windows of a frame whose rows are not averaged; the phase is NaN where it is unknown. Each row is
@@ -60,22 +66,29 @@ pub fn demodulate(
     let mut wrapped = Plane::filled(w, h, f32::NAN);
     let [strength, light] = [(); 2].map(|()| Plane::filled(w, h, 0u16));
     let mut windows = Windows { strength, light, misfit: Plane::filled(w, h, 0f32) };
-    let [mut c, mut s, mut mean] = [(); 3].map(|()| vec![0f32; w]);
-    let mut samples = Vec::new();
+    let mut samples = Light::default();
     simd::dispatch(
         #[inline(always)]
         || {
             for v in 0..h {
-                let (own, misfit) = (runs.row(v), windows.misfit.row_mut(v));
-                let out = PhasorRow { c: &mut c, s: &mut s, mean: &mut mean, misfit };
-                demodulate_row(image.row(v), own, period.row(v), gains, sign, &mut samples, out);
-                windows.keep_row(v, own, [&c, &s, &mean]);
-                for run in own {
-                    let phasors = c[run.columns()].iter().zip(&s[run.columns()]);
-                    for (to, (&c, &s)) in wrapped.row_mut(v)[run.columns()].iter_mut().zip(phasors) {
-                        *to = phase(c, s);
-                    }
-                }
+                demodulate_row(
+                    image.row(v),
+                    runs.row(v),
+                    period.row(v),
+                    gains,
+                    sign,
+                    &mut samples,
+                    #[inline(always)]
+                    |at, [c, s, mean, misfit]| {
+                        let mut phases = [0f32; LANES];
+                        for i in 0..LANES {
+                            phases[i] = phase(c[i], s[i]);
+                        }
+                        sample::store(wrapped.row_mut(v), at.start, at.len(), &phases);
+                        sample::store(windows.misfit.row_mut(v), at.start, at.len(), misfit);
+                        windows.keep_block(v, at, [c, s, mean]);
+                    },
+                );
             }
         },
     );
