@@ -214,13 +214,11 @@ impl Input<'_> {
         let room = ..self.room();
         let (c, s) = (&mut c[v % length][room], &mut s[v % length][room]);
         let misfit = &mut misfit[v % misfits][room];
-        clear(c, self.runs, v, length);
-        clear(s, self.runs, v, length);
-        clear(misfit, self.runs, v, misfits);
+        clear([c, s], self.runs, v, length);
+        clear([misfit], self.runs, v, misfits);
         let [shaded_c, shaded_s] = shaded;
         let (shaded_c, shaded_s) = (&mut shaded_c[room], &mut shaded_s[room]);
-        clear(shaded_c, self.runs, v, 1);
-        clear(shaded_s, self.runs, v, 1);
+        clear([shaded_c, shaded_s], self.runs, v, 1);
         let (runs, period) = (self.runs.row(v), self.period.row(v));
         shading::clear_light(mean, self.image.width(), self.runs.span(v));
         let steps = self.rest(&mut windows.light, v);
@@ -238,7 +236,12 @@ impl Input<'_> {
                 sample::put(shaded_s, first, &block[1]);
                 sample::put(misfit, first, &block[3]);
                 shading::keep_light(mean, first, &block[2]);
-                sample::put(steps, first, &windows::light_block(&block[2]));
+                sample::put_each(
+                    steps,
+                    first,
+                    #[inline(always)]
+                    |i| windows::light_steps(block[2][i]),
+                );
             },
         );
         self.zone_runs.row(v).iter().for_each(|run| shading::skip_light(mean, run.columns()));
@@ -255,9 +258,7 @@ impl Input<'_> {
         let (c, s, misfit) = (&mut c[to][room], &mut s[to][room], &mut misfit[v % misfits][room]);
         let (unit_c, unit_s, length) = (&mut unit_c[to][room], &mut unit_s[to][room], &mut length[to][room]);
         let (own_c, own_s) = (&raw_c[from][room], &raw_s[from][room]);
-        for row in [&mut *c, s, unit_c, unit_s, length] {
-            clear(row, self.runs, v, BRIDGED);
-        }
+        clear([c, s, unit_c, unit_s, length], self.runs, v, BRIDGED);
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
                 let block = [sample::block(own_c, first), sample::block(own_s, first)];
@@ -315,10 +316,12 @@ impl Input<'_> {
         fill_beside(self.runs.row(v), wrapped.row_mut(v), f32::NAN);
         let (strength, misfit) = (self.rest(&mut windows.strength, v), self.rest(&mut windows.misfit, v));
         let phases = self.rest(wrapped, v);
+        // The marker's zone is in few rows: the others need not come from memory.
+        let marked = !self.zone_runs.row(v).is_empty();
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
                 let pairs = [pair(&near, first), pair(&far, first)];
-                let skip = sample::load(self.zone.row(v), first);
+                let skip = if marked { sample::load(self.zone.row(v), first) } else { [0; LANES] };
                 let own = block(&own, first);
                 let [c, s] = demodulate::average_block(own, &pairs, &skip);
                 let mut angles = [0.0; LANES];
@@ -326,7 +329,12 @@ impl Input<'_> {
                     angles[i] = demodulate::phase(c[i], s[i]);
                 }
                 sample::put(misfit, first, own[3]);
-                sample::put(strength, first, &windows::strength_block(&c, &s));
+                sample::put_each(
+                    strength,
+                    first,
+                    #[inline(always)]
+                    |i| windows::strength_steps(c[i], s[i]),
+                );
                 sample::put(phases, first, &angles);
             }
             let phases = &phases[run.columns()];
@@ -355,18 +363,19 @@ fn empty(ring: &mut Vec<Vec<f32>>, length: usize, width: usize) {
     ring.iter_mut().for_each(|row| sample::with_room(row, width));
 }
 
-/// Clears what the row of a ring of so many rows, which is to become row `v`, holds of the one that it was, but where it is
+/// Clears what rows of rings of so many rows, which are to become row `v`, hold of the one that they were, but where they are
 /// written anyway: beside the runs there is nothing.
 #[inline(always)]
-fn clear(row: &mut [f32], runs: &Runs, v: usize, length: usize) {
+fn clear<const N: usize>(mut rows: [&mut [f32]; N], runs: &Runs, v: usize, length: usize) {
     let Some(before) = v.checked_sub(length) else { return };
     for old in runs.row(before) {
         let mut from = old.start();
-        for new in runs.row(v).iter().filter(|new| new.end() > old.start() && new.start() < old.end()) {
-            // Few: without a call.
-            (from..new.start()).for_each(|u| row[u] = 0.0);
-            from = new.end();
+        let own = runs.row(v).iter().filter(|run| run.end() > old.start() && run.start() < old.end());
+        for [start, end] in own.map(|run| [run.start(), run.end()]).chain([[old.end(); 2]]) {
+            if from < start {
+                rows.iter_mut().for_each(|row| row[from..start].fill(0.0));
+            }
+            from = end;
         }
-        (from..old.end()).for_each(|u| row[u] = 0.0);
     }
 }

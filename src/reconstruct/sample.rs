@@ -89,6 +89,22 @@ fn put_end<T: Copy>(row: &mut [T], lanes: &[T; LANES]) {
     row.copy_from_slice(&lanes[..row.len()]);
 }
 
+/// The same for values that are still to be made. They go where they belong at once: what is written to the stack in halves
+/// would have to be waited for.
+#[inline(always)]
+pub(super) fn put_each<T>(row: &mut [T], first: usize, value: impl Fn(usize) -> T) {
+    let row = &mut row[first..];
+    if let Some(all) = row.first_chunk_mut::<LANES>() {
+        for i in 0..LANES {
+            all[i] = value(i);
+        }
+    } else {
+        for i in 0..row.len() {
+            row[i] = value(i);
+        }
+    }
+}
+
 /// Makes a row one of zeros, as many as a row of `width` values and a block behind its end.
 pub(super) fn with_room(row: &mut Vec<f32>, width: usize) {
     row.clear();
