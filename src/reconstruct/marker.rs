@@ -200,27 +200,27 @@ impl Band {
     #[inline(always)]
     fn energy(&self, (light, stride): (&[f32], usize), v: usize, run: &Run, out: &mut [f32]) {
         let row = v % (light.len() / stride) * stride;
-        for first in run.columns().step_by(BAND_LANES) {
-            let energy = self.energy_of_block((light, stride), row + first);
-            let out = &mut out[first..run.end()];
-            match out.first_chunk_mut() {
-                Some(all) => *all = energy,
-                None => {
-                    for (out, energy) in out.iter_mut().zip(energy) {
-                        *out = energy;
-                    }
-                }
+        for first in run.columns().step_by(LANES) {
+            let [mut mean, mut real, mut imaginary] = [[0f32; LANES]; 3];
+            let parts = mean.as_chunks_mut().0.iter_mut().zip(real.as_chunks_mut().0);
+            for (k, ((mean, real), imaginary)) in parts.zip(imaginary.as_chunks_mut().0).enumerate() {
+                [*mean, *real, *imaginary] = self.sums((light, stride), row + first + k * BAND_LANES);
             }
+            for i in 0..LANES {
+                let real = real[i] - self.leak * mean[i];
+                let light = if mean[i] < 1.0 { 1.0 } else { mean[i] };
+                mean[i] = 2.0 * (real * real + imaginary[i] * imaginary[i]).sqrt() / light;
+            }
+            sample::store(out, first, LANES.min(run.end() - first), &mean);
         }
     }
 
-    /// The same for a block that begins at this place of the ring.
+    /// Mean, cosine and sine of a part of a block that begins at this place of the ring.
     #[inline(always)]
-    fn energy_of_block(&self, (light, stride): (&[f32], usize), at: usize) -> [f32; BAND_LANES] {
+    fn sums(&self, (light, stride): (&[f32], usize), at: usize) -> [[f32; BAND_LANES]; 3] {
         let block = |at: usize| -> &[f32; BAND_LANES] { light[at..].first_chunk().expect("room") };
         let own = block(at);
-        let (mut mean, mut real, mut imaginary) =
-            ([0f32; BAND_LANES], [0f32; BAND_LANES], [0f32; BAND_LANES]);
+        let [mut mean, mut real, mut imaginary] = [[0f32; BAND_LANES]; 3];
         let [weight, cosine, _] = self.taps[0];
         for i in 0..BAND_LANES {
             mean[i] = weight * own[i];
@@ -239,13 +239,7 @@ impl Band {
                 imaginary[i] += sine * difference;
             }
         }
-        let mut energy = [0f32; BAND_LANES];
-        for i in 0..BAND_LANES {
-            let real = real[i] - self.leak * mean[i];
-            let light = if mean[i] < 1.0 { 1.0 } else { mean[i] };
-            energy[i] = 2.0 * (real * real + imaginary[i] * imaginary[i]).sqrt() / light;
-        }
-        energy
+        [mean, real, imaginary]
     }
 }
 

@@ -33,10 +33,12 @@ pub struct Buffers {
     /// 1 above the threshold; above it, and below it, by more than the margin.
     sides: Vec<u8>,
     crossings: Vec<Crossing>,
-    /// Distances and their count, of the last rows.
+    /// Distances and their count, of the last rows, with zeros to either side.
     raw: Vec<Vec<u32>>,
-    column_sums: Vec<u32>,
-    row_sums: Vec<u32>,
+    /// Sums of these over three rows, and of two and four neighbours of those.
+    sums_of_rows: Vec<u32>,
+    pairs: Vec<u32>,
+    fours: Vec<u32>,
 }
 
 /// Where the light crosses the threshold.
@@ -83,7 +85,7 @@ pub(super) fn measure_with(
     buffers.raw.resize(RING, Vec::new());
     for row in &mut buffers.raw {
         row.clear();
-        row.resize(w, 0);
+        row.resize(w + 2 * SMOOTH_COLUMNS, 0);
     }
     simd::dispatch(
         #[inline(always)]
@@ -93,9 +95,10 @@ pub(super) fn measure_with(
                 if v >= h {
                     raw.fill(0);
                 } else {
-                    fill_beside(runs.row(v), &mut raw, 0);
+                    let row = &mut raw[SMOOTH_COLUMNS..SMOOTH_COLUMNS + w];
+                    fill_beside(runs.row(v), row, 0);
                     for run in runs.row(v) {
-                        each(v, run, buffers, &mut raw[run.columns()]);
+                        each(v, run, buffers, &mut row[run.columns()]);
                     }
                 }
                 buffers.raw[v % RING] = raw;
@@ -303,45 +306,32 @@ fn find_crossings(row: &[u8], light: Light, buffers: &mut Buffers) {
 /// Mean of the known values in the box around each pixel of a row's runs, from the ring of rows.
 #[inline(always)]
 fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
-    let w = period.len();
     fill_beside(runs, period, 0.0);
     let ([first, ..], [.., last]) = (runs, runs) else { return };
-    let from = first.start().saturating_sub(SMOOTH_COLUMNS);
-    let to = (last.end() + SMOOTH_COLUMNS).min(w);
-    let Buffers { raw, column_sums, row_sums, .. } = buffers;
-    column_sums.resize(to - from, 0);
-    const { assert!(SMOOTH_ROWS == 1, "three rows are added at once") };
-    let [a, b, c] = [&raw[0][from..to], &raw[1][from..to], &raw[2][from..to]];
-    let rows = a.iter().zip(b).zip(c);
-    for (sum, ((&a, &b), &c)) in column_sums.iter_mut().zip(rows) {
-        *sum = a + b + c;
+    let (start, n) = (first.start(), last.end() - first.start());
+    const { assert!(SMOOTH_ROWS == 1 && SMOOTH_COLUMNS == 6, "three rows are added, and thirteen columns") };
+    let Buffers { raw, sums_of_rows: sums, pairs, fours, .. } = buffers;
+    for row in [&mut *sums, pairs, fours] {
+        row.resize(row.len().max(n + 12), 0);
     }
-    // The sum over a whole row does not fit; that of a box does, and differences of what wraps are right.
-    row_sums.resize(column_sums.len() + 1, 0);
-    row_sums[0] = 0;
-    let mut sum = 0u32;
-    for (out, &x) in row_sums[1..].iter_mut().zip(&*column_sums) {
-        sum = sum.wrapping_add(x);
-        *out = sum;
+    let (sums, pairs, fours) = (&mut sums[..n + 12], &mut pairs[..n + 11], &mut fours[..n + 9]);
+    let [a, b, c] =
+        [&raw[0][start..start + n + 12], &raw[1][start..start + n + 12], &raw[2][start..start + n + 12]];
+    for i in 0..n + 12 {
+        sums[i] = a[i] + b[i] + c[i];
     }
-    let place = |u: usize| u.clamp(from, to) - from;
+    for i in 0..n + 11 {
+        pairs[i] = sums[i] + sums[i + 1];
+    }
+    for i in 0..n + 9 {
+        fours[i] = pairs[i] + pairs[i + 2];
+    }
     for run in runs {
-        let columns = run.columns();
-        let inner =
-            columns.start.max(from + SMOOTH_COLUMNS)..columns.end.min(to.saturating_sub(SMOOTH_COLUMNS));
-        let inner = inner.start.min(columns.end)..inner.end.max(inner.start.min(columns.end));
-        for u in (columns.start..inner.start).chain(inner.end..columns.end) {
-            let end = row_sums[place(u + SMOOTH_COLUMNS + 1)];
-            period[u] = mean_of(end.wrapping_sub(row_sums[place(u.saturating_sub(SMOOTH_COLUMNS))]));
-        }
-        if inner.is_empty() {
-            continue;
-        }
-        let start = inner.start - SMOOTH_COLUMNS - from;
-        let starts = &row_sums[start..start + inner.len()];
-        let ends = &row_sums[start + 2 * SMOOTH_COLUMNS + 1..][..inner.len()];
-        for ((out, start), end) in period[inner].iter_mut().zip(starts).zip(ends) {
-            *out = mean_of(end.wrapping_sub(*start));
+        let (from, n) = (run.start() - start, run.columns().len());
+        let (fours, last) = (&fours[from..from + n + 8], &sums[from + 12..from + 12 + n]);
+        let period = &mut period[run.columns()];
+        for i in 0..n {
+            period[i] = mean_of(fours[i] + fours[i + 4] + fours[i + 8] + last[i]);
         }
     }
 }
