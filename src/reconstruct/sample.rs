@@ -334,7 +334,7 @@ mod tests {
             let [before, behind] = light.both_sides(first, &periods, share);
             for (found, share) in [(before, -share), (behind, share)] {
                 // From the other of both neighbours: the last bits differ.
-                for (x, alone) in found.iter().zip(between(&padded, first, &periods, share, 0.0)) {
+                for (x, alone) in found.iter().zip(between(&light.padded, first, &periods, share, 0.0)) {
                     prop_assert!((x - alone).abs() < 1e-3, "{x} {alone}");
                 }
             }
