@@ -95,12 +95,12 @@ fn put_end<T: Copy>(row: &mut [T], lanes: &[T; LANES]) {
 pub(super) fn put_each<T>(row: &mut [T], first: usize, value: impl Fn(usize) -> T) {
     let row = &mut row[first..];
     if let Some(all) = row.first_chunk_mut::<LANES>() {
-        for i in 0..LANES {
-            all[i] = value(i);
+        for (i, out) in all.iter_mut().enumerate() {
+            *out = value(i);
         }
     } else {
-        for i in 0..row.len() {
-            row[i] = value(i);
+        for (i, out) in row.iter_mut().enumerate() {
+            *out = value(i);
         }
     }
 }
@@ -185,8 +185,8 @@ pub(super) fn between(padded: &[f32], first: usize, periods: &Periods, share: f3
     }
     // Each distance in whole pixels gives its two values to those that have it.
     let (mut before, mut a, mut b) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    for i in 0..LANES {
-        before[i] = pixel_before(distance(periods.lanes[i], share, more));
+    for (before, &period) in before.iter_mut().zip(&periods.lanes) {
+        *before = pixel_before(distance(period, share, more));
     }
     for step in 0..=(most - least) as usize {
         let values: Lanes = *part_of(padded, base + step);
