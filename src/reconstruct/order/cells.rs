@@ -6,7 +6,7 @@
 
 use super::glimpse::{Glimpse, Glimpses, Rim};
 use crate::image::Plane;
-use crate::reconstruct::bits::{WORD, bits_where};
+use crate::reconstruct::bits::{WORD, bits_of, bits_where};
 use crate::reconstruct::runs::Runs;
 use crate::reconstruct::sample::part;
 use crate::reconstruct::simd;
@@ -30,6 +30,9 @@ const FIRST_ROW: u64 = 0xff;
 
 /// The first column of a cell's bits.
 const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
+
+/// The last column.
+const LAST_COLUMN: u64 = FIRST_COLUMN << (CELL_PX - 1);
 
 /// A patch of one surface.
 #[derive(Debug, Clone, Copy)]
@@ -97,6 +100,9 @@ pub struct Cells {
     pub glimpses: Glimpses,
 }
 
+/// Two nodes, turns, and the pixel pairs that say so; those that do not continue have turns of `i32::MAX`.
+type Pairs = (u32, u32, i32, u32);
+
 /// Values of a cell's pixels.
 type Patch = [[f32; CELL_PX]; CELL_PX];
 
@@ -140,10 +146,14 @@ impl Cells {
     #[inline(always)]
     fn cut(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
+        let object = surface.object(left, top);
+        if object == 0 {
+            return;
+        }
         let phase = surface.patch(left, top);
         let cell = row * self.columns + column;
         let first = self.nodes.len();
-        let (right_steps, down_steps) = steps(&phase, &surface.carriers(left, top));
+        let (right_steps, down_steps) = surface.steps(&phase, left, top);
         // A comparison with NaN is false: unknown neighbours do not continue.
         let mut smooth = true;
         for (right, down) in right_steps.as_flattened().iter().zip(down_steps.as_flattened()) {
@@ -167,7 +177,7 @@ impl Cells {
         {
             self.glimpses.set(column, row, plane(first as u32, &phase));
         } else {
-            self.rim(surface, column, row, &phase);
+            self.rim(surface, column, row, &phase, object);
         }
     }
 
@@ -188,25 +198,18 @@ impl Cells {
         });
     }
 
-    /// Keeps the pixels of a cell that no node fills, if it shows the object.
+    /// Keeps the pixels of a cell that no node fills. `object`: a bit for each that is the object's.
     #[inline(never)]
-    fn rim(&mut self, surface: &Surface<'_>, column: usize, row: usize, phase: &Patch) {
+    fn rim(&mut self, surface: &Surface<'_>, column: usize, row: usize, phase: &Patch, object: u64) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
         let (first, count) = self.grid[row * self.columns + column];
         let of = [0; CELL_PX * CELL_PX];
-        let mut rim = Rim { object: 0, near: 0, first, of, phase: [[f32::NAN; CELL_PX + 1]; CELL_PX] };
+        let mut rim = Rim { object, near: 0, first, of, phase: [[f32::NAN; CELL_PX + 1]; CELL_PX] };
         for (v, (line, phase)) in rim.phase.iter_mut().zip(phase).enumerate() {
             line[..CELL_PX].copy_from_slice(phase);
             if top + v < surface.phase.height() {
                 line[CELL_PX] = surface.phase.row(top + v).get(left + CELL_PX).copied().unwrap_or(f32::NAN);
-                let object: [_; CELL_PX] = part(surface.object.row(top + v), left, 0);
-                for (u, &x) in object.iter().enumerate() {
-                    rim.object |= u64::from(x != 0) << (v * CELL_PX + u);
-                }
             }
-        }
-        if rim.object == 0 {
-            return;
         }
         let nodes = &self.nodes[first as usize..(first + count) as usize];
         for (i, node) in nodes.iter().enumerate() {
@@ -296,29 +299,31 @@ impl Cells {
     /// The same where a cell has several nodes, or nodes with holes.
     #[inline(never)]
     fn touch_any(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
-        let (w, h) = (surface.phase.width(), surface.phase.height());
-        let (left, top) = (column * CELL_PX, row * CELL_PX);
-        // (a, b, turns, pairs); pairs that do not continue have turns of `i32::MAX`.
-        let mut found: Vec<(u32, u32, i32, u32)> = Vec::with_capacity(8);
-        for v in top..(top + CELL_PX).min(h) {
-            for u in left..(left + CELL_PX).min(w) {
-                let Some(a) = self.glimpses.node(u, v) else { continue };
-                for (down, x, y) in [(false, u + 1, v), (true, u, v + 1)] {
-                    let Some(b) = self.glimpses.node(x, y).filter(|b| *b != a) else { continue };
-                    let (from, to) = (&self.nodes[a as usize], &self.nodes[b as usize]);
-                    let expected = if down {
-                        (from.down + to.down) / 2.0
-                    } else {
-                        surface.carrier(u, v) + (from.right + to.right) / 2.0
-                    };
-                    let (turns, good) = turns(surface.phase.at(x, y) - surface.phase.at(u, v) - expected);
-                    let (a, b, turns) = if a < b { (a, b, turns) } else { (b, a, -turns) };
-                    let turns = if good { turns } else { i32::MAX };
-                    match found.iter_mut().find(|x| (x.0, x.1, x.2) == (a, b, turns)) {
-                        Some(x) => x.3 += 1,
-                        None => found.push((a, b, turns, 1)),
-                    }
+        let cell = row * self.columns + column;
+        let none = (0, 0);
+        let beside = if column + 1 < self.columns { self.grid[cell + 1] } else { none };
+        let below = self.grid.get(cell + self.columns).copied().unwrap_or(none);
+        let nodes = |(first, count): (u32, u32)| first..first + count;
+        let mut found = Vec::with_capacity(8);
+        for a in nodes(self.grid[cell]) {
+            let mask = self.nodes[a as usize].mask;
+            let at = (column * CELL_PX, row * CELL_PX);
+            let mut touches = |b, right, down| {
+                for (down, pixels) in [(false, right), (true, down)] {
+                    self.pairs(surface, at, (a, b), down, pixels, &mut found);
                 }
+            };
+            for b in nodes(self.grid[cell]).filter(|b| *b != a) {
+                let other = self.nodes[b as usize].mask;
+                touches(b, mask & other >> 1 & !LAST_COLUMN, mask & other >> CELL_PX);
+            }
+            for b in nodes(beside) {
+                let other = self.nodes[b as usize].mask & FIRST_COLUMN;
+                touches(b, mask & other << (CELL_PX - 1), 0);
+            }
+            for b in nodes(below) {
+                let other = self.nodes[b as usize].mask & FIRST_ROW;
+                touches(b, 0, mask & other << (CELL_PX * (CELL_PX - 1)));
             }
         }
         found.sort_unstable();
@@ -327,6 +332,39 @@ impl Cells {
             let best = pair.iter().filter(|x| x.2 != i32::MAX).max_by_key(|x| (x.3, -x.2.abs(), x.2));
             let (turns, good) = best.map_or((0, 0), |x| (x.2, x.3));
             self.borders.push(Border { a: pair[0].0, b: pair[0].1, turns, good, bad: all - good });
+        }
+    }
+
+    /// Counts what the pixel pairs of two nodes say. `pixels` are those of the first node, in the cell that begins at `at`, which have one of the
+    /// second to their right or below them.
+    #[inline(always)]
+    fn pairs(
+        &self,
+        surface: &Surface<'_>,
+        at: (usize, usize),
+        (a, b): (u32, u32),
+        down: bool,
+        mut pixels: u64,
+        found: &mut Vec<Pairs>,
+    ) {
+        let (from, to) = (&self.nodes[a as usize], &self.nodes[b as usize]);
+        while pixels != 0 {
+            let pixel = pixels.trailing_zeros() as usize;
+            pixels &= pixels - 1;
+            let (u, v) = (at.0 + pixel % CELL_PX, at.1 + pixel / CELL_PX);
+            let (x, y) = if down { (u, v + 1) } else { (u + 1, v) };
+            let expected = if down {
+                (from.down + to.down) / 2.0
+            } else {
+                surface.carrier(u, v) + (from.right + to.right) / 2.0
+            };
+            let (turns, good) = turns(surface.phase.at(x, y) - surface.phase.at(u, v) - expected);
+            let (a, b, turns) = if a < b { (a, b, turns) } else { (b, a, -turns) };
+            let turns = if good { turns } else { i32::MAX };
+            match found.iter_mut().find(|x| (x.0, x.1, x.2) == (a, b, turns)) {
+                Some(x) => x.3 += 1,
+                None => found.push((a, b, turns, 1)),
+            }
         }
     }
 }
@@ -342,18 +380,41 @@ impl Surface<'_> {
         out
     }
 
-    /// The step that the period predicts from the pixel to the left, for the pixels of a cell, rad; any number where
-    /// there is none in the cell.
+    /// A bit for each pixel of a cell that is the object's.
     #[inline(always)]
-    fn carriers(&self, left: usize, top: usize) -> Patch {
-        let mut out = [[0.0; CELL_PX]; CELL_PX];
-        for (v, out) in (top..self.phase.height()).zip(&mut out) {
-            let period: [_; CELL_PX] = part(self.period.row(v), left, f32::NAN);
-            for u in 1..CELL_PX {
-                out[u] = self.sign * 2.0 * TAU / (period[u - 1] + period[u]);
+    fn object(&self, left: usize, top: usize) -> u64 {
+        let mut bytes = [0; WORD];
+        for (v, out) in (top..self.object.height()).zip(bytes.as_chunks_mut::<CELL_PX>().0) {
+            *out = part(self.object.row(v), left, 0);
+        }
+        bits_of(&bytes, u8::MAX)
+    }
+
+    /// Steps of a cell's phases to each pixel, less the carrier's, from the one to its left and from the one above; 0 where
+    /// these are of other cells.
+    #[inline(always)]
+    fn steps(&self, phase: &Patch, left: usize, top: usize) -> (Patch, Patch) {
+        let [mut right, mut down] = [[[0.0; CELL_PX]; CELL_PX]; 2];
+        for v in 0..CELL_PX.min(self.phase.height() - top) {
+            let before = before(self.phase.row(top + v), left);
+            let period: [_; CELL_PX] = part(self.period.row(top + v), left, f32::NAN);
+            let period_before = self::before(self.period.row(top + v), left);
+            // All columns, so that there is one vector to a row.
+            for u in 0..CELL_PX {
+                let carrier = self.sign * 2.0 * TAU / (period_before[u] + period[u]);
+                right[v][u] = phase[v][u] - before[u] - carrier;
+            }
+            right[v][0] = 0.0;
+        }
+        for v in CELL_PX.min(self.phase.height() - top)..CELL_PX {
+            right[v][1..].fill(f32::NAN);
+        }
+        for v in 1..CELL_PX {
+            for u in 0..CELL_PX {
+                down[v][u] = phase[v][u] - phase[v - 1][u];
             }
         }
-        out
+        (right, down)
     }
 
     /// The step that the period predicts between a pixel and the next in its row, rad.
@@ -442,22 +503,15 @@ fn each_patch(phase: &Patch, right_steps: &Patch, down_steps: &Patch, mut each: 
     }
 }
 
-/// Steps of a cell's phases to each pixel, less the carrier's, from the one to its left and from the one above; 0 where
-/// these are of other cells.
+/// The values of a row before each of a cell's.
 #[inline(always)]
-fn steps(phase: &Patch, carrier: &Patch) -> (Patch, Patch) {
-    let [mut right, mut down] = [[[0.0; CELL_PX]; CELL_PX]; 2];
-    for v in 0..CELL_PX {
-        for u in 1..CELL_PX {
-            right[v][u] = phase[v][u] - phase[v][u - 1] - carrier[v][u];
-        }
+fn before(row: &[f32], left: usize) -> [f32; CELL_PX] {
+    if let Some(first) = left.checked_sub(1) {
+        return part(row, first, f32::NAN);
     }
-    for v in 1..CELL_PX {
-        for u in 0..CELL_PX {
-            down[v][u] = phase[v][u] - phase[v - 1][u];
-        }
-    }
-    (right, down)
+    let mut out = part(row, 0, f32::NAN);
+    out.rotate_right(1);
+    out
 }
 
 /// The mean of some values over the pixels of a mask; 0 where there are none.
