@@ -4,7 +4,7 @@
 //! first so that a cloud made of a stored phase map has the same bytes.
 
 use super::normals::{LANES, Oriented, Points, REACH, orient};
-use super::rays::{NODE_PX, PointRow, RayTable};
+use super::rays::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
 use super::roi::Roi;
 use super::round::whole;
 use super::runs::{self, Runs};
@@ -17,8 +17,8 @@ use std::f32::consts::TAU;
 /// Rows in the ring: a normal reaches three up and three down.
 const RING: usize = 2 * REACH + 1;
 
-/// Room to either side of a row of points, for the reach of normals and for lanes beyond its end.
-const PAD: usize = 2 * LANES;
+/// Room to either side of a row of points, for the reach of normals and for what a block has beyond its end.
+const PAD: usize = BLOCK_PX;
 
 /// Fringes beyond this are no phase.
 const MAX_STEPS: f32 = 4e6;
@@ -86,7 +86,7 @@ fn steps(phase: f32) -> i32 {
 /// Memory that a thread keeps from cloud to cloud.
 #[derive(Default)]
 struct Scratch {
-    line: Vec<[f32; 9]>,
+    line: Line,
     /// Absolute phase of a row, in fringes.
     fringes: Vec<f32>,
     ring: [RingRow; RING],
@@ -205,7 +205,7 @@ fn points<const SCALE: bool>(
     phase: &[i32],
     left: usize,
     fringes: &mut [f32],
-    line: &mut Vec<[f32; 9]>,
+    line: &mut Line,
     ring: &mut RingRow,
 ) -> usize {
     let place = |u: usize| u - left * NODE_PX + PAD;
@@ -220,7 +220,9 @@ fn points<const SCALE: bool>(
     let start = runs.first().map_or(0, |run| usize::from(run.first) / NODE_PX);
     let end = runs.last().map_or(0, |run| run.end().div_ceil(NODE_PX));
     table.line(v, start, end - start, line);
-    let written = place(start * NODE_PX)..place(end * NODE_PX);
+    // Whole blocks: there is room behind the last one.
+    let first = place(start * NODE_PX);
+    let written = first..first + ((end - start) * NODE_PX).next_multiple_of(BLOCK_PX);
     let scale = if SCALE { written.clone() } else { 0..0 };
     let mut out = PointRow {
         x: &mut ring.points.x[written.clone()],
@@ -248,13 +250,19 @@ fn emit<const SIGMA: bool>(
     let points = rows.map(|row| &row.points);
     let mut done = 0;
     for run in runs {
+        let mut pixels = [[0u16; 2]; LANES];
+        for (i, pixel) in pixels.iter_mut().enumerate() {
+            *pixel = [run.first + i as u16, run.row];
+        }
         for offset in (0..usize::from(run.length)).step_by(LANES) {
-            let u = usize::from(run.first) + offset;
-            let place = u - left * NODE_PX + PAD;
+            let place = usize::from(run.first) + offset - left * NODE_PX + PAD;
             let count = LANES.min(usize::from(run.length) - offset);
             let oriented = orient(points, place, table);
             let from = pixel + done + offset;
-            append(cloud, &oriented, &map.light[from..from + count], [u as u16, run.row]);
+            append(cloud, &oriented, &map.light[from..from + count], &pixels);
+            for (number, step) in pixels.as_flattened_mut().iter_mut().zip(&STEPS) {
+                *number += step;
+            }
             if SIGMA {
                 let doubt = map.doubt[from..from + count].iter();
                 let scale = &rows[2].metres_per_rad[place..place + count];
@@ -268,39 +276,45 @@ fn emit<const SIGMA: bool>(
     done
 }
 
+/// What the columns and rows of a block's pixels change by to the next block.
+const STEPS: [u16; 2 * LANES] = {
+    let mut steps = [0; 2 * LANES];
+    let mut i = 0;
+    while i < LANES {
+        steps[2 * i] = LANES as u16;
+        i += 1;
+    }
+    steps
+};
+
 #[inline(always)]
 fn intensity(light: u16) -> f32 {
     f32::from(light) * (1.0 / (255.0 * STEPS_PER_LEVEL))
 }
 
-/// Appends the good ones of a block of points, of which the run has as many as there is `light`.
+/// Appends the good ones of a block of points at `pixels`, of which the run has as many as there is `light`.
 #[inline(always)]
-fn append(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2]) {
+fn append(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], pixels: &[[u16; 2]; LANES]) {
     let (p, n) = (&oriented.point, &oriented.normal);
-    // With room behind them, so that whole blocks can be taken from any on: copies of so many would be calls.
-    let (mut position, mut normal) = ([[0f32; 3]; 2 * LANES], [[0f32; 3]; 2 * LANES]);
-    let (mut bright, mut pixel) = ([0f32; 2 * LANES], [[0u16; 2]; 2 * LANES]);
+    let (mut position, mut normal) = ([[0f32; 3]; LANES], [[0f32; 3]; LANES]);
+    let (mut bright, mut pixel) = ([0f32; LANES], *pixels);
     for i in 0..LANES {
         position[i] = [p[0][i], p[1][i], p[2][i]];
     }
     for i in 0..LANES {
         normal[i] = [n[0][i], n[1][i], n[2][i]];
     }
-    let pixels = light.len();
+    let lit = light.len();
     let light: [u16; LANES] = sample::part(light, 0, 0);
     for i in 0..LANES {
         bright[i] = intensity(light[i]);
     }
-    for (i, pixel) in pixel[..LANES].iter_mut().enumerate() {
-        *pixel = [u + i as u16, v];
-    }
     // A byte each; what is beyond the run's end belongs to another.
-    let mut good = u128::from_le_bytes(oriented.good) & u128::MAX >> (8 * (LANES - pixels));
-    let (mut first, count) = (good.trailing_zeros() as usize / 8 % LANES, good.count_ones() as usize);
-    // Nearly everywhere they lie side by side: all, or those up to the end of a run.
+    let mut good = u128::from_le_bytes(oriented.good) & u128::MAX >> (8 * (LANES - lit));
+    let count = good.count_ones() as usize;
+    // Nearly everywhere they are all, or those up to the end of a run.
     const ALL: u128 = u128::MAX / 255;
-    if count > 0 && good >> (8 * first) != ALL >> (8 * (LANES - count)) {
-        first = 0;
+    if count > 0 && good != ALL >> (8 * (LANES - count)) {
         for to in 0..count {
             let from = good.trailing_zeros() as usize / 8 % LANES;
             (position[to], normal[to], bright[to], pixel[to]) =
@@ -308,11 +322,12 @@ fn append(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], [u, v]: [u16; 2
             good &= good - 1;
         }
     }
+    // Whole blocks: copies of a length that is not known would be calls.
     let points = cloud.position_m.len() + count;
-    cloud.position_m.extend_from_slice(&position[first..first + LANES]);
-    cloud.normal.extend_from_slice(&normal[first..first + LANES]);
-    cloud.intensity.extend_from_slice(&bright[first..first + LANES]);
-    cloud.pixel.extend_from_slice(&pixel[first..first + LANES]);
+    cloud.position_m.extend_from_slice(&position);
+    cloud.normal.extend_from_slice(&normal);
+    cloud.intensity.extend_from_slice(&bright);
+    cloud.pixel.extend_from_slice(&pixel);
     cloud.position_m.truncate(points);
     cloud.normal.truncate(points);
     cloud.intensity.truncate(points);

@@ -10,8 +10,15 @@ use super::pair::Pair;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 
-/// Pixels between nodes, which is also the number of pixels that are worked on at once.
+/// Pixels between nodes.
 pub const NODE_PX: usize = 8;
+
+/// Pixels that are worked on at once: loops over so many become vectors, those over the pixels between two nodes would be
+/// taken apart first.
+pub(super) const BLOCK_PX: usize = 32;
+
+/// A number for each pixel of a block.
+type Block = [f32; BLOCK_PX];
 
 /// Coefficients of the polynomial.
 const TERMS: usize = 6;
@@ -43,6 +50,14 @@ pub struct RayTable {
     /// From fringes to the panel's -1 .. 1.
     per_fringe: f32,
     volume: [[f32; 3]; 2],
+}
+
+/// The lines of sight of a row, block by block of 8 px: the node of its first pixel, and what it changes by from pixel to
+/// pixel. There is one node more than there are blocks.
+#[derive(Debug, Default)]
+pub(super) struct Line {
+    from: Vec<Node>,
+    step: Vec<Node>,
 }
 
 /// The line of sight of one pixel.
@@ -115,100 +130,103 @@ impl RayTable {
         if inside { w } else { f32::NAN }
     }
 
-    /// Nodes of row `v` for blocks `first .. first + blocks` of 8 px, and the node after them, into `line`.
+    /// The lines of sight of row `v` for blocks `first .. first + blocks` of 8 px.
     #[inline(always)]
-    pub(super) fn line(&self, v: usize, first: usize, blocks: usize, line: &mut Vec<Node>) {
+    pub(super) fn line(&self, v: usize, first: usize, blocks: usize, line: &mut Line) {
         let above = v / NODE_PX * self.columns + first;
         let t = (v % NODE_PX) as f32 / NODE_PX as f32;
         let (a, b) = (&self.nodes[above..=above + blocks], &self.nodes[above + self.columns..]);
-        line.resize(a.len(), [0.0; 3 + TERMS]);
-        let numbers = line.as_flattened_mut().iter_mut().zip(a.as_flattened()).zip(b.as_flattened());
-        for ((to, a), b) in numbers {
+        line.from.resize(a.len(), [0.0; 3 + TERMS]);
+        line.step.resize(blocks, [0.0; 3 + TERMS]);
+        let from = line.from.as_flattened_mut();
+        for ((to, a), b) in from.iter_mut().zip(a.as_flattened()).zip(b.as_flattened()) {
             *to = a + t * (b - a);
+        }
+        let ends = from.iter().zip(&from[3 + TERMS..]);
+        for (step, (here, next)) in line.step.as_flattened_mut().iter_mut().zip(ends) {
+            *step = (next - here) / NODE_PX as f32;
         }
     }
 
-    /// The points of the pixels of some blocks. `fringes`: absolute phase of each pixel in fringes, NaN where it is
-    /// not known. `line`: their nodes and the one after. All of `out` is written.
+    /// The points of the pixels of some blocks of [`BLOCK_PX`]. `fringes`: absolute phase of each pixel in fringes, NaN
+    /// where it is not known and beyond the lines of sight of `line`. All of `out` is written.
     #[inline(always)]
-    pub(super) fn points<const SCALE: bool>(&self, line: &[Node], fringes: &[f32], out: &mut PointRow<'_>) {
-        for (block, (nodes, fringes)) in line.windows(2).zip(fringes.as_chunks::<NODE_PX>().0).enumerate() {
-            let at = block * NODE_PX..(block + 1) * NODE_PX;
-            let (x, y, z) = (&mut out.x[at.clone()], &mut out.y[at.clone()], &mut out.z[at.clone()]);
-            let mut known = false;
+    pub(super) fn points<const SCALE: bool>(&self, line: &Line, fringes: &[f32], out: &mut PointRow<'_>) {
+        let blocks = fringes.as_chunks().0;
+        let (x, y, z) = (out.x.as_chunks_mut().0, out.y.as_chunks_mut().0, out.z.as_chunks_mut().0);
+        let mut sight = [[0f32; BLOCK_PX]; 3 + TERMS];
+        for (block, (((fringes, x), y), z)) in blocks.iter().zip(x).zip(y).zip(z).enumerate() {
+            let fringes: &Block = fringes;
+            let (x, y, z): (&mut Block, &mut Block, &mut Block) = (x, y, z);
+            let mut known = 0u32;
             for fringe in fringes {
-                known |= !fringe.is_nan();
+                known |= u32::from(!fringe.is_nan());
             }
-            if !known {
-                x.fill(f32::NAN);
-                y.fill(f32::NAN);
-                z.fill(f32::NAN);
+            if known == 0 {
+                (*x, *y, *z) = ([f32::NAN; BLOCK_PX], [f32::NAN; BLOCK_PX], [f32::NAN; BLOCK_PX]);
                 continue;
             }
-            // Quantity by quantity: of a loop over all of them the compiler would make vectors of three coordinates.
-            let mut s = [0f32; NODE_PX];
-            for (s, fringe) in s.iter_mut().zip(fringes) {
-                *s = fringe * self.per_fringe - 1.0;
-            }
-            let mut w = along(nodes, 8);
-            for k in (3..8).rev() {
-                let term = along(nodes, k);
-                for i in 0..NODE_PX {
-                    w[i] = w[i] * s[i] + term[i];
-                }
-            }
-            let mut depth = [0f32; NODE_PX];
-            for i in 0..NODE_PX {
+            line.spread(block, &mut sight);
+            let [direction_x, direction_y, direction_z, terms @ ..] = &sight;
+            let (mut s, mut w, mut depth) = ([0f32; BLOCK_PX], [0f32; BLOCK_PX], [0f32; BLOCK_PX]);
+            for i in 0..BLOCK_PX {
+                s[i] = fringes[i] * self.per_fringe - 1.0;
+                let mut sum = terms[5][i];
+                sum = sum * s[i] + terms[4][i];
+                sum = sum * s[i] + terms[3][i];
+                sum = sum * s[i] + terms[2][i];
+                sum = sum * s[i] + terms[1][i];
+                w[i] = sum * s[i] + terms[0][i];
                 depth[i] = 1.0 / w[i];
             }
-            let mut point = [[0f32; NODE_PX]; 3];
-            for (axis, point) in point.iter_mut().enumerate() {
-                let (direction, centre) = (along(nodes, axis), self.centre[axis]);
-                for i in 0..NODE_PX {
-                    point[i] = centre + depth[i] * direction[i];
-                }
-            }
-            // What is added to the points: nothing, or NaN outside.
-            let mut outside = [0f32; NODE_PX];
-            for i in 0..NODE_PX {
-                let mut inside = (s[i].abs() < 1.0) & (w[i] > 0.0);
-                for ((point, least), most) in point.iter().zip(&self.volume[0]).zip(&self.volume[1]) {
-                    inside &= (point[i] >= *least) & (point[i] <= *most);
-                }
-                outside[i] = if inside { 0.0 } else { f32::NAN };
-            }
-            for (to, point) in [x, y, z].into_iter().zip(&point) {
-                for ((to, point), outside) in to.iter_mut().zip(point).zip(&outside) {
-                    *to = point + outside;
-                }
+            let ([x0, y0, z0], [low, high]) = (self.centre, &self.volume);
+            for i in 0..BLOCK_PX {
+                let px = x0 + depth[i] * direction_x[i];
+                let py = y0 + depth[i] * direction_y[i];
+                let pz = z0 + depth[i] * direction_z[i];
+                let inside = (s[i].abs() < 1.0)
+                    & (w[i] > 0.0)
+                    & (px >= low[0])
+                    & (px <= high[0])
+                    & (py >= low[1])
+                    & (py <= high[1])
+                    & (pz >= low[2])
+                    & (pz <= high[2]);
+                x[i] = if inside { px } else { f32::NAN };
+                y[i] = if inside { py } else { f32::NAN };
+                z[i] = if inside { pz } else { f32::NAN };
             }
             if SCALE {
                 let slopes = (&s, &depth, self.per_fringe / TAU as f32);
-                scale(nodes, slopes, &mut out.metres_per_rad[at]);
+                scale(&sight, slopes, &mut out.metres_per_rad[block * BLOCK_PX..(block + 1) * BLOCK_PX]);
             }
         }
     }
 }
 
-/// One number of a block's node at each of its pixels.
-#[inline(always)]
-fn along(nodes: &[Node], k: usize) -> [f32; NODE_PX] {
-    let (from, step) = (nodes[0][k], (nodes[1][k] - nodes[0][k]) / NODE_PX as f32);
-    let mut out = [0f32; NODE_PX];
-    for (i, out) in out.iter_mut().enumerate() {
-        *out = from + i as f32 * step;
+/// The pixels between two nodes.
+const PLACES: [f32; NODE_PX] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+
+impl Line {
+    /// The numbers of the lines of sight of a block's pixels; what lies beyond the last node stays as it is.
+    #[inline(always)]
+    fn spread(&self, block: usize, sight: &mut [Block; 3 + TERMS]) {
+        for node in 0..BLOCK_PX / NODE_PX {
+            let place = block * (BLOCK_PX / NODE_PX) + node;
+            let (Some(from), Some(step)) = (self.from.get(place), self.step.get(place)) else { break };
+            for k in 0..3 + TERMS {
+                let to = &mut sight[k].as_chunks_mut::<NODE_PX>().0[node];
+                for i in 0..NODE_PX {
+                    to[i] = from[k] + PLACES[i] * step[k];
+                }
+            }
+        }
     }
-    out
 }
 
 /// Metres along the line of sight per rad, for a block: the slope of its polynomials at `s`.
 #[inline(always)]
-fn scale(
-    nodes: &[Node],
-    (s, depth, per_rad): (&[f32; NODE_PX], &[f32; NODE_PX], f32),
-    metres_per_rad: &mut [f32],
-) {
-    let c: [_; 3 + TERMS] = std::array::from_fn(|k| along(nodes, k));
+fn scale(c: &[Block; 3 + TERMS], (s, depth, per_rad): (&Block, &Block, f32), metres_per_rad: &mut [f32]) {
     for (i, out) in metres_per_rad.iter_mut().enumerate() {
         let slope = (((5.0 * c[8][i] * s[i] + 4.0 * c[7][i]) * s[i] + 3.0 * c[6][i]) * s[i] + 2.0 * c[5][i])
             * s[i]
@@ -300,7 +318,7 @@ fn through(points: &[[f64; 2]; TERMS]) -> Option<[f64; TERMS]> {
 
 #[cfg(test)]
 mod tests {
-    use super::{NODE_PX, PointRow, RayTable};
+    use super::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
     use crate::reconstruct::triangulate::Triangulator;
     use crate::reconstruct::triangulate::tests::strong_lenses;
 
@@ -310,7 +328,8 @@ mod tests {
         let (triangulator, table) = (Triangulator::new(pair.clone()), RayTable::new(&pair));
         let blocks = pair.camera.width / NODE_PX;
         let width = blocks * NODE_PX;
-        let (mut line, mut worst, mut known, mut scales) = (Vec::new(), 0f64, 0usize, 0f64);
+        let room = width.next_multiple_of(BLOCK_PX);
+        let (mut line, mut worst, mut known, mut scales) = (Line::default(), 0f64, 0usize, 0f64);
         for v in (3..pair.camera.height).step_by(37) {
             table.line(v, 0, blocks, &mut line);
             for k in 0..60 {
@@ -320,8 +339,9 @@ mod tests {
                     share * (pair.projector.width as f64 / pair.pattern.period_px) as f32 + more
                 };
                 let points = |more: f32| {
-                    let fringes: Vec<f32> = (0..width).map(|u| fringe(u, more)).collect();
-                    let mut found = [(); 4].map(|()| vec![0f32; width]);
+                    let mut fringes: Vec<f32> = (0..width).map(|u| fringe(u, more)).collect();
+                    fringes.resize(room, f32::NAN);
+                    let mut found = [(); 4].map(|()| vec![0f32; room]);
                     let [x, y, z, scale] = &mut found;
                     let mut out = PointRow { x, y, z, metres_per_rad: scale };
                     table.points::<true>(&line, &fringes, &mut out);
