@@ -12,7 +12,7 @@
 use super::demodulate::{self, Gains};
 use super::runs::{Run, Runs};
 use super::windows::{self, Windows};
-use super::{shading, simd};
+use super::{round, shading, simd};
 use crate::image::Plane;
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -108,12 +108,25 @@ struct Row<'a> {
 }
 
 /// What demodulation gives for a pixel.
+#[derive(Clone, Copy, Default)]
 struct Found {
     c: f32,
     s: f32,
     mean: f32,
     misfit: f32,
 }
+
+/// What is better for a pixel than what it has.
+#[derive(Clone, Copy, Default)]
+struct Better {
+    u: usize,
+    phase: f32,
+    period: f32,
+    found: Found,
+}
+
+/// Where the samples of a window lie, in periods from its middle. (One more than there are: vectors have eight.)
+const SAMPLES: [f32; 8] = [-3.0 / 6.0, -2.0 / 6.0, -1.0 / 6.0, 0.0, 1.0 / 6.0, 2.0 / 6.0, 3.0 / 6.0, 0.0];
 
 impl Row<'_> {
     /// Completes and improves the ends of all runs; how many phases were added.
@@ -126,14 +139,14 @@ impl Row<'_> {
             let spot_behind = runs.get(i + 1).is_some_and(|next| self.is_spot(run, next));
             let columns = run.columns();
             let end = columns.len().min(END_PX);
-            if !spot_before {
-                added += self.go_on(&columns, -1);
-                self.improve(&columns, columns.start..columns.start + end);
-            }
-            if !spot_behind {
-                added += self.go_on(&columns, 1);
-                // Not twice in short runs.
-                self.improve(&columns, (columns.end - end).max(columns.start + end)..columns.end);
+            let before = (spot_before, -1, columns.start..columns.start + end);
+            // Not twice in short runs.
+            let behind = (spot_behind, 1, (columns.end - end).max(columns.start + end)..columns.end);
+            for (spot, step, part) in [before, behind] {
+                if !spot {
+                    added += self.go_on(&columns, step);
+                    self.improve(&columns, part);
+                }
             }
             spot_before = spot_behind;
         }
@@ -190,28 +203,32 @@ impl Row<'_> {
     /// Demodulates doubtful pixels of a part of a run again, at the period that the phases around them tell.
     #[inline(always)]
     fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
-        let first = part.start;
-        let mut found: [Option<(f32, f32, Found)>; END_PX] = [const { None }; END_PX];
+        let (mut doubtful, mut count) = ([0usize; END_PX], 0);
+        let pixels = self.absolute[part.clone()].iter().zip(&self.misfit[part.clone()]);
+        for (i, ((phase, &misfit), &zone)) in pixels.zip(&self.zone[part.clone()]).enumerate().take(END_PX) {
+            doubtful[count] = part.start + i;
+            count += usize::from((misfit >= DOUBTFUL_MISFIT) & !phase.is_nan() & (zone == 0));
+        }
+        if count == 0 {
+            return;
+        }
+        let (mut better, mut changed) = ([Better::default(); END_PX], 0);
         // All of them before any is changed.
-        for u in part {
+        for &u in &doubtful[..count] {
             let before = self.absolute[u];
-            if self.misfit[u] < DOUBTFUL_MISFIT || before.is_nan() || self.zone[u] != 0 {
-                continue;
-            }
             let period = TAU / self.slope(columns, u).abs();
             if !((period / self.period[u] - 1.0).abs() <= PERIOD_CHANGE) {
                 continue;
             }
-            let Some(new) = self.demodulate(columns, u, period) else { continue };
-            let phase = nearest(demodulate::phase(new.c, new.s), before);
-            if (phase - before).abs() <= PHASE_CHANGE && new.misfit < LESS_MISFIT * self.misfit[u] {
-                found[u - first] = Some((phase, period, new));
+            let Some(found) = self.demodulate(columns, u, period) else { continue };
+            let phase = nearest(demodulate::phase(found.c, found.s), before);
+            if (phase - before).abs() <= PHASE_CHANGE && found.misfit < LESS_MISFIT * self.misfit[u] {
+                better[changed] = Better { u, phase, period, found };
+                changed += 1;
             }
         }
-        for (i, found) in found.iter().enumerate() {
-            if let Some((phase, period, found)) = found {
-                self.set(first + i, *phase, *period, found);
-            }
+        for Better { u, phase, period, found } in &better[..changed] {
+            self.set(*u, *phase, *period, found);
         }
     }
 
@@ -235,29 +252,46 @@ impl Row<'_> {
         if u as f32 - reach < 0.0 || u as f32 + reach + 1.0 >= self.image.len() as f32 {
             return None;
         }
-        let mut samples = [0.0; 7];
-        for (k, sample) in (-3i8..).zip(&mut samples) {
-            let place = u as f32 + f32::from(k) / 6.0 * period;
-            let [a, b] = [0, 1].map(|next| f32::from(self.image[place as usize + next]));
-            *sample = a + place.fract() * (b - a);
+        // All places before the first look, because vectors find these together.
+        let (mut low, mut share) = ([0i32; 8], [0f32; 8]);
+        for k in 0..8 {
+            let place = u as f32 + SAMPLES[k] * period;
+            low[k] = round::floor(place);
+            share[k] = place - low[k] as f32;
         }
-        let (s, c, mean, misfit) = demodulate::of_samples(&samples, self.gains.of(period));
-        // Its light half a period to each side, where it is known and not the marker's.
-        let known = |x: usize| columns.contains(&x) && self.light[x] > 0 && self.zone[x] == 0;
-        let [before, after] = [-0.5, 0.5].map(|share| {
-            let place = u as f32 + share * period;
-            let low = place as usize;
-            let [a, b] = [0, 1].map(|next| windows::light(self.light[low + next]));
-            if known(low) && known(low + 1) { a + place.fract() * (b - a) } else { f32::NAN }
-        });
+        let [mut a, mut b] = [[0u8; 8]; 2];
+        for k in 0..8 {
+            let low = low[k] as usize;
+            (a[k], b[k]) = (self.image[low], self.image[low + 1]);
+        }
+        let mut samples = [0f32; 8];
+        for k in 0..8 {
+            samples[k] = f32::from(a[k]) + share[k] * (f32::from(b[k]) - f32::from(a[k]));
+        }
+        let [samples @ .., _] = &samples;
+        let (s, c, mean, misfit) = demodulate::of_samples(samples, self.gains.of(period));
+        let before = self.light_between(columns, low[0] as usize, share[0]);
+        let after = self.light_between(columns, low[6] as usize, share[6]);
         let [c, s] = shading::correct_one(c, s, [before, mean, after]);
         Some(Found { c, s: self.sign * s, mean, misfit })
+    }
+
+    /// The light between two pixels, NaN where it is not known or the marker's.
+    #[inline(always)]
+    fn light_between(&self, columns: &Range<usize>, low: usize, share: f32) -> f32 {
+        let (light, zone) = (&self.light[low..low + 2], &self.zone[low..low + 2]);
+        let known = (light[0] > 0) & (light[1] > 0) & (zone[0] == 0) & (zone[1] == 0);
+        let inside = (low >= columns.start) & (low + 1 < columns.end);
+        let (a, b) = (windows::light(light[0]), windows::light(light[1]));
+        if known & inside { a + share * (b - a) } else { f32::NAN }
     }
 
     /// A pixel's phase, NaN beyond the run.
     #[inline(always)]
     fn at(&self, columns: &Range<usize>, u: usize, steps: isize) -> f32 {
-        u.checked_add_signed(steps).filter(|u| columns.contains(u)).map_or(f32::NAN, |u| self.absolute[u])
+        // Before the first column there is none, but a number too large.
+        let u = u.wrapping_add_signed(steps);
+        if columns.contains(&u) { self.absolute[u] } else { f32::NAN }
     }
 
     /// How the phase goes on from a pixel towards `step`.
@@ -266,11 +300,11 @@ impl Row<'_> {
         let period = self.period[from];
         let carrier = self.sign * step as f32 * TAU / period;
         let reach = (period / 2.0).round().clamp(3.0, 12.0);
-        let [near, far] = [1, 2].map(|k| self.at(columns, from, -step * k * reach as isize));
+        let steps = step * round::whole(reach) as isize;
+        let (near, far) = (self.at(columns, from, -steps), self.at(columns, from, -2 * steps));
         let phase = self.absolute[from];
         let [own, before] = [(phase - near) / reach, (near - far) / reach];
-        let is_same = |slope: f32| (slope / carrier - 1.0).abs() < SAME_SLOPE;
-        let (slope, bend) = match (is_same(own), is_same(before)) {
+        let (slope, bend) = match (is_same(own, carrier), is_same(before, carrier)) {
             (true, true) => (own, (own - before) / reach),
             (true, false) => (own, 0.0),
             (false, _) => (carrier, 0.0),
@@ -283,18 +317,29 @@ impl Row<'_> {
     fn slope(&self, columns: &Range<usize>, u: usize) -> f32 {
         let carrier = self.sign * TAU / self.period[u];
         let reach = (self.period[u] / 3.0).round().max(2.0);
-        let is_same = |slope: f32| (slope / carrier - 1.0).abs() < SAME_SLOPE;
-        let at = |k: isize| self.at(columns, u, k * reach as isize);
-        // From the differences on one side, the farther one for how it bends.
-        let from_side = |near: f32, far: f32| if is_same(far) { near + (near - far) / 2.0 } else { near };
-        let [before, after] = [(at(0) - at(-1)) / reach, (at(1) - at(0)) / reach];
-        match (is_same(before), is_same(after)) {
+        let steps = round::whole(reach) as isize;
+        let phase = self.absolute[u];
+        let [low, high] = [self.at(columns, u, -steps), self.at(columns, u, steps)];
+        let [before, after] = [(phase - low) / reach, (high - phase) / reach];
+        match (is_same(before, carrier), is_same(after, carrier)) {
             (true, true) => (before + after) / 2.0,
-            (false, true) => from_side(after, (at(2) - at(1)) / reach),
-            (true, false) => from_side(before, (at(-1) - at(-2)) / reach),
+            (false, true) => from_side(after, (self.at(columns, u, 2 * steps) - high) / reach, carrier),
+            (true, false) => from_side(before, (low - self.at(columns, u, -2 * steps)) / reach, carrier),
             (false, false) => f32::NAN,
         }
     }
+}
+
+/// Whether a slope may be that of the surface whose fringes have the carrier's.
+#[inline(always)]
+fn is_same(slope: f32, carrier: f32) -> bool {
+    (slope / carrier - 1.0).abs() < SAME_SLOPE
+}
+
+/// The slope at a pixel from the differences on one side, the farther one for how it bends.
+#[inline(always)]
+fn from_side(near: f32, far: f32, carrier: f32) -> f32 {
+    if is_same(far, carrier) { near + (near - far) / 2.0 } else { near }
 }
 
 /// The phase as it goes on from a pixel: a parabola whose slope was measured `behind` px before it.
