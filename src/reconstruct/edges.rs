@@ -8,6 +8,7 @@
 //! than the pixel's own phase, it is taken instead; on the strongly curved skin beside an outline, where the
 //! misfit grows too, they do not, and the pixel keeps its own. What remains uncertain beyond a bound is dropped.
 
+use super::round::whole;
 use super::runs::{Runs, each_not_0};
 use super::support::Support;
 use super::windows::{self, Windows};
@@ -119,12 +120,17 @@ pub fn refine(
                         let count = left.iter().take_while(|&&u| u < first + LANES).count();
                         let block;
                         (block, left) = left.split_at(count);
-                        let phase = sample::part(absolute.row(v), first, f32::NAN);
-                        let mut carrier: Lanes = sample::part(period.row(v), first, f32::NAN);
-                        for carrier in &mut carrier {
-                            *carrier = sign * TAU / *carrier;
-                        }
-                        let laid = lay_planes(&good, first, &phase, &carrier);
+                        let around = around(&good, first);
+                        let laid = if has_support(&around, first, block) {
+                            let phase = sample::part(absolute.row(v), first, f32::NAN);
+                            let mut carrier: Lanes = sample::part(period.row(v), first, f32::NAN);
+                            for carrier in &mut carrier {
+                                *carrier = sign * TAU / *carrier;
+                            }
+                            lay_planes(&around, &phase, &carrier)
+                        } else {
+                            Laid { phase: [0.0; LANES], error: [f32::INFINITY; LANES] }
+                        };
                         for &u in block {
                             let amplitude = windows::amplitude(windows.strength.at(u, v));
                             let mut error = own_error(misfit[u], amplitude);
@@ -179,7 +185,7 @@ pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
 
 /// Pixels beside each other whose planes are laid at once: doubtful ones come in stretches, and their samples lie side by
 /// side in memory.
-const LANES: usize = 16;
+const LANES: usize = 8;
 type Lanes = [f32; LANES];
 
 /// Columns and rows that a plane is laid through.
@@ -194,6 +200,34 @@ struct Laid {
     phase: Lanes,
     /// Infinite where there is no plane.
     error: Lanes,
+}
+
+/// Good phases around a block: those within reach of its pixels, row by row.
+type Around<'a> = [&'a [f32; SPAN]; ROWS];
+const SPAN: usize = 2 * REACH.0 + LANES;
+
+/// What lies around the block that begins at column u. (None in a row that is too short, which there is not.)
+#[inline(always)]
+fn around<'a>(good: &[&'a [f32]; ROWS], u: usize) -> Around<'a> {
+    let mut around = [&[f32::NAN; SPAN]; ROWS];
+    for (around, good) in around.iter_mut().zip(good) {
+        *around = good[u + PAD - REACH.0..].first_chunk().unwrap_or(&[f32::NAN; SPAN]);
+    }
+    around
+}
+
+/// Whether one of the pixels of a block, which begins at column u, has enough good ones around it for a plane.
+#[inline(always)]
+fn has_support(around: &Around<'_>, u: usize, block: &[usize]) -> bool {
+    let mut known = [0u32; LANES];
+    for good in around {
+        for column in 0..COLUMNS {
+            for i in 0..LANES {
+                known[i] += u32::from(!good[column * COLUMN_STEP + i].is_nan());
+            }
+        }
+    }
+    block.iter().any(|at| known[(at - u) % LANES] >= MIN_SUPPORT as u32)
 }
 
 /// Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
@@ -211,43 +245,61 @@ struct Sums {
     zz: Lanes,
 }
 
+/// One, a row and the square of its distance in one number, so that one addition counts all three: how many pixels of a
+/// column there are, and above these the sums of rows and of squares. They take 17 bits, and a float has 24.
+const COUNTS: [f32; ROWS] = {
+    let mut counts = [0.0; ROWS];
+    let mut row = 0;
+    while row < ROWS {
+        let from_middle = row.abs_diff(REACH.1);
+        counts[row] = (1 | row << ROW_BITS | (from_middle * from_middle) << SQUARE_BITS) as f32;
+        row += 1;
+    }
+    counts
+};
+
+/// Where the sums of rows and of squares begin: there are up to 11 pixels, and their rows come to 55.
+const ROW_BITS: u32 = 4;
+const SQUARE_BITS: u32 = 10;
+
 impl Sums {
-    /// Of the good phases in the rows around column u and those behind it, those on the surface of `phase`.
+    /// Of the good phases around each pixel of a block, those on the surface of its `phase`.
     #[inline(always)]
-    fn of(good: &[&[f32]; ROWS], u: usize, phase: &Lanes, carrier: &Lanes) -> Self {
+    fn of(around: &Around<'_>, phase: &Lanes, carrier: &Lanes) -> Self {
         let mut sums = Self::default();
         for column in 0..COLUMNS {
-            let place = u + PAD - REACH.0 + column * COLUMN_STEP;
-            let x = (column * COLUMN_STEP) as f32 - REACH.0 as f32;
+            let place = column * COLUMN_STEP;
+            let x = place as f32 - REACH.0 as f32;
             let mut along = [0f32; LANES];
             for i in 0..LANES {
                 along[i] = carrier[i] * x;
             }
             // Of the column alone, in which x is the same.
-            let [mut n, mut y1, mut z1, mut yz] = [[0f32; LANES]; 4];
-            for (row, good) in good.iter().enumerate() {
+            let [mut counts, mut z1, mut yz] = [[0f32; LANES]; 3];
+            for ((row, good), count) in around.iter().enumerate().zip(COUNTS) {
                 let y = row as f32 - REACH.1 as f32;
-                let mut sample = [0f32; LANES];
-                sample.copy_from_slice(&good[place..place + LANES]);
                 for i in 0..LANES {
-                    let z = sample[i] - phase[i] - along[i];
+                    let z = good[place + i] - phase[i] - along[i];
                     // Not so for NaN.
-                    let same = z.abs() < SAME_SURFACE;
-                    let z = if same { z } else { 0.0 };
-                    n[i] += if same { 1.0 } else { 0.0 };
-                    y1[i] += if same { y } else { 0.0 };
-                    sums.yy[i] += if same { y * y } else { 0.0 };
+                    let same = if z.abs() < SAME_SURFACE { u32::MAX } else { 0 };
+                    let z = f32::from_bits(z.to_bits() & same);
+                    counts[i] += f32::from_bits(count.to_bits() & same);
                     z1[i] += z;
                     yz[i] += y * z;
                     sums.zz[i] += z * z;
                 }
             }
             for i in 0..LANES {
-                sums.n[i] += n[i];
-                sums.x[i] += x * n[i];
-                sums.y[i] += y1[i];
-                sums.xx[i] += x * x * n[i];
-                sums.xy[i] += x * y1[i];
+                let counts = whole(counts[i]);
+                let pixels = counts & ((1 << ROW_BITS) - 1);
+                let rows = counts >> ROW_BITS & ((1 << (SQUARE_BITS - ROW_BITS)) - 1);
+                let (n, y1) = (pixels as f32, (rows - REACH.1 as i32 * pixels) as f32);
+                sums.n[i] += n;
+                sums.x[i] += x * n;
+                sums.y[i] += y1;
+                sums.xx[i] += x * x * n;
+                sums.xy[i] += x * y1;
+                sums.yy[i] += (counts >> SQUARE_BITS) as f32;
                 sums.z[i] += z1[i];
                 sums.xz[i] += x * z1[i];
                 sums.yz[i] += yz[i];
@@ -257,11 +309,10 @@ impl Sums {
     }
 }
 
-/// The least-squares planes through the good phases in the rows around column u and those behind it, those on the surface
-/// of `phase`.
+/// The least-squares planes through the good phases around each pixel of a block, those on the surface of its `phase`.
 #[inline(always)]
-fn lay_planes(good: &[&[f32]; ROWS], u: usize, phase: &Lanes, carrier: &Lanes) -> Laid {
-    let sums = Sums::of(good, u, phase, carrier);
+fn lay_planes(around: &Around<'_>, phase: &Lanes, carrier: &Lanes) -> Laid {
+    let sums = Sums::of(around, phase, carrier);
     let mut laid = Laid { phase: [0.0; LANES], error: [0.0; LANES] };
     for (i, own) in phase.iter().enumerate() {
         let (n, x1, y1, z1) = (sums.n[i], sums.x[i], sums.y[i], sums.z[i]);
