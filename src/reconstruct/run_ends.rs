@@ -12,7 +12,7 @@
 use super::demodulate::{self, Gains};
 use super::runs::{Run, Runs};
 use super::windows::{self, Windows};
-use super::{round, shading, simd};
+use super::{round, sample, shading, simd};
 use crate::image::Plane;
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -107,22 +107,33 @@ struct Row<'a> {
     sign: f32,
 }
 
-/// What demodulation gives for a pixel.
-#[derive(Clone, Copy, Default)]
-struct Found {
-    c: f32,
-    s: f32,
-    mean: f32,
-    misfit: f32,
+/// Pixels that are worked on at once: the windows of each are looked up by themselves, the rest is done for all.
+const LANES: usize = 16;
+type Lanes = [f32; LANES];
+
+/// What the windows of some pixels show.
+struct Seen {
+    samples: [Lanes; 7],
+    /// For the sums of these.
+    gains: [Lanes; 2],
+    /// Light half a period before and behind, NaN where it is not known.
+    light: [Lanes; 2],
 }
 
-/// What is better for a pixel than what it has.
-#[derive(Clone, Copy, Default)]
-struct Better {
-    u: usize,
-    phase: f32,
-    period: f32,
-    found: Found,
+impl Seen {
+    #[inline(always)]
+    fn nothing() -> Self {
+        Self { samples: [[0.0; LANES]; 7], gains: [[1.0; LANES]; 2], light: [[f32::NAN; LANES]; 2] }
+    }
+}
+
+/// What demodulation gives for some pixels.
+struct Found {
+    /// By whole turns nearest to what is expected.
+    phase: Lanes,
+    misfit: Lanes,
+    strength: [u16; LANES],
+    light: [u16; LANES],
 }
 
 /// Where the samples of a window lie, in periods from its middle. (One more than there are: vectors have eight.)
@@ -183,19 +194,38 @@ impl Row<'_> {
             return 0;
         }
         let course = self.course(columns, from, step);
-        for k in 1..=count {
-            let u = from.wrapping_add_signed(step * k as isize);
-            let period = TAU / course.slope(k as f32).abs();
-            let Some(found) = self.demodulate(columns, u, period) else { return k - 1 };
-            let expected = course.phase(k as f32);
-            let phase = nearest(demodulate::phase(found.c, found.s), expected);
-            let beyond = period / 2.0 > to_end(columns, u) as f32;
-            // NaN where there is none.
-            let agrees = (phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > BEYOND_MISFIT);
-            if !agrees || self.zone[u] != 0 {
-                return k - 1;
+        let mut done = 0;
+        while done < count {
+            let (mut period, mut expected) = ([0f32; LANES], [0f32; LANES]);
+            let (mut seen, mut known) = (Seen::nothing(), 0);
+            // A window that sees the light of one of these pixels has to wait until that has some.
+            while known < LANES.min(count - done) {
+                let k = done + known + 1;
+                let u = from.wrapping_add_signed(step * k as isize);
+                period[known] = TAU / course.slope(k as f32).abs();
+                expected[known] = course.phase(k as f32);
+                let waits = known as f32 >= period[known] / 2.0 - 1.0;
+                if waits && known > 0 || !self.look(columns, u, period[known], known, &mut seen) {
+                    break;
+                }
+                known += 1;
             }
-            self.set(u, phase, period, &found);
+            if known == 0 {
+                return done;
+            }
+            let found = self.demodulate(&seen, &expected);
+            for i in 0..known {
+                let u = from.wrapping_add_signed(step * (done + 1) as isize);
+                let beyond = period[i] / 2.0 > to_end(columns, u) as f32;
+                // NaN where there is none.
+                let agrees = (found.phase[i] - expected[i]).abs() <= MAX_STEP
+                    && !(beyond && found.misfit[i] > BEYOND_MISFIT);
+                if !agrees || self.zone[u] != 0 {
+                    return done;
+                }
+                self.set(u, i, period[i], &found);
+                done += 1;
+            }
         }
         count
     }
@@ -206,51 +236,63 @@ impl Row<'_> {
         let (mut doubtful, mut count) = ([0usize; END_PX], 0);
         let pixels = self.absolute[part.clone()].iter().zip(&self.misfit[part.clone()]);
         for (i, ((phase, &misfit), &zone)) in pixels.zip(&self.zone[part.clone()]).enumerate().take(END_PX) {
-            doubtful[count] = part.start + i;
+            doubtful[count] = i;
             count += usize::from((misfit >= DOUBTFUL_MISFIT) & !phase.is_nan() & (zone == 0));
         }
         if count == 0 {
             return;
         }
-        let (mut better, mut changed) = ([Better::default(); END_PX], 0);
+        let (first, doubtful) = (part.start, &doubtful[..count]);
+        let before: Lanes = sample::part(self.absolute, first, f32::NAN);
+        let misfit: Lanes = sample::part(self.misfit, first, 0.0);
+        let counted: Lanes = sample::part(self.period, first, f32::NAN);
+        let slope = self.slopes(columns, first, doubtful, &before, &counted);
+        let mut period = [0f32; LANES];
+        for i in 0..LANES {
+            period[i] = TAU / slope[i].abs();
+        }
+        let (mut seen, mut again, mut known) = (Seen::nothing(), [0usize; END_PX], 0);
+        for &i in doubtful {
+            if (period[i] / counted[i] - 1.0).abs() <= PERIOD_CHANGE
+                && self.look(columns, first + i, period[i], i, &mut seen)
+            {
+                again[known] = i;
+                known += 1;
+            }
+        }
+        if known == 0 {
+            return;
+        }
         // All of them before any is changed.
-        for &u in &doubtful[..count] {
-            let before = self.absolute[u];
-            let period = TAU / self.slope(columns, u).abs();
-            if !((period / self.period[u] - 1.0).abs() <= PERIOD_CHANGE) {
-                continue;
+        let found = self.demodulate(&seen, &before);
+        for &i in &again[..known] {
+            let same = (found.phase[i] - before[i]).abs() <= PHASE_CHANGE;
+            if same && found.misfit[i] < LESS_MISFIT * misfit[i] {
+                self.set(first + i, i, period[i], &found);
             }
-            let Some(found) = self.demodulate(columns, u, period) else { continue };
-            let phase = nearest(demodulate::phase(found.c, found.s), before);
-            if (phase - before).abs() <= PHASE_CHANGE && found.misfit < LESS_MISFIT * self.misfit[u] {
-                better[changed] = Better { u, phase, period, found };
-                changed += 1;
-            }
-        }
-        for Better { u, phase, period, found } in &better[..changed] {
-            self.set(*u, *phase, *period, found);
         }
     }
 
+    /// Gives a pixel what was found for one of the lanes.
     #[inline(always)]
-    fn set(&mut self, u: usize, phase: f32, period: f32, found: &Found) {
-        self.absolute[u] = phase;
-        self.strength[u] = windows::strength_steps(found.c, found.s);
-        self.light[u] = windows::light_steps(found.mean);
-        (self.misfit[u], self.period[u]) = (found.misfit, period);
+    fn set(&mut self, u: usize, lane: usize, period: f32, found: &Found) {
+        self.absolute[u] = found.phase[lane];
+        self.strength[u] = found.strength[lane];
+        self.light[u] = found.light[lane];
+        (self.misfit[u], self.period[u]) = (found.misfit[lane], period);
     }
 
-    /// Demodulates a pixel at a period and takes off the bias of shading; `None` where the window reaches too far
-    /// beyond the run, or the period is none.
+    /// Looks up the window of a pixel at a period; not so where the window reaches too far beyond the run, or the period
+    /// is none.
     #[inline(always)]
-    fn demodulate(&self, columns: &Range<usize>, u: usize, period: f32) -> Option<Found> {
+    fn look(&self, columns: &Range<usize>, u: usize, period: f32, lane: usize, seen: &mut Seen) -> bool {
         let reach = (BEYOND * period).min(BEYOND_PX);
         if !PERIODS_PX.contains(&period) || period / 2.0 - reach > to_end(columns, u) as f32 {
-            return None;
+            return false;
         }
         let reach = period / 2.0;
         if u as f32 - reach < 0.0 || u as f32 + reach + 1.0 >= self.image.len() as f32 {
-            return None;
+            return false;
         }
         // All places before the first look, because vectors find these together.
         let (mut low, mut share) = ([0i32; 8], [0f32; 8]);
@@ -264,16 +306,35 @@ impl Row<'_> {
             let low = low[k] as usize;
             (a[k], b[k]) = (self.image[low], self.image[low + 1]);
         }
-        let mut samples = [0f32; 8];
-        for k in 0..8 {
-            samples[k] = f32::from(a[k]) + share[k] * (f32::from(b[k]) - f32::from(a[k]));
+        for k in 0..7 {
+            seen.samples[k][lane] = f32::from(a[k]) + share[k] * (f32::from(b[k]) - f32::from(a[k]));
         }
-        let [samples @ .., _] = &samples;
-        let (s, c, mean, misfit) = demodulate::of_samples(samples, self.gains.of(period));
-        let before = self.light_between(columns, low[0] as usize, share[0]);
-        let after = self.light_between(columns, low[6] as usize, share[6]);
-        let [c, s] = shading::correct_one(c, s, [before, mean, after]);
-        Some(Found { c, s: self.sign * s, mean, misfit })
+        [seen.gains[0][lane], seen.gains[1][lane]] = self.gains.of(period);
+        seen.light[0][lane] = self.light_between(columns, low[0] as usize, share[0]);
+        seen.light[1][lane] = self.light_between(columns, low[6] as usize, share[6]);
+        true
+    }
+
+    /// Demodulates what was seen and takes off the bias of shading.
+    #[inline(always)]
+    fn demodulate(&self, seen: &Seen, expected: &Lanes) -> Found {
+        let [mut cos, mut sin, mut mean, mut misfit] = [[0f32; LANES]; 4];
+        for i in 0..LANES {
+            let samples = [0, 1, 2, 3, 4, 5, 6].map(|k: usize| seen.samples[k][i]);
+            let (s, c, light, rest) = demodulate::of_samples(&samples, [seen.gains[0][i], seen.gains[1][i]]);
+            let [c, s] = shading::correct_one(c, s, [seen.light[0][i], light, seen.light[1][i]]);
+            (cos[i], sin[i], mean[i], misfit[i]) = (c, self.sign * s, light, rest);
+        }
+        let mut phase = [0f32; LANES];
+        for i in 0..LANES {
+            phase[i] = nearest(demodulate::phase(cos[i], sin[i]), expected[i]);
+        }
+        let [mut strength, mut light] = [[0u16; LANES]; 2];
+        for i in 0..LANES {
+            strength[i] = windows::strength_steps(cos[i], sin[i]);
+            light[i] = windows::light_steps(mean[i]);
+        }
+        Found { phase, misfit, strength, light }
     }
 
     /// The light between two pixels, NaN where it is not known or the marker's.
@@ -312,21 +373,42 @@ impl Row<'_> {
         Course { phase, slope, bend, behind: reach / 2.0 }
     }
 
-    /// Slope of the phase at a pixel, rad/px; NaN where none can be told.
+    /// Slopes of the `phase` of some of the pixels behind `first`, rad/px; NaN where none can be told.
     #[inline(always)]
-    fn slope(&self, columns: &Range<usize>, u: usize) -> f32 {
-        let carrier = self.sign * TAU / self.period[u];
-        let reach = (self.period[u] / 3.0).round().max(2.0);
-        let steps = round::whole(reach) as isize;
-        let phase = self.absolute[u];
-        let [low, high] = [self.at(columns, u, -steps), self.at(columns, u, steps)];
-        let [before, after] = [(phase - low) / reach, (high - phase) / reach];
-        match (is_same(before, carrier), is_same(after, carrier)) {
-            (true, true) => (before + after) / 2.0,
-            (false, true) => from_side(after, (self.at(columns, u, 2 * steps) - high) / reach, carrier),
-            (true, false) => from_side(before, (low - self.at(columns, u, -2 * steps)) / reach, carrier),
-            (false, false) => f32::NAN,
+    fn slopes(
+        &self,
+        columns: &Range<usize>,
+        first: usize,
+        pixels: &[usize],
+        phase: &Lanes,
+        period: &Lanes,
+    ) -> Lanes {
+        let mut reach = [0f32; LANES];
+        for i in 0..LANES {
+            reach[i] = (period[i] / 3.0).round().max(2.0);
         }
+        // Two before and two behind.
+        let mut beside = [[f32::NAN; LANES]; 4];
+        for &i in pixels {
+            let (u, steps) = (first + i, round::whole(reach[i]) as isize);
+            beside[0][i] = self.at(columns, u, -2 * steps);
+            beside[1][i] = self.at(columns, u, -steps);
+            beside[2][i] = self.at(columns, u, steps);
+            beside[3][i] = self.at(columns, u, 2 * steps);
+        }
+        let mut slope = [0f32; LANES];
+        for i in 0..LANES {
+            let carrier = self.sign * TAU / period[i];
+            let [before, after] =
+                [(phase[i] - beside[1][i]) / reach[i], (beside[2][i] - phase[i]) / reach[i]];
+            let from_before = from_side(before, (beside[1][i] - beside[0][i]) / reach[i], carrier);
+            let from_after = from_side(after, (beside[3][i] - beside[2][i]) / reach[i], carrier);
+            let (same_before, same_after) = (is_same(before, carrier), is_same(after, carrier));
+            let one_side = if same_before { from_before } else { f32::NAN };
+            let one_side = if same_after { from_after } else { one_side };
+            slope[i] = if same_before & same_after { (before + after) / 2.0 } else { one_side };
+        }
+        slope
     }
 }
 
