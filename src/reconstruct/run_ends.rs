@@ -111,6 +111,9 @@ struct Row<'a> {
 const LANES: usize = 16;
 type Lanes = [f32; LANES];
 
+/// The places of all lanes.
+const ALL: [usize; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
+
 /// What the windows of some pixels show.
 struct Seen {
     samples: [Lanes; 7],
@@ -136,8 +139,8 @@ struct Found {
     light: [u16; LANES],
 }
 
-/// Where the samples of a window lie, in periods from its middle. (One more than there are: vectors have eight.)
-const SAMPLES: [f32; 8] = [-3.0 / 6.0, -2.0 / 6.0, -1.0 / 6.0, 0.0, 1.0 / 6.0, 2.0 / 6.0, 3.0 / 6.0, 0.0];
+/// Where the samples of a window lie, in periods from its middle.
+const SAMPLES: [f32; 7] = [-3.0 / 6.0, -2.0 / 6.0, -1.0 / 6.0, 0.0, 1.0 / 6.0, 2.0 / 6.0, 3.0 / 6.0];
 
 impl Row<'_> {
     /// Completes and improves the ends of all runs; how many phases were added.
@@ -196,16 +199,16 @@ impl Row<'_> {
         let course = self.course(columns, from, step);
         let mut done = 0;
         while done < count {
-            let (mut period, mut expected) = ([0f32; LANES], [0f32; LANES]);
-            let (mut seen, mut known) = (Seen::nothing(), 0);
+            let (mut period, mut expected, mut known) = ([0f32; LANES], [0f32; LANES], 0);
+            let next = from.wrapping_add_signed(step * (done + 1) as isize);
             // A window that sees the light of one of these pixels has to wait until that has some.
             while known < LANES.min(count - done) {
-                let k = done + known + 1;
-                let u = from.wrapping_add_signed(step * k as isize);
-                period[known] = TAU / course.slope(k as f32).abs();
-                expected[known] = course.phase(k as f32);
+                let k = (done + known + 1) as f32;
+                period[known] = TAU / course.slope(k).abs();
+                expected[known] = course.phase(k);
                 let waits = known as f32 >= period[known] / 2.0 - 1.0;
-                if waits && known > 0 || !self.look(columns, u, period[known], known, &mut seen) {
+                let u = next.wrapping_add_signed(step * known as isize);
+                if waits && known > 0 || !self.has_window(columns, u, period[known]) {
                     break;
                 }
                 known += 1;
@@ -213,6 +216,7 @@ impl Row<'_> {
             if known == 0 {
                 return done;
             }
+            let seen = self.look(columns, (next, step), &ALL[..known], &period);
             let found = self.demodulate(&seen, &expected);
             for i in 0..known {
                 let u = from.wrapping_add_signed(step * (done + 1) as isize);
@@ -251,11 +255,10 @@ impl Row<'_> {
         for i in 0..LANES {
             period[i] = TAU / slope[i].abs();
         }
-        let (mut seen, mut again, mut known) = (Seen::nothing(), [0usize; END_PX], 0);
+        let (mut again, mut known) = ([0usize; END_PX], 0);
         for &i in doubtful {
-            if (period[i] / counted[i] - 1.0).abs() <= PERIOD_CHANGE
-                && self.look(columns, first + i, period[i], i, &mut seen)
-            {
+            let near = (period[i] / counted[i] - 1.0).abs() <= PERIOD_CHANGE;
+            if near && self.has_window(columns, first + i, period[i]) {
                 again[known] = i;
                 known += 1;
             }
@@ -264,8 +267,10 @@ impl Row<'_> {
             return;
         }
         // All of them before any is changed.
+        let again = &again[..known];
+        let seen = self.look(columns, (first, 1), again, &period);
         let found = self.demodulate(&seen, &before);
-        for &i in &again[..known] {
+        for &i in again {
             let same = (found.phase[i] - before[i]).abs() <= PHASE_CHANGE;
             if same && found.misfit[i] < LESS_MISFIT * misfit[i] {
                 self.set(first + i, i, period[i], &found);
@@ -282,37 +287,53 @@ impl Row<'_> {
         (self.misfit[u], self.period[u]) = (found.misfit[lane], period);
     }
 
-    /// Looks up the window of a pixel at a period; not so where the window reaches too far beyond the run, or the period
-    /// is none.
+    /// Whether a pixel can be demodulated at a period: not where the window reaches too far beyond the run, or the period is
+    /// none.
     #[inline(always)]
-    fn look(&self, columns: &Range<usize>, u: usize, period: f32, lane: usize, seen: &mut Seen) -> bool {
-        let reach = (BEYOND * period).min(BEYOND_PX);
-        if !PERIODS_PX.contains(&period) || period / 2.0 - reach > to_end(columns, u) as f32 {
-            return false;
-        }
-        let reach = period / 2.0;
-        if u as f32 - reach < 0.0 || u as f32 + reach + 1.0 >= self.image.len() as f32 {
-            return false;
-        }
+    fn has_window(&self, columns: &Range<usize>, u: usize, period: f32) -> bool {
+        let (half, beyond) = (period / 2.0, (BEYOND * period).min(BEYOND_PX));
+        PERIODS_PX.contains(&period)
+            && half - beyond <= to_end(columns, u) as f32
+            && u as f32 - half >= 0.0
+            && u as f32 + half + 1.0 < self.image.len() as f32
+    }
+
+    /// Looks up the windows of some of the pixels from `first` on, or before it (`step` -1), which have them, at their periods.
+    #[inline(always)]
+    fn look(
+        &self,
+        columns: &Range<usize>,
+        (first, step): (usize, isize),
+        pixels: &[usize],
+        period: &Lanes,
+    ) -> Seen {
+        let mut seen = Seen::nothing();
         // All places before the first look, because vectors find these together.
-        let (mut low, mut share) = ([0i32; 8], [0f32; 8]);
-        for k in 0..8 {
-            let place = u as f32 + SAMPLES[k] * period;
-            low[k] = round::floor(place);
-            share[k] = place - low[k] as f32;
+        let (mut low, mut share) = ([[0i32; LANES]; 7], [[0f32; LANES]; 7]);
+        for k in 0..7 {
+            for i in 0..LANES {
+                let place = (first as i32 + step as i32 * i as i32) as f32 + SAMPLES[k] * period[i];
+                low[k][i] = round::floor(place);
+                share[k][i] = place - low[k][i] as f32;
+            }
         }
-        let [mut a, mut b] = [[0u8; 8]; 2];
-        for k in 0..8 {
-            let low = low[k] as usize;
-            (a[k], b[k]) = (self.image[low], self.image[low + 1]);
+        let [mut before, mut behind] = [[[0u8; LANES]; 7]; 2];
+        for &i in pixels {
+            for k in 0..7 {
+                let pair = &self.image[low[k][i] as usize..][..2];
+                (before[k][i], behind[k][i]) = (pair[0], pair[1]);
+            }
+            [seen.gains[0][i], seen.gains[1][i]] = self.gains.of(period[i]);
+            seen.light[0][i] = self.light_between(columns, low[0][i] as usize, share[0][i]);
+            seen.light[1][i] = self.light_between(columns, low[6][i] as usize, share[6][i]);
         }
         for k in 0..7 {
-            seen.samples[k][lane] = f32::from(a[k]) + share[k] * (f32::from(b[k]) - f32::from(a[k]));
+            for i in 0..LANES {
+                let (a, b) = (f32::from(before[k][i]), f32::from(behind[k][i]));
+                seen.samples[k][i] = a + share[k][i] * (b - a);
+            }
         }
-        [seen.gains[0][lane], seen.gains[1][lane]] = self.gains.of(period);
-        seen.light[0][lane] = self.light_between(columns, low[0] as usize, share[0]);
-        seen.light[1][lane] = self.light_between(columns, low[6] as usize, share[6]);
-        true
+        seen
     }
 
     /// Demodulates what was seen and takes off the bias of shading.
@@ -320,7 +341,9 @@ impl Row<'_> {
     fn demodulate(&self, seen: &Seen, expected: &Lanes) -> Found {
         let [mut cos, mut sin, mut mean, mut misfit] = [[0f32; LANES]; 4];
         for i in 0..LANES {
-            let samples = [0, 1, 2, 3, 4, 5, 6].map(|k: usize| seen.samples[k][i]);
+            // Not by `map`: that would be a call, compiled for the narrowest processor.
+            let [a, b, c, d, e, f, g] = &seen.samples;
+            let samples = [a[i], b[i], c[i], d[i], e[i], f[i], g[i]];
             let (s, c, light, rest) = demodulate::of_samples(&samples, [seen.gains[0][i], seen.gains[1][i]]);
             let [c, s] = shading::correct_one(c, s, [seen.light[0][i], light, seen.light[1][i]]);
             (cos[i], sin[i], mean[i], misfit[i]) = (c, self.sign * s, light, rest);
