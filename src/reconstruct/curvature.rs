@@ -163,10 +163,11 @@ fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> Beside {
         let near = (sample::load(row, first - low), sample::load(row, first + low));
         let far = (sample::load(row, first - high), sample::load(row, first + high));
         for i in 0..LANES {
-            let choose = |near: f32, far: f32| if k[i] == least { near } else { far };
-            before[i] = choose(near.0[i], far.0[i]);
-            behind[i] = choose(near.1[i], far.1[i]);
-            share[i] = choose(shares[0], shares[1]);
+            // Bits, because of a choice between places in memory the compiler makes a gather, or a branch.
+            let is_far = if k[i] == least { 0 } else { u32::MAX };
+            before[i] = choose(is_far, near.0[i], far.0[i]);
+            behind[i] = choose(is_far, near.1[i], far.1[i]);
+            share[i] = choose(is_far, shares[0], shares[1]);
         }
     } else {
         for i in 0..LANES {
@@ -180,6 +181,12 @@ fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> Beside {
     Beside { before, behind, share }
 }
 
+/// The second of two numbers where all bits are set, the first where none is.
+#[inline(always)]
+fn choose(bits: u32, a: f32, b: f32) -> f32 {
+    f32::from_bits(a.to_bits() & !bits | b.to_bits() & bits)
+}
+
 /// A period in whole columns.
 #[inline(always)]
 fn columns(period: f32) -> i32 {
@@ -191,13 +198,19 @@ fn columns(period: f32) -> i32 {
 
 /// Second difference of the phase over half a period to each side, less the noise, where that over a whole one is of
 /// no use: measured over half a period, else beside the pixel; 0 where it is not known.
+#[inline(always)]
 fn bend_beside(row: &[f32], at: usize, phase: f32, period: f32, noise: f32) -> f32 {
     let half = (columns(period / 2.0) as usize).min(PAD / 2);
     let stretch = period / 2.0 / half as f32;
-    let x = [at - 2 * half, at - half, at + half, at + 2 * half].map(|at| row[at]);
+    let x = [row[at - 2 * half], row[at - half], row[at + half], row[at + 2 * half]];
     let bends = [x[1] - 2.0 * phase + x[2], phase - 2.0 * x[2] + x[3], phase - 2.0 * x[1] + x[0]];
-    let bend = bends.into_iter().map(|bend| bend * stretch * stretch).find(|bend| bend.abs() < MAX_BEND);
-    bend.map_or(0.0, |bend| shrunk(bend, noise))
+    for bend in bends {
+        let bend = bend * stretch * stretch;
+        if bend.abs() < MAX_BEND {
+            return shrunk(bend, noise);
+        }
+    }
+    0.0
 }
 
 /// `x` nearer to 0 by `noise`.
