@@ -219,15 +219,18 @@ fn around<'a>(good: &[&'a [f32]; ROWS], u: usize) -> Around<'a> {
 /// Whether one of the pixels of a block, which begins at column u, has enough good ones around it for a plane.
 #[inline(always)]
 fn has_support(around: &Around<'_>, u: usize, block: &[usize]) -> bool {
-    let mut known = [0u32; LANES];
-    for good in around {
-        for column in 0..COLUMNS {
+    let mut known = [0f32; LANES];
+    // Column by column: along the rows the compiler would gather.
+    for column in 0..COLUMNS {
+        let place = column * COLUMN_STEP;
+        for good in around {
             for i in 0..LANES {
-                known[i] += u32::from(!good[column * COLUMN_STEP + i].is_nan());
+                let is_none = if good[place + i].is_nan() { u32::MAX } else { 0 };
+                known[i] += f32::from_bits(1f32.to_bits() & !is_none);
             }
         }
     }
-    block.iter().any(|at| known[(at - u) % LANES] >= MIN_SUPPORT as u32)
+    block.iter().any(|at| known[(at - u) % LANES] >= MIN_SUPPORT as f32)
 }
 
 /// Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
