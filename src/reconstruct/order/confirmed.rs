@@ -6,10 +6,12 @@
 //! no other, is there. Small ones are seen at wrong orders by chance.
 
 use super::grow::{Label, View};
+use super::jury::Known;
 use super::looks::Looks;
 use super::settle::Scene;
 use super::stretch::{self, Member};
-use super::words;
+use super::words::Judges;
+use crate::reconstruct::simd;
 
 /// Places of a stretch that are tried, at most and at least, and the pixels of a node that counts as a place.
 const SAMPLES: usize = 48;
@@ -30,18 +32,12 @@ const LEAD: i32 = 3;
 const CONTRADICTED: i32 = 10;
 
 /// Gives such stretches of a view their order, where a place is confirmed and not contradicted.
-pub fn place(
-    number: usize,
-    view: &mut View<'_>,
-    scenes: &[Scene<'_>],
-    known: &[Vec<i32>],
-    labels: &mut [Label],
-) {
+pub fn place(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &Known, labels: &mut [Label]) {
     let scene = &scenes[number];
-    for stretch in stretch::open(view.graph, labels) {
-        let places = stretch::places(scene, &stretch, MIN_SAMPLE_PX, SAMPLES);
-        let Some(order) = only_order(number, scenes, known, &places) else { continue };
-        for (node, own) in stretch {
+    for stretch in stretch::open(view.graph, labels).iter().filter(|stretch| stretch.len() >= MIN_PLACES) {
+        let places = stretch::places(scene, stretch, MIN_SAMPLE_PX, SAMPLES);
+        let Some(order) = only_order(number, scenes, &view.sights.judges, known, &places) else { continue };
+        for &(node, own) in stretch {
             let words = view.sights.words(scenes, node as usize, order + own, known);
             if words.good() > 0 && words.against == 0 {
                 labels[node as usize] = Label { turns: order + own, contradicted: false };
@@ -51,7 +47,13 @@ pub fn place(
 }
 
 /// The order at which the other cameras see these places, if there is one alone.
-fn only_order(number: usize, scenes: &[Scene<'_>], known: &[Vec<i32>], places: &[Member]) -> Option<i32> {
+fn only_order(
+    number: usize,
+    scenes: &[Scene<'_>],
+    judges: &Judges,
+    known: &Known,
+    places: &[Member],
+) -> Option<i32> {
     if places.len() < MIN_PLACES {
         return None;
     }
@@ -64,11 +66,16 @@ fn only_order(number: usize, scenes: &[Scene<'_>], known: &[Vec<i32>], places: &
         for places in [first, rest] {
             looks.clear();
             looks.add(scenes, number, places, order..=order);
-            for place in 0..places.len() {
-                let words = words::of(scenes, number, known, &looks, place);
-                trial.good += PARTNER * i32::from(words.partner) + i32::from(words.heads);
-                trial.against += i32::from(words.against > 0);
-            }
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for place in 0..places.len() {
+                        let words = judges.of(&looks, place, known);
+                        trial.good += PARTNER * i32::from(words.partner) + i32::from(words.heads);
+                        trial.against += i32::from(words.against > 0);
+                    }
+                },
+            );
             if trial.good == 0 {
                 break;
             }

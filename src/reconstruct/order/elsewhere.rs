@@ -6,14 +6,17 @@
 //! stretches stay what they are, and so does most of what is known where they would be seen: such a stretch is not tried
 //! again. Where something else is known there now, what the cameras have is judged again, not looked at again.
 
-use super::cells::CELL_PX;
-use super::grow::{NONE, View, known, sums};
+use super::graph::Edge;
+use super::grow::{NONE, SHARED_PAIRS, View};
+use super::jury::Known;
 use super::looks::{Looks, PLACES};
 use super::settle::Scene;
 use super::stretch::{self, Member};
-use super::words::{self, Words};
+use super::words::{Judges, Words};
+use crate::reconstruct::simd;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Stretches are sought within squares of so many cells.
 const SQUARE: usize = 12;
@@ -39,14 +42,19 @@ const LEAD: u32 = 4;
 const BLOCK_NODES: usize = 8;
 
 /// Blocks of nodes of all views.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 struct Blocks(Vec<u64>);
 
 impl Blocks {
-    fn mark(&mut self, block: usize) {
-        if self.0.len() <= block / 64 {
-            self.0.resize(block / 64 + 1, 0);
-        }
+    /// None of the blocks of so many nodes.
+    fn none(nodes: usize) -> Self {
+        Self(vec![0; nodes.div_ceil(BLOCK_NODES * 64)])
+    }
+
+    /// Marks that of a node.
+    #[inline(always)]
+    fn mark(&mut self, node: usize) {
+        let block = node / BLOCK_NODES;
         self.0[block / 64] |= 1 << (block % 64);
     }
 
@@ -65,6 +73,7 @@ struct Trial {
 }
 
 impl Trial {
+    #[inline(always)]
     fn add(&mut self, words: Words) {
         let bad = words.against + words.hidden;
         self.agree += u32::from(words.heads > bad);
@@ -91,10 +100,10 @@ struct Failure {
 /// What is kept from round to round.
 #[derive(Debug)]
 pub struct Seeker {
-    /// Where the blocks of each view begin.
-    first_block: Vec<usize>,
-    /// What was known in the last round.
-    known: Vec<Vec<i32>>,
+    /// The square in which each node of each view lies.
+    squares: Vec<Vec<u32>>,
+    /// What was known in the last round, if there was one.
+    known: Option<Known>,
     /// By view and first node.
     failures: Vec<BTreeMap<usize, Failure>>,
 }
@@ -102,61 +111,49 @@ pub struct Seeker {
 impl Seeker {
     /// Nothing has been tried yet.
     pub fn new(scenes: &[Scene<'_>]) -> Self {
-        let mut blocks = 0;
-        let first_block = scenes.iter().map(|scene| {
-            let first = blocks;
-            blocks += scene.pieces.of.len().div_ceil(BLOCK_NODES);
-            first
-        });
-        let first_block = first_block.collect();
+        let squares = scenes.iter().map(squares).collect();
         let failures = scenes.iter().map(|_| BTreeMap::new()).collect();
-        Self { first_block, known: Vec::new(), failures }
+        Self { squares, known: None, failures }
     }
 
     /// Gives stretches that no other head confirms the order at which other heads see them.
-    pub fn seek(&mut self, scenes: &[Scene<'_>], views: &mut [View<'_>]) {
-        let known = known(views);
-        let mut changed = Blocks::default();
-        for (first, (is, was)) in self.first_block.iter().zip(known.iter().zip(&self.known)) {
-            for (node, _) in is.iter().zip(was).enumerate().filter(|(_, (is, was))| is != was) {
-                changed.mark(first + node / BLOCK_NODES);
+    pub fn seek(&mut self, scenes: &[Scene<'_>], views: &mut [View<'_>], known: &Known) {
+        let mut changed = Blocks::none(known.turns().len());
+        if let Some(was) = &self.known {
+            for (node, _) in
+                known.turns().iter().zip(was.turns()).enumerate().filter(|(_, (is, was))| is != was)
+            {
+                changed.mark(node);
             }
         }
-        let search = Search { scenes, known: &known, first_block: &self.first_block };
-        let views = views.par_iter_mut().zip(&mut self.failures).enumerate();
-        views.for_each(|(number, (view, failures))| {
+        let search = Search { scenes, known };
+        let views = views.par_iter_mut().zip(&mut self.failures).zip(&self.squares).enumerate();
+        views.for_each(|(number, ((view, failures), squares))| {
             failures.values_mut().for_each(|failure| failure.outdated |= failure.seen.meet(&changed));
-            search.view(number, view, failures);
+            search.view(number, view, squares, failures);
         });
-        self.known = known;
+        self.known = Some(known.clone());
     }
 }
 
 /// One round.
 struct Search<'a> {
     scenes: &'a [Scene<'a>],
-    known: &'a [Vec<i32>],
-    first_block: &'a [usize],
+    known: &'a Known,
 }
 
 impl Search<'_> {
-    fn view(&self, number: usize, view: &mut View<'_>, failures: &mut BTreeMap<usize, Failure>) {
-        let scene = &self.scenes[number];
-        // Of what the others say, only what other heads confirm.
-        let heads: Vec<Words> = view
-            .words
-            .iter()
-            .map(|x| Words { heads: (x.heads - x.against - x.hidden).max(0), ..Words::default() })
-            .collect();
-        let sum = sums(view, &heads);
-        let lonely: Vec<bool> =
-            view.turns.iter().zip(&sum).map(|(x, sum)| *x == NONE || sum.heads == 0).collect();
-        let together = |first: usize, other: usize| square(scene, first) == square(scene, other);
-        for stretch in stretch::all(view.graph, |node| lonely[node], together) {
+    fn view(
+        &self,
+        number: usize,
+        view: &mut View<'_>,
+        squares: &[u32],
+        failures: &mut BTreeMap<usize, Failure>,
+    ) {
+        let together = |first: usize, other: usize| squares[first] == squares[other];
+        let stretches = stretch::all(view.graph, |node| is_lonely(view, node), together);
+        for stretch in stretches.iter().filter(|stretch| stretch.len() >= MIN_NODES) {
             let first = stretch[0].0 as usize;
-            if stretch.len() < MIN_NODES {
-                continue;
-            }
             let mut looks = Looks::default();
             if let Some(failure) = failures.get_mut(&first).filter(|x| x.stretch == stretch) {
                 if !failure.outdated {
@@ -164,13 +161,16 @@ impl Search<'_> {
                 }
                 looks = std::mem::take(&mut failure.looks);
             }
-            let mut seen = Blocks::default();
-            match self.confirmed(number, &stretch, &mut looks, &mut seen) {
+            let mut seen = Blocks::none(self.known.turns().len());
+            match self.confirmed(number, &view.sights.judges, stretch, &mut looks, &mut seen) {
                 Some(order) => {
                     failures.remove(&first);
-                    take(self.scenes, view, &stretch, order, self.known);
+                    take(self.scenes, view, stretch, order, self.known);
                 }
-                None => drop(failures.insert(first, Failure { stretch, looks, seen, outdated: false })),
+                None => {
+                    let stretch = stretch.to_vec();
+                    failures.insert(first, Failure { stretch, looks, seen, outdated: false });
+                }
             }
         }
     }
@@ -180,6 +180,7 @@ impl Search<'_> {
     fn confirmed(
         &self,
         number: usize,
+        judges: &Judges,
         stretch: &[Member],
         first_looks: &mut Looks,
         seen: &mut Blocks,
@@ -197,9 +198,7 @@ impl Search<'_> {
         }
         let mut trials: Vec<(i32, Trial)> = orders.map(|order| (order, Trial::default())).collect();
         for (i, (_, trial)) in trials.iter_mut().enumerate() {
-            for place in i * first.len()..(i + 1) * first.len() {
-                trial.add(self.words(number, first_looks, place, seen));
-            }
+            self.hear(judges, first_looks, i * first.len()..(i + 1) * first.len(), trial, seen);
         }
         let mut looks = Looks::default();
         let (mut best, mut second) = ((i32::MIN, Trial::default()), 0);
@@ -213,7 +212,7 @@ impl Search<'_> {
                 left -= places.len() as i32;
                 looks.clear();
                 looks.add(self.scenes, number, places, order..=order);
-                (0..places.len()).for_each(|place| trial.add(self.words(number, &looks, place, seen)));
+                self.hear(judges, &looks, 0..places.len(), &mut trial, seen);
             }
             if best.1.score() < trial.score() {
                 second = best.1.score();
@@ -227,26 +226,60 @@ impl Search<'_> {
         (enough && trial.score() >= 2 * second.max(1) && trial.against * LEAD <= trial.agree).then_some(order)
     }
 
-    /// Words for a place that was looked at. Where it would be seen is marked.
-    fn words(&self, number: usize, looks: &Looks, place: usize, seen: &mut Blocks) -> Words {
-        for (first, sight) in self.first_block.iter().zip(looks.at(place).into_iter().flatten()) {
-            if sight.is_node() {
-                seen.mark(first + sight.node as usize / BLOCK_NODES);
-            }
-        }
-        words::of(self.scenes, number, self.known, looks, place)
+    /// Adds the words for places that were looked at to a trial. Where they would be seen is marked.
+    fn hear(
+        &self,
+        judges: &Judges,
+        looks: &Looks,
+        places: Range<usize>,
+        trial: &mut Trial,
+        seen: &mut Blocks,
+    ) {
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for place in places {
+                    for (block, sights) in looks.at(place).into_iter().flatten().enumerate() {
+                        for node in judges.places(block, sights) {
+                            seen.mark(node as usize);
+                        }
+                    }
+                    trial.add(judges.of(looks, place, self.known));
+                }
+            },
+        );
     }
 }
 
-/// The square in which a node lies.
-fn square(scene: &Scene<'_>, node: usize) -> (usize, usize) {
+/// The squares in which the nodes of a view lie.
+fn squares(scene: &Scene<'_>) -> Vec<u32> {
     let cells = &scene.witness.cells;
-    let pixel = cells.nodes[node].pixel as usize;
-    (pixel % cells.width / (CELL_PX * SQUARE), pixel / cells.width / (CELL_PX * SQUARE))
+    let (columns, across) = (cells.columns as u32, cells.columns.div_ceil(SQUARE) as u32);
+    let square = |cell: u32| cell / columns / SQUARE as u32 * across + cell % columns / SQUARE as u32;
+    cells.nodes.iter().map(|node| square(node.cell)).collect()
+}
+
+/// Whether a node has no order, or none that other heads confirm within two steps, along borders that continue.
+fn is_lonely(view: &View<'_>, node: usize) -> bool {
+    let confirmed = |node: usize| {
+        let words = &view.words[node];
+        words.heads > words.against + words.hidden
+    };
+    if view.turns[node] == NONE {
+        return true;
+    }
+    let beside = |node: usize| {
+        let continues = move |edge: &&Edge| {
+            edge.good >= SHARED_PAIRS && view.turns[edge.other as usize] == view.turns[node] + edge.turns
+        };
+        view.graph.of(node).iter().filter(continues).map(|edge| edge.other as usize)
+    };
+    let near = |node: usize| confirmed(node) || beside(node).any(confirmed);
+    !(near(node) || beside(node).any(near))
 }
 
 /// Gives a stretch its order where a place is confirmed; the rest of it is open again.
-fn take(scenes: &[Scene<'_>], view: &mut View<'_>, stretch: &[Member], order: i32, known: &[Vec<i32>]) {
+fn take(scenes: &[Scene<'_>], view: &mut View<'_>, stretch: &[Member], order: i32, known: &Known) {
     for &(node, turns) in stretch {
         let (node, turns) = (node as usize, order + turns);
         if view.turns[node] == turns {

@@ -7,6 +7,7 @@
 
 use super::graph::Graph;
 use super::grow::{Label, NONE, View};
+use super::jury::Known;
 use super::settle::Scene;
 use super::stretch::{self, Member};
 
@@ -24,22 +25,17 @@ const SAMPLES: usize = 48;
 const MIN_SAMPLE_PX: u32 = 24;
 
 /// Gives enclosed stretches of a view their order; not those of which the other cameras contradict more than half of the places.
-pub fn close(
-    number: usize,
-    view: &mut View<'_>,
-    scenes: &[Scene<'_>],
-    known: &[Vec<i32>],
-    labels: &mut [Label],
-) {
+pub fn close(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &Known, labels: &mut [Label]) {
     let scene = &scenes[number];
     if scene.lone {
         return;
     }
     let size = |node: u32| scene.witness.cells.nodes[node as usize].size;
     let mut found = Vec::new();
-    for stretch in stretch::open(view.graph, labels) {
-        let Some(turns) = enclosing(view.graph, &stretch, size, labels) else { continue };
-        let places = stretch::places(scene, &stretch, MIN_SAMPLE_PX, SAMPLES);
+    let stretches = stretch::open(view.graph, labels);
+    for stretch in stretches.iter() {
+        let Some(turns) = enclosing(view.graph, stretch, size, labels) else { continue };
+        let places = stretch::places(scene, stretch, MIN_SAMPLE_PX, SAMPLES);
         let mut words = |&(node, own): &Member| view.sights.words(scenes, node as usize, turns + own, known);
         let against = places.iter().filter(|place| words(place).against > 0).count();
         if !places.is_empty() && 2 * against <= places.len() {
@@ -47,7 +43,7 @@ pub fn close(
         }
     }
     for (stretch, turns) in found {
-        for (node, own) in stretch {
+        for &(node, own) in stretch {
             labels[node as usize] = Label { turns: turns + own, contradicted: false };
         }
     }
@@ -103,6 +99,7 @@ mod tests {
         let label = |node: usize| Label { turns: turns(node % SIDE, node / SIDE), contradicted: false };
         let labels: Vec<Label> = (0..SIDE * SIDE).map(label).collect();
         let stretches = stretch::open(&graph, &labels);
+        let stretches: Vec<_> = stretches.iter().collect();
         let [stretch] = &stretches[..] else { panic!("one stretch, not {stretches:?}") };
         (enclosing(&graph, stretch, |_| (CELL_PX * CELL_PX) as u32, &labels), stretch.len())
     }

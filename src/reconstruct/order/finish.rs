@@ -9,6 +9,7 @@
 
 use super::graph::Graph;
 use super::grow::{FIRM, Label, NONE, View, conflict, sums};
+use super::jury::Known;
 use super::settle::Scene;
 use super::words::Words;
 use super::{confirmed, enclosed};
@@ -34,7 +35,7 @@ const KNOWN: i16 = 6;
 const CONTRADICTED: i16 = 2;
 
 /// The labels of a view's nodes, from what growth has come to. `known`: the orders of all views.
-pub fn labels(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &[Vec<i32>]) -> Vec<Label> {
+pub fn labels(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &Known) -> Vec<Label> {
     let scene = &scenes[number];
     let mut sum = sums(view, &view.words);
     let mut labels: Vec<Label> = (0..view.turns.len())
@@ -57,7 +58,7 @@ pub fn stretches(
     number: usize,
     view: &mut View<'_>,
     scenes: &[Scene<'_>],
-    known: &[Vec<i32>],
+    known: &Known,
     labels: &mut [Label],
 ) {
     confirmed::place(number, view, scenes, known, labels);
@@ -88,7 +89,7 @@ fn close(
     view: &mut View<'_>,
     scenes: &[Scene<'_>],
     scene: &Scene<'_>,
-    known: &[Vec<i32>],
+    known: &Known,
     sum: &mut [Words],
     labels: &mut [Label],
 ) {
@@ -108,13 +109,18 @@ fn close(
         if found.is_empty() {
             return;
         }
+        open.clear();
         for (node, hole) in found {
+            // What was no hole is one only if something beside it has changed.
+            open.extend(view.graph.of(node).iter().map(|edge| edge.other as usize));
             labels[node] = Label { turns: hole.turns, contradicted: false };
             // The farther from what is confirmed, the less.
             let fade = |words: i16| words * 3 / 4;
             sum[node] = Words { partner: fade(hole.rim.partner), heads: fade(hole.rim.heads), ..sum[node] };
         }
         open.retain(|&node| labels[node].turns == NONE);
+        open.sort_unstable();
+        open.dedup();
     }
 }
 

@@ -9,9 +9,11 @@
 
 use super::elsewhere::Seeker;
 use super::finish;
-use super::graph::Graph;
+use super::graph::{Edge, Graph};
+use super::jury::Known;
 use super::settle::Scene;
 use super::words::{Sights, Words};
+use crate::reconstruct::simd;
 use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -26,7 +28,7 @@ const ROUNDS: usize = 5;
 const MIN_MARGIN: f32 = 0.5;
 
 /// Pixel pairs that must continue for words to be shared over a border, or for orders to contradict each other there.
-const SHARED_PAIRS: u32 = 4;
+pub const SHARED_PAIRS: u32 = 4;
 
 /// What growth asks of a border, and of the other cameras.
 #[derive(Debug, Clone, Copy)]
@@ -65,12 +67,16 @@ const PASSES: [Pass; 6] = [
 pub struct View<'a> {
     /// Its nodes and borders.
     pub graph: &'a Graph,
+    /// The borders over which words may be shared, each once: two nodes, and the turns to add to the second.
+    shared: Vec<(u32, u32, i32)>,
     /// Whole turns that make each node's phases absolute, or [`NONE`].
     pub turns: Vec<i32>,
     /// What the other cameras say of each node, as of the last time that it was tried.
     pub words: Vec<Words>,
     /// Turns and words of each node as of the last check.
     checked: Vec<(i32, Words)>,
+    /// The nodes without an order that may get one in this round.
+    open: Vec<u32>,
     /// Turns that were contradicted in this round: node, turns.
     pub banned: Vec<Vec<i32>>,
     /// What the cameras have at its places.
@@ -91,40 +97,50 @@ pub struct Label {
 pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let mut views: Vec<View<'_>> =
         (0..scenes.len()).into_par_iter().map(|view| begin(scenes, view)).collect();
-    check(scenes, &mut views);
+    let mut known = Known::new();
+    check(scenes, &mut views, &mut known);
     views.par_iter_mut().for_each(drop_unconfirmed);
     let mut seeker = Seeker::new(scenes);
     for round in 0..ROUNDS {
-        for view in &mut views {
-            view.banned.iter_mut().for_each(Vec::clear);
-        }
+        views.par_iter_mut().for_each(View::reopen);
         for pass in PASSES {
-            let known = known(&views);
+            update(&mut known, &views);
             views
                 .par_iter_mut()
                 .zip(scenes)
                 .for_each(|(view, scene)| grow(scenes, scene, view, &known, pass));
         }
-        check(scenes, &mut views);
+        check(scenes, &mut views, &mut known);
+        update(&mut known, &views);
         if round + 1 < ROUNDS {
-            seeker.seek(scenes, &mut views);
+            seeker.seek(scenes, &mut views, &known);
             views.par_iter_mut().for_each(drop_unconfirmed);
         }
     }
-    let known = known(&views);
     let labels = views.par_iter_mut().enumerate();
     let mut labels: Vec<Vec<Label>> =
         labels.map(|(number, view)| finish::labels(number, view, scenes, &known)).collect();
-    let known: Vec<Vec<i32>> =
+    let turns: Vec<Vec<i32>> =
         labels.iter().map(|labels| labels.iter().map(|label| label.turns).collect()).collect();
+    known.update(turns.iter().map(|turns| &turns[..]));
     let views = views.par_iter_mut().zip(&mut labels).enumerate();
     views.for_each(|(number, (view, labels))| finish::stretches(number, view, scenes, &known, labels));
     labels
 }
 
-/// The orders of all nodes of all views.
-pub fn known(views: &[View<'_>]) -> Vec<Vec<i32>> {
-    views.iter().map(|view| view.turns.clone()).collect()
+/// Takes note of the orders of all nodes of all views.
+fn update(known: &mut Known, views: &[View<'_>]) {
+    known.update(views.iter().map(|view| &view.turns[..]));
+}
+
+impl View<'_> {
+    /// Begins a round: nothing is contradicted yet.
+    fn reopen(&mut self) {
+        self.banned.iter_mut().for_each(Vec::clear);
+        self.open.clear();
+        let nodes = self.turns.iter().enumerate().filter(|(_, turns)| **turns == NONE);
+        self.open.extend(nodes.map(|(node, _)| node as u32));
+    }
 }
 
 /// The cores of the settled pieces.
@@ -137,11 +153,19 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
         order.map_or(NONE, |order| order + scene.pieces.turns[node])
     };
     let n = scene.pieces.of.len();
+    let mut shared = Vec::with_capacity(2 * n);
+    for node in 0..n as u32 {
+        let shares = |edge: &&Edge| edge.other > node && edge.good >= SHARED_PAIRS;
+        let edges = scene.graph.of(node as usize).iter().filter(shares);
+        shared.extend(edges.map(|edge| (node, edge.other, edge.turns)));
+    }
     View {
         graph: &scene.graph,
+        shared,
         turns: (0..n).map(order).collect(),
         words: vec![Words::default(); n],
         checked: vec![(NONE, Words::default()); n],
+        open: Vec::new(),
         banned: vec![Vec::new(); n],
         sights: Sights::new(scenes, view),
     }
@@ -171,21 +195,26 @@ struct Proposal {
 }
 
 /// Lets the orders grow over a view: always to the node that is farthest from any step.
-fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &[Vec<i32>], pass: Pass) {
-    let mut heap = BinaryHeap::new();
+fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &Known, pass: Pass) {
     let mut steps = vec![0u32; view.turns.len()];
+    // Nodes of which nothing has been asked since what is around them has changed.
+    let mut fresh = vec![false; view.turns.len()];
     let open = |view: &View<'_>, node: usize| {
         view.turns[node] == NONE && view.graph.clearance[node] >= pass.clearance
     };
-    for node in (0..view.turns.len()).filter(|&node| open(view, node)) {
-        if view.graph.of(node).iter().any(|e| view.turns[e.other as usize] != NONE) {
-            heap.push(priority(view.graph.clearance[node], 0, node as u32));
+    let mut first = Vec::new();
+    for &node in &view.open {
+        let at = node as usize;
+        if open(view, at) && view.graph.of(at).iter().any(|e| view.turns[e.other as usize] != NONE) {
+            fresh[at] = true;
+            first.push(priority(view.graph.clearance[at], 0, node));
         }
     }
+    let mut heap = BinaryHeap::from(first);
     let mut proposals = Vec::new();
     while let Some(next) = heap.pop() {
         let node = node_of(next);
-        if view.turns[node] != NONE {
+        if view.turns[node] != NONE || !std::mem::take(&mut fresh[node]) {
             continue;
         }
         let step = propose(view, node, &steps, &mut proposals) + 1;
@@ -211,6 +240,7 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &[V
                 for edge in view.graph.of(node) {
                     let other = edge.other as usize;
                     if open(view, other) {
+                        fresh[other] = true;
                         heap.push(priority(view.graph.clearance[other], step, edge.other));
                     }
                 }
@@ -218,6 +248,8 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &[V
             }
         }
     }
+    let View { open, turns, .. } = view;
+    open.retain(|&node| turns[node as usize] == NONE);
 }
 
 /// The orders that the neighbours of a node propose, those of most pixel pairs first; the steps that the farthest of
@@ -254,22 +286,20 @@ fn contradicted(own: Words, sum: Words, core: bool) -> bool {
 
 /// Words of the nodes within two steps, along borders that continue.
 pub fn sums(view: &View<'_>, words: &[Words]) -> Vec<Words> {
-    let mut shared = Vec::with_capacity(2 * words.len());
-    for (node, &turns) in view.turns.iter().enumerate().filter(|(_, turns)| **turns != NONE) {
-        // Each border once.
-        let others = view.graph.of(node).iter().filter(|x| x.other as usize > node && x.good >= SHARED_PAIRS);
-        let continues = others.filter(|x| view.turns[x.other as usize] == turns.wrapping_add(x.turns));
-        shared.extend(continues.map(|x| (node as u32, x.other)));
-    }
-    let mut sum = words.to_vec();
+    let mut sum: Vec<u64> = words.iter().map(Words::packed).collect();
+    let mut before = Vec::with_capacity(sum.len());
     for _ in 0..2 {
-        let before = sum.clone();
-        for &(a, b) in &shared {
-            sum[a as usize] += before[b as usize];
-            sum[b as usize] += before[a as usize];
+        before.clone_from(&sum);
+        for &(a, b, turns) in &view.shared {
+            let (a, b) = (a as usize, b as usize);
+            let known = view.turns[a] != NONE;
+            // Nodes of equal orders are as good as chance at outlines: there is no branch.
+            let both = u64::from(known & (view.turns[b] == view.turns[a].wrapping_add(turns))).wrapping_neg();
+            sum[a] += before[b] & both;
+            sum[b] += before[a] & both;
         }
     }
-    sum
+    sum.into_iter().map(Words::unpacked).collect()
 }
 
 /// Pixel pairs on which neighbours continue a node, though their order is another, and those that continue nothing.
@@ -289,22 +319,22 @@ pub fn conflict(view: &View<'_>, node: usize) -> (u32, u32) {
 pub const FIRM: i16 = 11;
 
 /// Tries all that has an order against all that has, and takes it from what is contradicted.
-fn check(scenes: &[Scene<'_>], views: &mut [View<'_>]) {
-    let known = known(views);
-    let differs =
-        |view: &View<'_>| view.turns.iter().zip(&view.checked).map(|(is, was)| *is != was.0).collect();
-    let changed: Vec<Vec<bool>> = views.iter().map(differs).collect();
+fn check(scenes: &[Scene<'_>], views: &mut [View<'_>], known: &mut Known) {
+    update(known, views);
+    let known = &*known;
+    let mut changed: Vec<bool> = Vec::with_capacity(known.turns().len());
+    for view in &*views {
+        changed.extend(view.turns.iter().zip(&view.checked).map(|(is, was)| *is != was.0));
+    }
+    changed.push(false);
     views.par_iter_mut().zip(scenes).for_each(|(view, scene)| {
         view.sights.prepare(scenes, &view.turns);
-        for node in 0..view.turns.len() {
-            let turns = view.turns[node];
-            if turns != NONE
-                && (view.checked[node].0 != turns || view.sights.may_differ(node, turns, &changed))
-            {
-                view.checked[node].1 = view.sights.words(scenes, node, turns, &known);
-            }
-            view.checked[node].0 = turns;
-            view.words[node] = if turns == NONE { Words::default() } else { view.checked[node].1 };
+        simd::dispatch(
+            #[inline(always)]
+            || view.sights.renew(&view.turns, &mut view.checked, &changed, known),
+        );
+        for (words, &(turns, checked)) in view.words.iter_mut().zip(&view.checked) {
+            *words = if turns == NONE { Words::default() } else { checked };
         }
         let sum = sums(view, &view.words);
         let gone = |&node: &usize| {

@@ -6,7 +6,7 @@
 use super::glimpse::Glimpse;
 use super::lookout::{LANES, Lookout, Ray, Spots};
 use super::settle::Scene;
-use super::witness::{Sight, Witness};
+use super::witness::{SightLanes, Witness};
 use crate::reconstruct::rays::Sightline;
 use crate::reconstruct::simd;
 use std::collections::BTreeMap;
@@ -24,8 +24,9 @@ pub type PieceLooks = BTreeMap<(usize, usize, i32), Looks>;
 /// What the cameras have at some places, one place after the other.
 #[derive(Debug, Default)]
 pub struct Looks {
-    cameras: usize,
-    sights: Vec<Sight>,
+    /// Blocks of cameras.
+    blocks: usize,
+    sights: Vec<SightLanes>,
     /// Whether each place lies in the volume.
     inside: Vec<bool>,
 }
@@ -42,10 +43,14 @@ impl Looks {
         self.inside.len()
     }
 
-    /// What each camera has at a place; `None` outside the volume. Of the view itself nothing.
-    pub fn at(&self, place: usize) -> Option<&[Sight]> {
-        let all = self.sights.get(place * self.cameras..(place + 1) * self.cameras);
-        all.filter(|_| self.inside[place])
+    /// What the cameras have at a place, block by block; `None` outside the volume. Of the view itself nothing.
+    #[inline(always)]
+    pub fn at(&self, place: usize) -> Option<&[SightLanes]> {
+        if self.inside[place] {
+            self.sights.get(place * self.blocks..(place + 1) * self.blocks)
+        } else {
+            None
+        }
     }
 
     /// Looks at places of a view, at each of some orders, and appends what there is: order by order.
@@ -56,27 +61,31 @@ impl Looks {
         places: &[Place<'_>],
         orders: RangeInclusive<i32>,
     ) {
-        self.cameras = scenes.len();
+        self.blocks = scenes.len().div_ceil(LANES);
         let lookout = &scenes[view].lookout;
-        let first = self.sights.len();
+        let mut at = self.sights.len();
         let count = orders.clone().count() * places.len();
-        self.sights.resize(first + count * scenes.len(), Sight::NONE);
-        let all = orders
-            .flat_map(|order| places.iter().map(move |&(line, fringes)| (line, fringes + order as f32)));
+        self.sights.resize(at + count * self.blocks, SightLanes::NONE);
+        self.inside.reserve(count);
         // What lies outside of the volume is not looked at.
         let mut batch = Batch { rays: [Ray::NONE; PLACES], at: [0; PLACES], len: 0 };
-        for (place, at) in all.zip((first..).step_by(scenes.len())) {
-            let ray = lookout.ray(place);
-            self.inside.push(ray.is_inside());
-            if ray.is_inside() {
-                (batch.rays[batch.len], batch.at[batch.len]) = (ray, at);
-                batch.len += 1;
-                if batch.len == PLACES {
-                    batch.look(scenes, lookout, &mut self.sights);
+        for order in orders {
+            for &(line, fringes) in places {
+                let ray = lookout.ray((line, fringes + order as f32));
+                self.inside.push(ray.is_inside());
+                if ray.is_inside() {
+                    (batch.rays[batch.len], batch.at[batch.len]) = (ray, at);
+                    batch.len += 1;
+                    if batch.len == PLACES {
+                        batch.look(scenes, lookout, &mut self.sights);
+                    }
                 }
+                at += self.blocks;
             }
         }
-        batch.look(scenes, lookout, &mut self.sights);
+        if batch.len > 0 {
+            batch.look(scenes, lookout, &mut self.sights);
+        }
     }
 }
 
@@ -90,7 +99,7 @@ struct Batch {
 impl Batch {
     /// Looks at the places, and forgets them.
     #[inline]
-    fn look(&mut self, scenes: &[Scene<'_>], lookout: &Lookout<'_>, sights: &mut [Sight]) {
+    fn look(&mut self, scenes: &[Scene<'_>], lookout: &Lookout<'_>, sights: &mut [SightLanes]) {
         let (rays, at) = (&self.rays[..self.len], &self.at[..self.len]);
         let mut spots = [Spots::NONE; PLACES];
         for (block, scenes) in scenes.chunks(LANES).enumerate() {
@@ -109,7 +118,7 @@ impl Batch {
                     }
                     for (k, &at) in at.iter().enumerate() {
                         let (seen, ask) = Witness::glance(&cells[k], &spots[k]);
-                        sights[at + block * LANES..][..scenes.len()].copy_from_slice(&seen[..scenes.len()]);
+                        sights[at + block] = seen;
                         vague |= u64::from(ask) << (k * LANES);
                     }
                 },
@@ -117,7 +126,7 @@ impl Batch {
             while vague != 0 {
                 let bit = vague.trailing_zeros() as usize;
                 let (k, i) = (bit / LANES, bit % LANES);
-                sights[at[k] + block * LANES + i] = scenes[i].witness.see_closely(&spots[k], i);
+                sights[at[k] + block].set(i, scenes[i].witness.see_closely(&spots[k], i));
                 vague &= vague - 1;
             }
         }

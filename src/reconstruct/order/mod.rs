@@ -6,6 +6,7 @@
 //! pieces    patches grown to pieces of surface, joined only along whole borders
 //! lookout   where the other cameras would see a place
 //! looks     what all of them have there, for several places at once
+//! jury      what they say of a place, eight cameras at once
 //! witness   what another camera has at the place where a piece would be
 //! settle    marker, neighbours and other cameras weighed: each piece gets an order, or is refused
 //! split     pieces that have grown over two surfaces, parted
@@ -29,6 +30,7 @@ mod finish;
 mod glimpse;
 mod graph;
 mod grow;
+mod jury;
 mod lookout;
 mod looks;
 mod pieces;

@@ -8,13 +8,15 @@
 
 use super::graph::Graph;
 use super::grow::NONE;
-use super::lookout::Lookout;
+use super::jury::{Jury, Known, Weights};
+use super::lookout::{LANES, Lookout};
 use super::looks::{Looks, PieceLooks, Place};
 use super::pieces::Pieces;
 use super::split;
 use super::volume;
-use super::witness::{Sight, Verdict, Witness};
+use super::witness::Witness;
 use crate::reconstruct::rays::Sightline;
+use crate::reconstruct::simd;
 use crate::reconstruct::triangulate::Triangulator;
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
@@ -124,9 +126,13 @@ pub struct Scene<'a> {
     pub light_dn: f32,
 }
 
-/// What is found out once for each piece.
-#[derive(Debug, Default)]
+/// What is found out once for each piece, and who is asked.
+#[derive(Debug)]
 struct Cache {
+    /// The cameras as each view asks them for evidence.
+    juries: Vec<Jury>,
+    /// What is settled.
+    known: Known,
     /// What the cameras have at the sampled places.
     looks: PieceLooks,
     /// Orders worth a look, by view and piece.
@@ -135,7 +141,28 @@ struct Cache {
     asked: PieceLooks,
 }
 
+/// What a camera's words for a place count in the sum for all places of a piece, a byte each.
+const EVIDENCE: Weights = Weights { agrees: 1, before: 1 << 8, behind: 1 << 16, past: 1 << 24 };
+
 impl Cache {
+    fn new(scenes: &[Scene<'_>]) -> Self {
+        const { assert!(SAMPLES <= u8::MAX as usize) };
+        let mut cache = Self {
+            juries: (0..scenes.len()).map(|view| Jury::new(scenes, view, |_| EVIDENCE)).collect(),
+            known: Known::new(),
+            looks: PieceLooks::new(),
+            orders: BTreeMap::new(),
+            asked: PieceLooks::new(),
+        };
+        cache.update(scenes);
+        cache
+    }
+
+    /// Takes note of what is settled now.
+    fn update(&mut self, scenes: &[Scene<'_>]) {
+        self.known.update(scenes.iter().map(|scene| &scene.settled[..]));
+    }
+
     /// Forgets a piece whose nodes have changed.
     fn forget(&mut self, view: usize, piece: usize) {
         self.looks.retain(|x, _| (x.0, x.1) != (view, piece));
@@ -167,7 +194,7 @@ pub fn settle(scenes: &mut [Scene<'_>]) {
             scene.set(piece, by_marker(&scene.pieces.votes[piece]));
         }
     }
-    let mut cache = Cache::default();
+    let mut cache = Cache::new(scenes);
     for _ in 0..MAX_ROUNDS {
         spread(scenes, &mut cache);
         let moved = verify(scenes, &mut cache);
@@ -201,7 +228,10 @@ fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
             if orders.len() < 2 {
                 continue;
             }
-            let Some(parts) = split::parts(scenes, view, piece, &orders, &mut cache.asked) else { continue };
+            let Some(parts) = split::parts(scenes, (view, piece), &orders, &cache.known, &mut cache.asked)
+            else {
+                continue;
+            };
             let scene = &mut scenes[view];
             let first = scene.states.len();
             scene.pieces.part(piece, parts, &scene.witness.cells);
@@ -212,6 +242,7 @@ fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
                 scene.set(new, by_marker(&scene.pieces.votes[new]));
             }
             cache.forget(view, piece);
+            cache.update(scenes);
             parted = true;
         }
     }
@@ -254,6 +285,7 @@ fn spread(scenes: &mut [Scene<'_>], cache: &mut Cache) {
         for (view, piece, order, margin) in found {
             scenes[view].set(piece, State { order: Ok(order), margin });
         }
+        cache.update(scenes);
     }
 }
 
@@ -300,6 +332,7 @@ fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
             changed = true;
         }
         scenes[view].set(piece, state);
+        cache.update(scenes);
     }
 }
 
@@ -363,19 +396,6 @@ impl Scene<'_> {
     }
 }
 
-/// What a sight of another camera says to a view, as far as its pieces are settled.
-pub fn verdict(scene: &Scene<'_>, sight: Sight, view: &Scene<'_>) -> Verdict {
-    match sight.node {
-        Sight::NOTHING => Verdict::Nothing,
-        Sight::PAST if scene.is_dim_beside(view) => Verdict::Nothing,
-        Sight::PAST => Verdict::Past,
-        node => match scene.turns_of(node) {
-            Some(turns) => scene.witness.judge(sight.ahead + TAU * turns as f32),
-            None => Verdict::Nothing,
-        },
-    }
-}
-
 fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: &mut Cache) -> Evidence {
     let looks = cache.looks.entry((view, piece, order)).or_insert_with(|| {
         let scene = &scenes[view];
@@ -388,21 +408,10 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
         }
         looks
     });
-    // Per camera: agreeing, before, behind, past.
-    let mut counts = vec![[0u32; 4]; scenes.len()];
-    for sights in (0..looks.len()).filter_map(|place| looks.at(place)) {
-        for ((scene, &sight), count) in scenes.iter().zip(sights).zip(&mut counts) {
-            match verdict(scene, sight, &scenes[view]) {
-                Verdict::Nothing => {}
-                Verdict::Agrees => count[0] += 1,
-                Verdict::Before => count[1] += 1,
-                Verdict::Behind => count[2] += 1,
-                Verdict::Past => count[3] += 1,
-            }
-        }
-    }
+    let counts = counts(scenes.len(), looks, &cache.juries[view], &cache.known);
     let mut found = Evidence { order, ..Evidence::default() };
-    for (scene, [agree, before, behind, past]) in scenes.iter().zip(counts) {
+    for (scene, counts) in scenes.iter().zip(counts) {
+        let [agree, before, behind, past] = counts.to_le_bytes().map(u32::from);
         // The head's other camera stands beside this one and sees most of the same; for the others to be hidden is
         // common, and what faces away from their projector is dark for them.
         let partner = scene.witness.head == scenes[view].witness.head;
@@ -434,4 +443,27 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
         }
     }
     found
+}
+
+/// What the cameras say of all places that were looked at, for each camera the [`EVIDENCE`].
+fn counts(cameras: usize, looks: &Looks, jury: &Jury, known: &Known) -> Vec<u32> {
+    let mut counts = Vec::with_capacity(cameras.next_multiple_of(LANES));
+    for block in 0..cameras.div_ceil(LANES) {
+        let mut sum = [0; LANES];
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for place in 0..looks.len() {
+                    if let Some(seen) = looks.at(place) {
+                        let words = jury.hear(block, &seen[block], known);
+                        for i in 0..LANES {
+                            sum[i] += words[i];
+                        }
+                    }
+                }
+            },
+        );
+        counts.extend(sum);
+    }
+    counts
 }

@@ -4,9 +4,11 @@
 //! cameras at different orders. Nodes whose surroundings clearly agree at one order are seeds of it; from them the orders
 //! spread over the piece, through its wide parts first, so that they meet at its necks.
 
+use super::jury::{Jury, Known, Weights};
 use super::looks::{Looks, PieceLooks};
-use super::settle::{Scene, verdict};
-use super::witness::{Sight, Verdict};
+use super::settle::Scene;
+use super::witness::SightLanes;
+use crate::reconstruct::simd;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -29,16 +31,16 @@ const SPREAD_PAIRS: u32 = 4;
 const MIN_PART: usize = 6;
 
 /// Parts a piece of a view into those that agree with the other cameras at different ones of `orders`: for each part its
-/// nodes. `None` where there are no two. `known` keeps what the cameras have at the nodes that are asked.
+/// nodes. `None` where there are no two. `asked` keeps what the cameras have at the nodes that are asked.
 pub fn parts(
     scenes: &[Scene<'_>],
-    view: usize,
-    piece: usize,
+    (view, piece): (usize, usize),
     orders: &[i32],
-    known: &mut PieceLooks,
+    known: &Known,
+    asked: &mut PieceLooks,
 ) -> Option<Vec<Vec<u32>>> {
     let scene = &scenes[view];
-    let seeds = seeds(scenes, view, piece, orders, known);
+    let seeds = seeds(scenes, (view, piece), orders, known, asked);
     let first = seeds.first()?.1;
     if seeds.iter().all(|seed| seed.1 == first) {
         return None;
@@ -56,10 +58,10 @@ pub fn parts(
 /// Nodes that agree with the other cameras, and the place of their order in `orders`.
 fn seeds(
     scenes: &[Scene<'_>],
-    view: usize,
-    piece: usize,
+    (view, piece): (usize, usize),
     orders: &[i32],
-    known: &mut PieceLooks,
+    known: &Known,
+    looked: &mut PieceLooks,
 ) -> Vec<(u32, usize)> {
     let scene = &scenes[view];
     let nodes = &scene.pieces.nodes[piece];
@@ -72,9 +74,10 @@ fn seeds(
     // For and against, by row, column and order.
     let mut words = vec![(0, 0); rows * columns * orders.len()];
     let of = |x: usize, y: usize| (y * columns + x) * orders.len()..(y * columns + x + 1) * orders.len();
+    let jury = Jury::new(scenes, view, weights);
     let places: Vec<_> = asked.iter().map(|&node| scene.at(node)).collect();
     for (number, &order) in orders.iter().enumerate() {
-        let looks = known.entry((view, piece, order)).or_insert_with(|| {
+        let looks = looked.entry((view, piece, order)).or_insert_with(|| {
             let mut looks = Looks::default();
             looks.add(scenes, view, &places, order..=order);
             looks
@@ -82,7 +85,7 @@ fn seeds(
         for (place, &node) in asked.iter().enumerate() {
             let (x, y) = cell(scene, node);
             let word = &mut words[of(x, y)][number];
-            let (good, bad) = looks.at(place).map_or((0, 1), |sights| words_of(scenes, view, sights));
+            let (good, bad) = looks.at(place).map_or((0, 1), |seen| words_of(&jury, seen, known));
             *word = (word.0 + good, word.1 + bad);
         }
     }
@@ -116,17 +119,31 @@ fn cell(scene: &Scene<'_>, node: u32) -> (usize, usize) {
     (at % cells.columns, at / cells.columns)
 }
 
+/// What a camera says for and against a place, a byte each.
+fn weights(partner: bool) -> Weights {
+    let against = if partner { AGAINST } else { 0 };
+    Weights { agrees: 1, before: AGAINST, behind: against, past: against }
+}
+
+/// A word against a place.
+const AGAINST: u32 = 1 << 8;
+
 /// What the other cameras say for and against a place.
-fn words_of(scenes: &[Scene<'_>], view: usize, sights: &[Sight]) -> (i32, i32) {
+fn words_of(jury: &Jury, seen: &[SightLanes], known: &Known) -> (i32, i32) {
     let (mut good, mut bad) = (0, 0);
-    for (scene, &sight) in scenes.iter().zip(sights) {
-        let partner = scene.witness.head == scenes[view].witness.head;
-        match verdict(scene, sight, &scenes[view]) {
-            Verdict::Agrees => good += 1,
-            Verdict::Before => bad += 1,
-            Verdict::Behind | Verdict::Past => bad += i32::from(partner),
-            Verdict::Nothing => {}
-        }
+    for (block, seen) in seen.iter().enumerate() {
+        let words = simd::dispatch(
+            #[inline(always)]
+            || {
+                let mut sum = 0;
+                for word in jury.hear(block, seen, known) {
+                    sum += word;
+                }
+                sum
+            },
+        );
+        let [agree, against, ..] = words.to_le_bytes().map(i32::from);
+        (good, bad) = (good + agree, bad + against);
     }
     (good, bad)
 }

@@ -15,23 +15,41 @@ const MIN_SHARE: u32 = 3;
 /// A node, and the turns that it needs beside those of the stretch's first.
 pub type Member = (u32, i32);
 
+/// Stretches of a view.
+#[derive(Debug, Default)]
+pub struct Stretches {
+    /// The members of one after the other.
+    members: Vec<Member>,
+    ends: Vec<usize>,
+}
+
+impl Stretches {
+    /// The members of each.
+    pub fn iter(&self) -> impl Iterator<Item = &[Member]> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        starts.zip(&self.ends).map(|(start, &end)| &self.members[start..end])
+    }
+}
+
 /// All stretches of the nodes that are open, none reaching from a node to another that is not `together` with it. Members are in the
 /// order of their numbers.
 pub fn all(
     graph: &Graph,
     is_open: impl Fn(usize) -> bool,
     together: impl Fn(usize, usize) -> bool,
-) -> Vec<Vec<Member>> {
+) -> Stretches {
     let continues = |edge: &&Edge| edge.good >= MIN_PAIRS && edge.good >= MIN_SHARE * edge.bad;
     let mut seen: Vec<bool> = (0..graph.len()).map(|node| !is_open(node)).collect();
-    let mut stretches = Vec::new();
+    let mut stretches = Stretches::default();
+    let found = &mut stretches.members;
     for first in 0..graph.len() {
         if seen[first] {
             continue;
         }
         seen[first] = true;
-        let mut found = vec![(first as u32, 0)];
-        let mut at = 0;
+        let start = found.len();
+        let mut at = start;
+        found.push((first as u32, 0));
         while let Some(&(node, turns)) = found.get(at) {
             at += 1;
             for edge in graph.of(node as usize).iter().filter(continues) {
@@ -42,14 +60,14 @@ pub fn all(
                 }
             }
         }
-        found.sort_unstable();
-        stretches.push(found);
+        found[start..].sort_unstable();
+        stretches.ends.push(found.len());
     }
     stretches
 }
 
 /// All stretches of the nodes that have no order.
-pub fn open(graph: &Graph, labels: &[Label]) -> Vec<Vec<Member>> {
+pub fn open(graph: &Graph, labels: &[Label]) -> Stretches {
     all(graph, |node| labels[node].turns == NONE, |_, _| true)
 }
 

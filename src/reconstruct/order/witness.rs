@@ -11,14 +11,15 @@ use super::lookout::{LANES, Spots};
 use crate::reconstruct::bits::WORD;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
+use crate::reconstruct::round::floor;
 use nalgebra::{Point3, Vector3};
 use std::f32::consts::TAU;
 
 /// Phases of the same surface differ by less, rad.
-const SAME_RAD: f32 = 0.8;
+pub const SAME_RAD: f32 = 0.8;
 
 /// Phases of different surfaces differ by more, rad; what lies between says nothing.
-const OTHER_RAD: f32 = 1.6;
+pub const OTHER_RAD: f32 = 1.6;
 
 /// A camera as a witness for the others.
 #[derive(Debug)]
@@ -31,6 +32,26 @@ pub struct Witness {
     pub cells: Cells,
     /// Sign of the projected phase's change with the distance from the camera.
     towards: f32,
+}
+
+/// What the cameras of a block have at the pixels where they would see a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SightLanes {
+    /// [`Sight::node`].
+    pub node: [u32; LANES],
+    /// [`Sight::ahead`].
+    pub ahead: [f32; LANES],
+}
+
+impl SightLanes {
+    /// Nothing that could be said.
+    pub const NONE: Self = Self { node: [Sight::NOTHING; LANES], ahead: [0.0; LANES] };
+
+    /// States what one of the cameras has.
+    #[inline(always)]
+    pub fn set(&mut self, lane: usize, sight: Sight) {
+        (self.node[lane], self.ahead[lane]) = (sight.node, sight.ahead);
+    }
 }
 
 /// What a camera has at the pixel where it would see a place.
@@ -55,27 +76,6 @@ impl Sight {
     fn of(node: u32, ahead: f32) -> Self {
         Self { node: if ahead.is_nan() { Self::NOTHING } else { node }, ahead }
     }
-
-    /// Whether it is a node.
-    #[inline(always)]
-    pub fn is_node(&self) -> bool {
-        self.node < Self::NOTHING
-    }
-}
-
-/// What a place is, compared with the surface that a camera sees along the same ray.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
-    /// Cannot be said.
-    Nothing,
-    /// The same surface.
-    Agrees,
-    /// Before it: the camera would not see its surface if the place were there.
-    Before,
-    /// Behind it, so that the camera cannot see it.
-    Behind,
-    /// Beside the body.
-    Past,
 }
 
 impl Witness {
@@ -95,40 +95,37 @@ impl Witness {
     /// What the cameras of a block have at a place, which each sees in one of `cells`; a bit for each that has to be asked
     /// [`closely`](Self::see_closely). Nothing here depends on a branch: what the next camera has is as good as chance.
     #[inline(always)]
-    pub fn glance(cells: &[Glimpse; LANES], spots: &Spots) -> ([Sight; LANES], u8) {
+    pub fn glance(cells: &[Glimpse; LANES], spots: &Spots) -> (SightLanes, u8) {
         const { assert!(Sight::PAST == Glimpse::FAR && Sight::NOTHING == Glimpse::NEAR) };
-        let (mut nodes, mut ahead, mut ask) = ([0; LANES], [0.0; LANES], [0u32; LANES]);
+        let (mut node, mut ahead, mut ask) = ([0; LANES], [0.0; LANES], [0u32; LANES]);
         let cells = Glimpse::lanes(cells);
         for i in 0..LANES {
-            let node = cells.node[i];
+            let kind = cells.node[i];
             let seen = cells.phase[i] + (spots.right[i] * cells.right[i] + spots.down[i] * cells.down[i]);
             ahead[i] = seen - spots.cast[i];
             // Beside the object pixels are asked that have their columns in the middle, too: the last half is the next cell's.
-            let u = (spots.right[i] + 0.5) as i32 as u32;
-            let v = (spots.down[i] + 0.5) as i32 as u32;
-            let is_near = node == Glimpse::NEAR;
-            // Where nothing is seen they are any numbers.
+            // Where no such cell is seen they are any numbers.
+            let u = floor(spots.right[i] + 0.5) as u32;
+            let v = floor(spots.down[i] + 0.5).max(0) as u32;
+            let is_near = kind == Glimpse::NEAR;
             let pixel = v.wrapping_mul(CELL_PX as u32) | u;
             let past = is_near & (cells.near[i] >> (pixel % WORD as u32) & 1 == 0);
-            let unknown = ahead[i].is_nan() & (node < Glimpse::RIM);
-            let named = if past { Sight::PAST } else { node };
-            nodes[i] = if unknown { Sight::NOTHING } else { named };
-            let is_rim = (Glimpse::RIM..Glimpse::NEAR).contains(&node);
+            let unknown = ahead[i].is_nan() & (kind < Glimpse::RIM);
+            let named = if past { Sight::PAST } else { kind };
+            node[i] = if unknown { Sight::NOTHING } else { named };
+            let is_rim = (Glimpse::RIM..Glimpse::NEAR).contains(&kind);
             ask[i] = u32::from(is_rim | is_near & (u >= CELL_PX as u32)) << i;
         }
-        let mut sights = [Sight::NONE; LANES];
-        for i in 0..LANES {
-            sights[i] = Sight { node: nodes[i], ahead: ahead[i] };
-        }
-        (sights, ask.iter().fold(0, |all, bit| all | bit) as u8)
+        (SightLanes { node, ahead }, ask.iter().fold(0, |all, bit| all | bit) as u8)
     }
 
     /// The same at outlines and steps, where pixels have to be asked.
     pub fn see_closely(&self, spots: &Spots, i: usize) -> Sight {
         let glimpses = &self.cells.glimpses;
         let Some(rim) = glimpses.rim(glimpses.at(spots.cell[i])) else { return self.past(spots, i) };
-        let (right, down) = (spots.right[i], spots.down[i] + 0.5);
-        let (u, v) = ((right as usize).min(CELL_PX - 1), (down as usize).min(CELL_PX - 1));
+        let right = spots.right[i];
+        let whole = floor(right);
+        let [u, v] = [whole, floor(spots.down[i] + 0.5)].map(|x| x.clamp(0, CELL_PX as i32 - 1) as usize);
         let pixel = v * CELL_PX + u;
         match rim.node(pixel) {
             None if rim.object >> pixel & 1 == 0 => self.past(spots, i),
@@ -138,14 +135,14 @@ impl Witness {
                 let step = next - here;
                 // Across a step there is nothing to interpolate; NaN is no step either.
                 let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
-                Sight::of(node, here + (right - right.floor()) * step - spots.cast[i])
+                Sight::of(node, here + (right - whole as f32) * step - spots.cast[i])
             }
         }
     }
 
     /// Whether there is background around a place that is none of the object's.
     fn past(&self, spots: &Spots, i: usize) -> Sight {
-        let [u, v] = [spots.right[i], spots.down[i]].map(|x| (x + 0.5) as usize);
+        let [u, v] = [spots.right[i], spots.down[i]].map(|x| floor(x + 0.5).max(0) as usize);
         let near = self.cells.glimpses.is_near(spots.cell[i], u, v);
         Sight { node: if near { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
     }
@@ -155,28 +152,15 @@ impl Witness {
         if self.towards > 0.0 { turns > others } else { turns < others }
     }
 
-    /// Whether a place agrees, lies before, or lies behind, when the phase seen there is `ahead` of the one cast on it, rad: without
-    /// a branch. It lies before the surface seen where that has the phase of places farther away.
-    #[inline(always)]
-    pub fn compare(&self, ahead: f32) -> [bool; 3] {
-        let (far, farther) = (ahead.abs() >= OTHER_RAD, (ahead > 0.0) == (self.towards > 0.0));
-        [ahead.abs() < SAME_RAD, far & farther, far & !farther]
-    }
-
-    /// What a place is, when the phase seen there is `ahead` of the one cast on it, rad.
-    pub fn judge(&self, ahead: f32) -> Verdict {
-        match self.compare(ahead) {
-            [true, _, _] => Verdict::Agrees,
-            [_, true, _] => Verdict::Before,
-            [_, _, true] => Verdict::Behind,
-            [false, false, false] => Verdict::Nothing,
-        }
+    /// 1 where what is farther away has a greater phase of its projector, -1 where it has a smaller one.
+    pub fn sign(&self) -> f32 {
+        if self.towards > 0.0 { 1.0 } else { -1.0 }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Sight, Witness};
+    use super::{Sight, SightLanes, Witness};
     use crate::image::Plane;
     use crate::reconstruct::order::cells::{CELL_PX, Cells, Surface};
     use crate::reconstruct::order::glimpse::{Glimpse, PAD_PX, padded};
@@ -213,8 +197,9 @@ mod tests {
         spots.cast[5] = 3.0;
         let mut cells = [Glimpse::UNSEEN; LANES];
         cells[5] = *witness.cells.glimpses.at(spots.cell[5]);
-        let (sights, ask) = Witness::glance(&cells, &spots);
-        if ask >> 5 & 1 != 0 { witness.see_closely(&spots, 5) } else { sights[5] }
+        let (SightLanes { node, ahead }, ask) = Witness::glance(&cells, &spots);
+        let seen = Sight { node: node[5], ahead: ahead[5] };
+        if ask >> 5 & 1 != 0 { witness.see_closely(&spots, 5) } else { seen }
     }
 
     #[test]
@@ -223,7 +208,7 @@ mod tests {
         // Within cells that are filled, and in those on the outline.
         for (x, y) in [(3.0, 3.0), (20.25, 17.5), (47.5, 12.0), (49.0, 35.4), (48.3, 33.0)] {
             let sight = sight(&witness, x, y);
-            assert!(sight.is_node(), "({x}, {y})");
+            assert!(sight.node < Sight::NOTHING, "({x}, {y})");
             assert!((sight.ahead - (x * TAU / PERIOD - 3.0)).abs() < 1e-3, "({x}, {y}): {sight:?}");
         }
         // On the object, but without a phase; beside it; and as far from it as it takes.
@@ -243,7 +228,7 @@ mod tests {
             (spots.right[2], spots.down[2], spots.cast[2]) = (place, place, place);
             let (sights, ask) = Witness::glance(&[Glimpse::UNSEEN; LANES], &spots);
             assert!(witness.cells.glimpses.at(spots.cell[2]).phase.is_nan(), "a cell that is not seen");
-            assert_eq!((sights[2].node, ask), (Sight::NOTHING, 0), "{place}");
+            assert_eq!((sights.node[2], ask), (Sight::NOTHING, 0), "{place}");
         }
     }
 }

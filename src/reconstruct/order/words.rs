@@ -1,10 +1,12 @@
 //! What the other cameras say for and against a node at an order.
 
 use super::grow::NONE;
+use super::jury::{Jury, Known, Weights};
+use super::lookout::LANES;
 use super::looks::{Looks, PLACES, Place};
 use super::settle::Scene;
-use super::witness::Sight;
-use std::f32::consts::TAU;
+use super::witness::SightLanes;
+use crate::reconstruct::simd;
 use std::ops::AddAssign;
 
 /// Words for and against a place. One camera has one word for a place; sums are those of several places.
@@ -24,6 +26,19 @@ impl Words {
     /// A place that cannot be.
     pub const IMPOSSIBLE: Self = Self { partner: 0, heads: 0, against: 9, hidden: 0 };
 
+    /// All four side by side. Of the nodes around one there are not so many that a sum would reach the next: a node has at most 32
+    /// neighbours along borders of four pixel pairs.
+    pub fn packed(&self) -> u64 {
+        let part = |words: i16, place: u32| u64::from(words as u16) << (16 * place);
+        part(self.partner, 0) | part(self.heads, 1) | part(self.against, 2) | part(self.hidden, 3)
+    }
+
+    /// The reverse.
+    pub fn unpacked(all: u64) -> Self {
+        let part = |place: u32| (all >> (16 * place)) as i16;
+        Self { partner: part(0), heads: part(1), against: part(2), hidden: part(3) }
+    }
+
     /// Words for the place.
     pub fn good(&self) -> i16 {
         self.partner + self.heads
@@ -39,17 +54,77 @@ impl AddAssign for Words {
     }
 }
 
+/// Words of one place as the members of a jury give them: a byte each.
+const PARTNER: u32 = 1;
+const HEADS: u32 = 1 << 8;
+const AGAINST: u32 = 1 << 16;
+const HIDDEN: u32 = 1 << 24;
+
+/// What cameras say of the nodes of one view.
+#[derive(Debug)]
+pub struct Judges(Jury);
+
+impl Judges {
+    /// All cameras, as a view asks them.
+    pub fn new(scenes: &[Scene<'_>], view: usize) -> Self {
+        let weights = |partner: bool| match partner {
+            true => Weights { agrees: PARTNER, before: AGAINST, behind: HIDDEN, past: AGAINST },
+            // What faces away from another head's projector is dark for it.
+            false => Weights { agrees: HEADS, before: AGAINST, behind: 0, past: 0 },
+        };
+        Self(Jury::new(scenes, view, weights))
+    }
+
+    /// Words of what the cameras have at a place.
+    #[inline(always)]
+    pub fn words(&self, seen: &[SightLanes], known: &Known) -> Words {
+        let mut words = Words::default();
+        for (block, seen) in seen.iter().enumerate() {
+            let mut sum = 0;
+            for word in self.0.hear(block, seen, known) {
+                sum += word;
+            }
+            let [partner, heads, against, hidden] = sum.to_le_bytes();
+            words += Words {
+                partner: i16::from(partner),
+                heads: i16::from(heads),
+                against: i16::from(against),
+                hidden: i16::from(hidden),
+            };
+        }
+        words
+    }
+
+    /// Words of a place that was looked at.
+    #[inline(always)]
+    pub fn of(&self, looks: &Looks, place: usize, known: &Known) -> Words {
+        match looks.at(place) {
+            Some(seen) => self.words(seen, known),
+            None => Words::IMPOSSIBLE,
+        }
+    }
+
+    /// Where the cameras have the nodes that they see, among those of all views: the nodes of a block of cameras.
+    #[inline(always)]
+    pub fn places(&self, block: usize, seen: &SightLanes) -> [u32; LANES] {
+        self.0.places(block, seen)
+    }
+}
+
 /// What all cameras have where the nodes of one view would be, kept for the orders that were asked for last.
 #[derive(Debug)]
 pub struct Sights {
     view: usize,
-    cameras: usize,
+    /// Who says what of it.
+    pub judges: Judges,
+    /// Blocks of cameras.
+    blocks: usize,
     /// Whole turns of each slot, two for a node.
     turns: Vec<[i32; SLOTS]>,
     /// Which slot of each node is written next.
     next: Vec<u8>,
-    /// What each camera has there; for a place outside of the volume nothing.
-    seen: Vec<Sight>,
+    /// What the cameras have there; for a place outside of the volume nothing.
+    seen: Vec<SightLanes>,
     inside: Vec<[bool; SLOTS]>,
     looks: Looks,
 }
@@ -61,30 +136,74 @@ impl Sights {
     /// None yet.
     pub fn new(scenes: &[Scene<'_>], view: usize) -> Self {
         let n = scenes[view].pieces.of.len();
+        let blocks = scenes.len().div_ceil(LANES);
         Self {
             view,
-            cameras: scenes.len(),
+            judges: Judges::new(scenes, view),
+            blocks,
             turns: vec![[NONE; SLOTS]; n],
             next: vec![0; n],
-            seen: vec![Sight::NONE; n * SLOTS * scenes.len()],
+            seen: vec![SightLanes::NONE; n * SLOTS * blocks],
             inside: vec![[false; SLOTS]; n],
             looks: Looks::default(),
         }
     }
 
     /// Words for a node whose phases are absolute after `turns`, from cameras whose nodes are known by `known`.
-    pub fn words(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32, known: &[Vec<i32>]) -> Words {
-        let slot = self.turns[node].iter().position(|x| *x == turns);
-        let slot = slot.unwrap_or_else(|| {
+    pub fn words(&mut self, scenes: &[Scene<'_>], node: usize, turns: i32, known: &Known) -> Words {
+        if !self.turns[node].contains(&turns) {
             self.looks.clear();
             self.looks.add(scenes, self.view, &[place(&scenes[self.view], node, turns)], 0..=0);
-            self.keep(0, node, turns)
-        });
-        if !self.inside[node][slot] {
-            return Words::IMPOSSIBLE;
+            self.keep(0, node, turns);
         }
-        let first = (node * SLOTS + slot) * self.cameras;
-        judge(scenes, self.view, known, &self.seen[first..first + self.cameras])
+        let seen = self.at(node, turns);
+        simd::dispatch(
+            #[inline(always)]
+            || match seen {
+                Some(seen) => self.judges.words(seen, known),
+                None => Words::IMPOSSIBLE,
+            },
+        )
+    }
+
+    /// What the cameras have at a node that was looked at, at these turns; `None` outside of the volume.
+    #[inline(always)]
+    fn at(&self, node: usize, turns: i32) -> Option<&[SightLanes]> {
+        let slot = usize::from(self.turns[node][0] != turns);
+        let first = (node * SLOTS + slot) * self.blocks;
+        self.inside[node][slot].then(|| &self.seen[first..first + self.blocks])
+    }
+
+    /// Words for nodes that were looked at, at their `turns`. Those that were asked for at the same turns before, `old`, are the same
+    /// where what the cameras see is none of the `changed`: nodes of all views, and one that stands for none.
+    #[inline(always)]
+    pub fn renew(&self, turns: &[i32], old: &mut [(i32, Words)], changed: &[bool], known: &Known) {
+        for (node, (&turns, old)) in turns.iter().zip(old).enumerate() {
+            let same = turns == old.0;
+            old.0 = turns;
+            if turns == NONE {
+                continue;
+            }
+            let Some(seen) = self.at(node, turns) else {
+                old.1 = Words::IMPOSSIBLE;
+                continue;
+            };
+            if !same || self.differs(seen, changed) {
+                old.1 = self.judges.words(seen, known);
+            }
+        }
+    }
+
+    /// Whether any of the nodes that the cameras see is one of those that have changed.
+    #[inline(always)]
+    fn differs(&self, seen: &[SightLanes], changed: &[bool]) -> bool {
+        let mut any = false;
+        for (block, seen) in seen.iter().enumerate() {
+            for place in self.judges.places(block, seen) {
+                any |= changed[place as usize];
+            }
+        }
+        any
     }
 
     /// Looks at all nodes of the view at their `turns`, where that has not been done: several at once take less time.
@@ -103,26 +222,16 @@ impl Sights {
         }
     }
 
-    /// Whether words for a node at `turns` may differ from before, where those of `changed` have other turns than before.
-    pub fn may_differ(&self, node: usize, turns: i32, changed: &[Vec<bool>]) -> bool {
-        let Some(slot) = self.turns[node].iter().position(|x| *x == turns) else { return true };
-        let first = (node * SLOTS + slot) * self.cameras;
-        let seen = changed.iter().zip(&self.seen[first..first + self.cameras]);
-        let changes = seen.map(|(changed, sight)| changed.get(sight.node as usize).copied().unwrap_or(false));
-        self.inside[node][slot] && changes.fold(false, |any, changes| any | changes)
-    }
-
-    /// Keeps what the looks have for one of their places: a node at some turns. The slot that has it.
-    fn keep(&mut self, place: usize, node: usize, turns: i32) -> usize {
+    /// Keeps what the looks have for one of their places: a node at some turns.
+    fn keep(&mut self, place: usize, node: usize, turns: i32) {
         let slot = usize::from(self.next[node]);
         self.next[node] = ((slot + 1) % SLOTS) as u8;
         let seen = self.looks.at(place);
         (self.turns[node][slot], self.inside[node][slot]) = (turns, seen.is_some());
         if let Some(seen) = seen {
-            let first = (node * SLOTS + slot) * self.cameras;
-            self.seen[first..first + self.cameras].copy_from_slice(seen);
+            let first = (node * SLOTS + slot) * self.blocks;
+            self.seen[first..first + self.blocks].copy_from_slice(seen);
         }
-        slot
     }
 }
 
@@ -130,29 +239,4 @@ impl Sights {
 fn place<'a>(scene: &'a Scene<'_>, node: usize, turns: i32) -> Place<'a> {
     let (line, fringes) = scene.at(node as u32);
     (line, fringes + (turns - scene.pieces.turns[node]) as f32)
-}
-
-/// Words for a place that was looked at.
-pub fn of(scenes: &[Scene<'_>], view: usize, known: &[Vec<i32>], looks: &Looks, place: usize) -> Words {
-    looks.at(place).map_or(Words::IMPOSSIBLE, |sights| judge(scenes, view, known, sights))
-}
-
-/// Words of what the cameras have.
-fn judge(scenes: &[Scene<'_>], view: usize, known: &[Vec<i32>], seen: &[Sight]) -> Words {
-    let mut words = Words::default();
-    for ((scene, known), sight) in scenes.iter().zip(known).zip(seen) {
-        let witness = &scene.witness;
-        let partner = witness.head == scenes[view].witness.head;
-        // Nothing here depends on a branch: what the next camera says is as good as chance.
-        let turns = known.get(sight.node as usize).copied().unwrap_or(NONE);
-        let [agrees, before, behind] = witness.compare(sight.ahead + TAU * turns as f32);
-        let known = turns != NONE;
-        // What faces away from another head's projector is dark for it.
-        let past = (sight.node == Sight::PAST) & partner & !scene.is_dim_beside(&scenes[view]);
-        words.partner += i16::from(known & agrees & partner);
-        words.heads += i16::from(known & agrees & !partner);
-        words.against += i16::from(known & before | past);
-        words.hidden += i16::from(known & behind & partner);
-    }
-    words
 }
