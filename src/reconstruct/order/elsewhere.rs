@@ -6,8 +6,7 @@
 //! stretches stay what they are, and so does most of what is known where they would be seen: such a stretch is not tried
 //! again. Where something else is known there now, what the cameras have is judged again, not looked at again.
 
-use super::graph::Edge;
-use super::grow::{NONE, SHARED_PAIRS, View};
+use super::grow::{NONE, View, near};
 use super::jury::Known;
 use super::looks::{Looks, PLACES};
 use super::settle::Scene;
@@ -150,8 +149,12 @@ impl Search<'_> {
         squares: &[u32],
         failures: &mut BTreeMap<usize, Failure>,
     ) {
+        // Of what the others say, only what other heads confirm.
+        let confirmed = view.words.iter().map(|words| words.heads > words.against + words.hidden);
+        let confirmed = near(view, confirmed.collect());
+        let lonely = |node: usize| view.turns[node] == NONE || !confirmed[node];
         let together = |first: usize, other: usize| squares[first] == squares[other];
-        let stretches = stretch::all(view.graph, |node| is_lonely(view, node), together);
+        let stretches = stretch::all(view.graph, lonely, together);
         for stretch in stretches.iter().filter(|stretch| stretch.len() >= MIN_NODES) {
             let first = stretch[0].0 as usize;
             let mut looks = Looks::default();
@@ -239,8 +242,8 @@ impl Search<'_> {
             #[inline(always)]
             || {
                 for place in places {
-                    for (block, sights) in looks.at(place).into_iter().flatten().enumerate() {
-                        for node in judges.places(block, sights) {
+                    for sights in looks.at(place).into_iter().flatten() {
+                        for node in sights.node {
                             seen.mark(node as usize);
                         }
                     }
@@ -257,25 +260,6 @@ fn squares(scene: &Scene<'_>) -> Vec<u32> {
     let (columns, across) = (cells.columns as u32, cells.columns.div_ceil(SQUARE) as u32);
     let square = |cell: u32| cell / columns / SQUARE as u32 * across + cell % columns / SQUARE as u32;
     cells.nodes.iter().map(|node| square(node.cell)).collect()
-}
-
-/// Whether a node has no order, or none that other heads confirm within two steps, along borders that continue.
-fn is_lonely(view: &View<'_>, node: usize) -> bool {
-    let confirmed = |node: usize| {
-        let words = &view.words[node];
-        words.heads > words.against + words.hidden
-    };
-    if view.turns[node] == NONE {
-        return true;
-    }
-    let beside = |node: usize| {
-        let continues = move |edge: &&Edge| {
-            edge.good >= SHARED_PAIRS && view.turns[edge.other as usize] == view.turns[node] + edge.turns
-        };
-        view.graph.of(node).iter().filter(continues).map(|edge| edge.other as usize)
-    };
-    let near = |node: usize| confirmed(node) || beside(node).any(confirmed);
-    !(near(node) || beside(node).any(near))
 }
 
 /// Gives a stretch its order where a place is confirmed; the rest of it is open again.

@@ -10,7 +10,7 @@
 use super::elsewhere::Seeker;
 use super::finish;
 use super::graph::{Edge, Graph};
-use super::jury::Known;
+use super::jury::{Known, NO_NODES};
 use super::settle::Scene;
 use super::words::{Sights, Words};
 use crate::reconstruct::simd;
@@ -28,7 +28,7 @@ const ROUNDS: usize = 5;
 const MIN_MARGIN: f32 = 0.5;
 
 /// Pixel pairs that must continue for words to be shared over a border, or for orders to contradict each other there.
-pub const SHARED_PAIRS: u32 = 4;
+const SHARED_PAIRS: u32 = 4;
 
 /// What growth asks of a border, and of the other cameras.
 #[derive(Debug, Clone, Copy)]
@@ -97,7 +97,7 @@ pub struct Label {
 pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let mut views: Vec<View<'_>> =
         (0..scenes.len()).into_par_iter().map(|view| begin(scenes, view)).collect();
-    let mut known = Known::new();
+    let mut known = Known::default();
     check(scenes, &mut views, &mut known);
     views.par_iter_mut().for_each(drop_unconfirmed);
     let mut seeker = Seeker::new(scenes);
@@ -159,6 +159,9 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
         let edges = scene.graph.of(node as usize).iter().filter(shares);
         shared.extend(edges.map(|edge| (node, edge.other, edge.turns)));
     }
+    let mut sights = Sights::new(scenes, view);
+    // Most nodes are asked at their piece's order at last.
+    sights.prepare(scenes, &scene.settled);
     View {
         graph: &scene.graph,
         shared,
@@ -167,7 +170,7 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
         checked: vec![(NONE, Words::default()); n],
         open: Vec::new(),
         banned: vec![Vec::new(); n],
-        sights: Sights::new(scenes, view),
+        sights,
     }
 }
 
@@ -284,22 +287,42 @@ fn contradicted(own: Words, sum: Words, core: bool) -> bool {
     !core && own.against > 0 && own.against >= own.good()
 }
 
+/// The nodes that share their words: those with orders that continue each other.
+fn linked(view: &View<'_>) -> Vec<(u32, u32)> {
+    let continues = |&&(a, b, turns): &&(u32, u32, i32)| {
+        let known = view.turns[a as usize];
+        known != NONE && view.turns[b as usize] == known.wrapping_add(turns)
+    };
+    let mut linked = Vec::with_capacity(view.shared.len());
+    linked.extend(view.shared.iter().filter(continues).map(|&(a, b, _)| (a, b)));
+    linked
+}
+
 /// Words of the nodes within two steps, along borders that continue.
 pub fn sums(view: &View<'_>, words: &[Words]) -> Vec<Words> {
+    let linked = linked(view);
     let mut sum: Vec<u64> = words.iter().map(Words::packed).collect();
-    let mut before = Vec::with_capacity(sum.len());
     for _ in 0..2 {
-        before.clone_from(&sum);
-        for &(a, b, turns) in &view.shared {
-            let (a, b) = (a as usize, b as usize);
-            let known = view.turns[a] != NONE;
-            // Nodes of equal orders are as good as chance at outlines: there is no branch.
-            let both = u64::from(known & (view.turns[b] == view.turns[a].wrapping_add(turns))).wrapping_neg();
-            sum[a] += before[b] & both;
-            sum[b] += before[a] & both;
+        let before = sum.clone();
+        for &(a, b) in &linked {
+            sum[a as usize] += before[b as usize];
+            sum[b as usize] += before[a as usize];
         }
     }
     sum.into_iter().map(Words::unpacked).collect()
+}
+
+/// Which nodes are some of these, or have one within two steps, along borders that continue.
+pub fn near(view: &View<'_>, mut near: Vec<bool>) -> Vec<bool> {
+    let linked = linked(view);
+    for _ in 0..2 {
+        let before = near.clone();
+        for &(a, b) in &linked {
+            near[a as usize] |= before[b as usize];
+            near[b as usize] |= before[a as usize];
+        }
+    }
+    near
 }
 
 /// Pixel pairs on which neighbours continue a node, though their order is another, and those that continue nothing.
@@ -326,7 +349,7 @@ fn check(scenes: &[Scene<'_>], views: &mut [View<'_>], known: &mut Known) {
     for view in &*views {
         changed.extend(view.turns.iter().zip(&view.checked).map(|(is, was)| *is != was.0));
     }
-    changed.push(false);
+    changed.extend([false; NO_NODES]);
     views.par_iter_mut().zip(scenes).for_each(|(view, scene)| {
         view.sights.prepare(scenes, &view.turns);
         simd::dispatch(

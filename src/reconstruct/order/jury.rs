@@ -7,28 +7,26 @@
 use super::grow::NONE;
 use super::lookout::LANES;
 use super::settle::Scene;
-use super::witness::{OTHER_RAD, SAME_RAD, Sight, SightLanes};
+use super::witness::{OTHER_RAD, SAME_RAD, SightLanes};
 use std::f32::consts::TAU;
 
-/// Whole turns that make the phases of the nodes of all views absolute, or [`NONE`]: view after view, and a last one that
-/// stands for what is no node.
-#[derive(Debug, Clone)]
+/// Whole turns that make the phases of the nodes of all views absolute, or [`NONE`]: view after view, and at last those of
+/// [`Sight::NOTHING`](super::witness::Sight) and [`Sight::PAST`](super::witness::Sight).
+#[derive(Debug, Clone, Default)]
 pub struct Known(Vec<i32>);
 
-impl Known {
-    /// Nothing.
-    pub fn new() -> Self {
-        Self(vec![NONE])
-    }
+/// What stands after the nodes of all views: nothing, and past the object.
+pub const NO_NODES: usize = 2;
 
+impl Known {
     /// Forgets what was known for what is known now, of each view.
     pub fn update<'a>(&mut self, views: impl Iterator<Item = &'a [i32]>) {
         self.0.clear();
         views.for_each(|turns| self.0.extend_from_slice(turns));
-        self.0.push(NONE);
+        self.0.extend([NONE; NO_NODES]);
     }
 
-    /// All of them, and the last one.
+    /// All of them.
     pub fn turns(&self) -> &[i32] {
         &self.0
     }
@@ -50,8 +48,6 @@ pub struct Weights {
 /// The cameras of a block, as one view asks them.
 #[derive(Debug, Clone)]
 struct Bench {
-    /// Where the nodes of each begin among those of all.
-    first: [u32; LANES],
     /// [`Witness::sign`](super::witness::Witness::sign).
     sign: [f32; LANES],
     agrees: [u32; LANES],
@@ -63,8 +59,8 @@ struct Bench {
 /// All cameras as one view asks them.
 #[derive(Debug, Clone)]
 pub struct Jury {
-    /// Nodes of all views.
-    nodes: u32,
+    /// The number that stands for [`Sight::PAST`](super::witness::Sight).
+    past: u32,
     benches: Vec<Bench>,
 }
 
@@ -72,44 +68,28 @@ impl Jury {
     /// All cameras, as a view asks them. `weights`: what they count, by whether a camera is of the view's head.
     pub fn new(scenes: &[Scene<'_>], view: usize, weights: impl Fn(bool) -> Weights) -> Self {
         let none = [0; LANES];
-        let empty =
-            Bench { first: none, sign: [1.0; LANES], agrees: none, before: none, behind: none, past: none };
+        let empty = Bench { sign: [1.0; LANES], agrees: none, before: none, behind: none, past: none };
         let mut benches = vec![empty; scenes.len().div_ceil(LANES)];
-        let mut nodes = 0;
         for (number, scene) in scenes.iter().enumerate() {
             let (bench, lane) = (&mut benches[number / LANES], number % LANES);
             let weights = weights(scene.witness.head == scenes[view].witness.head);
-            bench.first[lane] = nodes;
             bench.sign[lane] = scene.witness.sign();
             bench.agrees[lane] = weights.agrees;
             bench.before[lane] = weights.before;
             bench.behind[lane] = weights.behind;
             bench.past[lane] = if scene.is_dim_beside(&scenes[view]) { 0 } else { weights.past };
-            nodes += scene.settled.len() as u32;
         }
-        Self { nodes, benches }
-    }
-
-    /// The places of the nodes that a block sees, among those of all; the last one where it sees none.
-    #[inline(always)]
-    pub fn places(&self, block: usize, seen: &SightLanes) -> [u32; LANES] {
-        let first = &self.benches[block].first;
-        let mut places = [0; LANES];
-        for i in 0..LANES {
-            let node = seen.node[i];
-            places[i] = if node < Sight::NOTHING { first[i] + node } else { self.nodes };
-        }
-        places
+        let nodes: usize = scenes.iter().map(|scene| scene.graph.len()).sum();
+        Self { past: nodes as u32 + 1, benches }
     }
 
     /// What the cameras of a block say, by what is `known`, of a place at which they have `seen` so much.
     #[inline(always)]
     pub fn hear(&self, block: usize, seen: &SightLanes, known: &Known) -> [u32; LANES] {
         let bench = &self.benches[block];
-        let places = self.places(block, seen);
         let mut turns = [NONE; LANES];
         for i in 0..LANES {
-            turns[i] = known.0[places[i] as usize];
+            turns[i] = known.0[seen.node[i] as usize];
         }
         let mut words = [0; LANES];
         for i in 0..LANES {
@@ -119,7 +99,7 @@ impl Jury {
             let agrees = is_known & (ahead.abs() < SAME_RAD);
             let before = is_known & (ahead >= OTHER_RAD);
             let behind = is_known & (ahead <= -OTHER_RAD);
-            let past = seen.node[i] == Sight::PAST;
+            let past = seen.node[i] == self.past;
             words[i] = take(agrees, bench.agrees[i])
                 | take(before, bench.before[i])
                 | take(behind, bench.behind[i])
@@ -132,4 +112,42 @@ impl Jury {
 #[inline(always)]
 fn take(is: bool, word: u32) -> u32 {
     if is { word } else { 0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Bench, Jury, Known, LANES, NONE, OTHER_RAD, SAME_RAD, SightLanes};
+    use proptest::prelude::*;
+    use std::f32::consts::TAU;
+
+    proptest! {
+        /// One camera has the first of two nodes, of which the second is not known, or nothing, or looks past the object.
+        #[test]
+        fn a_camera_says_what_the_difference_of_the_phases_tells(
+            ahead in -9f32..9.0,
+            turns in -2i32..3,
+            sign in prop_oneof![Just(1f32), Just(-1.0)],
+            lane in 0..LANES,
+            node in 0u32..4,
+        ) {
+            let [agrees, before, behind, past] = [[1; LANES], [2; LANES], [4; LANES], [8; LANES]];
+            let bench = Bench { sign: [sign; LANES], agrees, before, behind, past };
+            let jury = Jury { past: 3, benches: vec![bench] };
+            let mut known = Known::default();
+            known.update([[turns, NONE].as_slice()].into_iter());
+            let mut seen = SightLanes { node: [2; LANES], ahead: [0.0; LANES] };
+            (seen.node[lane], seen.ahead[lane]) = (node, ahead);
+            let off = ahead + TAU * turns as f32;
+            let farther = (off > 0.0) == (sign > 0.0);
+            let word = match node {
+                0 if off.abs() < SAME_RAD => 1,
+                0 if off.abs() >= OTHER_RAD => if farther { 2 } else { 4 },
+                3 => 8,
+                _ => 0,
+            };
+            let mut expected = [0; LANES];
+            expected[lane] = word;
+            prop_assert_eq!(jury.hear(0, &seen, &known), expected);
+        }
+    }
 }

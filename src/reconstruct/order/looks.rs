@@ -6,7 +6,7 @@
 use super::glimpse::Glimpse;
 use super::lookout::{LANES, Lookout, Ray, Spots};
 use super::settle::Scene;
-use super::witness::{SightLanes, Witness};
+use super::witness::{Numbers, SightLanes, Witness};
 use crate::reconstruct::rays::Sightline;
 use crate::reconstruct::simd;
 use std::collections::BTreeMap;
@@ -68,7 +68,8 @@ impl Looks {
         self.sights.resize(at + count * self.blocks, SightLanes::NONE);
         self.inside.reserve(count);
         // What lies outside of the volume is not looked at.
-        let mut batch = Batch { rays: [Ray::NONE; PLACES], at: [0; PLACES], len: 0 };
+        let nodes = scenes.iter().map(|scene| scene.graph.len() as u32).sum();
+        let mut batch = Batch { rays: [Ray::NONE; PLACES], at: [0; PLACES], len: 0, nodes };
         for order in orders {
             for &(line, fringes) in places {
                 let ray = lookout.ray((line, fringes + order as f32));
@@ -94,6 +95,8 @@ struct Batch {
     rays: [Ray; PLACES],
     at: [usize; PLACES],
     len: usize,
+    /// Nodes of all views.
+    nodes: u32,
 }
 
 impl Batch {
@@ -102,7 +105,13 @@ impl Batch {
     fn look(&mut self, scenes: &[Scene<'_>], lookout: &Lookout<'_>, sights: &mut [SightLanes]) {
         let (rays, at) = (&self.rays[..self.len], &self.at[..self.len]);
         let mut spots = [Spots::NONE; PLACES];
+        let mut next = 0;
         for (block, scenes) in scenes.chunks(LANES).enumerate() {
+            let mut numbers = Numbers { first: [0; LANES], all: self.nodes };
+            for (first, scene) in numbers.first.iter_mut().zip(scenes) {
+                *first = next;
+                next += scene.graph.len() as u32;
+            }
             // A bit for each camera of each place.
             let mut vague = 0u64;
             simd::dispatch(
@@ -117,7 +126,7 @@ impl Batch {
                         }
                     }
                     for (k, &at) in at.iter().enumerate() {
-                        let (seen, ask) = Witness::glance(&cells[k], &spots[k]);
+                        let (seen, ask) = Witness::glance(&cells[k], &spots[k], &numbers);
                         sights[at + block] = seen;
                         vague |= u64::from(ask) << (k * LANES);
                     }
@@ -126,7 +135,8 @@ impl Batch {
             while vague != 0 {
                 let bit = vague.trailing_zeros() as usize;
                 let (k, i) = (bit / LANES, bit % LANES);
-                sights[at[k] + block].set(i, scenes[i].witness.see_closely(&spots[k], i));
+                let sight = scenes[i].witness.see_closely(&spots[k], i);
+                sights[at[k] + block].set(i, sight, &numbers);
                 vague &= vague - 1;
             }
         }

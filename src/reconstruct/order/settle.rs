@@ -133,6 +133,8 @@ struct Cache {
     juries: Vec<Jury>,
     /// What is settled.
     known: Known,
+    /// The nodes that are tried, by view and piece.
+    samples: BTreeMap<(usize, usize), Vec<u32>>,
     /// What the cameras have at the sampled places.
     looks: PieceLooks,
     /// Orders worth a look, by view and piece.
@@ -149,7 +151,8 @@ impl Cache {
         const { assert!(SAMPLES <= u8::MAX as usize) };
         let mut cache = Self {
             juries: (0..scenes.len()).map(|view| Jury::new(scenes, view, |_| EVIDENCE)).collect(),
-            known: Known::new(),
+            known: Known::default(),
+            samples: BTreeMap::new(),
             looks: PieceLooks::new(),
             orders: BTreeMap::new(),
             asked: PieceLooks::new(),
@@ -166,6 +169,7 @@ impl Cache {
     /// Forgets a piece whose nodes have changed.
     fn forget(&mut self, view: usize, piece: usize) {
         self.looks.retain(|x, _| (x.0, x.1) != (view, piece));
+        self.samples.remove(&(view, piece));
         self.orders.remove(&(view, piece));
         self.asked.retain(|x, _| (x.0, x.1) != (view, piece));
     }
@@ -338,13 +342,17 @@ fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
 
 /// Evidence for every order of a piece that is worth a look.
 fn weigh(scenes: &[Scene<'_>], view: usize, piece: usize, cache: &mut Cache) -> Vec<Evidence> {
-    let orders = cache.orders.entry((view, piece)).or_insert_with(|| orders(&scenes[view], piece)).clone();
+    let Cache { samples, orders, .. } = &mut *cache;
+    let worth_a_look = || {
+        let samples = samples.entry((view, piece)).or_insert_with(|| self::samples(&scenes[view], piece));
+        self::orders(&scenes[view], samples)
+    };
+    let orders = orders.entry((view, piece)).or_insert_with(worth_a_look).clone();
     orders.into_iter().flatten().map(|order| evidence(scenes, view, piece, order, cache)).collect()
 }
 
-/// Orders that put a piece into the volume.
-fn orders(scene: &Scene<'_>, piece: usize) -> Option<RangeInclusive<i32>> {
-    let samples = samples(scene, piece);
+/// Orders that put a piece of which these nodes are tried into the volume.
+fn orders(scene: &Scene<'_>, samples: &[u32]) -> Option<RangeInclusive<i32>> {
     let some = samples.iter().step_by(samples.len().div_ceil(FIRST_SAMPLES).max(1));
     volume::orders_of(scene.triangulator.pair(), some.map(|&node| scene.place(node)))
 }
@@ -397,9 +405,11 @@ impl Scene<'_> {
 }
 
 fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: &mut Cache) -> Evidence {
+    let samples = &mut cache.samples;
     let looks = cache.looks.entry((view, piece, order)).or_insert_with(|| {
         let scene = &scenes[view];
-        let places: Vec<Place<'_>> = samples(scene, piece).into_iter().map(|node| scene.at(node)).collect();
+        let samples = samples.entry((view, piece)).or_insert_with(|| self::samples(scene, piece));
+        let places: Vec<Place<'_>> = samples.iter().map(|&node| scene.at(node)).collect();
         let (first, rest) = places.split_at(places.len().min(FIRST_SAMPLES));
         let mut looks = Looks::default();
         looks.add(scenes, view, first, order..=order);

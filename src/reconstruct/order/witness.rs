@@ -34,23 +34,37 @@ pub struct Witness {
     towards: f32,
 }
 
+/// How the nodes of a block's cameras are numbered among those of all views.
+#[derive(Debug, Clone, Copy)]
+pub struct Numbers {
+    /// Where those of each camera begin.
+    pub first: [u32; LANES],
+    /// How many there are of all views. This number stands for [`Sight::NOTHING`], the next for [`Sight::PAST`].
+    pub all: u32,
+}
+
 /// What the cameras of a block have at the pixels where they would see a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SightLanes {
-    /// [`Sight::node`].
+    /// [`Sight::node`], by [`Numbers`].
     pub node: [u32; LANES],
     /// [`Sight::ahead`].
     pub ahead: [f32; LANES],
 }
 
 impl SightLanes {
-    /// Nothing that could be said.
-    pub const NONE: Self = Self { node: [Sight::NOTHING; LANES], ahead: [0.0; LANES] };
+    /// Of a place that was not looked at.
+    pub const NONE: Self = Self { node: [u32::MAX; LANES], ahead: [0.0; LANES] };
 
     /// States what one of the cameras has.
     #[inline(always)]
-    pub fn set(&mut self, lane: usize, sight: Sight) {
-        (self.node[lane], self.ahead[lane]) = (sight.node, sight.ahead);
+    pub fn set(&mut self, lane: usize, sight: Sight, numbers: &Numbers) {
+        self.ahead[lane] = sight.ahead;
+        self.node[lane] = match sight.node {
+            Sight::NOTHING => numbers.all,
+            Sight::PAST => numbers.all + 1,
+            node => numbers.first[lane] + node,
+        };
     }
 }
 
@@ -95,8 +109,7 @@ impl Witness {
     /// What the cameras of a block have at a place, which each sees in one of `cells`; a bit for each that has to be asked
     /// [`closely`](Self::see_closely). Nothing here depends on a branch: what the next camera has is as good as chance.
     #[inline(always)]
-    pub fn glance(cells: &[Glimpse; LANES], spots: &Spots) -> (SightLanes, u8) {
-        const { assert!(Sight::PAST == Glimpse::FAR && Sight::NOTHING == Glimpse::NEAR) };
+    pub fn glance(cells: &[Glimpse; LANES], spots: &Spots, numbers: &Numbers) -> (SightLanes, u8) {
         let (mut node, mut ahead, mut ask) = ([0; LANES], [0.0; LANES], [0u32; LANES]);
         let cells = Glimpse::lanes(cells);
         for i in 0..LANES {
@@ -110,9 +123,10 @@ impl Witness {
             let is_near = kind == Glimpse::NEAR;
             let pixel = v.wrapping_mul(CELL_PX as u32) | u;
             let past = is_near & (cells.near[i] >> (pixel % WORD as u32) & 1 == 0);
-            let unknown = ahead[i].is_nan() & (kind < Glimpse::RIM);
-            let named = if past { Sight::PAST } else { kind };
-            node[i] = if unknown { Sight::NOTHING } else { named };
+            let past = past | (kind == Glimpse::FAR);
+            let unknown = is_near | ahead[i].is_nan() & (kind < Glimpse::RIM);
+            let named = if unknown { numbers.all } else { numbers.first[i].wrapping_add(kind) };
+            node[i] = if past { numbers.all + 1 } else { named };
             let is_rim = (Glimpse::RIM..Glimpse::NEAR).contains(&kind);
             ask[i] = u32::from(is_rim | is_near & (u >= CELL_PX as u32)) << i;
         }
@@ -160,7 +174,7 @@ impl Witness {
 
 #[cfg(test)]
 mod tests {
-    use super::{Sight, SightLanes, Witness};
+    use super::{Numbers, Sight, SightLanes, Witness};
     use crate::image::Plane;
     use crate::reconstruct::order::cells::{CELL_PX, Cells, Surface};
     use crate::reconstruct::order::glimpse::{Glimpse, PAD_PX, padded};
@@ -170,6 +184,9 @@ mod tests {
     use std::f32::consts::TAU;
 
     const PERIOD: f32 = 10.0;
+
+    /// Each camera's nodes by its own numbers.
+    const OWN: Numbers = Numbers { first: [0; LANES], all: Sight::NOTHING };
 
     /// A camera that sees a plane of 50 x 40 px, all but the last four rows of it with a phase, in a region of 100 x 80.
     fn witness() -> Witness {
@@ -197,7 +214,7 @@ mod tests {
         spots.cast[5] = 3.0;
         let mut cells = [Glimpse::UNSEEN; LANES];
         cells[5] = *witness.cells.glimpses.at(spots.cell[5]);
-        let (SightLanes { node, ahead }, ask) = Witness::glance(&cells, &spots);
+        let (SightLanes { node, ahead }, ask) = Witness::glance(&cells, &spots, &OWN);
         let seen = Sight { node: node[5], ahead: ahead[5] };
         if ask >> 5 & 1 != 0 { witness.see_closely(&spots, 5) } else { seen }
     }
@@ -226,7 +243,7 @@ mod tests {
         for place in [0.0, 3e38, -3e38, f32::INFINITY, f32::NAN] {
             let mut spots = Spots::NONE;
             (spots.right[2], spots.down[2], spots.cast[2]) = (place, place, place);
-            let (sights, ask) = Witness::glance(&[Glimpse::UNSEEN; LANES], &spots);
+            let (sights, ask) = Witness::glance(&[Glimpse::UNSEEN; LANES], &spots, &OWN);
             assert!(witness.cells.glimpses.at(spots.cell[2]).phase.is_nan(), "a cell that is not seen");
             assert_eq!((sights.node[2], ask), (Sight::NOTHING, 0), "{place}");
         }

@@ -103,12 +103,6 @@ impl Judges {
             None => Words::IMPOSSIBLE,
         }
     }
-
-    /// Where the cameras have the nodes that they see, among those of all views: the nodes of a block of cameras.
-    #[inline(always)]
-    pub fn places(&self, block: usize, seen: &SightLanes) -> [u32; LANES] {
-        self.0.places(block, seen)
-    }
 }
 
 /// What all cameras have where the nodes of one view would be, kept for the orders that were asked for last.
@@ -175,7 +169,7 @@ impl Sights {
     }
 
     /// Words for nodes that were looked at, at their `turns`. Those that were asked for at the same turns before, `old`, are the same
-    /// where what the cameras see is none of the `changed`: nodes of all views, and one that stands for none.
+    /// where what the cameras see is none of the `changed`: nodes of all views, and what is none.
     #[inline(always)]
     pub fn renew(&self, turns: &[i32], old: &mut [(i32, Words)], changed: &[bool], known: &Known) {
         for (node, (&turns, old)) in turns.iter().zip(old).enumerate() {
@@ -188,22 +182,10 @@ impl Sights {
                 old.1 = Words::IMPOSSIBLE;
                 continue;
             };
-            if !same || self.differs(seen, changed) {
+            if !same || differs(seen, changed) {
                 old.1 = self.judges.words(seen, known);
             }
         }
-    }
-
-    /// Whether any of the nodes that the cameras see is one of those that have changed.
-    #[inline(always)]
-    fn differs(&self, seen: &[SightLanes], changed: &[bool]) -> bool {
-        let mut any = false;
-        for (block, seen) in seen.iter().enumerate() {
-            for place in self.judges.places(block, seen) {
-                any |= changed[place as usize];
-            }
-        }
-        any
     }
 
     /// Looks at all nodes of the view at their `turns`, where that has not been done: several at once take less time.
@@ -233,6 +215,18 @@ impl Sights {
             self.seen[first..first + self.blocks].copy_from_slice(seen);
         }
     }
+}
+
+/// Whether any of the nodes that the cameras see is one of those that have changed.
+#[inline(always)]
+fn differs(seen: &[SightLanes], changed: &[bool]) -> bool {
+    let mut any = false;
+    for seen in seen {
+        for node in seen.node {
+            any |= changed[node as usize];
+        }
+    }
+    any
 }
 
 /// Where a node lies when its phases are absolute after `turns`.
