@@ -152,7 +152,7 @@ impl Search<'_> {
         // Of what the others say, only what other heads confirm.
         let confirmed = view.words.iter().map(|words| words.heads > words.against + words.hidden);
         let confirmed = near(view, confirmed.collect());
-        let lonely = |node: usize| view.turns[node] == NONE || !confirmed[node];
+        let lonely = |node: usize| !confirmed[node];
         let together = |first: usize, other: usize| squares[first] == squares[other];
         let stretches = stretch::all(view.graph, lonely, together);
         for stretch in stretches.iter().filter(|stretch| stretch.len() >= MIN_NODES) {

@@ -37,7 +37,7 @@ const CONTRADICTED: i16 = 2;
 /// The labels of a view's nodes, from what growth has come to. `known`: the orders of all views.
 pub fn labels(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &Known) -> Vec<Label> {
     let scene = &scenes[number];
-    let mut sum = sums(view, &view.words);
+    let mut sum = sums(view);
     let mut labels: Vec<Label> = (0..view.turns.len())
         .map(|node| match view.turns[node] {
             NONE => Label { turns: NONE, contradicted: !view.banned[node].is_empty() },

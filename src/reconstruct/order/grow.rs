@@ -69,6 +69,8 @@ pub struct View<'a> {
     pub graph: &'a Graph,
     /// The borders over which words may be shared, each once: two nodes, and the turns to add to the second.
     shared: Vec<(u32, u32, i32)>,
+    /// Those of them whose nodes have orders that continue each other, as of the last sums.
+    linked: Vec<(u32, u32)>,
     /// Whole turns that make each node's phases absolute, or [`NONE`].
     pub turns: Vec<i32>,
     /// What the other cameras say of each node, as of the last time that it was tried.
@@ -134,6 +136,17 @@ fn update(known: &mut Known, views: &[View<'_>]) {
 }
 
 impl View<'_> {
+    /// Finds the borders over which words are shared.
+    fn link(&mut self) {
+        self.linked.clear();
+        for &(a, b, turns) in &self.shared {
+            let known = self.turns[a as usize];
+            if known != NONE && self.turns[b as usize] == known.wrapping_add(turns) {
+                self.linked.push((a, b));
+            }
+        }
+    }
+
     /// Begins a round: nothing is contradicted yet.
     fn reopen(&mut self) {
         self.banned.iter_mut().for_each(Vec::clear);
@@ -165,6 +178,7 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
     View {
         graph: &scene.graph,
         shared,
+        linked: Vec::new(),
         turns: (0..n).map(order).collect(),
         words: vec![Words::default(); n],
         checked: vec![(NONE, Words::default()); n],
@@ -287,24 +301,13 @@ fn contradicted(own: Words, sum: Words, core: bool) -> bool {
     !core && own.against > 0 && own.against >= own.good()
 }
 
-/// The nodes that share their words: those with orders that continue each other.
-fn linked(view: &View<'_>) -> Vec<(u32, u32)> {
-    let continues = |&&(a, b, turns): &&(u32, u32, i32)| {
-        let known = view.turns[a as usize];
-        known != NONE && view.turns[b as usize] == known.wrapping_add(turns)
-    };
-    let mut linked = Vec::with_capacity(view.shared.len());
-    linked.extend(view.shared.iter().filter(continues).map(|&(a, b, _)| (a, b)));
-    linked
-}
-
 /// Words of the nodes within two steps, along borders that continue.
-pub fn sums(view: &View<'_>, words: &[Words]) -> Vec<Words> {
-    let linked = linked(view);
-    let mut sum: Vec<u64> = words.iter().map(Words::packed).collect();
+pub fn sums(view: &mut View<'_>) -> Vec<Words> {
+    view.link();
+    let mut sum: Vec<u64> = view.words.iter().map(Words::packed).collect();
     for _ in 0..2 {
         let before = sum.clone();
-        for &(a, b) in &linked {
+        for &(a, b) in &view.linked {
             sum[a as usize] += before[b as usize];
             sum[b as usize] += before[a as usize];
         }
@@ -312,15 +315,16 @@ pub fn sums(view: &View<'_>, words: &[Words]) -> Vec<Words> {
     sum.into_iter().map(Words::unpacked).collect()
 }
 
-/// Which nodes are some of these, or have one within two steps, along borders that continue.
+/// Which nodes are some of these, or have one within two steps, along borders that continue. Since the sums were taken nodes may have
+/// lost their orders, but none may have got one.
 pub fn near(view: &View<'_>, mut near: Vec<bool>) -> Vec<bool> {
-    let linked = linked(view);
     for _ in 0..2 {
         let before = near.clone();
-        for &(a, b) in &linked {
+        for &(a, b) in &view.linked {
             near[a as usize] |= before[b as usize];
             near[b as usize] |= before[a as usize];
         }
+        near.iter_mut().zip(&view.turns).for_each(|(near, turns)| *near &= *turns != NONE);
     }
     near
 }
@@ -359,7 +363,7 @@ fn check(scenes: &[Scene<'_>], views: &mut [View<'_>], known: &mut Known) {
         for (words, &(turns, checked)) in view.words.iter_mut().zip(&view.checked) {
             *words = if turns == NONE { Words::default() } else { checked };
         }
-        let sum = sums(view, &view.words);
+        let sum = sums(view);
         let gone = |&node: &usize| {
             view.turns[node] != NONE
                 && (contradicted(view.words[node], sum[node], scene.pieces.core[node])
