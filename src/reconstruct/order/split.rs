@@ -71,10 +71,9 @@ fn seeds(
         .iter()
         .map(|&node| cell(scene, node))
         .fold((0, 0), |most, at| (most.0.max(at.0 + 1), most.1.max(at.1 + 1)));
-    // For and against, by row, column and order; columns beyond the last keep the rows apart.
-    let stride = columns + REACH;
-    let mut words = vec![0; rows * stride * orders.len() * 2];
-    let of = |x: usize, y: usize| (y * stride + x) * orders.len() * 2;
+    // For and against, by row, column and order.
+    let mut words = vec![(0, 0); rows * columns * orders.len()];
+    let of = |x: usize, y: usize| (y * columns + x) * orders.len()..(y * columns + x + 1) * orders.len();
     let jury = Jury::new(scenes, view, weights);
     let places: Vec<_> = asked.iter().map(|&node| scene.at(node)).collect();
     for (number, &order) in orders.iter().enumerate() {
@@ -97,36 +96,31 @@ fn seeds(
         );
         for (&node, (good, bad)) in asked.iter().zip(heard) {
             let (x, y) = cell(scene, node);
-            let at = of(x, y) + 2 * number;
-            words[at] += good;
-            words[at + 1] += bad;
+            let word = &mut words[of(x, y)][number];
+            *word = (word.0 + good, word.1 + bad);
         }
     }
-    let words = around(&around(&words, orders.len() * 2), stride * orders.len() * 2);
     let mut seeds = Vec::new();
+    let mut sums = vec![(0, 0); orders.len()];
     for &node in &asked {
         let (x, y) = cell(scene, node);
-        let sums = words[of(x, y)..][..orders.len() * 2].as_chunks::<2>().0;
-        let Some((best, &[good, bad])) = sums.iter().enumerate().max_by_key(|x| (x.1[0], Reverse(x.0)))
-        else {
+        sums.fill((0, 0));
+        for y in y.saturating_sub(REACH)..rows.min(y + REACH + 1) {
+            for x in x.saturating_sub(REACH)..columns.min(x + REACH + 1) {
+                for (sum, word) in sums.iter_mut().zip(&words[of(x, y)]) {
+                    *sum = (sum.0 + word.0, sum.1 + word.1);
+                }
+            }
+        }
+        let Some((best, &(good, bad))) = sums.iter().enumerate().max_by_key(|x| (x.1.0, Reverse(x.0))) else {
             continue;
         };
-        let second = sums.iter().enumerate().filter(|x| x.0 != best).map(|x| x.1[0]).max().unwrap_or(0);
+        let second = sums.iter().enumerate().filter(|x| x.0 != best).map(|x| x.1.0).max().unwrap_or(0);
         if good >= MIN_FOR && good >= LEAD * bad && good >= LEAD * second {
             seeds.push((node, best));
         }
     }
     seeds
-}
-
-/// Sums of each number and those that are up to [`REACH`] steps away.
-fn around(words: &[i32], step: usize) -> Vec<i32> {
-    let mut sums = words.to_vec();
-    for by in (1..=REACH).map(|steps| (steps * step).min(words.len())) {
-        sums.iter_mut().zip(&words[by..]).for_each(|(sum, word)| *sum += word);
-        sums[by..].iter_mut().zip(words).for_each(|(sum, word)| *sum += word);
-    }
-    sums
 }
 
 /// Place of a node in the grid of cells.
