@@ -88,8 +88,8 @@ impl Jury {
     pub fn hear(&self, block: usize, seen: &SightLanes, known: &Known) -> [u32; LANES] {
         let bench = &self.benches[block];
         let mut turns = [NONE; LANES];
-        for i in 0..LANES {
-            turns[i] = known.0[seen.node[i] as usize];
+        for (turns, &node) in turns.iter_mut().zip(&seen.node) {
+            *turns = known.0[node as usize];
         }
         let mut words = [0; LANES];
         for i in 0..LANES {
