@@ -4,6 +4,7 @@
 //! of whole numbers, so that what is added to a window and taken off again cancels exactly.
 
 use crate::image::Plane;
+use crate::reconstruct::bits::WORD;
 use crate::reconstruct::round::{nearest, whole};
 use crate::reconstruct::runs::{Run, Runs};
 use std::f32::consts::TAU;
@@ -35,12 +36,22 @@ const COUNT_BITS: u32 = 9;
 const LAG: usize = MEAN_STEP.1 + STRETCH.1;
 
 /// A step that is no edge.
-pub(super) const NONE: u32 = u32::MAX;
+pub(super) const NONE: u16 = u16::MAX;
 
-/// Cost of a step as the graph takes it: whole units times 256, plus 1 where it is doubtful.
+/// What a doubtful step has more in its code than the units of its cost, so that what is certain is below a bound. The units of
+/// as many steps as a segment has come to less.
+const DOUBTFUL: u16 = 1 << 15;
+
+/// Units in a sum of codes.
 #[inline(always)]
-pub(super) const fn code(units: u32, doubtful: bool) -> u32 {
-    units << 8 | doubtful as u32
+pub(super) const fn units(sum: u32) -> u32 {
+    sum % DOUBTFUL as u32
+}
+
+/// Doubtful steps in a sum of codes.
+#[inline(always)]
+pub(super) const fn doubtful(sum: u32) -> u32 {
+    sum / DOUBTFUL as u32
 }
 
 /// Bounds on residuals, units.
@@ -202,7 +213,7 @@ struct Side {
     /// Costs of one run, units.
     costs: Vec<f32>,
     /// Costs of one row.
-    codes: Vec<u32>,
+    codes: Vec<u16>,
 }
 
 impl Side {
@@ -214,8 +225,7 @@ impl Side {
         self.along.begin(width, along);
         self.stretch.begin(width, STRETCH);
         self.costs.resize(width, 0.0);
-        self.codes.clear();
-        self.codes.resize(width, NONE);
+        self.codes.resize(width.next_multiple_of(WORD), NONE);
     }
 
     /// How far the steps of row `v` are from the mean around them.
@@ -256,7 +266,7 @@ impl Side {
                 let doubtful = (cost > bounds.doubtful) | mean_exceeds(stretch[i], bounds.doubtful_stretch);
                 // What is large is no edge; NaN is none, either, whatever its units come to.
                 let edge = (own[i] != 0) & (cost <= bounds.largest);
-                let code = (whole(cost) as u32) << 8 | u32::from(doubtful);
+                let code = whole(cost) as u16 | if doubtful { DOUBTFUL } else { 0 };
                 out[i] = if edge { code } else { NONE };
             }
         }
@@ -272,10 +282,11 @@ pub(super) struct Buffers {
     turns: Vec<i16>,
 }
 
-/// Costs of a row's steps to the right and down, by column.
+/// Codes of a row's steps to the right and down, by column: the units of their costs, [`DOUBTFUL`], [`NONE`]. They end with a whole
+/// word; what lies beside the runs is any.
 pub(super) struct Row<'a> {
-    pub right: &'a [u32],
-    pub down: &'a [u32],
+    pub right: &'a [u16],
+    pub down: &'a [u16],
 }
 
 /// Takes the costs of all rows, from top to bottom, and hands them to `each`. `turns` receives how many whole turns make
@@ -415,7 +426,9 @@ fn wrap_units(x: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{ALONG, Bounds, Buffers, GOOD_MISFIT, Input, MEAN_STEP, NONE, STRETCH, UNITS, run};
+    use super::{
+        ALONG, Bounds, Buffers, GOOD_MISFIT, Input, MEAN_STEP, NONE, STRETCH, UNITS, doubtful, run, units,
+    };
     use crate::image::Plane;
     use crate::reconstruct::runs::Runs;
     use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
@@ -476,8 +489,8 @@ mod tests {
             let mut turns = Plane::filled(W, H, 0);
             let mut found = [Plane::filled(W, H, NONE), Plane::filled(W, H, NONE)];
             run(&input, &bounds, &mut Buffers::default(), &mut turns, |v, costs, _| {
-                found[0].row_mut(v).copy_from_slice(costs.right);
-                found[1].row_mut(v).copy_from_slice(costs.down);
+                found[0].row_mut(v).copy_from_slice(&costs.right[..W]);
+                found[1].row_mut(v).copy_from_slice(&costs.down[..W]);
             });
             for (found, down) in found.iter().zip([false, true]) {
                 let steps = steps(&wrapped, down);
@@ -498,11 +511,12 @@ mod tests {
                     let excess = f64::from((misfit.at(u, v) - GOOD_MISFIT).max(0.0));
                     let cost = 1024.0 * (own.at(u, v).max(along) + excess);
                     // Values, their means and the means of their residuals are rounded to whole units.
-                    prop_assert!((f64::from(code >> 8) - cost).abs() < 3.0, "({u}, {v}): {} {cost}", code >> 8);
+                    let (found, doubtful) = (units(code.into()), doubtful(code.into()) != 0);
+                    prop_assert!((f64::from(found) - cost).abs() < 3.0, "({u}, {v}): {found} {cost}");
                     let stretch = 1024.0 * mean(&own, (u, v), STRETCH);
                     let most = cost.max(stretch);
                     if (most - 40.96).abs() > 3.0 {
-                        prop_assert!((code & 1 != 0) == (most > 40.96), "({u}, {v}): {cost} {stretch}");
+                        prop_assert!(doubtful == (most > 40.96), "({u}, {v}): {cost} {stretch}");
                     }
                 }
             }

@@ -5,17 +5,21 @@
 //! run differ by no turns, and segments above each other by those that the pixels of their common border agree on.
 
 use super::Settings;
-use super::costs::{NONE, Row, UNITS, code, turns_in};
+use super::costs::{NONE, Row, UNITS, doubtful, turns_in, units};
 use super::forest::{Edge, Forest};
 use crate::image::Plane;
+use crate::reconstruct::bits::{self, WORD, bits_where};
 use crate::reconstruct::round::whole;
-use crate::reconstruct::runs::{Run, Runs, each_not_0};
+use crate::reconstruct::runs::{Runs, each_not_0};
 
 /// Longest segment, px; a multiple of it begins a new one.
 const LONGEST_PX: usize = 16;
 
+/// The columns of a word in which a segment begins whatever its costs: none goes on from word to word.
+const MULTIPLES: u64 = u64::MAX / ((1 << LONGEST_PX) - 1);
+
 /// Steps up to this cost do not end a segment, units.
-const CERTAIN: u32 = (0.03 * UNITS) as u32;
+const CERTAIN: u16 = (0.03 * UNITS) as u16;
 
 /// Edges below this cost need no order among themselves, units: they are taken as they are found.
 const SURE: u32 = (0.02 * UNITS) as u32;
@@ -45,12 +49,14 @@ impl Segment {
 /// What the graph's stages look at of a row.
 #[derive(Debug, Default)]
 struct RowNodes {
-    /// 1 where a segment begins.
-    starts: Vec<u8>,
+    /// Where segments begin.
+    starts: Vec<u64>,
+    /// Which steps down are edges.
+    edges: Vec<u64>,
+    /// Sums of the costs of the steps down before each pixel of a word with edges.
+    sums: Vec<u32>,
     /// Segment of each known pixel.
     node: Vec<u32>,
-    /// Costs of the steps down.
-    down: Vec<u32>,
 }
 
 /// The graph while it grows from row to row, and what of it was put off.
@@ -65,11 +71,10 @@ pub(super) struct Graph {
     /// Edges to be taken by rising cost: their bucket, and themselves.
     later: Vec<(u16, Edge)>,
     sorted: Vec<Edge>,
-    events: Vec<u8>,
+    /// Which pixels of a row lie in its runs.
+    inside: Vec<u64>,
+    /// Turns that each pixel has more than the one below it; the first is that of column -1.
     turns: Vec<i16>,
-    sums: Vec<u32>,
-    /// Where stretches of a border begin and end.
-    places: Vec<u16>,
     /// Merges refused because the votes contradicted.
     pub contradictions: usize,
 }
@@ -90,16 +95,16 @@ impl Graph {
         self.ends.clear();
         self.later.clear();
         self.contradictions = 0;
+        let words = width.div_ceil(WORD);
         for row in &mut self.rows {
-            row.starts.clear();
-            row.starts.resize(width, 0);
-            row.node.resize(width + LONGEST_PX, 0);
-            row.down.clear();
-            row.down.resize(width, NONE);
+            row.starts.resize(words, 0);
+            row.edges.clear();
+            row.edges.resize(words, 0);
+            row.sums.resize(words * WORD + 1, 0);
+            row.node.resize(words * WORD + LONGEST_PX, 0);
         }
-        self.events.resize(width, 0);
-        self.turns.resize(width, 0);
-        self.sums.resize(width + 1, 0);
+        self.inside.resize(words, 0);
+        self.turns.resize(words * WORD + 1, 0);
     }
 
     /// Adds row `v`, after row `v - 1`. `turns`: those of each pixel within its run.
@@ -113,66 +118,86 @@ impl Graph {
         settings: &Settings,
     ) {
         self.rows.swap(0, 1);
-        if let Some(before) = v.checked_sub(2) {
-            for run in input.runs.row(before) {
-                self.rows[1].starts[run.columns()].fill(0);
-                self.rows[1].down[run.columns()].fill(NONE);
-            }
+        self.inside.fill(0);
+        for run in input.runs.row(v) {
+            bits::set(&mut self.inside, run.columns());
         }
         let first = self.segments.len();
-        for run in input.runs.row(v) {
-            self.cut(run, input.wrapped.row(v), turns.row(v), costs.right);
-            self.rows[1].down[run.columns()].copy_from_slice(&costs.down[run.columns()]);
-        }
+        self.cut(input.wrapped.row(v), turns.row(v), costs.right);
         self.ends.push(self.segments.len());
-        for segment in &self.segments[first..] {
-            self.forest.push(u32::from(segment.end - segment.first));
-        }
+        self.find_edges(costs.down);
         self.vote(v, turns.row(v), input);
         // First to the row above, while the segments are small trees, which may be attached where it is doubtful.
         if let Some(above) = v.checked_sub(1) {
-            let phases = [input.wrapped.row(above), input.wrapped.row(v)];
-            let turns = [turns.row(above), turns.row(v)];
-            for run in input.runs.row(above) {
-                self.join_below(run, phases, turns, settings);
-            }
+            self.compare(input, above, turns);
+            self.join_below(settings);
         }
         self.join_beside(first, costs.right, settings);
     }
 
-    /// Cuts a run into segments.
+    /// Cuts a row into segments.
     #[inline(always)]
-    fn cut(&mut self, run: &Run, wrapped: &[f32], turns: &[i16], right: &[u32]) {
-        let (start, n) = (run.start(), run.columns().len());
-        let phase = &wrapped[run.columns()][..n];
-        let right = &right[run.columns()][..n];
-        let events = &mut self.events[..n];
-        let starts = &mut self.rows[1].starts[run.columns()][..n];
-        // What may go on from one pixel to the next is certain and not doubtful: the last bit is 0.
-        let ends = |right: u32| (right & 1 != 0) | (right > code(CERTAIN, true));
-        events[0] = u8::from(!phase[0].is_nan());
-        starts[0] = events[0];
-        for i in 1..n {
-            let (before, known) = (!phase[i - 1].is_nan(), !phase[i].is_nan());
-            let begins = known & (ends(right[i - 1]) | ((start + i) % LONGEST_PX == 0));
-            starts[i] = u8::from(begins);
-            events[i] = u8::from(begins | (before != known));
+    fn cut(&mut self, wrapped: &[f32], turns: &[i16], right: &[u16]) {
+        let Self { inside, segments, forest, rows: [_, row], .. } = self;
+        let words = inside.iter().zip(&mut row.starts).zip(right.as_chunks::<WORD>().0);
+        for (k, ((&inside, starts), right)) in words.enumerate() {
+            *starts = 0;
+            if inside == 0 {
+                continue;
+            }
+            // What goes on from one pixel to the next is certain and not doubtful.
+            let ends = bits_where(
+                #[inline(always)]
+                |i| right[i] > CERTAIN,
+            );
+            let cuts = inside & (ends << 1 | MULTIPLES | !(inside << 1));
+            // A pixel that another goes on to is known.
+            let (mut known, mut rest) = (inside, cuts);
+            let begin = k * WORD;
+            let phases = &wrapped[begin..];
+            while rest != 0 {
+                let i = rest.trailing_zeros() as usize;
+                known &= !(u64::from(phases[i].is_nan()) << i);
+                rest &= rest - 1;
+            }
+            *starts = cuts & known;
+            let (nodes, turns) = (&mut row.node[begin..][..WORD + LONGEST_PX], &turns[begin..]);
+            each_stretch(
+                *starts,
+                known,
+                #[inline(always)]
+                |i, count| {
+                    nodes[i..i + LONGEST_PX].fill(segments.len() as u32);
+                    let first = (begin + i) as u16;
+                    segments.push(Segment { first, end: first + count as u16, turns: turns[i] });
+                    forest.push(count as u32);
+                },
+            );
         }
-        let node = &mut self.rows[1].node;
-        let mut open = None;
-        each_not_0(events, |i| {
-            if let Some(first) = open.take() {
-                let turns = turns[usize::from(first)];
-                self.segments.push(Segment { first, end: (start + i) as u16, turns });
+    }
+
+    /// Finds the edges down from a row.
+    #[inline(always)]
+    fn find_edges(&mut self, down: &[u16]) {
+        let RowNodes { edges, sums, .. } = &mut self.rows[1];
+        let mut sum = 0u32;
+        for (k, (&inside, edges)) in self.inside.iter().zip(edges).enumerate() {
+            let down: &[u16; WORD] = down[k * WORD..].first_chunk().expect("whole words");
+            *edges = inside
+                & bits_where(
+                    #[inline(always)]
+                    |i| down[i] != NONE,
+                );
+            if *edges == 0 {
+                continue;
             }
-            if starts[i] != 0 {
-                open = Some((start + i) as u16);
-                node[start + i..start + i + LONGEST_PX].fill(self.segments.len() as u32);
+            // No stretch has a step that is no edge: whatever these add to the sums is the same at both its ends.
+            let sums: &mut [u32; WORD + 1] = sums[k * WORD..].first_chunk_mut().expect("whole words");
+            for i in 0..WORD {
+                sums[i] = sum;
+                sum += u32::from(down[i]);
             }
-        });
-        if let Some(first) = open {
-            let turns = turns[usize::from(first)];
-            self.segments.push(Segment { first, end: run.end() as u16, turns });
+            sums[WORD] = sum;
         }
     }
 
@@ -196,72 +221,77 @@ impl Graph {
 
     /// Joins the segments from `first` on with those before them in the row.
     #[inline(always)]
-    fn join_beside(&mut self, first: usize, right: &[u32], settings: &Settings) {
+    fn join_beside(&mut self, first: usize, right: &[u16], settings: &Settings) {
         for node in first + 1..self.segments.len() {
             let (before, own) = (self.segments[node - 1], self.segments[node]);
             let cost = right[usize::from(before.end) - 1];
             if before.end == own.first && cost != NONE {
-                let edge = Edge { a: node as u32 - 1, b: node as u32, turns: 0, doubtful: cost & 1 != 0 };
-                self.take(edge, cost >> 8, settings);
+                let cost = u32::from(cost);
+                let edge =
+                    Edge { a: node as u32 - 1, b: node as u32, turns: 0, doubtful: doubtful(cost) != 0 };
+                self.take(edge, units(cost), 1, settings);
             }
         }
     }
 
-    /// Joins the segments of a run of the row above with those below them.
+    /// Finds how many turns the pixels of row `above` have more than those below them.
     #[inline(always)]
-    fn join_below(&mut self, run: &Run, phases: [&[f32]; 2], turns: [&[i16]; 2], settings: &Settings) {
-        let (start, n) = (run.start(), run.columns().len());
-        let part = run.columns();
-        let [above, below] = phases.map(|row| &row[part.clone()][..n]);
-        let [turns_above, turns_below] = turns.map(|row| &row[part.clone()][..n]);
-        let down = &self.rows[0].down[part.clone()][..n];
-        let (turns, events, sums) = (&mut self.turns[..n], &mut self.events[..n], &mut self.sums[..n + 1]);
-        for i in 0..n {
-            let more = whole(turns_in(above[i] - below[i])) as i16;
-            turns[i] = more.wrapping_add(turns_above[i]).wrapping_sub(turns_below[i]);
+    fn compare(&mut self, input: &Input<'_>, above: usize, turns: &Plane<i16>) {
+        for run in input.runs.row(above) {
+            let (part, n) = (run.columns(), run.columns().len());
+            let [phase_above, phase_below] =
+                [above, above + 1].map(|v| &input.wrapped.row(v)[part.clone()][..n]);
+            let [turns_above, turns_below] = [above, above + 1].map(|v| &turns.row(v)[part.clone()][..n]);
+            let turns = &mut self.turns[1 + run.start()..][..n];
+            for i in 0..n {
+                let more = whole(turns_in(phase_above[i] - phase_below[i])) as i16;
+                turns[i] = more.wrapping_add(turns_above[i]).wrapping_sub(turns_below[i]);
+            }
         }
-        let starts = [0, 1].map(|k: usize| &self.rows[k].starts[part.clone()][..n]);
-        let is_edge = |i: usize| down[i] != NONE;
-        events[0] = u8::from(is_edge(0));
-        for i in 1..n {
-            let changes = (starts[0][i] | starts[1][i] != 0) | (turns[i] != turns[i - 1]);
-            events[i] = u8::from((is_edge(i) & changes) | (is_edge(i) != is_edge(i - 1)));
-        }
-        let mut sum = 0u32;
-        for (out, &cost) in sums[1..].iter_mut().zip(down) {
-            sum = sum.wrapping_add(if cost == NONE { 0 } else { cost });
-            *out = sum;
-        }
-        // The stretches lie between these places; where one ends, the next may begin.
-        let mut places = std::mem::take(&mut self.places);
-        places.clear();
-        each_not_0(events, |i| places.push(i as u16));
-        places.push(n as u16);
-        for ends in places.windows(2) {
-            let (from, to) = (usize::from(ends[0]), usize::from(ends[1]));
-            if self.rows[0].down[start + from] == NONE {
+    }
+
+    /// Joins the segments of the row above with those below them.
+    #[inline(always)]
+    fn join_below(&mut self, settings: &Settings) {
+        for k in 0..self.inside.len() {
+            let [above, below] = &self.rows;
+            let edges = above.edges[k];
+            if edges == 0 {
                 continue;
             }
-            let sum = self.sums[to].wrapping_sub(self.sums[from]);
-            let (count, doubtful) = ((to - from) as u32, sum & 0xff);
-            let edge = Edge {
-                a: self.rows[0].node[start + from],
-                b: self.rows[1].node[start + from],
-                turns: self.turns[from],
-                doubtful: DOUBTFUL_SHARE[1] * doubtful > DOUBTFUL_SHARE[0] * count,
-            };
-            self.take(edge, (sum >> 8) / count, settings);
+            let (begin, turns) = (k * WORD, &self.turns[k * WORD..][..WORD + 1]);
+            let turned = bits_where(
+                #[inline(always)]
+                |i| turns[i] != turns[i + 1],
+            );
+            let starts = edges & (above.starts[k] | below.starts[k] | turned | !(edges << 1));
+            each_stretch(
+                starts,
+                edges,
+                #[inline(always)]
+                |i, count| {
+                    let [above, below] = &self.rows;
+                    let sum = above.sums[begin + i + count] - above.sums[begin + i];
+                    let count = count as u32;
+                    let edge = Edge {
+                        a: above.node[begin + i],
+                        b: below.node[begin + i],
+                        turns: self.turns[begin + i + 1],
+                        doubtful: DOUBTFUL_SHARE[1] * doubtful(sum) > DOUBTFUL_SHARE[0] * count,
+                    };
+                    self.take(edge, units(sum), count, settings);
+                },
+            );
         }
-        self.places = places;
     }
 
-    /// Takes a sure edge, puts another off.
+    /// Takes a sure edge, puts another off. Its cost is the mean of those of `count` steps, of which `sum` is the sum.
     #[inline(always)]
-    fn take(&mut self, edge: Edge, cost: u32, settings: &Settings) {
-        if cost <= SURE {
+    fn take(&mut self, edge: Edge, sum: u32, count: u32, settings: &Settings) {
+        if sum < (SURE + 1) * count {
             self.contradictions += usize::from(!self.forest.merge(edge, settings));
         } else {
-            self.later.push(((cost.saturating_sub(SURE) / BUCKET) as u16, edge));
+            self.later.push((((sum / count - SURE) / BUCKET) as u16, edge));
         }
     }
 
@@ -285,5 +315,17 @@ impl Graph {
         for edge in &self.sorted {
             self.contradictions += usize::from(!self.forest.merge(*edge, settings));
         }
+    }
+}
+
+/// Calls `each` with the first place and the length of every stretch of a word: each of `starts` begins one, which ends before
+/// the next, or where `inside` does.
+#[inline(always)]
+fn each_stretch(starts: u64, inside: u64, mut each: impl FnMut(usize, usize)) {
+    let (mut rest, on) = (starts, inside & !starts);
+    while rest != 0 {
+        let first = rest.trailing_zeros() as usize;
+        each(first, 1 + (on >> first >> 1).trailing_ones() as usize);
+        rest &= rest - 1;
     }
 }
