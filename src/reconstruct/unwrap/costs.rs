@@ -8,9 +8,17 @@ use crate::reconstruct::bits::WORD;
 use crate::reconstruct::round::{nearest, whole};
 use crate::reconstruct::runs::{Run, Runs};
 use std::f32::consts::TAU;
+use std::hint::black_box;
+use std::ops::Range;
 
-/// Room beside a row on each side, px: no window reaches further.
-pub(super) const PAD: usize = 16;
+/// Pixels that are added at once. Rows of sums are added in whole blocks: what lies beside the runs is 0, and no loop has a rest.
+const BLOCK: usize = 32;
+
+/// Room before a row, px: no window reaches further.
+pub(super) const PAD: usize = BLOCK;
+
+/// Room before and behind a row, px: boxes take a block more than a row has, and look up to ten pixels further.
+const ROOM: usize = PAD + 3 * BLOCK;
 
 /// Units of a rad in sums and costs.
 pub(super) const UNITS: f32 = 1024.0;
@@ -84,7 +92,7 @@ impl Ring {
         self.0.resize_with(rows, Vec::new);
         for row in &mut self.0 {
             row.clear();
-            row.resize(width + 2 * PAD, 0);
+            row.resize(width + ROOM, 0);
         }
     }
 
@@ -113,6 +121,51 @@ fn padded(run: &Run) -> std::ops::Range<usize> {
     run.start() + PAD..run.end() + PAD
 }
 
+/// The whole blocks of rows with room beside them that have pixels of the runs.
+fn find_blocks(runs: &Runs, blocks: &mut Runs) {
+    blocks.clear();
+    for v in 0..runs.height() {
+        let mut open: Option<Run> = None;
+        for run in runs.row(v) {
+            let columns = padded(run);
+            let (start, end) = (columns.start / BLOCK * BLOCK, columns.end.next_multiple_of(BLOCK));
+            open = Some(match open {
+                Some(before) if start <= before.end() => Run::new(before.start(), end),
+                _ => {
+                    open.into_iter().for_each(|before| blocks.push(before));
+                    Run::new(start, end)
+                }
+            });
+        }
+        open.into_iter().for_each(|last| blocks.push(last));
+        blocks.end_row();
+    }
+}
+
+/// Calls `each` with the columns that two rows have between them.
+#[inline(always)]
+fn each_of_both<'a>(mut a: &'a [Run], mut b: &'a [Run], mut each: impl FnMut(Range<usize>)) {
+    // Of what begins first.
+    let mut next = || {
+        let first = match (a.first(), b.first()) {
+            (Some(x), Some(y)) if y.start() < x.start() => &mut b,
+            (Some(_), _) => &mut a,
+            (None, _) => &mut b,
+        };
+        first.split_off_first().map(Run::columns)
+    };
+    let Some(mut open) = next() else { return };
+    while let Some(columns) = next() {
+        if columns.start <= open.end {
+            open.end = open.end.max(columns.end);
+        } else {
+            each(open);
+            open = columns;
+        }
+    }
+    each(open);
+}
+
 /// Sums over the rows of a box, kept up to date as it moves down.
 #[derive(Debug, Default)]
 struct Window {
@@ -123,82 +176,120 @@ struct Window {
 impl Window {
     fn begin(&mut self, width: usize, half: (usize, usize)) {
         self.sums.clear();
-        self.sums.resize(width + 2 * PAD, 0);
+        self.sums.resize(width + ROOM, 0);
         self.half = half;
     }
 
     /// Moves down to where row `last` is the lowest.
     #[inline(always)]
-    fn advance(&mut self, last: usize, ring: &Ring, runs: &Runs) {
-        if last < runs.height() {
-            for run in runs.row(last) {
-                let row = &ring.row(last)[padded(run)];
-                self.sums[padded(run)].iter_mut().zip(row).for_each(|(sum, x)| *sum = sum.wrapping_add(*x));
+    fn advance(&mut self, last: usize, ring: &Ring, blocks: &Runs) {
+        let first = last.checked_sub(2 * self.half.1 + 1);
+        let of = |v: usize| if v < blocks.height() { blocks.row(v) } else { &[] };
+        let sums = &mut self.sums;
+        match first {
+            Some(first) if last < blocks.height() => {
+                let (entering, leaving) = (ring.row(last), ring.row(first));
+                each_of_both(
+                    of(last),
+                    of(first),
+                    #[inline(always)]
+                    |columns| {
+                        let leaving = whole_blocks(&leaving[columns.clone()]);
+                        let entering = whole_blocks(&entering[columns.clone()]);
+                        let sums = sums[columns].as_chunks_mut::<BLOCK>().0;
+                        for ((sums, entering), leaving) in sums.iter_mut().zip(entering).zip(leaving) {
+                            one_by_one();
+                            let mut moved = *sums;
+                            for i in 0..BLOCK {
+                                moved[i] = moved[i].wrapping_add(entering[i]).wrapping_sub(leaving[i]);
+                            }
+                            *sums = moved;
+                        }
+                    },
+                );
             }
-        }
-        if let Some(first) = last.checked_sub(2 * self.half.1 + 1)
-            && first < runs.height()
-        {
-            for run in runs.row(first) {
-                let row = &ring.row(first)[padded(run)];
-                self.sums[padded(run)].iter_mut().zip(row).for_each(|(sum, x)| *sum = sum.wrapping_sub(*x));
+            Some(first) => {
+                for blocks in of(first) {
+                    let leaving = &ring.row(first)[blocks.columns()];
+                    sums[blocks.columns()]
+                        .iter_mut()
+                        .zip(leaving)
+                        .for_each(|(sum, x)| *sum = sum.wrapping_sub(*x));
+                }
+            }
+            None => {
+                for blocks in of(last) {
+                    let entering = &ring.row(last)[blocks.columns()];
+                    sums[blocks.columns()]
+                        .iter_mut()
+                        .zip(entering)
+                        .for_each(|(sum, x)| *sum = sum.wrapping_add(*x));
+                }
             }
         }
     }
 
-    /// Sums over the boxes around the pixels of a run.
+    /// Sums over the boxes around the pixels of a row.
     #[inline(always)]
-    fn boxes<'a>(&self, run: &Run, taps: &'a mut Taps) -> &'a [i32] {
-        let (half, n) = (self.half.0, run.columns().len());
-        let from = &self.sums[run.start() + PAD - half..run.end() + PAD + half];
-        let Taps { two, four, eight, out } = taps;
-        let out = &mut out[..n];
-        if half == 1 {
-            let (a, b, c) = (&from[..n], &from[1..1 + n], &from[2..2 + n]);
-            for i in 0..n {
-                out[i] = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
+    fn boxes<'a>(&self, blocks: &[Run], taps: &'a mut Taps) -> &'a [i32] {
+        let (half, Taps { three, nine, out }) = (self.half.0, taps);
+        for blocks in blocks {
+            let (start, end) = (blocks.start(), blocks.end());
+            let (sums, from) = (&self.sums[start..], &self.sums[start - half..]);
+            if half == 1 {
+                add([from, &from[1..], &from[2..]], &mut out[start..end]);
+                continue;
             }
-            return out;
-        }
-        let length = from.len();
-        pairs(from, 1, &mut two[..length - 1]);
-        pairs(&two[..length - 1], 2, &mut four[..length - 3]);
-        let last = &from[2 * half..2 * half + n];
-        let (wide, apart) = if half == 9 {
-            pairs(&four[..length - 3], 4, &mut eight[..length - 7]);
-            (&eight[..], 8)
-        } else {
-            (&four[..], 4)
-        };
-        let (a, b) = (&wide[..n], &wide[apart..apart + n]);
-        if 2 * apart == 2 * half {
-            for i in 0..n {
-                out[i] = a[i].wrapping_add(b[i]).wrapping_add(last[i]);
+            add([from, &from[1..], &from[2..]], &mut three[start..end + BLOCK]);
+            let three = &three[start..];
+            if half == 4 {
+                add([three, &three[3..], &three[6..]], &mut out[start..end]);
+                continue;
             }
-        } else {
-            let c = &two[2 * apart..2 * apart + n];
-            for i in 0..n {
-                out[i] = a[i].wrapping_add(b[i]).wrapping_add(c[i]).wrapping_add(last[i]);
-            }
+            add([three, &three[3..], &three[6..]], &mut nine[start..end + BLOCK]);
+            let nine = &nine[start..];
+            let others = if half == 5 { [&sums[4..], &sums[5..]] } else { [&nine[10..], sums] };
+            add([nine, others[0], others[1]], &mut out[start..end]);
         }
         out
     }
 }
 
-/// Sums of values that lie `apart`.
+/// Sums of three values each.
 #[inline(always)]
-fn pairs(from: &[i32], apart: usize, out: &mut [i32]) {
-    for ((out, a), b) in out.iter_mut().zip(from).zip(&from[apart..]) {
-        *out = a.wrapping_add(*b);
+fn add(parts: [&[i32]; 3], out: &mut [i32]) {
+    let n = out.len();
+    // Of neighbours in memory the compiler would load one, and make the others of it.
+    let [a, b, c] = parts;
+    let (a, b, c) = (black_box(&a[..n]), black_box(&b[..n]), black_box(&c[..n]));
+    let parts = whole_blocks(a).iter().zip(whole_blocks(b)).zip(whole_blocks(c));
+    for (out, ((a, b), c)) in out.as_chunks_mut::<BLOCK>().0.iter_mut().zip(parts) {
+        one_by_one();
+        let mut sums = [0; BLOCK];
+        for i in 0..BLOCK {
+            sums[i] = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
+        }
+        *out = sums;
     }
 }
 
-/// Rows to add up boxes in: sums of two, four and eight columns.
+/// Keeps the compiler from taking the same lane of many blocks at once, which it does where vectors can scatter, and loses by.
+#[inline(always)]
+fn one_by_one() {
+    black_box(());
+}
+
+/// The blocks of a slice that has no rest.
+#[inline(always)]
+fn whole_blocks(values: &[i32]) -> &[[i32; BLOCK]] {
+    values.as_chunks().0
+}
+
+/// Rows to add up boxes in: sums of three and nine columns, and of all.
 #[derive(Debug, Default)]
 struct Taps {
-    two: Vec<i32>,
-    four: Vec<i32>,
-    eight: Vec<i32>,
+    three: Vec<i32>,
+    nine: Vec<i32>,
     out: Vec<i32>,
 }
 
@@ -230,11 +321,11 @@ impl Side {
 
     /// How far the steps of row `v` are from the mean around them.
     #[inline(always)]
-    fn residuals(&mut self, v: usize, runs: &Runs, taps: &mut Taps) {
+    fn residuals(&mut self, v: usize, runs: &Runs, blocks: &Runs, taps: &mut Taps) {
         let row = self.residuals.fresh(v, runs);
+        let sums = self.mean.boxes(blocks.row(v), taps);
         for run in runs.row(v) {
-            let sums = self.mean.boxes(run, taps);
-            let steps = &self.steps.row(v)[padded(run)];
+            let (steps, sums) = (&self.steps.row(v)[padded(run)], &sums[padded(run)]);
             for ((out, &step), &sum) in row[padded(run)].iter_mut().zip(steps).zip(sums) {
                 let residual = wrap_units((step >> COUNT_BITS) as f32 - mean(sum)).abs();
                 *out = if step == 0 { 0 } else { whole(residual) << COUNT_BITS | 1 };
@@ -244,14 +335,16 @@ impl Side {
 
     /// Costs of the steps of row `v`.
     #[inline(always)]
-    fn costs(&mut self, v: usize, input: &Input<'_>, bounds: &Bounds, taps: &mut [Taps; 2]) {
+    fn costs(&mut self, v: usize, input: &Input<'_>, bounds: &Bounds, blocks: &Runs, taps: &mut [Taps; 2]) {
         let [taps, more] = taps;
+        let along = self.along.boxes(blocks.row(v), taps);
+        let stretch = self.stretch.boxes(blocks.row(v), more);
         for run in input.runs.row(v) {
             let columns = run.columns();
             let n = columns.len();
             let own = &self.residuals.row(v)[padded(run)][..n];
-            let along = &self.along.boxes(run, taps)[..n];
-            let stretch = &self.stretch.boxes(run, more)[..n];
+            let along = &along[padded(run)][..n];
+            let stretch = &stretch[padded(run)][..n];
             let misfit = &input.misfit.row(v)[columns.clone()][..n];
             let (costs, out) = (&mut self.costs[..n], &mut self.codes[columns][..n]);
             for i in 0..n {
@@ -279,6 +372,7 @@ pub(super) struct Buffers {
     right: Side,
     down: Side,
     taps: [Taps; 2],
+    blocks: Runs,
     turns: Vec<i16>,
 }
 
@@ -300,14 +394,15 @@ pub(super) fn run(
     mut each: impl FnMut(usize, Row<'_>, &Plane<i16>),
 ) {
     let (w, h) = (input.wrapped.width(), input.wrapped.height());
-    let Buffers { right, down, taps, turns: row_turns } = buffers;
+    let Buffers { right, down, taps, blocks, turns: row_turns } = buffers;
     right.begin(w, ALONG[0]);
     down.begin(w, ALONG[1]);
     for taps in taps.iter_mut() {
-        for row in [&mut taps.two, &mut taps.four, &mut taps.eight, &mut taps.out] {
-            row.resize(w + 2 * PAD, 0);
+        for row in [&mut taps.three, &mut taps.nine, &mut taps.out] {
+            row.resize(w + ROOM, 0);
         }
     }
+    find_blocks(input.runs, blocks);
     row_turns.resize(w, 0);
     for next in 0..h + LAG {
         if next < h {
@@ -316,20 +411,20 @@ pub(super) fn run(
             steps_down(input, next, down.steps.fresh(next, input.runs));
         }
         for side in [&mut *right, &mut *down] {
-            side.mean.advance(next, &side.steps, input.runs);
+            side.mean.advance(next, &side.steps, blocks);
             if let Some(v) = next.checked_sub(MEAN_STEP.1)
                 && v < h
             {
-                side.residuals(v, input.runs, &mut taps[0]);
+                side.residuals(v, input.runs, blocks, &mut taps[0]);
             }
             // Windows begin above the first row: what lies before it is nothing.
             let Some(v) = next.checked_sub(MEAN_STEP.1) else { continue };
-            side.stretch.advance(v, &side.residuals, input.runs);
+            side.stretch.advance(v, &side.residuals, blocks);
             if let Some(last) = (v + side.along.half.1).checked_sub(STRETCH.1) {
-                side.along.advance(last, &side.residuals, input.runs);
+                side.along.advance(last, &side.residuals, blocks);
             }
             if let Some(v) = next.checked_sub(LAG) {
-                side.costs(v, input, bounds, taps);
+                side.costs(v, input, bounds, blocks, taps);
             }
         }
         if let Some(v) = next.checked_sub(LAG) {
