@@ -1,6 +1,7 @@
 //! Union-find whose links carry whole turns, and whose roots carry the marker's votes.
 
 use super::Settings;
+use super::segments::Segment;
 
 /// Trees of nodes.
 #[derive(Debug, Default)]
@@ -45,11 +46,18 @@ impl Forest {
         self.trees.clear();
     }
 
-    /// Adds a tree of one node of so many pixels.
+    /// Adds a tree of one node for each segment.
     #[inline(always)]
-    pub fn push(&mut self, size: u32) {
-        self.links.push(Link { parent: self.links.len() as u32, turns: 0 });
-        self.trees.push(Tree { size, order: 0, votes: 0 });
+    pub fn extend(&mut self, segments: &[Segment]) {
+        let first = self.links.len() as u32;
+        self.links.extend((first..first + segments.len() as u32).map(
+            #[inline(always)]
+            |parent| Link { parent, turns: 0 },
+        ));
+        self.trees.extend(segments.iter().map(
+            #[inline(always)]
+            |segment| Tree { size: u32::from(segment.end - segment.first), order: 0, votes: 0 },
+        ));
     }
 
     /// A vote for the order of a node that has not been joined yet.

@@ -103,7 +103,7 @@ pub fn unwrap(
     let Input { period, misfit, anchor, runs } = *input;
     let wrapped = &*phase;
     turns.reshape(wrapped.width(), wrapped.height(), 0);
-    graph.begin(wrapped.width());
+    graph.begin(wrapped.width(), settings);
     let steps = costs::Input { wrapped, period, misfit, runs, sign: pair.sign };
     let nodes = segments::Input { wrapped, anchor, markers: &pair.markers, runs };
     let bounds = costs::Bounds {
@@ -143,6 +143,22 @@ struct Place {
     tree: u32,
 }
 
+/// Where the phases of a node's segment go. `last`: the tree of the node before, most often the same, and where its root's go.
+#[inline(always)]
+fn place(graph: &mut Graph, node: usize, last: &mut Option<(u32, Place)>, settings: &Settings) -> Place {
+    let (root, turns) = graph.forest.find(node as u32);
+    let base = match *last {
+        Some((tree, base)) if tree == root => base,
+        _ => match graph.forest.order(root, settings.min_votes) {
+            Some(order) => Place { turns: order, tree: 0 },
+            // From where the tree begins: trees beside each other must not seem to continue each other.
+            None => Place { turns: -i32::from(graph.segments[root as usize].turns), tree: root + 1 },
+        },
+    };
+    *last = Some((root, base));
+    Place { turns: base.turns + turns, tree: base.tree }
+}
+
 /// Writes the phases of all segments, those beside each other that belong together at once.
 #[inline(always)]
 fn write(
@@ -151,28 +167,17 @@ fn write(
     graph: &mut Graph,
     settings: &Settings,
 ) -> Vec<(u32, Run)> {
-    let place = |graph: &mut Graph, node: usize| {
-        let (root, turns) = graph.forest.find(node as u32);
-        match graph.forest.order(root, settings.min_votes) {
-            Some(order) => Place { turns: order + turns, tree: 0 },
-            // From where the tree begins: trees beside each other must not seem to continue each other.
-            None => {
-                let first = i32::from(graph.segments[root as usize].turns);
-                Place { turns: turns - first, tree: root + 1 }
-            }
-        }
-    };
     let mut open = Vec::new();
-    let mut node = 0;
+    let (mut node, mut last) = (0, None);
     for v in 0..graph.ends.len() {
         let end = graph.ends[v];
         while node < end {
-            let own = place(graph, node);
+            let own = place(graph, node, &mut last, settings);
             let mut columns = graph.segments[node].columns();
             node += 1;
             while node < end
                 && graph.segments[node].columns().start == columns.end
-                && place(graph, node) == own
+                && place(graph, node, &mut last, settings) == own
             {
                 columns.end = graph.segments[node].columns().end;
                 node += 1;

@@ -68,9 +68,8 @@ pub(super) struct Graph {
     /// Where the nodes of each row end.
     pub ends: Vec<usize>,
     rows: [RowNodes; 2],
-    /// Edges to be taken by rising cost: their bucket, and themselves.
-    later: Vec<(u16, Edge)>,
-    sorted: Vec<Edge>,
+    /// Edges to be taken by rising cost, by bucket.
+    later: Vec<Vec<Edge>>,
     /// Which pixels of a row lie in its runs.
     inside: Vec<u64>,
     /// Turns that each pixel has more than the one below it; the first is that of column -1.
@@ -89,11 +88,11 @@ pub(super) struct Input<'a> {
 }
 
 impl Graph {
-    pub fn begin(&mut self, width: usize) {
+    pub fn begin(&mut self, width: usize, settings: &Settings) {
         self.forest.clear();
         self.segments.clear();
         self.ends.clear();
-        self.later.clear();
+        self.later.resize_with((UNITS * settings.max_residual) as usize / BUCKET as usize + 1, Vec::new);
         self.contradictions = 0;
         let words = width.div_ceil(WORD);
         for row in &mut self.rows {
@@ -125,6 +124,7 @@ impl Graph {
         let first = self.segments.len();
         self.cut(input.wrapped.row(v), turns.row(v), costs.right);
         self.ends.push(self.segments.len());
+        self.forest.extend(&self.segments[first..]);
         self.find_edges(costs.down);
         self.vote(v, turns.row(v), input);
         // First to the row above, while the segments are small trees, which may be attached where it is doubtful.
@@ -138,7 +138,7 @@ impl Graph {
     /// Cuts a row into segments.
     #[inline(always)]
     fn cut(&mut self, wrapped: &[f32], turns: &[i16], right: &[u16]) {
-        let Self { inside, segments, forest, rows: [_, row], .. } = self;
+        let Self { inside, segments, rows: [_, row], .. } = self;
         let words = inside.iter().zip(&mut row.starts).zip(right.as_chunks::<WORD>().0);
         for (k, ((&inside, starts), right)) in words.enumerate() {
             *starts = 0;
@@ -170,7 +170,6 @@ impl Graph {
                     nodes[i..i + LONGEST_PX].fill(segments.len() as u32);
                     let first = (begin + i) as u16;
                     segments.push(Segment { first, end: first + count as u16, turns: turns[i] });
-                    forest.push(count as u32);
                 },
             );
         }
@@ -291,29 +290,16 @@ impl Graph {
         if sum < (SURE + 1) * count {
             self.contradictions += usize::from(!self.forest.merge(edge, settings));
         } else {
-            self.later.push((((sum / count - SURE) / BUCKET) as u16, edge));
+            self.later[((sum / count - SURE) / BUCKET) as usize].push(edge);
         }
     }
 
     /// Takes all other edges by rising cost; ties as they were found.
     pub fn finish(&mut self, settings: &Settings) {
-        let buckets = self.later.iter().map(|(bucket, _)| usize::from(*bucket) + 1).max().unwrap_or(0);
-        let mut start = vec![0usize; buckets + 1];
-        for (bucket, _) in &self.later {
-            start[usize::from(*bucket) + 1] += 1;
-        }
-        for i in 0..buckets {
-            start[i + 1] += start[i];
-        }
-        self.sorted.clear();
-        self.sorted.resize(self.later.len(), Edge::default());
-        for (bucket, edge) in &self.later {
-            let place = &mut start[usize::from(*bucket)];
-            self.sorted[*place] = *edge;
-            *place += 1;
-        }
-        for edge in &self.sorted {
-            self.contradictions += usize::from(!self.forest.merge(*edge, settings));
+        for edges in &mut self.later {
+            for edge in edges.drain(..) {
+                self.contradictions += usize::from(!self.forest.merge(edge, settings));
+            }
         }
     }
 }
