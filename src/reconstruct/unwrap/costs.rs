@@ -327,7 +327,7 @@ impl Side {
         for run in runs.row(v) {
             let (steps, sums) = (&self.steps.row(v)[padded(run)], &sums[padded(run)]);
             for ((out, &step), &sum) in row[padded(run)].iter_mut().zip(steps).zip(sums) {
-                let residual = wrap_units((step >> COUNT_BITS) as f32 - mean(sum)).abs();
+                let residual = apart((step >> COUNT_BITS) as f32 - mean(sum));
                 *out = if step == 0 { 0 } else { whole(residual) << COUNT_BITS | 1 };
             }
         }
@@ -512,11 +512,12 @@ fn mean_exceeds(sum: i32, bound: f32) -> bool {
     (sum >> COUNT_BITS) as f32 > bound * count as f32
 }
 
-/// To half a turn to each side, in units.
+/// How far a difference of two steps is from no turn or a whole one, in units.
 #[inline(always)]
-fn wrap_units(x: f32) -> f32 {
+fn apart(difference: f32) -> f32 {
     const TURN: f32 = TAU * UNITS;
-    x - nearest(x * (1.0 / TURN)) * TURN
+    let (below, above) = (difference.abs(), TURN - difference.abs());
+    if below < above { below } else { above }
 }
 
 #[cfg(test)]
