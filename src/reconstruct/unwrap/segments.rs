@@ -221,14 +221,17 @@ impl Graph {
     /// Joins the segments from `first` on with those before them in the row.
     #[inline(always)]
     fn join_beside(&mut self, first: usize, right: &[u16], settings: &Settings) {
-        for node in first + 1..self.segments.len() {
-            let (before, own) = (self.segments[node - 1], self.segments[node]);
-            let cost = right[usize::from(before.end) - 1];
-            if before.end == own.first && cost != NONE {
+        let Self { forest, later, segments, contradictions, .. } = self;
+        for (node, pair) in (first as u32..).zip(segments[first..].windows(2)) {
+            let (before, own) = (pair[0], pair[1]);
+            if before.end != own.first {
+                continue;
+            }
+            let cost = right[usize::from(own.first) - 1];
+            if cost != NONE {
                 let cost = u32::from(cost);
-                let edge =
-                    Edge { a: node as u32 - 1, b: node as u32, turns: 0, doubtful: doubtful(cost) != 0 };
-                self.take(edge, units(cost), 1, settings);
+                let edge = Edge { a: node, b: node + 1, turns: 0, doubtful: doubtful(cost) != 0 };
+                *contradictions += usize::from(!take(forest, later, edge, [units(cost), 1], settings));
             }
         }
     }
@@ -252,45 +255,33 @@ impl Graph {
     /// Joins the segments of the row above with those below them.
     #[inline(always)]
     fn join_below(&mut self, settings: &Settings) {
-        for k in 0..self.inside.len() {
-            let [above, below] = &self.rows;
-            let edges = above.edges[k];
+        let Self { forest, later, rows: [above, below], turns, contradictions, .. } = self;
+        for (k, (&edges, starts)) in
+            above.edges.iter().zip(above.starts.iter().zip(&below.starts)).enumerate()
+        {
             if edges == 0 {
                 continue;
             }
-            let (begin, turns) = (k * WORD, &self.turns[k * WORD..][..WORD + 1]);
+            let begin = k * WORD;
+            let turns: &[i16; WORD + 1] = part(turns, begin);
             let turned = bits_where(
                 #[inline(always)]
                 |i| turns[i] != turns[i + 1],
             );
-            let starts = edges & (above.starts[k] | below.starts[k] | turned | !(edges << 1));
+            let starts = edges & (starts.0 | starts.1 | turned | !(edges << 1));
+            let sums: &[u32; WORD + 1] = part(&above.sums, begin);
+            let nodes: [&[u32; WORD]; 2] = [part(&above.node, begin), part(&below.node, begin)];
             each_stretch(
                 starts,
                 edges,
                 #[inline(always)]
                 |i, count| {
-                    let [above, below] = &self.rows;
-                    let sum = above.sums[begin + i + count] - above.sums[begin + i];
-                    let count = count as u32;
-                    let edge = Edge {
-                        a: above.node[begin + i],
-                        b: below.node[begin + i],
-                        turns: self.turns[begin + i + 1],
-                        doubtful: DOUBTFUL_SHARE[1] * doubtful(sum) > DOUBTFUL_SHARE[0] * count,
-                    };
-                    self.take(edge, units(sum), count, settings);
+                    let (sum, count) = (sums[i + count] - sums[i], count as u32);
+                    let doubtful = DOUBTFUL_SHARE[1] * doubtful(sum) > DOUBTFUL_SHARE[0] * count;
+                    let edge = Edge { a: nodes[0][i], b: nodes[1][i], turns: turns[i + 1], doubtful };
+                    *contradictions += usize::from(!take(forest, later, edge, [units(sum), count], settings));
                 },
             );
-        }
-    }
-
-    /// Takes a sure edge, puts another off. Its cost is the mean of those of `count` steps, of which `sum` is the sum.
-    #[inline(always)]
-    fn take(&mut self, edge: Edge, sum: u32, count: u32, settings: &Settings) {
-        if sum < (SURE + 1) * count {
-            self.contradictions += usize::from(!self.forest.merge(edge, settings));
-        } else {
-            self.later[((sum / count - SURE) / BUCKET) as usize].push(edge);
         }
     }
 
@@ -304,13 +295,36 @@ impl Graph {
     }
 }
 
+/// Takes a sure edge, puts another off. Its cost is the mean of those of some steps, of which there are their sum and how many
+/// they are. False when votes contradict.
+#[inline(always)]
+fn take(
+    forest: &mut Forest,
+    later: &mut [Vec<Edge>],
+    edge: Edge,
+    [sum, count]: [u32; 2],
+    settings: &Settings,
+) -> bool {
+    if sum < (SURE + 1) * count {
+        return forest.merge(edge, settings);
+    }
+    later[((sum / count - SURE) / BUCKET) as usize].push(edge);
+    true
+}
+
+/// Some values of a row.
+#[inline(always)]
+fn part<T, const N: usize>(row: &[T], first: usize) -> &[T; N] {
+    row[first..].first_chunk().expect("whole words")
+}
+
 /// Calls `each` with the first place and the length of every stretch of a word: each of `starts` begins one, which ends before
 /// the next, or where `inside` does.
 #[inline(always)]
 fn each_stretch(starts: u64, inside: u64, mut each: impl FnMut(usize, usize)) {
     let (mut rest, on) = (starts, inside & !starts);
     while rest != 0 {
-        let first = rest.trailing_zeros() as usize;
+        let first = rest.trailing_zeros() as usize % WORD;
         each(first, 1 + (on >> first >> 1).trailing_ones() as usize);
         rest &= rest - 1;
     }
