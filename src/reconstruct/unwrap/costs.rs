@@ -14,6 +14,9 @@ use std::ops::Range;
 /// Pixels that are added at once. Rows of sums are added in whole blocks: what lies beside the runs is 0, and no loop has a rest.
 const BLOCK: usize = 32;
 
+/// Pixels of the widest vector.
+const VECTOR: usize = 16;
+
 /// Room before a row, px: no window reaches further.
 pub(super) const PAD: usize = BLOCK;
 
@@ -119,6 +122,12 @@ impl Ring {
 #[inline(always)]
 fn padded(run: &Run) -> std::ops::Range<usize> {
     run.start() + PAD..run.end() + PAD
+}
+
+/// The length of a run in whole vectors: what lies behind its end is no step, or is written again by the next run.
+#[inline(always)]
+fn whole_vectors(run: &Run) -> usize {
+    run.columns().len().div_ceil(VECTOR) * VECTOR
 }
 
 /// The whole blocks of rows with room beside them that have pixels of the runs.
@@ -315,8 +324,8 @@ impl Side {
         self.mean.begin(width, MEAN_STEP);
         self.along.begin(width, along);
         self.stretch.begin(width, STRETCH);
-        self.costs.resize(width, 0.0);
-        self.codes.resize(width.next_multiple_of(WORD), NONE);
+        self.costs.resize(width + VECTOR, 0.0);
+        self.codes.resize((width + VECTOR).next_multiple_of(WORD), NONE);
     }
 
     /// How far the steps of row `v` are from the mean around them.
@@ -325,33 +334,39 @@ impl Side {
         let row = self.residuals.fresh(v, runs);
         let sums = self.mean.boxes(blocks.row(v), taps);
         for run in runs.row(v) {
-            let (steps, sums) = (&self.steps.row(v)[padded(run)], &sums[padded(run)]);
-            for ((out, &step), &sum) in row[padded(run)].iter_mut().zip(steps).zip(sums) {
-                let residual = apart((step >> COUNT_BITS) as f32 - mean(sum));
-                *out = if step == 0 { 0 } else { whole(residual) << COUNT_BITS | 1 };
+            let (start, n) = (padded(run).start, whole_vectors(run));
+            let (steps, sums) = (&self.steps.row(v)[start..][..n], &sums[start..][..n]);
+            let out = &mut row[start..][..n];
+            for i in 0..n {
+                let residual = apart((steps[i] >> COUNT_BITS) as f32 - mean(sums[i]));
+                out[i] = if steps[i] == 0 { 0 } else { whole(residual) << COUNT_BITS | 1 };
             }
         }
     }
 
-    /// Costs of the steps of row `v`.
+    /// Costs of the steps of row `v`, whose misfit adds `excess`.
     #[inline(always)]
-    fn costs(&mut self, v: usize, input: &Input<'_>, bounds: &Bounds, blocks: &Runs, taps: &mut [Taps; 2]) {
+    fn costs(
+        &mut self,
+        v: usize,
+        excess: &[f32],
+        bounds: &Bounds,
+        [runs, blocks]: [&Runs; 2],
+        taps: &mut [Taps; 2],
+    ) {
         let [taps, more] = taps;
         let along = self.along.boxes(blocks.row(v), taps);
         let stretch = self.stretch.boxes(blocks.row(v), more);
-        for run in input.runs.row(v) {
-            let columns = run.columns();
-            let n = columns.len();
-            let own = &self.residuals.row(v)[padded(run)][..n];
-            let along = &along[padded(run)][..n];
-            let stretch = &stretch[padded(run)][..n];
-            let misfit = &input.misfit.row(v)[columns.clone()][..n];
-            let (costs, out) = (&mut self.costs[..n], &mut self.codes[columns][..n]);
+        for run in runs.row(v) {
+            let (column, start, n) = (run.start(), padded(run).start, whole_vectors(run));
+            let own = &self.residuals.row(v)[start..][..n];
+            let (along, stretch) = (&along[start..][..n], &stretch[start..][..n]);
+            let excess = &excess[column..][..n];
+            let (costs, out) = (&mut self.costs[..n], &mut self.codes[column..][..n]);
             for i in 0..n {
                 let (residual, around) = ((own[i] >> COUNT_BITS) as f32, mean(along[i]));
                 let worse = if residual < around { around } else { residual };
-                let excess = misfit[i] - GOOD_MISFIT;
-                costs[i] = worse + UNITS * if excess > 0.0 { excess } else { 0.0 };
+                costs[i] = worse + excess[i];
             }
             // By themselves: else the compiler makes branches of these choices where vectors have no masks.
             for i in 0..n {
@@ -373,6 +388,7 @@ pub(super) struct Buffers {
     down: Side,
     taps: [Taps; 2],
     blocks: Runs,
+    excess: Vec<f32>,
     turns: Vec<i16>,
 }
 
@@ -394,7 +410,7 @@ pub(super) fn run(
     mut each: impl FnMut(usize, Row<'_>, &Plane<i16>),
 ) {
     let (w, h) = (input.wrapped.width(), input.wrapped.height());
-    let Buffers { right, down, taps, blocks, turns: row_turns } = buffers;
+    let Buffers { right, down, taps, blocks, excess, turns: row_turns } = buffers;
     right.begin(w, ALONG[0]);
     down.begin(w, ALONG[1]);
     for taps in taps.iter_mut() {
@@ -403,12 +419,16 @@ pub(super) fn run(
         }
     }
     find_blocks(input.runs, blocks);
+    excess.resize(w + VECTOR, 0.0);
     row_turns.resize(w, 0);
     for next in 0..h + LAG {
         if next < h {
             steps_right(input, next, right.steps.fresh(next, input.runs), row_turns);
             add_up(input.runs.row(next), row_turns, turns.row_mut(next));
             steps_down(input, next, down.steps.fresh(next, input.runs));
+        }
+        if let Some(v) = next.checked_sub(LAG) {
+            find_excess(input.misfit.row(v), input.runs.row(v), excess);
         }
         for side in [&mut *right, &mut *down] {
             side.mean.advance(next, &side.steps, blocks);
@@ -424,7 +444,7 @@ pub(super) fn run(
                 side.along.advance(last, &side.residuals, blocks);
             }
             if let Some(v) = next.checked_sub(LAG) {
-                side.costs(v, input, bounds, blocks, taps);
+                side.costs(v, excess, bounds, [input.runs, blocks], taps);
             }
         }
         if let Some(v) = next.checked_sub(LAG) {
@@ -469,6 +489,17 @@ fn steps_down(input: &Input<'_>, v: usize, out: &mut [i32]) {
         for i in 0..n {
             let x = b[i] - a[i];
             out[i] = packed(x - turns_in(x) * TAU);
+        }
+    }
+}
+
+/// What the misfit of a row's pixels adds to costs.
+#[inline(always)]
+fn find_excess(misfit: &[f32], runs: &[Run], out: &mut [f32]) {
+    for run in runs {
+        for (out, misfit) in out[run.columns()].iter_mut().zip(&misfit[run.columns()]) {
+            let excess = misfit - GOOD_MISFIT;
+            *out = UNITS * if excess > 0.0 { excess } else { 0.0 };
         }
     }
 }
