@@ -3,7 +3,7 @@
 //! Rows of points go through a ring of seven, as many as a normal needs, which stays in the cache. The steps come
 //! first so that a cloud made of a stored phase map has the same bytes.
 
-use super::normals::{LANES, Oriented, Points, REACH, orient};
+use super::normals::{LANES, Oriented, Points, REACH, Row, orient};
 use super::rays::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
 use super::roi::Roi;
 use super::round::whole;
@@ -13,6 +13,7 @@ use crate::export::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, dou
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
+use std::hint::black_box;
 
 /// Rows in the ring: a normal reaches three up and three down.
 const RING: usize = 2 * REACH + 1;
@@ -90,6 +91,7 @@ struct Scratch {
     /// Absolute phase of a row, in fringes.
     fringes: Vec<f32>,
     ring: [RingRow; RING],
+    stretch: Stretch,
 }
 
 /// A row of points.
@@ -153,6 +155,7 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
     scratch.fringes.clear();
     scratch.fringes.resize(width, f32::NAN);
     scratch.ring.iter_mut().for_each(|row| row.resize(width));
+    scratch.stretch.resize(width);
     // The runs and pixels whose points are made next, and those whose normals are.
     let (mut run_in, mut pixel_in, mut run_out, mut pixel_out) = (0, 0, 0, 0);
     for v in usize::from(first.row)..=usize::from(last.row) + REACH {
@@ -170,15 +173,14 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
             // Row v - 3 is where v + 4 will be.
             let row = |dv: usize| &scratch.ring[(v + RING + dv - REACH) % RING];
             let rows = [row(0), row(2), row(3), row(4), row(6)];
-            pixel_out += emit::<SIGMA>(table, map, rows, runs, pixel_out, left, &mut cloud);
+            pixel_out +=
+                emit::<SIGMA>(table, map, rows, runs, pixel_out, left, &mut scratch.stretch, &mut cloud);
         }
     }
     cloud
 }
 
 fn reserve(cloud: &mut Cloud, points: usize, sigma: bool) {
-    // Lanes are appended sixteen at a time, and cut where fewer are good.
-    let points = points + LANES;
     cloud.position_m.reserve_exact(points);
     cloud.normal.reserve_exact(points);
     cloud.intensity.reserve_exact(points);
@@ -236,6 +238,55 @@ fn points<const SCALE: bool>(
     pixel
 }
 
+/// The points of a run with what belongs to them, good or not: they are appended by stretches of good ones.
+#[derive(Default)]
+struct Stretch {
+    normals: Points,
+    good: Vec<u8>,
+    position: Vec<[f32; 3]>,
+    normal: Vec<[f32; 3]>,
+    bright: Vec<f32>,
+    pixel: Vec<[u16; 2]>,
+    sigma: Vec<f32>,
+}
+
+impl Stretch {
+    fn resize(&mut self, width: usize) {
+        for plane in [&mut self.normals.x, &mut self.normals.y, &mut self.normals.z] {
+            plane.resize(width, 0.0);
+        }
+        self.good.resize(width, 0);
+        self.position.resize(width, [0.0; 3]);
+        self.normal.resize(width, [0.0; 3]);
+        self.bright.resize(width, 0.0);
+        self.pixel.resize(width, [0; 2]);
+        self.sigma.resize(width, 0.0);
+    }
+
+    /// Takes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] asks for.
+    #[inline(always)]
+    fn orient(&mut self, rows: &[Row<'_>; 5], place: usize, count: usize, table: &RayTable) {
+        for offset in (0..count).step_by(LANES) {
+            let oriented = orient::<false>(rows, place + offset, table);
+            self.put(&oriented, offset);
+            let known = BELOW[LANES.min(count - offset)];
+            if (u128::from_le_bytes(oriented.good) ^ ALL) & known != 0 {
+                // From the beginning, so that nothing has to be kept for it everywhere else.
+                self.put(&orient::<true>(rows, black_box(place + offset), table), offset);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn put(&mut self, oriented: &Oriented, offset: usize) {
+        let Points { x, y, z } = &mut self.normals;
+        for (to, normal) in [x, y, z].into_iter().zip(&oriented.normal) {
+            to[offset..offset + LANES].copy_from_slice(normal);
+        }
+        self.good[offset..offset + LANES].copy_from_slice(&oriented.good);
+    }
+}
+
 /// Appends the points of a row, whose pixels begin with `pixel`; returns how many pixels these are.
 #[inline(always)]
 fn emit<const SIGMA: bool>(
@@ -245,91 +296,83 @@ fn emit<const SIGMA: bool>(
     runs: &[Run],
     pixel: usize,
     left: usize,
+    stretch: &mut Stretch,
     cloud: &mut Cloud,
 ) -> usize {
-    let points = rows.map(|row| &row.points);
+    let width = rows[2].points.x.len();
+    let [a, b, c, d, e] = rows;
+    let points = [
+        a.points.row(width),
+        b.points.row(width),
+        c.points.row(width),
+        d.points.row(width),
+        e.points.row(width),
+    ];
     let mut done = 0;
     for run in runs {
-        let mut pixels = [[0u16; 2]; LANES];
-        for (i, pixel) in pixels.iter_mut().enumerate() {
-            *pixel = [run.first + i as u16, run.row];
+        let count = usize::from(run.length);
+        let place = usize::from(run.first) - left * NODE_PX + PAD;
+        stretch.orient(&points, place, count, table);
+        let normals = stretch.normals.row(count);
+        interleave(&mut stretch.position[..count], points[2].map(|axis| &axis[place..place + count]));
+        interleave(&mut stretch.normal[..count], normals);
+        let light = &map.light[pixel + done..][..count];
+        for (bright, &light) in stretch.bright[..count].iter_mut().zip(light) {
+            *bright = intensity(light);
         }
-        for offset in (0..usize::from(run.length)).step_by(LANES) {
-            let place = usize::from(run.first) + offset - left * NODE_PX + PAD;
-            let count = LANES.min(usize::from(run.length) - offset);
-            let oriented = orient(points, place, table);
-            let from = pixel + done + offset;
-            append(cloud, &oriented, &map.light[from..from + count], &pixels);
-            for (number, step) in pixels.as_flattened_mut().iter_mut().zip(&STEPS) {
-                *number += step;
-            }
-            if SIGMA {
-                let doubt = map.doubt[from..from + count].iter();
-                let scale = &rows[2].metres_per_rad[place..place + count];
-                let sigma = doubt.zip(scale).map(|(&doubt, scale)| doubt_rad(doubt) * scale);
-                let good = sigma.zip(oriented.good).filter(|(_, good)| *good != 0);
-                cloud.sigma_m.extend(good.map(|(sigma, _)| sigma));
+        let mut column = run.first;
+        for pixel in &mut stretch.pixel[..count] {
+            *pixel = [column, run.row];
+            column += 1;
+        }
+        if SIGMA {
+            let doubt =
+                map.doubt[pixel + done..][..count].iter().zip(&c.metres_per_rad[place..place + count]);
+            for (sigma, (&doubt, scale)) in stretch.sigma[..count].iter_mut().zip(doubt) {
+                *sigma = doubt_rad(doubt) * scale;
             }
         }
-        done += usize::from(run.length);
+        runs::runs_of(
+            &stretch.good[..count],
+            #[inline(always)]
+            |start, end| {
+                cloud.position_m.extend_from_slice(&stretch.position[start..end]);
+                cloud.normal.extend_from_slice(&stretch.normal[start..end]);
+                cloud.intensity.extend_from_slice(&stretch.bright[start..end]);
+                cloud.pixel.extend_from_slice(&stretch.pixel[start..end]);
+                if SIGMA {
+                    cloud.sigma_m.extend_from_slice(&stretch.sigma[start..end]);
+                }
+            },
+        );
+        done += count;
     }
     done
 }
 
-/// What the columns and rows of a block's pixels change by to the next block.
-const STEPS: [u16; 2 * LANES] = {
-    let mut steps = [0; 2 * LANES];
-    let mut i = 0;
-    while i < LANES {
-        steps[2 * i] = LANES as u16;
-        i += 1;
+/// Puts the coordinates of points beside each other.
+#[inline(always)]
+fn interleave(points: &mut [[f32; 3]], [x, y, z]: [&[f32]; 3]) {
+    let n = points.len();
+    let (x, y, z) = (&x[..n], &y[..n], &z[..n]);
+    for i in 0..n {
+        points[i] = [x[i], y[i], z[i]];
     }
-    steps
+}
+
+/// A byte for each of a block's points: all of them good, and all bits of those below a number.
+const ALL: u128 = u128::MAX / 255;
+const BELOW: [u128; LANES + 1] = {
+    let mut below = [0; LANES + 1];
+    let mut count = 1;
+    while count <= LANES {
+        below[count] = u128::MAX >> (8 * (LANES - count));
+        count += 1;
+    }
+    below
 };
 
 #[inline(always)]
 fn intensity(light: u16) -> f32 {
     f32::from(light) * (1.0 / (255.0 * STEPS_PER_LEVEL))
-}
-
-/// Appends the good ones of a block of points at `pixels`, of which the run has as many as there is `light`.
-#[inline(always)]
-fn append(cloud: &mut Cloud, oriented: &Oriented, light: &[u16], pixels: &[[u16; 2]; LANES]) {
-    let (p, n) = (&oriented.point, &oriented.normal);
-    let (mut position, mut normal) = ([[0f32; 3]; LANES], [[0f32; 3]; LANES]);
-    let (mut bright, mut pixel) = ([0f32; LANES], *pixels);
-    for i in 0..LANES {
-        position[i] = [p[0][i], p[1][i], p[2][i]];
-    }
-    for i in 0..LANES {
-        normal[i] = [n[0][i], n[1][i], n[2][i]];
-    }
-    let lit = light.len();
-    let light: [u16; LANES] = sample::part(light, 0, 0);
-    for i in 0..LANES {
-        bright[i] = intensity(light[i]);
-    }
-    // A byte each; what is beyond the run's end belongs to another.
-    let mut good = u128::from_le_bytes(oriented.good) & u128::MAX >> (8 * (LANES - lit));
-    let count = good.count_ones() as usize;
-    // Nearly everywhere they are all, or those up to the end of a run.
-    const ALL: u128 = u128::MAX / 255;
-    if count > 0 && good != ALL >> (8 * (LANES - count)) {
-        for to in 0..count {
-            let from = good.trailing_zeros() as usize / 8 % LANES;
-            (position[to], normal[to], bright[to], pixel[to]) =
-                (position[from], normal[from], bright[from], pixel[from]);
-            good &= good - 1;
-        }
-    }
-    // Whole blocks: copies of a length that is not known would be calls.
-    let points = cloud.position_m.len() + count;
-    cloud.position_m.extend_from_slice(&position);
-    cloud.normal.extend_from_slice(&normal);
-    cloud.intensity.extend_from_slice(&bright);
-    cloud.pixel.extend_from_slice(&pixel);
-    cloud.position_m.truncate(points);
-    cloud.normal.truncate(points);
-    cloud.intensity.truncate(points);
-    cloud.pixel.truncate(points);
 }

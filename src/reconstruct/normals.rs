@@ -30,10 +30,19 @@ pub(super) struct Points {
 }
 
 impl Points {
+    /// The first `width` of each coordinate: of one length, so that one check of a place serves for all rows.
     #[inline(always)]
-    fn at(&self, place: usize) -> [Lanes; 3] {
-        [lanes(&self.x, place), lanes(&self.y, place), lanes(&self.z, place)]
+    pub fn row(&self, width: usize) -> Row<'_> {
+        [&self.x[..width], &self.y[..width], &self.z[..width]]
     }
+}
+
+/// The coordinates of the points of a row.
+pub(super) type Row<'a> = [&'a [f32]; 3];
+
+#[inline(always)]
+fn at(row: &Row<'_>, place: usize) -> [Lanes; 3] {
+    [lanes(row[0], place), lanes(row[1], place), lanes(row[2], place)]
 }
 
 #[inline(always)]
@@ -53,26 +62,23 @@ pub(super) struct Oriented {
 
 /// The points at `place ..` of the middle row with their normals, towards the camera. `rows` are those at -3, -1, 0,
 /// 1 and 3. A point without a normal, or that faces away from the projector that is supposed to light it, is no good.
+/// Without `NEAR` only neighbours at three pixels count: few blocks have to ask for nearer ones.
 #[inline(always)]
-pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Oriented {
-    let centre = rows[2].at(place);
+pub(super) fn orient<const NEAR: bool>(rows: &[Row<'_>; 5], place: usize, table: &RayTable) -> Oriented {
+    let [above, just_above, own, just_below, below] = rows;
+    let centre = at(own, place);
     let limit = limits(&centre, table);
     let [far, near] = REACH_PX;
-    let own = rows[2];
-    let across = tangent(
-        &centre,
-        &limit,
-        [own.at(place - far), own.at(place + far)],
-        #[inline(always)]
-        || [own.at(place - near), own.at(place + near)],
-    );
-    let along = tangent(
-        &centre,
-        &limit,
-        [rows[0].at(place), rows[4].at(place)],
-        #[inline(always)]
-        || [rows[1].at(place), rows[3].at(place)],
-    );
+    let (mut across, has) = differences(&centre, &limit, far, &[at(own, place - far), at(own, place + far)]);
+    if NEAR {
+        let beside = [at(own, place - near), at(own, place + near)];
+        complete(&mut across, &has, &differences(&centre, &limit, near, &beside).0);
+    }
+    let (mut along, has) = differences(&centre, &limit, far, &[at(above, place), at(below, place)]);
+    if NEAR {
+        let beside = [at(just_above, place), at(just_below, place)];
+        complete(&mut along, &has, &differences(&centre, &limit, near, &beside).0);
+    }
     let mut out = Oriented { point: centre, normal: [[0.0; LANES]; 3], good: [0; LANES] };
     for i in 0..LANES {
         let (a, b) = (pick(&across, i), pick(&along, i));
@@ -82,7 +88,7 @@ pub(super) fn orient(rows: [&Points; 5], place: usize, table: &RayTable) -> Orie
         let facing = if dot(n, from(table.centre, &centre, i)) > 0.0 { -1.0 } else { 1.0 };
         let scale = facing / length;
         let n = [n[0] * scale, n[1] * scale, n[2] * scale];
-        // Not so where a tangent is missing: all of it is NaN.
+        // Not so where a tangent is missing: it is 0, or NaN.
         out.good[i] = u8::from((length > 0.0) & (dot(n, from(table.projector, &centre, i)) < 0.0));
         out.normal[0][i] = n[0];
         out.normal[1][i] = n[1];
@@ -110,41 +116,16 @@ fn limits(points: &[Lanes; 3], table: &RayTable) -> Lanes {
     limit
 }
 
-/// Difference of the points before and after, of one of them to the centre where the other is missing, with the
-/// first reach for which there is one. `limit`: the square of the largest distance for a reach of 1. NaN where there
-/// is none. Few blocks have to ask for the `near` ones.
-#[inline(always)]
-fn tangent(
-    centre: &[Lanes; 3],
-    limit: &Lanes,
-    far: [[Lanes; 3]; 2],
-    near: impl FnOnce() -> [[Lanes; 3]; 2],
-) -> [Lanes; 3] {
-    let mut out = differences(centre, limit, REACH_PX[0], &far);
-    let mut missing = 0u32;
-    for i in 0..LANES {
-        missing |= u32::from(out[0][i].is_nan() & !centre[0][i].is_nan());
-    }
-    if missing != 0 {
-        let nearer = differences(centre, limit, REACH_PX[1], &near());
-        for axis in 0..3 {
-            for i in 0..LANES {
-                out[axis][i] = if out[axis][i].is_nan() { nearer[axis][i] } else { out[axis][i] };
-            }
-        }
-    }
-    out
-}
-
-/// [`tangent`] for one reach.
+/// Differences of the points before and after, of one of them to the centre where the other is missing, 0 where both are; and
+/// where there is one (all bits). `limit`: the square of the largest distance for a reach of 1.
 #[inline(always)]
 fn differences(
     centre: &[Lanes; 3],
     limit: &Lanes,
     reach: usize,
     [before, after]: &[[Lanes; 3]; 2],
-) -> [Lanes; 3] {
-    let mut out = [[f32::NAN; LANES]; 3];
+) -> ([Lanes; 3], [u32; LANES]) {
+    let (mut out, mut has) = ([[0f32; LANES]; 3], [0u32; LANES]);
     let squared = (reach * reach) as f32;
     for i in 0..LANES {
         let c = pick(centre, i);
@@ -156,10 +137,21 @@ fn differences(
         for axis in 0..3 {
             let end = if has_b { b[axis] } else { c[axis] };
             let start = if has_a { a[axis] } else { c[axis] };
-            out[axis][i] = if has_a | has_b { end - start } else { f32::NAN };
+            out[axis][i] = end - start;
+        }
+        has[i] = if has_a | has_b { u32::MAX } else { 0 };
+    }
+    (out, has)
+}
+
+/// Takes nearer differences where there are none.
+#[inline(always)]
+fn complete(out: &mut [Lanes; 3], has: &[u32; LANES], nearer: &[Lanes; 3]) {
+    for (out, nearer) in out.iter_mut().zip(nearer) {
+        for i in 0..LANES {
+            out[i] = if has[i] != 0 { out[i] } else { nearer[i] };
         }
     }
-    out
 }
 
 /// From `origin` to point `i`.
@@ -210,19 +202,22 @@ mod tests {
                 row
             })
             .collect();
-        let none = || vec![f32::NAN; 6 + 2 * LANES];
+        let width = 6 + 2 * LANES;
+        let none = || vec![f32::NAN; width];
         let empty = Points { x: none(), y: none(), z: none() };
         let expected = (camera.rotation * Vector3::new(-1.0, 0.0, -1.0).normalize()).cast::<f32>();
         for (u, v) in [(0, 0), (19, 19), (9, 10), (13, 10), (5, 5)] {
             let row = |dv: i32| usize::try_from(v + dv).ok().and_then(|v| rows.get(v)).unwrap_or(&empty);
             let place = 3 + u / LANES * LANES;
-            let found = orient([row(-3), row(-1), row(0), row(1), row(3)], place, &table);
+            let near = [row(-3), row(-1), row(0), row(1), row(3)].map(|row| row.row(width));
+            let found = orient::<true>(&near, place, &table);
             let i = u % LANES;
             let n = Vector3::from(found.normal.map(|axis| axis[i]));
             assert!((n - expected).norm() < 2e-3, "({u}, {v}): {n:?}, not {expected:?}");
             assert_eq!(found.good[i], 1, "({u}, {v})");
         }
-        let found = orient([&empty, &empty, &rows[5], &empty, &empty], 3, &table);
+        let alone = [&empty, &empty, &rows[5], &empty, &empty].map(|row| row.row(width));
+        let found = orient::<true>(&alone, 3, &table);
         assert_eq!(found.good, [0; LANES]);
     }
 }
