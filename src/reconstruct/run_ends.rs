@@ -15,6 +15,7 @@ use super::windows::{self, Windows};
 use super::{round, sample, shading, simd};
 use crate::image::Plane;
 use std::f32::consts::TAU;
+use std::hint::black_box;
 use std::ops::Range;
 
 /// How far a window may reach beyond its run: share of a period, and px.
@@ -52,6 +53,9 @@ const PERIOD_CHANGE: f32 = 0.3;
 const LESS_MISFIT: f32 = 0.9;
 const PHASE_CHANGE: f32 = 0.5;
 
+/// Rows whose ends are fetched before they are worked on.
+const AHEAD: usize = 2;
+
 /// What is read.
 pub(super) struct Input<'a> {
     pub image: &'a Plane<u8>,
@@ -76,6 +80,7 @@ pub(super) fn complete(
         || {
             let mut added = 0;
             for v in 0..absolute.height() {
+                touch(input, absolute, windows, period, v + AHEAD);
                 let mut row = Row {
                     absolute: absolute.row_mut(v),
                     strength: windows.strength.row_mut(v),
@@ -92,6 +97,30 @@ pub(super) fn complete(
             added
         },
     )
+}
+
+/// Looks at the ends of a row's runs in all planes that are needed there. They lie far from each other in memory: all of them are
+/// fetched at once, while other rows are worked on, and need not be waited for one by one.
+#[inline(always)]
+fn touch(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, period: &Plane<f32>, v: usize) {
+    if v >= absolute.height() {
+        return;
+    }
+    let mut seen = 0;
+    for run in input.runs.row(v) {
+        let (start, last) = (run.start(), run.end() - 1);
+        // Up to a cache line further in: there may be two of them.
+        for u in [start, last, (start + END_PX).min(last), last.saturating_sub(END_PX).max(start)] {
+            let counts = windows.strength.at(u, v) | windows.light.at(u, v);
+            let bytes = input.image.at(u, v) | input.zone.at(u, v);
+            let numbers = [absolute.at(u, v), windows.misfit.at(u, v), period.at(u, v)];
+            seen |= u32::from(counts) | u32::from(bytes);
+            for number in numbers {
+                seen |= number.to_bits();
+            }
+        }
+    }
+    black_box(seen);
 }
 
 /// One row of what is read and written.
