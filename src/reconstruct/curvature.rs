@@ -100,11 +100,8 @@ fn correct_run(
         let (above, below) = (sample::load(above, first + PAD), sample::load(below, first + PAD));
         let marked = sample::load(zone, first);
         // The slope along the row has no part in a difference to both sides: whole columns do.
-        let mut k = [0i32; LANES];
-        for i in 0..LANES {
-            k[i] = columns(period[i]);
-        }
-        let Beside { before, behind, share } = beside(row, first + PAD, &k);
+        let k = all_columns(&period, count);
+        let Beside { before, behind, share } = beside(row, first + PAD, &k, 1);
         let (mut wide, mut bias) = ([0f32; LANES], [0f32; LANES]);
         let mut steep = 0u32;
         for i in 0..LANES {
@@ -120,9 +117,11 @@ fn correct_run(
             steep |= u32::from(!smooth & !x[i].is_nan());
         }
         if steep != 0 {
-            for i in (0..count).filter(|&i| !x[i].is_nan() && !(wide[i].abs() < 4.0 * MAX_BEND)) {
+            let bends = bends_beside(row, first + PAD, &x, &period, count);
+            for i in 0..LANES {
                 let (noise, per_bend) = noise_and_bias(strength[i], x[i]);
-                bias[i] += per_bend * bend_beside(row, first + i + PAD, x[i], period[i], noise);
+                let with_bend = bias[i] + per_bend * shrunk(bends[i], noise);
+                bias[i] = if wide[i].abs() < 4.0 * MAX_BEND { bias[i] } else { with_bend };
             }
         }
         let mut out = [0f32; LANES];
@@ -149,33 +148,31 @@ struct Beside {
     share: Lanes,
 }
 
-/// The values `k` columns before and behind each pixel of a block.
+/// The values `times` times `k` columns before and behind each pixel of a block.
 #[inline(always)]
-fn beside(row: &[f32], first: usize, k: &[i32; LANES]) -> Beside {
-    let (mut least, mut most) = (k[0], k[0]);
+fn beside(row: &[f32], first: usize, k: &[i32; LANES], times: usize) -> Beside {
+    let (mut least, mut most) = (PAD as i32, 1);
     for &k in k {
-        (least, most) = (least.min(k), most.max(k));
+        least = least.min(k);
     }
-    let (mut before, mut behind, mut share) = ([0f32; LANES], [0f32; LANES], [0f32; LANES]);
-    let shares = [1.0 / least as f32, 1.0 / most as f32];
-    if most - least <= 1 {
-        let (low, high) = (least as usize, most as usize);
-        let near = (sample::load(row, first - low), sample::load(row, first + low));
-        let far = (sample::load(row, first - high), sample::load(row, first + high));
+    for &k in k {
+        most = most.max(k);
+    }
+    let at = least as usize * times;
+    let mut before = sample::load(row, first - at);
+    let mut behind = sample::load(row, first + at);
+    let mut share = [1.0 / least as f32; LANES];
+    // Most blocks have one number or two, and hardly any more than four.
+    for number in least + 1..=most {
+        let at = number as usize * times;
+        let far = (sample::load(row, first - at), sample::load(row, first + at));
+        let far_share = 1.0 / number as f32;
         for i in 0..LANES {
             // Bits, because of a choice between places in memory the compiler makes a gather, or a branch.
-            let is_far = if k[i] == least { 0 } else { u32::MAX };
-            before[i] = choose(is_far, near.0[i], far.0[i]);
-            behind[i] = choose(is_far, near.1[i], far.1[i]);
-            share[i] = choose(is_far, shares[0], shares[1]);
-        }
-    } else {
-        for i in 0..LANES {
-            share[i] = 1.0 / k[i] as f32;
-            let k = k[i] as usize;
-            before[i] = row[first + i - k];
-            // A block may reach beyond the row's end: what is there is nobody's.
-            behind[i] = row.get(first + i + k).copied().unwrap_or(f32::NAN);
+            let is_far = if k[i] == number { u32::MAX } else { 0 };
+            before[i] = choose(is_far, before[i], far.0[i]);
+            behind[i] = choose(is_far, behind[i], far.1[i]);
+            share[i] = choose(is_far, share[i], far_share);
         }
     }
     Beside { before, behind, share }
@@ -187,6 +184,17 @@ fn choose(bits: u32, a: f32, b: f32) -> f32 {
     f32::from_bits(a.to_bits() & !bits | b.to_bits() & bits)
 }
 
+/// The first `count` periods of a block in whole columns. What is behind them is nobody's, and as the first one.
+#[inline(always)]
+fn all_columns(period: &Lanes, count: usize) -> [i32; LANES] {
+    let (first, count) = (period[0], count as i32);
+    let mut k = [0i32; LANES];
+    for i in 0..LANES {
+        k[i] = columns(if (i as i32) < count { period[i] } else { first });
+    }
+    k
+}
+
 /// A period in whole columns.
 #[inline(always)]
 fn columns(period: f32) -> i32 {
@@ -196,21 +204,29 @@ fn columns(period: f32) -> i32 {
     whole(period)
 }
 
-/// Second difference of the phase over half a period to each side, less the noise, where that over a whole one is of
-/// no use: measured over half a period, else beside the pixel; 0 where it is not known.
+/// Second differences of the phase over half a period to each side, for where that over a whole one is of no use:
+/// measured over half a period, else beside the pixel; 0 where it is not known.
 #[inline(always)]
-fn bend_beside(row: &[f32], at: usize, phase: f32, period: f32, noise: f32) -> f32 {
-    let half = (columns(period / 2.0) as usize).min(PAD / 2);
-    let stretch = period / 2.0 / half as f32;
-    let x = [row[at - 2 * half], row[at - half], row[at + half], row[at + 2 * half]];
-    let bends = [x[1] - 2.0 * phase + x[2], phase - 2.0 * x[2] + x[3], phase - 2.0 * x[1] + x[0]];
-    for bend in bends {
-        let bend = bend * stretch * stretch;
-        if bend.abs() < MAX_BEND {
-            return shrunk(bend, noise);
-        }
+fn bends_beside(row: &[f32], first: usize, phase: &Lanes, period: &Lanes, count: usize) -> Lanes {
+    let mut half = *period;
+    for half in &mut half {
+        *half = (*half / 2.0).min(PAD as f32 / 2.0);
     }
-    0.0
+    let half = all_columns(&half, count);
+    let (near, far) = (beside(row, first, &half, 1), beside(row, first, &half, 2));
+    let mut bends = [0f32; LANES];
+    for i in 0..LANES {
+        let stretch = period[i] / 2.0 / half[i] as f32;
+        let middle = near.before[i] - 2.0 * phase[i] + near.behind[i];
+        let behind = phase[i] - 2.0 * near.behind[i] + far.behind[i];
+        let before = phase[i] - 2.0 * near.before[i] + far.before[i];
+        let (middle, behind, before) =
+            (middle * stretch * stretch, behind * stretch * stretch, before * stretch * stretch);
+        let bend = if before.abs() < MAX_BEND { before } else { 0.0 };
+        let bend = if behind.abs() < MAX_BEND { behind } else { bend };
+        bends[i] = if middle.abs() < MAX_BEND { middle } else { bend };
+    }
+    bends
 }
 
 /// `x` nearer to 0 by `noise`.
