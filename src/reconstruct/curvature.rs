@@ -150,29 +150,30 @@ struct Beside {
 
 /// The values `times` times `k` columns before and behind each pixel of a block.
 #[inline(always)]
-fn beside(row: &[f32], first: usize, k: &[i32; LANES], times: usize) -> Beside {
-    let (mut least, mut most) = (PAD as i32, 1);
+fn beside(row: &[f32], first: usize, k: &[u32; LANES], times: usize) -> Beside {
+    // A bit for each number there is: most blocks have one or two, and hardly any more than four.
+    let mut numbers = 0u64;
     for &k in k {
-        least = least.min(k);
+        numbers |= 1 << (k - 1);
     }
-    for &k in k {
-        most = most.max(k);
-    }
+    let least = numbers.trailing_zeros() + 1;
     let at = least as usize * times;
     let mut before = sample::load(row, first - at);
     let mut behind = sample::load(row, first + at);
     let mut share = [1.0 / least as f32; LANES];
-    // Most blocks have one number or two, and hardly any more than four.
-    for number in least + 1..=most {
+    numbers &= numbers - 1;
+    while numbers != 0 {
+        let number = numbers.trailing_zeros() + 1;
+        numbers &= numbers - 1;
         let at = number as usize * times;
-        let far = (sample::load(row, first - at), sample::load(row, first + at));
-        let far_share = 1.0 / number as f32;
+        let other = (sample::load(row, first - at), sample::load(row, first + at));
+        let other_share = 1.0 / number as f32;
         for i in 0..LANES {
             // Bits, because of a choice between places in memory the compiler makes a gather, or a branch.
-            let is_far = if k[i] == number { u32::MAX } else { 0 };
-            before[i] = choose(is_far, before[i], far.0[i]);
-            behind[i] = choose(is_far, behind[i], far.1[i]);
-            share[i] = choose(is_far, share[i], far_share);
+            let is_other = if k[i] == number { u32::MAX } else { 0 };
+            before[i] = choose(is_other, before[i], other.0[i]);
+            behind[i] = choose(is_other, behind[i], other.1[i]);
+            share[i] = choose(is_other, share[i], other_share);
         }
     }
     Beside { before, behind, share }
@@ -186,11 +187,11 @@ fn choose(bits: u32, a: f32, b: f32) -> f32 {
 
 /// The first `count` periods of a block in whole columns. What is behind them is nobody's, and as the first one.
 #[inline(always)]
-fn all_columns(period: &Lanes, count: usize) -> [i32; LANES] {
+fn all_columns(period: &Lanes, count: usize) -> [u32; LANES] {
     let (first, count) = (period[0], count as i32);
-    let mut k = [0i32; LANES];
+    let mut k = [0u32; LANES];
     for i in 0..LANES {
-        k[i] = columns(if (i as i32) < count { period[i] } else { first });
+        k[i] = columns(if (i as i32) < count { period[i] } else { first }) as u32;
     }
     k
 }
