@@ -14,6 +14,7 @@ use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
 use std::hint::black_box;
+use std::ops::Range;
 
 /// Rows in the ring: a normal reaches three up and three down.
 const RING: usize = 2 * REACH + 1;
@@ -100,7 +101,7 @@ struct RingRow {
     points: Points,
     metres_per_rad: Vec<f32>,
     /// What is written of it: all else is NaN.
-    written: std::ops::Range<usize>,
+    written: Range<usize>,
 }
 
 impl RingRow {
@@ -112,12 +113,16 @@ impl RingRow {
         self.written = 0..0;
     }
 
+    /// What is written next: what was before becomes NaN, but for what is written again.
     #[inline(always)]
-    fn clear(&mut self) {
+    fn begin(&mut self, written: Range<usize>) {
+        let Range { start, end } = self.written;
+        let (before, behind) = (written.start.clamp(start, end), written.end.clamp(start, end));
         for plane in [&mut self.points.x, &mut self.points.y, &mut self.points.z] {
-            plane[self.written.clone()].fill(f32::NAN);
+            plane[start..before].fill(f32::NAN);
+            plane[behind..end].fill(f32::NAN);
         }
-        self.written = 0..0;
+        self.written = written;
     }
 }
 
@@ -160,9 +165,10 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
     let (mut run_in, mut pixel_in, mut run_out, mut pixel_out) = (0, 0, 0, 0);
     for v in usize::from(first.row)..=usize::from(last.row) + REACH {
         let ring = &mut scratch.ring[v % RING];
-        ring.clear();
         let runs = runs_of_row(map, &mut run_in, v);
-        if !runs.is_empty() {
+        if runs.is_empty() {
+            ring.begin(0..0);
+        } else {
             let phase = &map.phase[pixel_in..];
             pixel_in +=
                 points::<SIGMA>(table, v, runs, phase, left, &mut scratch.fringes, &mut scratch.line, ring);
@@ -225,6 +231,7 @@ fn points<const SCALE: bool>(
     // Whole blocks: there is room behind the last one.
     let first = place(start * NODE_PX);
     let written = first..first + ((end - start) * NODE_PX).next_multiple_of(BLOCK_PX);
+    ring.begin(written.clone());
     let scale = if SCALE { written.clone() } else { 0..0 };
     let mut out = PointRow {
         x: &mut ring.points.x[written.clone()],
@@ -233,8 +240,7 @@ fn points<const SCALE: bool>(
         metres_per_rad: &mut ring.metres_per_rad[scale],
     };
     table.points::<SCALE>(line, &fringes[written.clone()], &mut out);
-    fringes[written.clone()].fill(f32::NAN);
-    ring.written = written;
+    fringes[written].fill(f32::NAN);
     pixel
 }
 
