@@ -103,6 +103,7 @@ fn correct_run(
         let k = all_columns(&period, count);
         let Beside { before, behind, share } = beside(row, first + PAD, &k, 1);
         let (mut wide, mut bias) = ([0f32; LANES], [0f32; LANES]);
+        let (mut noises, mut per_bends) = ([0f32; LANES], [0f32; LANES]);
         let mut steep = 0u32;
         for i in 0..LANES {
             wide[i] = before[i] - 2.0 * x[i] + behind[i];
@@ -114,13 +115,13 @@ fn correct_run(
             let factor = if marked[i] != 0 { weight[1] } else { weight[0] };
             let along = if along.abs() < MAX_BEND_ROWS { factor * shrunk(along, noise) } else { 0.0 };
             bias[i] = per_bend * bend + along;
+            (noises[i], per_bends[i]) = (noise, per_bend);
             steep |= u32::from(!smooth & !x[i].is_nan());
         }
         if steep != 0 {
             let bends = bends_beside(row, first + PAD, &x, &period, count);
             for i in 0..LANES {
-                let (noise, per_bend) = noise_and_bias(strength[i], x[i]);
-                let with_bend = bias[i] + per_bend * shrunk(bends[i], noise);
+                let with_bend = bias[i] + per_bends[i] * shrunk(bends[i], noises[i]);
                 bias[i] = if wide[i].abs() < 4.0 * MAX_BEND { bias[i] } else { with_bend };
             }
         }
