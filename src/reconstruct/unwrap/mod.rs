@@ -28,7 +28,7 @@ use std::f32::consts::TAU;
 /// Settings of the forest.
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {
-    /// Steps further than this from the prediction are never taken, rad.
+    /// Steps further than this from the prediction are never taken, rad; less than 2, for what a code of a cost has room for.
     pub max_residual: f32,
     /// Above this averaged residual an edge only attaches small trees, rad.
     pub doubtful_residual: f32,
