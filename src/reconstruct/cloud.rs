@@ -8,7 +8,7 @@ use super::rays::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
 use super::roi::Roi;
 use super::round::whole;
 use super::runs::{self, Runs};
-use super::{sample, simd};
+use super::simd;
 use crate::export::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_rad};
 use crate::image::Plane;
 use std::cell::RefCell;
@@ -326,10 +326,8 @@ fn emit<const SIGMA: bool>(
         for (bright, &light) in stretch.bright[..count].iter_mut().zip(light) {
             *bright = intensity(light);
         }
-        let mut column = run.first;
-        for pixel in &mut stretch.pixel[..count] {
+        for (pixel, column) in stretch.pixel[..count].iter_mut().zip(run.first..) {
             *pixel = [column, run.row];
-            column += 1;
         }
         if SIGMA {
             let doubt =

@@ -52,15 +52,14 @@ fn lanes(from: &[f32], place: usize) -> Lanes {
     to
 }
 
-/// Some points with their unit normals.
+/// The unit normals of some points.
 pub(super) struct Oriented {
-    pub point: [Lanes; 3],
     pub normal: [Lanes; 3],
     /// 1 where there is a point whose normal is known and that the projector sees from before.
     pub good: [u8; LANES],
 }
 
-/// The points at `place ..` of the middle row with their normals, towards the camera. `rows` are those at -3, -1, 0,
+/// The normals of the points at `place ..` of the middle row, towards the camera. `rows` are those at -3, -1, 0,
 /// 1 and 3. A point without a normal, or that faces away from the projector that is supposed to light it, is no good.
 /// Without `NEAR` only neighbours at three pixels count: few blocks have to ask for nearer ones.
 #[inline(always)]
@@ -79,7 +78,7 @@ pub(super) fn orient<const NEAR: bool>(rows: &[Row<'_>; 5], place: usize, table:
         let beside = [at(just_above, place), at(just_below, place)];
         complete(&mut along, &has, &differences(&centre, &limit, near, &beside).0);
     }
-    let mut out = Oriented { point: centre, normal: [[0.0; LANES]; 3], good: [0; LANES] };
+    let mut out = Oriented { normal: [[0.0; LANES]; 3], good: [0; LANES] };
     for i in 0..LANES {
         let (a, b) = (pick(&across, i), pick(&along, i));
         let n = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
