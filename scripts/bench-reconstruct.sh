@@ -1,7 +1,7 @@
 #!/bin/bash
 # How long reconstruction takes, and how good it is: recorded frames (rendered light, imported into MCAP sessions; no cameras),
 # from mapping a frame to points with normals in memory. Figures in target/bench-reconstruct/summary.json.
-# Settings: SCENES, INSTANTS (6, of the first scene; 2 of the others), REPEAT (5), PEERS=0 (without the other programs), POSES=1 (also scripts/poses.sh), OUT, DATA (the shared
+# Settings: SCENES, INSTANTS (24, of the first scene; 2 of the others), REPEAT (5), PEERS=0 (without the other programs), POSES=1 (also scripts/poses.sh), OUT, DATA (the shared
 # data, for real photographs).
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -39,7 +39,7 @@ mkdir -p "$out/runs" "$out/scores"
 for scene in $scenes; do
     # The first scene tells the time: memory is dear when it is touched first, and used again from then on.
     instants=2
-    [ "$scene" != "${scenes%% *}" ] || instants=${INSTANTS:-6}
+    [ "$scene" != "${scenes%% *}" ] || instants=${INSTANTS:-24}
     step "light: $(scene_file "$scene"), $instants instants, imported as a session"
     here=$out/$scene
     $bin/fourdbody-sim render --scenario "$(scene_file "$scene")" --instants "$instants" --out "$here/light"

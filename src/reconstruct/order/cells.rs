@@ -395,7 +395,8 @@ impl Surface<'_> {
     #[inline(always)]
     fn steps(&self, phase: &Patch, left: usize, top: usize) -> (Patch, Patch) {
         let [mut right, mut down] = [[[0.0; CELL_PX]; CELL_PX]; 2];
-        for v in 0..CELL_PX.min(self.phase.height() - top) {
+        let rows = CELL_PX.min(self.phase.height() - top);
+        for v in 0..rows {
             let before = before(self.phase.row(top + v), left);
             let period: [_; CELL_PX] = part(self.period.row(top + v), left, f32::NAN);
             let period_before = self::before(self.period.row(top + v), left);
@@ -406,9 +407,7 @@ impl Surface<'_> {
             }
             right[v][0] = 0.0;
         }
-        for v in CELL_PX.min(self.phase.height() - top)..CELL_PX {
-            right[v][1..].fill(f32::NAN);
-        }
+        right[rows..].iter_mut().for_each(|right| right[1..].fill(f32::NAN));
         for v in 1..CELL_PX {
             for u in 0..CELL_PX {
                 down[v][u] = phase[v][u] - phase[v - 1][u];
