@@ -1,6 +1,7 @@
 //! Unwrapped and absolute phase of the default method: the anchored spanning forest.
 //!
 //! ```text
+//! boxes      sums over boxes of pixels
 //! costs      how far each pixel's steps to the right and down are from what is expected
 //! segments   nodes: stretches of a row whose steps are certain; edges: where they touch
 //! forest     trees of nodes, with the votes of the marker
@@ -13,6 +14,7 @@
 //! so is a merge of two large trees across a doubtful edge. Trees without enough votes stay unresolved: the
 //! fringe order is never guessed.
 
+mod boxes;
 mod costs;
 mod forest;
 mod segments;

@@ -1,0 +1,249 @@
+//! Sums over boxes of pixels, which move down the image row by row.
+//!
+//! Rows are added in whole blocks, and only where the object's runs lie.
+
+use crate::reconstruct::runs::{Run, Runs};
+use std::hint::black_box;
+use std::ops::Range;
+
+/// Pixels that are added at once. Rows of sums are added in whole blocks: what lies beside the runs is 0, and no loop has a rest.
+const BLOCK: usize = 32;
+
+/// Pixels of the widest vector.
+pub(super) const VECTOR: usize = 16;
+
+/// Room before a row, px: no window reaches further.
+const PAD: usize = BLOCK;
+
+/// Room before and behind a row, px: boxes take a block more than a row has, and look up to ten pixels further.
+const ROOM: usize = PAD + 3 * BLOCK;
+
+/// Rows of packed values: a whole number of units and a count of one in the same word, 0 where there is none. Sums of them
+/// are sums of both.
+#[derive(Debug, Default)]
+pub(super) struct Ring(Vec<Vec<i32>>);
+
+impl Ring {
+    /// So many rows of zeros.
+    pub(super) fn begin(&mut self, rows: usize, width: usize) {
+        self.0.resize_with(rows, Vec::new);
+        for row in &mut self.0 {
+            row.clear();
+            row.resize(width + ROOM, 0);
+        }
+    }
+
+    /// Row `v` of the image, with room beside it.
+    #[inline(always)]
+    pub(super) fn row(&self, v: usize) -> &[i32] {
+        &self.0[v % self.0.len()]
+    }
+
+    /// Row `v`, all zeros.
+    #[inline(always)]
+    pub(super) fn fresh(&mut self, v: usize, runs: &Runs) -> &mut [i32] {
+        let rows = self.0.len();
+        let row = &mut self.0[v % rows];
+        if let Some(before) = v.checked_sub(rows) {
+            for run in runs.row(before) {
+                row[padded(run)].fill(0);
+            }
+        }
+        row
+    }
+}
+
+/// Columns of a run in a row with room beside it.
+#[inline(always)]
+pub(super) fn padded(run: &Run) -> Range<usize> {
+    run.start() + PAD..run.end() + PAD
+}
+
+/// The length of a run in whole vectors: what lies behind its end is no step, or is written again by the next run.
+#[inline(always)]
+pub(super) fn whole_vectors(run: &Run) -> usize {
+    run.columns().len().div_ceil(VECTOR) * VECTOR
+}
+
+/// The whole blocks of rows with room beside them that have pixels of the runs.
+pub(super) fn find_blocks(runs: &Runs, blocks: &mut Runs) {
+    blocks.clear();
+    for v in 0..runs.height() {
+        let mut open: Option<Run> = None;
+        for run in runs.row(v) {
+            let columns = padded(run);
+            let (start, end) = (columns.start / BLOCK * BLOCK, columns.end.next_multiple_of(BLOCK));
+            open = Some(match open {
+                Some(before) if start <= before.end() => Run::new(before.start(), end),
+                _ => {
+                    open.into_iter().for_each(|before| blocks.push(before));
+                    Run::new(start, end)
+                }
+            });
+        }
+        open.into_iter().for_each(|last| blocks.push(last));
+        blocks.end_row();
+    }
+}
+
+/// Calls `each` with the columns that two rows have between them.
+#[inline(always)]
+fn each_of_both<'a>(mut a: &'a [Run], mut b: &'a [Run], mut each: impl FnMut(Range<usize>)) {
+    // Of what begins first.
+    let mut next = || {
+        let first = match (a.first(), b.first()) {
+            (Some(x), Some(y)) if y.start() < x.start() => &mut b,
+            (Some(_), _) => &mut a,
+            (None, _) => &mut b,
+        };
+        first.split_off_first().map(Run::columns)
+    };
+    let Some(mut open) = next() else { return };
+    while let Some(columns) = next() {
+        if columns.start <= open.end {
+            open.end = open.end.max(columns.end);
+        } else {
+            each(open);
+            open = columns;
+        }
+    }
+    each(open);
+}
+
+/// Sums over the rows of a box, kept up to date as it moves down.
+#[derive(Debug, Default)]
+pub(super) struct Window {
+    sums: Vec<i32>,
+    /// Half size: columns, rows.
+    pub(super) half: (usize, usize),
+}
+
+impl Window {
+    /// Above the first row of an image.
+    pub(super) fn begin(&mut self, width: usize, half: (usize, usize)) {
+        self.sums.clear();
+        self.sums.resize(width + ROOM, 0);
+        self.half = half;
+    }
+
+    /// Moves down to where row `last` is the lowest.
+    #[inline(always)]
+    pub(super) fn advance(&mut self, last: usize, ring: &Ring, blocks: &Runs) {
+        let first = last.checked_sub(2 * self.half.1 + 1);
+        let of = |v: usize| if v < blocks.height() { blocks.row(v) } else { &[] };
+        let sums = &mut self.sums;
+        match first {
+            Some(first) if last < blocks.height() => {
+                let (entering, leaving) = (ring.row(last), ring.row(first));
+                each_of_both(
+                    of(last),
+                    of(first),
+                    #[inline(always)]
+                    |columns| {
+                        let leaving = whole_blocks(&leaving[columns.clone()]);
+                        let entering = whole_blocks(&entering[columns.clone()]);
+                        let sums = sums[columns].as_chunks_mut::<BLOCK>().0;
+                        for ((sums, entering), leaving) in sums.iter_mut().zip(entering).zip(leaving) {
+                            one_by_one();
+                            let mut moved = *sums;
+                            for i in 0..BLOCK {
+                                moved[i] = moved[i].wrapping_add(entering[i]).wrapping_sub(leaving[i]);
+                            }
+                            *sums = moved;
+                        }
+                    },
+                );
+            }
+            Some(first) => {
+                for blocks in of(first) {
+                    let leaving = &ring.row(first)[blocks.columns()];
+                    sums[blocks.columns()]
+                        .iter_mut()
+                        .zip(leaving)
+                        .for_each(|(sum, x)| *sum = sum.wrapping_sub(*x));
+                }
+            }
+            None => {
+                for blocks in of(last) {
+                    let entering = &ring.row(last)[blocks.columns()];
+                    sums[blocks.columns()]
+                        .iter_mut()
+                        .zip(entering)
+                        .for_each(|(sum, x)| *sum = sum.wrapping_add(*x));
+                }
+            }
+        }
+    }
+
+    /// Sums over the boxes around the pixels of a row.
+    #[inline(always)]
+    pub(super) fn boxes<'a>(&self, blocks: &[Run], taps: &'a mut Taps) -> &'a [i32] {
+        let (half, Taps { three, nine, out }) = (self.half.0, taps);
+        for blocks in blocks {
+            let (start, end) = (blocks.start(), blocks.end());
+            let (sums, from) = (&self.sums[start..], &self.sums[start - half..]);
+            if half == 1 {
+                add([from, &from[1..], &from[2..]], &mut out[start..end]);
+                continue;
+            }
+            add([from, &from[1..], &from[2..]], &mut three[start..end + BLOCK]);
+            let three = &three[start..];
+            if half == 4 {
+                add([three, &three[3..], &three[6..]], &mut out[start..end]);
+                continue;
+            }
+            add([three, &three[3..], &three[6..]], &mut nine[start..end + BLOCK]);
+            let nine = &nine[start..];
+            let others = if half == 5 { [&sums[4..], &sums[5..]] } else { [&nine[10..], sums] };
+            add([nine, others[0], others[1]], &mut out[start..end]);
+        }
+        out
+    }
+}
+
+/// Sums of three values each.
+#[inline(always)]
+fn add(parts: [&[i32]; 3], out: &mut [i32]) {
+    let n = out.len();
+    // Of neighbours in memory the compiler would load one, and make the others of it.
+    let [a, b, c] = parts;
+    let (a, b, c) = (black_box(&a[..n]), black_box(&b[..n]), black_box(&c[..n]));
+    let parts = whole_blocks(a).iter().zip(whole_blocks(b)).zip(whole_blocks(c));
+    for (out, ((a, b), c)) in out.as_chunks_mut::<BLOCK>().0.iter_mut().zip(parts) {
+        one_by_one();
+        let mut sums = [0; BLOCK];
+        for i in 0..BLOCK {
+            sums[i] = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
+        }
+        *out = sums;
+    }
+}
+
+/// Keeps the compiler from taking the same lane of many blocks at once, which it does where vectors can scatter, and loses by.
+#[inline(always)]
+fn one_by_one() {
+    black_box(());
+}
+
+/// The blocks of a slice that has no rest.
+#[inline(always)]
+fn whole_blocks(values: &[i32]) -> &[[i32; BLOCK]] {
+    values.as_chunks().0
+}
+
+/// Rows to add up boxes in: sums of three and nine columns, and of all.
+#[derive(Debug, Default)]
+pub(super) struct Taps {
+    three: Vec<i32>,
+    nine: Vec<i32>,
+    out: Vec<i32>,
+}
+
+impl Taps {
+    /// For rows of so many columns.
+    pub(super) fn begin(&mut self, width: usize) {
+        for row in [&mut self.three, &mut self.nine, &mut self.out] {
+            row.resize(width + ROOM, 0);
+        }
+    }
+}
