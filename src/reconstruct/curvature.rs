@@ -170,20 +170,13 @@ fn beside(row: &[f32], first: usize, k: &[u32; LANES], times: usize) -> Beside {
         let other = (sample::load(row, first - at), sample::load(row, first + at));
         let other_share = 1.0 / number as f32;
         for i in 0..LANES {
-            // Bits, because of a choice between places in memory the compiler makes a gather, or a branch.
             let is_other = if k[i] == number { u32::MAX } else { 0 };
-            before[i] = choose(is_other, before[i], other.0[i]);
-            behind[i] = choose(is_other, behind[i], other.1[i]);
-            share[i] = choose(is_other, share[i], other_share);
+            before[i] = sample::choose(before[i], other.0[i], is_other);
+            behind[i] = sample::choose(behind[i], other.1[i], is_other);
+            share[i] = sample::choose(share[i], other_share, is_other);
         }
     }
     Beside { before, behind, share }
-}
-
-/// The second of two numbers where all bits are set, the first where none is.
-#[inline(always)]
-fn choose(bits: u32, a: f32, b: f32) -> f32 {
-    f32::from_bits(a.to_bits() & !bits | b.to_bits() & bits)
 }
 
 /// The first `count` periods of a block in whole columns. What is behind them is nobody's, and as the first one.

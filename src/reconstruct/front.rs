@@ -10,7 +10,7 @@ use super::pair::Pair;
 use super::pipeline::Clock;
 use super::pool::Pool;
 use super::runs::{Runs, fill_beside};
-use super::sample::{self, LANES, Light};
+use super::sample::{self, LANES, Lanes, Light};
 use super::windows::{self, Windows};
 use super::{marker, period_fast, shading, simd};
 use crate::image::{Mono8, Plane};
@@ -261,13 +261,10 @@ impl Input<'_> {
         clear([c, s, unit_c, unit_s, length], self.runs, v, BRIDGED);
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
-                let block = [sample::block(own_c, first), sample::block(own_s, first)];
+                let block = [sample::chunk(own_c, first), sample::chunk(own_s, first)];
                 sample::put(c, first, block[0]);
                 sample::put(s, first, block[1]);
-                let units = demodulate::units(block[0], block[1]);
-                sample::put(unit_c, first, &units[0]);
-                sample::put(unit_s, first, &units[1]);
-                sample::put(length, first, &units[2]);
+                put_units([unit_c, unit_s, length], first, block);
             }
         }
         let (reach, height) = (average.reach(), self.image.height());
@@ -288,10 +285,11 @@ impl Input<'_> {
                 }
                 sample::store(c, first, count, &block[0]);
                 sample::store(s, first, count, &block[1]);
-                let units = demodulate::units(sample::block(c, first), sample::block(s, first));
-                sample::put(unit_c, first, &units[0]);
-                sample::put(unit_s, first, &units[1]);
-                sample::put(length, first, &units[2]);
+                put_units(
+                    [unit_c, unit_s, length],
+                    first,
+                    [sample::chunk(c, first), sample::chunk(s, first)],
+                );
             }
         }
     }
@@ -343,12 +341,21 @@ impl Input<'_> {
     }
 }
 
+/// Writes the directions of a block of phasors, and their lengths.
+#[inline(always)]
+fn put_units([unit_c, unit_s, length]: [&mut [f32]; 3], first: usize, [c, s]: [&Lanes; 2]) {
+    let units = demodulate::units(c, s);
+    sample::put(unit_c, first, &units[0]);
+    sample::put(unit_s, first, &units[1]);
+    sample::put(length, first, &units[2]);
+}
+
 /// Blocks of four rows.
 #[inline(always)]
 fn block<'a>(rows: &[&'a [f32]; 4], first: usize) -> demodulate::Row<'a> {
     // Not by `map`: that would be a call, compiled for the narrowest processor.
     let [a, b, c, d] = rows;
-    [sample::block(a, first), sample::block(b, first), sample::block(c, first), sample::block(d, first)]
+    [sample::chunk(a, first), sample::chunk(b, first), sample::chunk(c, first), sample::chunk(d, first)]
 }
 
 /// Blocks of the rows above and below.

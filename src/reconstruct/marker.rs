@@ -14,6 +14,7 @@ use super::sample::{self, LANES, Lanes, PAD, Periods};
 use super::simd;
 use crate::image::{Mono8, Plane};
 use std::f32::consts::{FRAC_PI_2, TAU};
+use std::ops::Range;
 
 /// Shortest marker that counts, in periods of its modulation.
 const MIN_DASHES: f32 = 2.5;
@@ -98,7 +99,7 @@ pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &P
     for v in 0..ridges.height() {
         let wrapped = wrapped.row(v);
         for run in ridges.row(v) {
-            push_where(run, |u| wrapped[u].abs() < FRAC_PI_2, &mut core);
+            push_where(run, |_| true, |u| wrapped[u].abs() < FRAC_PI_2, &mut core);
         }
         core.end_row();
     }
@@ -117,18 +118,23 @@ pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &P
     })
 }
 
-/// The pixels of a run for which `is` holds.
+/// The pixels of a run for which `is` holds. Stretches of which `may` tells at once that it holds nowhere are passed over.
 #[inline(always)]
-fn push_where(run: &Run, is: impl Fn(usize) -> bool, out: &mut Runs) {
+fn push_where(run: &Run, may: impl Fn(Range<usize>) -> bool, is: impl Fn(usize) -> bool, out: &mut Runs) {
     let mut start = None;
-    for u in run.columns() {
-        match (is(u), start) {
-            (true, None) => start = Some(u),
-            (false, Some(first)) => {
-                out.push(Run::new(first, u));
-                start = None;
+    for first in run.columns().step_by(LANES) {
+        let stretch = first..run.end().min(first + LANES);
+        let some = may(stretch.clone());
+        // Of the others the first ends what has begun.
+        for u in if some { stretch } else { first..first + 1 } {
+            match (some && is(u), start) {
+                (true, None) => start = Some(u),
+                (false, Some(first)) => {
+                    out.push(Run::new(first, u));
+                    start = None;
+                }
+                _ => {}
             }
-            _ => {}
         }
     }
     if let Some(first) = start {
@@ -218,8 +224,7 @@ impl Band {
     /// Mean, cosine and sine of a part of a block that begins at this place of the ring.
     #[inline(always)]
     fn sums(&self, (light, stride): (&[f32], usize), at: usize) -> [[f32; BAND_LANES]; 3] {
-        let block = |at: usize| -> &[f32; BAND_LANES] { light[at..].first_chunk().expect("room") };
-        let own = block(at);
+        let own: &[f32; BAND_LANES] = sample::chunk(light, at);
         let [mut mean, mut real, mut imaginary] = [[0f32; BAND_LANES]; 3];
         let [weight, cosine, _] = self.taps[0];
         for i in 0..BAND_LANES {
@@ -231,7 +236,8 @@ impl Band {
             above = if above < stride { above + light.len() } else { above } - stride;
             below += stride;
             below = if below < light.len() { below } else { below - light.len() };
-            let (above, below) = (block(above), block(below));
+            let (above, below): (&[f32; BAND_LANES], &[f32; BAND_LANES]) =
+                (sample::chunk(light, above), sample::chunk(light, below));
             for i in 0..BAND_LANES {
                 let (sum, difference) = (below[i] + above[i], below[i] - above[i]);
                 mean[i] += weight * sum;
@@ -247,32 +253,20 @@ impl Band {
 #[inline(always)]
 fn ridges_of_row(energy: &[f32], runs: &[Run], period: &[f32], threshold: f32, found: &mut Runs) {
     for run in runs {
-        let mut start = None;
-        for first in run.columns().step_by(LANES) {
-            let end = run.end().min(first + LANES);
-            // Most blocks have none.
-            let mut any = false;
-            for &energy in &energy[first..end] {
-                any |= energy > threshold;
-            }
-            if !any {
-                if let Some(start) = start.take() {
-                    found.push(Run::new(start, first));
+        push_where(
+            run,
+            #[inline(always)]
+            |stretch| {
+                let mut any = false;
+                for &energy in &energy[stretch] {
+                    any |= energy > threshold;
                 }
-                continue;
-            }
-            for u in first..end {
-                let is = energy[u] > threshold && lateral_contrast(energy, u, period[u]) > threshold;
-                if is {
-                    start.get_or_insert(u);
-                } else if let Some(start) = start.take() {
-                    found.push(Run::new(start, u));
-                }
-            }
-        }
-        if let Some(start) = start {
-            found.push(Run::new(start, run.end()));
-        }
+                any
+            },
+            #[inline(always)]
+            |u| energy[u] > threshold && lateral_contrast(energy, u, period[u]) > threshold,
+            found,
+        );
     }
 }
 

@@ -66,10 +66,10 @@ pub(super) fn store<T: Copy>(row: &mut [T], first: usize, count: usize, lanes: &
     }
 }
 
-/// The block of a row that has room for one behind its end ([`with_room`]).
+/// Some values of a row that has room for them ([`reserve`], [`with_room`]).
 #[inline(always)]
-pub(super) fn block<T>(row: &[T], first: usize) -> &[T; LANES] {
-    row[first..].first_chunk().expect("a row with room for a block behind its end")
+pub(super) fn chunk<T, const N: usize>(row: &[T], first: usize) -> &[T; N] {
+    row[first..].first_chunk().expect("a row with room behind its end")
 }
 
 /// Writes a whole block to a row, as far as that goes: what follows is of no matter, or is written next.
@@ -157,7 +157,7 @@ fn pixel_before(distance: f32) -> f32 {
 /// `a` where `mask` has no bits, `b` where it has all. Bits, because the compiler makes a gather of a choice between two
 /// places in memory.
 #[inline(always)]
-fn choose(a: f32, b: f32, mask: u32) -> f32 {
+pub(super) fn choose(a: f32, b: f32, mask: u32) -> f32 {
     f32::from_bits(a.to_bits() & !mask | b.to_bits() & mask)
 }
 
@@ -173,7 +173,7 @@ pub(super) fn between(padded: &[f32], first: usize, periods: &Periods, share: f3
     let base = (first + PAD).wrapping_add_signed(least as isize);
     let mut out = [0.0; LANES];
     if most - least <= 1 {
-        let values: &[f32; LANES + 2] = part_of(padded, base);
+        let values: &[f32; LANES + 2] = chunk(padded, base);
         for i in 0..LANES {
             let distance = distance(periods.lanes[i], share, more);
             let before = pixel_before(distance);
@@ -189,8 +189,8 @@ pub(super) fn between(padded: &[f32], first: usize, periods: &Periods, share: f3
         *before = pixel_before(distance(period, share, more));
     }
     for step in 0..=(most - least) as usize {
-        let values: Lanes = *part_of(padded, base + step);
-        let next: Lanes = *part_of(padded, base + step + 1);
+        let values: Lanes = *chunk(padded, base + step);
+        let next: Lanes = *chunk(padded, base + step + 1);
         let pixel = low + step as i32 as f32;
         for i in 0..LANES {
             let here = if before[i] == pixel { u32::MAX } else { 0 };
@@ -203,12 +203,6 @@ pub(super) fn between(padded: &[f32], first: usize, periods: &Periods, share: f3
         out[i] = a[i] + (distance - before[i]) * (b[i] - a[i]);
     }
     out
-}
-
-/// Some values of a padded row.
-#[inline(always)]
-fn part_of<const N: usize>(padded: &[f32], first: usize) -> &[f32; N] {
-    padded[first..].first_chunk().expect("padding")
 }
 
 /// The light of a row, with padding, and how much more the next pixel has than each.
@@ -244,7 +238,7 @@ impl Light {
     /// That of the pixels of a block.
     #[inline(always)]
     pub(super) fn own(&self, first: usize) -> &Lanes {
-        part_of(&self.padded, PAD + first)
+        chunk(&self.padded, PAD + first)
     }
 
     /// [`between`] before and behind each pixel, at the distance of `share` of its period. A line through the first two of
@@ -260,9 +254,9 @@ impl Light {
         let (low, offset) = (least as usize, least as f32);
         let [before, behind] = [first + PAD - low - 2, first + PAD + low];
         let (value_before, value_behind): (&Lanes, &Lanes) =
-            (part_of(&self.padded, before), part_of(&self.padded, behind));
-        let steps_before = [part_of(&self.steps, before), next_of(&self.steps, before)];
-        let steps_behind = [part_of(&self.steps, behind), next_of(&self.steps, behind)];
+            (chunk(&self.padded, before), chunk(&self.padded, behind));
+        let steps_before = [chunk(&self.steps, before), next_of(&self.steps, before)];
+        let steps_behind = [chunk(&self.steps, behind), next_of(&self.steps, behind)];
         let mut sides = [[0f32; LANES]; 2];
         for i in 0..LANES {
             let along = distance(periods.lanes[i], share, 0.0) - offset;
@@ -277,7 +271,7 @@ impl Light {
 /// would put it together from that instead of loading it.
 #[inline(always)]
 fn next_of(padded: &[f32], first: usize) -> &Lanes {
-    black_box(part_of(padded, first + 1))
+    black_box(chunk(padded, first + 1))
 }
 
 /// The value at 0..2 of three at 0, 1 and 2, of which the first is `a`, and the steps to the next two.

@@ -74,7 +74,7 @@ pub(super) fn correct_row(
     for run in runs {
         for first in run.columns().step_by(LANES) {
             let period = sample::load(period, first);
-            let phasor = [sample::block(c, first), sample::block(s, first)];
+            let phasor = [sample::chunk(c, first), sample::chunk(s, first)];
             let block = correct_block(phasor, light, first, &period, sign);
             sample::put(out_c, first, &block[0]);
             sample::put(out_s, first, &block[1]);
@@ -88,7 +88,7 @@ fn correct_block([c, s]: [&Lanes; 2], light: &[f32], first: usize, period: &Lane
     let periods = Periods::new(period);
     let after = sample::between(light, first, &periods, 0.5, 0.0);
     let before = sample::between(light, first, &periods, -0.5, 0.0);
-    let light = sample::block(&light[PAD..], first);
+    let light: &Lanes = sample::chunk(&light[PAD..], first);
     let mut out = [[0f32; LANES]; 2];
     for i in 0..LANES {
         // The formula's own S: the phasor's imaginary part carries the sign of the phase.

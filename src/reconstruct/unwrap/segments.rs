@@ -11,6 +11,7 @@ use crate::image::Plane;
 use crate::reconstruct::bits::{self, WORD, bits_where};
 use crate::reconstruct::round::whole;
 use crate::reconstruct::runs::{Runs, each_not_0};
+use crate::reconstruct::sample::chunk;
 
 /// Longest segment, px; a multiple of it begins a new one.
 const LONGEST_PX: usize = 16;
@@ -89,6 +90,10 @@ pub(super) struct Input<'a> {
 
 impl Graph {
     pub fn begin(&mut self, width: usize, settings: &Settings) {
+        debug_assert!(
+            settings.max_residual < 2.0,
+            "a sum of codes keeps the units of {LONGEST_PX} costs below 2 rad"
+        );
         self.forest.clear();
         self.segments.clear();
         self.ends.clear();
@@ -181,7 +186,7 @@ impl Graph {
         let RowNodes { edges, sums, .. } = &mut self.rows[1];
         let mut sum = 0u32;
         for (k, (&inside, edges)) in self.inside.iter().zip(edges).enumerate() {
-            let down: &[u16; WORD] = down[k * WORD..].first_chunk().expect("whole words");
+            let down: &[u16; WORD] = chunk(down, k * WORD);
             *edges = inside
                 & bits_where(
                     #[inline(always)]
@@ -263,14 +268,14 @@ impl Graph {
                 continue;
             }
             let begin = k * WORD;
-            let turns: &[i16; WORD + 1] = part(turns, begin);
+            let turns: &[i16; WORD + 1] = chunk(turns, begin);
             let turned = bits_where(
                 #[inline(always)]
                 |i| turns[i] != turns[i + 1],
             );
             let starts = edges & (starts.0 | starts.1 | turned | !(edges << 1));
-            let sums: &[u32; WORD + 1] = part(&above.sums, begin);
-            let nodes: [&[u32; WORD]; 2] = [part(&above.node, begin), part(&below.node, begin)];
+            let sums: &[u32; WORD + 1] = chunk(&above.sums, begin);
+            let nodes: [&[u32; WORD]; 2] = [chunk(&above.node, begin), chunk(&below.node, begin)];
             each_stretch(
                 starts,
                 edges,
@@ -310,12 +315,6 @@ fn take(
     }
     later[((sum / count - SURE) / BUCKET) as usize].push(edge);
     true
-}
-
-/// Some values of a row.
-#[inline(always)]
-fn part<T, const N: usize>(row: &[T], first: usize) -> &[T; N] {
-    row[first..].first_chunk().expect("whole words")
 }
 
 /// Calls `each` with the first place and the length of every stretch of a word: each of `starts` begins one, which ends before
