@@ -394,20 +394,18 @@ impl Surface<'_> {
     /// these are of other cells.
     #[inline(always)]
     fn steps(&self, phase: &Patch, left: usize, top: usize) -> (Patch, Patch) {
-        let [mut right, mut down] = [[[0.0; CELL_PX]; CELL_PX]; 2];
-        let rows = CELL_PX.min(self.phase.height() - top);
-        for v in 0..rows {
-            let before = before(self.phase.row(top + v), left);
+        let (mut right, mut down) = ([[f32::NAN; CELL_PX]; CELL_PX], [[0.0; CELL_PX]; CELL_PX]);
+        for v in 0..CELL_PX.min(self.phase.height() - top) {
+            let phase_before = before(self.phase.row(top + v), left);
             let period: [_; CELL_PX] = part(self.period.row(top + v), left, f32::NAN);
-            let period_before = self::before(self.period.row(top + v), left);
+            let period_before = before(self.period.row(top + v), left);
             // All columns, so that there is one vector to a row.
             for u in 0..CELL_PX {
                 let carrier = self.sign * 2.0 * TAU / (period_before[u] + period[u]);
-                right[v][u] = phase[v][u] - before[u] - carrier;
+                right[v][u] = phase[v][u] - phase_before[u] - carrier;
             }
-            right[v][0] = 0.0;
         }
-        right[rows..].iter_mut().for_each(|right| right[1..].fill(f32::NAN));
+        right.iter_mut().for_each(|right| right[0] = 0.0);
         for v in 1..CELL_PX {
             for u in 0..CELL_PX {
                 down[v][u] = phase[v][u] - phase[v - 1][u];
@@ -517,19 +515,18 @@ fn before(row: &[f32], left: usize) -> [f32; CELL_PX] {
 #[inline(always)]
 fn mean(mask: u64, values: &Patch) -> f32 {
     let mut sums = [0f32; CELL_PX];
-    // Nearly always it is a whole cell, and what is of other cells is 0.
     if mask.count_ones() as usize == CELL_PX * (CELL_PX - 1) {
+        // Nearly always it is a whole cell, and what is of other cells is 0.
         for values in values {
             for u in 0..CELL_PX {
                 sums[u] += values[u];
             }
         }
-        let [a, b, c, d, e, f, g, h] = sums;
-        return ((a + b) + (c + d) + ((e + f) + (g + h))) / (CELL_PX * (CELL_PX - 1)) as f32;
-    }
-    for (values, bits) in values.iter().zip(mask.to_le_bytes()) {
-        for (u, (sum, value)) in sums.iter_mut().zip(values).enumerate() {
-            *sum += if bits >> u & 1 != 0 { *value } else { 0.0 };
+    } else {
+        for (values, bits) in values.iter().zip(mask.to_le_bytes()) {
+            for (u, (sum, value)) in sums.iter_mut().zip(values).enumerate() {
+                *sum += if bits >> u & 1 != 0 { *value } else { 0.0 };
+            }
         }
     }
     let [a, b, c, d, e, f, g, h] = sums;

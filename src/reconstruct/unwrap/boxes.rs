@@ -129,15 +129,16 @@ impl Window {
     /// Moves down to where row `last` is the lowest.
     #[inline(always)]
     pub(super) fn advance(&mut self, last: usize, ring: &Ring, blocks: &Runs) {
-        let first = last.checked_sub(2 * self.half.1 + 1);
-        let of = |v: usize| if v < blocks.height() { blocks.row(v) } else { &[] };
+        let height = blocks.height();
+        let entering = Some(last).filter(|v| *v < height);
+        let leaving = last.checked_sub(2 * self.half.1 + 1).filter(|v| *v < height);
         let sums = &mut self.sums;
-        match first {
-            Some(first) if last < blocks.height() => {
+        match (entering, leaving) {
+            (Some(last), Some(first)) => {
                 let (entering, leaving) = (ring.row(last), ring.row(first));
                 each_of_both(
-                    of(last),
-                    of(first),
+                    blocks.row(last),
+                    blocks.row(first),
                     #[inline(always)]
                     |columns| {
                         let leaving = whole_blocks(&leaving[columns.clone()]);
@@ -154,24 +155,9 @@ impl Window {
                     },
                 );
             }
-            Some(first) => {
-                for blocks in of(first) {
-                    let leaving = &ring.row(first)[blocks.columns()];
-                    sums[blocks.columns()]
-                        .iter_mut()
-                        .zip(leaving)
-                        .for_each(|(sum, x)| *sum = sum.wrapping_sub(*x));
-                }
-            }
-            None => {
-                for blocks in of(last) {
-                    let entering = &ring.row(last)[blocks.columns()];
-                    sums[blocks.columns()]
-                        .iter_mut()
-                        .zip(entering)
-                        .for_each(|(sum, x)| *sum = sum.wrapping_add(*x));
-                }
-            }
+            (Some(v), None) => move_by(sums, ring.row(v), blocks.row(v), i32::wrapping_add),
+            (None, Some(v)) => move_by(sums, ring.row(v), blocks.row(v), i32::wrapping_sub),
+            (None, None) => {}
         }
     }
 
@@ -198,6 +184,16 @@ impl Window {
             add([nine, others[0], others[1]], &mut out[start..end]);
         }
         out
+    }
+}
+
+/// Moves sums by a row, of which these blocks have values.
+#[inline(always)]
+fn move_by(sums: &mut [i32], row: &[i32], blocks: &[Run], by: impl Fn(i32, i32) -> i32) {
+    for blocks in blocks {
+        for (sum, x) in sums[blocks.columns()].iter_mut().zip(&row[blocks.columns()]) {
+            *sum = by(*sum, *x);
+        }
     }
 }
 
