@@ -92,7 +92,7 @@ struct Scratch {
     /// Absolute phase of a row, in fringes.
     fringes: Vec<f32>,
     ring: [RingRow; RING],
-    stretch: Stretch,
+    run: RunPoints,
 }
 
 /// A row of points.
@@ -160,7 +160,7 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
     scratch.fringes.clear();
     scratch.fringes.resize(width, f32::NAN);
     scratch.ring.iter_mut().for_each(|row| row.resize(width));
-    scratch.stretch.resize(width);
+    scratch.run.resize(width);
     // The runs and pixels whose points are made next, and those whose normals are.
     let (mut run_in, mut pixel_in, mut run_out, mut pixel_out) = (0, 0, 0, 0);
     for v in usize::from(first.row)..=usize::from(last.row) + REACH {
@@ -179,8 +179,7 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
             // Row v - 3 is where v + 4 will be.
             let row = |dv: usize| &scratch.ring[(v + RING + dv - REACH) % RING];
             let rows = [row(0), row(2), row(3), row(4), row(6)];
-            pixel_out +=
-                emit::<SIGMA>(table, map, rows, runs, pixel_out, left, &mut scratch.stretch, &mut cloud);
+            pixel_out += emit::<SIGMA>(table, map, rows, runs, pixel_out, left, &mut scratch.run, &mut cloud);
         }
     }
     cloud
@@ -246,7 +245,7 @@ fn points<const SCALE: bool>(
 
 /// The points of a run with what belongs to them, good or not: they are appended by stretches of good ones.
 #[derive(Default)]
-struct Stretch {
+struct RunPoints {
     normals: Points,
     good: Vec<u8>,
     position: Vec<[f32; 3]>,
@@ -256,7 +255,7 @@ struct Stretch {
     sigma: Vec<f32>,
 }
 
-impl Stretch {
+impl RunPoints {
     fn resize(&mut self, width: usize) {
         for plane in [&mut self.normals.x, &mut self.normals.y, &mut self.normals.z] {
             plane.resize(width, 0.0);
@@ -302,7 +301,7 @@ fn emit<const SIGMA: bool>(
     runs: &[Run],
     pixel: usize,
     left: usize,
-    stretch: &mut Stretch,
+    own: &mut RunPoints,
     cloud: &mut Cloud,
 ) -> usize {
     let width = rows[2].points.x.len();
@@ -318,34 +317,34 @@ fn emit<const SIGMA: bool>(
     for run in runs {
         let count = usize::from(run.length);
         let place = usize::from(run.first) - left * NODE_PX + PAD;
-        stretch.orient(&points, place, count, table);
-        let normals = stretch.normals.row(count);
-        interleave(&mut stretch.position[..count], points[2].map(|axis| &axis[place..place + count]));
-        interleave(&mut stretch.normal[..count], normals);
+        own.orient(&points, place, count, table);
+        let normals = own.normals.row(count);
+        interleave(&mut own.position[..count], points[2].map(|axis| &axis[place..place + count]));
+        interleave(&mut own.normal[..count], normals);
         let light = &map.light[pixel + done..][..count];
-        for (bright, &light) in stretch.bright[..count].iter_mut().zip(light) {
+        for (bright, &light) in own.bright[..count].iter_mut().zip(light) {
             *bright = intensity(light);
         }
-        for (pixel, column) in stretch.pixel[..count].iter_mut().zip(run.first..) {
+        for (pixel, column) in own.pixel[..count].iter_mut().zip(run.first..) {
             *pixel = [column, run.row];
         }
         if SIGMA {
             let doubt =
                 map.doubt[pixel + done..][..count].iter().zip(&c.metres_per_rad[place..place + count]);
-            for (sigma, (&doubt, scale)) in stretch.sigma[..count].iter_mut().zip(doubt) {
+            for (sigma, (&doubt, scale)) in own.sigma[..count].iter_mut().zip(doubt) {
                 *sigma = doubt_rad(doubt) * scale;
             }
         }
         runs::runs_of(
-            &stretch.good[..count],
+            &own.good[..count],
             #[inline(always)]
             |start, end| {
-                cloud.position_m.extend_from_slice(&stretch.position[start..end]);
-                cloud.normal.extend_from_slice(&stretch.normal[start..end]);
-                cloud.intensity.extend_from_slice(&stretch.bright[start..end]);
-                cloud.pixel.extend_from_slice(&stretch.pixel[start..end]);
+                cloud.position_m.extend_from_slice(&own.position[start..end]);
+                cloud.normal.extend_from_slice(&own.normal[start..end]);
+                cloud.intensity.extend_from_slice(&own.bright[start..end]);
+                cloud.pixel.extend_from_slice(&own.pixel[start..end]);
                 if SIGMA {
-                    cloud.sigma_m.extend_from_slice(&stretch.sigma[start..end]);
+                    cloud.sigma_m.extend_from_slice(&own.sigma[start..end]);
                 }
             },
         );

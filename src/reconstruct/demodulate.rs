@@ -163,9 +163,11 @@ pub(super) fn sums(i: &[f32; 7]) -> (f32, f32) {
 }
 
 /// Demodulates every pixel of a row's runs whose window of one period lies within its run. `sign` is that of the phase along
-/// the columns: the formula alone always yields a phase that grows with the column. `light` is memory to use. `each` gets the columns of each block and its c, s, mean and misfit: the phasor `c + i s = 6 B exp(i W)`,
-/// the mean light of the window, DN, and what the samples have beside offset, slope and fringe, RMS relative to B. All are
-/// 0 where they are unknown, and beyond the run.
+/// the columns: the formula alone always yields a phase that grows with the column. `light` is memory to use.
+///
+/// `each` gets the columns of each block and its c, s, mean and misfit: the phasor `c + i s = 6 B exp(i W)`, the mean light of
+/// the window, DN, and what the samples have beside offset, slope and fringe, RMS relative to B. All are 0 where they are
+/// unknown, and beyond the run.
 #[inline(always)]
 pub(super) fn demodulate_row(
     image: &[u8],

@@ -116,7 +116,7 @@ pub(super) fn measure_with(
 fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw: &mut [u32]) {
     let length = (2 * half + 1).min(row.len());
     let windows = row.len() - length + 1;
-    let light = Light { reach, length: (2 * reach + 1).min(row.len()) };
+    let light = LightWindow { reach, length: (2 * reach + 1).min(row.len()) };
     extremes(row, light.length, &mut buffers.high, u8::max);
     extremes(row, light.length, &mut buffers.low, u8::min);
     add_up(row, &mut buffers.sums);
@@ -174,7 +174,7 @@ pub(super) fn packed(distance: f32) -> u32 {
 
 /// The windows that thresholds and margins are taken from.
 #[derive(Debug, Clone, Copy)]
-struct Light {
+struct LightWindow {
     /// Columns to each side of a pixel, as far as the run goes, and all in all.
     reach: usize,
     length: usize,
@@ -228,7 +228,7 @@ fn side(light: u8, length: i32, sum: u32, range: u8) -> u8 {
 
 /// The sides of a run's pixels.
 #[inline(always)]
-fn find_sides(row: &[u8], Light { reach, length }: Light, buffers: &mut Buffers) {
+fn find_sides(row: &[u8], LightWindow { reach, length }: LightWindow, buffers: &mut Buffers) {
     let Buffers { high, low, sums, sides, .. } = buffers;
     let (windows, length_px) = (row.len() - length + 1, length as i32);
     sides.resize(row.len().next_multiple_of(WORD), 0);
@@ -256,7 +256,7 @@ fn find_sides(row: &[u8], Light { reach, length }: Light, buffers: &mut Buffers)
 
 /// Where the light crosses its threshold before pixel `seen`, and the first whole column behind that.
 #[inline(always)]
-fn crossing(row: &[u8], light: Light, sums: &[u32], seen: usize) -> (f32, u32) {
+fn crossing(row: &[u8], light: LightWindow, sums: &[u32], seen: usize) -> (f32, u32) {
     let (a, b) = (beyond(row, light, sums, seen - 1), beyond(row, light, sums, seen));
     let at = seen as u32 as f32 - b / (b - a);
     (at, at as u32 + 1)
@@ -264,7 +264,7 @@ fn crossing(row: &[u8], light: Light, sums: &[u32], seen: usize) -> (f32, u32) {
 
 /// How far a pixel is above its threshold, times the length of the window that this is taken from.
 #[inline(always)]
-fn beyond(row: &[u8], Light { reach, length }: Light, sums: &[u32], pixel: usize) -> f32 {
+fn beyond(row: &[u8], LightWindow { reach, length }: LightWindow, sums: &[u32], pixel: usize) -> f32 {
     let window = pixel.saturating_sub(reach).min(row.len() - length);
     ((u32::from(row[pixel]) * length as u32 + sums[window]) as i32 - sums[window + length] as i32) as f32
 }
@@ -272,7 +272,7 @@ fn beyond(row: &[u8], Light { reach, length }: Light, sums: &[u32], pixel: usize
 /// The crossings of a run: a change of sign counts once the light has left the threshold by the margin on the other
 /// side.
 #[inline(always)]
-fn find_crossings(row: &[u8], light: Light, buffers: &mut Buffers) {
+fn find_crossings(row: &[u8], light: LightWindow, buffers: &mut Buffers) {
     let Buffers { sums, sides, crossings, .. } = buffers;
     let sums = &sums[..row.len() + 1];
     crossings.clear();

@@ -28,29 +28,16 @@ impl Windows {
     /// Strength and light of some columns of row `v`, a block at most, from their C, S and means.
     #[inline(always)]
     pub(super) fn keep_block(&mut self, v: usize, at: Range<usize>, [c, s, mean]: [&Lanes; 3]) {
-        sample::store(self.strength.row_mut(v), at.start, at.len(), &strength_block(c, s));
-        sample::store(self.light.row_mut(v), at.start, at.len(), &light_block(mean));
+        let [mut strength, mut light] = [[0; LANES]; 2];
+        for i in 0..LANES {
+            strength[i] = strength_steps(c[i], s[i]);
+        }
+        for i in 0..LANES {
+            light[i] = light_steps(mean[i]);
+        }
+        sample::store(self.strength.row_mut(v), at.start, at.len(), &strength);
+        sample::store(self.light.row_mut(v), at.start, at.len(), &light);
     }
-}
-
-/// Lengths of phasors in whole steps.
-#[inline(always)]
-pub(super) fn strength_block(c: &Lanes, s: &Lanes) -> [u16; LANES] {
-    let mut steps = [0; LANES];
-    for i in 0..LANES {
-        steps[i] = strength_steps(c[i], s[i]);
-    }
-    steps
-}
-
-/// Mean lights in whole steps.
-#[inline(always)]
-pub(super) fn light_block(mean: &Lanes) -> [u16; LANES] {
-    let mut steps = [0; LANES];
-    for i in 0..LANES {
-        steps[i] = light_steps(mean[i]);
-    }
-    steps
 }
 
 /// Wm, rad, and the windows of a frame whose rows are not averaged; the phase is NaN where it is unknown. Each row is
