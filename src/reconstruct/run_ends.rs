@@ -266,6 +266,7 @@ impl Row<'_> {
     /// Demodulates doubtful pixels of a part of a run again, at the period that the phases around them tell.
     #[inline(always)]
     fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
+        const { assert!(END_PX <= LANES) };
         let (mut doubtful, mut count) = ([0usize; END_PX], 0);
         let pixels = self.absolute[part.clone()].iter().zip(&self.misfit[part.clone()]);
         for (i, ((phase, &misfit), &zone)) in pixels.zip(&self.zone[part.clone()]).enumerate().take(END_PX) {

@@ -6,7 +6,7 @@
 
 use super::grow::NONE;
 use super::lookout::LANES;
-use super::settle::Scene;
+use super::settle::{Scene, all_nodes};
 use super::witness::{OTHER_RAD, SAME_RAD, SightLanes};
 use std::f32::consts::TAU;
 
@@ -79,8 +79,7 @@ impl Jury {
             bench.behind[lane] = weights.behind;
             bench.past[lane] = if scene.is_dim_beside(&scenes[view]) { 0 } else { weights.past };
         }
-        let nodes: usize = scenes.iter().map(|scene| scene.graph.len()).sum();
-        Self { past: nodes as u32 + 1, benches }
+        Self { past: all_nodes(scenes) + 1, benches }
     }
 
     /// What the cameras of a block say, by what is `known`, of a place at which they have `seen` so much.

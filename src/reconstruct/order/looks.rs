@@ -5,7 +5,7 @@
 
 use super::glimpse::Glimpse;
 use super::lookout::{LANES, Lookout, Ray, Spots};
-use super::settle::Scene;
+use super::settle::{Scene, all_nodes};
 use super::witness::{Numbers, SightLanes, Witness};
 use crate::reconstruct::rays::Sightline;
 use crate::reconstruct::simd;
@@ -68,8 +68,8 @@ impl Looks {
         self.sights.resize(at + count * self.blocks, SightLanes::NONE);
         self.inside.reserve(count);
         // What lies outside of the volume is not looked at.
-        let nodes = scenes.iter().map(|scene| scene.graph.len() as u32).sum();
-        let mut batch = Batch { rays: [Ray::NONE; PLACES], at: [0; PLACES], len: 0, nodes };
+        let mut batch =
+            Batch { rays: [Ray::NONE; PLACES], at: [0; PLACES], len: 0, nodes: all_nodes(scenes) };
         for order in orders {
             for &(line, fringes) in places {
                 let ray = lookout.ray((line, fringes + order as f32));

@@ -191,6 +191,11 @@ struct Evidence {
     credible: bool,
 }
 
+/// How many nodes all views have together.
+pub fn all_nodes(scenes: &[Scene<'_>]) -> u32 {
+    scenes.iter().map(|scene| scene.graph.len() as u32).sum()
+}
+
 /// Settles all pieces of all views.
 pub fn settle(scenes: &mut [Scene<'_>]) {
     for scene in scenes.iter_mut() {

@@ -234,3 +234,23 @@ fn place<'a>(scene: &'a Scene<'_>, node: usize, turns: i32) -> Place<'a> {
     let (line, fringes) = scene.at(node as u32);
     (line, fringes + (turns - scene.pieces.turns[node]) as f32)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Words;
+    use proptest::prelude::{prop_assert_eq, proptest};
+
+    proptest! {
+        /// As many as lie within two steps of a node, each with as many words as there can be.
+        #[test]
+        fn packed_words_add_up_as_words_do(all in proptest::collection::vec([0i16..10, 0..10, 0..10, 0..10], 0..1089)) {
+            let (mut sum, mut packed) = (Words::default(), 0);
+            for [partner, heads, against, hidden] in all {
+                let words = Words { partner, heads, against, hidden };
+                sum += words;
+                packed += words.packed();
+            }
+            prop_assert_eq!(Words::unpacked(packed), sum);
+        }
+    }
+}
