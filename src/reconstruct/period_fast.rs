@@ -8,6 +8,7 @@
 
 use super::bits::{WORD, bits_of};
 use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
+use super::round;
 use super::runs::{Run, Runs, fill_beside};
 use super::simd;
 use crate::image::{Mono8, Plane};
@@ -32,7 +33,13 @@ pub struct Buffers {
     sums: Vec<u32>,
     /// 1 above the threshold; above it, and below it, by more than the margin.
     sides: Vec<u8>,
+    /// How far each pixel is above its threshold, times the length of the window that this is taken from.
+    beyond: Vec<f32>,
+    /// Those of a run, after and before [`NONE_BEFORE`] that are none.
     crossings: Vec<Crossing>,
+    /// Of each place where a window begins the first crossings in it; of each where one ends the last.
+    after: Beside,
+    before: Beside,
     /// Distances and their count, of the last rows, with zeros to either side.
     raw: Vec<Vec<u32>>,
     /// Sums of these over three rows, and of two and four neighbours of those.
@@ -40,6 +47,9 @@ pub struct Buffers {
     pairs: Vec<u32>,
     fours: Vec<u32>,
 }
+
+/// Entries of a list of crossings that are none, before the first and behind the last, so that all have two neighbours to each side.
+const NONE_BEFORE: usize = 2;
 
 /// Where the light crosses the threshold.
 #[derive(Debug, Clone, Copy)]
@@ -121,55 +131,91 @@ fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw
     extremes(row, light.length, &mut buffers.low, u8::min);
     add_up(row, &mut buffers.sums);
     find_sides(row, light, buffers);
-    find_crossings(row, light, buffers);
-    // What no window reaches.
-    buffers.crossings.push(Crossing { at: 0.0, behind: u32::MAX, certain: u32::MAX });
-    let crossings = &buffers.crossings[..];
-    // Window `start` holds the crossings `first .. end`. Which comes next, one that leaves or one that enters, is not to be
-    // foreseen: no branches. (Two may leave together: then one of the stretches is empty.)
-    let (mut start, mut first) = (0, 0);
-    let mut end = crossings.iter().take_while(|x| (x.certain as usize) < length).count();
-    loop {
-        let (leaves, enters) =
-            (crossings[first].behind as usize, crossings[end].certain as usize + 1 - length);
-        let next = leaves.min(enters).min(windows);
-        let value = mean_distance(crossings.get(first..end).unwrap_or(&[]));
-        // Near the run's ends the window is shifted, not cut: two whole periods are needed.
-        let from = if start == 0 { 0 } else { start + half };
-        if next == windows {
-            raw[from..].fill(value);
-            return;
+    find_crossings(row.len(), buffers);
+    let Buffers { crossings, after, before, .. } = buffers;
+    after.spread(crossings, NONE_BEFORE, windows, |x| x.behind);
+    before.spread(crossings, 0, row.len() + 1, |x| x.certain + 1);
+    // Near the run's ends the window is shifted, not cut: two whole periods are needed.
+    let from = if windows == 1 { 0 } else { half };
+    let own = &mut raw[from..from + windows];
+    mean_distances(after, before, length, own);
+    let (first, last) = (own[0], own[windows - 1]);
+    raw[..from].fill(first);
+    raw[from + windows..].fill(last);
+}
+
+/// For each place of a run, how many crossings lie before it, and where two neighbouring ones are, which are those next to it on one side.
+#[derive(Debug, Default)]
+struct Beside {
+    count: Vec<f32>,
+    at: [Vec<f32>; 2],
+}
+
+/// Places that are written at once: as many as there are between most crossings.
+const BLOCK: usize = 8;
+
+impl Beside {
+    /// `from` which place on a crossing lies before it. `skip`: the number in the list of the first of the two of a place that has none
+    /// before it.
+    #[inline(always)]
+    fn spread(
+        &mut self,
+        crossings: &[Crossing],
+        skip: usize,
+        places: usize,
+        from: impl Fn(&Crossing) -> u32,
+    ) {
+        let room = places + BLOCK;
+        let Self { count, at: [left, right] } = self;
+        for row in [&mut *count, left, right] {
+            row.resize(row.len().max(room), 0.0);
         }
-        fill(raw, from, next + half, value);
-        (first, end) = (first + usize::from(leaves == next), end + usize::from(enters == next));
-        start = next;
+        let (count, left, right) = (&mut count[..room], &mut left[..room], &mut right[..room]);
+        let (mut place, mut passed) = (0, 0.0);
+        for (next, two) in crossings[NONE_BEFORE..].iter().zip(crossings[skip..].windows(2)) {
+            let end = (from(next) as usize).min(places);
+            while place < end {
+                // What is beyond is written next.
+                block(count, place, passed);
+                block(left, place, two[0].at);
+                block(right, place, two[1].at);
+                place += BLOCK;
+            }
+            (place, passed) = (end, passed + 1.0);
+        }
     }
 }
 
-/// Fills `from .. to`, a few pixels, and may write beyond: what follows is written next.
+/// Writes a value to the places from one on, a block of them.
 #[inline(always)]
-fn fill(raw: &mut [u32], from: usize, to: usize, value: u32) {
-    match raw[from..].first_chunk_mut::<8>() {
-        Some(eight) if to - from <= 8 => *eight = [value; 8],
-        _ => raw[from..to].fill(value),
+fn block(row: &mut [f32], place: usize, value: f32) {
+    if let Some(block) = row[place..].first_chunk_mut::<BLOCK>() {
+        *block = [value; BLOCK];
     }
 }
 
-/// Mean distance of each crossing to the next but one, which has its direction, in the form of [`measure_run`].
+/// Mean distance of each crossing of a window to the next but one, which has its direction, in the form of [`measure_run`]. All
+/// distances but those of the ends cancel.
 #[inline(always)]
-fn mean_distance(crossings: &[Crossing]) -> u32 {
-    // All distances but those of the ends cancel.
-    let [a, b, .., c, d] = crossings else {
-        let [a, _, c] = crossings else { return 0 };
-        return packed(c.at - a.at);
-    };
-    packed((d.at + c.at - b.at - a.at) / (crossings.len() - 2) as f32)
+fn mean_distances(after: &Beside, before: &Beside, length: usize, raw: &mut [u32]) {
+    let n = raw.len();
+    let [passed, a, b] = [&after.count, &after.at[0], &after.at[1]].map(|x| &x[..n]);
+    let [seen, c, d] = [&before.count, &before.at[0], &before.at[1]].map(|x| &x[length..length + n]);
+    for i in 0..n {
+        let distances = seen[i] - passed[i] - 2.0;
+        let mean = (d[i] + c[i] - b[i] - a[i]) / distances;
+        let mean = if distances == 1.0 { d[i] - a[i] } else { mean };
+        let packed = packed(mean);
+        raw[i] = if distances >= 1.0 { packed } else { 0 };
+    }
 }
 
 /// A period, px: in [`STEPS`], with a count of one; 0 where it is none.
 #[inline(always)]
 pub(super) fn packed(distance: f32) -> u32 {
-    if PERIOD_RANGE_PX.contains(&distance) { ((distance * STEPS) as u32) << COUNT_BITS | 1 } else { 0 }
+    let packed = (round::floor(distance * STEPS) as u32) << COUNT_BITS | 1;
+    let known = (distance >= *PERIOD_RANGE_PX.start()) & (distance <= *PERIOD_RANGE_PX.end());
+    if known { packed } else { 0 }
 }
 
 /// The windows that thresholds and margins are taken from.
@@ -186,7 +232,15 @@ fn add_up(row: &[u8], sums: &mut Vec<u32>) {
     sums.resize(row.len() + 1, 0);
     sums[0] = 0;
     let mut sum = 0;
-    for (out, &x) in sums[1..].iter_mut().zip(row) {
+    let ((blocks, rest), (pixels, last)) = (sums[1..].as_chunks_mut::<BLOCK>(), row.as_chunks::<BLOCK>());
+    // A block's loop is taken apart, and counts no pixels.
+    for (out, pixels) in blocks.iter_mut().zip(pixels) {
+        for (out, &x) in out.iter_mut().zip(pixels) {
+            sum += u32::from(x);
+            *out = sum;
+        }
+    }
+    for (out, &x) in rest.iter_mut().zip(last) {
         sum += u32::from(x);
         *out = sum;
     }
@@ -220,16 +274,17 @@ const FAR: u8 = 2;
 /// On which side of its threshold a pixel of `light` is, of whose window `length` pixels have this sum and range. All is
 /// times that length.
 #[inline(always)]
-fn side(light: u8, length: i32, sum: u32, range: u8) -> u8 {
-    let value = i32::from(light) * length - sum as i32;
+fn side(light: u8, length: i32, sum: u32, range: u8) -> (u8, f32) {
+    let value = (i32::from(light) * length - sum as i32) as f32;
     let margin = HYSTERESIS * length as f32 * f32::from(range);
-    (if value > 0 { ABOVE } else { 0 }) | if value.abs() as f32 > margin { FAR } else { 0 }
+    ((if value > 0.0 { ABOVE } else { 0 }) | if value.abs() > margin { FAR } else { 0 }, value)
 }
 
 /// The sides of a run's pixels.
 #[inline(always)]
 fn find_sides(row: &[u8], LightWindow { reach, length }: LightWindow, buffers: &mut Buffers) {
-    let Buffers { high, low, sums, sides, .. } = buffers;
+    let Buffers { high, low, sums, sides, beyond, .. } = buffers;
+    beyond.resize(row.len(), 0.0);
     let (windows, length_px) = (row.len() - length + 1, length as i32);
     sides.resize(row.len().next_multiple_of(WORD), 0);
     sides[row.len()..].fill(0);
@@ -242,65 +297,57 @@ fn find_sides(row: &[u8], LightWindow { reach, length }: LightWindow, buffers: &
     let light = &row[from..from + own.len()];
     let n = own.len();
     let (starts_own, ends_own, high_own, low_own) = (&starts[..n], &ends[..n], &high[..n], &low[..n]);
+    let beyond_own = &mut beyond[from..from + n];
     for i in 0..n {
-        own[i] = side(light[i], length_px, ends_own[i] - starts_own[i], high_own[i] - low_own[i]);
+        (own[i], beyond_own[i]) =
+            side(light[i], length_px, ends_own[i] - starts_own[i], high_own[i] - low_own[i]);
     }
     let last = windows - 1;
     for (sides, from, window) in [(before, 0, 0), (behind, from + n, last)] {
         let (sum, range) = (ends[window] - starts[window], high[window] - low[window]);
-        for (side_of, &light) in sides.iter_mut().zip(&row[from..]) {
-            *side_of = side(light, length_px, sum, range);
+        for ((side_of, beyond), &light) in sides.iter_mut().zip(&mut beyond[from..]).zip(&row[from..]) {
+            (*side_of, *beyond) = side(light, length_px, sum, range);
         }
     }
-}
-
-/// Where the light crosses its threshold before pixel `seen`, and the first whole column behind that.
-#[inline(always)]
-fn crossing(row: &[u8], light: LightWindow, sums: &[u32], seen: usize) -> (f32, u32) {
-    let (a, b) = (beyond(row, light, sums, seen - 1), beyond(row, light, sums, seen));
-    let at = seen as u32 as f32 - b / (b - a);
-    (at, at as u32 + 1)
-}
-
-/// How far a pixel is above its threshold, times the length of the window that this is taken from.
-#[inline(always)]
-fn beyond(row: &[u8], LightWindow { reach, length }: LightWindow, sums: &[u32], pixel: usize) -> f32 {
-    let window = pixel.saturating_sub(reach).min(row.len() - length);
-    ((u32::from(row[pixel]) * length as u32 + sums[window]) as i32 - sums[window + length] as i32) as f32
 }
 
 /// The crossings of a run: a change of sign counts once the light has left the threshold by the margin on the other
 /// side.
 #[inline(always)]
-fn find_crossings(row: &[u8], light: LightWindow, buffers: &mut Buffers) {
-    let Buffers { sums, sides, crossings, .. } = buffers;
-    let sums = &sums[..row.len() + 1];
+fn find_crossings(pixels: usize, buffers: &mut Buffers) {
+    let Buffers { sides, beyond, crossings, .. } = buffers;
+    let beyond = &beyond[..pixels];
     crossings.clear();
-    // Where it is certain on which side, and since when the light is on the side where it is.
-    let mut before = u64::from(sides[0] & ABOVE);
-    let (mut settled, mut seen) = (None, 0);
+    crossings.extend([Crossing { at: 0.0, behind: 0, certain: 0 }; NONE_BEFORE]);
+    // Where the light last changed its side, and on which side it was last certain to be: 1 above.
+    let (mut before, mut changed) = (u64::from(sides[0] & ABOVE), 0);
+    let mut settled = None;
     for (k, word) in sides.as_chunks::<WORD>().0.iter().enumerate() {
-        let (above, mut far) = (bits_of(word, ABOVE), bits_of(word, FAR));
-        let mut changes = above ^ (above << 1 | before);
-        loop {
-            let end = changes.trailing_zeros();
-            let here = far & u64::MAX.checked_shr(u64::BITS - end).unwrap_or(0);
-            if here != 0 && settled != Some(before) {
-                if settled.is_some() {
-                    let (at, behind) = crossing(row, light, sums, seen);
-                    let certain = (k * WORD) as u32 + here.trailing_zeros();
-                    crossings.push(Crossing { at, behind, certain });
-                }
-                settled = Some(before);
+        let (above, far) = (bits_of(word, ABOVE), bits_of(word, FAR));
+        let changes = above ^ (above << 1 | before);
+        before = above >> (WORD - 1);
+        let last = |changes: u64| k * WORD + changes.ilog2() as usize;
+        // From here on where it is certain, below and above.
+        let mut far = [far & !above, far & above];
+        let first = (far[0] | far[1]).trailing_zeros();
+        let mut side = settled.unwrap_or_else(|| usize::from(far[1].trailing_zeros() == first));
+        while far[1 - side] != 0 {
+            side = 1 - side;
+            let certain = far[side].trailing_zeros();
+            let until = changes & u64::MAX >> (WORD as u32 - 1 - certain);
+            let seen = if until == 0 { changed } else { last(until) };
+            if let Some([a, b]) = beyond[seen - 1..].first_chunk() {
+                let at = seen as i32 as f32 - b / (b - a);
+                let behind = seen as u32 + u32::from(at >= seen as i32 as f32);
+                crossings.push(Crossing { at, behind, certain: (k * WORD) as u32 + certain });
             }
-            if changes == 0 {
-                break;
-            }
-            changes &= changes - 1;
-            far &= u64::MAX << end;
-            (before, seen) = (before ^ 1, k * WORD + end as usize);
+            far = far.map(|far| far & u64::MAX << certain);
         }
+        settled = if first < u64::BITS { Some(side) } else { settled };
+        changed = if changes == 0 { changed } else { last(changes) };
     }
+    // What no window reaches.
+    crossings.extend([Crossing { at: 0.0, behind: u32::MAX, certain: u32::MAX - 1 }; NONE_BEFORE]);
 }
 
 /// Mean of the known values in the box around each pixel of a row's runs, from the ring of rows.
