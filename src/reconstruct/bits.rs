@@ -33,6 +33,12 @@ pub(super) fn bits_above(bytes: &[u8; WORD], level: u8) -> u64 {
     )
 }
 
+/// Whether no bit is set, or every one.
+#[inline(always)]
+pub(super) fn even(word: u64) -> bool {
+    word.wrapping_add(1) < 2
+}
+
 /// Sets the bits of some places.
 #[inline(always)]
 pub(super) fn set(words: &mut [u64], places: Range<usize>) {

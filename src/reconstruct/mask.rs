@@ -4,6 +4,7 @@
 //! component, so that dark hair and detached hands survive; [`otsu`] is the paper's: Otsu on the raw image,
 //! dilation and erosion, largest segment.
 
+use super::above::Above;
 use super::opening::Opening;
 use super::runs::{self, Run, Runs};
 use super::{components, simd};
@@ -32,6 +33,8 @@ pub struct Buffers {
     sorted: [Vec<u8>; 3],
     row: Vec<u8>,
     scratch: Scratch,
+    above: Above,
+    bits: Vec<u64>,
     opening: Opening,
     runs: Runs,
     /// The object's runs with the pixels that are over-exposed.
@@ -41,14 +44,14 @@ pub struct Buffers {
 /// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in the
 /// image.
 pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
-    let (w, h) = (image.width(), image.height());
-    buffers.smooth.reshape(w, h, 0);
+    let width = (1.2 * period_px).ceil() as usize | 1;
     simd::dispatch(
         #[inline(always)]
         || {
-            smooth_envelope(image, (1.2 * period_px).ceil() as usize | 1, buffers);
-            let Buffers { smooth, opening, runs, .. } = &mut *buffers;
-            opening.runs(smooth, log_threshold(smooth), runs);
+            sample_envelope(image, width, buffers);
+            let Buffers { smooth, above, bits, opening, runs, .. } = &mut *buffers;
+            let columns = above.find(image, log_threshold(smooth), width / 2, bits);
+            opening.runs(bits, columns, image.height(), runs);
         },
     );
     let Buffers { runs, row, lit, .. } = buffers;
@@ -57,25 +60,29 @@ pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object:
     part(lit, image, row, object);
 }
 
-/// Row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
+/// One row in so many tells the threshold.
+const SAMPLED_ROWS: usize = 16;
+
+/// Some rows of the envelope: a row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
 #[inline(always)]
-fn smooth_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
+fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
     let (w, h) = (image.width(), image.height());
     let Buffers { smooth, closed, sorted, row: raised, scratch, .. } = buffers;
     for row in closed.iter_mut().chain(sorted.iter_mut()).chain([&mut *raised]) {
         row.resize(w, 0);
     }
-    for v in 0..h {
-        let next = if v == 0 { 0..h.min(2) } else { v + 1..h.min(v + 2) };
-        for v in next {
+    let first = (h / 2).min(SAMPLED_ROWS / 2);
+    smooth.reshape(w, (h - first).div_ceil(SAMPLED_ROWS), 0);
+    for (out, v) in (first..h).step_by(SAMPLED_ROWS).enumerate() {
+        let rows = [v.saturating_sub(1), v, (v + 1).min(h - 1)];
+        for (v, closed) in rows.into_iter().zip(&mut *closed) {
             scratch.sliding(image.row(v), raised, width, u8::max);
-            scratch.sliding(raised, &mut closed[v % 3], width, u8::min);
+            scratch.sliding(raised, closed, width, u8::min);
         }
-        let (above, own, below) = (&closed[(v + 2) % 3], &closed[v % 3], &closed[(v + 1) % 3]);
-        let out = smooth.row_mut(v);
-        out.copy_from_slice(own);
+        let out = smooth.row_mut(out);
+        out.copy_from_slice(&closed[1]);
         if v > 0 && v + 1 < h && w >= 3 {
-            median3x3([above, own, below], sorted, &mut out[1..w - 1]);
+            median3x3([&closed[0], &closed[1], &closed[2]], sorted, &mut out[1..w - 1]);
         }
     }
 }

@@ -3,6 +3,7 @@
 //! Knows nothing of cameras, networks or tokio, and builds without Aravis. Each stage is a file of pure
 //! functions over planes; [`pipeline`] composes them for one frame.
 
+mod above;
 /// Absolute phase: selection of the pixels that become points, Equation 5.
 pub mod absolute;
 mod angle;

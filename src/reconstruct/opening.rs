@@ -1,8 +1,8 @@
-//! Opening of what lies above a level by a square of five pixels, on rows of bits: 64 pixels a word.
+//! Opening by a square of five pixels, on rows of bits: 64 pixels a word.
 
-use super::bits::{WORD, bits_above};
+use super::bits::{WORD, even};
 use super::runs::{Run, Runs};
-use crate::image::Plane;
+use std::ops::Range;
 
 /// Side of the square.
 #[cfg(test)]
@@ -14,24 +14,20 @@ const HALF: usize = 2;
 /// Rows of bits that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub(super) struct Opening {
-    /// What lies above the level, then what is left of it along the rows.
-    narrow: Vec<u64>,
-    /// What is left of that along the columns, then widened along the rows.
+    /// What is left along rows and columns, then widened along the rows.
     wide: Vec<u64>,
 }
 
 impl Opening {
-    /// The runs of pixels above `level` after erosion and dilation by the square; outside of the plane its outermost
-    /// pixels repeat.
+    /// The runs of a plane of bits of these columns of `h` rows, each row of as many words as it needs, after erosion and dilation by
+    /// the square; outside of the plane its outermost pixels repeat. What is left of the bits is any.
     #[inline(always)]
-    pub(super) fn runs(&mut self, plane: &Plane<u8>, level: u8, runs: &mut Runs) {
-        let (w, h) = (plane.width(), plane.height());
+    pub(super) fn runs(&mut self, narrow: &mut [u64], columns: Range<usize>, h: usize, runs: &mut Runs) {
+        let w = columns.len();
         let words = w.div_ceil(WORD).max(1);
-        let Self { narrow, wide } = self;
-        narrow.resize(words * h, 0);
+        let Self { wide } = self;
         wide.resize(words * h, 0);
-        for (row, bits) in plane.as_slice().chunks_exact(w.max(1)).zip(narrow.chunks_exact_mut(words)) {
-            above(row, level, bits);
+        for bits in narrow.chunks_exact_mut(words) {
             along(bits, w, |x, y| x & y);
         }
         for (v, out) in wide.chunks_exact_mut(words).enumerate() {
@@ -42,28 +38,9 @@ impl Opening {
         let row = &mut narrow[..words.min(words * h)];
         for v in 0..h {
             across(wide, words, v, row, |x, y| x | y);
-            runs_of(row, w, runs);
+            runs_of(row, &columns, runs);
             runs.end_row();
         }
-    }
-}
-
-/// A bit for each pixel above `level`.
-#[inline(always)]
-fn above(row: &[u8], level: u8, bits: &mut [u64]) {
-    let (words, rest) = row.as_chunks::<WORD>();
-    for (pixels, word) in words.iter().zip(&mut *bits) {
-        // Most of a frame is dark.
-        let mut most = 0;
-        for &x in pixels {
-            most = most.max(x);
-        }
-        *word = if most > level { bits_above(pixels, level) } else { 0 };
-    }
-    if let Some(word) = bits.get_mut(words.len()) {
-        let mut pixels = [0; WORD];
-        pixels[..rest.len()].copy_from_slice(rest);
-        *word = bits_above(&pixels, level);
     }
 }
 
@@ -82,13 +59,17 @@ fn along(bits: &mut [u64], width: usize, together: impl Fn(u64, u64) -> u64 + Co
     for i in 0..=place {
         let own = bits[i];
         let behind = if i < place { bits[i + 1] } else { end };
-        let mut out = own;
-        for k in 1..=HALF as u32 {
-            let left = own << k | before >> (u64::BITS - k);
-            let right = own >> k | behind << (u64::BITS - k);
-            out = together(together(out, left), right);
+        // Most words are empty or full, and those beside them.
+        if !even(own) || before != own || behind != own {
+            let mut out = own;
+            for k in 1..=HALF as u32 {
+                let left = own << k | before >> (u64::BITS - k);
+                let right = own >> k | behind << (u64::BITS - k);
+                out = together(together(out, left), right);
+            }
+            bits[i] = out;
         }
-        (bits[i], before) = (out, own);
+        before = own;
     }
     bits[place] &= u64::MAX >> (WORD - 1 - shift);
 }
@@ -106,15 +87,15 @@ fn across(plane: &[u64], words: usize, v: usize, out: &mut [u64], together: impl
     }
 }
 
-/// The runs of ones of a row.
+/// The runs of ones of a row, whose bits are those of these columns.
 #[inline(always)]
-fn runs_of(bits: &[u64], width: usize, runs: &mut Runs) {
+fn runs_of(bits: &[u64], columns: &Range<usize>, runs: &mut Runs) {
     let (mut start, mut inside) = (0, 0u64);
     for (k, &word) in bits.iter().enumerate() {
         // A bit wherever a pixel differs from that before.
         let mut changes = word ^ (word << 1 | inside);
         while changes != 0 {
-            let at = k * WORD + changes.trailing_zeros() as usize;
+            let at = columns.start + k * WORD + changes.trailing_zeros() as usize;
             if inside == 0 {
                 start = at;
             } else {
@@ -125,7 +106,7 @@ fn runs_of(bits: &[u64], width: usize, runs: &mut Runs) {
         }
     }
     if inside != 0 {
-        runs.push(Run::new(start, width));
+        runs.push(Run::new(start, columns.end));
     }
 }
 
@@ -133,7 +114,8 @@ fn runs_of(bits: &[u64], width: usize, runs: &mut Runs) {
 mod tests {
     use super::{HALF, Opening, SIDE};
     use crate::image::Plane;
-    use crate::reconstruct::runs::Runs;
+    use crate::reconstruct::bits::WORD;
+    use crate::reconstruct::runs::{Run, Runs};
     use proptest::prelude::{ProptestConfig, prop_assert_eq, proptest};
 
     /// By the definition: all of, or any of, the square around each pixel.
@@ -159,17 +141,26 @@ mod tests {
         fn bits_are_opened_as_pixels_are(
             w in 1usize..200,
             h in 1usize..12,
+            first in 0usize..100,
             holes in proptest::collection::vec((0usize..200, 0usize..12), 0..30),
         ) {
-            let mut plane = Plane::filled(w, h, 9u8);
+            let words = w.div_ceil(WORD);
+            let mut ones = Plane::filled(w, h, 1u8);
+            let mut bits = vec![u64::MAX; words * h];
             for (u, v) in holes {
-                plane.set(u % w, v % h, 4);
+                let (u, v) = (u % w, v % h);
+                ones.set(u, v, 0);
+                bits[v * words + u / WORD] &= !(1 << (u % WORD));
             }
-            let mut ones = Plane::filled(w, h, 0);
-            ones.as_mut_slice().iter_mut().zip(plane.as_slice()).for_each(|(one, &x)| *one = u8::from(x > 4));
-            let expected = Runs::of(&plain(&plain(&ones, true), false));
+            let mut expected = Runs::default();
+            let opened = Runs::of(&plain(&plain(&ones, true), false));
+            for v in 0..h {
+                let moved = opened.row(v).iter().map(|run| Run::new(run.start() + first, run.end() + first));
+                moved.for_each(|run| expected.push(run));
+                expected.end_row();
+            }
             let mut found = Runs::default();
-            Opening::default().runs(&plane, 4, &mut found);
+            Opening::default().runs(&mut bits, first..first + w, h, &mut found);
             prop_assert_eq!(found.height(), h);
             for v in 0..h {
                 prop_assert_eq!(found.row(v), expected.row(v));
