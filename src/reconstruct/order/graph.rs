@@ -1,6 +1,7 @@
 //! The nodes of a view as a graph: what touches each of them, and how wide the surface around it is.
 
-use super::cells::{Border, Cells};
+use super::borders::Border;
+use super::cells::Cells;
 
 /// Pixels of a node that fills its cell.
 const FULL_NODE_PX: u32 = 60;

@@ -1,7 +1,8 @@
 //! Fringe orders of all views of one instant, from all evidence.
 //!
 //! ```text
-//! cells     the unwrapped phase in patches of 8 x 8 px, and where they continue each other
+//! cells     the unwrapped phase in patches of 8 x 8 px
+//! borders   where they touch, and whether they continue each other
 //! glimpse   the patches as other cameras look at them
 //! pieces    patches grown to pieces of surface, joined only along whole borders
 //! lookout   where the other cameras would see a place
@@ -22,6 +23,7 @@
 //! tell is where that may be: pieces whose common border agrees only in part. These are given their orders by the other
 //! cameras, and are refused where they cannot tell.
 
+mod borders;
 mod cells;
 mod confirmed;
 mod elsewhere;
