@@ -1,12 +1,15 @@
 //! Where nodes touch: the pixel pairs of two nodes tell whether their surfaces continue each other, and by how many
 //! whole turns their phases differ.
 
-use super::cells::{ALL, CELL_PX, Cells, FIRST_COLUMN, FIRST_ROW, Node, Surface};
+use super::cells::{ALL, CELL_PX, Cells, FIRST_COLUMN, FIRST_ROW, Node, Spot, Surface};
 use crate::reconstruct::sample::part;
 use std::f32::consts::TAU;
 
 /// Between nodes, steps this far from what their own slopes predict still continue, rad.
 const BORDER_RAD: f32 = 0.3;
+
+/// Steps below this continue whatever the order in which differences are rounded.
+const CLEAR_RAD: f32 = BORDER_RAD - 1e-3;
 
 /// The last column.
 const LAST_COLUMN: u64 = FIRST_COLUMN << (CELL_PX - 1);
@@ -27,70 +30,72 @@ pub struct Border {
 }
 
 /// Two nodes, turns, and the pixel pairs that say so; those that do not continue have turns of `i32::MAX`.
-type Pairs = (u32, u32, i32, u32);
+pub(super) type Pairs = (u32, u32, i32, u32);
 
 impl Cells {
-    /// The borders between the nodes of one cell, and to those of the cells to the right and below.
+    /// The borders between the nodes of one cell, and to those of the cells to the right and below. `found` is room to count in.
     #[inline(always)]
-    pub(super) fn touch(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
-        let cell = row * self.columns + column;
-        let (a, count) = self.grid[cell];
-        let whole = |grid: &[(u32, u32)], nodes: &[Node], cell: usize| {
-            let (node, count) = grid[cell];
-            (count == 1 && nodes[node as usize].mask == ALL).then_some(node)
-        };
-        let empty = |grid: &[(u32, u32)], cell: usize| grid[cell].1 == 0;
-        if count == 0 {
+    pub(super) fn touch(&mut self, surface: &Surface<'_>, column: usize, row: usize, found: &mut Vec<Pairs>) {
+        let place = row * self.columns + column;
+        let spot = self.grid[place];
+        if spot.count == 0 {
             return;
         }
-        let beside = (column + 1 < self.columns).then_some(cell + 1);
-        let below = (cell + self.columns < self.grid.len()).then_some(cell + self.columns);
-        let whole_or_empty = |at: Option<usize>| {
-            at.is_none_or(|x| empty(&self.grid, x) || whole(&self.grid, &self.nodes, x).is_some())
-        };
-        if whole(&self.grid, &self.nodes, cell).is_none() || !whole_or_empty(beside) || !whole_or_empty(below)
-        {
-            return self.touch_any(surface, column, row);
-        }
-        let (left, top) = (column * CELL_PX, row * CELL_PX);
-        let from = self.nodes[a as usize];
-        if let Some(b) = beside.and_then(|x| whole(&self.grid, &self.nodes, x)) {
-            let to = &self.nodes[b as usize];
-            let mut rest = [0f32; CELL_PX];
-            for (v, rest) in rest.iter_mut().enumerate() {
-                let (x, y) = (left + CELL_PX - 1, top + v);
-                let expected = surface.carrier(x, y) + (from.right + to.right) / 2.0;
-                *rest = surface.phase.at(x + 1, y) - surface.phase.at(x, y) - expected;
+        let mut touches = [None; 2];
+        let mut all = self.is_whole(&spot);
+        let beside = (column + 1 < self.columns).then_some(place + 1);
+        for (touches, at) in touches.iter_mut().zip([beside, Some(place + self.columns)]) {
+            if let Some(other) = at.and_then(|at| self.grid.get(at))
+                && other.count > 0
+            {
+                *touches = Some(*other);
+                all &= self.is_whole(other);
             }
-            self.borders.push(border(a, b, rest));
         }
-        if let Some(b) = below.and_then(|x| whole(&self.grid, &self.nodes, x)) {
-            let to = &self.nodes[b as usize];
-            let row = |v: usize| -> [f32; CELL_PX] { part(surface.phase.row(v), left, f32::NAN) };
-            let (above, below) = (row(top + CELL_PX - 1), row(top + CELL_PX));
-            let mut rest = [0f32; CELL_PX];
-            for u in 0..CELL_PX {
-                rest[u] = below[u] - above[u] - (from.down + to.down) / 2.0;
-            }
-            self.borders.push(border(a, b, rest));
+        if !all {
+            return self.touch_any(surface, column, row, found);
         }
+        let (a, from) = (spot.first, self.nodes[spot.first as usize]);
+        let [beside, below] = touches;
+        if let Some(Spot { first: b, into: [into, _], .. }) = beside {
+            let mean = (from.right + self.nodes[b as usize].right) / 2.0;
+            self.borders.push(if is_clear(into, mean) {
+                clear(a, b)
+            } else {
+                border(a, b, surface.rest_beside(column, row, mean))
+            });
+        }
+        if let Some(Spot { first: b, into: [_, into], .. }) = below {
+            let mean = (from.down + self.nodes[b as usize].down) / 2.0;
+            self.borders.push(if is_clear(into, mean) {
+                clear(a, b)
+            } else {
+                border(a, b, surface.rest_below(column, row, mean))
+            });
+        }
+    }
+
+    /// Whether one node fills a cell.
+    #[inline(always)]
+    fn is_whole(&self, spot: &Spot) -> bool {
+        spot.count == 1 && self.nodes[spot.first as usize].mask == ALL
     }
 
     /// The same where a cell has several nodes, or nodes with holes.
     #[inline(never)]
-    fn touch_any(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
+    fn touch_any(&mut self, surface: &Surface<'_>, column: usize, row: usize, found: &mut Vec<Pairs>) {
         let cell = row * self.columns + column;
-        let none = (0, 0);
+        let none = Spot::default();
         let beside = if column + 1 < self.columns { self.grid[cell + 1] } else { none };
         let below = self.grid.get(cell + self.columns).copied().unwrap_or(none);
-        let nodes = |(first, count): (u32, u32)| first..first + count;
-        let mut found = Vec::with_capacity(8);
+        let nodes = |spot: Spot| spot.first..spot.first + spot.count;
+        found.clear();
         for a in nodes(self.grid[cell]) {
             let mask = self.nodes[a as usize].mask;
             let at = (column * CELL_PX, row * CELL_PX);
             let mut touches = |b, right, down| {
                 for (down, pixels) in [(false, right), (true, down)] {
-                    self.pairs(surface, at, (a, b), down, pixels, &mut found);
+                    self.pairs(surface, at, (a, b), down, pixels, found);
                 }
             };
             for b in nodes(self.grid[cell]).filter(|b| *b != a) {
@@ -127,29 +132,66 @@ impl Cells {
         mut pixels: u64,
         found: &mut Vec<Pairs>,
     ) {
+        if pixels == 0 {
+            return;
+        }
         let (from, to) = (&self.nodes[a as usize], &self.nodes[b as usize]);
+        let mean = if down { (from.down + to.down) / 2.0 } else { (from.right + to.right) / 2.0 };
+        let (first, second) = (a.min(b), a.max(b));
+        let mut count =
+            |turns, pairs| match found.iter_mut().find(|x| (x.0, x.1, x.2) == (first, second, turns)) {
+                Some(x) => x.3 += pairs,
+                None => found.push((first, second, turns, pairs)),
+            };
+        // Nearly everywhere no turn lies between them.
+        let mut level = 0;
         while pixels != 0 {
             let pixel = pixels.trailing_zeros() as usize;
             pixels &= pixels - 1;
             let (u, v) = (at.0 + pixel % CELL_PX, at.1 + pixel / CELL_PX);
             let (x, y) = if down { (u, v + 1) } else { (u + 1, v) };
-            let expected = if down {
-                (from.down + to.down) / 2.0
-            } else {
-                surface.carrier(u, v) + (from.right + to.right) / 2.0
-            };
-            let (turns, good) = turns(surface.phase.at(x, y) - surface.phase.at(u, v) - expected);
-            let (a, b, turns) = if a < b { (a, b, turns) } else { (b, a, -turns) };
-            let turns = if good { turns } else { i32::MAX };
-            match found.iter_mut().find(|x| (x.0, x.1, x.2) == (a, b, turns)) {
-                Some(x) => x.3 += 1,
-                None => found.push((a, b, turns, 1)),
+            let expected = if down { mean } else { surface.carrier(u, v) + mean };
+            let rest = surface.phase.at(x, y) - surface.phase.at(u, v) - expected;
+            if rest.abs() < BORDER_RAD {
+                level += 1;
+                continue;
             }
+            let (turns, good) = turns(rest);
+            let turns = if a < b { turns } else { -turns };
+            count(if good { turns } else { i32::MAX }, 1);
+        }
+        if level > 0 {
+            count(0, level);
         }
     }
 }
 
 impl Surface<'_> {
+    /// How far the steps from a cell to that beside it are from the carrier's and `mean`.
+    #[inline(always)]
+    fn rest_beside(&self, column: usize, row: usize, mean: f32) -> [f32; CELL_PX] {
+        let (x, top) = ((column + 1) * CELL_PX - 1, row * CELL_PX);
+        let mut rest = [0f32; CELL_PX];
+        for (y, rest) in (top..).zip(&mut rest) {
+            let expected = self.carrier(x, y) + mean;
+            *rest = self.phase.at(x + 1, y) - self.phase.at(x, y) - expected;
+        }
+        rest
+    }
+
+    /// How far the steps from a cell to that below it are from `mean`.
+    #[inline(always)]
+    fn rest_below(&self, column: usize, row: usize, mean: f32) -> [f32; CELL_PX] {
+        let (left, bottom) = (column * CELL_PX, (row + 1) * CELL_PX);
+        let line = |v: usize| -> [f32; CELL_PX] { part(self.phase.row(v), left, f32::NAN) };
+        let (above, below) = (line(bottom - 1), line(bottom));
+        let mut rest = [0f32; CELL_PX];
+        for u in 0..CELL_PX {
+            rest[u] = below[u] - above[u] - mean;
+        }
+        rest
+    }
+
     /// The step that the period predicts between a pixel and the next in its row, rad.
     #[inline(always)]
     fn carrier(&self, u: usize, v: usize) -> f32 {
@@ -162,6 +204,18 @@ impl Surface<'_> {
 fn turns(rest: f32) -> (i32, bool) {
     let turns = -(rest / TAU).round();
     (turns as i32, (rest + turns * TAU).abs() < BORDER_RAD)
+}
+
+/// Whether all steps of a border continue without a turn, by the largest of them and the mean that is expected.
+#[inline(always)]
+fn is_clear(largest: f32, mean: f32) -> bool {
+    largest + mean.abs() < CLEAR_RAD
+}
+
+/// The border of two nodes whose eight pixel pairs continue without a turn.
+#[inline(always)]
+fn clear(a: u32, b: u32) -> Border {
+    Border { a, b, turns: 0, good: CELL_PX as u32, bad: 0 }
 }
 
 /// The border of two nodes by what their eight pixel pairs say.

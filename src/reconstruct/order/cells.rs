@@ -5,6 +5,7 @@
 
 use super::borders::Border;
 use super::glimpse::{Glimpse, Glimpses, Rim};
+use super::steps::{Steps, halves, sum};
 use crate::image::Plane;
 use crate::reconstruct::bits::{WORD, bits_of, bits_where};
 use crate::reconstruct::runs::Runs;
@@ -27,6 +28,12 @@ pub(super) const FIRST_ROW: u64 = 0xff;
 
 /// The first column of a cell's bits.
 pub(super) const FIRST_COLUMN: u64 = 0x0101_0101_0101_0101;
+
+/// The middle of a cell: that of its pixels which stands for a node that fills it.
+const MIDDLE: usize = (CELL_PX / 2 - 1) * (CELL_PX + 1);
+
+/// Steps to the right within a cell, and as many down.
+const STEPS: usize = CELL_PX * (CELL_PX - 1);
 
 /// A patch of one surface.
 #[derive(Debug, Clone, Copy)]
@@ -73,10 +80,21 @@ pub struct Cells {
     pub nodes: Vec<Node>,
     /// Their borders.
     pub borders: Vec<Border>,
-    /// First node and number of nodes of each cell.
-    pub(super) grid: Vec<(u32, u32)>,
+    /// What each cell has.
+    pub(super) grid: Vec<Spot>,
     /// The cells at a glance.
     pub glimpses: Glimpses,
+}
+
+/// A cell.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Spot {
+    /// The first of its nodes.
+    pub(super) first: u32,
+    /// Its nodes.
+    pub(super) count: u32,
+    /// The largest step to it from the cell to its left, beyond the carrier's, and from that above it, rad; NaN where one is not known.
+    pub(super) into: [f32; 2],
 }
 
 /// Values of a cell's pixels.
@@ -93,22 +111,25 @@ impl Cells {
             columns,
             nodes,
             borders,
-            grid: vec![(0, 0); columns * rows],
+            grid: vec![Spot::default(); columns * rows],
             glimpses: Glimpses::new(w, h),
         };
         simd::dispatch(
             #[inline(always)]
             || {
+                let (mut steps, mut pairs) = (Steps::new(columns), Vec::new());
                 // Rows touch the next one, which is in the cache yet.
                 for row in 0..=rows {
                     if row < rows {
-                        for column in band(surface.runs, row) {
-                            cells.cut(surface, column, row);
+                        let band = band(surface.runs, row);
+                        steps.measure(surface, row, band.clone());
+                        for column in band {
+                            cells.cut(surface, &steps, column, row);
                         }
                     }
                     if let Some(above) = row.checked_sub(1) {
                         for column in band(surface.runs, above) {
-                            cells.touch(surface, column, above);
+                            cells.touch(surface, column, above, &mut pairs);
                         }
                     }
                 }
@@ -120,38 +141,58 @@ impl Cells {
 
     /// The nodes of one cell.
     #[inline(always)]
-    fn cut(&mut self, surface: &Surface<'_>, column: usize, row: usize) {
+    fn cut(&mut self, surface: &Surface<'_>, steps: &Steps, column: usize, row: usize) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
-        let object = surface.object(left, top);
-        if object == 0 {
+        let place = row * self.columns + column;
+        let first = self.nodes.len() as u32;
+        // A comparison with NaN is false: unknown neighbours do not continue.
+        let inside = left + CELL_PX <= self.width && top + CELL_PX <= surface.phase.height();
+        if inside && steps.largest(left) < INNER_RAD {
+            let (u, v) = (MIDDLE % CELL_PX, MIDDLE / CELL_PX);
+            let pixel = (top + v) * self.width + left + u;
+            let [right, down] = steps.sums(left).map(|sum| sum / STEPS as f32);
+            self.nodes.push(Node {
+                pixel: pixel as u32,
+                phase: surface.phase.at(left + u, top + v),
+                size: ALL.count_ones(),
+                cell: place as u32,
+                mask: ALL,
+                right,
+                down,
+            });
+            self.grid[place] = Spot { first, count: 1, into: steps.into(left) };
+            self.glimpses.set(column, row, plane(first, steps.quarters(left)));
             return;
         }
+        let object = surface.object(left, top);
+        if object != 0 {
+            let into = if inside { steps.into(left) } else { [f32::NAN; 2] };
+            self.grid[place] = Spot { first, count: 0, into };
+            self.cut_up(surface, column, row, object);
+        }
+    }
+
+    /// The nodes of a cell that no smooth surface fills. `object`: a bit for each pixel that is the object's.
+    #[inline(always)]
+    fn cut_up(&mut self, surface: &Surface<'_>, column: usize, row: usize, object: u64) {
+        let (left, top) = (column * CELL_PX, row * CELL_PX);
         let phase = surface.patch(left, top);
-        let cell = row * self.columns + column;
+        let place = row * self.columns + column;
         let first = self.nodes.len();
         let (right_steps, down_steps) = surface.steps(&phase, left, top);
-        // A comparison with NaN is false: unknown neighbours do not continue.
-        let mut smooth = true;
-        for (right, down) in right_steps.as_flattened().iter().zip(down_steps.as_flattened()) {
-            smooth &= (right.abs() < INNER_RAD) & (down.abs() < INNER_RAD);
-        }
-        if smooth {
-            self.add(ALL, (column, row), &phase, &right_steps, &down_steps);
-        } else {
-            each_patch(
-                &phase,
-                &right_steps,
-                &down_steps,
-                #[inline(always)]
-                |mask| self.add(mask, (column, row), &phase, &right_steps, &down_steps),
-            );
-        }
+        each_patch(
+            &phase,
+            &right_steps,
+            &down_steps,
+            #[inline(always)]
+            |mask| self.add(mask, (column, row), &phase, &right_steps, &down_steps),
+        );
         let nodes = &self.nodes[first..];
-        self.grid[cell] = (first as u32, nodes.len() as u32);
+        self.grid[place].count = nodes.len() as u32;
         if let [node] = nodes
             && node.mask == ALL
         {
-            self.glimpses.set(column, row, plane(first as u32, &phase));
+            self.glimpses.set(column, row, plane(first as u32, quarters(&phase)));
         } else {
             self.rim(surface, column, row, &phase, object);
         }
@@ -178,7 +219,7 @@ impl Cells {
     #[inline(never)]
     fn rim(&mut self, surface: &Surface<'_>, column: usize, row: usize, phase: &Patch, object: u64) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
-        let (first, count) = self.grid[row * self.columns + column];
+        let Spot { first, count, .. } = self.grid[row * self.columns + column];
         let of = [0; CELL_PX * CELL_PX];
         let mut rim = Rim { object, near: 0, first, of, phase: [[f32::NAN; CELL_PX + 1]; CELL_PX] };
         for (v, (line, phase)) in rim.phase.iter_mut().zip(phase).enumerate() {
@@ -201,7 +242,9 @@ impl Cells {
     /// Adds to the phases of every node what `by` has for it; NaN takes them away.
     #[inline(always)]
     pub fn shift(&self, phase: &mut Plane<f32>, by: &[f32]) {
-        for (cell, &(first, count)) in self.grid.iter().enumerate().filter(|(_, grid)| grid.1 > 0) {
+        for (cell, &Spot { first, count, .. }) in
+            self.grid.iter().enumerate().filter(|(_, spot)| spot.count > 0)
+        {
             let (left, top) = (cell % self.columns * CELL_PX, cell / self.columns * CELL_PX);
             let mut add = [[f32::NAN; CELL_PX]; CELL_PX];
             if self.nodes[first as usize].mask == ALL {
@@ -367,38 +410,33 @@ fn before(row: &[f32], left: usize) -> [f32; CELL_PX] {
 #[inline(always)]
 fn mean(mask: u64, values: &Patch) -> f32 {
     let mut sums = [0f32; CELL_PX];
-    if mask.count_ones() as usize == CELL_PX * (CELL_PX - 1) {
-        // Nearly always it is a whole cell, and what is of other cells is 0.
-        for values in values {
-            for u in 0..CELL_PX {
-                sums[u] += values[u];
-            }
-        }
-    } else {
-        for (values, bits) in values.iter().zip(mask.to_le_bytes()) {
-            for (u, (sum, value)) in sums.iter_mut().zip(values).enumerate() {
-                *sum += if bits >> u & 1 != 0 { *value } else { 0.0 };
-            }
+    for (values, bits) in values.iter().zip(mask.to_le_bytes()) {
+        for (u, (sum, value)) in sums.iter_mut().zip(values).enumerate() {
+            *sum += if bits >> u & 1 != 0 { *value } else { 0.0 };
         }
     }
-    let [a, b, c, d, e, f, g, h] = sums;
-    ((a + b) + (c + d) + ((e + f) + (g + h))) / mask.count_ones().max(1) as f32
+    sum(&sums) / mask.count_ones().max(1) as f32
 }
 
-/// The plane of a cell that one node fills: means of its halves.
+/// Sums of the phases of a cell's quarters: above on the left and on the right, and below.
 #[inline(always)]
-fn plane(node: u32, phase: &Patch) -> Glimpse {
-    const HALF: usize = CELL_PX / 2;
-    let (mut above, mut below) = ([0f32; CELL_PX], [0f32; CELL_PX]);
-    for v in 0..HALF {
-        for u in 0..CELL_PX {
-            above[u] += phase[v][u];
-            below[u] += phase[v + HALF][u];
+fn quarters(phase: &Patch) -> [[f32; 2]; 2] {
+    let (above, below) = phase.split_at(CELL_PX / 2);
+    [above, below].map(|rows| {
+        let mut sums = [0f32; CELL_PX];
+        for row in rows {
+            for u in 0..CELL_PX {
+                sums[u] += row[u];
+            }
         }
-    }
-    let sum = |part: &[f32]| (part[0] + part[1]) + (part[2] + part[3]);
-    let [a, b] = [sum(&above[..HALF]), sum(&above[HALF..])];
-    let [c, d] = [sum(&below[..HALF]), sum(&below[HALF..])];
+        halves(&sums)
+    })
+}
+
+/// The plane of a cell that one node fills, of sums of its quarters.
+#[inline(always)]
+fn plane(node: u32, [[a, b], [c, d]]: [[f32; 2]; 2]) -> Glimpse {
+    const HALF: usize = CELL_PX / 2;
     // Halves are four pixels apart, and have 32.
     let per = 1.0 / (HALF * HALF * CELL_PX) as f32;
     let steps = [((b + d) - (a + c)) * per, ((c + d) - (a + b)) * per];

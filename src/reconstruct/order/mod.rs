@@ -38,6 +38,7 @@ mod looks;
 mod pieces;
 mod settle;
 mod split;
+mod steps;
 mod stretch;
 mod volume;
 mod witness;
