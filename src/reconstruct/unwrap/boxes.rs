@@ -161,29 +161,41 @@ impl Window {
         }
     }
 
-    /// Sums over the boxes around the pixels of a row.
+    /// Sums over the boxes around the pixels of a row, but for the last addition.
     #[inline(always)]
-    pub(super) fn boxes<'a>(&self, blocks: &[Run], taps: &'a mut Taps) -> &'a [i32] {
-        let (half, Taps { three, nine, out }) = (self.half.0, taps);
-        for blocks in blocks {
+    pub(super) fn boxes<'a>(&'a self, blocks: &[Run], taps: &'a mut Taps) -> Boxes<'a> {
+        let (half, Taps { three, nine }) = (self.half.0, taps);
+        for blocks in blocks.iter().filter(|_| half > 1) {
             let (start, end) = (blocks.start(), blocks.end());
-            let (sums, from) = (&self.sums[start..], &self.sums[start - half..]);
-            if half == 1 {
-                add([from, &from[1..], &from[2..]], &mut out[start..end]);
-                continue;
-            }
+            let from = &self.sums[start - half..];
             add([from, &from[1..], &from[2..]], &mut three[start..end + BLOCK]);
-            let three = &three[start..];
-            if half == 4 {
-                add([three, &three[3..], &three[6..]], &mut out[start..end]);
-                continue;
+            if half > 4 {
+                let three = &three[start..];
+                add([three, &three[3..], &three[6..]], &mut nine[start..end + BLOCK]);
             }
-            add([three, &three[3..], &three[6..]], &mut nine[start..end + BLOCK]);
-            let nine = &nine[start..];
-            let others = if half == 5 { [&sums[4..], &sums[5..]] } else { [&nine[10..], sums] };
-            add([nine, others[0], others[1]], &mut out[start..end]);
         }
-        out
+        let sums = self.sums.as_slice();
+        match half {
+            1 => Boxes([&sums[PAD - 1..], &sums[PAD..], &sums[PAD + 1..]]),
+            4 => Boxes([&three[PAD..], &three[PAD + 3..], &three[PAD + 6..]]),
+            5 => Boxes([&nine[PAD..], &sums[PAD + 4..], &sums[PAD + 5..]]),
+            _ => Boxes([&nine[PAD..], &nine[PAD + 10..], &sums[PAD..]]),
+        }
+    }
+}
+
+/// Sums over the boxes around the pixels of a row, by column: each is that of three values. Whoever needs it adds them, which saves a
+/// way through memory.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Boxes<'a>([&'a [i32]; 3]);
+
+impl<'a> Boxes<'a> {
+    /// The three values of some pixels from one on.
+    #[inline(always)]
+    pub(super) fn of(&self, column: usize, n: usize) -> [&'a [i32]; 3] {
+        // Of neighbours in memory the compiler would load one, and make the others of it.
+        let [a, b, c] = self.0;
+        [&black_box(a)[column..][..n], &black_box(b)[column..][..n], &black_box(c)[column..][..n]]
     }
 }
 
@@ -200,10 +212,7 @@ fn move_by(sums: &mut [i32], row: &[i32], blocks: &[Run], by: impl Fn(i32, i32) 
 /// Sums of three values each.
 #[inline(always)]
 fn add(parts: [&[i32]; 3], out: &mut [i32]) {
-    let n = out.len();
-    // Of neighbours in memory the compiler would load one, and make the others of it.
-    let [a, b, c] = parts;
-    let (a, b, c) = (black_box(&a[..n]), black_box(&b[..n]), black_box(&c[..n]));
+    let [a, b, c] = Boxes(parts).of(0, out.len());
     let parts = whole_blocks(a).iter().zip(whole_blocks(b)).zip(whole_blocks(c));
     for (out, ((a, b), c)) in out.as_chunks_mut::<BLOCK>().0.iter_mut().zip(parts) {
         one_by_one();
@@ -227,18 +236,17 @@ fn whole_blocks(values: &[i32]) -> &[[i32; BLOCK]] {
     values.as_chunks().0
 }
 
-/// Rows to add up boxes in: sums of three and nine columns, and of all.
+/// Rows to add up boxes in: sums of three and nine columns.
 #[derive(Debug, Default)]
 pub(super) struct Taps {
     three: Vec<i32>,
     nine: Vec<i32>,
-    out: Vec<i32>,
 }
 
 impl Taps {
     /// For rows of so many columns.
     pub(super) fn begin(&mut self, width: usize) {
-        for row in [&mut self.three, &mut self.nine, &mut self.out] {
+        for row in [&mut self.three, &mut self.nine] {
             row.resize(width + ROOM, 0);
         }
     }

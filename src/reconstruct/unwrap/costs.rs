@@ -102,14 +102,15 @@ impl Side {
     #[inline(always)]
     fn residuals(&mut self, v: usize, runs: &Runs, blocks: &Runs, taps: &mut Taps) {
         let row = self.residuals.fresh(v, runs);
-        let sums = self.mean.boxes(blocks.row(v), taps);
+        let means = self.mean.boxes(blocks.row(v), taps);
         for run in runs.row(v) {
             let (start, n) = (padded(run).start, whole_vectors(run));
-            let (steps, sums) = (&self.steps.row(v)[start..][..n], &sums[start..][..n]);
+            let (steps, [a, b, c]) = (&self.steps.row(v)[start..][..n], means.of(run.start(), n));
             let out = &mut row[start..][..n];
             for i in 0..n {
-                let residual = apart((steps[i] >> COUNT_BITS) as f32 - mean(sums[i]));
-                out[i] = if steps[i] == 0 { 0 } else { whole(residual) << COUNT_BITS | 1 };
+                let sum = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
+                let residual = apart((steps[i] >> COUNT_BITS) as f32 - mean(sum));
+                out[i] = if steps[i] == 0 { 0 } else { counted(residual) };
             }
         }
     }
@@ -130,18 +131,20 @@ impl Side {
         for run in runs.row(v) {
             let (column, start, n) = (run.start(), padded(run).start, whole_vectors(run));
             let own = &self.residuals.row(v)[start..][..n];
-            let (along, stretch) = (&along[start..][..n], &stretch[start..][..n]);
+            let [a, b, c] = along.of(column, n);
             let excess = &excess[column..][..n];
             let (costs, out) = (&mut self.costs[..n], &mut self.codes[column..][..n]);
             for i in 0..n {
-                let (residual, around) = ((own[i] >> COUNT_BITS) as f32, mean(along[i]));
+                let sum = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
+                let (residual, around) = ((own[i] >> COUNT_BITS) as f32, mean(sum));
                 let worse = if residual < around { around } else { residual };
                 costs[i] = worse + excess[i];
             }
             // By themselves: else the compiler makes branches of these choices where vectors have no masks.
+            let [a, b, c] = stretch.of(column, n);
             for i in 0..n {
-                let cost = costs[i];
-                let doubtful = (cost > bounds.doubtful) | mean_exceeds(stretch[i], bounds.doubtful_stretch);
+                let (cost, sum) = (costs[i], a[i].wrapping_add(b[i]).wrapping_add(c[i]));
+                let doubtful = (cost > bounds.doubtful) | mean_exceeds(sum, bounds.doubtful_stretch);
                 // What is large is no edge; NaN is none, either, whatever its units come to.
                 let edge = (own[i] != 0) & (cost <= bounds.largest);
                 let code = whole(cost) as u16 | if doubtful { DOUBTFUL } else { 0 };
@@ -291,15 +294,21 @@ fn add_up(runs: &[Run], steps: &[i16], out: &mut [i16]) {
 /// A step, rad, in a word; 0 for NaN.
 #[inline(always)]
 fn packed(x: f32) -> i32 {
-    let value = whole(x * UNITS) << COUNT_BITS | 1;
+    let value = counted(x * UNITS);
     if x.is_nan() { 0 } else { value }
 }
 
-/// The mean of a packed sum; 0 where there is nothing in it.
+/// Units, rounded, and a count of one. (A sum: one with the constant that rounding takes off.)
+#[inline(always)]
+fn counted(units: f32) -> i32 {
+    (whole(units) << COUNT_BITS).wrapping_add(1)
+}
+
+/// The mean of a packed sum; NaN where there is nothing in it.
 #[inline(always)]
 fn mean(sum: i32) -> f32 {
     let count = sum & ((1 << COUNT_BITS) - 1);
-    (sum >> COUNT_BITS) as f32 / count.max(1) as f32
+    (sum >> COUNT_BITS) as f32 / count as f32
 }
 
 /// Whether [`mean`] is above a bound, without dividing.

@@ -118,6 +118,10 @@ impl Forest {
     /// Merges the trees of an edge. False when the votes of two trees of known order contradict.
     #[inline(always)]
     pub fn merge(&mut self, edge: Edge, settings: &Settings) -> bool {
+        // Segments beside each other are most often children of one root already.
+        if self.links[edge.a as usize].parent == self.links[edge.b as usize].parent {
+            return true;
+        }
         let (mut root, turns_a) = self.find(edge.a);
         let (mut other, turns_b) = self.find(edge.b);
         if root == other {
@@ -132,6 +136,11 @@ impl Forest {
         if tree.size < small.size {
             (root, other, shift) = (other, root, -shift);
             std::mem::swap(&mut tree, &mut small);
+        }
+        if small.votes == 0 {
+            self.trees[root as usize].size = tree.size + small.size;
+            self.links[other as usize] = Link { parent: root, turns: shift };
+            return true;
         }
         // The order that the other tree's votes give this root.
         let order_other = small.order - shift;

@@ -54,8 +54,8 @@ struct RowNodes {
     starts: Vec<u64>,
     /// Which steps down are edges.
     edges: Vec<u64>,
-    /// Sums of the costs of the steps down before each pixel of a word with edges.
-    sums: Vec<u32>,
+    /// Codes of the steps down.
+    down: Vec<u16>,
     /// Segment of each known pixel.
     node: Vec<u32>,
 }
@@ -104,7 +104,7 @@ impl Graph {
             row.starts.resize(words, 0);
             row.edges.clear();
             row.edges.resize(words, 0);
-            row.sums.resize(words * WORD + 1, 0);
+            row.down.resize(words * WORD + LONGEST_PX, 0);
             row.node.resize(words * WORD + LONGEST_PX, 0);
         }
         self.inside.resize(words, 0);
@@ -183,25 +183,19 @@ impl Graph {
     /// Finds the edges down from a row.
     #[inline(always)]
     fn find_edges(&mut self, down: &[u16]) {
-        let RowNodes { edges, sums, .. } = &mut self.rows[1];
-        let mut sum = 0u32;
-        for (k, (&inside, edges)) in self.inside.iter().zip(edges).enumerate() {
+        let row = &mut self.rows[1];
+        for (k, (&inside, edges)) in self.inside.iter().zip(&mut row.edges).enumerate() {
+            if inside == 0 {
+                *edges = 0;
+                continue;
+            }
             let down: &[u16; WORD] = chunk(down, k * WORD);
+            row.down[k * WORD..][..WORD].copy_from_slice(down);
             *edges = inside
                 & bits_where(
                     #[inline(always)]
                     |i| down[i] != NONE,
                 );
-            if *edges == 0 {
-                continue;
-            }
-            // No stretch has a step that is no edge: whatever these add to the sums is the same at both its ends.
-            let sums: &mut [u32; WORD + 1] = sums[k * WORD..].first_chunk_mut().expect("whole words");
-            for i in 0..WORD {
-                sums[i] = sum;
-                sum += u32::from(down[i]);
-            }
-            sums[WORD] = sum;
         }
     }
 
@@ -274,14 +268,14 @@ impl Graph {
                 |i| turns[i] != turns[i + 1],
             );
             let starts = edges & (starts.0 | starts.1 | turned | !(edges << 1));
-            let sums: &[u32; WORD + 1] = chunk(&above.sums, begin);
+            let down: &[u16; WORD + LONGEST_PX] = chunk(&above.down, begin);
             let nodes: [&[u32; WORD]; 2] = [chunk(&above.node, begin), chunk(&below.node, begin)];
             each_stretch(
                 starts,
                 edges,
                 #[inline(always)]
                 |i, count| {
-                    let (sum, count) = (sums[i + count] - sums[i], count as u32);
+                    let (sum, count) = (sum(chunk(down, i), count), count as u32);
                     let doubtful = DOUBTFUL_SHARE[1] * doubtful(sum) > DOUBTFUL_SHARE[0] * count;
                     let edge = Edge { a: nodes[0][i], b: nodes[1][i], turns: turns[i + 1], doubtful };
                     *contradictions += usize::from(!take(forest, later, edge, [units(sum), count], settings));
@@ -327,4 +321,25 @@ fn each_stretch(starts: u64, inside: u64, mut each: impl FnMut(usize, usize)) {
         each(first, 1 + (on >> first >> 1).trailing_ones() as usize);
         rest &= rest - 1;
     }
+}
+
+/// The sum of the first codes of some, as many as a stretch may have.
+#[inline(always)]
+fn sum(codes: &[u16; LONGEST_PX], count: usize) -> u32 {
+    /// As many that are kept, and as many that are not: each stretch's begin so many before the middle.
+    const KEPT: [u16; 2 * LONGEST_PX] = {
+        let mut kept = [0; 2 * LONGEST_PX];
+        let mut i = 0;
+        while i < LONGEST_PX {
+            kept[i] = u16::MAX;
+            i += 1;
+        }
+        kept
+    };
+    let kept: &[u16; LONGEST_PX] = chunk(&KEPT, LONGEST_PX - count);
+    let mut sum = 0;
+    for i in 0..LONGEST_PX {
+        sum += u32::from(codes[i] & kept[i]);
+    }
+    sum
 }
