@@ -7,7 +7,7 @@ use super::borders::Border;
 use super::glimpse::{Glimpse, Glimpses, Rim};
 use super::steps::{Steps, halves, sum};
 use crate::image::Plane;
-use crate::reconstruct::bits::{WORD, bits_of, bits_where};
+use crate::reconstruct::bits::{self, WORD, bits_where};
 use crate::reconstruct::runs::Runs;
 use crate::reconstruct::sample::part;
 use crate::reconstruct::simd;
@@ -61,9 +61,7 @@ pub struct Surface<'a> {
     pub phase: &'a Plane<f32>,
     /// Local fringe period, px.
     pub period: &'a Plane<f32>,
-    /// Not 0 on the object, whether or not it has a phase there.
-    pub object: &'a Plane<u8>,
-    /// The same in runs.
+    /// The object, whether or not it has a phase there.
     pub runs: &'a Runs,
     /// Sign of the phase's step along the row.
     pub sign: f32,
@@ -98,7 +96,7 @@ pub(super) struct Spot {
 }
 
 /// Values of a cell's pixels.
-type Patch = [[f32; CELL_PX]; CELL_PX];
+pub(super) type Patch = [[f32; CELL_PX]; CELL_PX];
 
 impl Cells {
     /// Cuts a surface into nodes.
@@ -117,14 +115,15 @@ impl Cells {
         simd::dispatch(
             #[inline(always)]
             || {
-                let (mut steps, mut pairs) = (Steps::new(columns), Vec::new());
+                let (mut steps, mut object, mut pairs) = (Steps::new(columns), Object::new(w), Vec::new());
                 // Rows touch the next one, which is in the cache yet.
                 for row in 0..=rows {
                     if row < rows {
                         let band = band(surface.runs, row);
+                        object.mark(surface.runs, row);
                         steps.measure(surface, row, band.clone());
                         for column in band {
-                            cells.cut(surface, &steps, column, row);
+                            cells.cut(surface, &steps, &object, column, row);
                         }
                     }
                     if let Some(above) = row.checked_sub(1) {
@@ -141,7 +140,7 @@ impl Cells {
 
     /// The nodes of one cell.
     #[inline(always)]
-    fn cut(&mut self, surface: &Surface<'_>, steps: &Steps, column: usize, row: usize) {
+    fn cut(&mut self, surface: &Surface<'_>, steps: &Steps, object: &Object, column: usize, row: usize) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
         let place = row * self.columns + column;
         let first = self.nodes.len() as u32;
@@ -164,22 +163,22 @@ impl Cells {
             self.glimpses.set(column, row, plane(first, steps.quarters(left)));
             return;
         }
-        let object = surface.object(left, top);
+        let object = object.of(column);
         if object != 0 {
             let into = if inside { steps.into(left) } else { [f32::NAN; 2] };
             self.grid[place] = Spot { first, count: 0, into };
-            self.cut_up(surface, column, row, object);
+            self.cut_up(surface, steps, column, row, object);
         }
     }
 
     /// The nodes of a cell that no smooth surface fills. `object`: a bit for each pixel that is the object's.
     #[inline(always)]
-    fn cut_up(&mut self, surface: &Surface<'_>, column: usize, row: usize, object: u64) {
+    fn cut_up(&mut self, surface: &Surface<'_>, steps: &Steps, column: usize, row: usize, object: u64) {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
         let phase = surface.patch(left, top);
         let place = row * self.columns + column;
         let first = self.nodes.len();
-        let (right_steps, down_steps) = surface.steps(&phase, left, top);
+        let (right_steps, down_steps) = (steps.to_the_right(left), steps_down(&phase));
         each_patch(
             &phase,
             &right_steps,
@@ -280,39 +279,53 @@ impl Surface<'_> {
         }
         out
     }
+}
 
-    /// A bit for each pixel of a cell that is the object's.
-    #[inline(always)]
-    fn object(&self, left: usize, top: usize) -> u64 {
-        let mut bytes = [0; WORD];
-        for (v, out) in (top..self.object.height()).zip(bytes.as_chunks_mut::<CELL_PX>().0) {
-            *out = part(self.object.row(v), left, 0);
+/// Steps down to each pixel of a cell; 0 where these are from another cell.
+#[inline(always)]
+fn steps_down(phase: &Patch) -> Patch {
+    let mut down = [[0.0; CELL_PX]; CELL_PX];
+    for v in 1..CELL_PX {
+        for u in 0..CELL_PX {
+            down[v][u] = phase[v][u] - phase[v - 1][u];
         }
-        bits_of(&bytes, u8::MAX)
+    }
+    down
+}
+
+/// Which pixels of a row of cells are the object's, a bit for each.
+#[derive(Debug)]
+struct Object {
+    /// Row by row.
+    bits: Vec<u64>,
+    words: usize,
+}
+
+impl Object {
+    /// For rows of so many pixels.
+    fn new(width: usize) -> Self {
+        let words = width.div_ceil(WORD);
+        Self { bits: vec![0; CELL_PX * words], words }
     }
 
-    /// Steps of a cell's phases to each pixel, less the carrier's, from the one to its left and from the one above; 0 where
-    /// these are of other cells.
+    /// Goes to a row of cells.
     #[inline(always)]
-    fn steps(&self, phase: &Patch, left: usize, top: usize) -> (Patch, Patch) {
-        let (mut right, mut down) = ([[f32::NAN; CELL_PX]; CELL_PX], [[0.0; CELL_PX]; CELL_PX]);
-        for v in 0..CELL_PX.min(self.phase.height() - top) {
-            let phase_before = before(self.phase.row(top + v), left);
-            let period: [_; CELL_PX] = part(self.period.row(top + v), left, f32::NAN);
-            let period_before = before(self.period.row(top + v), left);
-            // All columns, so that there is one vector to a row.
-            for u in 0..CELL_PX {
-                let carrier = self.sign * 2.0 * TAU / (period_before[u] + period[u]);
-                right[v][u] = phase[v][u] - phase_before[u] - carrier;
-            }
+    fn mark(&mut self, runs: &Runs, row: usize) {
+        self.bits.fill(0);
+        for (v, bits) in (row * CELL_PX..runs.height()).zip(self.bits.chunks_exact_mut(self.words)) {
+            runs.row(v).iter().for_each(|run| bits::set(bits, run.columns()));
         }
-        right.iter_mut().for_each(|right| right[0] = 0.0);
-        for v in 1..CELL_PX {
-            for u in 0..CELL_PX {
-                down[v][u] = phase[v][u] - phase[v - 1][u];
-            }
+    }
+
+    /// The pixels of one cell, row by row.
+    #[inline(always)]
+    fn of(&self, column: usize) -> u64 {
+        let (word, shift) = (column * CELL_PX / WORD, column * CELL_PX % WORD);
+        let mut rows = [0; CELL_PX];
+        for (v, row) in rows.iter_mut().enumerate() {
+            *row = (self.bits[v * self.words + word] >> shift) as u8;
         }
-        (right, down)
+        u64::from_le_bytes(rows)
     }
 }
 
@@ -329,7 +342,7 @@ pub fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
 
 /// A bit for every pixel (u, v) of a cell.
 #[inline(always)]
-fn bits(is: impl Fn(usize, usize) -> bool) -> u64 {
+fn bits_of_cell(is: impl Fn(usize, usize) -> bool) -> u64 {
     const { assert!(CELL_PX * CELL_PX == WORD) };
     bits_where(
         #[inline(always)]
@@ -373,18 +386,18 @@ fn middle(mask: u64) -> usize {
 /// Calls `each` with the pixels of a cell that hang together, patch by patch.
 #[inline(always)]
 fn each_patch(phase: &Patch, right_steps: &Patch, down_steps: &Patch, mut each: impl FnMut(u64)) {
-    let mut rest = bits(
+    let mut rest = bits_of_cell(
         #[inline(always)]
         |u, v| !phase[v][u].is_nan(),
     );
     if rest == 0 {
         return;
     }
-    let right = bits(
+    let right = bits_of_cell(
         #[inline(always)]
         |u, v| right_steps[v][u].abs() < INNER_RAD,
     );
-    let down = bits(
+    let down = bits_of_cell(
         #[inline(always)]
         |u, v| down_steps[v][u].abs() < INNER_RAD,
     );
@@ -393,17 +406,6 @@ fn each_patch(phase: &Patch, right_steps: &Patch, down_steps: &Patch, mut each: 
         rest &= !mask;
         each(mask);
     }
-}
-
-/// The values of a row before each of a cell's.
-#[inline(always)]
-fn before(row: &[f32], left: usize) -> [f32; CELL_PX] {
-    if let Some(first) = left.checked_sub(1) {
-        return part(row, first, f32::NAN);
-    }
-    let mut out = part(row, 0, f32::NAN);
-    out.rotate_right(1);
-    out
 }
 
 /// The mean of some values over the pixels of a mask; 0 where there are none.

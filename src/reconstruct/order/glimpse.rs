@@ -241,19 +241,26 @@ impl Glimpses {
     fn near(&self, runs: &Runs) -> Vec<u64> {
         const REACH: usize = BACKGROUND_PX as usize;
         const { assert!(REACH <= PAD_PX) };
-        let words = words(self.stride);
-        let mut near = vec![0; words * self.rows * CELL_PX];
+        let (words, height) = (words(self.stride), self.rows * CELL_PX);
+        let mut object = vec![0; words * height];
         for v in 0..runs.height() {
+            let row = &mut object[(v + PAD_PX) * words..][..words];
             for run in runs.row(v) {
-                let (row, start, end) = (v + PAD_PX, run.start() + PAD_PX, run.end() + PAD_PX);
-                let mut mark = |row: usize, start: usize, end: usize| {
-                    bits::set(&mut near[row * words..(row + 1) * words], start..end);
-                };
-                mark(row - REACH, start, end);
-                mark(row + REACH, start, end);
-                mark(row, start, end);
-                mark(row, start - REACH, end - REACH);
-                mark(row, start + REACH, end + REACH);
+                bits::set(row, run.start() + PAD_PX..run.end() + PAD_PX);
+            }
+        }
+        let mut near = vec![0; words * height];
+        // Beyond these there is the object nowhere near.
+        for v in REACH..height - REACH {
+            let row = |v: usize| &object[v * words..][..words];
+            let (above, own, below) = (row(v - REACH), row(v), row(v + REACH));
+            let near = &mut near[v * words..][..words];
+            for k in 0..words {
+                near[k] = above[k] | below[k] | own[k] | own[k] << REACH | own[k] >> REACH;
+            }
+            for k in 1..words {
+                near[k - 1] |= own[k] << (WORD - REACH);
+                near[k] |= own[k - 1] >> (WORD - REACH);
             }
         }
         near
@@ -263,6 +270,7 @@ impl Glimpses {
     #[inline(always)]
     pub fn mark_outlines(&mut self, runs: &Runs) {
         const REACH: usize = (BACKGROUND_PX as usize).div_ceil(CELL_PX);
+        const { assert!(REACH <= PAD_CELLS) };
         let near = self.near(runs);
         let stride = self.stride;
         let near_of = |place: usize| {
@@ -272,6 +280,9 @@ impl Glimpses {
             let rows = (0..CELL_PX).map(|v| near[first + v * words(stride)] >> (byte * CELL_PX) & 0xff);
             rows.rev().fold(0, |all, row| all << CELL_PX | row)
         };
+        // A bit for each cell that shows the object, row by row, and none for as many rows beyond as is looked.
+        let words = stride.div_ceil(WORD);
+        let mut shown = vec![0u64; words * (self.rows + 2 * REACH)];
         for row in 0..runs.height().div_ceil(CELL_PX) {
             for column in super::cells::band(runs, row) {
                 let at = self.place(column, row);
@@ -280,12 +291,26 @@ impl Glimpses {
                     Kind::Rim(rim) => self.rims[rim].near = near_of(at),
                     Kind::Node(_) => {}
                 }
+                let column = column + PAD_CELLS;
+                shown[(row + PAD_CELLS + REACH) * words + column / WORD] |= 1 << (column % WORD);
+            }
+        }
+        for row in 0..self.rows {
+            for k in 0..words {
+                let at = (row + REACH) * words + k;
+                let own = shown[at];
+                let before = if k > 0 { shown[at - 1] } else { 0 };
+                let after = if k + 1 < words { shown[at + 1] } else { 0 };
+                let mut beside = 0;
                 for step in 1..=REACH {
-                    for other in [at - step, at + step, at - step * stride, at + step * stride] {
-                        if self.cells[other].node == Glimpse::FAR {
-                            self.cells[other] = Glimpse::beside(near_of(other));
-                        }
-                    }
+                    beside |= own << step | before >> (WORD - step) | own >> step | after << (WORD - step);
+                    beside |= shown[at - step * words] | shown[at + step * words];
+                }
+                beside &= !own;
+                while beside != 0 {
+                    let other = row * stride + k * WORD + beside.trailing_zeros() as usize;
+                    self.cells[other] = Glimpse::beside(near_of(other));
+                    beside &= beside - 1;
                 }
             }
         }

@@ -136,7 +136,6 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     let cells = Cells::new(&Surface {
         phase: &prepared.absolute,
         period: prepared.period(),
-        object: &prepared.object,
         runs: &prepared.lit,
         sign: pair.sign,
     });

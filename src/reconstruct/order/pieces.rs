@@ -362,7 +362,7 @@ mod tests {
         let phase = Plane::from_vec(W, H, data).expect("the plane's size");
         let (object, period) = (Plane::filled(W, H, 1), Plane::filled(W, H, PERIOD));
         let runs = Runs::of(&object);
-        let surface = Surface { phase: &phase, period: &period, object: &object, runs: &runs, sign: 1.0 };
+        let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0 };
         let cells = Cells::new(&surface);
         let pieces = Pieces::new(&cells, &Graph::new(&cells), &[], 20);
         let large = (0..pieces.nodes.len()).filter(|&i| pieces.nodes[i].len() >= 10).collect();

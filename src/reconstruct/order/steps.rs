@@ -3,7 +3,7 @@
 //! Most cells are filled by one smooth surface. Of these nobody asks for single pixels: the largest step of each column
 //! and the sums of columns tell all that their nodes need.
 
-use super::cells::{CELL_PX, Surface};
+use super::cells::{CELL_PX, Patch, Surface};
 use crate::reconstruct::sample::chunk;
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -24,7 +24,9 @@ pub(super) struct Steps {
     largest_down: Vec<u32>,
     /// The step down from the row above the cells.
     from_above: Vec<u32>,
-    /// Sums of steps to the right.
+    /// Steps to the right, row by row.
+    rows: [Vec<f32>; CELL_PX],
+    /// Their sums.
     right: Vec<f32>,
     /// Sums of steps down within the cells.
     down: Vec<f32>,
@@ -40,6 +42,7 @@ impl Steps {
             largest_right: bits.clone(),
             largest_down: bits.clone(),
             from_above: bits,
+            rows: [(); CELL_PX].map(|()| vec![f32::NAN; columns * CELL_PX]),
             right: sums.clone(),
             down: sums.clone(),
             phases: [sums.clone(), sums],
@@ -56,7 +59,11 @@ impl Steps {
         for sums in [&mut self.right, &mut self.down].into_iter().chain(&mut self.phases) {
             sums[columns.clone()].fill(0.0);
         }
-        for v in top..surface.phase.height().min(top + CELL_PX) {
+        let end = surface.phase.height().min(top + CELL_PX);
+        for beyond in &mut self.rows[end - top..] {
+            beyond[columns.clone()].fill(f32::NAN);
+        }
+        for v in top..end {
             self.right(surface, v, columns.start.max(1)..columns.end);
             let phase = &surface.phase.row(v)[columns.clone()];
             let sums = &mut self.phases[(v - top) / HALF][columns.clone()];
@@ -91,9 +98,11 @@ impl Steps {
         let (a, b) = (&phase[before..][..n], &phase[start..][..n]);
         let (p, q) = (&period[before..][..n], &period[start..][..n]);
         let (sums, largest) = (&mut self.right[start..][..n], &mut self.largest_right[start..][..n]);
+        let out = &mut self.rows[v % CELL_PX][start..][..n];
         let turn = surface.sign * 2.0 * TAU;
         for i in 0..n {
             let step = b[i] - a[i] - turn / (p[i] + q[i]);
+            out[i] = step;
             sums[i] += step;
             largest[i] = largest[i].max(step.abs().to_bits());
         }
@@ -120,6 +129,17 @@ impl Steps {
             largest = largest.max(above[u]);
         }
         [self.largest_right[left], largest].map(f32::from_bits)
+    }
+
+    /// The steps to the right of a cell; 0 where these are from another, and NaN beyond the region of interest.
+    #[inline(always)]
+    pub(super) fn to_the_right(&self, left: usize) -> Patch {
+        let mut out = [[0.0; CELL_PX]; CELL_PX];
+        for (out, row) in out.iter_mut().zip(&self.rows) {
+            *out = *chunk(row, left);
+            out[0] = 0.0;
+        }
+        out
     }
 
     /// Sums of the steps to the right and down between the pixels of a cell.
