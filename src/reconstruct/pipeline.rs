@@ -151,9 +151,7 @@ pub struct Prepared {
     pub regions: Regions,
     /// Not 0 on marker cores.
     pub marker: Plane<u8>,
-    /// Not 0 on the object, over-exposed or not.
-    pub object: Plane<u8>,
-    /// Its runs.
+    /// Runs of the object, over-exposed or not.
     pub(super) lit: Runs,
     /// How it went so far.
     pub counts: Counts,
@@ -275,23 +273,18 @@ impl Pipeline {
         let runs = roi.cut_runs(&buffers.object);
         let lit = roi.cut_runs(&buffers.mask.lit);
         BUFFERS.give(buffers);
-        let plane = || BYTES.take(roi.width, roi.height);
-        let (mut part, mut object) = (plane(), plane());
+        let mut part = BYTES.take(roi.width, roi.height);
         roi.cut(image, &mut part);
-        runs.paint(&mut object);
         let image = part;
         counts.object = runs.area();
         let resolved = match self.method {
-            Method::Anchored => self.anchored(&image, &object, runs, roi, &mut clock, &mut counts),
-            Method::Paper => Ok(self.paper(&image, &object, runs, &mut clock, &mut counts)),
+            Method::Anchored => self.anchored(&image, runs, roi, &mut clock, &mut counts),
+            Method::Paper => Ok(self.paper(&image, runs, &mut clock, &mut counts)),
         };
         let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = match resolved {
             Ok(resolved) => resolved,
             Err(reason) => return Err(refused(clock, counts, reason)),
         };
-        if lit.area() > counts.object {
-            lit.paint(&mut object);
-        }
         // Until all cameras are heard.
         let regions = Regions::default();
         Ok(Prepared {
@@ -301,7 +294,6 @@ impl Pipeline {
             table: Arc::clone(&self.table),
             regions,
             marker,
-            object,
             lit,
             image,
             counts,
@@ -330,7 +322,6 @@ impl Pipeline {
             mut planes,
             mut clock,
             marker,
-            object,
             ..
         } = prepared;
         let pair = self.triangulator.pair();
@@ -386,7 +377,6 @@ impl Pipeline {
             [misfit, period].into_iter().for_each(|plane| PLANES.give(plane));
             [marker, zone].into_iter().for_each(|plane| BYTES.give(plane));
         }
-        BYTES.give(object);
         BYTES.give(image);
         if self.keep_maps {
             planes.push(("Fm", absolute));
@@ -407,13 +397,13 @@ impl Pipeline {
     fn anchored(
         &self,
         image: &Plane<u8>,
-        object: &Plane<u8>,
         runs: Runs,
         roi: Roi,
         clock: &mut Clock,
         counts: &mut Counts,
     ) -> Result<Resolved, String> {
         let pair = self.triangulator.pair();
+        let object = self.keep_maps.then(|| painted(&runs, image));
         let image = Mono8::from(image);
         let mut buffers = BUFFERS.take();
         let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
@@ -436,7 +426,7 @@ impl Pipeline {
                 "expected the marker's dashes where the calibration has them, found {elsewhere} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
             ));
         }
-        let kept = self.keep_maps.then(|| wrapped.clone());
+        let kept = object.map(|object| (object, wrapped.clone()));
         let mut absolute = wrapped;
         let unwrapped = clock.time("unwrap", || {
             let misfit = &windows.misfit;
@@ -448,18 +438,18 @@ impl Pipeline {
         counts.refused = unwrapped.open.iter().map(|(_, run)| run.columns().len()).sum();
         counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
-        if let Some(wrapped) = kept {
-            let amplitude = period::measure(image, object, pair.period_px).amplitude;
+        if let Some((object, wrapped)) = kept {
+            let amplitude = period::measure(image, &object, pair.period_px).amplitude;
             let stability = period::stability(&period, &runs, pair.period_px);
             let vertical = quality::verticality(image, &runs, &period);
-            let border = quality::border(object, &runs);
+            let border = quality::border(&object, &runs);
             let normalized = quality::normalized_amplitude(&amplitude, &runs);
             let quality = quality::quality([&border, &normalized, &vertical, &stability], &runs);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
             let mut unwrapped_alone = absolute.clone();
             unwrap::refuse(&mut unwrapped_alone, &unwrapped.open);
             planes = vec![
-                ("Om", number(object)),
+                ("Om", number(&object)),
                 ("Pm", period.clone()),
                 ("Am", number(&amplitude)),
                 ("Sm", stability),
@@ -477,15 +467,9 @@ impl Pipeline {
     }
 
     /// Section 4.1 of the paper as it stands.
-    fn paper(
-        &self,
-        image: &Plane<u8>,
-        object: &Plane<u8>,
-        runs: Runs,
-        clock: &mut Clock,
-        counts: &mut Counts,
-    ) -> Resolved {
+    fn paper(&self, image: &Plane<u8>, runs: Runs, clock: &mut Clock, counts: &mut Counts) -> Resolved {
         let pair = self.triangulator.pair();
+        let object = &painted(&runs, image);
         let image = Mono8::from(image);
         let periods = clock.time("period", || period::measure(image, object, pair.period_px));
         let (period, amplitude) = (&periods.period, &periods.amplitude);
@@ -577,6 +561,13 @@ fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> 
         stages: clock.0,
         maps: None,
     })
+}
+
+/// The object as a mask as large as the image.
+fn painted(runs: &Runs, image: &Plane<u8>) -> Plane<u8> {
+    let mut mask = Plane::filled(image.width(), image.height(), 0);
+    runs.paint(&mut mask);
+    mask
 }
 
 /// A plane of numbers for the map dump.

@@ -1,7 +1,7 @@
 //! Where nodes touch: the pixel pairs of two nodes tell whether their surfaces continue each other, and by how many
 //! whole turns their phases differ.
 
-use super::cells::{ALL, CELL_PX, Cells, FIRST_COLUMN, FIRST_ROW, Node, Spot, Surface};
+use super::cells::{ALL, CELL_PX, Cells, FIRST_COLUMN, FIRST_ROW, Spot, Surface};
 use crate::reconstruct::sample::part;
 use std::f32::consts::TAU;
 

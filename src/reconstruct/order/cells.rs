@@ -11,7 +11,6 @@ use crate::reconstruct::bits::{self, WORD, bits_where};
 use crate::reconstruct::runs::Runs;
 use crate::reconstruct::sample::part;
 use crate::reconstruct::simd;
-use std::f32::consts::TAU;
 
 /// Side of a cell, px.
 pub const CELL_PX: usize = 8;
