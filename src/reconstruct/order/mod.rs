@@ -3,6 +3,7 @@
 //! ```text
 //! cells     the unwrapped phase in patches of 8 x 8 px
 //! borders   where they touch, and whether they continue each other
+//! steps     what a row of them has in common: most are filled by one smooth surface
 //! glimpse   the patches as other cameras look at them
 //! pieces    patches grown to pieces of surface, joined only along whole borders
 //! lookout   where the other cameras would see a place
