@@ -69,6 +69,29 @@ pub(super) struct Sightline {
     terms: [f32; TERMS],
 }
 
+/// Some lines of sight side by side.
+#[derive(Debug)]
+pub(super) struct Sightlines<const N: usize> {
+    direction: [[f32; N]; 3],
+    terms: [[f32; N]; TERMS],
+}
+
+impl<const N: usize> Sightlines<N> {
+    /// Lines on which there is nothing.
+    pub const NONE: Self = Self { direction: [[f32::NAN; N]; 3], terms: [[f32::NAN; N]; TERMS] };
+
+    /// Puts a line of sight into a lane.
+    #[inline(always)]
+    pub fn set(&mut self, lane: usize, line: &Sightline) {
+        for (to, from) in self.direction.iter_mut().zip(line.direction) {
+            to[lane] = from;
+        }
+        for (to, from) in self.terms.iter_mut().zip(line.terms) {
+            to[lane] = from;
+        }
+    }
+}
+
 /// Coordinates of points in a row of the table's blocks; NaN where there is none.
 #[derive(Debug)]
 pub(super) struct PointRow<'a> {
@@ -116,18 +139,29 @@ impl RayTable {
         Sightline { direction: std::array::from_fn(mix), terms: std::array::from_fn(|k| mix(3 + k)) }
     }
 
-    /// Inverse of the depth at which a line of sight has an absolute phase, in fringes; no number outside of the volume.
-    #[inline]
-    pub(super) fn inverse_depth(&self, line: &Sightline, fringes: f32) -> f32 {
-        let s = fringes * self.per_fringe - 1.0;
-        let w = line.terms.iter().rev().fold(0.0, |w, term| w * s + term);
-        let depth = 1.0 / w;
-        let mut inside = (s.abs() < 1.0) & (w > 0.0);
-        for i in 0..3 {
-            let x = self.centre[i] + depth * line.direction[i];
-            inside &= (self.volume[0][i] <= x) & (x <= self.volume[1][i]);
+    /// Inverse of the depth at which each of some lines of sight has an absolute phase, in fringes; no number outside of the volume.
+    #[inline(always)]
+    pub(super) fn inverse_depths<const N: usize>(
+        &self,
+        lines: &Sightlines<N>,
+        fringes: &[f32; N],
+    ) -> [f32; N] {
+        let mut inverse = [0f32; N];
+        for i in 0..N {
+            let s = fringes[i] * self.per_fringe - 1.0;
+            let mut w = lines.terms[TERMS - 1][i];
+            for terms in lines.terms[..TERMS - 1].iter().rev() {
+                w = w * s + terms[i];
+            }
+            let depth = 1.0 / w;
+            let mut inside = (s.abs() < 1.0) & (w > 0.0);
+            for (axis, direction) in lines.direction.iter().enumerate() {
+                let x = self.centre[axis] + depth * direction[i];
+                inside &= (self.volume[0][axis] <= x) & (x <= self.volume[1][axis]);
+            }
+            inverse[i] = if inside { w } else { f32::NAN };
         }
-        if inside { w } else { f32::NAN }
+        inverse
     }
 
     /// The lines of sight of row `v` for blocks `first .. first + blocks` of 8 px.

@@ -30,12 +30,11 @@ fn words(cells: usize) -> usize {
 /// What a cell is for those who look at it from elsewhere.
 #[derive(Debug, Clone, Copy)]
 pub struct Glimpse {
-    /// The node that fills it; or one of the following.
-    pub node: u32,
-    /// The phase of the node's plane at the cell's first pixel, rad; NaN where there is none.
-    pub phase: f32,
-    /// Of a plane its steps, of [`Self::NEAR`] its pixels.
-    bits: u64,
+    /// The node that fills it, or one of the following; then the phase of the node's plane at the cell's first pixel,
+    /// rad; NaN where there is none.
+    surface: [u32; 2],
+    /// Of a plane its steps, of [`Self::NEAR`] its pixels, the upper rows first.
+    bits: [u32; 2],
 }
 
 /// What is seen in a cell.
@@ -64,45 +63,35 @@ impl Glimpse {
     /// A cell that a node fills, as a plane: its phase at the first pixel, its step from column to column, and from row to row, rad.
     #[inline(always)]
     pub fn plane(node: u32, phase: f32, steps: [f32; 2]) -> Self {
-        let [right, down] = steps.map(f32::to_bits);
-        Self { node, phase, bits: u64::from(right) | u64::from(down) << 32 }
+        Self { surface: [node, phase.to_bits()], bits: steps.map(f32::to_bits) }
     }
 
     /// A cell beside the object, with its [`near`](Self::near).
     fn beside(near: u64) -> Self {
-        Self { node: Self::NEAR, phase: f32::NAN, bits: near }
+        Self { bits: [near as u32, (near >> u32::BITS) as u32], ..Self::none(Self::NEAR) }
     }
 
     const fn none(kind: u32) -> Self {
-        Self { node: kind, phase: f32::NAN, bits: 0 }
+        Self { surface: [kind, f32::NAN.to_bits()], bits: [0; 2] }
     }
 
-    /// Some cells side by side.
+    /// The node that fills it, or what else it is.
     #[inline(always)]
-    pub fn lanes<const N: usize>(cells: &[Self; N]) -> GlimpseLanes<N> {
-        let mut lanes =
-            GlimpseLanes { node: [0; N], phase: [0.0; N], right: [0.0; N], down: [0.0; N], near: [0; N] };
-        for (i, cell) in cells.iter().enumerate() {
-            lanes.node[i] = cell.node;
-            lanes.phase[i] = cell.phase;
-            lanes.right[i] = f32::from_bits(cell.bits as u32);
-            lanes.down[i] = f32::from_bits((cell.bits >> 32) as u32);
-            lanes.near[i] = cell.near();
-        }
-        lanes
+    fn node(&self) -> u32 {
+        self.surface[0]
     }
 
     /// Of a cell beside the object: a bit for each pixel, row by row, that has the object [`BACKGROUND_PX`] to the left, to the right,
     /// above or below. Of any other nothing of use.
-    #[inline(always)]
-    pub fn near(&self) -> u64 {
-        self.bits
+    fn near(&self) -> u64 {
+        let [above, below] = self.bits.map(u64::from);
+        above | below << u32::BITS
     }
 
     /// What it shows.
     #[inline(always)]
     fn kind(&self) -> Kind {
-        match self.node {
+        match self.node() {
             Self::FAR => Kind::Far,
             Self::NEAR => Kind::Near,
             node if node >= Self::RIM => Kind::Rim((node - Self::RIM) as usize),
@@ -112,18 +101,45 @@ impl Glimpse {
 }
 
 /// What some cells have, each in its lane.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub struct GlimpseLanes<const N: usize> {
-    /// [`Glimpse::node`].
-    pub node: [u32; N],
-    /// [`Glimpse::phase`].
-    pub phase: [f32; N],
-    /// The step of its plane from column to column, rad.
-    pub right: [f32; N],
-    /// The same from row to row.
-    pub down: [f32; N],
-    /// [`Glimpse::near`].
-    pub near: [u64; N],
+    surface: [[u32; 2]; N],
+    bits: [[u32; 2]; N],
+}
+
+impl<const N: usize> GlimpseLanes<N> {
+    /// Cells that are not seen.
+    pub const UNSEEN: Self = Self { surface: [Glimpse::UNSEEN.surface; N], bits: [Glimpse::UNSEEN.bits; N] };
+
+    /// Puts a cell into a lane.
+    #[inline(always)]
+    pub fn set(&mut self, lane: usize, cell: &Glimpse) {
+        (self.surface[lane], self.bits[lane]) = (cell.surface, cell.bits);
+    }
+
+    /// The node that fills each cell, or [`Glimpse::FAR`], [`Glimpse::NEAR`], or a rim from [`Glimpse::RIM`] on.
+    #[inline(always)]
+    pub fn node(&self, lane: usize) -> u32 {
+        self.surface[lane][0]
+    }
+
+    /// The phase of a plane, so far from its first pixel, rad.
+    #[inline(always)]
+    pub fn phase(&self, lane: usize, right: f32, down: f32) -> f32 {
+        let phase = f32::from_bits(self.surface[lane][1]);
+        let [by_column, by_row] = self.bits[lane];
+        phase + (right * f32::from_bits(by_column) + down * f32::from_bits(by_row))
+    }
+
+    /// Of a cell beside the object: whether a pixel has the object [`BACKGROUND_PX`] to the left, to the right, above or below.
+    #[inline(always)]
+    pub fn is_near(&self, lane: usize, u: u32, v: u32) -> bool {
+        // By halves: words of 64 bits would be half as many at once.
+        let [above, below] = self.bits[lane];
+        let pixel = v * CELL_PX as u32 | u;
+        let is_below = 0u32.wrapping_sub(pixel / u32::BITS & 1);
+        (above & !is_below | below & is_below) >> (pixel % u32::BITS) & 1 != 0
+    }
 }
 
 /// A cell whose pixels have to be asked.
@@ -141,11 +157,57 @@ pub struct Rim {
     pub phase: [[f32; CELL_PX + 1]; CELL_PX],
 }
 
-impl Rim {
-    /// The node of a pixel, row by row.
+/// A row of a [`Rim`]: all that is asked of a place lies side by side, for to wait for memory is what takes the time.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+pub struct RimRow {
+    /// As in [`Rim::phase`].
+    pub phase: [f32; CELL_PX + 1],
+    /// The first of the cell's nodes.
+    first: u32,
+    /// As in [`Rim::of`].
+    pub of: [u8; CELL_PX],
+    /// A bit for each pixel, as in [`Rim::object`].
+    object: u8,
+    /// The same as in [`Rim::near`].
+    near: u8,
+}
+
+impl RimRow {
+    const NONE: Self =
+        Self { phase: [f32::NAN; CELL_PX + 1], first: 0, of: [0; CELL_PX], object: 0, near: 0 };
+
+    /// The node that [`Self::of`] stands for; any number where it stands for none.
     #[inline(always)]
-    pub fn node(&self, pixel: usize) -> Option<u32> {
-        u32::from(self.of[pixel % (CELL_PX * CELL_PX)]).checked_sub(1).map(|i| self.first + i)
+    pub fn node(&self, of: u8) -> u32 {
+        self.first.wrapping_add(u32::from(of)).wrapping_sub(1)
+    }
+
+    /// Whether a pixel is the object's.
+    #[inline(always)]
+    pub fn is_object(&self, u: usize) -> bool {
+        self.object >> (u % CELL_PX) & 1 != 0
+    }
+
+    /// Whether a pixel is the object's or has it [`BACKGROUND_PX`] to the left, to the right, above or below.
+    #[inline(always)]
+    pub fn is_near(&self, u: u32) -> bool {
+        self.near >> (u % CELL_PX as u32) & 1 != 0
+    }
+}
+
+/// The rows of a cell whose pixels have to be asked.
+type RimRows = [RimRow; CELL_PX];
+
+impl Rim {
+    fn rows(&self) -> RimRows {
+        let mut rows = [RimRow::NONE; CELL_PX];
+        let (of, _) = self.of.as_chunks::<CELL_PX>();
+        let bits = self.object.to_le_bytes().into_iter().zip(self.near.to_le_bytes());
+        for (((row, phase), of), (object, near)) in rows.iter_mut().zip(&self.phase).zip(of).zip(bits) {
+            *row = RimRow { phase: *phase, first: self.first, of: *of, object, near };
+        }
+        rows
     }
 }
 
@@ -154,18 +216,17 @@ impl Rim {
 pub struct Glimpses {
     stride: usize,
     rows: usize,
-    /// Row by row, and one that stands for all that is not seen.
+    /// Row by row.
     cells: Vec<Glimpse>,
     /// Cells that no node fills, though they show the object.
-    rims: Vec<Rim>,
+    rims: Vec<RimRows>,
 }
 
 impl Glimpses {
     /// Nothing but background, `width` times `height` pixels.
     pub fn new(width: usize, height: usize) -> Self {
         let (stride, rows) = (padded(width), padded(height));
-        let mut cells = vec![Glimpse::none(Glimpse::FAR); stride * rows + 1];
-        cells[stride * rows] = Glimpse::UNSEEN;
+        let cells = vec![Glimpse::none(Glimpse::FAR); stride * rows];
         Self { stride, rows, cells, rims: Vec::new() }
     }
 
@@ -178,28 +239,30 @@ impl Glimpses {
     /// The cell at a place in the padded grid; beyond it nothing is seen.
     #[inline(always)]
     pub fn at(&self, place: u32) -> &Glimpse {
-        &self.cells[(place as usize).min(self.cells.len() - 1)]
+        self.cells.get(place as usize).unwrap_or(&Glimpse::UNSEEN)
+    }
+
+    /// All cells of the padded grid.
+    pub fn cells(&self) -> &[Glimpse] {
+        &self.cells
     }
 
     /// Whether a pixel is the object's or has it beside it. `place` is a cell; the pixel is counted from its first, and may be in the
     /// next column of cells.
     pub fn is_near(&self, place: u32, u: usize, v: usize) -> bool {
         let cell = self.at(place + (u / CELL_PX) as u32);
-        let pixel = v % CELL_PX * CELL_PX + u % CELL_PX;
         match cell.kind() {
             Kind::Far => false,
-            Kind::Near => cell.near() >> pixel & 1 != 0,
-            Kind::Rim(rim) => self.rims.get(rim).is_some_and(|rim| rim.near >> pixel & 1 != 0),
+            Kind::Near => cell.near() >> (v % CELL_PX * CELL_PX + u % CELL_PX) & 1 != 0,
+            Kind::Rim(rim) => self.rims.get(rim).is_some_and(|rim| rim[v % CELL_PX].is_near(u as u32)),
             Kind::Node(_) => true,
         }
     }
 
-    /// The rim that a cell names.
-    pub fn rim(&self, cell: &Glimpse) -> Option<&Rim> {
-        match cell.kind() {
-            Kind::Rim(place) => self.rims.get(place),
-            Kind::Far | Kind::Near | Kind::Node(_) => None,
-        }
+    /// A row of the rim that a cell is, by [`GlimpseLanes::node`].
+    #[inline(always)]
+    pub fn rim(&self, kind: u32, v: usize) -> Option<&RimRow> {
+        self.rims.get(kind.wrapping_sub(Glimpse::RIM) as usize).map(|rim| &rim[v.min(CELL_PX - 1)])
     }
 
     /// Sets a cell that a node fills.
@@ -212,7 +275,7 @@ impl Glimpses {
     /// Sets a cell whose pixels have to be asked.
     pub fn set_rim(&mut self, column: usize, row: usize, rim: Rim) {
         self.set(column, row, Glimpse::none(Glimpse::RIM + self.rims.len() as u32));
-        self.rims.push(rim);
+        self.rims.push(rim.rows());
     }
 
     /// The cell of column `u / CELL_PX` and row `v / CELL_PX`; beyond the grid there is nothing but background.
@@ -230,7 +293,11 @@ impl Glimpses {
     pub fn node(&self, u: usize, v: usize) -> Option<u32> {
         match self.of(u, v) {
             Kind::Far | Kind::Near => None,
-            Kind::Rim(place) => self.rims.get(place)?.node(v % CELL_PX * CELL_PX + u % CELL_PX),
+            Kind::Rim(place) => {
+                let row = &self.rims.get(place)?[v % CELL_PX];
+                let of = row.of[u % CELL_PX];
+                (of != 0).then(|| row.node(of))
+            }
             Kind::Node(node) => Some(node),
         }
     }
@@ -288,7 +355,10 @@ impl Glimpses {
                 let at = self.place(column, row);
                 match self.cells[at].kind() {
                     Kind::Far | Kind::Near => continue,
-                    Kind::Rim(rim) => self.rims[rim].near = near_of(at),
+                    Kind::Rim(rim) => {
+                        let rows = self.rims[rim].iter_mut().zip(near_of(at).to_le_bytes());
+                        rows.for_each(|(row, near)| row.near = near);
+                    }
                     Kind::Node(_) => {}
                 }
                 let column = column + PAD_CELLS;

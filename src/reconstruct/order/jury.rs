@@ -11,7 +11,7 @@ use super::witness::{OTHER_RAD, SAME_RAD, SightLanes};
 use std::f32::consts::TAU;
 
 /// Whole turns that make the phases of the nodes of all views absolute, or [`NONE`]: view after view, and at last those of
-/// [`Sight::NOTHING`](super::witness::Sight) and [`Sight::PAST`](super::witness::Sight).
+/// [`Numbers::nothing`](super::witness::Numbers::nothing) and [`Numbers::past`](super::witness::Numbers::past).
 #[derive(Debug, Clone, Default)]
 pub struct Known(Vec<i32>);
 
@@ -59,7 +59,7 @@ struct Bench {
 /// All cameras as one view asks them.
 #[derive(Debug, Clone)]
 pub struct Jury {
-    /// The number that stands for [`Sight::PAST`](super::witness::Sight).
+    /// [`Numbers::past`](super::witness::Numbers::past).
     past: u32,
     benches: Vec<Bench>,
 }

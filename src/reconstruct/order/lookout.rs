@@ -9,7 +9,7 @@ use super::cells::CELL_PX;
 use super::glimpse::{BACKGROUND_PX, PAD_PX, padded};
 use crate::geometry::Device;
 use crate::reconstruct::pair::Pair;
-use crate::reconstruct::rays::{RayTable, Sightline};
+use crate::reconstruct::rays::{RayTable, Sightlines};
 use crate::reconstruct::roi::Roi;
 use crate::reconstruct::round::floor;
 use nalgebra::{Point3, Vector3};
@@ -35,23 +35,13 @@ pub struct Spots {
 /// No cell.
 pub const NOWHERE: u32 = u32::MAX;
 
-/// How to get to a place from a view.
+/// How to get from a view to a place in the volume.
 #[derive(Debug, Clone, Copy)]
 pub struct Ray {
     /// Direction of the line of sight, as [`RayTable`] has it.
-    direction: [f32; 3],
-    /// Inverse of the depth, 1/m; no number outside of the volume.
-    inverse_depth: f32,
-}
-
-impl Ray {
-    /// To nowhere.
-    pub const NONE: Self = Self { direction: [0.0; 3], inverse_depth: f32::NAN };
-
-    /// Whether the place lies in the volume.
-    pub fn is_inside(&self) -> bool {
-        !self.inverse_depth.is_nan()
-    }
+    pub direction: [f32; 3],
+    /// Inverse of the depth, 1/m.
+    pub inverse_depth: f32,
 }
 
 impl Spots {
@@ -71,6 +61,8 @@ struct Devices {
     principal: [Lanes; 2],
     /// `[k1, k2, p1, p2, k3]`.
     distortion: [Lanes; 5],
+    /// `[3 k1, 5 k2, 7 k3]`.
+    slope: [Lanes; 3],
 }
 
 impl Devices {
@@ -81,6 +73,7 @@ impl Devices {
             focal: [[0.0; LANES]; 2],
             principal: [[0.0; LANES]; 2],
             distortion: [[0.0; LANES]; 5],
+            slope: [[0.0; LANES]; 3],
         }
     }
 
@@ -97,6 +90,8 @@ impl Devices {
         self.focal = set(self.focal, lane, [lens.fx, lens.fy]);
         self.principal = set(self.principal, lane, [lens.cx, lens.cy]);
         self.distortion = set(self.distortion, lane, lens.distortion);
+        let [k1, k2, _, _, k3] = lens.distortion;
+        self.slope = set(self.slope, lane, [3.0 * k1, 5.0 * k2, 7.0 * k3]);
     }
 
     /// One coordinate of a place in the axes of a device, times the inverse depth `w`.
@@ -116,10 +111,9 @@ impl Devices {
             let inverse = 1.0 / depth;
             let (x, y) = (self.axis(0, i, d, w) * inverse, self.axis(1, i, d, w) * inverse);
             let [k1, k2, p1, p2, k3] = &self.distortion;
-            let (k1, k2, k3) = (k1[i], k2[i], k3[i]);
             let r2 = x * x + y * y;
-            let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-            let slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * (7.0 * k3)));
+            let radial = 1.0 + r2 * (k1[i] + r2 * (k2[i] + r2 * k3[i]));
+            let slope = 1.0 + r2 * (self.slope[0][i] + r2 * (self.slope[1][i] + r2 * self.slope[2][i]));
             let xy = 2.0 * x * y;
             let u = x * radial + p1[i] * xy + p2[i] * (r2 + 2.0 * x * x);
             let v = y * radial + p1[i] * (r2 + 2.0 * y * y) + p2[i] * xy;
@@ -204,10 +198,10 @@ impl<'a> Lookout<'a> {
         Self { table, blocks }
     }
 
-    /// How to get to a place on a line of sight at an absolute phase, in fringes.
-    #[inline]
-    pub fn ray(&self, (line, fringes): (&Sightline, f32)) -> Ray {
-        Ray { direction: line.direction, inverse_depth: self.table.inverse_depth(line, fringes) }
+    /// Inverse depth of the place on each of some lines of sight at an absolute phase, in fringes; no number outside of the volume.
+    #[inline(always)]
+    pub fn inverse_depths<const N: usize>(&self, lines: &Sightlines<N>, fringes: &[f32; N]) -> [f32; N] {
+        self.table.inverse_depths(lines, fringes)
     }
 
     /// Where each camera of a block of eight sees places.

@@ -3,11 +3,11 @@
 //! What a camera has there lies anywhere in memory. So the cells of all are asked before anything is decided by one of them, and
 //! then the pixels of those that need it: while the processor waits for one it fetches the others.
 
-use super::glimpse::Glimpse;
+use super::glimpse::{Glimpse, GlimpseLanes};
 use super::lookout::{LANES, Lookout, Ray, Spots};
 use super::settle::{Scene, all_nodes};
-use super::witness::{Numbers, SightLanes, Witness};
-use crate::reconstruct::rays::Sightline;
+use super::witness::{Numbers, Pixels, SightLanes, Witness};
+use crate::reconstruct::rays::{Sightline, Sightlines};
 use crate::reconstruct::simd;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -63,25 +63,42 @@ impl Looks {
     ) {
         self.blocks = scenes.len().div_ceil(LANES);
         let lookout = &scenes[view].lookout;
-        let mut at = self.sights.len();
-        let count = orders.clone().count() * places.len();
-        self.sights.resize(at + count * self.blocks, SightLanes::NONE);
-        self.inside.reserve(count);
-        // What lies outside of the volume is not looked at.
-        let mut batch =
-            Batch { rays: [Ray::NONE; PLACES], at: [0; PLACES], len: 0, nodes: all_nodes(scenes) };
-        for order in orders {
-            for &(line, fringes) in places {
-                let ray = lookout.ray((line, fringes + order as f32));
-                self.inside.push(ray.is_inside());
-                if ray.is_inside() {
-                    (batch.rays[batch.len], batch.at[batch.len]) = (ray, at);
+        let (before, count) = (self.inside.len(), orders.clone().count() * places.len());
+        self.inside.resize(before + count, false);
+        self.sights.resize((before + count) * self.blocks, SightLanes::NONE);
+        let mut batch = Batch::new(scenes);
+        let mut lines = Sightlines::NONE;
+        for (first, chunk) in places.chunks(PLACES).enumerate().map(|(i, chunk)| (i * PLACES, chunk)) {
+            let mut phases = [f32::NAN; PLACES];
+            for (i, &(line, fringes)) in chunk.iter().enumerate() {
+                lines.set(i, line);
+                phases[i] = fringes;
+            }
+            for (turn, order) in orders.clone().enumerate() {
+                let inverse_depths = simd::dispatch(
+                    #[inline(always)]
+                    || {
+                        let mut fringes = phases;
+                        for fringes in &mut fringes {
+                            *fringes += order as f32;
+                        }
+                        lookout.inverse_depths(&lines, &fringes)
+                    },
+                );
+                let at = before + turn * places.len() + first;
+                for ((i, &(line, _)), inverse_depth) in chunk.iter().enumerate().zip(inverse_depths) {
+                    // What lies outside of the volume is not looked at.
+                    if inverse_depth.is_nan() {
+                        continue;
+                    }
+                    self.inside[at + i] = true;
+                    batch.rays[batch.len] = Ray { direction: line.direction, inverse_depth };
+                    batch.at[batch.len] = (at + i) * self.blocks;
                     batch.len += 1;
                     if batch.len == PLACES {
                         batch.look(scenes, lookout, &mut self.sights);
                     }
                 }
-                at += self.blocks;
             }
         }
         if batch.len > 0 {
@@ -97,37 +114,54 @@ struct Batch {
     len: usize,
     /// Nodes of all views.
     nodes: u32,
+    /// Where a block's cameras see each place, what these have there, and which pixels have to be asked: room for one block.
+    spots: [Spots; PLACES],
+    cells: [GlimpseLanes<LANES>; PLACES],
+    pixels: [Pixels; PLACES],
 }
 
 impl Batch {
+    fn new(scenes: &[Scene<'_>]) -> Self {
+        Self {
+            rays: [Ray { direction: [0.0; 3], inverse_depth: 0.0 }; PLACES],
+            at: [0; PLACES],
+            len: 0,
+            nodes: all_nodes(scenes),
+            spots: [Spots::NONE; PLACES],
+            cells: [GlimpseLanes::UNSEEN; PLACES],
+            pixels: [Pixels::NONE; PLACES],
+        }
+    }
+
     /// Looks at the places, and forgets them.
-    #[inline]
+    #[inline(never)]
     fn look(&mut self, scenes: &[Scene<'_>], lookout: &Lookout<'_>, sights: &mut [SightLanes]) {
-        let (rays, at) = (&self.rays[..self.len], &self.at[..self.len]);
-        let mut spots = [Spots::NONE; PLACES];
+        let Self { rays, at, len, nodes, spots, cells, pixels } = self;
+        let (rays, at) = (&rays[..*len], &at[..*len]);
         let mut next = 0;
         for (block, scenes) in scenes.chunks(LANES).enumerate() {
-            let mut numbers = Numbers { first: [0; LANES], all: self.nodes };
-            for (first, scene) in numbers.first.iter_mut().zip(scenes) {
+            let mut numbers = Numbers { first: [0; LANES], all: *nodes };
+            let mut grids: [&[Glimpse]; LANES] = [&[]; LANES];
+            for ((first, grid), scene) in numbers.first.iter_mut().zip(&mut grids).zip(scenes) {
                 *first = next;
                 next += scene.graph.len() as u32;
+                *grid = scene.witness.cells.glimpses.cells();
             }
             // A bit for each camera of each place.
             let mut vague = 0u64;
             simd::dispatch(
                 #[inline(always)]
                 || {
-                    lookout.spots(block, rays, &mut spots);
-                    let mut cells = [[Glimpse::UNSEEN; LANES]; PLACES];
-                    for (i, scene) in scenes.iter().enumerate() {
-                        let glimpses = &scene.witness.cells.glimpses;
-                        for (cells, spots) in cells.iter_mut().zip(&spots).take(rays.len()) {
-                            cells[i] = *glimpses.at(spots.cell[i]);
+                    lookout.spots(block, rays, spots);
+                    for (cells, spots) in cells.iter_mut().zip(&*spots).take(rays.len()) {
+                        for i in 0..LANES {
+                            cells.set(i, grids[i].get(spots.cell[i] as usize).unwrap_or(&Glimpse::UNSEEN));
                         }
                     }
-                    for (k, &at) in at.iter().enumerate() {
-                        let (seen, ask) = Witness::glance(&cells[k], &spots[k], &numbers);
-                        sights[at + block] = seen;
+                    let places = at.iter().zip(&*cells).zip(&*spots).zip(&mut *pixels).enumerate();
+                    for (k, (((at, cells), spots), pixels)) in places {
+                        let (seen, asked, ask) = Witness::glance(cells, spots, &numbers);
+                        (sights[at + block], *pixels) = (seen, asked);
                         vague |= u64::from(ask) << (k * LANES);
                     }
                 },
@@ -135,8 +169,11 @@ impl Batch {
             while vague != 0 {
                 let bit = vague.trailing_zeros() as usize;
                 let (k, i) = (bit / LANES, bit % LANES);
-                let sight = scenes[i].witness.see_closely(&spots[k], i);
-                sights[at[k] + block].set(i, sight, &numbers);
+                let (witness, pixels, spots) = (&scenes[i].witness, &pixels[k], &spots[k]);
+                let past = || (witness.past(spots.cell[i], pixels, i, &numbers), 0.0);
+                let seen = witness.see_closely(pixels, i, spots.cast[i], &numbers).unwrap_or_else(past);
+                let sight = &mut sights[at[k] + block];
+                (sight.node[i], sight.ahead[i]) = seen;
                 vague &= vague - 1;
             }
         }

@@ -6,14 +6,14 @@
 //! the phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 
 use super::cells::{CELL_PX, Cells};
-use super::glimpse::Glimpse;
+use super::glimpse::{Glimpse, GlimpseLanes};
 use super::lookout::{LANES, Spots};
-use crate::reconstruct::bits::WORD;
 use crate::reconstruct::pair::Pair;
 use crate::reconstruct::roi::Roi;
 use crate::reconstruct::round::floor;
 use nalgebra::{Point3, Vector3};
 use std::f32::consts::TAU;
+use std::hint::select_unpredictable;
 
 /// Phases of the same surface differ by less, rad.
 pub const SAME_RAD: f32 = 0.8;
@@ -39,57 +39,61 @@ pub struct Witness {
 pub struct Numbers {
     /// Where those of each camera begin.
     pub first: [u32; LANES],
-    /// How many there are of all views. This number stands for [`Sight::NOTHING`], the next for [`Sight::PAST`].
+    /// How many there are of all views.
     pub all: u32,
+}
+
+impl Numbers {
+    /// The number that stands for nothing that could be said.
+    #[inline(always)]
+    pub fn nothing(&self) -> u32 {
+        self.all
+    }
+
+    /// The number that stands for a look past the object.
+    #[inline(always)]
+    pub fn past(&self) -> u32 {
+        self.all + 1
+    }
 }
 
 /// What the cameras of a block have at the pixels where they would see a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SightLanes {
-    /// [`Sight::node`], by [`Numbers`].
+    /// The node of each there, or what stands for none, by [`Numbers`].
     pub node: [u32; LANES],
-    /// [`Sight::ahead`].
+    /// The node's phase there less the one that is cast on the place, rad; any number where there is no node.
     pub ahead: [f32; LANES],
 }
 
 impl SightLanes {
     /// Of a place that was not looked at.
     pub const NONE: Self = Self { node: [u32::MAX; LANES], ahead: [0.0; LANES] };
-
-    /// States what one of the cameras has.
-    #[inline(always)]
-    pub fn set(&mut self, lane: usize, sight: Sight, numbers: &Numbers) {
-        self.ahead[lane] = sight.ahead;
-        self.node[lane] = match sight.node {
-            Sight::NOTHING => numbers.all,
-            Sight::PAST => numbers.all + 1,
-            node => numbers.first[lane] + node,
-        };
-    }
 }
 
-/// What a camera has at the pixel where it would see a place.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sight {
-    /// Its node there, or [`Sight::PAST`], or [`Sight::NOTHING`].
-    pub node: u32,
-    /// The node's phase there less the one that is cast on the place, rad.
-    pub ahead: f32,
+/// Which pixels of their cells the cameras of a block have to be asked for, where they have to be asked closely.
+#[derive(Debug, Clone, Copy)]
+pub struct Pixels {
+    /// What each cell is: [`GlimpseLanes::node`].
+    kind: [u32; LANES],
+    /// The column that the place is in or behind.
+    column: [u32; LANES],
+    /// How far behind, columns.
+    behind: [f32; LANES],
+    /// The column that is nearest; that behind the cell's last is the next cell's.
+    nearest: [u32; LANES],
+    row: [u32; LANES],
 }
 
-impl Sight {
-    /// `node` where it looks past the object.
-    pub const PAST: u32 = u32::MAX;
-    /// `node` where there is nothing that could be said.
-    pub const NOTHING: u32 = u32::MAX - 1;
-    /// Nothing that could be said.
-    pub const NONE: Self = Self { node: Self::NOTHING, ahead: 0.0 };
-
-    /// A node, where its phase is known and one is cast.
-    #[inline(always)]
-    fn of(node: u32, ahead: f32) -> Self {
-        Self { node: if ahead.is_nan() { Self::NOTHING } else { node }, ahead }
-    }
+impl Pixels {
+    /// None yet.
+    pub const NONE: Self = Self {
+        kind: [0; LANES],
+        column: [0; LANES],
+        behind: [0.0; LANES],
+        nearest: [0; LANES],
+        row: [0; LANES],
+    };
 }
 
 impl Witness {
@@ -106,59 +110,70 @@ impl Witness {
         Self { head, roi, cells, towards }
     }
 
-    /// What the cameras of a block have at a place, which each sees in one of `cells`; a bit for each that has to be asked
-    /// [`closely`](Self::see_closely). Nothing here depends on a branch: what the next camera has is as good as chance.
+    /// What the cameras of a block have at a place, which each sees in one of `cells`; which pixels these are; a bit for each that has to
+    /// be asked [`closely`](Self::see_closely) for them. Nothing here depends on a branch: what the next camera has is as good as chance.
     #[inline(always)]
-    pub fn glance(cells: &[Glimpse; LANES], spots: &Spots, numbers: &Numbers) -> (SightLanes, u8) {
-        let (mut node, mut ahead, mut ask) = ([0; LANES], [0.0; LANES], [0u32; LANES]);
-        let cells = Glimpse::lanes(cells);
+    pub fn glance(
+        cells: &GlimpseLanes<LANES>,
+        spots: &Spots,
+        numbers: &Numbers,
+    ) -> (SightLanes, Pixels, u32) {
+        // Values that may be written meanwhile would be loaded where they are chosen, by a branch.
+        let (Numbers { first, .. }, Spots { right, down, cast, .. }) = (*numbers, *spots);
+        let (nothing, past) = (numbers.nothing(), numbers.past());
+        let (mut sights, mut pixels, mut ask) = (SightLanes::NONE, Pixels::NONE, [0u32; LANES]);
         for i in 0..LANES {
-            let kind = cells.node[i];
-            let seen = cells.phase[i] + (spots.right[i] * cells.right[i] + spots.down[i] * cells.down[i]);
-            ahead[i] = seen - spots.cast[i];
+            let kind = cells.node(i);
+            let ahead = cells.phase(i, right[i], down[i]) - cast[i];
             // Beside the object pixels are asked that have their columns in the middle, too: the last half is the next cell's.
             // Where no such cell is seen they are any numbers.
-            let u = floor(spots.right[i] + 0.5) as u32;
-            let v = floor(spots.down[i] + 0.5).max(0) as u32;
+            let column = floor(right[i]);
+            let nearest = floor(right[i] + 0.5) as u32;
+            let row = floor(down[i] + 0.5).max(0) as u32;
             let is_near = kind == Glimpse::NEAR;
-            let pixel = v.wrapping_mul(CELL_PX as u32) | u;
-            let past = is_near & (cells.near[i] >> (pixel % WORD as u32) & 1 == 0);
-            let past = past | (kind == Glimpse::FAR);
-            let unknown = is_near | ahead[i].is_nan() & (kind < Glimpse::RIM);
-            let named = if unknown { numbers.all } else { numbers.first[i].wrapping_add(kind) };
-            node[i] = if past { numbers.all + 1 } else { named };
+            let is_past = is_near & !cells.is_near(i, nearest, row) | (kind == Glimpse::FAR);
+            // Cells of no node have no phase. What has to be asked is any number.
+            let node = if ahead.is_nan() { nothing } else { first[i].wrapping_add(kind) };
+            sights.node[i] = if is_past { past } else { node };
+            sights.ahead[i] = ahead;
             let is_rim = (Glimpse::RIM..Glimpse::NEAR).contains(&kind);
-            ask[i] = u32::from(is_rim | is_near & (u >= CELL_PX as u32)) << i;
+            ask[i] = u32::from(is_rim | is_near & (nearest >= CELL_PX as u32)) << i;
+            pixels.kind[i] = kind;
+            pixels.column[i] = column as u32;
+            pixels.behind[i] = right[i] - column as f32;
+            pixels.nearest[i] = nearest;
+            pixels.row[i] = row;
         }
-        (SightLanes { node, ahead }, ask.iter().fold(0, |all, bit| all | bit) as u8)
+        (sights, pixels, ask.iter().fold(0, |all, bit| all | bit))
     }
 
-    /// The same at outlines and steps, where pixels have to be asked.
-    pub fn see_closely(&self, spots: &Spots, i: usize) -> Sight {
-        let glimpses = &self.cells.glimpses;
-        let Some(rim) = glimpses.rim(glimpses.at(spots.cell[i])) else { return self.past(spots, i) };
-        let right = spots.right[i];
-        let whole = floor(right);
-        let [u, v] = [whole, floor(spots.down[i] + 0.5)].map(|x| x.clamp(0, CELL_PX as i32 - 1) as usize);
-        let pixel = v * CELL_PX + u;
-        match rim.node(pixel) {
-            None if rim.object >> pixel & 1 == 0 => self.past(spots, i),
-            None => Sight::NONE,
-            Some(node) => {
-                let (here, next) = (rim.phase[v][u], rim.phase[v][u + 1]);
-                let step = next - here;
-                // Across a step there is nothing to interpolate; NaN is no step either.
-                let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
-                Sight::of(node, here + (right - whole as f32) * step - spots.cast[i])
-            }
+    /// The same of one camera at outlines and steps, where pixels have to be asked. `cast`: the phase that is cast on the place. What is
+    /// there is as good as chance, too: no place may hold up the next while it waits for memory.
+    #[inline(always)]
+    pub fn see_closely(&self, pixels: &Pixels, i: usize, cast: f32, numbers: &Numbers) -> Option<(u32, f32)> {
+        let [column, row] = [pixels.column[i] as usize % CELL_PX, pixels.row[i] as usize];
+        let rim = self.cells.glimpses.rim(pixels.kind[i], row)?;
+        let (of, here, next) = (rim.of[column], rim.phase[column], rim.phase[column + 1]);
+        let (near, named) = (rim.is_near(pixels.nearest[i]), numbers.first[i].wrapping_add(rim.node(of)));
+        let is_beside = (of == 0) & !rim.is_object(column);
+        // What is rare is asked first: it can be told beforehand.
+        if pixels.nearest[i] >= CELL_PX as u32 && is_beside {
+            return None;
         }
+        let step = next - here;
+        // Across a step there is nothing to interpolate; NaN is no step either.
+        let step = if step.abs() < TAU / 3.0 { step } else { 0.0 };
+        let ahead = here + pixels.behind[i] * step - cast;
+        let none = if is_beside & !near { numbers.past() } else { numbers.nothing() };
+        Some((select_unpredictable((of == 0) | ahead.is_nan(), none, named), ahead))
     }
 
-    /// Whether there is background around a place that is none of the object's.
-    fn past(&self, spots: &Spots, i: usize) -> Sight {
-        let [u, v] = [spots.right[i], spots.down[i]].map(|x| floor(x + 0.5).max(0) as usize);
-        let near = self.cells.glimpses.is_near(spots.cell[i], u, v);
-        Sight { node: if near { Sight::NOTHING } else { Sight::PAST }, ahead: 0.0 }
+    /// What it has at a place in a cell's last column, none of the object's, where the next cell has to be asked whether there is
+    /// background.
+    pub fn past(&self, cell: u32, pixels: &Pixels, i: usize, numbers: &Numbers) -> u32 {
+        let [u, v] = [pixels.nearest[i], pixels.row[i]].map(|x| x as usize);
+        let near = self.cells.glimpses.is_near(cell, u, v);
+        if near { numbers.nothing() } else { numbers.past() }
     }
 
     /// Whether a node whose phases are absolute after `turns` lies behind where `others` would put it.
@@ -174,10 +189,10 @@ impl Witness {
 
 #[cfg(test)]
 mod tests {
-    use super::{Numbers, Sight, SightLanes, Witness};
+    use super::{Numbers, SightLanes, Witness};
     use crate::image::Plane;
     use crate::reconstruct::order::cells::{CELL_PX, Cells, Surface};
-    use crate::reconstruct::order::glimpse::{Glimpse, PAD_PX, padded};
+    use crate::reconstruct::order::glimpse::{GlimpseLanes, PAD_PX, padded};
     use crate::reconstruct::order::lookout::{LANES, Spots};
     use crate::reconstruct::roi::Roi;
     use crate::reconstruct::runs::Runs;
@@ -186,7 +201,7 @@ mod tests {
     const PERIOD: f32 = 10.0;
 
     /// Each camera's nodes by its own numbers.
-    const OWN: Numbers = Numbers { first: [0; LANES], all: Sight::NOTHING };
+    const OWN: Numbers = Numbers { first: [0; LANES], all: 1 << 20 };
 
     /// A camera that sees a plane of 50 x 40 px, all but the last four rows of it with a phase, in a region of 100 x 80.
     fn witness() -> Witness {
@@ -205,18 +220,21 @@ mod tests {
     }
 
     /// What it has at a place on which a phase of 3 rad is cast.
-    fn sight(witness: &Witness, x: f32, y: f32) -> Sight {
+    fn sight(witness: &Witness, x: f32, y: f32) -> (u32, f32) {
         let [column, row] = [x, y + 0.5].map(|x| (x + PAD_PX as f32) as usize / CELL_PX);
         let mut spots = Spots::NONE;
         spots.cell[5] = (row * padded(witness.roi.width) + column) as u32;
         spots.right[5] = x + PAD_PX as f32 - (column * CELL_PX) as f32;
         spots.down[5] = y + PAD_PX as f32 - (row * CELL_PX) as f32;
         spots.cast[5] = 3.0;
-        let mut cells = [Glimpse::UNSEEN; LANES];
-        cells[5] = *witness.cells.glimpses.at(spots.cell[5]);
-        let (SightLanes { node, ahead }, ask) = Witness::glance(&cells, &spots, &OWN);
-        let seen = Sight { node: node[5], ahead: ahead[5] };
-        if ask >> 5 & 1 != 0 { witness.see_closely(&spots, 5) } else { seen }
+        let mut cells = GlimpseLanes::UNSEEN;
+        cells.set(5, witness.cells.glimpses.at(spots.cell[5]));
+        let (SightLanes { node, ahead }, pixels, ask) = Witness::glance(&cells, &spots, &OWN);
+        if ask >> 5 & 1 == 0 {
+            return (node[5], ahead[5]);
+        }
+        let past = || (witness.past(spots.cell[5], &pixels, 5, &OWN), 0.0);
+        witness.see_closely(&pixels, 5, spots.cast[5], &OWN).unwrap_or_else(past)
     }
 
     #[test]
@@ -224,16 +242,16 @@ mod tests {
         let witness = witness();
         // Within cells that are filled, and in those on the outline.
         for (x, y) in [(3.0, 3.0), (20.25, 17.5), (47.5, 12.0), (49.0, 35.4), (48.3, 33.0)] {
-            let sight = sight(&witness, x, y);
-            assert!(sight.node < Sight::NOTHING, "({x}, {y})");
-            assert!((sight.ahead - (x * TAU / PERIOD - 3.0)).abs() < 1e-3, "({x}, {y}): {sight:?}");
+            let (node, ahead) = sight(&witness, x, y);
+            assert!(node < OWN.nothing(), "({x}, {y})");
+            assert!((ahead - (x * TAU / PERIOD - 3.0)).abs() < 1e-3, "({x}, {y}): {ahead}");
         }
         // On the object, but without a phase; beside it; and as far from it as it takes.
         for (x, y) in [(20.0, 38.0), (49.5, 36.0), (50.5, 10.0), (59.4, 30.0), (20.0, 49.4), (-10.4, 3.0)] {
-            assert_eq!(sight(&witness, x, y).node, Sight::NOTHING, "({x}, {y})");
+            assert_eq!(sight(&witness, x, y).0, OWN.nothing(), "({x}, {y})");
         }
         for (x, y) in [(59.6, 10.0), (55.0, 45.0), (20.0, 49.6), (-10.6, 3.0), (90.0, 70.0), (3.0, -11.0)] {
-            assert_eq!(sight(&witness, x, y).node, Sight::PAST, "({x}, {y})");
+            assert_eq!(sight(&witness, x, y).0, OWN.past(), "({x}, {y})");
         }
     }
 
@@ -243,9 +261,10 @@ mod tests {
         for place in [0.0, 3e38, -3e38, f32::INFINITY, f32::NAN] {
             let mut spots = Spots::NONE;
             (spots.right[2], spots.down[2], spots.cast[2]) = (place, place, place);
-            let (sights, ask) = Witness::glance(&[Glimpse::UNSEEN; LANES], &spots, &OWN);
-            assert!(witness.cells.glimpses.at(spots.cell[2]).phase.is_nan(), "a cell that is not seen");
-            assert_eq!((sights.node[2], ask), (Sight::NOTHING, 0), "{place}");
+            let mut cells = GlimpseLanes::UNSEEN;
+            cells.set(2, witness.cells.glimpses.at(spots.cell[2]));
+            let (sights, _, ask) = Witness::glance(&cells, &spots, &OWN);
+            assert_eq!((sights.node[2], ask), (OWN.nothing(), 0), "{place}");
         }
     }
 }
