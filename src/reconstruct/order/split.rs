@@ -16,10 +16,10 @@ use std::collections::BinaryHeap;
 const REACH: usize = 2;
 
 /// Words for an order that make a seed.
-const MIN_FOR: i32 = 4;
+const MIN_FOR: u32 = 4;
 
 /// Words for must outnumber those against, and those for any other order, so many times.
-const LEAD: i32 = 3;
+const LEAD: u32 = 3;
 
 /// Nodes that are asked at most.
 const MAX_ASKED: usize = 1600;
@@ -71,9 +71,10 @@ fn seeds(
         .iter()
         .map(|&node| cell(scene, node))
         .fold((0, 0), |most, at| (most.0.max(at.0 + 1), most.1.max(at.1 + 1)));
-    // For and against, by row, column and order.
-    let mut words = vec![(0, 0); rows * columns * orders.len()];
-    let of = |x: usize, y: usize| (y * columns + x) * orders.len()..(y * columns + x + 1) * orders.len();
+    // For and against, by row, column and order, with nothing around.
+    let stride = (columns + 2 * REACH) * orders.len();
+    let mut words = vec![0u32; (rows + 2 * REACH) * stride];
+    let of = |(x, y): (usize, usize)| (y + REACH) * stride + (x + REACH) * orders.len();
     let jury = Jury::new(scenes, view, weights);
     let places: Vec<_> = asked.iter().map(|&node| scene.at(node)).collect();
     for (number, &order) in orders.iter().enumerate() {
@@ -89,38 +90,47 @@ fn seeds(
                 for place in 0..asked.len() {
                     heard.push(match looks.at(place) {
                         Some(seen) => words_of(&jury, seen, known),
-                        None => (0, 1),
+                        None => AGAINST,
                     });
                 }
             },
         );
-        for (&node, (good, bad)) in asked.iter().zip(heard) {
-            let (x, y) = cell(scene, node);
-            let word = &mut words[of(x, y)][number];
-            *word = (word.0 + good, word.1 + bad);
+        for (&node, heard) in asked.iter().zip(heard) {
+            words[of(cell(scene, node)) + number] += heard;
         }
     }
+    let sums = around(&around(&words, orders.len()), stride);
     let mut seeds = Vec::new();
-    let mut sums = vec![(0, 0); orders.len()];
     for &node in &asked {
-        let (x, y) = cell(scene, node);
-        sums.fill((0, 0));
-        for y in y.saturating_sub(REACH)..rows.min(y + REACH + 1) {
-            for x in x.saturating_sub(REACH)..columns.min(x + REACH + 1) {
-                for (sum, word) in sums.iter_mut().zip(&words[of(x, y)]) {
-                    *sum = (sum.0 + word.0, sum.1 + word.1);
-                }
-            }
-        }
-        let Some((best, &(good, bad))) = sums.iter().enumerate().max_by_key(|x| (x.1.0, Reverse(x.0))) else {
+        let first = of(cell(scene, node));
+        let sums = sums[first..first + orders.len()].iter().map(|sum| (sum % AGAINST, sum / AGAINST));
+        let Some((best, (good, bad))) = sums.clone().enumerate().max_by_key(|x| (x.1.0, Reverse(x.0))) else {
             continue;
         };
-        let second = sums.iter().enumerate().filter(|x| x.0 != best).map(|x| x.1.0).max().unwrap_or(0);
+        let second = sums.enumerate().filter(|x| x.0 != best).map(|x| x.1.0).max().unwrap_or(0);
         if good >= MIN_FOR && good >= LEAD * bad && good >= LEAD * second {
             seeds.push((node, best));
         }
     }
     seeds
+}
+
+/// Sums of the words of [`REACH`] cells to each side, which lie `step` words from each other. Those at the ends have none.
+fn around(words: &[u32], step: usize) -> Vec<u32> {
+    const { assert!(REACH == 2) };
+    let mut sums = vec![0; words.len()];
+    let inner = words.len() - 2 * REACH * step;
+    let [a, b, c, d, e] = [0, 1, 2, 3, 4].map(|side| &words[side * step..][..inner]);
+    let to = &mut sums[REACH * step..][..inner];
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for (i, to) in to.iter_mut().enumerate() {
+                *to = a[i] + b[i] + c[i] + d[i] + e[i];
+            }
+        },
+    );
+    sums
 }
 
 /// Place of a node in the grid of cells.
@@ -130,28 +140,26 @@ fn cell(scene: &Scene<'_>, node: u32) -> (usize, usize) {
     (at % cells.columns, at / cells.columns)
 }
 
-/// What a camera says for and against a place, a byte each.
+/// What a camera says for and against a place, the half of a word each: the nodes of so many cells are not so many that a sum would reach
+/// the other half.
 fn weights(partner: bool) -> Weights {
     let against = if partner { AGAINST } else { 0 };
     Weights { agrees: 1, before: AGAINST, behind: against, past: against }
 }
 
 /// A word against a place.
-const AGAINST: u32 = 1 << 8;
+const AGAINST: u32 = 1 << 16;
 
 /// What the other cameras say for and against a place.
 #[inline(always)]
-fn words_of(jury: &Jury, seen: &[SightLanes], known: &Known) -> (i32, i32) {
-    let (mut good, mut bad) = (0, 0);
+fn words_of(jury: &Jury, seen: &[SightLanes], known: &Known) -> u32 {
+    let mut sum = 0;
     for (block, seen) in seen.iter().enumerate() {
-        let mut sum = 0;
         for word in jury.hear(block, seen, known) {
             sum += word;
         }
-        let [agree, against, _, _] = sum.to_le_bytes();
-        (good, bad) = (good + i32::from(agree), bad + i32::from(against));
     }
-    (good, bad)
+    sum
 }
 
 /// Spreads the seeds' labels over the piece, from wide parts to narrow ones: the label of each node of the view.
