@@ -318,7 +318,15 @@ impl Links {
     }
 
     /// Root of a node, and the turns to add to the node so that it continues the root.
+    #[inline]
     fn find(&mut self, node: usize) -> (usize, i32) {
+        // Most are linked to their root.
+        let next = self.parent[node] as usize;
+        if self.parent[next] as usize == next { (next, self.turns[node]) } else { self.shorten(node) }
+    }
+
+    /// The same, along as many links as there are, each of which leads to the root then.
+    fn shorten(&mut self, node: usize) -> (usize, i32) {
         let (mut root, mut turns) = (node, 0);
         while self.parent[root] as usize != root {
             turns += self.turns[root];
