@@ -6,12 +6,12 @@
 //! stretches stay what they are, and so does most of what is known where they would be seen: such a stretch is not tried
 //! again. Where something else is known there now, what the cameras have is judged again, not looked at again.
 
-use super::grow::{NONE, View, near};
+use super::grow::View;
 use super::jury::Known;
 use super::looks::{Looks, PLACES};
-use super::settle::Scene;
+use super::settle::{Scene, all_nodes};
 use super::stretch::{self, Member};
-use super::words::{Judges, Words};
+use super::words::{Changed, Judges, Words};
 use crate::reconstruct::simd;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -36,31 +36,6 @@ const MIN_SHARE: f32 = 0.7;
 
 /// So many times more must be confirmed than contradicted.
 const LEAD: u32 = 4;
-
-/// Nodes that stand for each other where it is asked whether what a camera knows has changed.
-const BLOCK_NODES: usize = 8;
-
-/// Blocks of nodes of all views.
-#[derive(Debug, Clone)]
-struct Blocks(Vec<u64>);
-
-impl Blocks {
-    /// None of the blocks of so many nodes.
-    fn none(nodes: usize) -> Self {
-        Self(vec![0; nodes.div_ceil(BLOCK_NODES * 64)])
-    }
-
-    /// Marks that of a node.
-    #[inline(always)]
-    fn mark(&mut self, node: usize) {
-        let block = node / BLOCK_NODES;
-        self.0[block / 64] |= 1 << (block % 64);
-    }
-
-    fn meet(&self, other: &Self) -> bool {
-        self.0.iter().zip(&other.0).any(|(a, b)| a & b != 0)
-    }
-}
 
 /// What the other cameras say of a stretch at an order.
 #[derive(Debug, Clone, Copy, Default)]
@@ -88,49 +63,113 @@ impl Trial {
 #[derive(Debug)]
 struct Failure {
     stretch: Vec<Member>,
-    /// What the cameras have at the first samples, order by order.
-    looks: Looks,
-    /// The blocks in which it would have been seen.
-    seen: Blocks,
+    /// What the cameras have where it would be seen.
+    looks: Seen,
     /// Whether something else is known there now.
     outdated: bool,
+}
+
+/// What the cameras have at places of a stretch.
+#[derive(Debug, Default)]
+struct Seen {
+    /// At the first samples, order by order.
+    first: Looks,
+    /// At those of the others that were looked at last.
+    rest: Looks,
+}
+
+/// What is kept of a view from round to round.
+#[derive(Debug)]
+struct Ground {
+    /// The square in which each node lies.
+    square: Vec<u32>,
+    /// The nodes of one square after the other, and where those of each begin.
+    nodes: Vec<u32>,
+    starts: Vec<usize>,
+    /// The squares whose stretches are to be tried, whatever has changed.
+    again: Vec<bool>,
+    /// Whether each node was one that no other head confirms.
+    lonely: Vec<bool>,
+    /// By first node.
+    failures: BTreeMap<usize, Failure>,
+}
+
+impl Ground {
+    /// Nothing has been tried yet.
+    fn new(scene: &Scene<'_>) -> Self {
+        let cells = &scene.witness.cells;
+        let (columns, across) = (cells.columns as u32, cells.columns.div_ceil(SQUARE) as u32);
+        let of = |cell: u32| cell / columns / SQUARE as u32 * across + cell % columns / SQUARE as u32;
+        let square: Vec<u32> = cells.nodes.iter().map(|node| of(node.cell)).collect();
+        let squares = square.iter().max().map_or(0, |&last| last as usize + 1);
+        let mut starts = vec![0; squares + 1];
+        square.iter().for_each(|&square| starts[square as usize + 1] += 1);
+        (0..squares).for_each(|i| starts[i + 1] += starts[i]);
+        let (mut nodes, mut ends) = (vec![0; square.len()], starts.clone());
+        for (node, &square) in square.iter().enumerate() {
+            let end = &mut ends[square as usize];
+            nodes[*end] = node as u32;
+            *end += 1;
+        }
+        let (again, lonely) = (vec![true; squares], vec![false; square.len()]);
+        Self { square, nodes, starts, again, lonely, failures: BTreeMap::new() }
+    }
+
+    /// The squares in which something may come of it to try the stretches: in all others they are what they were, and have been tried in
+    /// vain. `changed`: where something else is known than in the last round.
+    fn squares(&mut self, view: &View<'_>, changed: &Changed) -> Vec<usize> {
+        let squares = self.again.len();
+        let mut squares = std::mem::replace(&mut self.again, vec![false; squares]);
+        for (node, was) in self.lonely.iter_mut().enumerate() {
+            // Of what the others say, only what other heads confirm.
+            let is = !view.around.is_confirmed(node);
+            if *was != is {
+                (*was, squares[self.square[node] as usize]) = (is, true);
+            }
+        }
+        for (&first, failure) in &mut self.failures {
+            let Seen { first: looks, rest } = &failure.looks;
+            failure.outdated |= simd::dispatch(
+                #[inline(always)]
+                || changed.is_any_seen(looks) || changed.is_any_seen(rest),
+            );
+            squares[self.square[first] as usize] |= failure.outdated;
+        }
+        (0..squares.len()).filter(|&i| squares[i]).collect()
+    }
 }
 
 /// What is kept from round to round.
 #[derive(Debug)]
 pub struct Seeker {
-    /// The square in which each node of each view lies.
-    squares: Vec<Vec<u32>>,
     /// What was known in the last round, if there was one.
     known: Option<Known>,
-    /// By view and first node.
-    failures: Vec<BTreeMap<usize, Failure>>,
+    /// View by view.
+    grounds: Vec<Ground>,
 }
 
 impl Seeker {
     /// Nothing has been tried yet.
     pub fn new(scenes: &[Scene<'_>]) -> Self {
-        let squares = scenes.iter().map(squares).collect();
-        let failures = scenes.iter().map(|_| BTreeMap::new()).collect();
-        Self { squares, known: None, failures }
+        Self { known: None, grounds: scenes.iter().map(Ground::new).collect() }
     }
 
     /// Gives stretches that no other head confirms the order at which other heads see them.
     pub fn seek(&mut self, scenes: &[Scene<'_>], views: &mut [View<'_>], known: &Known) {
-        let mut changed = Blocks::none(known.turns().len());
+        let mut changed = Changed::new(all_nodes(scenes) as usize, scenes.len());
         if let Some(was) = &self.known {
-            for (node, _) in
-                known.turns().iter().zip(was.turns()).enumerate().filter(|(_, (is, was))| is != was)
-            {
-                changed.mark(node);
+            let mut first = 0;
+            for (view, scene) in scenes.iter().enumerate() {
+                let nodes = first..first + scene.graph.len();
+                first = nodes.end;
+                nodes
+                    .filter(|&node| known.turns()[node] != was.turns()[node])
+                    .for_each(|node| changed.add(view, node));
             }
         }
         let search = Search { scenes, known };
-        let views = views.par_iter_mut().zip(&mut self.failures).zip(&self.squares).enumerate();
-        views.for_each(|(number, ((view, failures), squares))| {
-            failures.values_mut().for_each(|failure| failure.outdated |= failure.seen.meet(&changed));
-            search.view(number, view, squares, failures);
-        });
+        let views = views.par_iter_mut().zip(&mut self.grounds).enumerate();
+        views.for_each(|(number, (view, ground))| search.view(number, view, ground, &changed));
         self.known = Some(known.clone());
     }
 }
@@ -142,68 +181,57 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn view(
-        &self,
-        number: usize,
-        view: &mut View<'_>,
-        squares: &[u32],
-        failures: &mut BTreeMap<usize, Failure>,
-    ) {
-        // Of what the others say, only what other heads confirm.
-        let confirmed = view.words.iter().map(|words| words.heads > words.against + words.hidden);
-        let confirmed = near(view, confirmed.collect());
-        let lonely = |node: usize| !confirmed[node];
-        let together = |first: usize, other: usize| squares[first] == squares[other];
-        let stretches = stretch::all(view.graph, lonely, together);
+    fn view(&self, number: usize, view: &mut View<'_>, ground: &mut Ground, changed: &Changed) {
+        let squares = ground.squares(view, changed);
+        let Ground { square, nodes, starts, again, lonely, failures } = ground;
+        let nodes = squares.iter().flat_map(|&i| &nodes[starts[i]..starts[i + 1]]);
+        let stretches = stretch::all(
+            view.graph,
+            nodes.map(|&node| node as usize),
+            |node| lonely[node],
+            |first, other| square[first] == square[other],
+        );
         for stretch in stretches.iter().filter(|stretch| stretch.len() >= MIN_NODES) {
             let first = stretch[0].0 as usize;
-            let mut looks = Looks::default();
+            let mut looks = Seen::default();
             if let Some(failure) = failures.get_mut(&first).filter(|x| x.stretch == stretch) {
                 if !failure.outdated {
                     continue;
                 }
                 looks = std::mem::take(&mut failure.looks);
             }
-            let mut seen = Blocks::none(self.known.turns().len());
-            match self.confirmed(number, &view.sights.judges, stretch, &mut looks, &mut seen) {
+            match self.confirmed(number, &view.sights.judges, stretch, &mut looks) {
                 Some(order) => {
                     failures.remove(&first);
+                    again[square[first] as usize] = true;
                     take(self.scenes, view, stretch, order, self.known);
                 }
                 None => {
                     let stretch = stretch.to_vec();
-                    failures.insert(first, Failure { stretch, looks, seen, outdated: false });
+                    failures.insert(first, Failure { stretch, looks, outdated: false });
                 }
             }
         }
     }
 
-    /// The order of a stretch that other heads clearly confirm. `first_looks`: what the cameras have at its first samples, or nothing
-    /// yet. Where they would see it is marked.
-    fn confirmed(
-        &self,
-        number: usize,
-        judges: &Judges,
-        stretch: &[Member],
-        first_looks: &mut Looks,
-        seen: &mut Blocks,
-    ) -> Option<i32> {
+    /// The order of a stretch that other heads clearly confirm. `looks`: what the cameras have at its places, or nothing yet.
+    fn confirmed(&self, number: usize, judges: &Judges, stretch: &[Member], looks: &mut Seen) -> Option<i32> {
         let scene = &self.scenes[number];
         let places = stretch::places(scene, stretch, MIN_SAMPLE_PX, SAMPLES);
-        if places.len() < MIN_NODES {
+        if places.len() < MIN_CONFIRMED as usize {
             return None;
         }
         let orders = stretch::orders(scene, &places)?;
         let samples = stretch::lines(scene, &places);
         let (first, rest) = samples.split_at(samples.len().min(FIRST_SAMPLES));
-        if first_looks.len() == 0 {
-            first_looks.add(self.scenes, number, first, orders.clone());
+        if looks.first.len() == 0 {
+            looks.first.add(self.scenes, number, first, orders.clone());
         }
         let mut trials: Vec<(i32, Trial)> = orders.map(|order| (order, Trial::default())).collect();
         for (i, (_, trial)) in trials.iter_mut().enumerate() {
-            self.hear(judges, first_looks, i * first.len()..(i + 1) * first.len(), trial, seen);
+            self.hear(judges, &looks.first, i * first.len()..(i + 1) * first.len(), trial);
         }
-        let mut looks = Looks::default();
+        looks.rest.clear();
         let (mut best, mut second) = ((i32::MIN, Trial::default()), 0);
         for (order, mut trial) in trials {
             let mut left = rest.len() as i32;
@@ -213,9 +241,9 @@ impl Search<'_> {
                     break;
                 }
                 left -= places.len() as i32;
-                looks.clear();
-                looks.add(self.scenes, number, places, order..=order);
-                self.hear(judges, &looks, 0..places.len(), &mut trial, seen);
+                let from = looks.rest.len();
+                looks.rest.add(self.scenes, number, places, order..=order);
+                self.hear(judges, &looks.rest, from..looks.rest.len(), &mut trial);
             }
             if best.1.score() < trial.score() {
                 second = best.1.score();
@@ -229,24 +257,12 @@ impl Search<'_> {
         (enough && trial.score() >= 2 * second.max(1) && trial.against * LEAD <= trial.agree).then_some(order)
     }
 
-    /// Adds the words for places that were looked at to a trial. Where they would be seen is marked.
-    fn hear(
-        &self,
-        judges: &Judges,
-        looks: &Looks,
-        places: Range<usize>,
-        trial: &mut Trial,
-        seen: &mut Blocks,
-    ) {
+    /// Adds the words for places that were looked at to a trial.
+    fn hear(&self, judges: &Judges, looks: &Looks, places: Range<usize>, trial: &mut Trial) {
         simd::dispatch(
             #[inline(always)]
             || {
                 for place in places {
-                    for sights in looks.at(place).into_iter().flatten() {
-                        for node in sights.node {
-                            seen.mark(node as usize);
-                        }
-                    }
                     trial.add(judges.of(looks, place, self.known));
                 }
             },
@@ -254,23 +270,19 @@ impl Search<'_> {
     }
 }
 
-/// The squares in which the nodes of a view lie.
-fn squares(scene: &Scene<'_>) -> Vec<u32> {
-    let cells = &scene.witness.cells;
-    let (columns, across) = (cells.columns as u32, cells.columns.div_ceil(SQUARE) as u32);
-    let square = |cell: u32| cell / columns / SQUARE as u32 * across + cell % columns / SQUARE as u32;
-    cells.nodes.iter().map(|node| square(node.cell)).collect()
-}
-
 /// Gives a stretch its order where a place is confirmed; the rest of it is open again.
 fn take(scenes: &[Scene<'_>], view: &mut View<'_>, stretch: &[Member], order: i32, known: &Known) {
     for &(node, turns) in stretch {
         let (node, turns) = (node as usize, order + turns);
-        if view.turns[node] == turns {
+        if view.turns(node) == turns {
             continue;
         }
         let words = view.sights.words(scenes, node, turns, known);
         let good = words.heads > 0 && words.against + words.hidden == 0;
-        (view.turns[node], view.words[node]) = if good { (turns, words) } else { (NONE, Words::default()) };
+        if good {
+            view.set(node, turns, words);
+        } else {
+            view.unset(node);
+        }
     }
 }

@@ -8,7 +8,7 @@
 //! camera's contradiction is wrong more often than a surface that closes around a hole.
 
 use super::graph::Graph;
-use super::grow::{FIRM, Label, NONE, View, conflict, sums};
+use super::grow::{FIRM, Label, NONE, View};
 use super::jury::Known;
 use super::settle::Scene;
 use super::words::Words;
@@ -37,10 +37,11 @@ const CONTRADICTED: i16 = 2;
 /// The labels of a view's nodes, from what growth has come to. `known`: the orders of all views.
 pub fn labels(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &Known) -> Vec<Label> {
     let scene = &scenes[number];
-    let mut sum = sums(view);
-    let mut labels: Vec<Label> = (0..view.turns.len())
-        .map(|node| match view.turns[node] {
-            NONE => Label { turns: NONE, contradicted: !view.banned[node].is_empty() },
+    let n = view.graph.len();
+    let mut sum: Vec<Words> = (0..n).map(|node| view.around.words(node)).collect();
+    let mut labels: Vec<Label> = (0..n)
+        .map(|node| match view.turns(node) {
+            NONE => Label { turns: NONE, contradicted: view.is_contradicted(node) },
             turns => {
                 let refused = doubtful(view, scene, node, &sum[node]);
                 Label { turns: if refused { NONE } else { turns }, contradicted: false }
@@ -68,17 +69,17 @@ pub fn stretches(
 /// Whether too little vouches for a node's order. `sum`: words for it and the nodes within two steps.
 fn doubtful(view: &View<'_>, scene: &Scene<'_>, node: usize, sum: &Words) -> bool {
     let piece = scene.turns_of(node as u32);
-    let agreed = piece == Some(view.turns[node]);
-    let (conflict, bad) = conflict(view, node);
-    let unconfirmed = view.words[node].good() == 0 && sum.good() < 3;
+    let agreed = piece == Some(view.turns(node));
+    let conflict = view.around.conflict(node);
+    let unconfirmed = view.words(node).good() == 0 && sum.good() < 3;
     // What only other heads confirm: the surface behind a limb is seen by them too.
     let alone = sum.partner == 0 && (scene.pieces.core[node] || sum.hidden == 0);
     let torn = conflict > 16 || conflict > 0 && sum.partner <= 15;
-    let rim = bad > 0 && sum.partner <= FIRM && sum.heads <= 12;
+    let rim = view.around.is_torn(node) && sum.partner <= FIRM && sum.heads <= 12;
     let unvouched = unconfirmed || alone && !agreed;
     let disputed = match piece {
         None => sum.partner < DISPUTED && sum.heads == 0,
-        Some(piece) if scene.witness.is_behind(view.turns[node], piece) => sum.partner < DISPUTED_BEHIND,
+        Some(piece) if scene.witness.is_behind(view.turns(node), piece) => sum.partner < DISPUTED_BEHIND,
         Some(_) => !agreed && sum.partner < DISPUTED,
     };
     unvouched || torn || rim || disputed

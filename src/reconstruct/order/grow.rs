@@ -7,12 +7,13 @@
 //! last round, what nobody confirms. What is open then is sought at the places where other heads see it
 //! ([`super::elsewhere`]), and the next round begins.
 
+use super::around::Around;
 use super::elsewhere::Seeker;
 use super::finish;
-use super::graph::{Edge, Graph};
-use super::jury::{Known, NO_NODES};
-use super::settle::Scene;
-use super::words::{Sights, Words};
+use super::graph::Graph;
+use super::jury::Known;
+use super::settle::{Scene, all_nodes};
+use super::words::{Changed, Sights, Words};
 use crate::reconstruct::simd;
 use rayon::prelude::*;
 use std::cmp::Reverse;
@@ -26,9 +27,6 @@ const ROUNDS: usize = 5;
 
 /// The least lead of a piece's order for its cores to be a beginning.
 const MIN_MARGIN: f32 = 0.5;
-
-/// Pixel pairs that must continue for words to be shared over a border, or for orders to contradict each other there.
-const SHARED_PAIRS: u32 = 4;
 
 /// What growth asks of a border, and of the other cameras.
 #[derive(Debug, Clone, Copy)]
@@ -62,27 +60,83 @@ const PASSES: [Pass; 6] = [
     Pass { pairs: 6, share: 4, support: Support::None, clearance: 0 },
 ];
 
+/// What the neighbours of an open node propose for it, as far as it tells in which passes something can come of it: a bit for each
+/// pass in which a border is good enough, and these.
+type Chance = u8;
+
+/// A neighbour has an order.
+const TOUCHED: Chance = 1 << PASSES.len();
+
+/// Nobody has asked since a neighbour has changed.
+const UNASKED: Chance = 1 << 7;
+
 /// A view while orders grow over it.
 #[derive(Debug)]
 pub struct View<'a> {
     /// Its nodes and borders.
     pub graph: &'a Graph,
-    /// The borders over which words may be shared, each once: two nodes, and the turns to add to the second.
-    shared: Vec<(u32, u32, i32)>,
-    /// Those of them whose nodes have orders that continue each other, as of the last sums.
-    linked: Vec<(u32, u32)>,
     /// Whole turns that make each node's phases absolute, or [`NONE`].
-    pub turns: Vec<i32>,
+    turns: Vec<i32>,
     /// What the other cameras say of each node, as of the last time that it was tried.
-    pub words: Vec<Words>,
+    words: Vec<Words>,
+    /// Nodes that were given turns, or lost them, since the last check began. What each has is to be noted by [`Known`] from one of
+    /// them on.
+    touched: Vec<u32>,
+    unknown: usize,
     /// Turns and words of each node as of the last check.
     checked: Vec<(i32, Words)>,
-    /// The nodes without an order that may get one in this round.
+    /// What is said around the nodes, as of the end of the last check.
+    pub around: Around,
+    /// The nodes without an order that may get one in this round, those first that are farthest from any step.
     open: Vec<u32>,
+    chances: Vec<Chance>,
     /// Turns that were contradicted in this round: node, turns.
-    pub banned: Vec<Vec<i32>>,
+    banned: Banned,
     /// What the cameras have at its places.
     pub sights: Sights,
+    /// Steps of growth that lead to each node, and whether nothing has been asked of it since what is around it has changed: while orders
+    /// grow; afterwards none.
+    steps: Vec<u32>,
+    fresh: Vec<bool>,
+}
+
+/// Turns that were contradicted: of most nodes none, of few more than one.
+#[derive(Debug)]
+struct Banned {
+    /// The last one of each node, and 1 more than where it stands; 0 for none.
+    last: Vec<u32>,
+    /// Turns of a node, and the same for the one before.
+    turns: Vec<(i32, u32)>,
+    nodes: Vec<u32>,
+}
+
+impl Banned {
+    fn new(nodes: usize) -> Self {
+        Self { last: vec![0; nodes], turns: Vec::new(), nodes: Vec::new() }
+    }
+
+    fn add(&mut self, node: usize, turns: i32) {
+        self.turns.push((turns, self.last[node]));
+        self.last[node] = self.turns.len() as u32;
+        self.nodes.push(node as u32);
+    }
+
+    fn contains(&self, node: usize, turns: i32) -> bool {
+        let mut at = self.last[node];
+        while at != 0 {
+            let (banned, before) = self.turns[at as usize - 1];
+            if banned == turns {
+                return true;
+            }
+            at = before;
+        }
+        false
+    }
+
+    fn clear(&mut self) {
+        self.nodes.drain(..).for_each(|node| self.last[node as usize] = 0);
+        self.turns.clear();
+    }
 }
 
 /// What became of a node.
@@ -100,20 +154,21 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let mut views: Vec<View<'_>> =
         (0..scenes.len()).into_par_iter().map(|view| begin(scenes, view)).collect();
     let mut known = Known::default();
+    known.update(views.iter().map(|view| &view.turns[..]));
     check(scenes, &mut views, &mut known);
     views.par_iter_mut().for_each(drop_unconfirmed);
     let mut seeker = Seeker::new(scenes);
     for round in 0..ROUNDS {
         views.par_iter_mut().for_each(View::reopen);
-        for pass in PASSES {
-            update(&mut known, &views);
+        for pass in 0..PASSES.len() {
+            update(&mut known, &mut views);
             views
                 .par_iter_mut()
                 .zip(scenes)
                 .for_each(|(view, scene)| grow(scenes, scene, view, &known, pass));
         }
         check(scenes, &mut views, &mut known);
-        update(&mut known, &views);
+        update(&mut known, &mut views);
         if round + 1 < ROUNDS {
             seeker.seek(scenes, &mut views, &known);
             views.par_iter_mut().for_each(drop_unconfirmed);
@@ -130,29 +185,55 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     labels
 }
 
-/// Takes note of the orders of all nodes of all views.
-fn update(known: &mut Known, views: &[View<'_>]) {
-    known.update(views.iter().map(|view| &view.turns[..]));
+/// Takes note of the orders of all views that have changed since this was done last.
+fn update(known: &mut Known, views: &mut [View<'_>]) {
+    let mut first = 0;
+    for view in views {
+        for &node in &view.touched[view.unknown..] {
+            known.set(first + node as usize, view.turns[node as usize]);
+        }
+        view.unknown = view.touched.len();
+        first += view.turns.len();
+    }
 }
 
 impl View<'_> {
-    /// Finds the borders over which words are shared.
-    fn link(&mut self) {
-        self.linked.clear();
-        for &(a, b, turns) in &self.shared {
-            let known = self.turns[a as usize];
-            if known != NONE && self.turns[b as usize] == known.wrapping_add(turns) {
-                self.linked.push((a, b));
-            }
+    /// The turns of a node, or [`NONE`].
+    pub fn turns(&self, node: usize) -> i32 {
+        self.turns[node]
+    }
+
+    /// What the other cameras say of it.
+    pub fn words(&self, node: usize) -> Words {
+        self.words[node]
+    }
+
+    /// Gives a node turns, for which the other cameras have these words.
+    pub fn set(&mut self, node: usize, turns: i32, words: Words) {
+        (self.turns[node], self.words[node]) = (turns, words);
+        self.touched.push(node as u32);
+        for edge in self.graph.of(node) {
+            self.chances[edge.other as usize] = UNASKED;
         }
+    }
+
+    /// Takes its turns from it.
+    pub fn unset(&mut self, node: usize) {
+        self.set(node, NONE, Words::default());
+    }
+
+    /// Whether an order of it was contradicted in the last round.
+    pub fn is_contradicted(&self, node: usize) -> bool {
+        self.banned.last[node] != 0
     }
 
     /// Begins a round: nothing is contradicted yet.
     fn reopen(&mut self) {
-        self.banned.iter_mut().for_each(Vec::clear);
+        self.banned.clear();
         self.open.clear();
         let nodes = self.turns.iter().enumerate().filter(|(_, turns)| **turns == NONE);
         self.open.extend(nodes.map(|(node, _)| node as u32));
+        self.open.sort_by_key(|&node| Reverse(self.graph.clearance[node as usize]));
     }
 }
 
@@ -166,25 +247,25 @@ fn begin<'a>(scenes: &'a [Scene<'_>], view: usize) -> View<'a> {
         order.map_or(NONE, |order| order + scene.pieces.turns[node])
     };
     let n = scene.pieces.of.len();
-    let mut shared = Vec::with_capacity(2 * n);
-    for node in 0..n as u32 {
-        let shares = |edge: &&Edge| edge.other > node && edge.good >= SHARED_PAIRS;
-        let edges = scene.graph.of(node as usize).iter().filter(shares);
-        shared.extend(edges.map(|edge| (node, edge.other, edge.turns)));
-    }
     let mut sights = Sights::new(scenes, view);
     // Most nodes are asked at their piece's order at last.
-    sights.prepare(scenes, &scene.settled);
+    sights.prepare(scenes, &scene.settled, 0..n as u32);
+    let turns: Vec<i32> = (0..n).map(order).collect();
+    let touched: Vec<u32> = (0..n as u32).filter(|&node| turns[node as usize] != NONE).collect();
     View {
         graph: &scene.graph,
-        shared,
-        linked: Vec::new(),
-        turns: (0..n).map(order).collect(),
+        turns,
         words: vec![Words::default(); n],
+        unknown: touched.len(),
+        touched,
         checked: vec![(NONE, Words::default()); n],
+        around: Around::new(n),
         open: Vec::new(),
-        banned: vec![Vec::new(); n],
+        chances: vec![UNASKED; n],
+        banned: Banned::new(n),
         sights,
+        steps: vec![0; n],
+        fresh: vec![false; n],
     }
 }
 
@@ -211,40 +292,58 @@ struct Proposal {
     around: Words,
 }
 
+impl Proposal {
+    /// Whether the border is as good as a pass asks.
+    fn is_enough(&self, pass: Pass) -> bool {
+        self.good >= pass.pairs && self.good >= pass.share * self.bad
+    }
+}
+
 /// Lets the orders grow over a view: always to the node that is farthest from any step.
-fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &Known, pass: Pass) {
-    let mut steps = vec![0u32; view.turns.len()];
-    // Nodes of which nothing has been asked since what is around them has changed.
-    let mut fresh = vec![false; view.turns.len()];
-    let open = |view: &View<'_>, node: usize| {
-        view.turns[node] == NONE && view.graph.clearance[node] >= pass.clearance
-    };
-    let mut first = Vec::new();
-    for &node in &view.open {
+fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &Known, number: usize) {
+    let (pass, graph) = (PASSES[number], view.graph);
+    let mut proposals = Vec::new();
+    let mut open = std::mem::take(&mut view.open);
+    let mut first = Vec::with_capacity(open.len());
+    for &node in &open {
         let at = node as usize;
-        if open(view, at) && view.graph.of(at).iter().any(|e| view.turns[e.other as usize] != NONE) {
-            fresh[at] = true;
-            first.push(priority(view.graph.clearance[at], 0, node));
+        if graph.clearance[at] < pass.clearance {
+            break;
+        }
+        if view.chances[at] == UNASKED {
+            propose(view, at, &mut proposals);
+        }
+        if view.chances[at] & TOUCHED != 0 {
+            view.fresh[at] = true;
+            first.push(priority(graph.clearance[at], 0, node));
         }
     }
-    let mut heap = BinaryHeap::from(first);
-    let mut proposals = Vec::new();
-    while let Some(next) = heap.pop() {
+    // These are in order already; the others come between them.
+    let mut first = first.into_iter().peekable();
+    let mut heap = BinaryHeap::new();
+    let begin = view.touched.len();
+    while let Some(next) = first.peek().max(heap.peek()).copied() {
+        if first.next_if_eq(&next).is_none() {
+            heap.pop();
+        }
         let node = node_of(next);
-        if view.turns[node] != NONE || !std::mem::take(&mut fresh[node]) {
+        if view.turns[node] != NONE || !std::mem::take(&mut view.fresh[node]) {
             continue;
         }
-        let step = propose(view, node, &steps, &mut proposals) + 1;
+        let chance = view.chances[node];
+        if chance != UNASKED && chance >> number & 1 == 0 {
+            continue;
+        }
+        let step = propose(view, node, &mut proposals) + 1;
         for proposal in &proposals {
-            let enough = proposal.good >= pass.pairs && proposal.good >= pass.share * proposal.bad;
-            if !enough || view.banned[node].contains(&proposal.turns) {
+            if !proposal.is_enough(pass) || view.banned.contains(node, proposal.turns) {
                 continue;
             }
             let own = view.sights.words(scenes, node, proposal.turns, known);
             let mut sum = own;
             sum += proposal.around;
             if contradicted(own, sum, scene.pieces.core[node]) {
-                view.banned[node].push(proposal.turns);
+                view.banned.add(node, proposal.turns);
                 continue;
             }
             let supported = match pass.support {
@@ -253,34 +352,41 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &Kn
                 Support::Here => own.good() > 0,
             };
             if supported {
-                (view.turns[node], view.words[node], steps[node]) = (proposal.turns, own, step);
-                for edge in view.graph.of(node) {
+                view.set(node, proposal.turns, own);
+                view.steps[node] = step;
+                for edge in graph.of(node) {
                     let other = edge.other as usize;
-                    if open(view, other) {
-                        fresh[other] = true;
-                        heap.push(priority(view.graph.clearance[other], step, edge.other));
+                    if view.turns[other] == NONE && graph.clearance[other] >= pass.clearance {
+                        view.fresh[other] = true;
+                        heap.push(priority(graph.clearance[other], step, edge.other));
                     }
                 }
                 break;
             }
         }
     }
-    let View { open, turns, .. } = view;
-    open.retain(|&node| turns[node as usize] == NONE);
+    view.touched[begin..].iter().for_each(|&node| view.steps[node as usize] = 0);
+    open.retain(|&node| view.turns[node as usize] == NONE);
+    view.open = open;
 }
 
-/// The orders that the neighbours of a node propose, those of most pixel pairs first; the steps that the farthest of
-/// these neighbours is from where growth began.
-fn propose(view: &View<'_>, node: usize, steps: &[u32], proposals: &mut Vec<Proposal>) -> u32 {
+/// The orders that the neighbours of an open node propose, those of most pixel pairs first, and what chance it has; the steps that the
+/// farthest of these neighbours is from where growth began.
+fn propose(view: &mut View<'_>, node: usize, proposals: &mut Vec<Proposal>) -> u32 {
     proposals.clear();
-    let mut farthest = 0;
+    let (mut chance, mut farthest) = (0, 0);
     for edge in view.graph.of(node) {
-        let other = view.turns[edge.other as usize];
-        if other == NONE || edge.good == 0 {
+        let at = edge.other as usize;
+        let other = view.turns[at];
+        if other == NONE {
             continue;
         }
-        farthest = farthest.max(steps[edge.other as usize]);
-        let (turns, around) = (other - edge.turns, view.words[edge.other as usize]);
+        chance = TOUCHED;
+        if edge.good == 0 {
+            continue;
+        }
+        farthest = farthest.max(view.steps[at]);
+        let (turns, around) = (other - edge.turns, view.words[at]);
         match proposals.iter_mut().find(|x| x.turns == turns) {
             Some(x) => {
                 (x.good, x.bad) = (x.good + edge.good, x.bad + edge.bad);
@@ -289,7 +395,15 @@ fn propose(view: &View<'_>, node: usize, steps: &[u32], proposals: &mut Vec<Prop
             None => proposals.push(Proposal { turns, good: edge.good, bad: edge.bad, around }),
         }
     }
-    proposals.sort_unstable_by_key(|x| (Reverse(x.good), x.turns));
+    if proposals.len() > 1 {
+        proposals.sort_unstable_by_key(|x| (Reverse(x.good), x.turns));
+    }
+    for proposal in &*proposals {
+        for (number, &pass) in PASSES.iter().enumerate() {
+            chance |= Chance::from(proposal.is_enough(pass)) << number;
+        }
+    }
+    view.chances[node] = chance;
     farthest
 }
 
@@ -301,47 +415,6 @@ fn contradicted(own: Words, sum: Words, core: bool) -> bool {
     !core && own.against > 0 && own.against >= own.good()
 }
 
-/// Words of the nodes within two steps, along borders that continue.
-pub fn sums(view: &mut View<'_>) -> Vec<Words> {
-    view.link();
-    let mut sum: Vec<u64> = view.words.iter().map(Words::packed).collect();
-    for _ in 0..2 {
-        let before = sum.clone();
-        for &(a, b) in &view.linked {
-            sum[a as usize] += before[b as usize];
-            sum[b as usize] += before[a as usize];
-        }
-    }
-    sum.into_iter().map(Words::unpacked).collect()
-}
-
-/// Which nodes are some of these, or have one within two steps, along borders that continue. Since the sums were taken nodes may have
-/// lost their orders, but none may have got one.
-pub fn near(view: &View<'_>, mut near: Vec<bool>) -> Vec<bool> {
-    for _ in 0..2 {
-        let before = near.clone();
-        for &(a, b) in &view.linked {
-            near[a as usize] |= before[b as usize];
-            near[b as usize] |= before[a as usize];
-        }
-        near.iter_mut().zip(&view.turns).for_each(|(near, turns)| *near &= *turns != NONE);
-    }
-    near
-}
-
-/// Pixel pairs on which neighbours continue a node, though their order is another, and those that continue nothing.
-pub fn conflict(view: &View<'_>, node: usize) -> (u32, u32) {
-    let (mut conflict, mut bad) = (0, 0);
-    for edge in view.graph.of(node) {
-        let other = view.turns[edge.other as usize];
-        if other != NONE {
-            bad += edge.bad;
-            conflict += if other == view.turns[node] + edge.turns { 0 } else { edge.good };
-        }
-    }
-    (conflict, bad)
-}
-
 /// Words of the head's other camera that stand against a neighbour of another order.
 pub const FIRM: i16 = 11;
 
@@ -349,40 +422,55 @@ pub const FIRM: i16 = 11;
 fn check(scenes: &[Scene<'_>], views: &mut [View<'_>], known: &mut Known) {
     update(known, views);
     let known = &*known;
-    let mut changed: Vec<bool> = Vec::with_capacity(known.turns().len());
-    for view in &*views {
-        changed.extend(view.turns.iter().zip(&view.checked).map(|(is, was)| *is != was.0));
+    let mut changed = Changed::new(all_nodes(scenes) as usize, views.len());
+    let mut first = 0;
+    for (number, view) in views.iter().enumerate() {
+        for node in view.touched.iter().map(|&node| node as usize) {
+            if view.turns[node] != view.checked[node].0 {
+                changed.add(number, first + node);
+            }
+        }
+        first += view.turns.len();
     }
-    changed.extend([false; NO_NODES]);
-    views.par_iter_mut().zip(scenes).for_each(|(view, scene)| {
-        view.sights.prepare(scenes, &view.turns);
-        simd::dispatch(
-            #[inline(always)]
-            || view.sights.renew(&view.turns, &mut view.checked, &changed, known),
-        );
-        for (words, &(turns, checked)) in view.words.iter_mut().zip(&view.checked) {
-            *words = if turns == NONE { Words::default() } else { checked };
+    views.par_iter_mut().zip(scenes).for_each(|(view, scene)| try_all(scenes, scene, view, known, &changed));
+}
+
+/// The same of one view. `changed`: the nodes of all views that have other turns than at the last check.
+fn try_all(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &Known, changed: &Changed) {
+    let mut touched = std::mem::take(&mut view.touched);
+    view.unknown = 0;
+    touched.sort_unstable();
+    touched.dedup();
+    view.sights.prepare(scenes, &view.turns, touched.iter().copied());
+    simd::dispatch(
+        #[inline(always)]
+        || view.sights.renew(&view.turns, &mut view.checked, changed, known, &mut touched),
+    );
+    for node in touched.iter().map(|&node| node as usize) {
+        let (turns, checked) = view.checked[node];
+        view.words[node] = if turns == NONE { Words::default() } else { checked };
+    }
+    view.around.update(view.graph, &touched, &view.turns, &view.words);
+    for node in view.around.changed().into_iter().map(|node| node as usize) {
+        if view.turns[node] == NONE {
+            continue;
         }
-        let sum = sums(view);
-        let gone = |&node: &usize| {
-            view.turns[node] != NONE
-                && (contradicted(view.words[node], sum[node], scene.pieces.core[node])
-                    || sum[node].partner <= FIRM && conflict(view, node).0 > 0)
-        };
-        let gone: Vec<usize> = (0..view.turns.len()).filter(gone).collect();
-        for node in gone {
-            let turns = std::mem::replace(&mut view.turns[node], NONE);
-            view.banned[node].push(turns);
-            view.words[node] = Words::default();
+        let sum = view.around.words(node);
+        if contradicted(view.words[node], sum, scene.pieces.core[node])
+            || sum.partner <= FIRM && view.around.conflict(node) > 0
+        {
+            view.banned.add(node, view.turns[node]);
+            view.unset(node);
         }
-    });
+    }
+    view.around.update(view.graph, &view.touched, &view.turns, &view.words);
 }
 
 /// Takes the order from nodes that no camera confirms: the next round may reach them from a better side.
 fn drop_unconfirmed(view: &mut View<'_>) {
-    for (turns, words) in view.turns.iter_mut().zip(&mut view.words) {
-        if words.good() == 0 {
-            (*turns, *words) = (NONE, Words::default());
+    for node in 0..view.turns.len() {
+        if view.words[node].good() == 0 && view.turns[node] != NONE {
+            view.unset(node);
         }
     }
 }

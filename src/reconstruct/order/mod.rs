@@ -12,6 +12,7 @@
 //! witness   what another camera has at the place where a piece would be
 //! settle    marker, neighbours and other cameras weighed: each piece gets an order, or is refused
 //! split     pieces that have grown over two surfaces, parted
+//! around    what is said around each place
 //! grow      from the pieces' cores to every place, as far as the other cameras confirm it
 //! elsewhere where other heads see what is open, or hidden from all of them
 //! finish    what too little vouches for refused, holes closed
@@ -24,6 +25,7 @@
 //! tell is where that may be: pieces whose common border agrees only in part. These are given their orders by the other
 //! cameras, and are refused where they cannot tell.
 
+mod around;
 mod borders;
 mod cells;
 mod confirmed;

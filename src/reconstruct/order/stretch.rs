@@ -31,19 +31,20 @@ impl Stretches {
     }
 }
 
-/// All stretches of the nodes that are open, none reaching from a node to another that is not `together` with it. Members are in the
-/// order of their numbers.
+/// All stretches of the nodes that are open, none reaching from a node to another that is not `together` with it; those that begin at
+/// one of some `nodes`. Members are in the order of their numbers.
 pub fn all(
     graph: &Graph,
+    nodes: impl Iterator<Item = usize>,
     is_open: impl Fn(usize) -> bool,
     together: impl Fn(usize, usize) -> bool,
 ) -> Stretches {
     let continues = |edge: &&Edge| edge.good >= MIN_PAIRS && edge.good >= MIN_SHARE * edge.bad;
-    let mut seen: Vec<bool> = (0..graph.len()).map(|node| !is_open(node)).collect();
+    let mut seen = vec![false; graph.len()];
     let mut stretches = Stretches::default();
     let found = &mut stretches.members;
-    for first in 0..graph.len() {
-        if seen[first] {
+    for first in nodes {
+        if seen[first] || !is_open(first) {
             continue;
         }
         seen[first] = true;
@@ -54,7 +55,7 @@ pub fn all(
             at += 1;
             for edge in graph.of(node as usize).iter().filter(continues) {
                 let other = edge.other as usize;
-                if !seen[other] && together(first, other) {
+                if !seen[other] && is_open(other) && together(first, other) {
                     seen[other] = true;
                     found.push((edge.other, turns + edge.turns));
                 }
@@ -68,7 +69,7 @@ pub fn all(
 
 /// All stretches of the nodes that have no order.
 pub fn open(graph: &Graph, labels: &[Label]) -> Stretches {
-    all(graph, |node| labels[node].turns == NONE, |_, _| true)
+    all(graph, 0..graph.len(), |node| labels[node].turns == NONE, |_, _| true)
 }
 
 /// The nodes of a stretch that are tried: so many of those of `min_px` pixels and more, evenly.

@@ -1,7 +1,7 @@
 //! What the other cameras say for and against a node at an order.
 
 use super::grow::NONE;
-use super::jury::{Jury, Known, Weights};
+use super::jury::{Jury, Known, NO_NODES, Weights};
 use super::lookout::LANES;
 use super::looks::{Looks, PLACES, Place};
 use super::settle::Scene;
@@ -117,11 +117,14 @@ pub struct Sights {
     turns: Vec<[i32; SLOTS]>,
     /// Which slot of each node is written next.
     next: Vec<u8>,
-    /// What the cameras have there; for a place outside of the volume nothing.
+    /// Where it stands in `seen` what the cameras have there, or [`OUTSIDE`].
+    place: Vec<[u32; SLOTS]>,
     seen: Vec<SightLanes>,
-    inside: Vec<[bool; SLOTS]>,
     looks: Looks,
 }
+
+/// Of a place outside of the volume nothing is kept.
+const OUTSIDE: u32 = u32::MAX;
 
 /// Orders of a node that are kept.
 const SLOTS: usize = 2;
@@ -137,8 +140,9 @@ impl Sights {
             blocks,
             turns: vec![[NONE; SLOTS]; n],
             next: vec![0; n],
-            seen: vec![SightLanes::NONE; n * SLOTS * blocks],
-            inside: vec![[false; SLOTS]; n],
+            place: vec![[OUTSIDE; SLOTS]; n],
+            // Most nodes are looked at once.
+            seen: Vec::with_capacity(n * blocks * 9 / 8),
             looks: Looks::default(),
         }
     }
@@ -164,14 +168,22 @@ impl Sights {
     #[inline(always)]
     fn at(&self, node: usize, turns: i32) -> Option<&[SightLanes]> {
         let slot = usize::from(self.turns[node][0] != turns);
-        let first = (node * SLOTS + slot) * self.blocks;
-        self.inside[node][slot].then(|| &self.seen[first..first + self.blocks])
+        let first = self.place[node][slot];
+        (first != OUTSIDE).then(|| &self.seen[first as usize..first as usize + self.blocks])
     }
 
     /// Words for nodes that were looked at, at their `turns`. Those that were asked for at the same turns before, `old`, are the same
-    /// where what the cameras see is none of the `changed`: nodes of all views, and what is none.
+    /// where what the cameras see is none of the `changed`. Adds the nodes whose words are others than before at the same turns to
+    /// `renewed`.
     #[inline(always)]
-    pub fn renew(&self, turns: &[i32], old: &mut [(i32, Words)], changed: &[bool], known: &Known) {
+    pub fn renew(
+        &self,
+        turns: &[i32],
+        old: &mut [(i32, Words)],
+        changed: &Changed,
+        known: &Known,
+        renewed: &mut Vec<u32>,
+    ) {
         for (node, (&turns, old)) in turns.iter().zip(old).enumerate() {
             let same = turns == old.0;
             old.0 = turns;
@@ -182,15 +194,19 @@ impl Sights {
                 old.1 = Words::IMPOSSIBLE;
                 continue;
             };
-            if !same || differs(seen, changed) {
-                old.1 = self.judges.words(seen, known);
+            if !same || changed.is_any(seen) {
+                let words = self.judges.words(seen, known);
+                if same && words != old.1 {
+                    renewed.push(node as u32);
+                }
+                old.1 = words;
             }
         }
     }
 
-    /// Looks at all nodes of the view at their `turns`, where that has not been done: several at once take less time.
-    pub fn prepare(&mut self, scenes: &[Scene<'_>], turns: &[i32]) {
-        let all = turns.iter().copied().enumerate();
+    /// Looks at some nodes of the view at their `turns`, where that has not been done: several at once take less time.
+    pub fn prepare(&mut self, scenes: &[Scene<'_>], turns: &[i32], nodes: impl Iterator<Item = u32>) {
+        let all = nodes.map(|node| (node as usize, turns[node as usize]));
         let new: Vec<(usize, i32)> =
             all.filter(|&(node, x)| x != NONE && !self.turns[node].contains(&x)).collect();
         let places: Vec<Place<'_>> =
@@ -208,25 +224,77 @@ impl Sights {
     fn keep(&mut self, place: usize, node: usize, turns: i32) {
         let slot = usize::from(self.next[node]);
         self.next[node] = ((slot + 1) % SLOTS) as u8;
-        let seen = self.looks.at(place);
-        (self.turns[node][slot], self.inside[node][slot]) = (turns, seen.is_some());
-        if let Some(seen) = seen {
-            let first = (node * SLOTS + slot) * self.blocks;
-            self.seen[first..first + self.blocks].copy_from_slice(seen);
+        self.turns[node][slot] = turns;
+        let first = &mut self.place[node][slot];
+        match self.looks.at(place) {
+            None => *first = OUTSIDE,
+            Some(seen) if *first == OUTSIDE => {
+                *first = self.seen.len() as u32;
+                self.seen.extend_from_slice(seen);
+            }
+            Some(seen) => self.seen[*first as usize..][..self.blocks].copy_from_slice(seen),
         }
     }
 }
 
-/// Whether any of the nodes that the cameras see is one of those that have changed.
-#[inline(always)]
-fn differs(seen: &[SightLanes], changed: &[bool]) -> bool {
-    let mut any = false;
-    for seen in seen {
-        for node in seen.node {
-            any |= changed[node as usize];
-        }
+/// Nodes of all views that have changed.
+#[derive(Debug)]
+pub struct Changed {
+    /// Whether each node is one, and what is none.
+    is: Vec<bool>,
+    /// Blocks of nodes in which some have: a bit each, by camera.
+    blocks: Vec<[u32; LANES]>,
+}
+
+/// Nodes that stand for each other where it is asked whether any has changed: so many bits of their number. As the blocks are counted
+/// by 5 bits, some of them share one.
+const BLOCK_BITS: u32 = 6;
+
+impl Changed {
+    /// None of so many nodes of so many views.
+    pub fn new(nodes: usize, views: usize) -> Self {
+        Self { is: vec![false; nodes + NO_NODES], blocks: vec![[0; LANES]; views.div_ceil(LANES)] }
     }
-    any
+
+    /// Adds a node, of the nodes of all views.
+    pub fn add(&mut self, view: usize, node: usize) {
+        self.is[node] = true;
+        self.blocks[view / LANES][view % LANES] |= 1 << (node as u32 >> BLOCK_BITS) % u32::BITS;
+    }
+
+    /// Whether any of the nodes that the cameras see at some places is one of them.
+    #[inline(always)]
+    pub fn is_any_seen(&self, looks: &Looks) -> bool {
+        for place in 0..looks.len() {
+            if let Some(seen) = looks.at(place)
+                && self.is_any(seen)
+            {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Whether any of the nodes that the cameras see is one of them.
+    #[inline(always)]
+    fn is_any(&self, seen: &[SightLanes]) -> bool {
+        let mut maybe = 0;
+        for (seen, blocks) in seen.iter().zip(&self.blocks) {
+            for i in 0..LANES {
+                maybe |= blocks[i] >> (seen.node[i] >> BLOCK_BITS) % u32::BITS & 1;
+            }
+        }
+        if maybe == 0 {
+            return false;
+        }
+        let mut any = false;
+        for seen in seen {
+            for node in seen.node {
+                any |= self.is[node as usize];
+            }
+        }
+        any
+    }
 }
 
 /// Where a node lies when its phases are absolute after `turns`.
