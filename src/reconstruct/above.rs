@@ -164,12 +164,12 @@ fn median3x3([above, own, below]: [&[u64]; 3], width: usize, count: &mut [Vec<u6
         let (before, behind) = (i.checked_sub(1).map_or(0, |i| row[i]), row.get(i + 1).copied().unwrap_or(0));
         (row[i] << 1 | before >> (WORD - 1), row[i], row[i] >> 1 | behind << (WORD - 1))
     };
-    for i in 0..words {
+    for (i, out) in out.iter_mut().enumerate() {
         let ((a, b, c), (d, e, f)) = (beside(ones, i), beside(twos, i));
         let (one, two) = sum(a, b, c);
         let (other_two, four) = sum(d, e, f);
         // Six and more, or four and one more.
-        out[i] = four & (two | other_two) | one & (four | two & other_two);
+        *out = four & (two | other_two) | one & (four | two & other_two);
     }
     let (last, bit) = ((width - 1) / WORD, 1 << ((width - 1) % WORD));
     out[0] = out[0] & !1 | own[0] & 1;

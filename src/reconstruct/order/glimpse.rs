@@ -136,8 +136,8 @@ impl<const N: usize> GlimpseLanes<N> {
     pub fn is_near(&self, lane: usize, u: u32, v: u32) -> bool {
         // By halves: words of 64 bits would be half as many at once.
         let [above, below] = self.bits[lane];
-        let pixel = v * CELL_PX as u32 | u;
-        let is_below = 0u32.wrapping_sub(pixel / u32::BITS & 1);
+        let pixel = v.wrapping_mul(CELL_PX as u32) | u;
+        let is_below = 0u32.wrapping_sub((pixel / u32::BITS) & 1);
         (above & !is_below | below & is_below) >> (pixel % u32::BITS) & 1 != 0
     }
 }

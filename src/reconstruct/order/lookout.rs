@@ -242,13 +242,13 @@ impl Block {
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, Lookout, NOWHERE, Spots};
+    use super::{LANES, Lookout, NOWHERE, Ray, Spots};
     use crate::calibrate::Calibration;
     use crate::config::Rig;
     use crate::reconstruct::order::cells::CELL_PX;
     use crate::reconstruct::order::glimpse::{BACKGROUND_PX, PAD_CELLS, PAD_PX, padded};
     use crate::reconstruct::pair::Pair;
-    use crate::reconstruct::rays::RayTable;
+    use crate::reconstruct::rays::{RayTable, Sightlines};
     use crate::reconstruct::roi::Roi;
     use crate::reconstruct::triangulate::Triangulator;
     use std::f64::consts::TAU;
@@ -281,10 +281,13 @@ mod tests {
             let (u, v) = (i * 37 % 1900, i * 53 % 1190);
             let Some((_, world)) = triangulator.point(u as usize, v as usize, fringe * TAU) else { continue };
             let line = table.sightline(u as usize, v as usize);
-            let ray = lookout.ray((&line, fringe as f32));
-            if !ray.is_inside() {
+            let mut lines = Sightlines::<1>::NONE;
+            lines.set(0, &line);
+            let [inverse_depth] = lookout.inverse_depths(&lines, &[fringe as f32]);
+            if inverse_depth.is_nan() {
                 continue;
             }
+            let ray = Ray { direction: line.direction, inverse_depth };
             looks += 1;
             for first in (0..pairs.len()).step_by(LANES) {
                 let mut spots = [Spots::NONE; 1];

@@ -154,8 +154,8 @@ impl Batch {
                 || {
                     lookout.spots(block, rays, spots);
                     for (cells, spots) in cells.iter_mut().zip(&*spots).take(rays.len()) {
-                        for i in 0..LANES {
-                            cells.set(i, grids[i].get(spots.cell[i] as usize).unwrap_or(&Glimpse::UNSEEN));
+                        for (i, (grid, &cell)) in grids.iter().zip(&spots.cell).enumerate() {
+                            cells.set(i, grid.get(cell as usize).unwrap_or(&Glimpse::UNSEEN));
                         }
                     }
                     let places = at.iter().zip(&*cells).zip(&*spots).zip(&mut *pixels).enumerate();

@@ -125,8 +125,8 @@ impl Steps {
     pub(super) fn into(&self, left: usize) -> [f32; 2] {
         let above: &Columns<u32> = chunk(&self.from_above, left);
         let mut largest = 0;
-        for u in 0..CELL_PX {
-            largest = largest.max(above[u]);
+        for &step in above {
+            largest = largest.max(step);
         }
         [self.largest_right[left], largest].map(f32::from_bits)
     }

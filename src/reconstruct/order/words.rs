@@ -259,7 +259,7 @@ impl Changed {
     /// Adds a node, of the nodes of all views.
     pub fn add(&mut self, view: usize, node: usize) {
         self.is[node] = true;
-        self.blocks[view / LANES][view % LANES] |= 1 << (node as u32 >> BLOCK_BITS) % u32::BITS;
+        self.blocks[view / LANES][view % LANES] |= 1 << ((node as u32 >> BLOCK_BITS) % u32::BITS);
     }
 
     /// Whether any of the nodes that the cameras see at some places is one of them.
@@ -280,8 +280,8 @@ impl Changed {
     fn is_any(&self, seen: &[SightLanes]) -> bool {
         let mut maybe = 0;
         for (seen, blocks) in seen.iter().zip(&self.blocks) {
-            for i in 0..LANES {
-                maybe |= blocks[i] >> (seen.node[i] >> BLOCK_BITS) % u32::BITS & 1;
+            for (blocks, node) in blocks.iter().zip(seen.node) {
+                maybe |= blocks >> ((node >> BLOCK_BITS) % u32::BITS) & 1;
             }
         }
         if maybe == 0 {
