@@ -25,7 +25,7 @@ const MIN_NODES: usize = 4;
 
 /// Nodes of a stretch that are tried, and how many of these say whether an order is worth the rest.
 const SAMPLES: usize = 16;
-const FIRST_SAMPLES: usize = 3;
+const FIRST_SAMPLES: usize = 1;
 
 /// Nodes smaller than this are not tried, px.
 const MIN_SAMPLE_PX: u32 = 40;

@@ -225,14 +225,13 @@ struct Sum {
 /// Lets the cores take in what continues them, ring by ring; what no core reaches is joined among itself.
 fn grow(links: &mut Links, core: &[bool], cells: &Cells, graph: &Graph) {
     let mut taken = core.to_vec();
-    let mut front: Vec<u32> = (0..core.len() as u32).filter(|&i| core[i as usize]).collect();
     let mut sums: Vec<Sum> = Vec::new();
-    let mut grow = |links: &mut Links, taken: &mut [bool], pairs: u32| {
-        while !front.is_empty() {
-            let beside = front.iter().flat_map(|&i| graph.of(i as usize)).map(|x| x.other);
-            let mut next: Vec<u32> = beside.filter(|&i| !taken[i as usize]).collect();
-            next.sort_unstable();
-            next.dedup();
+    let mut grow = |links: &mut Links, taken: &mut [bool], from: &[bool], pairs: u32| {
+        // Sought from what is open, which is less than what is taken.
+        let open = (0..taken.len() as u32).filter(|&i| !taken[i as usize]);
+        let is_beside = |&i: &u32| graph.of(i as usize).iter().any(|x| from[x.other as usize]);
+        let mut next: Vec<u32> = open.filter(is_beside).collect();
+        while !next.is_empty() {
             // All of a ring are decided before any is taken in: the result does not depend on their order.
             let mut ring = Vec::new();
             for &node in &next {
@@ -257,25 +256,27 @@ fn grow(links: &mut Links, core: &[bool], cells: &Cells, graph: &Graph) {
                 links.join(other as usize, node as usize, -turns);
                 taken[node as usize] = true;
             }
-            front = ring.into_iter().map(|x| x.0).collect();
+            let beside = ring.iter().flat_map(|x| graph.of(x.0 as usize)).map(|x| x.other);
+            next.clear();
+            next.extend(beside.filter(|&i| !taken[i as usize]));
+            next.sort_unstable();
+            next.dedup();
         }
-        front = (0..taken.len() as u32).filter(|&i| taken[i as usize]).collect();
     };
-    grow(links, &mut taken, GROW_PAIRS);
+    grow(links, &mut taken, core, GROW_PAIRS);
     for x in &cells.borders {
         if !taken[x.a as usize] && !taken[x.b as usize] && x.good >= GROW_PAIRS && x.good > x.bad {
             links.join(x.a as usize, x.b as usize, x.turns);
         }
     }
-    // Crumbs on outlines belong to no surface. They must not stand between pieces as if these did not touch.
+    // Crumbs on outlines belong to no surface. They must not stand between pieces as if these did not touch. What is not taken is joined
+    // to nothing that is.
+    let reached = taken.clone();
+    let open = || (0..reached.len()).filter(|&i| !reached[i]);
     let mut size = vec![0u32; taken.len()];
-    for (node, own) in cells.nodes.iter().enumerate() {
-        size[links.find(node).0] += own.size;
-    }
-    for (node, taken) in taken.iter_mut().enumerate() {
-        *taken |= size[links.find(node).0] >= 64;
-    }
-    grow(links, &mut taken, 1);
+    open().for_each(|node| size[links.find(node).0] += cells.nodes[node].size);
+    open().for_each(|node| taken[node] = size[links.find(node).0] >= 64);
+    grow(links, &mut taken, &reached, 1);
 }
 
 fn collect(links: &mut Links, cells: &Cells, votes: &[(u32, i32, u32)]) -> Pieces {

@@ -79,7 +79,7 @@ const DIM: f32 = 4.0;
 const LONE: u32 = 8;
 
 /// Rounds of settling and parting, at most.
-const MAX_ROUNDS: usize = 3;
+const MAX_ROUNDS: usize = 2;
 
 /// Why a piece has no order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -67,14 +67,16 @@ fn seeds(
     let nodes = &scene.pieces.nodes[piece];
     let step = nodes.len().div_ceil(MAX_ASKED).max(1);
     let asked: Vec<u32> = nodes.iter().step_by(step).copied().collect();
-    let (columns, rows) = asked
-        .iter()
-        .map(|&node| cell(scene, node))
-        .fold((0, 0), |most, at| (most.0.max(at.0 + 1), most.1.max(at.1 + 1)));
+    let at: Vec<(usize, usize)> = asked.iter().map(|&node| cell(scene, node)).collect();
+    let ends = |of: fn(&(usize, usize)) -> usize| {
+        let all = || at.iter().map(of);
+        (all().min().unwrap_or(0), all().max().map_or(0, |last| last + 1))
+    };
+    let ((left, right), (top, bottom)) = (ends(|at| at.0), ends(|at| at.1));
     // For and against, by row, column and order, with nothing around.
-    let stride = (columns + 2 * REACH) * orders.len();
-    let mut words = vec![0u32; (rows + 2 * REACH) * stride];
-    let of = |(x, y): (usize, usize)| (y + REACH) * stride + (x + REACH) * orders.len();
+    let stride = (right - left + 2 * REACH) * orders.len();
+    let mut words = vec![0u32; (bottom - top + 2 * REACH) * stride];
+    let of = |(x, y): (usize, usize)| (y - top + REACH) * stride + (x - left + REACH) * orders.len();
     let jury = Jury::new(scenes, view, weights);
     let places: Vec<_> = asked.iter().map(|&node| scene.at(node)).collect();
     for (number, &order) in orders.iter().enumerate() {
@@ -95,14 +97,14 @@ fn seeds(
                 }
             },
         );
-        for (&node, heard) in asked.iter().zip(heard) {
-            words[of(cell(scene, node)) + number] += heard;
+        for (&at, heard) in at.iter().zip(heard) {
+            words[of(at) + number] += heard;
         }
     }
     let sums = around(&around(&words, orders.len()), stride);
     let mut seeds = Vec::new();
-    for &node in &asked {
-        let first = of(cell(scene, node));
+    for (&node, &at) in asked.iter().zip(&at) {
+        let first = of(at);
         let sums = sums[first..first + orders.len()].iter().map(|sum| (sum % AGAINST, sum / AGAINST));
         let Some((best, (good, bad))) = sums.clone().enumerate().max_by_key(|x| (x.1.0, Reverse(x.0))) else {
             continue;
