@@ -3,9 +3,9 @@
 //! A fringe tilted in the image has a period along the column too, and limbs alias into any band there: the
 //! carrier is removed first, by the mean over exactly one period along the row. What is left is band-passed
 //! along the column at the marker's period and divided by the light. The marker then is a ridge one fringe
-//! wide: its energy must stand out of that 1.25 periods to either side, where edges and hems do not. Up to here two rows
-//! are taken as one, of which a dash has several. The ridge's core pixels (|W| < pi/2) are separated from those of the next
-//! fringe, so that a connected component follows ONE fringe by construction; it must be at least [`MIN_DASHES`] dashes long.
+//! wide: its energy must stand out of that 1.25 periods to either side, where edges and hems do not. Its core
+//! pixels (|W| < pi/2) are separated from those of the next fringe, so that a connected component follows ONE
+//! fringe by construction; it must be at least [`MIN_DASHES`] dashes long.
 
 use super::components::{self, Piece};
 use super::pair::Pair;
@@ -34,9 +34,7 @@ const BAND_LANES: usize = 16;
 /// What [`ridges`] uses again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
-    /// The columns that both of every two rows have.
-    pairs: Runs,
-    /// Light without the carrier, of as many pairs of rows as the band pass has taps, one behind the other.
+    /// Light without the carrier, of as many rows as the band pass has taps, one behind the other.
     light: Vec<f32>,
     energy: Vec<f32>,
     sums: Vec<f32>,
@@ -63,40 +61,30 @@ pub fn ridges(
     buffers.light.clear();
     buffers.light.resize(ring * stride, f32::NAN);
     buffers.found.clear();
-    buffers.pairs.of_pairs(runs);
     if let Some(energy) = energy.as_deref_mut() {
         energy.reset(w, h, f32::NAN);
     }
     simd::dispatch(
         #[inline(always)]
         || {
-            let Buffers { pairs, light, energy: row, sums, found } = &mut *buffers;
-            for next in 0..pairs.height() + half {
-                if next < pairs.height() {
+            for next in 0..h + half {
+                let Buffers { light, energy: row, sums, found } = &mut *buffers;
+                if next < h {
                     let light = &mut light[next % ring * stride..][..stride];
-                    let rows = [image.row(2 * next), image.row(2 * next + 1)];
-                    carrier_free_row(rows, pairs.row(next), period.row(2 * next), sums, light);
+                    carrier_free_row(image.row(next), runs.row(next), period.row(next), sums, light);
                 }
-                let Some(k) = next.checked_sub(half) else { continue };
-                let known = k >= half && next < pairs.height();
-                if known {
+                let Some(v) = next.checked_sub(half) else { continue };
+                if v >= half && next < h {
                     row.clear();
                     row.resize(w, f32::NAN);
-                    for run in pairs.row(k) {
-                        band.energy((light, stride), k, run, row);
+                    for run in runs.row(v) {
+                        band.energy((light, stride), v, run, row);
+                    }
+                    ridges_of_row(row, runs.row(v), period.row(v), threshold, found);
+                    if let Some(energy) = energy.as_deref_mut() {
+                        energy.row_mut(v).copy_from_slice(row);
                     }
                 }
-                for v in [2 * k, 2 * k + 1] {
-                    if known {
-                        ridges_of_row(row, pairs.row(k), period.row(v), threshold, found);
-                        if let Some(energy) = energy.as_deref_mut() {
-                            energy.row_mut(v).copy_from_slice(row);
-                        }
-                    }
-                    found.end_row();
-                }
-            }
-            if !h.is_multiple_of(2) {
                 found.end_row();
             }
         },
@@ -154,25 +142,18 @@ fn push_where(run: &Run, may: impl Fn(Range<usize>) -> bool, is: impl Fn(usize) 
     }
 }
 
-/// Light of two rows averaged over exactly one local period along them; NaN where that window leaves the run.
+/// Light averaged over exactly one local period along the row; NaN where that window leaves the run.
 #[inline(always)]
-fn carrier_free_row(
-    [above, below]: [&[u8]; 2],
-    runs: &[Run],
-    period: &[f32],
-    sums: &mut Vec<f32>,
-    out: &mut [f32],
-) {
+fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f32>, out: &mut [f32]) {
     out.fill(f32::NAN);
-    sample::reserve(sums, above.len() + 1);
+    sample::reserve(sums, image.len() + 1);
     for run in runs {
         let columns = run.columns();
         // The integral of the run up to each pixel's left side. Exact in f32: below 2^24.
         let mut sum = 0u32;
         sums[PAD + columns.start] = 0.0;
-        let pixels = above[columns.clone()].iter().zip(&below[columns.clone()]);
-        for (out, (&x, &y)) in sums[PAD + columns.start + 1..].iter_mut().zip(pixels) {
-            sum += u32::from(x) + u32::from(y);
+        for (out, &x) in sums[PAD + columns.start + 1..].iter_mut().zip(&image[columns.clone()]) {
+            sum += u32::from(x);
             *out = sum as f32;
         }
         for first in columns.clone().step_by(LANES) {
@@ -190,7 +171,7 @@ fn carrier_free_row(
                     & (half <= before + i as f32 + 0.5)
                     & (half < behind - i as f32 + 0.5)
                     & (half < MAX_HALF);
-                mean[i] = if inside { (right[i] - left[i]) / (4.0 * half) } else { f32::NAN };
+                mean[i] = if inside { (right[i] - left[i]) / (2.0 * half) } else { f32::NAN };
             }
             sample::store(out, first, count, &mean);
         }
@@ -199,7 +180,7 @@ fn carrier_free_row(
 
 /// The band pass along the column: a Hann window two periods of the marker long.
 struct Band {
-    /// Weights of the mean, of the cosine and of the sine, at the middle pair of rows and at each distance from it.
+    /// Weights of the mean, of the cosine and of the sine, at the middle row and at each distance from it.
     taps: Vec<[f32; 3]>,
     /// What of the mean the cosine lets through.
     leak: f32,
@@ -208,23 +189,23 @@ struct Band {
 impl Band {
     fn new(period: f32) -> Self {
         let half = period.round().max(2.0) as usize;
-        let tap = |x: usize| {
-            let x = x as f32;
+        let tap = |i: usize| {
+            let x = i as f32;
             let weight = 0.5 + 0.5 * (TAU * x / (2.0 * half as f32 + 2.0)).cos();
             let (sin, cos) = (TAU * x / period).sin_cos();
             [weight, weight * cos, weight * sin]
         };
-        let taps: Vec<[f32; 3]> = (0..=half).step_by(2).map(tap).collect();
+        let taps: Vec<[f32; 3]> = (0..=half).map(tap).collect();
         let sum = |k: usize| 2.0 * taps.iter().map(|tap| tap[k]).sum::<f32>() - taps[0][k];
         let leak = sum(1) / sum(0);
         Self { taps, leak }
     }
 
-    /// Amplitude of the band around a pair of rows relative to the mean, for one of its runs. NaN where the window holds
-    /// NaN. `light` is a ring of pairs of `stride` values, with room for a block behind each.
+    /// Amplitude of the band around row `v` relative to the mean, for one of its runs. NaN where the window holds
+    /// NaN. `light` is a ring of rows of `stride` values, with room for a block behind each.
     #[inline(always)]
-    fn energy(&self, (light, stride): (&[f32], usize), pair: usize, run: &Run, out: &mut [f32]) {
-        let row = pair % (light.len() / stride) * stride;
+    fn energy(&self, (light, stride): (&[f32], usize), v: usize, run: &Run, out: &mut [f32]) {
+        let row = v % (light.len() / stride) * stride;
         for first in run.columns().step_by(LANES) {
             let [mut mean, mut real, mut imaginary] = [[0f32; LANES]; 3];
             let parts = mean.as_chunks_mut().0.iter_mut().zip(real.as_chunks_mut().0);
@@ -327,14 +308,13 @@ mod tests {
         #[test]
         fn the_carrier_free_light_is_the_mean_over_one_period(
             image in proptest::collection::vec(proptest::num::u8::ANY, 150),
-            other in proptest::collection::vec(proptest::num::u8::ANY, 150),
             start in 6.0f32..20.0,
             step in -0.05f32..0.05,
             from in 0usize..40,
         ) {
             let period: Vec<f32> = (0..150).map(|u| (start + step * u as f32).max(5.0)).collect();
             let mut found = vec![0.0; 150 + LANES];
-            carrier_free_row([&image, &other], &[Run::new(from, 141)], &period, &mut Vec::new(), &mut found);
+            carrier_free_row(&image, &[Run::new(from, 141)], &period, &mut Vec::new(), &mut found);
             for u in 0..150 {
                 let half = f64::from(period[u]) / 2.0;
                 let (a, b) = (u as f64 - half + 0.5, u as f64 + half + 0.5);
@@ -344,7 +324,7 @@ mod tests {
                 }
                 // Pixel i spans i .. i + 1 here.
                 let share = |i: usize| ((i + 1) as f64).min(b) - (i as f64).max(a);
-                let sum: f64 = (0..150).map(|i| share(i).max(0.0) * (f64::from(image[i]) + f64::from(other[i])) / 2.0).sum();
+                let sum: f64 = (0..150).map(|i| share(i).max(0.0) * f64::from(image[i])).sum();
                 prop_assert!((f64::from(found[u]) - sum / (b - a)).abs() < 0.02, "{} {}", found[u], sum / (b - a));
             }
         }
@@ -369,9 +349,8 @@ mod tests {
                     let row = |i: usize| f64::from(rows[v + i - half][u]) * weight(i as f64 - half as f64);
                     (0..=2 * half).map(row).sum()
                 };
-                // Of pixels, of which a row has two.
-                let window = |x: f64| 0.5 + 0.5 * (TAU * x / (f64::from(period).round() + 1.0)).cos();
-                let turn = 2.0 * TAU / f64::from(period);
+                let window = |x: f64| 0.5 + 0.5 * (TAU * x / (2.0 * half as f64 + 2.0)).cos();
+                let turn = TAU / f64::from(period);
                 let (mean, real) = (sum(&window), sum(&|x| window(x) * (turn * x).cos()));
                 let imaginary = sum(&|x| window(x) * (turn * x).sin());
                 let expected = 2.0 * (real - f64::from(band.leak) * mean).hypot(imaginary) / mean;

@@ -77,26 +77,6 @@ impl Runs {
         }
     }
 
-    /// Replaces these by what both of every two rows of others have, one row for each two; a last one by itself is left out.
-    pub fn of_pairs(&mut self, runs: &Self) {
-        self.clear();
-        for v in (1..runs.height()).step_by(2) {
-            let (mut above, mut below) = (runs.row(v - 1), runs.row(v));
-            while let ([a, after @ ..], [b, behind @ ..]) = (above, below) {
-                let (start, end) = (a.start.max(b.start), a.end.min(b.end));
-                if start < end {
-                    self.push(Run { start, end });
-                }
-                if a.end <= b.end {
-                    above = after;
-                } else {
-                    below = behind;
-                }
-            }
-            self.end_row();
-        }
-    }
-
     /// Forgets all runs and rows.
     pub fn clear(&mut self) {
         self.runs.clear();
@@ -247,15 +227,6 @@ mod tests {
             for v in 0..5 {
                 let plain: Vec<_> = period::runs(mask.row(v)).collect();
                 let found: Vec<_> = found.row(v).iter().map(|run| run.columns()).collect();
-                prop_assert_eq!(found, plain);
-            }
-            let both = |k: usize| (0..37).map(|u| mask.at(u, 2 * k) & mask.at(u, 2 * k + 1)).collect::<Vec<_>>();
-            let mut pairs = Runs::default();
-            pairs.of_pairs(&found);
-            prop_assert_eq!(pairs.height(), 2);
-            for k in 0..2 {
-                let plain: Vec<_> = period::runs(&both(k)).collect();
-                let found: Vec<_> = pairs.row(k).iter().map(|run| run.columns()).collect();
                 prop_assert_eq!(found, plain);
             }
         }
