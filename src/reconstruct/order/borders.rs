@@ -59,19 +59,11 @@ impl Cells {
         let [beside, below] = touches;
         if let Some(Spot { first: b, into: [into, _], .. }) = beside {
             let mean = (from.right + self.nodes[b as usize].right) / 2.0;
-            self.borders.push(if is_clear(into, mean) {
-                clear(a, b)
-            } else {
-                border(a, b, surface.rest_beside(column, row, mean))
-            });
+            self.borders.push(between_whole(a, b, (into, mean), || surface.rest_beside(column, row, mean)));
         }
         if let Some(Spot { first: b, into: [_, into], .. }) = below {
             let mean = (from.down + self.nodes[b as usize].down) / 2.0;
-            self.borders.push(if is_clear(into, mean) {
-                clear(a, b)
-            } else {
-                border(a, b, surface.rest_below(column, row, mean))
-            });
+            self.borders.push(between_whole(a, b, (into, mean), || surface.rest_below(column, row, mean)));
         }
     }
 
@@ -206,16 +198,22 @@ fn turns(rest: f32) -> (i32, bool) {
     (turns as i32, (rest + turns * TAU).abs() < BORDER_RAD)
 }
 
-/// Whether all steps of a border continue without a turn, by the largest of them and the mean that is expected.
+/// The border of two nodes that fill their cells. The largest of its steps and the mean that is expected tell mostly that all continue
+/// without a turn; else `rest` has what is left of each.
 #[inline(always)]
-fn is_clear(largest: f32, mean: f32) -> bool {
-    largest + mean.abs() < CLEAR_RAD
+fn between_whole(
+    a: u32,
+    b: u32,
+    (largest, mean): (f32, f32),
+    rest: impl FnOnce() -> [f32; CELL_PX],
+) -> Border {
+    if largest + mean.abs() < CLEAR_RAD { continued(a, b, 0) } else { border(a, b, rest()) }
 }
 
-/// The border of two nodes whose eight pixel pairs continue without a turn.
+/// The border of two nodes whose eight pixel pairs all continue with these turns.
 #[inline(always)]
-fn clear(a: u32, b: u32) -> Border {
-    Border { a, b, turns: 0, good: CELL_PX as u32, bad: 0 }
+fn continued(a: u32, b: u32, turns: i32) -> Border {
+    Border { a, b, turns, good: CELL_PX as u32, bad: 0 }
 }
 
 /// The border of two nodes by what their eight pixel pairs say.
@@ -229,7 +227,7 @@ fn border(a: u32, b: u32, rest: [f32; CELL_PX]) -> Border {
         same &= good & (turns == first);
     }
     if same {
-        return Border { a, b, turns: first, good: CELL_PX as u32, bad: 0 };
+        return continued(a, b, first);
     }
     let mut counts = [(0i32, 0u32); CELL_PX];
     let mut kinds = 0;

@@ -5,7 +5,7 @@
 
 use super::borders::Border;
 use super::glimpse::{Glimpse, Glimpses, Rim};
-use super::steps::{Steps, halves, sum};
+use super::steps::{HALF, Steps, sum};
 use crate::image::Plane;
 use crate::reconstruct::bits::{self, WORD, bits_where};
 use crate::reconstruct::runs::Runs;
@@ -190,7 +190,7 @@ impl Cells {
         if let [node] = nodes
             && node.mask == ALL
         {
-            self.glimpses.set(column, row, plane(first as u32, quarters(&phase)));
+            self.glimpses.set(column, row, plane(first as u32, steps.quarters(left)));
         } else {
             self.rim(surface, column, row, &phase, object);
         }
@@ -219,7 +219,7 @@ impl Cells {
         let (left, top) = (column * CELL_PX, row * CELL_PX);
         let Spot { first, count, .. } = self.grid[row * self.columns + column];
         let of = [0; CELL_PX * CELL_PX];
-        let mut rim = Rim { object, near: 0, first, of, phase: [[f32::NAN; CELL_PX + 1]; CELL_PX] };
+        let mut rim = Rim { object, first, of, phase: [[f32::NAN; CELL_PX + 1]; CELL_PX] };
         for (v, (line, phase)) in rim.phase.iter_mut().zip(phase).enumerate() {
             line[..CELL_PX].copy_from_slice(phase);
             if top + v < surface.phase.height() {
@@ -419,25 +419,9 @@ fn mean(mask: u64, values: &Patch) -> f32 {
     sum(&sums) / mask.count_ones().max(1) as f32
 }
 
-/// Sums of the phases of a cell's quarters: above on the left and on the right, and below.
-#[inline(always)]
-fn quarters(phase: &Patch) -> [[f32; 2]; 2] {
-    let (above, below) = phase.split_at(CELL_PX / 2);
-    [above, below].map(|rows| {
-        let mut sums = [0f32; CELL_PX];
-        for row in rows {
-            for u in 0..CELL_PX {
-                sums[u] += row[u];
-            }
-        }
-        halves(&sums)
-    })
-}
-
 /// The plane of a cell that one node fills, of sums of its quarters.
 #[inline(always)]
 fn plane(node: u32, [[a, b], [c, d]]: [[f32; 2]; 2]) -> Glimpse {
-    const HALF: usize = CELL_PX / 2;
     // Halves are four pixels apart, and have 32.
     let per = 1.0 / (HALF * HALF * CELL_PX) as f32;
     let steps = [((b + d) - (a + c)) * per, ((c + d) - (a + b)) * per];

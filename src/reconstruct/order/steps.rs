@@ -8,8 +8,8 @@ use crate::reconstruct::sample::chunk;
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-/// Columns of a cell's half.
-const HALF: usize = CELL_PX / 2;
+/// Columns, and rows, of a cell's half.
+pub(super) const HALF: usize = CELL_PX / 2;
 
 /// A value for each column of a cell.
 type Columns<T> = [T; CELL_PX];
@@ -161,7 +161,7 @@ impl Steps {
 
 /// The sums of the left and the right half of a cell's columns.
 #[inline(always)]
-pub(super) fn halves(columns: &Columns<f32>) -> [f32; 2] {
+fn halves(columns: &Columns<f32>) -> [f32; 2] {
     let [a, b, c, d, e, f, g, h] = *columns;
     [(a + b) + (c + d), (e + f) + (g + h)]
 }
