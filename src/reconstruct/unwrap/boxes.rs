@@ -165,13 +165,15 @@ impl Window {
     #[inline(always)]
     pub(super) fn boxes<'a>(&'a self, blocks: &[Run], taps: &'a mut Taps) -> Boxes<'a> {
         let (half, Taps { three, nine }) = (self.half.0, taps);
-        for blocks in blocks.iter().filter(|_| half > 1) {
-            let (start, end) = (blocks.start(), blocks.end());
-            let from = &self.sums[start - half..];
-            add([from, &from[1..], &from[2..]], &mut three[start..end + BLOCK]);
-            if half > 4 {
-                let three = &three[start..];
-                add([three, &three[3..], &three[6..]], &mut nine[start..end + BLOCK]);
+        if half > 1 {
+            for blocks in blocks {
+                let (start, end) = (blocks.start(), blocks.end());
+                let from = &self.sums[start - half..];
+                add([from, &from[1..], &from[2..]], &mut three[start..end + BLOCK]);
+                if half > 4 {
+                    let three = &three[start..];
+                    add([three, &three[3..], &three[6..]], &mut nine[start..end + BLOCK]);
+                }
             }
         }
         let sums = self.sums.as_slice();
@@ -209,6 +211,12 @@ fn move_by(sums: &mut [i32], row: &[i32], blocks: &[Run], by: impl Fn(i32, i32) 
     }
 }
 
+/// The sum of three values, any where these are: beside the runs.
+#[inline(always)]
+pub(super) fn sum(a: i32, b: i32, c: i32) -> i32 {
+    a.wrapping_add(b).wrapping_add(c)
+}
+
 /// Sums of three values each.
 #[inline(always)]
 fn add(parts: [&[i32]; 3], out: &mut [i32]) {
@@ -218,7 +226,7 @@ fn add(parts: [&[i32]; 3], out: &mut [i32]) {
         one_by_one();
         let mut sums = [0; BLOCK];
         for i in 0..BLOCK {
-            sums[i] = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
+            sums[i] = sum(a[i], b[i], c[i]);
         }
         *out = sums;
     }

@@ -3,7 +3,7 @@
 //! Rows go down the image through rings that stay in the cache, and only the runs of the object are touched. All sums are
 //! of whole numbers, so that what is added to a window and taken off again cancels exactly.
 
-use super::boxes::{Ring, Taps, VECTOR, Window, find_blocks, padded, whole_vectors};
+use super::boxes::{Ring, Taps, VECTOR, Window, find_blocks, padded, sum, whole_vectors};
 use crate::image::Plane;
 use crate::reconstruct::bits::WORD;
 use crate::reconstruct::round::{nearest, whole};
@@ -108,8 +108,7 @@ impl Side {
             let (steps, [a, b, c]) = (&self.steps.row(v)[start..][..n], means.of(run.start(), n));
             let out = &mut row[start..][..n];
             for i in 0..n {
-                let sum = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
-                let residual = apart((steps[i] >> COUNT_BITS) as f32 - mean(sum));
+                let residual = apart((steps[i] >> COUNT_BITS) as f32 - mean(sum(a[i], b[i], c[i])));
                 out[i] = if steps[i] == 0 { 0 } else { counted(residual) };
             }
         }
@@ -135,16 +134,15 @@ impl Side {
             let excess = &excess[column..][..n];
             let (costs, out) = (&mut self.costs[..n], &mut self.codes[column..][..n]);
             for i in 0..n {
-                let sum = a[i].wrapping_add(b[i]).wrapping_add(c[i]);
-                let (residual, around) = ((own[i] >> COUNT_BITS) as f32, mean(sum));
+                let (residual, around) = ((own[i] >> COUNT_BITS) as f32, mean(sum(a[i], b[i], c[i])));
                 let worse = if residual < around { around } else { residual };
                 costs[i] = worse + excess[i];
             }
             // By themselves: else the compiler makes branches of these choices where vectors have no masks.
             let [a, b, c] = stretch.of(column, n);
             for i in 0..n {
-                let (cost, sum) = (costs[i], a[i].wrapping_add(b[i]).wrapping_add(c[i]));
-                let doubtful = (cost > bounds.doubtful) | mean_exceeds(sum, bounds.doubtful_stretch);
+                let (cost, around) = (costs[i], sum(a[i], b[i], c[i]));
+                let doubtful = (cost > bounds.doubtful) | mean_exceeds(around, bounds.doubtful_stretch);
                 // What is large is no edge; NaN is none, either, whatever its units come to.
                 let edge = (own[i] != 0) & (cost <= bounds.largest);
                 let code = whole(cost) as u16 | if doubtful { DOUBTFUL } else { 0 };

@@ -137,6 +137,7 @@ impl Forest {
             (root, other, shift) = (other, root, -shift);
             std::mem::swap(&mut tree, &mut small);
         }
+        // Most have no votes.
         if small.votes == 0 {
             self.trees[root as usize].size = tree.size + small.size;
             self.links[other as usize] = Link { parent: root, turns: shift };
@@ -144,7 +145,7 @@ impl Forest {
         }
         // The order that the other tree's votes give this root.
         let order_other = small.order - shift;
-        if tree.votes > 0 && small.votes > 0 && tree.order != order_other {
+        if tree.votes > 0 && tree.order != order_other {
             if tree.votes.min(small.votes) >= settings.min_votes {
                 return false;
             }
