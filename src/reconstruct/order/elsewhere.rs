@@ -20,12 +20,10 @@ use std::ops::Range;
 /// Stretches are sought within squares of so many cells.
 const SQUARE: usize = 12;
 
-/// Fewest nodes of a stretch.
-const MIN_NODES: usize = 4;
-
 /// Nodes of a stretch that are tried, and how many of these say whether an order is worth the rest.
 const SAMPLES: usize = 16;
 const FIRST_SAMPLES: usize = 1;
+const _: () = assert!(FIRST_SAMPLES <= MIN_CONFIRMED as usize);
 
 /// Nodes smaller than this are not tried, px.
 const MIN_SAMPLE_PX: u32 = 40;
@@ -191,7 +189,7 @@ impl Search<'_> {
             |node| lonely[node],
             |first, other| square[first] == square[other],
         );
-        for stretch in stretches.iter().filter(|stretch| stretch.len() >= MIN_NODES) {
+        for stretch in stretches.iter().filter(|stretch| stretch.len() >= MIN_CONFIRMED as usize) {
             let first = stretch[0].0 as usize;
             let mut looks = Seen::default();
             if let Some(failure) = failures.get_mut(&first).filter(|x| x.stretch == stretch) {
@@ -223,7 +221,7 @@ impl Search<'_> {
         }
         let orders = stretch::orders(scene, &places)?;
         let samples = stretch::lines(scene, &places);
-        let (first, rest) = samples.split_at(samples.len().min(FIRST_SAMPLES));
+        let (first, rest) = samples.split_at(FIRST_SAMPLES);
         if looks.first.len() == 0 {
             looks.first.add(self.scenes, number, first, orders.clone());
         }

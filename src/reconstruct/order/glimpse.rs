@@ -147,8 +147,6 @@ impl<const N: usize> GlimpseLanes<N> {
 pub struct Rim {
     /// A bit for each pixel of the object, row by row.
     pub object: u64,
-    /// A bit for each pixel that is the object or has it [`BACKGROUND_PX`] to the left, to the right, above or below.
-    pub near: u64,
     /// The first of its nodes.
     pub first: u32,
     /// For each pixel 0, or the number of its node among the cell's, from 1.
@@ -169,7 +167,7 @@ pub struct RimRow {
     pub of: [u8; CELL_PX],
     /// A bit for each pixel, as in [`Rim::object`].
     object: u8,
-    /// The same as in [`Rim::near`].
+    /// The same of those that are the object's or have it [`BACKGROUND_PX`] to the left, to the right, above or below.
     near: u8,
 }
 
@@ -200,12 +198,13 @@ impl RimRow {
 type RimRows = [RimRow; CELL_PX];
 
 impl Rim {
+    /// Its rows, as long as it is not known what is [`near`](RimRow::near).
     fn rows(&self) -> RimRows {
         let mut rows = [RimRow::NONE; CELL_PX];
         let (of, _) = self.of.as_chunks::<CELL_PX>();
-        let bits = self.object.to_le_bytes().into_iter().zip(self.near.to_le_bytes());
-        for (((row, phase), of), (object, near)) in rows.iter_mut().zip(&self.phase).zip(of).zip(bits) {
-            *row = RimRow { phase: *phase, first: self.first, of: *of, object, near };
+        let pixels = self.phase.iter().zip(of).zip(self.object.to_le_bytes());
+        for (row, ((phase, of), object)) in rows.iter_mut().zip(pixels) {
+            *row = RimRow { phase: *phase, first: self.first, of: *of, object, near: 0 };
         }
         rows
     }
@@ -405,11 +404,7 @@ mod tests {
         for (i, of) in of.iter_mut().enumerate().filter(|x| x.0 % 8 < 4) {
             *of = if i == 8 { 0 } else { 1 + u8::from(i >= 32) };
         }
-        glimpses.set_rim(
-            1,
-            0,
-            Rim { object: 0x0f0f_0f0f_0f0f_0f0f, near: 0, first: 6, of, phase: [[0.0; 9]; 8] },
-        );
+        glimpses.set_rim(1, 0, Rim { object: 0x0f0f_0f0f_0f0f_0f0f, first: 6, of, phase: [[0.0; 9]; 8] });
         glimpses.mark_outlines(&Runs::of(&object));
         for v in 0..40 {
             for u in 0..40 {

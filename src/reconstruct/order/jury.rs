@@ -26,7 +26,7 @@ impl Known {
         self.0.extend([NONE; NO_NODES]);
     }
 
-    /// Forgets what was known of one node, of the nodes of all views.
+    /// Takes note of the turns of one node, of the nodes of all views.
     pub fn set(&mut self, node: usize, turns: i32) {
         self.0[node] = turns;
     }
