@@ -25,8 +25,8 @@ pub(super) struct Above {
 }
 
 impl Above {
-    /// A bit for each pixel whose envelope lies above `level`, row by row, of the columns that are returned: those with words beside
-    /// which there is none. The closing reaches `half` pixels to each side, 63 at most; the image's outermost pixels have no median.
+    /// A bit for each pixel whose envelope lies above `level`, row by row, in columns that are returned and begin with a word: beside
+    /// them there is none. The closing reaches `half` pixels to each side, 63 at most; the image's outermost pixels have no median.
     #[inline(always)]
     pub(super) fn find(
         &mut self,
@@ -98,20 +98,19 @@ fn close(row: &[u64], width: usize, half: u32, wide: &mut [u64], out: &mut [u64]
         return out.fill(0);
     }
     spread(row, half, wide);
-    let Some((last, before)) = wide.split_last_mut() else { return };
     // What is not set spreads; nothing does from beyond the ends.
-    before.iter_mut().for_each(|word| *word = !*word);
-    *last = !*last & ends(width);
+    complement(wide, width);
     spread(wide, half, out);
-    let Some((last, before)) = out.split_last_mut() else { return };
-    before.iter_mut().for_each(|word| *word = !*word);
-    *last = !*last & ends(width);
+    complement(out, width);
 }
 
-/// The bits that a row of `width` has in its last word.
+/// Sets what is not set of a row of `width` bits, and takes away what is.
 #[inline(always)]
-fn ends(width: usize) -> u64 {
-    u64::MAX >> (width.next_multiple_of(WORD) - width)
+fn complement(row: &mut [u64], width: usize) {
+    row.iter_mut().for_each(|word| *word = !*word);
+    if let Some(last) = row.last_mut() {
+        *last &= u64::MAX >> (width.next_multiple_of(WORD) - width);
+    }
 }
 
 /// Sets so many bits to each side of every one that is set.

@@ -232,15 +232,7 @@ fn add_up(row: &[u8], sums: &mut Vec<u32>) {
     sums.resize(row.len() + 1, 0);
     sums[0] = 0;
     let mut sum = 0;
-    let ((blocks, rest), (pixels, last)) = (sums[1..].as_chunks_mut::<BLOCK>(), row.as_chunks::<BLOCK>());
-    // A block's loop is taken apart, and counts no pixels.
-    for (out, pixels) in blocks.iter_mut().zip(pixels) {
-        for (out, &x) in out.iter_mut().zip(pixels) {
-            sum += u32::from(x);
-            *out = sum;
-        }
-    }
-    for (out, &x) in rest.iter_mut().zip(last) {
+    for (out, &x) in sums[1..].iter_mut().zip(row) {
         sum += u32::from(x);
         *out = sum;
     }
@@ -337,8 +329,9 @@ fn find_crossings(pixels: usize, buffers: &mut Buffers) {
             let until = changes & u64::MAX >> (WORD as u32 - 1 - certain);
             let seen = if until == 0 { changed } else { last(until) };
             if let Some([a, b]) = beyond[seen - 1..].first_chunk() {
-                let at = seen as i32 as f32 - b / (b - a);
-                let behind = seen as u32 + u32::from(at >= seen as i32 as f32);
+                let column = seen as i32 as f32;
+                let at = column - b / (b - a);
+                let behind = seen as u32 + u32::from(at >= column);
                 crossings.push(Crossing { at, behind, certain: (k * WORD) as u32 + certain });
             }
             far = far.map(|far| far & u64::MAX << certain);
