@@ -44,17 +44,17 @@ const NOISE_DN: f32 = 0.6;
 /// most of their windows, and each phase is a mean of five rows.
 const REACH: (usize, usize) = (12, 5);
 const COLUMN_STEP: usize = 3;
-const ROW_STEP: usize = 2;
+const ROW_STEP: usize = 5;
 
 /// Fewer good pixels than this make no plane.
-const MIN_SUPPORT: usize = 11;
+const MIN_SUPPORT: usize = 6;
 
 /// Variance of the plane at the pixel relative to that of one phase: beyond this it is an extrapolation.
 const MAX_LEVERAGE: f32 = 0.3;
 
 /// Phases around a pixel are not independent: they share windows and rows. The error of the plane at the pixel
 /// is this times what it would be if they were.
-const DEPENDENCE: f32 = 4.4;
+const DEPENDENCE: f32 = 3.1;
 
 /// Least RMS residual that a plane can be trusted to have, rad.
 const MIN_RESIDUAL: f32 = 0.003;
@@ -250,7 +250,7 @@ struct Sums {
 }
 
 /// One, a row and the square of its distance in one number, so that one addition counts all three: how many pixels of a
-/// column there are, and above these the sums of rows and of squares. They take 17 bits, and a float has 24.
+/// column there are, and above these the sums of rows and of squares. They take 10 bits, and a float has 24.
 const COUNTS: [f32; ROWS] = {
     let mut counts = [0.0; ROWS];
     let mut row = 0;
@@ -262,9 +262,9 @@ const COUNTS: [f32; ROWS] = {
     counts
 };
 
-/// Where the sums of rows and of squares begin: there are up to 6 pixels, and their rows come to 15.
-const ROW_BITS: u32 = 4;
-const SQUARE_BITS: u32 = 10;
+/// Where the sums of rows and of squares begin: there are up to 3 pixels, and their rows come to 3.
+const ROW_BITS: u32 = 2;
+const SQUARE_BITS: u32 = 4;
 
 impl Sums {
     /// Of the good phases around each pixel of a block, those on the surface of its `phase`.
