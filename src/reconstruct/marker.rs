@@ -156,11 +156,14 @@ fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f
             sum += u32::from(x);
             *out = sum as f32;
         }
+        // A block ahead, as in the demodulation.
+        let mut next = Periods::new(&sample::load(period, columns.start));
         for first in columns.clone().step_by(LANES) {
             let count = LANES.min(columns.end - first);
+            let periods = next;
+            next = Periods::new(&sample::load(period, (first + LANES).min(columns.end)));
             let period = sample::load(period, first);
             // Pixel i spans [i - 1/2, i + 1/2].
-            let periods = Periods::new(&period);
             let left = sample::between(sums, first, &periods, -0.5, 0.5);
             let right = sample::between(sums, first, &periods, 0.5, 0.5);
             let (before, behind) = ((first - columns.start) as f32, (columns.end - 1 - first) as f32);
