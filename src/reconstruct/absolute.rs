@@ -4,8 +4,8 @@
 //! dropped with a margin, unless it is certain that their own has not: completeness may suffer, truth may not.
 
 use super::runs::{Run, Runs, each_not_0};
-use super::simd;
 use super::windows::{STEPS_PER_DN, Windows};
+use super::{prefetch, simd};
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
@@ -67,6 +67,11 @@ pub fn select(
             #[inline(always)]
             || {
                 for next in 0..h + 1 {
+                    let soon = next + prefetch::AHEAD;
+                    prefetch::row(absolute, runs, soon);
+                    prefetch::row(period, runs, soon);
+                    prefetch::row(&windows.strength, runs, soon);
+                    prefetch::row(&windows.misfit, runs, soon);
                     if next < h {
                         buffers.near[(next + 1) % 3].fill(0);
                         let below = (next + 1 < h).then(|| absolute.row(next + 1));

@@ -59,6 +59,7 @@ pub mod pipeline;
 /// Frames from PNG files.
 pub mod png_source;
 mod pool;
+mod prefetch;
 /// Verticality Vm, border distance Bm, quality Qm.
 pub mod quality;
 /// What triangulation comes to along every line of sight.

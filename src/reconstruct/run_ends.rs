@@ -12,10 +12,9 @@
 use super::demodulate::{self, Gains};
 use super::runs::{Run, Runs};
 use super::windows::{self, Windows};
-use super::{round, sample, shading, simd};
+use super::{prefetch, round, sample, shading, simd};
 use crate::image::Plane;
 use std::f32::consts::TAU;
-use std::hint::black_box;
 use std::ops::Range;
 
 /// How far a window may reach beyond its run: share of a period, and px.
@@ -53,9 +52,6 @@ const PERIOD_CHANGE: f32 = 0.3;
 const LESS_MISFIT: f32 = 0.9;
 const PHASE_CHANGE: f32 = 0.5;
 
-/// Rows whose ends are fetched before they are worked on.
-const AHEAD: usize = 2;
-
 /// What is read.
 pub(super) struct Input<'a> {
     pub image: &'a Plane<u8>,
@@ -80,7 +76,7 @@ pub(super) fn complete(
         || {
             let mut added = 0;
             for v in 0..absolute.height() {
-                touch(input, absolute, windows, period, v + AHEAD);
+                touch(input, absolute, windows, period, v + prefetch::AHEAD);
                 let mut row = Row {
                     absolute: absolute.row_mut(v),
                     strength: windows.strength.row_mut(v),
@@ -106,21 +102,19 @@ fn touch(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, period: &P
     if v >= absolute.height() {
         return;
     }
-    let mut seen = 0;
     for run in input.runs.row(v) {
         let (start, last) = (run.start(), run.end() - 1);
         // Up to a cache line further in: there may be two of them.
         for u in [start, last, (start + END_PX).min(last), last.saturating_sub(END_PX).max(start)] {
-            let counts = windows.strength.at(u, v) | windows.light.at(u, v);
-            let bytes = input.image.at(u, v) | input.zone.at(u, v);
-            let numbers = [absolute.at(u, v), windows.misfit.at(u, v), period.at(u, v)];
-            seen |= u32::from(counts) | u32::from(bytes);
-            for number in numbers {
-                seen |= number.to_bits();
-            }
+            prefetch::value(windows.strength.row(v), u);
+            prefetch::value(windows.light.row(v), u);
+            prefetch::value(input.image.row(v), u);
+            prefetch::value(input.zone.row(v), u);
+            prefetch::value(absolute.row(v), u);
+            prefetch::value(windows.misfit.row(v), u);
+            prefetch::value(period.row(v), u);
         }
     }
-    black_box(seen);
 }
 
 /// One row of what is read and written.

@@ -1,0 +1,47 @@
+//! Memory that is needed soon, asked for before it is.
+//!
+//! Rows of planes lie far from each other, and only a part of each is used: the processor, which looks ahead along one stretch of memory,
+//! sees each run's beginning too late. A request costs an instruction and is waited for by nobody.
+
+use super::runs::Runs;
+use crate::image::Plane;
+
+/// Rows that are asked for before they are worked on.
+pub(super) const AHEAD: usize = 2;
+
+/// Bytes that memory is fetched by.
+const LINE: usize = 64;
+
+/// Asks for a value of a row; for none where there is none.
+#[inline(always)]
+pub(super) fn value<T>(row: &[T], at: usize) {
+    if let Some(value) = row.get(at) {
+        fetch(value);
+    }
+}
+
+/// Asks for what the runs of row `v` hold of a plane, if there is such a row.
+#[inline(always)]
+pub(super) fn row<T: Copy>(plane: &Plane<T>, runs: &Runs, v: usize) {
+    if v >= plane.height() {
+        return;
+    }
+    for run in runs.row(v) {
+        for value in plane.row(v)[run.columns()].iter().step_by(LINE / size_of::<T>()) {
+            fetch(value);
+        }
+    }
+}
+
+/// Asks for the line of a value.
+#[inline(always)]
+fn fetch<T>(value: &T) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a hint, which reads nothing and faults nowhere. The standard library has no safe function for it.
+    unsafe {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast());
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = value;
+}
