@@ -76,7 +76,7 @@ pub(super) fn complete(
         || {
             let mut added = 0;
             for v in 0..absolute.height() {
-                touch(input, absolute, windows, period, v + prefetch::AHEAD);
+                ask_for_ends(input, absolute, windows, period, v + prefetch::AHEAD);
                 let mut row = Row {
                     absolute: absolute.row_mut(v),
                     strength: windows.strength.row_mut(v),
@@ -95,10 +95,10 @@ pub(super) fn complete(
     )
 }
 
-/// Looks at the ends of a row's runs in all planes that are needed there. They lie far from each other in memory: all of them are
-/// fetched at once, while other rows are worked on, and need not be waited for one by one.
+/// Asks for the ends of a row's runs in all planes that are needed there, which lie far from each other in memory, so that none has to be
+/// waited for by itself.
 #[inline(always)]
-fn touch(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, period: &Plane<f32>, v: usize) {
+fn ask_for_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, period: &Plane<f32>, v: usize) {
     if v >= absolute.height() {
         return;
     }
