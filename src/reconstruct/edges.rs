@@ -40,21 +40,20 @@ const ERROR_PER_MISFIT: f32 = 0.8;
 /// Noise of a sample, DN: its share of the misfit says nothing of edges.
 const NOISE_DN: f32 = 0.6;
 
-/// Columns and rows to each side that a plane is laid through, and the steps between them: neighbours in a row share
-/// most of their windows, and each phase is a mean of five rows.
+/// Columns and rows to each side that a plane is laid through, and the step between columns: neighbours in a
+/// row share most of their windows.
 const REACH: (usize, usize) = (12, 5);
 const COLUMN_STEP: usize = 3;
-const ROW_STEP: usize = 5;
 
 /// Fewer good pixels than this make no plane.
-const MIN_SUPPORT: usize = 6;
+const MIN_SUPPORT: usize = 20;
 
 /// Variance of the plane at the pixel relative to that of one phase: beyond this it is an extrapolation.
 const MAX_LEVERAGE: f32 = 0.3;
 
 /// Phases around a pixel are not independent: they share windows and rows. The error of the plane at the pixel
 /// is this times what it would be if they were.
-const DEPENDENCE: f32 = 3.1;
+const DEPENDENCE: f32 = 6.0;
 
 /// Least RMS residual that a plane can be trusted to have, rad.
 const MIN_RESIDUAL: f32 = 0.003;
@@ -114,7 +113,7 @@ pub fn refine(
                     }
                     let mut good: [&[f32]; ROWS] = [&[]; ROWS];
                     for (row, good) in good.iter_mut().enumerate() {
-                        *good = support.row(v, row * ROW_STEP);
+                        *good = support.row(v, row);
                     }
                     let mut left = &doubtful[..];
                     while let Some(&first) = left.first() {
@@ -191,7 +190,7 @@ type Lanes = [f32; LANES];
 
 /// Columns and rows that a plane is laid through.
 const COLUMNS: usize = 2 * REACH.0 / COLUMN_STEP + 1;
-const ROWS: usize = 2 * REACH.1 / ROW_STEP + 1;
+const ROWS: usize = 2 * REACH.1 + 1;
 
 /// Room beside the rows of support: the reach, and lanes beyond the row's end.
 const PAD: usize = REACH.0 + LANES;
@@ -250,21 +249,21 @@ struct Sums {
 }
 
 /// One, a row and the square of its distance in one number, so that one addition counts all three: how many pixels of a
-/// column there are, and above these the sums of rows and of squares. They take 10 bits, and a float has 24.
+/// column there are, and above these the sums of rows and of squares. They take 17 bits, and a float has 24.
 const COUNTS: [f32; ROWS] = {
     let mut counts = [0.0; ROWS];
     let mut row = 0;
     while row < ROWS {
-        let from_middle = (row * ROW_STEP).abs_diff(REACH.1);
+        let from_middle = row.abs_diff(REACH.1);
         counts[row] = (1 | row << ROW_BITS | (from_middle * from_middle) << SQUARE_BITS) as f32;
         row += 1;
     }
     counts
 };
 
-/// Where the sums of rows and of squares begin: there are up to 3 pixels, and their rows come to 3.
-const ROW_BITS: u32 = 2;
-const SQUARE_BITS: u32 = 4;
+/// Where the sums of rows and of squares begin: there are up to 11 pixels, and their rows come to 55.
+const ROW_BITS: u32 = 4;
+const SQUARE_BITS: u32 = 10;
 
 impl Sums {
     /// Of the good phases around each pixel of a block, those on the surface of its `phase`.
@@ -281,7 +280,7 @@ impl Sums {
             // Of the column alone, in which x is the same.
             let [mut counts, mut z1, mut yz] = [[0f32; LANES]; 3];
             for ((row, good), count) in around.iter().enumerate().zip(COUNTS) {
-                let y = (row * ROW_STEP) as f32 - REACH.1 as f32;
+                let y = row as f32 - REACH.1 as f32;
                 for i in 0..LANES {
                     let z = good[place + i] - phase[i] - along[i];
                     // Not so for NaN.
@@ -297,7 +296,7 @@ impl Sums {
                 let counts = whole(counts[i]);
                 let pixels = counts & ((1 << ROW_BITS) - 1);
                 let rows = counts >> ROW_BITS & ((1 << (SQUARE_BITS - ROW_BITS)) - 1);
-                let (n, y1) = (pixels as f32, (ROW_STEP as i32 * rows - REACH.1 as i32 * pixels) as f32);
+                let (n, y1) = (pixels as f32, (rows - REACH.1 as i32 * pixels) as f32);
                 sums.n[i] += n;
                 sums.x[i] += x * n;
                 sums.y[i] += y1;
