@@ -10,9 +10,9 @@ use super::angle;
 use super::round::whole;
 use super::runs::{Run, Runs};
 use super::sample::{self, LANES, Lanes};
+use super::simd;
 use super::support::Support;
 use super::windows::{self, Windows};
-use super::{prefetch, simd};
 use crate::image::Plane;
 use std::cell::RefCell;
 
@@ -59,11 +59,6 @@ pub fn correct(
             || {
                 support.begin(absolute, REACH_ROWS, PAD);
                 for v in 0..absolute.height() {
-                    let soon = v + REACH_ROWS + prefetch::AHEAD;
-                    prefetch::row(absolute, runs, soon);
-                    prefetch::row(&windows.misfit, runs, soon);
-                    prefetch::row(&windows.strength, runs, v + prefetch::AHEAD);
-                    prefetch::row(period, runs, v + prefetch::AHEAD);
                     // What may support: the phase where it is known and looks like a fringe.
                     support.advance(
                         v,

@@ -156,7 +156,7 @@ fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f
             sum += u32::from(x);
             *out = sum as f32;
         }
-        // A block ahead: how far its distances go is known only when all its periods have been compared.
+        // A block ahead: how far its distances go is known only when all its periods have been compared. (Behind the last one there is none.)
         let mut next = Periods::new(&sample::load(period, columns.start));
         for first in columns.clone().step_by(LANES) {
             let count = LANES.min(columns.end - first);

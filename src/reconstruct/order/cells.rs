@@ -8,7 +8,6 @@ use super::glimpse::{Glimpse, Glimpses, Rim};
 use super::steps::{HALF, Steps, sum};
 use crate::image::Plane;
 use crate::reconstruct::bits::{self, WORD, bits_where};
-use crate::reconstruct::prefetch;
 use crate::reconstruct::runs::Runs;
 use crate::reconstruct::sample::part;
 use crate::reconstruct::simd;
@@ -119,10 +118,6 @@ impl Cells {
                 // Rows touch the next one, which is in the cache yet.
                 for row in 0..=rows {
                     if row < rows {
-                        for v in (row + 1) * CELL_PX..(row + 2) * CELL_PX {
-                            prefetch::row(surface.phase, surface.runs, v);
-                            prefetch::row(surface.period, surface.runs, v);
-                        }
                         let band = band(surface.runs, row);
                         object.mark(surface.runs, row);
                         steps.measure(surface, row, band.clone());

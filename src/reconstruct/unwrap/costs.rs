@@ -6,7 +6,6 @@
 use super::boxes::{Ring, Taps, VECTOR, Window, find_blocks, padded, sum, whole_vectors};
 use crate::image::Plane;
 use crate::reconstruct::bits::WORD;
-use crate::reconstruct::prefetch;
 use crate::reconstruct::round::{nearest, whole};
 use crate::reconstruct::runs::{Run, Runs};
 use std::f32::consts::TAU;
@@ -190,15 +189,12 @@ pub(super) fn run(
     excess.resize(w + VECTOR, 0.0);
     row_turns.resize(w, 0);
     for next in 0..h + LAG {
-        prefetch::row(input.wrapped, input.runs, next + 1 + prefetch::AHEAD);
-        prefetch::row(input.period, input.runs, next + prefetch::AHEAD);
         if next < h {
             steps_right(input, next, right.steps.fresh(next, input.runs), row_turns);
             add_up(input.runs.row(next), row_turns, turns.row_mut(next));
             steps_down(input, next, down.steps.fresh(next, input.runs));
         }
         if let Some(v) = next.checked_sub(LAG) {
-            prefetch::row(input.misfit, input.runs, v + prefetch::AHEAD);
             find_excess(input.misfit.row(v), input.runs.row(v), excess);
         }
         for side in [&mut *right, &mut *down] {
