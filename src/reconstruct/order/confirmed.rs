@@ -24,8 +24,9 @@ const FIRST_SAMPLES: usize = 6;
 /// What a word of the head's other camera counts, one of another head 1: at wrong orders that camera agrees the least often.
 const PARTNER: i32 = 2;
 
-/// Words for the best order, relative to the places, and to those for any other order.
-const MIN_WORDS: i32 = 1;
+/// Words for the best order, for so many places, and relative to those for any other order.
+const MIN_WORDS: i32 = 3;
+const PER_PLACES: i32 = 5;
 const LEAD: i32 = 3;
 
 /// Places are contradicted at the best order once in so many, at most.
@@ -105,7 +106,7 @@ fn clear(trials: impl Iterator<Item = Trial>, places: i32) -> Option<i32> {
             second = second.max(trial.good);
         }
     }
-    let seen = best.good >= MIN_WORDS * places && best.good >= LEAD * second;
+    let seen = best.good * PER_PLACES >= MIN_WORDS * places && best.good >= LEAD * second;
     (seen && best.against * CONTRADICTED <= places).then_some(best.order)
 }
 
@@ -133,7 +134,8 @@ mod tests {
         assert_eq!(of_three([7, 20, 0], 0), None);
         assert_eq!(of_three([0, 20, 7], 0), None);
         assert_eq!(of_three([20, 20, 20], 0), None);
-        assert_eq!(of_three([0, 19, 0], 0), None);
+        assert_eq!(of_three([0, 12, 0], 0), Some(6));
+        assert_eq!(of_three([0, 11, 0], 0), None);
         assert_eq!(of_three([0; 3], 0), None);
         assert_eq!(clear(std::iter::empty(), 20), None);
     }

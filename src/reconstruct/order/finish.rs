@@ -15,10 +15,10 @@ use super::words::Words;
 use super::{confirmed, enclosed};
 
 /// Words of the head's other camera, within two steps, without which an order other than the piece's is refused.
-const DISPUTED: i16 = 16;
+const DISPUTED: i16 = 8;
 
 /// The same where growth puts the place behind the piece's: a limb that has taken the trunk's order.
-const DISPUTED_BEHIND: i16 = 25;
+const DISPUTED_BEHIND: i16 = 12;
 
 /// Rounds of closing holes, at most: from each side they are closed by so many nodes.
 const ROUNDS: usize = 20;
@@ -75,7 +75,7 @@ fn doubtful(view: &View<'_>, scene: &Scene<'_>, node: usize, sum: &Words) -> boo
     // What only other heads confirm: the surface behind a limb is seen by them too.
     let alone = sum.partner == 0 && (scene.pieces.core[node] || sum.hidden == 0);
     let torn = conflict > 16 || conflict > 0 && sum.partner <= 15;
-    let rim = view.around.is_torn(node) && sum.partner <= FIRM && sum.heads <= 12;
+    let rim = view.around.is_torn(node) && sum.partner <= FIRM && sum.heads <= FIRM;
     let unvouched = unconfirmed || alone && !agreed;
     let disputed = match piece {
         None => sum.partner < DISPUTED && sum.heads == 0,

@@ -416,7 +416,7 @@ fn contradicted(own: Words, sum: Words, core: bool) -> bool {
 }
 
 /// Words of the head's other camera that stand against a neighbour of another order.
-pub const FIRM: i16 = 11;
+pub const FIRM: i16 = 6;
 
 /// Tries all that has an order against all that has, and takes it from what is contradicted.
 fn check(scenes: &[Scene<'_>], views: &mut [View<'_>], known: &mut Known) {

@@ -7,7 +7,7 @@
 use super::grow::NONE;
 use super::lookout::LANES;
 use super::settle::{Scene, all_nodes};
-use super::witness::{OTHER_RAD, SAME_RAD, SightLanes};
+use super::witness::{OTHER_RAD, SAME_ELSEWHERE_RAD, SAME_RAD, SightLanes};
 use std::f32::consts::TAU;
 
 /// Whole turns that make the phases of the nodes of all views absolute, or [`NONE`]: view after view, and at last those of
@@ -55,6 +55,8 @@ pub struct Weights {
 struct Bench {
     /// [`Witness::sign`](super::witness::Witness::sign).
     sign: [f32; LANES],
+    /// Phases of the same surface differ by less, rad: [`SAME_RAD`] or [`SAME_ELSEWHERE_RAD`].
+    same: [f32; LANES],
     agrees: [u32; LANES],
     before: [u32; LANES],
     behind: [u32; LANES],
@@ -73,12 +75,21 @@ impl Jury {
     /// All cameras, as a view asks them. `weights`: what they count, by whether a camera is of the view's head.
     pub fn new(scenes: &[Scene<'_>], view: usize, weights: impl Fn(bool) -> Weights) -> Self {
         let none = [0; LANES];
-        let empty = Bench { sign: [1.0; LANES], agrees: none, before: none, behind: none, past: none };
+        let empty = Bench {
+            sign: [1.0; LANES],
+            same: [0.0; LANES],
+            agrees: none,
+            before: none,
+            behind: none,
+            past: none,
+        };
         let mut benches = vec![empty; scenes.len().div_ceil(LANES)];
         for (number, scene) in scenes.iter().enumerate() {
             let (bench, lane) = (&mut benches[number / LANES], number % LANES);
-            let weights = weights(scene.witness.head == scenes[view].witness.head);
+            let partner = scene.witness.head == scenes[view].witness.head;
+            let weights = weights(partner);
             bench.sign[lane] = scene.witness.sign();
+            bench.same[lane] = if partner { SAME_RAD } else { SAME_ELSEWHERE_RAD };
             bench.agrees[lane] = weights.agrees;
             bench.before[lane] = weights.before;
             bench.behind[lane] = weights.behind;
@@ -100,7 +111,7 @@ impl Jury {
             // Where no turns are known this is any number that is beyond all.
             let ahead = (seen.ahead[i] + TAU * turns[i] as f32) * bench.sign[i];
             let is_known = turns[i] != NONE;
-            let agrees = is_known & (ahead.abs() < SAME_RAD);
+            let agrees = is_known & (ahead.abs() < bench.same[i]);
             let before = is_known & (ahead >= OTHER_RAD);
             let behind = is_known & (ahead <= -OTHER_RAD);
             let past = seen.node[i] == self.past;
@@ -135,7 +146,7 @@ mod tests {
             node in 0u32..4,
         ) {
             let [agrees, before, behind, past] = [[1; LANES], [2; LANES], [4; LANES], [8; LANES]];
-            let bench = Bench { sign: [sign; LANES], agrees, before, behind, past };
+            let bench = Bench { sign: [sign; LANES], same: [SAME_RAD; LANES], agrees, before, behind, past };
             let jury = Jury { past: 3, benches: vec![bench] };
             let mut known = Known::default();
             known.update([[turns, NONE].as_slice()].into_iter());

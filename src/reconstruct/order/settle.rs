@@ -47,7 +47,7 @@ const MIN_EVIDENCE: f32 = 0.5;
 const MIN_MARGIN: [f32; 2] = [1.0, 0.5];
 
 /// Places from which a camera's word counts in full.
-const FULL_WITNESS: f32 = 12.0;
+const FULL_WITNESS: f32 = 8.0;
 
 /// Fewest places that a camera must judge.
 const MIN_WITNESS: u32 = 3;

@@ -15,11 +15,17 @@ use nalgebra::{Point3, Vector3};
 use std::f32::consts::TAU;
 use std::hint::select_unpredictable;
 
-/// Phases of the same surface differ by less, rad.
-pub const SAME_RAD: f32 = 0.8;
+/// Phases of the same surface differ by less for the cameras of one head, rad: 2 mm. Where an order is right they differ by less than 0.1 rad
+/// nearly everywhere, where two surfaces agree by chance, by anything (`docs/design/reconstruction-experiments.md`, "How near cameras
+/// must agree").
+pub const SAME_RAD: f32 = 0.35;
+
+/// The same for a camera of another head, which is calibrated less closely with this one, and sees most of what both see from the
+/// side: 3 mm.
+pub const SAME_ELSEWHERE_RAD: f32 = 0.5;
 
 /// Phases of different surfaces differ by more, rad; what lies between says nothing.
-pub const OTHER_RAD: f32 = 1.6;
+pub const OTHER_RAD: f32 = 1.2;
 
 /// A camera as a witness for the others.
 #[derive(Debug)]
