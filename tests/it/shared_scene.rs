@@ -174,7 +174,7 @@ fn wrong_and_complete(score: &Score) -> String {
     format!("{wrong:.4} % wrong, {complete:.2} % of lit")
 }
 
-/// All cameras give each other their fringe orders. Bounds: what was measured (0.0995 % wrong, 89.48 % of lit; see
+/// All cameras give each other their fringe orders. Bounds: what was measured (0.0936 % wrong, 89.58 % of lit; see
 /// docs/validation.md) and little room, so that a change for the worse shows. With the margin asked of a point, fewer are
 /// wrong and fewer are there.
 #[test]
@@ -186,15 +186,15 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
         curve.iter_mut().for_each(|(margin, sum)| sum.join(&view.tally(*margin)));
         let score = view.tally(0.0).score();
         println!("{}: {}", view.camera.id, wrong_and_complete(&score));
-        assert!(score.wrong_order_share < 0.004, "{}: {score:?}", view.camera.id);
+        assert!(score.wrong_order_share < 0.003, "{}: {score:?}", view.camera.id);
     }
     let curve = curve.map(|(margin, tally)| (margin, tally.score()));
     for (margin, score) in &curve {
         println!("margin {margin}: {}", wrong_and_complete(score));
     }
     let (_, all) = &curve[0];
-    assert!(all.wrong_order_share < 0.001, "{all:?}");
-    assert!(all.completeness_of_lit > 0.894, "{all:?}");
+    assert!(all.wrong_order_share < 0.00098, "{all:?}");
+    assert!(all.completeness_of_lit > 0.895, "{all:?}");
     assert!(all.robust_mm < 0.055 && all.p95_mm < 0.3, "{all:?}");
     assert!(all.normal_median_deg < 0.55 && all.normal_p95_deg < 5.6, "{all:?}");
     for pair in curve.windows(2) {
@@ -210,11 +210,11 @@ fn fewer_cameras_make_fewer_points_and_not_more_wrong_ones() {
     let Some(scene) = scene() else { return };
     let calibration = calibration(&scene);
     let cases: [(&str, IsThere, f64, f64); 5] = [
-        ("without h0_low", |camera| camera != "h0_low", 0.0010, 0.860),
-        ("without h1_low", |camera| camera != "h1_low", 0.0018, 0.785),
-        ("without h3_up", |camera| camera != "h3_up", 0.0013, 0.787),
-        ("upper cameras", |camera| camera.ends_with("up"), 0.0004, 0.410),
-        ("lower cameras", |camera| camera.ends_with("low"), 0.0020, 0.554),
+        ("without h0_low", |camera| camera != "h0_low", 0.0010, 0.863),
+        ("without h1_low", |camera| camera != "h1_low", 0.0016, 0.796),
+        ("without h3_up", |camera| camera != "h3_up", 0.0012, 0.796),
+        ("upper cameras", |camera| camera.ends_with("up"), 0.0003, 0.412),
+        ("lower cameras", |camera| camera.ends_with("low"), 0.0016, 0.555),
     ];
     for (name, is_there, wrong, complete) in cases {
         let mut sum = Tally::default();

@@ -131,7 +131,7 @@ fn take(is: bool, word: u32) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Bench, Jury, Known, LANES, NONE, OTHER_RAD, SAME_RAD, SightLanes};
+    use super::{Bench, Jury, Known, LANES, NONE, OTHER_RAD, SAME_ELSEWHERE_RAD, SAME_RAD, SightLanes};
     use proptest::prelude::*;
     use std::f32::consts::TAU;
 
@@ -143,10 +143,11 @@ mod tests {
             turns in -2i32..3,
             sign in prop_oneof![Just(1f32), Just(-1.0)],
             lane in 0..LANES,
+            same in prop_oneof![Just(SAME_RAD), Just(SAME_ELSEWHERE_RAD)],
             node in 0u32..4,
         ) {
             let [agrees, before, behind, past] = [[1; LANES], [2; LANES], [4; LANES], [8; LANES]];
-            let bench = Bench { sign: [sign; LANES], same: [SAME_RAD; LANES], agrees, before, behind, past };
+            let bench = Bench { sign: [sign; LANES], same: [same; LANES], agrees, before, behind, past };
             let jury = Jury { past: 3, benches: vec![bench] };
             let mut known = Known::default();
             known.update([[turns, NONE].as_slice()].into_iter());
@@ -155,7 +156,7 @@ mod tests {
             let off = ahead + TAU * turns as f32;
             let farther = (off > 0.0) == (sign > 0.0);
             let word = match node {
-                0 if off.abs() < SAME_RAD => 1,
+                0 if off.abs() < same => 1,
                 0 if off.abs() >= OTHER_RAD => if farther { 2 } else { 4 },
                 3 => 8,
                 _ => 0,
