@@ -415,7 +415,7 @@ fn contradicted(own: Words, sum: Words, core: bool) -> bool {
     !core && own.against > 0 && own.against >= own.good()
 }
 
-/// Words of the head's other camera that stand against a neighbour of another order.
+/// Words, of the head's other camera or at an outline of other heads, that stand against a neighbour of another order.
 pub const FIRM: i16 = 6;
 
 /// Tries all that has an order against all that has, and takes it from what is contradicted.
