@@ -52,8 +52,13 @@ for scene in $scenes; do
     ls "$here"/light/truth/*.npz >/dev/null 2>&1 || continue
     $bin/fourdbody validate truth --clouds "$here/clouds" --truth "$here/light/truth" \
         --calibration "$here/light/calibration.json" --images "$here/session" --json >"$out/scores/$scene.json"
+    [ "$scene" = "${scenes%% *}" ] || continue
+    $bin/fourdbody reconstruct "$here/session" --calibration "$here/light/calibration.json" --out "$here/paired" \
+        --method paired >/dev/null || [ $? -eq 3 ]
+    $bin/fourdbody validate truth --clouds "$here/paired" --truth "$here/light/truth" \
+        --calibration "$here/light/calibration.json" --images "$here/session" --json >"$out/scores/$scene.paired.json"
 done
-for scene in $scenes; do rm -rf "$out/$scene/clouds"; done
+for scene in $scenes; do rm -rf "$out/$scene"/{clouds,paired}; done
 
 # Turn by turn, so that what else the machine does is spread over all.
 for run in $(seq "$repeat"); do
@@ -66,6 +71,8 @@ for run in $(seq "$repeat"); do
     timed "first_1_thread.$first.$run" "$first" --jobs 1 --triggers 0..1
     timed "first_2_threads.$first.$run" "$first" --jobs 2 --triggers 0..1
     timed "paper.$first.$run" "$first" --jobs 1 --method paper
+    timed "paired.$first.$run" "$first" --jobs 1 --method paired
+    FOURDBODY_SIMD=avx2 timed "paired_avx2.$first.$run" "$first" --jobs 1 --method paired
     for path in portable avx2 avx512; do
         FOURDBODY_SIMD=$path timed "$path.$first.$run" "$first" --jobs 1
     done

@@ -82,8 +82,9 @@ pub(super) struct What {
     /// Triggers per second, for the times in sequence.mcap where the session does not tell them.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
     rate_hz: f64,
-    /// How the absolute phase is found: `anchored` refuses what no marker anchors, `paper` is section 4.1 of
-    /// the paper to the letter.
+    /// How the absolute phase is found: `anchored` refuses what no marker anchors; `paired` does so on the means of pairs of rows,
+    /// in three fifths of the time, with more that is refused or wrong (docs/validation.md); `paper` is section 4.1 of the paper to
+    /// the letter.
     #[arg(long, value_enum, default_value = "anchored")]
     method: MethodName,
     /// What to write: `ply` point clouds, or `phase` maps in phases/, a twentieth of the bytes, of which
@@ -104,6 +105,7 @@ enum FormatName {
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum MethodName {
     Anchored,
+    Paired,
     Paper,
 }
 
@@ -158,6 +160,10 @@ impl What {
             let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
             return Err(usage(&message));
         }
+        if matches!(self.method, MethodName::Paired) && self.uncertainty {
+            let message = "--uncertainty: how certain points are is not known of pairs of rows; leave out --method paired";
+            return Err(usage(&message));
+        }
         let plan = Plan {
             out: self.out.clone(),
             triggers,
@@ -165,6 +171,7 @@ impl What {
             shard: (0, 1),
             method: match self.method {
                 MethodName::Anchored => Method::Anchored,
+                MethodName::Paired => Method::Paired,
                 MethodName::Paper => Method::Paper,
             },
             format: match self.format {

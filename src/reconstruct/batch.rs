@@ -90,6 +90,7 @@ impl Plan {
 pub fn method_name(method: Method) -> &'static str {
     match method {
         Method::Anchored => "anchored",
+        Method::Paired => "paired",
         Method::Paper => "paper",
     }
 }
@@ -307,7 +308,7 @@ impl Job<'_> {
         }
         let prepare = |(_, camera): &(usize, &Camera)| self.timed(|| self.prepare(camera, trigger));
         let mut stages: Vec<Stage> = cameras.par_iter().with_max_len(1).map(prepare).collect();
-        if self.plan.method == Method::Anchored {
+        if self.plan.method != Method::Paper {
             stages = heed_dashes(stages);
             self.timed(|| help_each_other(&cameras, &mut stages));
         }
@@ -418,11 +419,10 @@ impl Job<'_> {
             return ply::save(&path, &result.cloud, &comments)
                 .map_err(|e| format!("{}: {e}", path.display()));
         }
-        let device = &camera.pipeline.triangulator().pair().camera;
         let mut map = Cow::Borrowed(&result.phase);
         if map.runs.is_empty() {
             // A frame refused before it was looked at closely.
-            map.to_mut().frame = [device.width as u16, device.height as u16];
+            map.to_mut().frame = camera.pipeline.frame().map(|x| x as u16);
         }
         let (geometry_sha256, volume_m) = self.calibration_statement.clone();
         let statement = Statement {

@@ -10,8 +10,8 @@
 //! Calibration has to have brought the panel's rows into line with the dashes (`CalibratedHead::rows`): fringes alone do
 //! not tell them. Where it has not, nothing is checked.
 //!
-//! The marker is looked at in stretches of two dashes. A piece of which most stretches do not look like dashes at their
-//! place is something else and no anchor; a frame of whose dashes most lie elsewhere is refused.
+//! The marker is looked at in stretches of two dashes. A piece of which no more than half of the stretches look like dashes at
+//! their place is something else and no anchor; a frame of whose dashes most lie elsewhere is refused.
 
 use super::marker_pieces::MarkerPieces;
 use super::roi::Roi;
@@ -135,7 +135,8 @@ pub(super) fn check(
     let mut all = Dashes::default();
     for (stretches, number) in seen.iter().zip(number) {
         let agreeing = stretches.iter().filter(agrees).count();
-        if 2 * agreeing < stretches.len() {
+        // One of two may agree by chance.
+        if !stretches.is_empty() && 2 * agreeing <= stretches.len() {
             *number = 0;
         }
         all.stretches += stretches.len() as u32;

@@ -422,7 +422,7 @@ mod tests {
         phasors::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
         let windows = phasors::windows(phasors, &runs);
-        curvature::correct(&mut phase, &runs, &windows, &period, &none, (5.0, 12.0));
+        curvature::correct(&mut phase, &runs, &windows, &period, &none, (5.0, 12.0), 1);
         refine(&mut phase, &runs, &windows, &period, &none, 1.0, &Settings::default(), None);
         [before, score(&phase)]
     }

@@ -303,7 +303,7 @@ impl Input<'_> {
             let row = v % BRIDGED;
             [&unit_c[row][room], &unit_s[row][room], &length[row][room], &misfit[v % misfit.len()][room]]
         };
-        let reach = demodulate::row_reach(v, self.image.height());
+        let reach = demodulate::row_reach(v, self.image.height(), self.pair.sensor_rows);
         // Rows beyond the frame take no part.
         let beyond = [&zeros[room]; 4];
         let near = if reach < 1 { [beyond; 2] } else { [rows(v - 1), rows(v + 1)] };

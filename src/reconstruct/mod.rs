@@ -67,6 +67,7 @@ pub mod rays;
 /// The part of a frame that holds the object.
 pub mod roi;
 mod round;
+pub mod row_pairs;
 mod run_ends;
 /// Runs of a mask's pixels.
 pub mod runs;

@@ -1,4 +1,4 @@
-//! Opening by a square of five pixels, on rows of bits: 64 pixels a word.
+//! Opening by a square of five pixels, or by as many columns of fewer rows, on rows of bits: 64 pixels a word.
 
 use super::bits::{WORD, even};
 use super::runs::{Run, Runs};
@@ -20,9 +20,15 @@ pub(super) struct Opening {
 
 impl Opening {
     /// The runs of a plane of bits of these columns of `h` rows, each row of as many words as it needs, after erosion and dilation by
-    /// the square; outside of the plane its outermost pixels repeat. What is left of the bits is any.
+    /// five columns of `2 half_rows + 1` rows, two and two at most to each side; outside of the plane its outermost pixels repeat. What is left of the bits is any.
     #[inline(always)]
-    pub(super) fn runs(&mut self, narrow: &mut [u64], columns: Range<usize>, h: usize, runs: &mut Runs) {
+    pub(super) fn runs(
+        &mut self,
+        narrow: &mut [u64],
+        columns: Range<usize>,
+        (h, half_rows): (usize, usize),
+        runs: &mut Runs,
+    ) {
         let w = columns.len();
         let words = w.div_ceil(WORD).max(1);
         let Self { wide } = self;
@@ -31,13 +37,13 @@ impl Opening {
             along(bits, w, |x, y| x & y);
         }
         for (v, out) in wide.chunks_exact_mut(words).enumerate() {
-            across(narrow, words, v, out, |x, y| x & y);
+            across(narrow, words, (v, half_rows), out, |x, y| x & y);
             along(out, w, |x, y| x | y);
         }
         runs.clear();
         let row = &mut narrow[..words.min(words * h)];
         for v in 0..h {
-            across(wide, words, v, row, |x, y| x | y);
+            across(wide, words, (v, half_rows), row, |x, y| x | y);
             runs_of(row, &columns, runs);
             runs.end_row();
         }
@@ -74,11 +80,17 @@ fn along(bits: &mut [u64], width: usize, together: impl Fn(u64, u64) -> u64 + Co
     bits[place] &= u64::MAX >> (WORD - 1 - shift);
 }
 
-/// Puts row `v` together with the two above and below, as far as there are.
+/// Puts row `v` together with `half` rows above and below, as far as there are.
 #[inline(always)]
-fn across(plane: &[u64], words: usize, v: usize, out: &mut [u64], together: impl Fn(u64, u64) -> u64 + Copy) {
+fn across(
+    plane: &[u64],
+    words: usize,
+    (v, half): (usize, usize),
+    out: &mut [u64],
+    together: impl Fn(u64, u64) -> u64 + Copy,
+) {
     let height = plane.len() / words;
-    let rows = v.saturating_sub(HALF)..(v + HALF + 1).min(height);
+    let rows = v.saturating_sub(half)..(v + half + 1).min(height);
     out.copy_from_slice(&plane[v * words..(v + 1) * words]);
     for other in rows.filter(|&other| other != v) {
         for (out, &x) in out.iter_mut().zip(&plane[other * words..]) {
@@ -119,14 +131,14 @@ mod tests {
     use proptest::prelude::{ProptestConfig, prop_assert_eq, proptest};
 
     /// By the definition: all of, or any of, the square around each pixel.
-    fn plain(plane: &Plane<u8>, all: bool) -> Plane<u8> {
+    fn plain(plane: &Plane<u8>, half_rows: usize, all: bool) -> Plane<u8> {
         let (w, h) = (plane.width(), plane.height());
         let mut out = Plane::filled(w, h, 0);
         for v in 0..h {
             for u in 0..w {
-                let near = (0..SIDE * SIDE).map(|i| {
-                    let place = |x: usize, k: usize, end: usize| (x + k).saturating_sub(HALF).min(end - 1);
-                    plane.at(place(u, i % SIDE, w), place(v, i / SIDE, h)) != 0
+                let near = (0..SIDE * (2 * half_rows + 1)).map(|i| {
+                    let place = |x: usize, half: usize, end: usize| x.saturating_sub(half).min(end - 1);
+                    plane.at(place(u + i % SIDE, HALF, w), place(v + i / SIDE, half_rows, h)) != 0
                 });
                 let mut near = near;
                 out.set(u, v, u8::from(if all { near.all(|x| x) } else { near.any(|x| x) }));
@@ -141,6 +153,7 @@ mod tests {
         fn bits_are_opened_as_pixels_are(
             w in 1usize..200,
             h in 1usize..12,
+            half_rows in 1usize..=HALF,
             first in 0usize..100,
             holes in proptest::collection::vec((0usize..200, 0usize..12), 0..30),
         ) {
@@ -153,14 +166,14 @@ mod tests {
                 bits[v * words + u / WORD] &= !(1 << (u % WORD));
             }
             let mut expected = Runs::default();
-            let opened = Runs::of(&plain(&plain(&ones, true), false));
+            let opened = Runs::of(&plain(&plain(&ones, half_rows, true), half_rows, false));
             for v in 0..h {
                 let moved = opened.row(v).iter().map(|run| Run::new(run.start() + first, run.end() + first));
                 moved.for_each(|run| expected.push(run));
                 expected.end_row();
             }
             let mut found = Runs::default();
-            Opening::default().runs(&mut bits, first..first + w, h, &mut found);
+            Opening::default().runs(&mut bits, first..first + w, (h, half_rows), &mut found);
             prop_assert_eq!(found.height(), h);
             for v in 0..h {
                 prop_assert_eq!(found.row(v), expected.row(v));

@@ -30,6 +30,8 @@ pub struct Pair {
     pub volume_min_m: [f64; 3],
     /// Upper corner of that volume, world, m.
     pub volume_max_m: [f64; 3],
+    /// Rows of the sensor that a row of the image is the mean of: 1, or 2 where rows are taken in pairs.
+    pub sensor_rows: usize,
 }
 
 /// No surface is nearer to a camera, m.
@@ -83,7 +85,20 @@ impl Pair {
             pattern,
             volume_min_m: min.map(|x| x - VOLUME_MARGIN_M),
             volume_max_m: max.map(|x| x + VOLUME_MARGIN_M),
+            sensor_rows: 1,
         })
+    }
+
+    /// The same camera with rows in pairs: row `v` of the image is the mean of the rows `2 v` and `2 v + 1`, whose middle lies
+    /// between them.
+    #[must_use]
+    pub fn of_row_pairs(mut self) -> Self {
+        self.camera.height /= 2;
+        self.camera.lens.fy /= 2.0;
+        self.camera.lens.cy = (self.camera.lens.cy - 0.5) / 2.0;
+        self.marker_period_px /= 2.0;
+        self.sensor_rows *= 2;
+        self
     }
 
     /// The ray of pixel (u, v), and the distances, m, between which it is in the volume; `None` where it misses it.

@@ -14,7 +14,7 @@ use super::triangulate::Triangulator;
 use super::windows::{self, Windows};
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, marker_paper, mask, period, quality,
-    run_ends, simd, uncertainty, unwrap, unwrap_paper,
+    row_pairs, run_ends, simd, uncertainty, unwrap, unwrap_paper,
 };
 use crate::export::{Cloud, PhaseMap, STEPS_PER_LEVEL};
 use crate::image::{Mono8, Plane};
@@ -28,6 +28,8 @@ pub enum Method {
     Paper,
     /// The anchored spanning forest: every marker pixel is an anchor, contradictions are refused.
     Anchored,
+    /// The same on the means of pairs of rows ([`row_pairs`]): faster, with more that is refused or wrong.
+    Paired,
 }
 
 /// What became of a frame.
@@ -43,7 +45,7 @@ pub enum Outcome {
 const WHY_ELSEWHERE: &str =
     "is it the calibration of another camera, or another projector's light, or has a device moved?";
 
-/// Pixel counts that tell how a frame went.
+/// Pixel counts that tell how a frame went, px of the sensor.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Counts {
     /// Pixels on the object mask.
@@ -62,6 +64,21 @@ pub struct Counts {
     pub contradictions: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,
+}
+
+impl Counts {
+    /// Of px of the sensor, where they were of images of which a row is the mean of so many rows.
+    fn of_sensor(self, rows: usize) -> Self {
+        Self {
+            object: rows * self.object,
+            phase: rows * self.phase,
+            marker: rows * self.marker,
+            refused: rows * self.refused,
+            contradicted: rows * self.contradicted,
+            dropped: rows * self.dropped,
+            ..self
+        }
+    }
 }
 
 /// Everything that one frame gives.
@@ -97,8 +114,13 @@ pub struct Maps {
 /// Reconstructs the frames of one camera.
 #[derive(Debug)]
 pub struct Pipeline {
+    /// Of the image that the stages see.
     triangulator: Triangulator,
     table: Arc<RayTable>,
+    /// Where rows are taken in pairs: lines of sight of all of them.
+    all_rows: Option<RayTable>,
+    /// Columns and rows of a frame.
+    frame: [usize; 2],
     gains: Gains,
     bias: Bias,
     method: Method,
@@ -160,6 +182,8 @@ pub struct Prepared {
     windows: Windows,
     /// The photograph.
     image: Plane<u8>,
+    /// Rows of the sensor that one of its rows is the mean of.
+    sensor_rows: usize,
     period: Plane<f32>,
     /// Around the marker: not 0.
     zone: Plane<u8>,
@@ -175,7 +199,7 @@ impl Prepared {
         let reason = format!(
             "the markers of most other cameras do not lie where the calibration has them; {WHY_ELSEWHERE}"
         );
-        refused(self.clock, counts, reason)
+        refused(self.clock, counts.of_sensor(self.sensor_rows), reason)
     }
 
     /// Fringe period Pm, px.
@@ -217,24 +241,48 @@ struct Resolved {
 impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
+        let camera = &triangulator.pair().camera;
+        let frame = [camera.width, camera.height];
+        let (triangulator, all_rows) = match method {
+            Method::Paired => {
+                let of_pairs = Triangulator::new(triangulator.pair().clone().of_row_pairs());
+                (of_pairs, Some(RayTable::new(triangulator.pair())))
+            }
+            Method::Anchored | Method::Paper => (triangulator, None),
+        };
         let bias = Bias::new(&triangulator.pair().pattern);
         let table = Arc::new(RayTable::new(triangulator.pair()));
         let camera = &triangulator.pair().camera;
         PLANES.make_room(camera.width * camera.height);
         WORDS.make_room(camera.width * camera.height);
         BYTES.make_room(camera.width * camera.height);
-        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
+        Self {
+            triangulator,
+            table,
+            all_rows,
+            frame,
+            gains: Gains::new(),
+            bias,
+            method,
+            keep_maps,
+            uncertainty: false,
+        }
     }
 
-    /// Also gives every point its standard uncertainty.
+    /// Also gives every point its standard uncertainty; not where rows are taken in pairs, for which its model of noise was not made.
     #[must_use]
     pub fn with_uncertainty(self, uncertainty: bool) -> Self {
-        Self { uncertainty, ..self }
+        Self { uncertainty: uncertainty && self.method != Method::Paired, ..self }
     }
 
-    /// What it triangulates with.
+    /// What it triangulates with: where rows are taken in pairs, the pixels of these.
     pub fn triangulator(&self) -> &Triangulator {
         &self.triangulator
+    }
+
+    /// Columns and rows of its frames.
+    pub fn frame(&self) -> [usize; 2] {
+        self.frame
     }
 
     /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
@@ -250,17 +298,27 @@ impl Pipeline {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
         let pair = self.triangulator.pair();
-        let expected = (pair.camera.width, pair.camera.height);
-        if (image.width(), image.height()) != expected {
-            let found = (image.width(), image.height());
-            let reason = format!("the frame has {found:?} pixels, the calibration {expected:?}");
+        let (expected, found) = (self.frame, [image.width(), image.height()]);
+        if found != expected {
+            let reason =
+                format!("expected a frame of {expected:?} pixels, as the calibration has, found {found:?}");
             return Err(refused(clock, counts, reason));
         }
+        let pairs = self.all_rows.is_some().then(|| {
+            clock.time("pair_rows", || {
+                let mut pairs = BYTES.take(pair.camera.width, pair.camera.height);
+                row_pairs::fold(image, &mut pairs);
+                pairs
+            })
+        });
+        let image = pairs.as_ref().map_or(image, Mono8::from);
         let mut buffers = BUFFERS.take();
         let roi = clock.time("mask", || {
             let Buffers { mask, object, .. } = &mut buffers;
             match self.method {
-                Method::Anchored => mask::envelope(image, pair.period_px, mask, object),
+                Method::Anchored | Method::Paired => {
+                    mask::envelope(image, pair.period_px, pair.sensor_rows, mask, object);
+                }
                 Method::Paper => mask::otsu(image, pair.period_px, mask, object),
             }
             // What is over-exposed hides the background from the other cameras: it belongs to the region, too.
@@ -275,15 +333,16 @@ impl Pipeline {
         BUFFERS.give(buffers);
         let mut part = BYTES.take(roi.width, roi.height);
         roi.cut(image, &mut part);
+        pairs.into_iter().for_each(|pairs| BYTES.give(pairs));
         let image = part;
         counts.object = runs.area();
         let resolved = match self.method {
-            Method::Anchored => self.anchored(&image, runs, roi, &mut clock, &mut counts),
+            Method::Anchored | Method::Paired => self.anchored(&image, runs, roi, &mut clock, &mut counts),
             Method::Paper => Ok(self.paper(&image, runs, &mut clock, &mut counts)),
         };
         let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = match resolved {
             Ok(resolved) => resolved,
-            Err(reason) => return Err(refused(clock, counts, reason)),
+            Err(reason) => return Err(refused(clock, counts.of_sensor(pair.sensor_rows), reason)),
         };
         // Until all cameras are heard.
         let regions = Regions::default();
@@ -296,6 +355,7 @@ impl Pipeline {
             marker,
             lit,
             image,
+            sensor_rows: pair.sensor_rows,
             counts,
             runs,
             windows,
@@ -329,7 +389,7 @@ impl Pipeline {
         // What the edges find, where uncertainties are asked for.
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
-        if self.method == Method::Anchored {
+        if self.method != Method::Paper {
             counts.phase += clock.time("run_ends", || {
                 let (runs, zone, gains) = (&runs, &zone, &self.gains);
                 let input = run_ends::Input { image: &image, runs, zone, gains, sign: pair.sign };
@@ -343,12 +403,14 @@ impl Pipeline {
                     &period,
                     &windows,
                     pair.sign,
-                    &absolute::Settings::default(),
+                    &absolute::Settings::of_rows(pair.sensor_rows),
                 )
             });
             clock.time("curvature", || {
-                let rows = (demodulate::ROWS as f32, pair.marker_period_px);
-                curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows);
+                let sensor_rows = pair.sensor_rows;
+                let averaged = demodulate::averaged_rows(sensor_rows) as f32;
+                let rows = (averaged, pair.marker_period_px * sensor_rows as f32);
+                curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows, sensor_rows);
             });
             counts.dropped += clock.time("edges", || {
                 let (settings, expected) = (edges::Settings::default(), expected.as_mut());
@@ -370,8 +432,13 @@ impl Pipeline {
                 [frame.0 as u16, frame.1 as u16],
             )
         });
-        let cloud = clock.time("points", || cloud::make(&self.table, &map));
-        if self.method == Method::Anchored {
+        let (table, map) = match &self.all_rows {
+            None => (&*self.table, map),
+            Some(table) => (table, clock.time("all_rows", || row_pairs::unfold(&map, self.frame[1] as u16))),
+        };
+        let counts = counts.of_sensor(pair.sensor_rows);
+        let cloud = clock.time("points", || cloud::make(table, &map));
+        if self.method != Method::Paper {
             let Windows { strength, light, misfit } = windows;
             [strength, light].into_iter().for_each(|plane| WORDS.give(plane));
             [misfit, period].into_iter().for_each(|plane| PLANES.give(plane));
@@ -380,7 +447,7 @@ impl Pipeline {
         BYTES.give(image);
         if self.keep_maps {
             planes.push(("Fm", absolute));
-        } else if self.method == Method::Anchored {
+        } else if self.method != Method::Paper {
             PLANES.give(absolute);
         }
         Reconstruction {

@@ -65,7 +65,7 @@ pub struct TriggerSummary {
 pub struct Summary {
     /// Hash of everything that the clouds depend on beside the frames.
     pub parameters: String,
-    /// `anchored` or `paper`.
+    /// `anchored`, `paired` or `paper`.
     pub method: Cow<'static, str>,
     /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

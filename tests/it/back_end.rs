@@ -119,11 +119,14 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
     let frames = [Some(frame(0)), Some(frame(1)), Some(black), None];
     let source = Frames(cameras.iter().cloned().zip(frames).collect(), cameras.clone());
     let dir = tempfile::tempdir().expect("a temporary directory");
-    for uncertainty in [false, true] {
-        let out = |name: &str| dir.path().join(format!("{name}-{uncertainty}"));
+    for (method, uncertainty) in
+        [(Method::Anchored, false), (Method::Anchored, true), (Method::Paired, false)]
+    {
+        let out =
+            |name: &str| dir.path().join(format!("{name}-{}-{uncertainty}", batch::method_name(method)));
         let run = |name: &str, format| {
             let cameras = cameras.clone();
-            let (method, shard, out) = (Method::Anchored, (0, 1), out(name));
+            let (shard, out) = ((0, 1), out(name));
             let plan = Plan {
                 out,
                 triggers: 0..1,
@@ -171,7 +174,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
         assert!(small * 10 < large);
     }
 
-    let stored = dir.path().join("stored-false");
+    let stored = dir.path().join("stored-anchored-false");
     let refused = |calibration: &Calibration, words: &str| {
         let error = stored::export(&stored, calibration, &dir.path().join("none"), 120.0, |_, _| ());
         let error = error.expect_err("must be refused").to_string();

@@ -255,6 +255,42 @@ fn the_calibration_of_another_camera_or_head_is_refused() {
     assert_refused("light of the head behind", &by(pair(), &lit_by(2)));
 }
 
+/// Pairs of rows refuse what all rows refuse, and keep as much of what these keep.
+#[test]
+fn pairs_of_rows_make_no_wrong_clouds_either() {
+    let by = |pair: Pair, image: &Plane<u8>| {
+        Pipeline::new(Triangulator::new(pair), Method::Paired, false).run(Mono8::from(image))
+    };
+    let whole = by(pair(), &good().0);
+    println!("{} points of {}, {} wrong", whole.cloud.len(), good().1, wrong(&whole));
+    assert!(whole.cloud.len() * 100 > good().1 * 97 && wrong(&whole) == 0);
+    let mut white = pair();
+    (white.pattern.low, white.pattern.high) = (1.0, 1.0);
+    white.pattern.marker = fourdbody::pattern::Marker::Darkened { depth: 0.0 };
+    for (name, image) in [
+        ("empty", changed(|_, _, _| 0)),
+        ("grey", changed(|_, _, _| 90)),
+        ("white", changed(|_, _, _| 255)),
+        ("noise", changed(|u, v, _| noise(u, v))),
+        ("dark", changed(|_, _, x| x / 40)),
+        ("all saturated", changed(|_, _, x| x.saturating_mul(60))),
+        ("saturated on the ridges", changed(|_, _, x| x.saturating_mul(2))),
+        ("out of focus", blurred(3)),
+        ("white light", photograph(&white, sphere(centre(), RADIUS_M))),
+        ("light of the neighbouring head", lit_by(1)),
+        ("light of the head behind", lit_by(2)),
+        ("another size", Plane::filled(1200, 1920, 100)),
+        ("half the size", Plane::filled(1920, 600, 100)),
+    ] {
+        assert_refused(name, &by(pair(), &image));
+    }
+    assert_refused("the other camera of the head", &by(pair_of(0, 1, None), &good().0));
+    assert_fewer("a twelfth of the light", &by(pair(), &changed(|_, _, x| x / 12)), 0.3);
+    assert_fewer("a little out of focus", &by(pair(), &blurred(1)), 0.5);
+    let early = changed(|_, v, x| if v < 620 { x } else { 0 });
+    assert_fewer("the lower rows missing", &by(pair(), &early), 0.2);
+}
+
 /// What becomes of a pixel's light.
 type Light = fn(u8) -> u8;
 

@@ -16,19 +16,24 @@ pub struct Photograph {
 }
 
 impl Photograph {
-    fn pipeline(&self) -> Pipeline {
-        Pipeline::new(Triangulator::new(self.pair.clone()), Method::Anchored, false)
+    fn pipeline(&self, method: Method) -> Pipeline {
+        Pipeline::new(Triangulator::new(self.pair.clone()), method, false)
     }
 
     /// Its cloud by itself.
     pub fn cloud(&self) -> Reconstruction {
-        self.pipeline().run(Mono8::from(&self.image))
+        self.pipeline(Method::Anchored).run(Mono8::from(&self.image))
     }
 }
 
 /// The clouds of photographs of one instant, whose cameras confirm each other's fringe orders; one for each.
 pub fn clouds(photographs: &[Photograph]) -> Vec<Reconstruction> {
-    let pipelines: Vec<Pipeline> = photographs.iter().map(Photograph::pipeline).collect();
+    clouds_by(Method::Anchored, photographs)
+}
+
+/// The same by another method.
+pub fn clouds_by(method: Method, photographs: &[Photograph]) -> Vec<Reconstruction> {
+    let pipelines: Vec<Pipeline> = photographs.iter().map(|x| x.pipeline(method)).collect();
     let all = pipelines.iter().zip(photographs);
     let mut prepared: Vec<Result<Prepared, _>> =
         all.map(|(pipeline, x)| pipeline.prepare(Mono8::from(&x.image))).collect();

@@ -15,7 +15,7 @@ use crate::reconstruct::simd;
 /// Side of a cell, px.
 pub const CELL_PX: usize = 8;
 
-/// Within a cell, steps this far from the carrier's still continue, rad. Few pixels agree by chance so often that it
+/// Within a cell, steps this far from the carrier's, or from row to row of the sensor, still continue, rad. Few pixels agree by chance so often that it
 /// matters there.
 const INNER_RAD: f32 = 0.8;
 
@@ -64,6 +64,8 @@ pub struct Surface<'a> {
     pub runs: &'a Runs,
     /// Sign of the phase's step along the row.
     pub sign: f32,
+    /// Rows of the sensor that a row is the mean of: steps down are as many times as large.
+    pub sensor_rows: f32,
 }
 
 /// The nodes of a view and where they touch.
@@ -182,6 +184,7 @@ impl Cells {
             &phase,
             &right_steps,
             &down_steps,
+            surface.sensor_rows,
             #[inline(always)]
             |mask| self.add(mask, (column, row), &phase, &right_steps, &down_steps),
         );
@@ -384,7 +387,13 @@ fn middle(mask: u64) -> usize {
 
 /// Calls `each` with the pixels of a cell that hang together, patch by patch.
 #[inline(always)]
-fn each_patch(phase: &Patch, right_steps: &Patch, down_steps: &Patch, mut each: impl FnMut(u64)) {
+fn each_patch(
+    phase: &Patch,
+    right_steps: &Patch,
+    down_steps: &Patch,
+    sensor_rows: f32,
+    mut each: impl FnMut(u64),
+) {
     let mut rest = bits_of_cell(
         #[inline(always)]
         |u, v| !phase[v][u].is_nan(),
@@ -398,7 +407,7 @@ fn each_patch(phase: &Patch, right_steps: &Patch, down_steps: &Patch, mut each: 
     );
     let down = bits_of_cell(
         #[inline(always)]
-        |u, v| down_steps[v][u].abs() < INNER_RAD,
+        |u, v| down_steps[v][u].abs() < INNER_RAD * sensor_rows,
     );
     while rest != 0 {
         let mask = flood(rest & rest.wrapping_neg(), right & !FIRST_COLUMN, down & !FIRST_ROW);

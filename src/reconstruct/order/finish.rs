@@ -182,7 +182,7 @@ mod tests {
         let phase = Plane::from_vec(px, px, data).expect("the plane's size");
         let (object, period) = (Plane::filled(px, px, 1), Plane::filled(px, px, period));
         let runs = Runs::of(&object);
-        let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0 };
+        let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0, sensor_rows: 1.0 };
         let graph = Graph::new(&Cells::new(&surface));
         let labels: Vec<Label> =
             (0..SIDE * SIDE).map(|node| Label { turns: turns(node), contradicted: false }).collect();

@@ -47,6 +47,7 @@ mod volume;
 mod witness;
 mod words;
 
+use super::pair::Pair;
 use super::pipeline::Prepared;
 use super::runs::each_not_0;
 use super::simd;
@@ -77,10 +78,12 @@ pub struct View<'a> {
 /// Pieces of a view's surface with one fringe order each, and how certain these are.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Regions {
-    /// Column and row of the frame at which the cells begin.
+    /// Column and row of the image at which the cells begin.
     origin: (usize, usize),
     /// Cells in a row.
     columns: usize,
+    /// Rows of the frame in a row of the cells' pixels.
+    sensor_rows: usize,
     /// Patches of the surface: cell, pixels within it, region. Cell by cell.
     patches: Vec<(u32, u64, u32)>,
     /// How far the evidence for each region's order leads that for any other: 1 is the full word of one camera, or 60
@@ -92,7 +95,8 @@ impl Regions {
     /// The margin of the order at a pixel of the frame, such as a cloud's `pixel`; 0 where there is no region: its order has
     /// come from its neighbours.
     pub fn margin_at(&self, [u, v]: [u16; 2]) -> f32 {
-        let place = usize::from(u).checked_sub(self.origin.0).zip(usize::from(v).checked_sub(self.origin.1));
+        let v = usize::from(v) / self.sensor_rows.max(1);
+        let place = usize::from(u).checked_sub(self.origin.0).zip(v.checked_sub(self.origin.1));
         let Some((u, v)) = place.filter(|(u, _)| u / CELL_PX < self.columns) else { return 0.0 };
         let cell = (v / CELL_PX * self.columns + u / CELL_PX) as u32;
         let bit = 1u64 << (v % CELL_PX * CELL_PX + u % CELL_PX);
@@ -141,12 +145,13 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
         period: prepared.period(),
         runs: &prepared.lit,
         sign: pair.sign,
+        sensor_rows: pair.sensor_rows as f32,
     });
-    let votes = votes(&cells, prepared, &pair.markers);
+    let votes = votes(&cells, prepared, pair);
     let graph = Graph::new(&cells);
-    let pieces = Pieces::new(&cells, &graph, &votes, settle::MIN_VOTES);
-    let px =
-        pieces.nodes.iter().map(|nodes| nodes.iter().map(|&x| cells.nodes[x as usize].size).sum()).collect();
+    let clearance = pieces::CORE_CLEARANCE / pair.sensor_rows as u8;
+    let pieces = Pieces::new(&cells, &graph, &votes, settle::MIN_VOTES, clearance);
+    let px = pieces.px(&cells, pair.sensor_rows);
     let open = State { order: Err(Refusal::NoEvidence), margin: 0.0 };
     let states = vec![open; pieces.nodes.len()];
     let settled = vec![NONE; cells.nodes.len()];
@@ -173,8 +178,8 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
     }
 }
 
-/// The orders that marker pixels give their nodes: node, order, pixels.
-fn votes(cells: &Cells, prepared: &Prepared, markers: &[u32]) -> Vec<(u32, i32, u32)> {
+/// The orders that marker pixels give their nodes: node, order, pixels of the sensor.
+fn votes(cells: &Cells, prepared: &Prepared, pair: &Pair) -> Vec<(u32, i32, u32)> {
     let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
     for v in 0..prepared.marker.height() {
         for run in prepared.runs().row(v) {
@@ -183,8 +188,8 @@ fn votes(cells: &Cells, prepared: &Prepared, markers: &[u32]) -> Vec<(u32, i32, 
             each_not_0(marker, |i| {
                 let Some(node) = cells.glimpses.node(run.start() + i, v) else { return };
                 // On the marker's core the wrapped phase is small: the nearest whole turn is the node's own.
-                let order = markers[usize::from(marker[i] - 1)] as i32 - (phase[i] / TAU).round() as i32;
-                *votes.entry((node, order)).or_default() += 1;
+                let order = pair.markers[usize::from(marker[i] - 1)] as i32 - (phase[i] / TAU).round() as i32;
+                *votes.entry((node, order)).or_default() += pair.sensor_rows as u32;
             });
         }
     }
@@ -196,6 +201,7 @@ fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
     let mut regions = Regions {
         origin: (scene.witness.roi.u, scene.witness.roi.v),
         columns: cells.columns,
+        sensor_rows: scene.triangulator.pair().sensor_rows,
         patches: Vec::with_capacity(labels.len()),
         margin: scene.states.iter().map(|x| x.margin).collect(),
     };

@@ -9,8 +9,8 @@ use super::cells::Cells;
 use super::graph::{Graph, is_clean};
 use std::collections::BTreeMap;
 
-/// Nodes of a core are so many cells away from any step.
-const CORE_CLEARANCE: u8 = 2;
+/// Nodes of a core are so many cells away from any step, where a cell has as many rows of the sensor as columns.
+pub const CORE_CLEARANCE: u8 = 2;
 
 /// Pixel pairs on which a node must agree with the piece that takes it in.
 const GROW_PAIRS: u32 = 4;
@@ -72,10 +72,17 @@ pub struct Pieces {
 }
 
 impl Pieces {
-    /// Grows and joins the pieces. `votes` are those of single nodes: node, order, number.
-    pub fn new(cells: &Cells, graph: &Graph, votes: &[(u32, i32, u32)], min_votes: u32) -> Self {
+    /// Grows and joins the pieces. `votes` are those of single nodes: node, order, number; nodes of a core are `core_clearance` cells
+    /// away from any step.
+    pub fn new(
+        cells: &Cells,
+        graph: &Graph,
+        votes: &[(u32, i32, u32)],
+        min_votes: u32,
+        core_clearance: u8,
+    ) -> Self {
         let mut links = Links::new(cells.nodes.len());
-        let core: Vec<bool> = graph.clearance.iter().map(|&x| x >= CORE_CLEARANCE).collect();
+        let core: Vec<bool> = graph.clearance.iter().map(|&x| x >= core_clearance).collect();
         for x in cells.borders.iter().filter(|x| core[x.a as usize] && core[x.b as usize]) {
             if is_clean(x.good, x.bad) {
                 links.join(x.a as usize, x.b as usize, x.turns);
@@ -88,6 +95,12 @@ impl Pieces {
         pieces.origin = (0..pieces.nodes.len() as u32).collect();
         pieces.core = core;
         pieces
+    }
+
+    /// The pixels of each piece, px of the sensor, of which a row of the image is so many rows.
+    pub fn px(&self, cells: &Cells, sensor_rows: usize) -> Vec<u32> {
+        let size = |nodes: &Vec<u32>| nodes.iter().map(|&x| cells.nodes[x as usize].size).sum::<u32>();
+        self.nodes.iter().map(|nodes| size(nodes) * sensor_rows as u32).collect()
     }
 
     /// Counts votes and contacts anew.
@@ -356,7 +369,7 @@ impl Links {
 #[cfg(test)]
 mod tests {
     use super::super::cells::Surface;
-    use super::{Cells, Graph, Pieces};
+    use super::{CORE_CLEARANCE, Cells, Graph, Pieces};
     use crate::image::Plane;
     use crate::reconstruct::runs::Runs;
     use std::f32::consts::TAU;
@@ -371,9 +384,9 @@ mod tests {
         let phase = Plane::from_vec(W, H, data).expect("the plane's size");
         let (object, period) = (Plane::filled(W, H, 1), Plane::filled(W, H, PERIOD));
         let runs = Runs::of(&object);
-        let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0 };
+        let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0, sensor_rows: 1.0 };
         let cells = Cells::new(&surface);
-        let pieces = Pieces::new(&cells, &Graph::new(&cells), &[], 20);
+        let pieces = Pieces::new(&cells, &Graph::new(&cells), &[], 20, CORE_CLEARANCE);
         let large = (0..pieces.nodes.len()).filter(|&i| pieces.nodes[i].len() >= 10).collect();
         (cells, pieces, large)
     }

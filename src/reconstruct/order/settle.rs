@@ -244,8 +244,7 @@ fn part(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
             let scene = &mut scenes[view];
             let first = scene.states.len();
             scene.pieces.part(piece, parts, &scene.witness.cells);
-            let size = |x: &Vec<u32>| x.iter().map(|&x| scene.witness.cells.nodes[x as usize].size).sum();
-            scene.px = scene.pieces.nodes.iter().map(size).collect();
+            scene.px = scene.pieces.px(&scene.witness.cells, scene.triangulator.pair().sensor_rows);
             scene.states.resize(scene.px.len(), State { order: Err(Refusal::NoEvidence), margin: 0.0 });
             for new in std::iter::once(piece).chain(first..scene.px.len()) {
                 scene.set(new, by_marker(&scene.pieces.votes[new]));

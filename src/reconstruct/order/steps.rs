@@ -20,7 +20,7 @@ type Columns<T> = [T; CELL_PX];
 pub(super) struct Steps {
     /// Largest step to the right.
     largest_right: Vec<u32>,
-    /// Largest step down within the cells.
+    /// Largest step down from row to row of the sensor within the cells.
     largest_down: Vec<u32>,
     /// The step down from the row above the cells.
     from_above: Vec<u32>,
@@ -76,14 +76,14 @@ impl Steps {
                     *out = (phase - above).abs().to_bits();
                 }
             } else {
-                let n = columns.len();
+                let (n, per_row) = (columns.len(), 1.0 / surface.sensor_rows);
                 let (phase, above) = (&phase[..n], &above[..n]);
                 let sums = &mut self.down[columns.clone()][..n];
                 let largest = &mut self.largest_down[columns.clone()][..n];
                 for i in 0..n {
                     let step = phase[i] - above[i];
                     sums[i] += step;
-                    largest[i] = largest[i].max(step.abs().to_bits());
+                    largest[i] = largest[i].max((per_row * step).abs().to_bits());
                 }
             }
         }

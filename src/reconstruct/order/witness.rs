@@ -220,7 +220,7 @@ mod tests {
             }
         }
         let (runs, period) = (Runs::of(&object), Plane::filled(w, h, PERIOD));
-        let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0 };
+        let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0, sensor_rows: 1.0 };
         let roi = Roi { u: 0, v: 0, width: w, height: h };
         Witness { head: 0, roi, cells: Cells::new(&surface), towards: 1.0 }
     }

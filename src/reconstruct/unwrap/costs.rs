@@ -13,14 +13,14 @@ use std::f32::consts::TAU;
 /// Units of a rad in sums and costs.
 pub(super) const UNITS: f32 = 1024.0;
 
-/// Half sizes (columns, rows) of the box in which the local mean step is taken.
+/// Half sizes (columns, rows of the sensor) of the box in which the local mean step is taken.
 const MEAN_STEP: (usize, usize) = (5, 3);
 
-/// Half sizes (columns, rows) of the boxes in which residuals are averaged: along the boundary that steps to
+/// Half sizes (columns, rows of the sensor) of the boxes in which residuals are averaged: along the boundary that steps to
 /// the right and steps down cross.
 const ALONG: [(usize, usize); 2] = [(1, 3), (4, 1)];
 
-/// Half sizes (columns, rows) of the box that says whether phases agree over a longer stretch.
+/// Half sizes (columns, rows of the sensor) of the box that says whether phases agree over a longer stretch.
 const STRETCH: (usize, usize) = (9, 10);
 
 /// A window that crosses a depth step does not hold a sine: what the misfit of the fringe model has above this
@@ -30,8 +30,26 @@ const GOOD_MISFIT: f32 = 0.2;
 /// Bits of a packed sum that count its values: boxes have fewer than 512 pixels.
 const COUNT_BITS: u32 = 9;
 
-/// Rows that costs lag behind the steps.
-const LAG: usize = MEAN_STEP.1 + STRETCH.1;
+/// Half sizes (columns, rows of the image) of the boxes above.
+#[derive(Debug, Clone, Copy, Default)]
+struct Boxes {
+    mean_step: (usize, usize),
+    along: [(usize, usize); 2],
+    stretch: (usize, usize),
+}
+
+impl Boxes {
+    /// Where a row of the image is the mean of so many rows of the sensor.
+    fn of_rows(sensor_rows: usize) -> Self {
+        let of = |(columns, rows): (usize, usize)| (columns, (rows / sensor_rows).max(1));
+        Self { mean_step: of(MEAN_STEP), along: ALONG.map(of), stretch: of(STRETCH) }
+    }
+
+    /// Rows that costs lag behind the steps.
+    fn lag(&self) -> usize {
+        self.mean_step.1 + self.stretch.1
+    }
+}
 
 /// A step that is no edge.
 pub(super) const NONE: u16 = u16::MAX;
@@ -70,6 +88,8 @@ pub(super) struct Input<'a> {
     pub runs: &'a Runs,
     /// That of the phase along the columns.
     pub sign: f32,
+    /// Rows of the sensor that a row is the mean of.
+    pub sensor_rows: usize,
 }
 
 /// What is known of the steps to one side.
@@ -87,13 +107,13 @@ struct Side {
 }
 
 impl Side {
-    fn begin(&mut self, width: usize, along: (usize, usize)) {
+    fn begin(&mut self, width: usize, boxes: &Boxes, along: (usize, usize)) {
         // One more than a window has: the row that leaves it.
-        self.steps.begin(2 * MEAN_STEP.1 + 2, width);
-        self.residuals.begin(2 * STRETCH.1 + 2, width);
-        self.mean.begin(width, MEAN_STEP);
+        self.steps.begin(2 * boxes.mean_step.1 + 2, width);
+        self.residuals.begin(2 * boxes.stretch.1 + 2, width);
+        self.mean.begin(width, boxes.mean_step);
         self.along.begin(width, along);
-        self.stretch.begin(width, STRETCH);
+        self.stretch.begin(width, boxes.stretch);
         self.costs.resize(width + VECTOR, 0.0);
         self.codes.resize((width + VECTOR).next_multiple_of(WORD), NONE);
     }
@@ -182,39 +202,41 @@ pub(super) fn run(
 ) {
     let (w, h) = (input.wrapped.width(), input.wrapped.height());
     let Buffers { right, down, taps, blocks, excess, turns: row_turns } = buffers;
-    right.begin(w, ALONG[0]);
-    down.begin(w, ALONG[1]);
+    let boxes = Boxes::of_rows(input.sensor_rows);
+    let lag = boxes.lag();
+    right.begin(w, &boxes, boxes.along[0]);
+    down.begin(w, &boxes, boxes.along[1]);
     taps.iter_mut().for_each(|taps| taps.begin(w));
     find_blocks(input.runs, blocks);
     excess.resize(w + VECTOR, 0.0);
     row_turns.resize(w, 0);
-    for next in 0..h + LAG {
+    for next in 0..h + lag {
         if next < h {
             steps_right(input, next, right.steps.fresh(next, input.runs), row_turns);
             add_up(input.runs.row(next), row_turns, turns.row_mut(next));
             steps_down(input, next, down.steps.fresh(next, input.runs));
         }
-        if let Some(v) = next.checked_sub(LAG) {
+        if let Some(v) = next.checked_sub(lag) {
             find_excess(input.misfit.row(v), input.runs.row(v), excess);
         }
         for side in [&mut *right, &mut *down] {
             side.mean.advance(next, &side.steps, blocks);
-            if let Some(v) = next.checked_sub(MEAN_STEP.1)
+            if let Some(v) = next.checked_sub(boxes.mean_step.1)
                 && v < h
             {
                 side.residuals(v, input.runs, blocks, &mut taps[0]);
             }
             // Windows begin above the first row: what lies before it is nothing.
-            let Some(v) = next.checked_sub(MEAN_STEP.1) else { continue };
+            let Some(v) = next.checked_sub(boxes.mean_step.1) else { continue };
             side.stretch.advance(v, &side.residuals, blocks);
-            if let Some(last) = (v + side.along.half.1).checked_sub(STRETCH.1) {
+            if let Some(last) = (v + side.along.half.1).checked_sub(boxes.stretch.1) {
                 side.along.advance(last, &side.residuals, blocks);
             }
-            if let Some(v) = next.checked_sub(LAG) {
+            if let Some(v) = next.checked_sub(lag) {
                 side.costs(v, excess, bounds, [input.runs, blocks], taps);
             }
         }
-        if let Some(v) = next.checked_sub(LAG) {
+        if let Some(v) = next.checked_sub(lag) {
             each(v, Row { right: &right.codes, down: &down.codes }, turns);
         }
     }
@@ -326,9 +348,7 @@ fn apart(difference: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{
-        ALONG, Bounds, Buffers, GOOD_MISFIT, Input, MEAN_STEP, NONE, STRETCH, UNITS, doubtful, run, units,
-    };
+    use super::{Bounds, Boxes, Buffers, GOOD_MISFIT, Input, NONE, UNITS, doubtful, run, units};
     use crate::image::Plane;
     use crate::reconstruct::runs::Runs;
     use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
@@ -370,6 +390,7 @@ mod tests {
         fn costs_are_those_of_the_definition(
             noise in proptest::collection::vec(-1.0f32..1.0, W * H),
             rough in 0.0f32..0.3,
+            sensor_rows in 1usize..=2,
             holes in proptest::collection::vec((any::<proptest::sample::Index>(), 0usize..30), 0..12),
         ) {
             let phase = |i: usize| (i % W) as f32 * std::f32::consts::TAU / PERIOD + 0.1 * (i / W) as f32;
@@ -384,7 +405,9 @@ mod tests {
             let known = wrapped.as_slice().iter().map(|x| u8::from(!x.is_nan())).collect();
             let runs = Runs::of(&Plane::from_vec(W, H, known).expect("its size"));
             let period = Plane::filled(W, H, PERIOD);
-            let input = Input { wrapped: &wrapped, period: &period, misfit: &misfit, runs: &runs, sign: 1.0 };
+            let input =
+                Input { wrapped: &wrapped, period: &period, misfit: &misfit, runs: &runs, sign: 1.0, sensor_rows };
+            let Boxes { mean_step, along, stretch } = Boxes::of_rows(sensor_rows);
             let bounds = Bounds { largest: 1.5 * UNITS, doubtful: 0.04 * UNITS, doubtful_stretch: 0.04 * UNITS };
             let mut turns = Plane::filled(W, H, 0);
             let mut found = [Plane::filled(W, H, NONE), Plane::filled(W, H, NONE)];
@@ -396,7 +419,7 @@ mod tests {
                 let steps = steps(&wrapped, down);
                 let mut own = Plane::filled(W, H, f64::NAN);
                 for (v, u) in (0..H).flat_map(|v| (0..W).map(move |u| (v, u))) {
-                    own.set(u, v, wrap(steps.at(u, v) - mean(&steps, (u, v), MEAN_STEP)).abs());
+                    own.set(u, v, wrap(steps.at(u, v) - mean(&steps, (u, v), mean_step)).abs());
                 }
                 for (v, u) in (0..H).flat_map(|v| (0..W).map(move |u| (v, u))) {
                     if wrapped.at(u, v).is_nan() {
@@ -407,13 +430,13 @@ mod tests {
                         prop_assert!(code == NONE, "({u}, {v}): {code}");
                         continue;
                     }
-                    let along = mean(&own, (u, v), ALONG[usize::from(down)]);
+                    let along = mean(&own, (u, v), along[usize::from(down)]);
                     let excess = f64::from((misfit.at(u, v) - GOOD_MISFIT).max(0.0));
                     let cost = 1024.0 * (own.at(u, v).max(along) + excess);
                     // Values, their means and the means of their residuals are rounded to whole units.
                     let (found, doubtful) = (units(code.into()), doubtful(code.into()) != 0);
                     prop_assert!((f64::from(found) - cost).abs() < 3.0, "({u}, {v}): {found} {cost}");
-                    let stretch = 1024.0 * mean(&own, (u, v), STRETCH);
+                    let stretch = 1024.0 * mean(&own, (u, v), stretch);
                     let most = cost.max(stretch);
                     if (most - 40.96).abs() > 3.0 {
                         prop_assert!(doubtful == (most > 40.96), "({u}, {v}): {cost} {stretch}");

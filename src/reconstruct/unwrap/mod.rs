@@ -37,10 +37,19 @@ pub struct Settings {
     /// The same for the residual averaged over a wider stretch, rad: where the outline of a limb crosses the
     /// fringes, the phases on both sides agree over a short stretch by chance.
     pub doubtful_stretch: f32,
-    /// The largest tree that a doubtful edge attaches, px.
+    /// The largest tree that a doubtful edge attaches, px of the sensor.
     pub small_tree_px: u32,
-    /// Votes from which a tree's order counts as known.
+    /// Votes from which a tree's order counts as known, of px of the sensor.
     pub min_votes: u32,
+}
+
+impl Settings {
+    /// The same for images of which a row is the mean of so many rows of the sensor.
+    #[must_use]
+    fn of_rows(self, sensor_rows: usize) -> Self {
+        let rows = sensor_rows as u32;
+        Self { small_tree_px: self.small_tree_px / rows, min_votes: self.min_votes / rows, ..self }
+    }
 }
 
 impl Default for Settings {
@@ -104,9 +113,11 @@ pub fn unwrap(
     let Buffers { costs: rows, graph, turns } = buffers;
     let Input { period, misfit, anchor, runs } = *input;
     let wrapped = &*phase;
+    let settings = &settings.of_rows(pair.sensor_rows);
     turns.reshape(wrapped.width(), wrapped.height(), 0);
     graph.begin(wrapped.width(), settings);
-    let steps = costs::Input { wrapped, period, misfit, runs, sign: pair.sign };
+    let (sign, sensor_rows) = (pair.sign, pair.sensor_rows);
+    let steps = costs::Input { wrapped, period, misfit, runs, sign, sensor_rows };
     let nodes = segments::Input { wrapped, anchor, markers: &pair.markers, runs };
     let bounds = costs::Bounds {
         largest: UNITS * settings.max_residual,
