@@ -144,3 +144,28 @@ fn panel_steps(camera: &Device, projector: &Device, middle: &Point3<f64>) -> Opt
     let along = step(panel(u, v - 4.0)?, panel(u, v + 4.0)?);
     Some((across, along))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Pair;
+    use crate::calibrate::Calibration;
+    use crate::config::Rig;
+    use nalgebra::Point3;
+
+    #[test]
+    fn a_pair_of_rows_lies_between_them() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+        let calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
+        let head = &calibration.heads[0];
+        let all = Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair");
+        let pairs = all.clone().of_row_pairs();
+        assert_eq!((pairs.camera.width, pairs.camera.height, pairs.sensor_rows), (1920, 600, 2));
+        let [x, y, z] = [0.1, -0.2, 1.1];
+        let point = Point3::new(x, y, z);
+        let [u, v] = all.camera.project(&point).expect("in view");
+        let [u2, v2] = pairs.camera.project(&point).expect("in view");
+        // Rows 2 k and 2 k + 1 are k: their middle is 2 k + 1/2.
+        assert!((u - u2).abs() < 1e-9 && (v - (2.0 * v2 + 0.5)).abs() < 1e-9, "{v} {v2}");
+        assert!((pairs.marker_period_px * 2.0 - all.marker_period_px).abs() < 1e-6);
+    }
+}
