@@ -39,14 +39,21 @@ pub fn render(dir: &Path, heads: usize) -> PathBuf {
     images
 }
 
+/// Reconstruction into `dir/name`.
+fn command(dir: &Path, name: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_fourdbody"));
+    command.args(["reconstruct".as_ref(), dir.join("images").as_os_str(), "--calibration".as_ref()]);
+    command.args([dir.join("calibration.json").as_os_str(), "--out".as_ref(), dir.join(name).as_os_str()]);
+    command.env_remove("FOURDBODY_SIMD");
+    command
+}
+
 /// Reconstructs into `dir/name`, once for each list of options.
 fn reconstruct(dir: &Path, name: &str, simd: Option<&str>, options: &[&[&str]]) -> Files {
     let out = dir.join(name);
     for options in options {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_fourdbody"));
-        command.args(["reconstruct".as_ref(), dir.join("images").as_os_str(), "--calibration".as_ref()]);
-        command.args([dir.join("calibration.json").as_os_str(), "--out".as_ref(), out.as_os_str()]);
-        command.args(*options).env_remove("FOURDBODY_SIMD");
+        let mut command = command(dir, name);
+        command.args(*options);
         if let Some(simd) = simd {
             command.env("FOURDBODY_SIMD", simd);
         }
@@ -97,6 +104,12 @@ fn threads_shards_and_vectors_give_the_same_bytes() {
     assert_same("pairs of rows, portable", &pairs, &run("paired-portable", Some("portable"), &paired));
     let plain = run("paper", None, &paper);
     assert_same("paper, portable", &plain, &run("paper-portable", Some("portable"), &paper));
+    // How certain points are is not made up where the model of noise does not hold.
+    let options = ["--method", "paired", "--uncertainty"];
+    let refused = command(dir.path(), "uncertain").args(options).output().expect("starts");
+    assert_eq!(refused.status.code(), Some(2));
+    let words = String::from_utf8_lossy(&refused.stderr);
+    assert!(options.iter().all(|option| words.contains(option)), "{words}");
 }
 
 fn assert_same(name: &str, expected: &Files, found: &Files) {
