@@ -184,7 +184,11 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
     let asked: Vec<_> = asked.collect();
     let made = asked.par_iter().map(|(number, (head, camera))| {
         let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
-        let triangulator = Triangulator::new(Pair::new(head, camera, calibration)?);
+        let pair = Pair::new(head, camera, calibration)?;
+        if plan.method == Method::Paired {
+            pair.has_room_for_pairs().map_err(|why| format!("camera {}: {why}", camera.id))?;
+        }
+        let triangulator = Triangulator::new(pair);
         let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
         let pipeline = pipeline.with_uncertainty(plan.uncertainty);
         let viewpoint = Viewpoint::new(head.id.as_str(), &camera.device, &head.projector);

@@ -89,6 +89,17 @@ impl Pair {
         })
     }
 
+    /// Whether rows can be taken in pairs; an error when the marker's dashes are too fine for that.
+    pub fn has_room_for_pairs(&self) -> Result<(), String> {
+        let (rows, period) = (self.camera.height, self.marker_period_px);
+        if rows < 2 || period < 4.0 {
+            return Err(format!(
+                "expected frames of two rows or more and a marker with a period of 4 px or more in them, to take rows in pairs, found {rows} rows and {period:.1} px; use --method anchored"
+            ));
+        }
+        Ok(())
+    }
+
     /// The same camera with rows in pairs: row `v` of the image is the mean of the rows `2 v` and `2 v + 1`, whose middle lies
     /// between them.
     #[must_use]
@@ -167,5 +178,8 @@ mod tests {
         // Rows 2 k and 2 k + 1 are k: their middle is 2 k + 1/2.
         assert!((u - u2).abs() < 1e-9 && (v - (2.0 * v2 + 0.5)).abs() < 1e-9, "{v} {v2}");
         assert!((pairs.marker_period_px * 2.0 - all.marker_period_px).abs() < 1e-6);
+        assert_eq!(all.has_room_for_pairs(), Ok(()));
+        let fine = Pair { marker_period_px: 3.9, ..all };
+        assert!(fine.has_room_for_pairs().is_err_and(|why| why.contains("3.9 px")));
     }
 }
