@@ -20,7 +20,7 @@ pub(super) struct Opening {
 
 impl Opening {
     /// The runs of a plane of bits of these columns of `h` rows, each row of as many words as it needs, after erosion and dilation by
-    /// five columns of `2 half_rows + 1` rows, two and two at most to each side; outside of the plane its outermost pixels repeat. What is left of the bits is any.
+    /// five columns of `2 half_rows + 1` rows; outside of the plane its outermost pixels repeat. What is left of the bits is any.
     #[inline(always)]
     pub(super) fn runs(
         &mut self,

@@ -15,8 +15,8 @@ use crate::reconstruct::simd;
 /// Side of a cell, px.
 pub const CELL_PX: usize = 8;
 
-/// Within a cell, steps this far from the carrier's, or from row to row of the sensor, still continue, rad. Few pixels agree by chance so often that it
-/// matters there.
+/// Within a cell, steps this far from the carrier's, or from row to row of the sensor, still continue, rad. Few pixels agree by
+/// chance so often that it matters there.
 const INNER_RAD: f32 = 0.8;
 
 /// All pixels of a cell, a bit each, row by row.
