@@ -45,6 +45,7 @@ pub mod normals;
 mod opening;
 /// Fringe orders of all views of one instant.
 pub mod order;
+mod outcome;
 /// What the pipeline must know of a camera and its projector.
 pub mod pair;
 /// Fringe period Pm, amplitude Am, stability Sm.

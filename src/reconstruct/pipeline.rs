@@ -6,6 +6,7 @@ use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
 use super::marker_pieces::MarkerPieces;
 use super::order::Regions;
+use super::outcome::{WHY_ELSEWHERE, outcome_of};
 use super::pool::Pool;
 use super::rays::RayTable;
 use super::roi::Roi;
@@ -21,6 +22,8 @@ use crate::image::{Mono8, Plane};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+pub use super::outcome::{Counts, Outcome};
+
 /// How the absolute phase is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
@@ -30,55 +33,6 @@ pub enum Method {
     Anchored,
     /// The same on the means of pairs of rows ([`row_pairs`]): faster, with more that is refused or wrong.
     Paired,
-}
-
-/// What became of a frame.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Outcome {
-    /// A cloud, which may leave parts unresolved.
-    Cloud,
-    /// No point can be trusted, for this reason.
-    Refused(String),
-}
-
-/// What to ask when dashes lie elsewhere.
-const WHY_ELSEWHERE: &str =
-    "is it the calibration of another camera, or another projector's light, or has a device moved?";
-
-/// Pixel counts that tell how a frame went, px of the sensor.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Counts {
-    /// Pixels on the object mask.
-    pub object: usize,
-    /// Pixels with a wrapped phase.
-    pub phase: usize,
-    /// Pixels on marker cores.
-    pub marker: usize,
-    /// Whether the marker's dashes lie where the calibration has them.
-    pub dashes: Dashes,
-    /// Pixels left out because their fringe order is not certain.
-    pub refused: usize,
-    /// Of these, pixels for whose order the evidence contradicts itself; the others have too little.
-    pub contradicted: usize,
-    /// Merges refused because anchors contradicted.
-    pub contradictions: usize,
-    /// Pixels dropped near depth steps, faint or not like a fringe.
-    pub dropped: usize,
-}
-
-impl Counts {
-    /// Of px of the sensor, where they were of images of which a row is the mean of so many rows.
-    fn of_sensor(self, rows: usize) -> Self {
-        Self {
-            object: rows * self.object,
-            phase: rows * self.phase,
-            marker: rows * self.marker,
-            refused: rows * self.refused,
-            contradicted: rows * self.contradicted,
-            dropped: rows * self.dropped,
-            ..self
-        }
-    }
 }
 
 /// Everything that one frame gives.
@@ -603,19 +557,6 @@ fn known(phase: &Plane<f32>, runs: &Runs) -> usize {
             known
         },
     )
-}
-
-fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
-    if cloud.is_empty() && counts.marker == 0 && counts.dashes.stretches > 0 {
-        let reason = "what looks like the marker does not lie where the calibration has it, so that no fringe order is known";
-        Outcome::Refused(format!("{reason}; {WHY_ELSEWHERE}"))
-    } else if cloud.is_empty() && counts.marker == 0 {
-        Outcome::Refused("no marker was found, so that no fringe order is known".to_owned())
-    } else if cloud.is_empty() {
-        Outcome::Refused("no pixel has a fringe order that can be trusted".to_owned())
-    } else {
-        Outcome::Cloud
-    }
 }
 
 fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> {
