@@ -2,8 +2,8 @@
 //!
 //! Phases are means of five rows, so that each says little that those beside it do not. [`Method::Paired`] takes the mean of
 //! each two rows first, works on a photograph of half the height with the camera that would have taken it
-//! ([`Pair::of_row_pairs`]), and ends with all rows again. What a stage asks of rows, in its constants, is meant for rows of the sensor
-//! ([`Pair::sensor_rows`]).
+//! ([`Pair::of_row_pairs`]), and ends with all rows again. Stages that take [`Pair::sensor_rows`] mean rows of the sensor by their
+//! constants; for all others a pair is a row.
 //!
 //! [`Method::Paired`]: super::pipeline::Method::Paired
 //! [`Pair::of_row_pairs`]: super::pair::Pair::of_row_pairs
@@ -41,14 +41,14 @@ pub fn fold(image: Mono8<'_>, folded: &mut Plane<u8>) {
 }
 
 /// All rows of what is known of pairs, for a frame of `height` rows. The middle of a row lies a quarter of the way from the middle of its
-/// pair to that of the next one, and so does its phase, where both are of one surface; all else is its pair's.
+/// pair to that of the next one, and so does its phase, where both are of one surface; its light is its pair's. How certain phases are
+/// nobody knows of pairs.
 pub fn unfold(map: &PhaseMap, height: u16) -> PhaseMap {
     let mut out = PhaseMap { frame: [map.frame[0], height], ..PhaseMap::default() };
     let pixels = 2 * map.phase.len();
     out.runs.reserve_exact(2 * map.runs.len());
     out.phase.reserve_exact(pixels);
     out.light.reserve_exact(pixels);
-    out.doubt.reserve_exact(2 * map.doubt.len());
     let mut rows = Rows::of(map);
     simd::dispatch(
         #[inline(always)]
@@ -136,9 +136,6 @@ impl Rows {
                 to[i] = own[i] + if (-STEP..=STEP).contains(&step) { quarter } else { 0 };
             }
             out.light.extend_from_slice(&map.light[pixels.clone()]);
-            if !map.doubt.is_empty() {
-                out.doubt.extend_from_slice(&map.doubt[pixels.clone()]);
-            }
             at = pixels.end;
         }
     }

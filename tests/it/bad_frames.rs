@@ -112,16 +112,21 @@ fn blurred(reach: usize) -> Plane<u8> {
     image
 }
 
-#[test]
-fn frames_that_show_nothing_are_refused() {
-    for (name, image) in [
+/// Photographs in which nothing is to be seen.
+fn that_show_nothing() -> [(&'static str, Plane<u8>); 6] {
+    [
         ("empty", changed(|_, _, _| 0)),
         ("grey", changed(|_, _, _| 90)),
         ("white", changed(|_, _, _| 255)),
         ("noise", changed(|u, v, _| noise(u, v))),
         ("dark", changed(|_, _, x| x / 40)),
         ("all saturated", changed(|_, _, x| x.saturating_mul(60))),
-    ] {
+    ]
+}
+
+#[test]
+fn frames_that_show_nothing_are_refused() {
+    for (name, image) in that_show_nothing() {
         assert_refused(name, &reconstruct(&image));
     }
 }
@@ -267,13 +272,7 @@ fn pairs_of_rows_make_no_wrong_clouds_either() {
     let mut white = pair();
     (white.pattern.low, white.pattern.high) = (1.0, 1.0);
     white.pattern.marker = fourdbody::pattern::Marker::Darkened { depth: 0.0 };
-    for (name, image) in [
-        ("empty", changed(|_, _, _| 0)),
-        ("grey", changed(|_, _, _| 90)),
-        ("white", changed(|_, _, _| 255)),
-        ("noise", changed(|u, v, _| noise(u, v))),
-        ("dark", changed(|_, _, x| x / 40)),
-        ("all saturated", changed(|_, _, x| x.saturating_mul(60))),
+    let others = [
         ("saturated on the ridges", changed(|_, _, x| x.saturating_mul(2))),
         ("out of focus", blurred(3)),
         ("white light", photograph(&white, sphere(centre(), RADIUS_M))),
@@ -281,7 +280,8 @@ fn pairs_of_rows_make_no_wrong_clouds_either() {
         ("light of the head behind", lit_by(2)),
         ("another size", Plane::filled(1200, 1920, 100)),
         ("half the size", Plane::filled(1920, 600, 100)),
-    ] {
+    ];
+    for (name, image) in that_show_nothing().into_iter().chain(others) {
         assert_refused(name, &by(pair(), &image));
     }
     assert_refused("the other camera of the head", &by(pair_of(0, 1, None), &good().0));
