@@ -83,7 +83,7 @@ pub(super) struct What {
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
     rate_hz: f64,
     /// How the absolute phase is found: `anchored` refuses what no marker anchors; `paired` does so on the means of pairs of rows,
-    /// in three fifths of the time, with more that is refused or wrong (docs/validation.md); `paper` is section 4.1 of the paper to
+    /// in three fifths of the time, with more that is refused (docs/validation.md); `paper` is section 4.1 of the paper to
     /// the letter.
     #[arg(long, value_enum, default_value = "anchored")]
     method: MethodName,

@@ -7,10 +7,10 @@
 use super::demodulate::{self, Gains};
 use super::marker_phase::{self, Ring};
 use super::pair::Pair;
-use super::pipeline::Clock;
 use super::pool::Pool;
 use super::runs::{Runs, fill_beside};
 use super::sample::{self, LANES, Lanes, Light};
+use super::timings::Clock;
 use super::windows::{self, Windows};
 use super::{marker, period_fast, shading, simd};
 use crate::image::{Mono8, Plane};

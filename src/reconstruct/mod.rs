@@ -77,6 +77,7 @@ mod sample;
 pub mod shading;
 /// Vectors as wide as the processor has.
 pub mod simd;
+mod single_rows;
 mod source;
 /// Stored phase maps to clouds.
 pub mod stored;

@@ -10,17 +10,19 @@ use super::outcome::{WHY_ELSEWHERE, outcome_of};
 use super::pool::Pool;
 use super::rays::RayTable;
 use super::roi::Roi;
+use super::row_pairs::Single;
 use super::runs::{Run, Runs};
+use super::timings::Clock;
 use super::triangulate::Triangulator;
 use super::windows::{self, Windows};
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, marker_paper, mask, period, quality,
-    row_pairs, run_ends, simd, uncertainty, unwrap, unwrap_paper,
+    row_pairs, run_ends, simd, single_rows, uncertainty, unwrap, unwrap_paper,
 };
 use crate::export::{Cloud, PhaseMap, STEPS_PER_LEVEL};
 use crate::image::{Mono8, Plane};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 pub use super::outcome::{Counts, Outcome};
 
@@ -31,7 +33,7 @@ pub enum Method {
     Paper,
     /// The anchored spanning forest: every marker pixel is an anchor, contradictions are refused.
     Anchored,
-    /// The same on the means of pairs of rows ([`row_pairs`]): faster, with more that is refused or wrong.
+    /// The same on the means of pairs of rows ([`row_pairs`]): faster, with more that is refused.
     Paired,
 }
 
@@ -87,6 +89,7 @@ pub struct Pipeline {
 struct Buffers {
     object: Runs,
     mask: mask::Buffers,
+    singles: single_rows::Buffers,
     front: front::Buffers,
     unwrap: unwrap::Buffers,
 }
@@ -96,20 +99,6 @@ static BUFFERS: Pool<Buffers> = Pool::new();
 static PLANES: Planes<f32> = Planes::new();
 static WORDS: Planes<u16> = Planes::new();
 static BYTES: Planes<u8> = Planes::new();
-
-/// Runs stages and keeps their times.
-#[derive(Debug, Default)]
-pub(super) struct Clock(Vec<(&'static str, Duration)>);
-
-impl Clock {
-    /// Runs one stage.
-    pub(super) fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
-        let start = Instant::now();
-        let result = work();
-        self.0.push((stage, start.elapsed()));
-        result
-    }
-}
 
 /// A frame whose phase is unwrapped as far as the camera alone can. [`super::order::settle`] weighs its orders
 /// before [`Pipeline::finish`] makes the cloud.
@@ -138,6 +127,8 @@ pub struct Prepared {
     image: Plane<u8>,
     /// Rows of the sensor that one of its rows is the mean of.
     sensor_rows: usize,
+    /// Where these are, of pairs of which one row is taken alone.
+    singles: Vec<Single>,
     period: Plane<f32>,
     /// Around the marker: not 0.
     zone: Plane<u8>,
@@ -258,17 +249,20 @@ impl Pipeline {
                 format!("expected a frame of {expected:?} pixels, as the calibration has, found {found:?}");
             return Err(refused(clock, counts, reason));
         }
-        let pairs = self.all_rows.is_some().then(|| {
+        let folded = self.all_rows.is_some().then(|| {
             clock.time("pair_rows", || {
-                let mut pairs = BYTES.take(pair.camera.width, pair.camera.height);
-                row_pairs::fold(image, &mut pairs);
-                pairs
+                let [mut pairs, mut largest] =
+                    [(); 2].map(|()| BYTES.take(pair.camera.width, pair.camera.height));
+                row_pairs::fold(image, &mut pairs, &mut largest);
+                (pairs, largest)
             })
         });
-        let image = pairs.as_ref().map_or(image, Mono8::from);
+        let (mut pairs, largest) = folded.unzip();
         let mut buffers = BUFFERS.take();
         let roi = clock.time("mask", || {
             let Buffers { mask, object, .. } = &mut buffers;
+            // Object is a pair of which one row is.
+            let image = largest.as_ref().map_or(image, Mono8::from);
             match self.method {
                 Method::Anchored | Method::Paired => {
                     mask::envelope(image, pair.period_px, pair.sensor_rows, mask, object);
@@ -278,21 +272,28 @@ impl Pipeline {
             // What is over-exposed hides the background from the other cameras: it belongs to the region, too.
             Roi::of(&mask.lit).filter(|_| !object.all().is_empty())
         });
+        largest.into_iter().for_each(|plane| BYTES.give(plane));
         let Some(roi) = roi else {
             BUFFERS.give(buffers);
+            pairs.into_iter().for_each(|pairs| BYTES.give(pairs));
             return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
         };
+        let singles = pairs.as_mut().map(|pairs| {
+            clock.time("single_rows", || {
+                let Buffers { object, singles, .. } = &mut buffers;
+                single_rows::part(image, object, pair.period_px, pairs, singles)
+            })
+        });
         let runs = roi.cut_runs(&buffers.object);
         let lit = roi.cut_runs(&buffers.mask.lit);
         BUFFERS.give(buffers);
         let mut part = BYTES.take(roi.width, roi.height);
-        roi.cut(image, &mut part);
+        roi.cut(pairs.as_ref().map_or(image, Mono8::from), &mut part);
         pairs.into_iter().for_each(|pairs| BYTES.give(pairs));
-        let image = part;
         counts.object = runs.area();
         let resolved = match self.method {
-            Method::Anchored | Method::Paired => self.anchored(&image, runs, roi, &mut clock, &mut counts),
-            Method::Paper => Ok(self.paper(&image, runs, &mut clock, &mut counts)),
+            Method::Anchored | Method::Paired => self.anchored(&part, runs, roi, &mut clock, &mut counts),
+            Method::Paper => Ok(self.paper(&part, runs, &mut clock, &mut counts)),
         };
         let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = match resolved {
             Ok(resolved) => resolved,
@@ -308,8 +309,9 @@ impl Pipeline {
             regions,
             marker,
             lit,
-            image,
+            image: part,
             sensor_rows: pair.sensor_rows,
+            singles: singles.unwrap_or_default(),
             counts,
             runs,
             windows,
@@ -336,6 +338,7 @@ impl Pipeline {
             mut planes,
             mut clock,
             marker,
+            singles,
             ..
         } = prepared;
         let pair = self.triangulator.pair();
@@ -388,7 +391,10 @@ impl Pipeline {
         });
         let (table, map) = match &self.all_rows {
             None => (&*self.table, map),
-            Some(table) => (table, clock.time("all_rows", || row_pairs::unfold(&map, self.frame[1] as u16))),
+            Some(table) => {
+                let height = self.frame[1] as u16;
+                (table, clock.time("all_rows", || row_pairs::unfold(&map, height, &singles)))
+            }
         };
         let counts = counts.of_sensor(pair.sensor_rows);
         let cloud = clock.time("points", || cloud::make(table, &map));

@@ -1,8 +1,8 @@
 //! Rows in pairs: a photograph of half as many rows, and back from what is known of these to all rows.
 //!
 //! Phases are means of five rows, so that each says little that those beside it do not. [`Method::Paired`] takes the mean of
-//! each two rows first, works on a photograph of half the height with the camera that would have taken it
-//! ([`Pair::of_row_pairs`]), and ends with all rows again. Stages that take [`Pair::sensor_rows`] mean rows of the sensor by their
+//! each two rows first, or one of them alone where the two see different surfaces (`single_rows`), works on a photograph of half
+//! the height with the camera that would have taken it ([`Pair::of_row_pairs`]), and ends with all rows again. Stages that take [`Pair::sensor_rows`] mean rows of the sensor by their
 //! constants; for all others a pair is a row.
 //!
 //! [`Method::Paired`]: super::pipeline::Method::Paired
@@ -13,6 +13,7 @@ use super::mask::SATURATED;
 use super::simd;
 use crate::export::{PhaseMap, Run, STEPS_PER_FRINGE};
 use crate::image::{Mono8, Plane};
+use std::ops::Range;
 
 /// Pairs whose phases differ by more than this are of two surfaces, steps of phase (1.6 rad).
 const STEP: i32 = (STEPS_PER_FRINGE / 4.0) as i32;
@@ -20,44 +21,73 @@ const STEP: i32 = (STEPS_PER_FRINGE / 4.0) as i32;
 /// What is not known. Far enough from every phase.
 const UNKNOWN: i32 = i32::MIN / 4;
 
-/// The mean of each two rows into a plane of half the height; the last of an odd number of rows is left out. Halves are rounded up and down by
-/// turns, and a pair of which one is over-exposed is.
-pub fn fold(image: Mono8<'_>, folded: &mut Plane<u8>) {
+/// The mean of each two rows into one plane of half the height, the larger of their pixels into another; the last of an odd number of rows is
+/// left out. Halves are rounded up and down by turns, and a pair of which one is over-exposed is.
+pub fn fold(image: Mono8<'_>, folded: &mut Plane<u8>, largest: &mut Plane<u8>) {
     simd::dispatch(
         #[inline(always)]
         || {
             for k in 0..folded.height() {
                 let n = image.width();
                 let (a, b) = (&image.row(2 * k)[..n], &image.row(2 * k + 1)[..n]);
-                let (out, half) = (&mut folded.row_mut(k)[..n], k as u16 % 2);
+                let half = k as u16 % 2;
+                let (out, largest) = (&mut folded.row_mut(k)[..n], &mut largest.row_mut(k)[..n]);
                 for u in 0..n {
                     let most = a[u].max(b[u]);
                     let mean = ((u16::from(a[u]) + u16::from(b[u]) + half) / 2) as u8;
                     out[u] = if most >= SATURATED { most } else { mean };
+                    largest[u] = most;
                 }
             }
         },
     );
 }
 
+/// A stretch of a pair of which one row is taken alone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Single {
+    /// Row of the folded frame.
+    pub pair: u16,
+    /// First column in the frame.
+    pub first: u16,
+    /// The column after the last.
+    pub end: u16,
+    /// Which of its rows.
+    pub side: Side,
+}
+
+/// A row of a pair.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// Row `2 k`.
+    Upper,
+    /// Row `2 k + 1`.
+    Lower,
+}
+
 /// All rows of what is known of pairs, for a frame of `height` rows. The middle of a row lies a quarter of the way from the middle of its
-/// pair to that of the next one, and so does its phase, where both are of one surface; its light is its pair's. How certain phases are
-/// nobody knows of pairs.
-pub fn unfold(map: &PhaseMap, height: u16) -> PhaseMap {
+/// pair to that of the next one, and so does its phase, where both are of one surface; its light is its pair's. Of `singles`, from top to
+/// bottom and from left to right, the row that stands alone has the phase of the pair, and the other one is half way to the pair on its
+/// side where that is of the same surface, or nothing. How certain phases are nobody knows of pairs.
+pub fn unfold(map: &PhaseMap, height: u16, singles: &[Single]) -> PhaseMap {
     let mut out = PhaseMap { frame: [map.frame[0], height], ..PhaseMap::default() };
     let pixels = 2 * map.phase.len();
     out.runs.reserve_exact(2 * map.runs.len());
     out.phase.reserve_exact(pixels);
     out.light.reserve_exact(pixels);
     let mut rows = Rows::of(map);
+    let mut singles = singles;
     simd::dispatch(
         #[inline(always)]
         || {
             for k in 0..map.frame[1] {
                 rows.advance(map, k);
-                for below in [false, true] {
-                    rows.write(map, k, below, &mut out);
+                let here = singles.iter().take_while(|single| single.pair <= k).count();
+                let (of_pair, rest) = singles.split_at(here);
+                for side in [Side::Upper, Side::Lower] {
+                    rows.write(map, k, side, of_pair, &mut out);
                 }
+                singles = rest;
             }
         },
     );
@@ -117,36 +147,92 @@ impl Rows {
         }
     }
 
-    /// Writes the upper or the lower row of pair `k`.
+    /// Writes one row of pair `k`, of which `singles` stand alone.
     #[inline(always)]
-    fn write(&self, map: &PhaseMap, k: u16, below: bool, out: &mut PhaseMap) {
+    fn write(&self, map: &PhaseMap, k: u16, side: Side, singles: &[Single], out: &mut PhaseMap) {
         let [above, own, under] = &self.phases;
-        let beside = if below { under } else { above };
+        let (row, beside) = match side {
+            Side::Upper => (2 * k, above),
+            Side::Lower => (2 * k + 1, under),
+        };
         let mut at = self.own.pixel;
+        let mut singles = singles;
         for run in &map.runs[self.own.run..self.own.end] {
-            let (columns, pixels) = (usize::from(run.first)..run.end(), at..at + usize::from(run.length));
-            out.runs.push(Run { row: 2 * k + u16::from(below), ..*run });
-            let (n, first) = (columns.len(), out.phase.len());
-            out.phase.resize(first + n, 0);
-            let to = &mut out.phase[first..][..n];
-            let (own, beside) = (&own[columns.clone()][..n], &beside[columns][..n]);
-            for i in 0..n {
-                let step = beside[i] - own[i];
-                let quarter = (step + 2) >> 2;
-                to[i] = own[i] + if (-STEP..=STEP).contains(&step) { quarter } else { 0 };
+            let (first, end) = (usize::from(run.first), run.end());
+            let light = &map.light[at..at + usize::from(run.length)];
+            at += light.len();
+            let mut columns = first;
+            while columns < end {
+                // What ends before is of no use for what follows, either.
+                while let Some((_, rest)) = singles.split_first().filter(|x| usize::from(x.0.end) <= columns)
+                {
+                    singles = rest;
+                }
+                let next = singles.first().map(|x| (usize::from(x.first), usize::from(x.end), x.side));
+                let (to, single) = match next.filter(|x| x.0 < end) {
+                    Some((start, _, _)) if start > columns => (start, None),
+                    Some((_, stop, single)) => (stop.min(end), Some(single)),
+                    None => (end, None),
+                };
+                let part = columns..to;
+                let [own, beside] = [own, beside].map(|row| &row[part.clone()]);
+                let light = &light[columns - first..to - first];
+                columns = to;
+                match single {
+                    None => {
+                        begin(&mut out.runs, row, &part);
+                        let from = out.phase.len();
+                        out.phase.resize(from + own.len(), 0);
+                        towards(own, beside, &mut out.phase[from..]);
+                        out.light.extend_from_slice(light);
+                    }
+                    Some(single) if single == side => {
+                        begin(&mut out.runs, row, &part);
+                        out.phase.extend_from_slice(own);
+                        out.light.extend_from_slice(light);
+                    }
+                    Some(_) => {
+                        for (i, u) in part.enumerate() {
+                            if (-STEP..=STEP).contains(&(beside[i] - own[i])) {
+                                begin(&mut out.runs, row, &(u..u + 1));
+                                out.phase.push(own[i] + ((beside[i] - own[i]) >> 1));
+                                out.light.push(light[i]);
+                            }
+                        }
+                    }
+                }
             }
-            out.light.extend_from_slice(&map.light[pixels.clone()]);
-            at = pixels.end;
         }
+    }
+}
+
+/// Phases a quarter of the way to those beside them where these are of the same surface.
+#[inline(always)]
+fn towards(own: &[i32], beside: &[i32], out: &mut [i32]) {
+    let n = out.len();
+    let (own, beside) = (&own[..n], &beside[..n]);
+    for i in 0..n {
+        let step = beside[i] - own[i];
+        let quarter = (step + 2) >> 2;
+        out[i] = own[i] + if (-STEP..=STEP).contains(&step) { quarter } else { 0 };
+    }
+}
+
+/// Begins a run, or makes the last one longer.
+#[inline(always)]
+fn begin(runs: &mut Vec<Run>, row: u16, columns: &Range<usize>) {
+    match runs.last_mut() {
+        Some(last) if last.row == row && last.end() == columns.start => last.length += columns.len() as u16,
+        _ => runs.push(Run { row, first: columns.start as u16, length: columns.len() as u16 }),
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{STEP, fold, unfold};
+    use super::{STEP, Side, Single, fold, unfold};
     use crate::export::{PhaseMap, Run};
     use crate::image::{Mono8, Plane};
-    use proptest::prelude::{any, prop_assert, prop_assert_eq, proptest};
+    use proptest::prelude::{Just, any, prop_assert, prop_assert_eq, prop_oneof, proptest};
 
     /// A phase map of these rows of columns that are known.
     fn map(rows: &[Vec<Option<i32>>]) -> PhaseMap {
@@ -165,24 +251,50 @@ mod tests {
         map
     }
 
+    /// Stretches of the pairs' pixels that stand alone, by what is said of each.
+    fn singles(said: &[Vec<Option<bool>>]) -> Vec<Single> {
+        let mut singles: Vec<Single> = Vec::new();
+        for (pair, said) in said.iter().enumerate() {
+            for (u, lower) in said.iter().enumerate() {
+                let Some(lower) = lower else { continue };
+                let (pair, u) = (pair as u16, u as u16);
+                let side = if *lower { Side::Lower } else { Side::Upper };
+                match singles.last_mut().filter(|x| (x.pair, x.end, x.side) == (pair, u, side)) {
+                    Some(last) => last.end += 1,
+                    None => singles.push(Single { pair, first: u, end: u + 1, side }),
+                }
+            }
+        }
+        singles
+    }
+
     proptest! {
+        /// Pixels are far apart, as random ones are, or near.
         #[test]
-        fn every_pair_becomes_two_rows(
+        fn every_pair_becomes_what_is_known_of_two_rows(
             rows in proptest::collection::vec(proptest::collection::vec(any::<Option<i16>>(), 7), 1..6),
+            said in proptest::collection::vec(proptest::collection::vec(any::<Option<bool>>(), 7), 5),
+            none_alone in any::<bool>(),
+            divisor in prop_oneof![Just(1), Just(30)],
         ) {
+            let near = |x: Option<i16>| x.map(|x| i32::from(x) / divisor);
             let rows: Vec<Vec<Option<i32>>> =
-                rows.into_iter().map(|row| row.into_iter().map(|x| x.map(i32::from)).collect()).collect();
+                rows.into_iter().map(|row| row.into_iter().map(near).collect()).collect();
+            let said = if none_alone { vec![vec![None; 7]; 5] } else { said };
             let height = 2 * rows.len() + 1;
-            let found = unfold(&map(&rows), height as u16);
+            let found = unfold(&map(&rows), height as u16, &singles(&said[..rows.len()]));
             let mut expected = vec![vec![None; 7]; height - 1];
             for (v, out) in expected.iter_mut().enumerate() {
                 let beside = if v % 2 == 0 { (v / 2).checked_sub(1) } else { Some(v / 2 + 1) };
                 for (u, out) in out.iter_mut().enumerate() {
                     let beside = beside.and_then(|k| rows.get(k)).and_then(|row| row[u]);
-                    *out = rows[v / 2][u].map(|own| {
-                        let step = beside.map_or(0, |x| x - own);
-                        own + if step.abs() <= STEP { (step + 2).div_euclid(4) } else { 0 }
-                    });
+                    let Some(own) = rows[v / 2][u] else { continue };
+                    let step = beside.map(|x| x - own).filter(|step| step.abs() <= STEP);
+                    *out = match said[v / 2][u] {
+                        None => Some(own + step.map_or(0, |step| (step + 2).div_euclid(4))),
+                        Some(lower) if lower == (v % 2 == 1) => Some(own),
+                        Some(_) => step.map(|step| own + step.div_euclid(2)),
+                    };
                 }
             }
             let expected = map(&expected);
@@ -198,7 +310,7 @@ mod tests {
         // Four steps of phase a row: eight a pair.
         let rows: Vec<Vec<Option<i32>>> =
             (0..5).map(|k| (0..9).map(|u| Some(8 * k + 100 * u)).collect()).collect();
-        let found = unfold(&map(&rows), 10);
+        let found = unfold(&map(&rows), 10, &[]);
         let row = |v: usize| &found.phase[9 * v..9 * (v + 1)];
         for v in 1..8 {
             assert!(row(v).iter().zip(row(v + 1)).all(|(x, y)| y - x == 4), "{v}");
@@ -208,8 +320,9 @@ mod tests {
     #[test]
     fn light_is_the_mean_of_two_rows_and_what_is_over_exposed_stays_so() {
         let image = Plane::from_vec(3, 5, vec![10, 20, 251, 13, 30, 40, 1, 2, 3, 2, 2, 255, 9, 9, 9]);
-        let mut folded = Plane::filled(3, 2, 0);
-        fold(Mono8::from(&image.expect("15 pixels")), &mut folded);
+        let (mut folded, mut largest) = (Plane::filled(3, 2, 0), Plane::filled(3, 2, 0));
+        fold(Mono8::from(&image.expect("15 pixels")), &mut folded, &mut largest);
         assert_eq!(folded.as_slice(), [11, 25, 251, 2, 2, 255]);
+        assert_eq!(largest.as_slice(), [13, 30, 251, 2, 2, 255]);
     }
 }

@@ -2,7 +2,21 @@
 
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::time::Duration;
+use std::time::{Duration, Instant};
+
+/// Runs stages and keeps their times.
+#[derive(Debug, Default)]
+pub(super) struct Clock(pub Vec<(&'static str, Duration)>);
+
+impl Clock {
+    /// Runs one stage.
+    pub(super) fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = work();
+        self.0.push((stage, start.elapsed()));
+        result
+    }
+}
 
 /// Time spent, over the frames that were computed and not found finished.
 #[derive(Debug, Clone, Default, Serialize)]

@@ -207,7 +207,8 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     }
 }
 
-/// The same of pairs of rows, in three fifths of the time. Bounds: what was measured (0.1219 % wrong, 88.23 % of lit) and little room.
+/// The same of pairs of rows, in three fifths of the time. Bounds: what was measured (0.0691 % wrong, 87.40 % of lit) and little room. Before
+/// one row stood alone where the two of a pair see different surfaces, there were 0.1219 % wrong.
 #[test]
 fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
     let Some(scene) = scene() else { return };
@@ -223,9 +224,9 @@ fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
     }
     let all = sum.score();
     println!("all: {}", wrong_and_complete(&all));
-    assert!(all.wrong_order_share < 0.00128, "{all:?}");
-    assert!(all.completeness_of_lit > 0.881, "{all:?}");
-    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.345, "{all:?}");
+    assert!(all.wrong_order_share < 0.00075, "{all:?}");
+    assert!(all.completeness_of_lit > 0.872, "{all:?}");
+    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.305, "{all:?}");
 }
 
 /// A lost camera takes points from the others, and makes none of theirs wrong. Bounds: what was measured and little room. Before whole

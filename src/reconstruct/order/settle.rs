@@ -31,7 +31,8 @@ const MIN_VOTE_SHARE: f32 = 0.8;
 /// The smallest piece that is settled by evidence other than the marker, px.
 const MIN_PIECE_PX: u32 = 120;
 
-/// Places of a piece that are tried.
+/// Places of a piece that are tried, where a row of the image is one of the sensor. In pairs of rows, where a part of another surface is
+/// joined to a piece more often, twice as many: parts are sought where a few of them agree at another order.
 const SAMPLES: usize = 48;
 
 /// So many of them say whether an order is worth the rest.
@@ -148,7 +149,7 @@ const EVIDENCE: Weights = Weights { agrees: 1, before: 1 << 8, behind: 1 << 16, 
 
 impl Cache {
     fn new(scenes: &[Scene<'_>]) -> Self {
-        const { assert!(SAMPLES <= u8::MAX as usize) };
+        const { assert!(2 * SAMPLES <= u8::MAX as usize) };
         let mut cache = Self {
             juries: (0..scenes.len()).map(|view| Jury::new(scenes, view, |_| EVIDENCE)).collect(),
             known: Known::default(),
@@ -366,7 +367,8 @@ fn samples(scene: &Scene<'_>, piece: usize) -> Vec<u32> {
     let nodes = &scene.pieces.nodes[piece];
     let size = |node: &&u32| scene.witness.cells.nodes[**node as usize].size;
     let large: Vec<u32> = nodes.iter().filter(|x| size(x) >= MIN_SAMPLE_NODE_PX).copied().collect();
-    let step = large.len().div_ceil(SAMPLES).max(1);
+    let places = SAMPLES * scene.triangulator.pair().sensor_rows.min(2);
+    let step = large.len().div_ceil(places).max(1);
     large.into_iter().step_by(step).collect()
 }
 
