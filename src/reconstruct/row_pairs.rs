@@ -65,18 +65,27 @@ pub enum Side {
     Lower,
 }
 
+impl Side {
+    /// The row of the frame that it is of a pair.
+    pub fn row(self, pair: usize) -> usize {
+        match self {
+            Self::Upper => 2 * pair,
+            Self::Lower => 2 * pair + 1,
+        }
+    }
+}
+
 /// All rows of what is known of pairs, for a frame of `height` rows. The middle of a row lies a quarter of the way from the middle of its
 /// pair to that of the next one, and so does its phase, where both are of one surface; its light is its pair's. Of `singles`, from top to
 /// bottom and from left to right, the row that stands alone has the phase of the pair, and the other one is half way to the pair on its
 /// side where that is of the same surface, or nothing. How certain phases are nobody knows of pairs.
-pub fn unfold(map: &PhaseMap, height: u16, singles: &[Single]) -> PhaseMap {
+pub fn unfold(map: &PhaseMap, height: u16, mut singles: &[Single]) -> PhaseMap {
     let mut out = PhaseMap { frame: [map.frame[0], height], ..PhaseMap::default() };
     let pixels = 2 * map.phase.len();
     out.runs.reserve_exact(2 * map.runs.len());
     out.phase.reserve_exact(pixels);
     out.light.reserve_exact(pixels);
     let mut rows = Rows::of(map);
-    let mut singles = singles;
     simd::dispatch(
         #[inline(always)]
         || {
@@ -149,14 +158,11 @@ impl Rows {
 
     /// Writes one row of pair `k`, of which `singles` stand alone.
     #[inline(always)]
-    fn write(&self, map: &PhaseMap, k: u16, side: Side, singles: &[Single], out: &mut PhaseMap) {
+    fn write(&self, map: &PhaseMap, k: u16, side: Side, mut singles: &[Single], out: &mut PhaseMap) {
         let [above, own, under] = &self.phases;
-        let (row, beside) = match side {
-            Side::Upper => (2 * k, above),
-            Side::Lower => (2 * k + 1, under),
-        };
+        let row = side.row(usize::from(k)) as u16;
+        let beside = if side == Side::Upper { above } else { under };
         let mut at = self.own.pixel;
-        let mut singles = singles;
         for run in &map.runs[self.own.run..self.own.end] {
             let (first, end) = (usize::from(run.first), run.end());
             let light = &map.light[at..at + usize::from(run.length)];
@@ -168,12 +174,11 @@ impl Rows {
                 {
                     singles = rest;
                 }
-                let next = singles.first().map(|x| (usize::from(x.first), usize::from(x.end), x.side));
-                let (to, single) = match next.filter(|x| x.0 < end) {
-                    Some((start, _, _)) if start > columns => (start, None),
-                    Some((_, stop, single)) => (stop.min(end), Some(single)),
-                    None => (end, None),
-                };
+                let (start, stop, single) = singles
+                    .first()
+                    .map_or((end, end, None), |x| (usize::from(x.first), usize::from(x.end), Some(x.side)));
+                let (to, single) =
+                    if start > columns { (start.min(end), None) } else { (stop.min(end), single) };
                 let part = columns..to;
                 let [own, beside] = [own, beside].map(|row| &row[part.clone()]);
                 let light = &light[columns - first..to - first];

@@ -61,7 +61,7 @@ pub fn part(
                 while first < found.end {
                     let end = found.end.min(first + STRETCH_PX);
                     let side = reach.choose(frame, pair, first..end);
-                    let row = &frame.row(2 * pair + usize::from(side == Side::Lower))[first..end];
+                    let row = &frame.row(side.row(pair))[first..end];
                     folded.row_mut(pair)[first..end].copy_from_slice(row);
                     add(
                         &mut singles,
@@ -198,6 +198,7 @@ fn distance(a: &[u8], b: &[u8]) -> u32 {
     a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b))).sum()
 }
 
+/// What differs, pixel by pixel.
 #[inline(always)]
 fn differ(a: &[u8], b: &[u8], out: &mut [u8]) {
     let n = out.len();
@@ -257,7 +258,7 @@ mod tests {
         let (singles, folded) = parted(photograph);
         let [Single { pair, first, end, side }] = singles[..] else { panic!("{singles:?}") };
         assert!(first < 6 && usize::from(end) > WIDTH - 6, "{first} to {end}");
-        let row = photograph.row(2 * usize::from(pair) + usize::from(side == Side::Lower));
+        let row = photograph.row(side.row(usize::from(pair)));
         let columns = usize::from(first)..usize::from(end);
         assert_eq!(folded.row(usize::from(pair))[columns.clone()], row[columns]);
         (pair, side)
@@ -284,9 +285,8 @@ mod tests {
     #[test]
     fn a_surface_that_falls_away_is_one() {
         for phase in [0.0, 0.3, -0.6] {
-            let (singles, folded) = parted(&photograph(|v| (phase * v as f32, 40.0)));
+            let (singles, _) = parted(&photograph(|v| (phase * v as f32, 40.0)));
             assert_eq!(singles, []);
-            assert_eq!(folded.width(), WIDTH);
         }
     }
 
@@ -321,7 +321,7 @@ mod tests {
             for single in &singles {
                 let (pair, columns) = (usize::from(single.pair), usize::from(single.first)..usize::from(single.end));
                 prop_assert!(!columns.is_empty() && object.row(pair)[columns.clone()].iter().all(|&x| x == 1));
-                let row = photograph.row(2 * pair + usize::from(single.side == Side::Lower));
+                let row = photograph.row(single.side.row(pair));
                 expected.row_mut(pair)[columns.clone()].copy_from_slice(&row[columns]);
             }
             prop_assert_eq!(folded.as_slice(), expected.as_slice());
