@@ -131,8 +131,9 @@ impl Reach {
                 let least = LEAST_CONTRAST_DN * window as u16;
                 let mut any = 0;
                 for block in (0..sums).step_by(LANES) {
-                    let of = |row: &[u8]| add_up(&row[block..], window);
-                    let [between, first, second] = [of(between), of(first), of(second)];
+                    let between = add_up(&between[block..], window);
+                    let first = add_up(&first[block..], window);
+                    let second = add_up(&second[block..], window);
                     let out = &mut apart[block..][..LANES];
                     for i in 0..LANES {
                         let contrast = first[i].max(second[i]).max(least);
