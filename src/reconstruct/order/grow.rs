@@ -5,7 +5,7 @@
 //! comes over the seam on which limb and trunk agree by chance. Then all that has an order is tried against all
 //! the others. What is contradicted, or has a neighbour that continues it at another order, loses its order; so does, until the
 //! last round, what nobody confirms. What is open then is sought at the places where other heads see it
-//! ([`super::elsewhere`]), and the next round begins.
+//! ([`super::elsewhere`]), and the next round begins. It ends when all views hold what they have held in an earlier round.
 
 use super::around::Around;
 use super::elsewhere::Seeker;
@@ -22,8 +22,8 @@ use std::collections::BinaryHeap;
 /// No order.
 pub const NONE: i32 = i32::MIN;
 
-/// Rounds of growing and trying.
-const ROUNDS: usize = 5;
+/// Rounds of growing and trying, at most: few triggers need more than ten until nothing is new.
+const MAX_ROUNDS: usize = 24;
 
 /// The least lead of a piece's order for its cores to be a beginning.
 const MIN_MARGIN: f32 = 0.5;
@@ -158,7 +158,8 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     check(scenes, &mut views, &mut known);
     views.par_iter_mut().for_each(drop_unconfirmed);
     let mut seeker = Seeker::new(scenes);
-    for round in 0..ROUNDS {
+    let mut held = Vec::new();
+    for left in (0..MAX_ROUNDS).rev() {
         views.par_iter_mut().for_each(View::reopen);
         for pass in 0..PASSES.len() {
             update(&mut known, &mut views);
@@ -169,10 +170,14 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
         }
         check(scenes, &mut views, &mut known);
         update(&mut known, &mut views);
-        if round + 1 < ROUNDS {
-            seeker.seek(scenes, &mut views, &known);
-            views.par_iter_mut().for_each(drop_unconfirmed);
+        let now: Vec<i32> = views.iter().flat_map(|view| &view.turns).copied().collect();
+        // Of the round before, or an earlier one: views can also go round in a circle.
+        if left == 0 || held.contains(&now) {
+            break;
         }
+        held.push(now);
+        seeker.seek(scenes, &mut views, &known);
+        views.par_iter_mut().for_each(drop_unconfirmed);
     }
     let labels = views.par_iter_mut().enumerate();
     let mut labels: Vec<Vec<Label>> =
