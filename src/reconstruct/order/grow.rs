@@ -158,8 +158,9 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     check(scenes, &mut views, &mut known);
     views.par_iter_mut().for_each(drop_unconfirmed);
     let mut seeker = Seeker::new(scenes);
-    let mut held = Vec::new();
-    for left in (0..MAX_ROUNDS).rev() {
+    // What was known of all nodes after each round.
+    let mut held: Vec<Vec<i32>> = Vec::new();
+    loop {
         views.par_iter_mut().for_each(View::reopen);
         for pass in 0..PASSES.len() {
             update(&mut known, &mut views);
@@ -170,12 +171,11 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
         }
         check(scenes, &mut views, &mut known);
         update(&mut known, &mut views);
-        let now: Vec<i32> = views.iter().flat_map(|view| &view.turns).copied().collect();
-        // Of the round before, or an earlier one: views can also go round in a circle.
-        if left == 0 || held.contains(&now) {
+        // As after the round before, or an earlier one: views can also go round in a circle.
+        if held.len() + 1 == MAX_ROUNDS || held.iter().any(|before| before == known.turns()) {
             break;
         }
-        held.push(now);
+        held.push(known.turns().to_vec());
         seeker.seek(scenes, &mut views, &known);
         views.par_iter_mut().for_each(drop_unconfirmed);
     }
