@@ -3,7 +3,9 @@
 //! Consistent overhead byte stuffing (Cheshire and Baker, 1999) takes every zero out of the body, so a zero
 //! is always a frame's edge and a receiver finds the next frame after any corruption. The zero in *front*
 //! means that garbage on the line never costs the intact frame behind it. The CRC is CRC-32/ISO-HDLC,
-//! little-endian, over the message.
+//! little-endian, over the message. It starts from ones and so takes ones at the front for nothing: the CRC of
+//! `ff` is `00 00 00 ff`, that of `ff ff` is `00 00 ff ff`, and a message that went on so could be cut short
+//! and still pass. No message begins with 0xff, then ([`NO_MESSAGE`]).
 
 use crate::MAX_MESSAGE;
 
@@ -13,6 +15,8 @@ const MAX_STUFFED: usize = MAX_MESSAGE + CRC_BYTES + 1;
 /// Longest frame on the line, bytes.
 pub const MAX_FRAME: usize = MAX_STUFFED + 2;
 const DELIMITER: u8 = 0;
+/// What no message begins with: the start of the CRC, which cancels it.
+pub const NO_MESSAGE: u8 = 0xff;
 
 // One code byte suffices as long as this holds.
 const _: () = assert!(MAX_MESSAGE + CRC_BYTES <= 254);
@@ -43,9 +47,10 @@ const CRC_TABLE: [u32; 16] = {
     table
 };
 
-/// Frames a message; returns the frame's length. No bytes, or more than [`MAX_MESSAGE`], give 0.
+/// Frames a message; returns the frame's length. No bytes, more than [`MAX_MESSAGE`], or [`NO_MESSAGE`] at the
+/// front give 0.
 pub fn encode(message: &[u8], out: &mut [u8; MAX_FRAME]) -> usize {
-    if message.is_empty() || message.len() > MAX_MESSAGE {
+    if message.is_empty() || message.len() > MAX_MESSAGE || message[0] == NO_MESSAGE {
         return 0;
     }
     let crc = crc32(message).to_le_bytes();
@@ -69,7 +74,7 @@ pub fn encode(message: &[u8], out: &mut [u8; MAX_FRAME]) -> usize {
 /// What a decoder had to throw away.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FrameErrors {
-    /// Bodies whose CRC does not match.
+    /// Bodies whose CRC does not match, or says too little: those that begin with [`NO_MESSAGE`].
     pub crc: u32,
     /// Bodies that are no valid stuffing, or too short for a CRC.
     pub stuffing: u32,
@@ -148,7 +153,7 @@ impl Decoder {
             return None;
         };
         let (message, crc) = self.buffer.split_at(length);
-        if crc.first_chunk() != Some(&crc32(message).to_le_bytes()) {
+        if message.first() == Some(&NO_MESSAGE) || crc.first_chunk() != Some(&crc32(message).to_le_bytes()) {
             self.errors.crc = self.errors.crc.saturating_add(1);
             return None;
         }

@@ -40,12 +40,15 @@ pub use unit_to_host::{
 ///   other can still say so, with both numbers.
 /// - Both ends state the range that they speak; the session uses the highest version in both ranges. Without
 ///   one the unit refuses the `Hello` and the host names both ranges in its error.
+/// - Version 255 will never be: the header's first byte cannot be [`crate::frame::NO_MESSAGE`].
 /// - Every released version has golden bytes in `tests/it/versioning/`; those files are never edited.
 pub mod version {
     /// Oldest version that this code still speaks.
     pub const MIN: u8 = 1;
     /// Newest version that this code speaks.
     pub const CURRENT: u8 = 1;
+
+    const _: () = assert!(CURRENT < crate::frame::NO_MESSAGE);
 
     /// The highest version in both ranges.
     pub fn agree(theirs_min: u8, theirs_current: u8) -> Option<u8> {

@@ -1,7 +1,7 @@
 //! Properties of the framing: any portions, any corruption.
 
 use hsu_firmware_proto::MAX_MESSAGE;
-use hsu_firmware_proto::frame::{Decoder, MAX_FRAME, encode};
+use hsu_firmware_proto::frame::{Decoder, MAX_FRAME, NO_MESSAGE, encode};
 use proptest::prelude::{Just, Strategy, any, prop, prop_assert, prop_assert_eq, prop_oneof, proptest};
 
 fn framed(message: &[u8]) -> Vec<u8> {
@@ -16,9 +16,10 @@ fn decoded(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Vec<u8>> {
     messages
 }
 
-/// Plenty of zeros, which is where stuffing can go wrong.
+/// Plenty of zeros, which is where stuffing can go wrong, and of ones, to which the CRC is blind at the front.
 fn message() -> impl Strategy<Value = Vec<u8>> {
-    prop::collection::vec(prop_oneof![Just(0u8), Just(0xff), any::<u8>()], 1..=MAX_MESSAGE)
+    let rest = prop::collection::vec(prop_oneof![Just(0u8), Just(0xff), any::<u8>()], 0..MAX_MESSAGE);
+    (0..NO_MESSAGE, rest).prop_map(|(first, rest)| [vec![first], rest].concat())
 }
 
 #[derive(Debug, Clone)]
@@ -149,10 +150,32 @@ fn zeros_that_were_cut_short_are_no_empty_message() {
     assert_eq!(decoder.errors().stuffing, 1);
 }
 
+/// Ones and the zeros behind them hold their own CRC, so whatever cuts a message to them would pass.
 #[test]
-fn a_message_that_is_too_long_or_empty_is_not_framed() {
+fn ones_that_hold_their_own_crc_are_no_message() {
+    let mut decoder = Decoder::new();
+    // Stuffed: ff 00 00 00 ff; ff ff 00 00 ff ff; ff ff ff 00 ff ff ff; eight times ff.
+    let cuts: [&[u8]; 4] = [
+        &[0, 2, 0xff, 1, 1, 2, 0xff, 0],
+        &[0, 3, 0xff, 0xff, 1, 3, 0xff, 0xff, 0],
+        &[0, 4, 0xff, 0xff, 0xff, 4, 0xff, 0xff, 0xff, 0],
+        &[0, 9, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0],
+    ];
+    for cut in cuts {
+        assert!(decoded(&mut decoder, cut).is_empty(), "{cut:02x?} passed");
+    }
+    assert_eq!((decoder.errors().crc, decoder.errors().total()), (4, 4));
+    // The same within a message, the line going dead before and behind it.
+    let mut stream = framed(&[1, 0, 0xff, 0, 0, 0, 0xff, 0, 7]);
+    (stream[2], stream[9]) = (0, 0);
+    assert!(decoded(&mut decoder, &stream).is_empty());
+}
+
+#[test]
+fn a_message_that_is_too_long_or_empty_or_begins_with_ones_is_not_framed() {
     let mut out = [0; MAX_FRAME];
     assert_eq!(encode(&[], &mut out), 0);
     assert_eq!(encode(&[1; MAX_MESSAGE + 1], &mut out), 0);
+    assert_eq!(encode(&[NO_MESSAGE, 1], &mut out), 0);
     assert!(encode(&[1; MAX_MESSAGE], &mut out) > MAX_MESSAGE);
 }
