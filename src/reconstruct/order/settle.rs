@@ -35,8 +35,8 @@ const MIN_PIECE_PX: u32 = 120;
 /// joined to a piece more often, twice as many: parts are sought where a few of them agree at another order.
 const SAMPLES: usize = 48;
 
-/// So many of them say whether an order is worth the rest.
-const FIRST_SAMPLES: usize = 8;
+/// So many of them, from all over the piece, say whether an order is worth the rest: one of fifty is, of a piece that no marker crosses.
+const FIRST_SAMPLES: usize = 16;
 
 /// Places of a node smaller than this are on outlines, px.
 const MIN_SAMPLE_NODE_PX: u32 = 24;
@@ -358,18 +358,22 @@ fn weigh(scenes: &[Scene<'_>], view: usize, piece: usize, cache: &mut Cache) -> 
 
 /// Orders that put a piece of which these nodes are tried into the volume.
 fn orders(scene: &Scene<'_>, samples: &[u32]) -> Option<RangeInclusive<i32>> {
-    let some = samples.iter().step_by(samples.len().div_ceil(FIRST_SAMPLES).max(1));
+    // Half as many tell.
+    let some = samples.iter().take(FIRST_SAMPLES).step_by(2);
     volume::orders_of(scene.triangulator.pair(), some.map(|&node| scene.place(node)))
 }
 
-/// The nodes of a piece that are tried, evenly.
+/// The nodes of a piece that are tried, evenly; the [`FIRST_SAMPLES`] are even, too.
 fn samples(scene: &Scene<'_>, piece: usize) -> Vec<u32> {
     let nodes = &scene.pieces.nodes[piece];
     let size = |node: &&u32| scene.witness.cells.nodes[**node as usize].size;
     let large: Vec<u32> = nodes.iter().filter(|x| size(x) >= MIN_SAMPLE_NODE_PX).copied().collect();
     let places = SAMPLES * scene.triangulator.pair().sensor_rows.min(2);
     let step = large.len().div_ceil(places).max(1);
-    large.into_iter().step_by(step).collect()
+    let all: Vec<u32> = large.into_iter().step_by(step).collect();
+    let step = all.len().div_ceil(FIRST_SAMPLES).max(1);
+    let (first, rest): (Vec<_>, Vec<_>) = all.into_iter().enumerate().partition(|x| x.0 % step == 0);
+    first.into_iter().chain(rest).map(|x| x.1).collect()
 }
 
 impl Scene<'_> {
@@ -410,21 +414,41 @@ impl Scene<'_> {
     }
 }
 
+/// Evidence for an order of a piece. Where nobody agrees at the first places, and nothing else is for it, these are all that are looked
+/// at.
 fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: &mut Cache) -> Evidence {
-    let samples = &mut cache.samples;
-    let looks = cache.looks.entry((view, piece, order)).or_insert_with(|| {
-        let scene = &scenes[view];
-        let samples = samples.entry((view, piece)).or_insert_with(|| self::samples(scene, piece));
-        let places: Vec<Place<'_>> = samples.iter().map(|&node| scene.at(node)).collect();
-        let (first, rest) = places.split_at(places.len().min(FIRST_SAMPLES));
-        let mut looks = Looks::default();
-        looks.add(scenes, view, first, order..=order);
-        if (0..looks.len()).any(|place| looks.at(place).is_some()) {
-            looks.add(scenes, view, rest, order..=order);
-        }
-        looks
-    });
-    let counts = counts(scenes.len(), looks, &cache.juries[view], &cache.known);
+    let Cache { juries, known, samples, looks, .. } = cache;
+    let scene = &scenes[view];
+    let samples = samples.entry((view, piece)).or_insert_with(|| self::samples(scene, piece));
+    let looks = looks.entry((view, piece, order)).or_default();
+    let (first, rest) = samples.split_at(samples.len().min(FIRST_SAMPLES));
+    let look = |looks: &mut Looks, nodes: &[u32]| {
+        let places: Vec<Place<'_>> = nodes.iter().map(|&node| scene.at(node)).collect();
+        looks.add(scenes, view, &places, order..=order);
+    };
+    if looks.len() == 0 {
+        look(looks, first);
+    }
+    let found = heard(scenes, view, piece, order, looks, &juries[view], known);
+    let is_worth_more = found.agree > 0 || found.all > found.cameras;
+    if looks.len() < samples.len() && is_worth_more {
+        look(looks, rest);
+        return heard(scenes, view, piece, order, looks, &juries[view], known);
+    }
+    found
+}
+
+/// Evidence for an order of a piece, at whose places the cameras have these `looks`.
+fn heard(
+    scenes: &[Scene<'_>],
+    view: usize,
+    piece: usize,
+    order: i32,
+    looks: &Looks,
+    jury: &Jury,
+    known: &Known,
+) -> Evidence {
+    let counts = counts(scenes.len(), looks, jury, known);
     let mut found = Evidence { order, ..Evidence::default() };
     for (scene, counts) in scenes.iter().zip(counts) {
         let [agree, before, behind, past] = counts.to_le_bytes().map(u32::from);
