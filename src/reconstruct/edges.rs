@@ -16,6 +16,7 @@ use super::{sample, simd};
 use crate::image::Plane;
 use std::cell::RefCell;
 use std::f32::consts::TAU;
+use std::ops::Range;
 
 /// Settings of this stage. Its trade-off is tabulated in `docs/design/reconstruction-experiments.md`.
 #[derive(Debug, Clone, Copy)]
@@ -62,7 +63,7 @@ const MIN_RESIDUAL: f32 = 0.003;
 const SAME_SURFACE: f32 = 1.5;
 
 thread_local! {
-    static SUPPORT: RefCell<(Support, Vec<usize>)> = RefCell::default();
+    static SUPPORT: RefCell<(Support, Known, Vec<usize>)> = RefCell::default();
 }
 
 /// Gives pixels of doubtful misfit the phase of the good ones around where that is more certain, and drops those
@@ -80,14 +81,18 @@ pub fn refine(
     mut expected: Option<&mut Plane<f32>>,
 ) -> usize {
     let outside = zone;
-    SUPPORT.with_borrow_mut(|(support, doubtful)| {
+    SUPPORT.with_borrow_mut(|(support, known, doubtful)| {
         simd::dispatch(
             #[inline(always)]
             || {
                 support.begin(absolute, REACH.1, PAD);
+                known.begin(absolute.width());
                 let mut dropped = 0;
                 for v in 0..absolute.height() {
                     let (misfit, zone) = (windows.misfit.row(v), zone.row(v));
+                    if let Some(leaves) = v.checked_sub(ROWS - REACH.1) {
+                        known.take_off(support.row(v - 1, 0), runs.span(leaves));
+                    }
                     support.advance(
                         v,
                         absolute,
@@ -105,6 +110,10 @@ pub fn refine(
                             }
                         },
                     );
+                    let enter = if v == 0 { 0 } else { v + REACH.1 }..=v + REACH.1;
+                    for row in enter.filter(|&row| row < absolute.height()) {
+                        known.add(support.row(v, row + REACH.1 - v), runs.span(row));
+                    }
                     doubtful.clear();
                     for run in runs.row(v) {
                         let part = run.columns();
@@ -120,8 +129,8 @@ pub fn refine(
                         let count = left.iter().take_while(|&&u| u < first + LANES).count();
                         let block;
                         (block, left) = left.split_at(count);
-                        let around = around(&good, first);
-                        let laid = if has_support(&around, first, block) {
+                        let laid = if known.support(first, block) {
+                            let around = around(&good, first);
                             let phase = sample::part(absolute.row(v), first, f32::NAN);
                             let mut carrier: Lanes = sample::part(period.row(v), first, f32::NAN);
                             for carrier in &mut carrier {
@@ -216,21 +225,48 @@ fn around<'a>(good: &[&'a [f32]; ROWS], u: usize) -> Around<'a> {
     around
 }
 
-/// Whether one of the pixels of a block, which begins at column u, has enough good ones around it for a plane.
-#[inline(always)]
-fn has_support(around: &Around<'_>, u: usize, block: &[usize]) -> bool {
-    let mut known = [0f32; LANES];
-    // Column by column: along the rows the compiler would gather.
-    for column in 0..COLUMNS {
-        let place = column * COLUMN_STEP;
-        for good in around {
-            for i in 0..LANES {
-                let is_none = if good[place + i].is_nan() { u32::MAX } else { 0 };
-                known[i] += f32::from_bits(1f32.to_bits() & !is_none);
-            }
+/// How many of the rows around the one that is worked on have a good phase, column by column with [`PAD`] to either side.
+#[derive(Debug, Default)]
+struct Known(Vec<u8>);
+
+impl Known {
+    /// Begins a frame of this width.
+    fn begin(&mut self, width: usize) {
+        self.0.clear();
+        self.0.resize(width + 2 * PAD, 0);
+    }
+
+    /// Counts a row of support, which is known within `columns`.
+    #[inline(always)]
+    fn add(&mut self, row: &[f32], columns: Range<usize>) {
+        let columns = columns.start + PAD..columns.end + PAD;
+        for (count, phase) in self.0[columns.clone()].iter_mut().zip(&row[columns]) {
+            *count += u8::from(!phase.is_nan());
         }
     }
-    block.iter().any(|at| known[(at - u) % LANES] >= MIN_SUPPORT as f32)
+
+    /// Counts it no longer.
+    #[inline(always)]
+    fn take_off(&mut self, row: &[f32], columns: Range<usize>) {
+        let columns = columns.start + PAD..columns.end + PAD;
+        for (count, phase) in self.0[columns.clone()].iter_mut().zip(&row[columns]) {
+            *count -= u8::from(!phase.is_nan());
+        }
+    }
+
+    /// Whether one of the pixels of a block, which begins at column u, has enough good ones around it for a plane.
+    #[inline(always)]
+    fn support(&self, u: usize, block: &[usize]) -> bool {
+        const { assert!(ROWS * COLUMNS <= u8::MAX as usize) };
+        let around: &[u8; SPAN] = sample::chunk(&self.0, u + PAD - REACH.0);
+        let mut known = [0u8; LANES];
+        for column in 0..COLUMNS {
+            for i in 0..LANES {
+                known[i] += around[column * COLUMN_STEP + i];
+            }
+        }
+        block.iter().any(|at| usize::from(known[(at - u) % LANES]) >= MIN_SUPPORT)
+    }
 }
 
 /// Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
