@@ -16,7 +16,7 @@ const LINE: usize = 64;
 #[inline(always)]
 pub(super) fn value<T>(row: &[T], at: usize) {
     if let Some(value) = row.get(at) {
-        fetch(value);
+        line(value);
     }
 }
 
@@ -27,15 +27,16 @@ pub(super) fn row<T: Copy>(plane: &Plane<T>, runs: &Runs, v: usize) {
         return;
     }
     for run in runs.row(v) {
-        for value in plane.row(v)[run.columns()].iter().step_by(LINE / size_of::<T>()) {
-            fetch(value);
+        // By chunks: of steps the compiler makes ten instructions for each.
+        for values in plane.row(v)[run.columns()].chunks(LINE / size_of::<T>()) {
+            line(&values[0]);
         }
     }
 }
 
 /// Asks for the line of a value.
 #[inline(always)]
-fn fetch<T>(value: &T) {
+pub(super) fn line<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: a hint, which reads nothing and faults nowhere. The standard library has no safe function for it.
     unsafe {

@@ -166,6 +166,13 @@ impl Batch {
                     }
                 },
             );
+            let mut soon = vague;
+            while soon != 0 {
+                let bit = soon.trailing_zeros() as usize;
+                let (k, i) = (bit / LANES, bit % LANES);
+                scenes[i].witness.expect(&pixels[k], i);
+                soon &= soon - 1;
+            }
             while vague != 0 {
                 let bit = vague.trailing_zeros() as usize;
                 let (k, i) = (bit / LANES, bit % LANES);

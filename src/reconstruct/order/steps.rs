@@ -4,6 +4,7 @@
 //! and the sums of columns tell all that their nodes need.
 
 use super::cells::{CELL_PX, Patch, Surface};
+use crate::reconstruct::prefetch;
 use crate::reconstruct::sample::chunk;
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -64,6 +65,9 @@ impl Steps {
             beyond[columns.clone()].fill(f32::NAN);
         }
         for v in top..end {
+            let soon = v + prefetch::AHEAD;
+            prefetch::row(surface.phase, surface.runs, soon);
+            prefetch::row(surface.period, surface.runs, soon);
             self.right(surface, v, columns.start.max(1)..columns.end);
             let phase = &surface.phase.row(v)[columns.clone()];
             let sums = &mut self.phases[(v - top) / HALF][columns.clone()];

@@ -9,6 +9,7 @@ use super::cells::{CELL_PX, Cells};
 use super::glimpse::{Glimpse, GlimpseLanes};
 use super::lookout::{LANES, Spots};
 use crate::reconstruct::pair::Pair;
+use crate::reconstruct::prefetch;
 use crate::reconstruct::roi::Roi;
 use crate::reconstruct::round::floor;
 use nalgebra::{Point3, Vector3};
@@ -151,6 +152,14 @@ impl Witness {
             pixels.row[i] = row;
         }
         (sights, pixels, ask.iter().fold(0, |all, bit| all | bit))
+    }
+
+    /// Asks for the memory that [`Self::see_closely`] will look at.
+    #[inline(always)]
+    pub fn expect(&self, pixels: &Pixels, i: usize) {
+        if let Some(row) = self.cells.glimpses.rim(pixels.kind[i], pixels.row[i] as usize) {
+            prefetch::line(row);
+        }
     }
 
     /// The same of one camera at outlines and steps, where pixels have to be asked. `cast`: the phase that is cast on the place. What is
