@@ -318,33 +318,24 @@ fn emit<const SIGMA: bool>(
         let count = usize::from(run.length);
         let place = usize::from(run.first) - left * NODE_PX + PAD;
         own.orient(&points, place, count, table);
+        let positions = points[2].map(|axis| &axis[place..place + count]);
         let normals = own.normals.row(count);
-        interleave(&mut own.position[..count], points[2].map(|axis| &axis[place..place + count]));
-        interleave(&mut own.normal[..count], normals);
         let light = &map.light[pixel + done..][..count];
-        for (bright, &light) in own.bright[..count].iter_mut().zip(light) {
-            *bright = intensity(light);
-        }
-        for (pixel, column) in own.pixel[..count].iter_mut().zip(run.first..) {
-            *pixel = [column, run.row];
-        }
-        if SIGMA {
-            let doubt =
-                map.doubt[pixel + done..][..count].iter().zip(&c.metres_per_rad[place..place + count]);
-            for (sigma, (&doubt, scale)) in own.sigma[..count].iter_mut().zip(doubt) {
-                *sigma = doubt_rad(doubt) * scale;
-            }
-        }
         runs::runs_of(
             &own.good[..count],
             #[inline(always)]
             |start, end| {
-                cloud.position_m.extend_from_slice(&own.position[start..end]);
-                cloud.normal.extend_from_slice(&own.normal[start..end]);
-                cloud.intensity.extend_from_slice(&own.bright[start..end]);
-                cloud.pixel.extend_from_slice(&own.pixel[start..end]);
+                append(&mut cloud.position_m, positions.map(|axis| &axis[start..end]));
+                append(&mut cloud.normal, normals.map(|axis| &axis[start..end]));
+                cloud.intensity.extend(light[start..end].iter().map(|&light| intensity(light)));
+                let first = run.first + start as u16;
+                cloud.pixel.extend((first..first + (end - start) as u16).map(|column| [column, run.row]));
                 if SIGMA {
-                    cloud.sigma_m.extend_from_slice(&own.sigma[start..end]);
+                    let doubt = &map.doubt[pixel + done..][start..end];
+                    let scale = &c.metres_per_rad[place..place + count][start..end];
+                    cloud
+                        .sigma_m
+                        .extend(doubt.iter().zip(scale).map(|(&doubt, scale)| doubt_rad(doubt) * scale));
                 }
             },
         );
@@ -353,14 +344,10 @@ fn emit<const SIGMA: bool>(
     done
 }
 
-/// Puts the coordinates of points beside each other.
+/// Appends points whose coordinates lie apart.
 #[inline(always)]
-fn interleave(points: &mut [[f32; 3]], [x, y, z]: [&[f32]; 3]) {
-    let n = points.len();
-    let (x, y, z) = (&x[..n], &y[..n], &z[..n]);
-    for i in 0..n {
-        points[i] = [x[i], y[i], z[i]];
-    }
+fn append(to: &mut Vec<[f32; 3]>, [x, y, z]: [&[f32]; 3]) {
+    to.extend(x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z]));
 }
 
 /// A byte for each of a block's points: all of them good, and all bits of those below a number.
