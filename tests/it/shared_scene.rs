@@ -179,7 +179,7 @@ fn wrong_and_complete(score: &Score) -> String {
     format!("{wrong:.4} % wrong, {complete:.2} % of lit")
 }
 
-/// All cameras give each other their fringe orders. Bounds: what was measured (0.0932 % wrong, 89.56 % of lit; see
+/// All cameras give each other their fringe orders. Bounds: what was measured (0.0963 % wrong, 89.68 % of lit; see
 /// docs/validation.md) and little room, so that a change for the worse shows. With the margin asked of a point, fewer are
 /// wrong and fewer are there.
 #[test]
@@ -199,7 +199,7 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     }
     let (_, all) = &curve[0];
     assert!(all.wrong_order_share < 0.00098, "{all:?}");
-    assert!(all.completeness_of_lit > 0.895, "{all:?}");
+    assert!(all.completeness_of_lit > 0.896, "{all:?}");
     assert!(all.robust_mm < 0.055 && all.p95_mm < 0.3, "{all:?}");
     assert!(all.normal_median_deg < 0.55 && all.normal_p95_deg < 5.6, "{all:?}");
     for pair in curve.windows(2) {
@@ -207,7 +207,7 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     }
 }
 
-/// The same of pairs of rows, in three fifths of the time. Bounds: what was measured (0.0691 % wrong, 87.40 % of lit) and little room. Before
+/// The same of pairs of rows, in three fifths of the time. Bounds: what was measured (0.0629 % wrong, 88.44 % of lit) and little room. Before
 /// one row stood alone where the two of a pair see different surfaces, there were 0.1219 % wrong.
 #[test]
 fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
@@ -224,8 +224,8 @@ fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
     }
     let all = sum.score();
     println!("all: {}", wrong_and_complete(&all));
-    assert!(all.wrong_order_share < 0.00075, "{all:?}");
-    assert!(all.completeness_of_lit > 0.872, "{all:?}");
+    assert!(all.wrong_order_share < 0.0007, "{all:?}");
+    assert!(all.completeness_of_lit > 0.882, "{all:?}");
     assert!(all.robust_mm < 0.055 && all.p95_mm < 0.305, "{all:?}");
 }
 

@@ -12,6 +12,7 @@ use super::elsewhere::Seeker;
 use super::finish;
 use super::graph::Graph;
 use super::jury::Known;
+use super::mutual;
 use super::settle::{Scene, all_nodes};
 use super::words::{Changed, Sights, Words};
 use crate::reconstruct::simd;
@@ -185,6 +186,7 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let turns: Vec<Vec<i32>> =
         labels.iter().map(|labels| labels.iter().map(|label| label.turns).collect()).collect();
     known.update(turns.iter().map(|turns| &turns[..]));
+    mutual::place(scenes, &mut views, &mut known, &mut labels);
     let views = views.par_iter_mut().zip(&mut labels).enumerate();
     views.for_each(|(number, (view, labels))| finish::stretches(number, view, scenes, &known, labels));
     labels

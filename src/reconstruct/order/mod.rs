@@ -16,7 +16,8 @@
 //! grow      from the pieces' cores to every place, as far as the other cameras confirm it
 //! elsewhere where other heads see what is open, or hidden from all of them
 //! finish    what too little vouches for refused, holes closed
-//! confirmed stretches that are open at last, which the other cameras see at one order alone
+//! mutual    stretches that are open at last in both cameras of a head, at the same place
+//! confirmed those that the other cameras see at one order alone
 //! enclosed  and those that known surfaces enclose
 //! stretch   nodes that continue one another, and the orders that are tried for them
 //! ```
@@ -38,6 +39,7 @@ mod grow;
 mod jury;
 mod lookout;
 mod looks;
+mod mutual;
 mod pieces;
 mod settle;
 mod split;
