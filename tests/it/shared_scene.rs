@@ -208,7 +208,8 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
 }
 
 /// The same of pairs of rows, in three fifths of the time. Bounds: what was measured (0.0629 % wrong, 88.44 % of lit) and little room. Before
-/// one row stood alone where the two of a pair see different surfaces, there were 0.1219 % wrong.
+/// one row stood alone where the two of a pair see different surfaces, there were 0.1219 % wrong; before what is open in both cameras of a
+/// head was matched, 87.40 % of lit, without the hair of h1, which is known less exactly (p95 0.297 mm instead of 0.312).
 #[test]
 fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
     let Some(scene) = scene() else { return };
@@ -226,7 +227,7 @@ fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
     println!("all: {}", wrong_and_complete(&all));
     assert!(all.wrong_order_share < 0.0007, "{all:?}");
     assert!(all.completeness_of_lit > 0.882, "{all:?}");
-    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.305, "{all:?}");
+    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.315, "{all:?}");
 }
 
 /// A lost camera takes points from the others, and makes none of theirs wrong. Bounds: what was measured and little room. Before whole
