@@ -92,7 +92,7 @@ struct Scratch {
     /// Absolute phase of a row, in fringes.
     fringes: Vec<f32>,
     ring: [RingRow; RING],
-    run: RunPoints,
+    run: RunNormals,
 }
 
 /// A row of points.
@@ -243,29 +243,19 @@ fn points<const SCALE: bool>(
     pixel
 }
 
-/// The points of a run with what belongs to them, good or not: they are appended by stretches of good ones.
+/// The normals of a run's points, good or not: points are appended by stretches of good ones.
 #[derive(Default)]
-struct RunPoints {
+struct RunNormals {
     normals: Points,
     good: Vec<u8>,
-    position: Vec<[f32; 3]>,
-    normal: Vec<[f32; 3]>,
-    bright: Vec<f32>,
-    pixel: Vec<[u16; 2]>,
-    sigma: Vec<f32>,
 }
 
-impl RunPoints {
+impl RunNormals {
     fn resize(&mut self, width: usize) {
         for plane in [&mut self.normals.x, &mut self.normals.y, &mut self.normals.z] {
             plane.resize(width, 0.0);
         }
         self.good.resize(width, 0);
-        self.position.resize(width, [0.0; 3]);
-        self.normal.resize(width, [0.0; 3]);
-        self.bright.resize(width, 0.0);
-        self.pixel.resize(width, [0; 2]);
-        self.sigma.resize(width, 0.0);
     }
 
     /// Takes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] asks for.
@@ -301,7 +291,7 @@ fn emit<const SIGMA: bool>(
     runs: &[Run],
     pixel: usize,
     left: usize,
-    own: &mut RunPoints,
+    own: &mut RunNormals,
     cloud: &mut Cloud,
 ) -> usize {
     let width = rows[2].points.x.len();

@@ -173,7 +173,7 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
         }
         check(scenes, &mut views, &mut known);
         update(&mut known, &mut views);
-        // As after the round before, or an earlier one: views can also go round in a circle.
+        // As after the round before, or an earlier one: views can also go round in a circle. Then what is matched is one more beginning.
         let rest = held.iter().any(|before| before == known.turns());
         if round == MAX_ROUNDS || rest && (seeded || !mutual::seed(scenes, &mut views, &known)) {
             break;
