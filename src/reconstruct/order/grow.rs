@@ -161,8 +161,7 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
     let mut seeker = Seeker::new(scenes);
     // What was known of all nodes after each round.
     let mut held: Vec<Vec<i32>> = Vec::new();
-    let mut seeded = false;
-    for round in 1.. {
+    loop {
         views.par_iter_mut().for_each(View::reopen);
         for pass in 0..PASSES.len() {
             update(&mut known, &mut views);
@@ -173,15 +172,9 @@ pub fn labels(scenes: &[Scene<'_>]) -> Vec<Vec<Label>> {
         }
         check(scenes, &mut views, &mut known);
         update(&mut known, &mut views);
-        // As after the round before, or an earlier one: views can also go round in a circle. Then what is matched is one more beginning.
-        let rest = held.iter().any(|before| before == known.turns());
-        if round == MAX_ROUNDS || rest && (seeded || !mutual::seed(scenes, &mut views, &known)) {
+        // As after the round before, or an earlier one: views can also go round in a circle.
+        if held.len() + 1 == MAX_ROUNDS || held.iter().any(|before| before == known.turns()) {
             break;
-        }
-        if rest {
-            seeded = true;
-            held.clear();
-            update(&mut known, &mut views);
         }
         held.push(known.turns().to_vec());
         seeker.seek(scenes, &mut views, &known);

@@ -111,25 +111,6 @@ pub fn place(scenes: &[Scene<'_>], views: &mut [View<'_>], known: &mut Known, la
     }
 }
 
-/// The same of views over which orders have grown as far as they do: from there they grow on. Whether there are any such stretches.
-pub fn seed(scenes: &[Scene<'_>], views: &mut [View<'_>], known: &Known) -> bool {
-    let label = |turns: i32| Label { turns, contradicted: false };
-    let of = |view: &View<'_>| (0..view.graph.len()).map(|node| label(view.turns(node))).collect();
-    let (mut known, mut labels) = (known.clone(), views.iter().map(of).collect::<Vec<Vec<Label>>>());
-    place(scenes, views, &mut known, &mut labels);
-    let mut any = false;
-    for (view, labels) in views.iter_mut().zip(labels) {
-        for (node, Label { turns, .. }) in labels.into_iter().enumerate() {
-            if turns != view.turns(node) {
-                let words = view.sights.words(scenes, node, turns, &known);
-                view.set(node, turns, words);
-                any = true;
-            }
-        }
-    }
-    any
-}
-
 /// The first of all views' nodes that is a view's.
 fn first_of(scenes: &[Scene<'_>], view: usize) -> usize {
     scenes[..view].iter().map(|scene| scene.graph.len()).sum()
