@@ -10,7 +10,7 @@ use super::grow::{Label, NONE, View};
 use super::jury::Known;
 use super::lookout::LANES;
 use super::looks::Looks;
-use super::settle::Scene;
+use super::settle::{Scene, all_nodes};
 use super::stretch::{self, Member};
 use super::witness::SAME_RAD;
 use super::words::Judges;
@@ -111,11 +111,6 @@ pub fn place(scenes: &[Scene<'_>], views: &mut [View<'_>], known: &mut Known, la
     }
 }
 
-/// The first of all views' nodes that is a view's.
-fn first_of(scenes: &[Scene<'_>], view: usize) -> usize {
-    scenes[..view].iter().map(|scene| scene.graph.len()).sum()
-}
-
 /// Which of the other camera's stretches a stretch is, and at which orders, if that is clear.
 fn find(
     scenes: &[Scene<'_>],
@@ -132,7 +127,7 @@ fn find(
     }
     let lines = stretch::lines(scene, &places);
     let (block, lane) = (partner / LANES, partner % LANES);
-    let first = first_of(scenes, partner) as u32;
+    let first = all_nodes(&scenes[..partner]);
     let mut looks = Looks::default();
     let trials = stretch::orders(scene, &places)?.map(|order| {
         let mut trial = Trial { order, ..Trial::default() };
@@ -186,11 +181,11 @@ fn take(
     both: [(usize, &[Member], i32); 2],
 ) {
     for (view, stretch, order) in both {
-        let first = first_of(scenes, view);
+        let first = all_nodes(&scenes[..view]) as usize;
         stretch.iter().for_each(|&(node, own)| known.set(first + node as usize, order + own));
     }
     for (view, stretch, order) in both {
-        let first = first_of(scenes, view);
+        let first = all_nodes(&scenes[..view]) as usize;
         for &(node, own) in stretch {
             let words = views[view].sights.words(scenes, node as usize, order + own, known);
             if words.good() > 0 && words.against == 0 {
