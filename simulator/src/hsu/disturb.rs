@@ -167,15 +167,17 @@ mod tests {
             let (mut hit, mut received, sent) = (0, Vec::new(), 400u16);
             for number in 0..sent {
                 let mut framed = [0; frame::MAX_FRAME];
-                let message = [number.to_le_bytes(), [7; 2], [0; 2], [9; 2]].concat();
+                // As in the protocol, the version is in front: no message begins with 0xff (invariant 8).
+                let message = [[1, 7], number.to_le_bytes(), [0; 2], [9; 2]].concat();
                 let length = frame::encode(&message, &mut framed);
+                prop_assert!(length > 0, "{number} was refused");
                 let (bytes, places) = line.bytes(&framed[..length]);
                 hit += u16::from(places > 0);
                 decoder.feed(&bytes, |message| received.push(message.to_vec()));
             }
-            let numbers: Vec<u16> = received.iter().map(|m| u16::from_le_bytes([m[0], m[1]])).collect();
+            let numbers: Vec<u16> = received.iter().map(|m| u16::from_le_bytes([m[2], m[3]])).collect();
             prop_assert!(numbers.windows(2).all(|pair| pair[0] < pair[1]), "no frame twice, none out of order");
-            prop_assert!(received.iter().all(|m| m[2..] == [7, 7, 0, 0, 9, 9]), "no wrong frame passes");
+            prop_assert!(received.iter().all(|m| m[..2] == [1, 7] && m[4..] == [0, 0, 9, 9]), "no wrong frame passes");
             prop_assert!(received.len() as u16 + 2 * hit >= sent, "{hit} hit, {} received", received.len());
         }
     }
