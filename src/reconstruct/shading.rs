@@ -184,8 +184,8 @@ mod tests {
             let light = |u: f32| 110.0 * (change * (u - 60.0) / period).exp().clamp(0.3, 2.0);
             let [before, after] = worst(period, sign, 50..70, light);
             // Rounding and interpolation leave up to 0.02 rad to one row, half of what 0.16 costs; from 0.18 on,
-            // 200,000 cases: at most 0.44 of before and 0.0314, and at least 0.044 before.
-            prop_assert!(before > 0.04 && after < 0.5 * before && after < 0.036, "{before} {after}");
+            // 600,000 cases keep these bounds (the worst that was seen: 0.49 of before, 0.0314 rad, 0.044 rad before).
+            prop_assert!(before > 0.04 && after < 0.5 * before && after < 0.032, "{before} {after}");
         }
     }
 
