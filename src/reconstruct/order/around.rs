@@ -271,7 +271,7 @@ mod tests {
         let (object, period) = (Plane::filled(px, px, 1), Plane::filled(px, px, period));
         let runs = Runs::of(&object);
         let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0, sensor_rows: 1.0 };
-        Graph::new(&Cells::new(&surface))
+        Graph::new(&Cells::new(&surface), 1)
     }
 
     /// A node that changes: which one, its turns, and words.

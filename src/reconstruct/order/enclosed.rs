@@ -2,8 +2,9 @@
 //!
 //! What no other camera sees is refused, node by node: a limb that has taken the trunk's order hangs on the trunk along one side.
 //! But what is continued at one and the same order along most of its outline, by all that is known beside it, can hardly be
-//! anything else than a part of that surface. Without the head's other camera whole limbs are open, and enclosed in the same way by
-//! the trunk before which they cross: there nothing is closed.
+//! anything else than a part of that surface. The smaller a stretch, the less of its outline has to: a few cells are no limb.
+//! Without the head's other camera whole limbs are open, and enclosed in the same way by the trunk before which they cross: there
+//! nothing is closed.
 
 use super::graph::Graph;
 use super::grow::{Label, NONE, View};
@@ -11,18 +12,20 @@ use super::jury::Known;
 use super::settle::Scene;
 use super::stretch::{self, Member};
 
-/// Pixel pairs along which a stretch is continued, relative to the root of its pixels: a square has an outline of 4.
+/// Pixel pairs along which a stretch is continued, relative to the root of its pixels: a square has an outline of 4. Of a small stretch
+/// one for so many of its pixels is enough, so that a square of 25 px may hang on a surface along one side, one of 50 px along two.
 const ENCLOSED: f32 = 2.5;
+const PX_PER_PAIR: f32 = 25.0;
 
 /// Fewest of these pairs.
-const MIN_PAIRS: u32 = 12;
+const MIN_PAIRS: u32 = 6;
 
 /// Of the pairs with what is known one in so many may say something else, and as many may not continue.
-const UNLIKE: u32 = 50;
+const UNLIKE: u32 = 12;
 
 /// Places of a stretch that are tried, at most, and the pixels of a node that counts as a place.
 const SAMPLES: usize = 48;
-const MIN_SAMPLE_PX: u32 = 24;
+const MIN_SAMPLE_PX: u32 = 12;
 
 /// Gives enclosed stretches of a view their order; not those of which the other cameras contradict more than half of the places.
 pub fn close(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &Known, labels: &mut [Label]) {
@@ -68,9 +71,10 @@ fn enclosing(graph: &Graph, stretch: &[Member], size: impl Fn(u32) -> u32, label
         }
     }
     let &(turns, alike) = proposals.iter().max_by_key(|x| (x.1, x.0))?;
-    let px: u32 = stretch.iter().map(|x| size(x.0)).sum();
-    let enclosed = alike >= MIN_PAIRS && alike as f32 >= ENCLOSED * (px as f32).sqrt();
-    (enclosed && (good - alike) * UNLIKE <= good && bad * UNLIKE <= good).then_some(turns)
+    let px = stretch.iter().map(|x| size(x.0)).sum::<u32>() as f32;
+    let least = (ENCLOSED * px.sqrt()).min(px / PX_PER_PAIR);
+    (alike >= MIN_PAIRS && alike as f32 >= least && (good - alike) * UNLIKE <= good && bad * UNLIKE <= good)
+        .then_some(turns)
 }
 
 #[cfg(test)]
@@ -95,7 +99,7 @@ mod tests {
         let (object, period) = (Plane::filled(px, px, 1), Plane::filled(px, px, period));
         let runs = Runs::of(&object);
         let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0, sensor_rows: 1.0 };
-        let graph = Graph::new(&Cells::new(&surface));
+        let graph = Graph::new(&Cells::new(&surface), 1);
         let label = |node: usize| Label { turns: turns(node % SIDE, node / SIDE), contradicted: false };
         let labels: Vec<Label> = (0..SIDE * SIDE).map(label).collect();
         let stretches = stretch::open(&graph, &labels);
@@ -118,14 +122,18 @@ mod tests {
     }
 
     #[test]
-    fn what_hangs_on_a_surface_along_one_side_stays_open() {
+    fn what_is_large_and_hangs_on_a_surface_along_one_side_stays_open() {
+        assert_eq!(found(|_, v| if v >= 1 { NONE } else { 7 }), (None, 56));
         assert_eq!(found(|_, v| if v >= 4 { NONE } else { 7 }), (None, 32));
-        // Two sides of a corner.
-        assert_eq!(found(|u, v| if u >= 4 && v >= 4 { NONE } else { 7 }), (None, 16));
+        // The same side of a stretch that is not so deep; two sides of a corner.
+        assert_eq!(found(|_, v| if v >= 6 { NONE } else { 7 }), (Some(7), 16));
+        assert_eq!(found(|u, v| if u >= 4 && v >= 4 { NONE } else { 7 }), (Some(7), 16));
     }
 
     #[test]
     fn what_lies_between_two_orders_stays_open() {
         assert_eq!(found(|u, v| if in_middle(u, v) { NONE } else { 7 + i32::from(u >= 6) }), (None, 16));
+        // One of the two sides of a corner.
+        assert_eq!(found(|u, v| if u >= 4 && v >= 4 { NONE } else { 7 + i32::from(v >= 4) }), (None, 16));
     }
 }

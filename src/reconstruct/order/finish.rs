@@ -183,7 +183,7 @@ mod tests {
         let (object, period) = (Plane::filled(px, px, 1), Plane::filled(px, px, period));
         let runs = Runs::of(&object);
         let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0, sensor_rows: 1.0 };
-        let graph = Graph::new(&Cells::new(&surface));
+        let graph = Graph::new(&Cells::new(&surface), 1);
         let labels: Vec<Label> =
             (0..SIDE * SIDE).map(|node| Label { turns: turns(node), contradicted: false }).collect();
         let sum = vec![Words { partner: 9, ..Words::default() }; labels.len()];

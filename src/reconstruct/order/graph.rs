@@ -3,8 +3,10 @@
 use super::borders::Border;
 use super::cells::Cells;
 
-/// Pixels of a node that fills its cell.
+/// Pixels of a node that fills its cell. Where a row of the image is several of the sensor, a cell covers as many times the surface,
+/// and what is narrow fills fewer of its pixels.
 const FULL_NODE_PX: u32 = 60;
+const FULL_NODE_PX_OF_PAIRS: u32 = 40;
 
 /// Pixel pairs on which a border between cells must agree to be clean, of eight.
 const CLEAN_PAIRS: u32 = 7;
@@ -40,8 +42,8 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// Sorts the borders by node.
-    pub fn new(cells: &Cells) -> Self {
+    /// Sorts the borders by node. A row of the image is `sensor_rows` of the sensor.
+    pub fn new(cells: &Cells, sensor_rows: usize) -> Self {
         let n = cells.nodes.len();
         let mut start = vec![0u32; n + 1];
         for x in &cells.borders {
@@ -61,14 +63,14 @@ impl Graph {
             }
         }
         let mut graph = Self { start, edges, clearance: vec![0; n] };
-        graph.measure(cells);
+        graph.measure(cells, if sensor_rows > 1 { FULL_NODE_PX_OF_PAIRS } else { FULL_NODE_PX });
         graph
     }
 
-    /// Finds the clearance of all nodes, ring by ring from those that have none.
-    fn measure(&mut self, cells: &Cells) {
+    /// Finds the clearance of all nodes, ring by ring from those that have none. A node of so many pixels fills its cell.
+    fn measure(&mut self, cells: &Cells, full_px: u32) {
         let n = cells.nodes.len();
-        let full: Vec<bool> = cells.nodes.iter().map(|x| x.size >= FULL_NODE_PX).collect();
+        let full: Vec<bool> = cells.nodes.iter().map(|x| x.size >= full_px).collect();
         let continues = |e: &&Edge| is_clean(e.good, e.bad) && full[e.other as usize];
         let mut inside: Vec<bool> =
             (0..n).map(|i| full[i] && self.of(i).iter().filter(continues).count() == 4).collect();

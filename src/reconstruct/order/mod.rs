@@ -150,7 +150,7 @@ fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
         sensor_rows: pair.sensor_rows as f32,
     });
     let votes = votes(&cells, prepared, pair);
-    let graph = Graph::new(&cells);
+    let graph = Graph::new(&cells, pair.sensor_rows);
     let clearance = pieces::CORE_CLEARANCE / pair.sensor_rows as u8;
     let pieces = Pieces::new(&cells, &graph, &votes, settle::MIN_VOTES, clearance);
     let px = pieces.px(&cells, pair.sensor_rows);

@@ -21,7 +21,7 @@ use std::f32::consts::TAU;
 /// Places of a stretch that are tried, at most and at least, and the pixels of a node that counts as a place.
 const SAMPLES: usize = 48;
 const MIN_PLACES: usize = 6;
-const MIN_SAMPLE_PX: u32 = 24;
+const MIN_SAMPLE_PX: u32 = 12;
 
 /// So many places say whether an order is worth the rest.
 const FIRST_SAMPLES: usize = 6;
@@ -29,7 +29,7 @@ const _: () = assert!(FIRST_SAMPLES <= MIN_PLACES);
 
 /// Places that must agree: so many, one in so many of those that are tried, one in so many of those at which the other camera has a
 /// stretch that is open, and so many times as many as at any other order.
-const MIN_SAME: u32 = 5;
+const MIN_SAME: u32 = 4;
 const PER_PLACES: u32 = 5;
 const PER_SEEN: u32 = 2;
 const LEAD: u32 = 2;
@@ -221,7 +221,7 @@ mod tests {
         let found = Some(Match { order: 2, other: (4, 7) });
         assert_eq!(of_three([0, 16, 0], 20, 0), found);
         assert_eq!(of_three([8, 16, 8], 20, 6), found);
-        assert_eq!(of_three([0, 5, 0], 10, 0), found);
+        assert_eq!(of_three([0, 4, 0], 8, 0), found);
     }
 
     #[test]
@@ -229,7 +229,7 @@ mod tests {
         assert_eq!(of_three([9, 16, 0], 20, 0), None);
         assert_eq!(of_three([0, 16, 9], 20, 0), None);
         assert_eq!(of_three([0, 9, 0], 20, 0), None);
-        assert_eq!(of_three([0, 4, 0], 4, 0), None);
+        assert_eq!(of_three([0, 3, 0], 3, 0), None);
         assert_eq!(of_three([0; 3], 20, 0), None);
         assert_eq!(clear(std::iter::empty(), 20), None);
     }

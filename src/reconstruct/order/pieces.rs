@@ -16,7 +16,7 @@ pub const CORE_CLEARANCE: u8 = 2;
 const GROW_PAIRS: u32 = 4;
 
 /// Pairs on which it agrees must outnumber those on which it does not so many times.
-const GROW_SHARE: u32 = 3;
+const GROW_SHARE: u32 = 2;
 
 /// Share of a common border that must agree before two pieces become one.
 const MIN_GOOD_SHARE: f32 = 0.85;
@@ -386,7 +386,7 @@ mod tests {
         let runs = Runs::of(&object);
         let surface = Surface { phase: &phase, period: &period, runs: &runs, sign: 1.0, sensor_rows: 1.0 };
         let cells = Cells::new(&surface);
-        let pieces = Pieces::new(&cells, &Graph::new(&cells), &[], 20, CORE_CLEARANCE);
+        let pieces = Pieces::new(&cells, &Graph::new(&cells, 1), &[], 20, CORE_CLEARANCE);
         let large = (0..pieces.nodes.len()).filter(|&i| pieces.nodes[i].len() >= 10).collect();
         (cells, pieces, large)
     }

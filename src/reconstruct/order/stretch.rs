@@ -9,7 +9,7 @@ use std::f32::consts::TAU;
 use std::ops::RangeInclusive;
 
 /// Pixel pairs that must continue for nodes to be one stretch, and how many times more than those that do not.
-const MIN_PAIRS: u32 = 4;
+const MIN_PAIRS: u32 = 2;
 const MIN_SHARE: u32 = 3;
 
 /// A node, and the turns that it needs beside those of the stretch's first.
