@@ -11,6 +11,10 @@
 //!
 //! `ARCHITECTURE.md` is the code map, with what each part may not know.
 
+// First: what follows prints by its macros.
+#[macro_use]
+mod print;
+
 /// Frames from cameras to the writer: buffer pool, trigger matching, bounded hand-offs.
 pub mod acquire;
 /// The node's HTTP control API: data transfer objects, server, client.

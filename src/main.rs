@@ -2,6 +2,7 @@
 
 use clap::Parser;
 use fourdbody::cmds::{Cli, Failure};
+use std::io::Write;
 use std::process::ExitCode;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
@@ -12,7 +13,8 @@ fn main() -> ExitCode {
     match cli.run() {
         Ok(exit) => exit.into(),
         Err(Failure { exit, message }) => {
-            eprintln!("error: {message}");
+            // Nobody may read any more; the exit code is still told.
+            let _ = writeln!(std::io::stderr(), "error: {message}");
             exit.into()
         }
     }

@@ -84,5 +84,6 @@ mod third_party_node;
 mod third_party_session;
 #[cfg(feature = "aravis")]
 mod two_nodes;
+mod unread_output;
 mod validate_commands;
 mod worker;
