@@ -12,7 +12,7 @@ use crate::reconstruct::FrameSource;
 use crate::session::capture::{Control, Wish, capture};
 use crate::session::participant::Participant;
 use crate::session::state::Fault;
-use std::io::{BufRead, Write};
+use std::io::BufRead;
 use std::sync::Arc;
 
 /// How the captures are made.
@@ -89,7 +89,7 @@ pub fn run(live: &Live<'_>, nominal: &Calibration, board: &Board) -> Result<Join
 
 fn say(line: &str) {
     // Standard output has the result; the conversation goes beside it.
-    let _ = writeln!(std::io::stderr(), "{line}");
+    eprintln!("{line}");
 }
 
 /// Captures one position and opens its recordings.

@@ -1,6 +1,6 @@
 //! A line of progress on a terminal, for work that takes over two seconds.
 
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
@@ -49,17 +49,14 @@ impl Progress {
         state.shown = Some(Instant::now());
         let (unit, size) = self.unit;
         let percent = done.saturating_mul(100) / total.max(1);
-        let mut stderr = std::io::stderr();
-        // A terminal that went away is no reason to stop.
-        let _ = write!(stderr, "\r{}: {} of {} {unit} ({percent} %)  ", self.what, done / size, total / size);
-        let _ = stderr.flush();
+        eprint!("\r{}: {} of {} {unit} ({percent} %)  ", self.what, done / size, total / size);
     }
 }
 
 impl Drop for Progress {
     fn drop(&mut self) {
         if self.state.get_mut().is_ok_and(|state| state.shown.is_some()) {
-            let _ = write!(std::io::stderr(), "\r\x1b[K");
+            eprint!("\r\x1b[K");
         }
     }
 }

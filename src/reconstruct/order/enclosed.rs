@@ -13,7 +13,7 @@ use super::settle::Scene;
 use super::stretch::{self, Member};
 
 /// Pixel pairs along which a stretch is continued, relative to the root of its pixels: a square has an outline of 4. Of a small stretch
-/// one for so many of its pixels is enough, so that a square of 25 px may hang on a surface along one side, one of 50 px along two.
+/// one for so many of its pixels is enough: a square whose sides are 25 px may hang on a surface along one of them, of 50 px along two.
 const ENCLOSED: f32 = 2.5;
 const PX_PER_PAIR: f32 = 25.0;
 
