@@ -200,8 +200,8 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     let (_, all) = &curve[0];
     assert!(all.wrong_order_share < 0.00092, "{all:?}");
     assert!(all.completeness_of_lit > 0.9005, "{all:?}");
-    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.305, "{all:?}");
-    assert!(all.normal_median_deg < 0.55 && all.normal_p95_deg < 5.7, "{all:?}");
+    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.303, "{all:?}");
+    assert!(all.normal_median_deg < 0.55 && all.normal_p95_deg < 5.6, "{all:?}");
     for pair in curve.windows(2) {
         assert!(pair[1].1.wrong_order_share <= pair[0].1.wrong_order_share, "{pair:?}");
     }
@@ -209,8 +209,8 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
 
 /// The same of pairs of rows, in three fifths of the time. Bounds: what was measured (0.0756 % wrong, 88.99 % of lit) and little room. Before
 /// one row stood alone where the two of a pair see different surfaces, there were 0.1219 % wrong; before what is open in both cameras of a
-/// head was matched, 87.40 % of lit, without the hair of h1, which is known less exactly (p95 0.297 mm instead of 0.312; with small stretches
-/// at outlines 0.328).
+/// head was matched, 87.40 % of lit, without the hair of h1, which is known less exactly (p95 0.297 mm instead of 0.312; 0.328
+/// since small stretches may hang on a surface).
 #[test]
 fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
     let Some(scene) = scene() else { return };
@@ -226,9 +226,9 @@ fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
     }
     let all = sum.score();
     println!("all: {}", wrong_and_complete(&all));
-    assert!(all.wrong_order_share < 0.00078, "{all:?}");
+    assert!(all.wrong_order_share < 0.00077, "{all:?}");
     assert!(all.completeness_of_lit > 0.888, "{all:?}");
-    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.331, "{all:?}");
+    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.33, "{all:?}");
 }
 
 /// A lost camera takes points from the others, and makes none of theirs wrong. Bounds: what was measured and little room. Before whole
@@ -239,8 +239,8 @@ fn fewer_cameras_make_fewer_points_and_not_more_wrong_ones() {
     let Some(scene) = scene() else { return };
     let calibration = calibration(&scene);
     let cases: [(&str, IsThere, f64, f64); 5] = [
-        ("without h0_low", |camera| camera != "h0_low", 0.0012, 0.868),
-        ("without h1_low", |camera| camera != "h1_low", 0.0017, 0.808),
+        ("without h0_low", |camera| camera != "h0_low", 0.00113, 0.868),
+        ("without h1_low", |camera| camera != "h1_low", 0.0016, 0.808),
         ("without h3_up", |camera| camera != "h3_up", 0.0011, 0.807),
         ("upper cameras", |camera| camera.ends_with("up"), 0.0003, 0.409),
         ("lower cameras", |camera| camera.ends_with("low"), 0.0016, 0.555),
