@@ -40,7 +40,7 @@ pub use super::summary::{FrameSummary, Summary, TriggerSummary};
 pub use super::timings::Timings;
 
 /// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 27;
+const ALGORITHM: u32 = 28;
 
 /// What is written of each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -462,7 +462,7 @@ impl Pipeline {
             unwrap::unwrap(&mut absolute, &input, pair, &settings, &mut buffers.unwrap)
         });
         BUFFERS.give(buffers);
-        counts.refused = unwrapped.open.iter().map(|(_, run)| run.columns().len()).sum();
+        counts.refused = unwrapped.open_px;
         counts.contradictions = unwrapped.contradictions;
         let mut planes = Vec::new();
         if let Some((object, wrapped)) = kept {

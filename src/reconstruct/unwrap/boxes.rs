@@ -179,6 +179,7 @@ impl Window {
         let sums = self.sums.as_slice();
         match half {
             1 => Boxes([&sums[PAD - 1..], &sums[PAD..], &sums[PAD + 1..]]),
+            2 => Boxes([&three[PAD..], &sums[PAD + 1..], &sums[PAD + 2..]]),
             4 => Boxes([&three[PAD..], &three[PAD + 3..], &three[PAD + 6..]]),
             5 => Boxes([&nine[PAD..], &sums[PAD + 4..], &sums[PAD + 5..]]),
             _ => Boxes([&nine[PAD..], &nine[PAD + 10..], &sums[PAD..]]),

@@ -13,14 +13,14 @@ use std::f32::consts::TAU;
 /// Units of a rad in sums and costs.
 pub(super) const UNITS: f32 = 1024.0;
 
-/// Half sizes (columns, rows of the sensor) of the box in which the local mean step is taken.
+/// Half sizes (columns and rows of the sensor) of the box in which the local mean step is taken.
 const MEAN_STEP: (usize, usize) = (5, 3);
 
-/// Half sizes (columns, rows of the sensor) of the boxes in which residuals are averaged: along the boundary that steps to
+/// Half sizes (columns and rows of the sensor) of the boxes in which residuals are averaged: along the boundary that steps to
 /// the right and steps down cross.
 const ALONG: [(usize, usize); 2] = [(1, 3), (4, 1)];
 
-/// Half sizes (columns, rows of the sensor) of the box that says whether phases agree over a longer stretch.
+/// Half sizes (columns and rows of the sensor) of the box that says whether phases agree over a longer stretch.
 const STRETCH: (usize, usize) = (9, 10);
 
 /// A window that crosses a depth step does not hold a sine: what the misfit of the fringe model has above this
@@ -39,9 +39,11 @@ struct Boxes {
 }
 
 impl Boxes {
-    /// Where a row of the image is the mean of so many rows of the sensor.
-    fn of_rows(sensor_rows: usize) -> Self {
-        let of = |(columns, rows): (usize, usize)| (columns, (rows / sensor_rows).max(1));
+    /// Where a pixel of the image stands for so many columns, and is the mean of so many rows, of the sensor.
+    fn of(sensor_columns: usize, sensor_rows: usize) -> Self {
+        let of = |(columns, rows): (usize, usize)| {
+            ((columns / sensor_columns).max(1), (rows / sensor_rows).max(1))
+        };
         Self { mean_step: of(MEAN_STEP), along: ALONG.map(of), stretch: of(STRETCH) }
     }
 
@@ -88,7 +90,8 @@ pub(super) struct Input<'a> {
     pub runs: &'a Runs,
     /// That of the phase along the columns.
     pub sign: f32,
-    /// Rows of the sensor that a row is the mean of.
+    /// Columns of the sensor that a column stands for, and rows that a row is the mean of.
+    pub sensor_columns: usize,
     pub sensor_rows: usize,
 }
 
@@ -202,7 +205,7 @@ pub(super) fn run(
 ) {
     let (w, h) = (input.wrapped.width(), input.wrapped.height());
     let Buffers { right, down, taps, blocks, excess, turns: row_turns } = buffers;
-    let boxes = Boxes::of_rows(input.sensor_rows);
+    let boxes = Boxes::of(input.sensor_columns, input.sensor_rows);
     let lag = boxes.lag();
     right.begin(w, &boxes, boxes.along[0]);
     down.begin(w, &boxes, boxes.along[1]);
@@ -246,7 +249,7 @@ pub(super) fn run(
 #[inline(always)]
 fn steps_right(input: &Input<'_>, v: usize, out: &mut [i32], turns: &mut [i16]) {
     let (row, period) = (input.wrapped.row(v), input.period.row(v));
-    let carrier = 2.0 * input.sign * TAU;
+    let carrier = 2.0 * input.sensor_columns as f32 * input.sign * TAU;
     for run in input.runs.row(v) {
         // The last pixel has no step.
         let n = run.columns().len() - 1;
@@ -351,6 +354,7 @@ mod tests {
     use super::{Bounds, Boxes, Buffers, GOOD_MISFIT, Input, NONE, UNITS, doubtful, run, units};
     use crate::image::Plane;
     use crate::reconstruct::runs::Runs;
+    use crate::reconstruct::unwrap::blocks::COLUMNS;
     use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
     use std::f64::consts::TAU;
 
@@ -372,12 +376,12 @@ mod tests {
     }
 
     /// Steps less the carrier's, to the right or down.
-    fn steps(wrapped: &Plane<f32>, down: bool) -> Plane<f64> {
+    fn steps(wrapped: &Plane<f32>, down: bool, sensor_columns: usize) -> Plane<f64> {
         let mut out = Plane::filled(W, H, f64::NAN);
         for v in 0..H - usize::from(down) {
             for u in 0..W - usize::from(!down) {
                 let next = if down { wrapped.at(u, v + 1) } else { wrapped.at(u + 1, v) };
-                let carrier = if down { 0.0 } else { TAU / f64::from(PERIOD) };
+                let carrier = if down { 0.0 } else { sensor_columns as f64 * TAU / f64::from(PERIOD) };
                 out.set(u, v, wrap(f64::from(next) - f64::from(wrapped.at(u, v)) - carrier));
             }
         }
@@ -391,9 +395,12 @@ mod tests {
             noise in proptest::collection::vec(-1.0f32..1.0, W * H),
             rough in 0.0f32..0.3,
             sensor_rows in 1usize..=2,
+            in_blocks in any::<bool>(),
             holes in proptest::collection::vec((any::<proptest::sample::Index>(), 0usize..30), 0..12),
         ) {
-            let phase = |i: usize| (i % W) as f32 * std::f32::consts::TAU / PERIOD + 0.1 * (i / W) as f32;
+            let sensor_columns = if in_blocks { COLUMNS } else { 1 };
+            let step = sensor_columns as f32 * std::f32::consts::TAU / PERIOD;
+            let phase = |i: usize| (i % W) as f32 * step + 0.1 * (i / W) as f32;
             let value = |i: usize| phase(i) + rough * noise[i];
             let mut wrapped = Plane::from_vec(W, H, (0..W * H).map(|i| wrap(f64::from(value(i))) as f32).collect())
                 .expect("its size");
@@ -406,8 +413,8 @@ mod tests {
             let runs = Runs::of(&Plane::from_vec(W, H, known).expect("its size"));
             let period = Plane::filled(W, H, PERIOD);
             let input =
-                Input { wrapped: &wrapped, period: &period, misfit: &misfit, runs: &runs, sign: 1.0, sensor_rows };
-            let Boxes { mean_step, along, stretch } = Boxes::of_rows(sensor_rows);
+                Input { wrapped: &wrapped, period: &period, misfit: &misfit, runs: &runs, sign: 1.0, sensor_columns, sensor_rows };
+            let Boxes { mean_step, along, stretch } = Boxes::of(sensor_columns, sensor_rows);
             let bounds = Bounds { largest: 1.5 * UNITS, doubtful: 0.04 * UNITS, doubtful_stretch: 0.04 * UNITS };
             let mut turns = Plane::filled(W, H, 0);
             let mut found = [Plane::filled(W, H, NONE), Plane::filled(W, H, NONE)];
@@ -416,7 +423,7 @@ mod tests {
                 found[1].row_mut(v).copy_from_slice(&costs.down[..W]);
             });
             for (found, down) in found.iter().zip([false, true]) {
-                let steps = steps(&wrapped, down);
+                let steps = steps(&wrapped, down, sensor_columns);
                 let mut own = Plane::filled(W, H, f64::NAN);
                 for (v, u) in (0..H).flat_map(|v| (0..W).map(move |u| (v, u))) {
                     own.set(u, v, wrap(steps.at(u, v) - mean(&steps, (u, v), mean_step)).abs());

@@ -1,6 +1,7 @@
 //! Unwrapped and absolute phase of the default method: the anchored spanning forest.
 //!
 //! ```text
+//! blocks     a few pixels side by side, which are one in the forest where rows are taken in pairs, and back to the pixels
 //! boxes      sums over boxes of pixels
 //! costs      how far each pixel's steps to the right and down are from what is expected
 //! segments   nodes: stretches of a row whose steps are certain; edges: where they touch
@@ -14,6 +15,7 @@
 //! so is a merge of two large trees across a doubtful edge. Trees without enough votes stay unresolved: the
 //! fringe order is never guessed.
 
+mod blocks;
 mod boxes;
 mod costs;
 mod forest;
@@ -23,9 +25,11 @@ use super::pair::Pair;
 use super::runs::{Run, Runs};
 use super::simd;
 use crate::image::Plane;
+use blocks::{Blocks, COLUMNS};
 use costs::UNITS;
-use segments::Graph;
+use segments::{Graph, Votes};
 use std::f32::consts::TAU;
+use std::ops::Range;
 
 /// Settings of the forest.
 #[derive(Debug, Clone, Copy)]
@@ -44,13 +48,23 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The same for images of which a row is the mean of so many rows of the sensor.
+    /// The same for images of which a pixel stands for so many columns, and is the mean of so many rows, of the sensor.
     #[must_use]
-    fn of_rows(self, sensor_rows: usize) -> Self {
-        let rows = sensor_rows as u32;
-        Self { small_tree_px: self.small_tree_px / rows, min_votes: self.min_votes / rows, ..self }
+    fn of(self, sensor_columns: usize, sensor_rows: usize) -> Self {
+        let (columns, rows) = (sensor_columns as u32, sensor_rows as u32);
+        let rougher = if sensor_columns > 1 { BLOCKS_ROUGHER } else { 1.0 };
+        Self {
+            doubtful_residual: rougher * self.doubtful_residual,
+            doubtful_stretch: rougher * self.doubtful_stretch,
+            small_tree_px: self.small_tree_px / rows / columns,
+            min_votes: self.min_votes / rows,
+            ..self
+        }
     }
 }
+
+/// How much larger residuals are between blocks than between pixels, whose windows have more in common.
+const BLOCKS_ROUGHER: f32 = 2.0;
 
 impl Default for Settings {
     fn default() -> Self {
@@ -69,6 +83,8 @@ impl Default for Settings {
 pub struct Unwrapped {
     /// Where the absolute phase is known but for the order of its tree, which is not: rows, and stretches of them.
     pub open: Vec<(u32, Run)>,
+    /// Phases that lack an order.
+    pub open_px: usize,
     /// Merges refused because the votes contradicted.
     pub contradictions: usize,
 }
@@ -86,6 +102,7 @@ pub struct Buffers {
     costs: costs::Buffers,
     graph: Graph,
     turns: Plane<i16>,
+    blocks: Blocks,
 }
 
 /// What a frame's forest is made of.
@@ -110,15 +127,48 @@ pub fn unwrap(
     settings: &Settings,
     buffers: &mut Buffers,
 ) -> Unwrapped {
-    let Buffers { costs: rows, graph, turns } = buffers;
+    let Buffers { costs: rows, graph, turns, blocks } = buffers;
     let Input { period, misfit, anchor, runs } = *input;
-    let wrapped = &*phase;
-    let settings = &settings.of_rows(pair.sensor_rows);
+    let (sign, sensor_rows, markers) = (pair.sign, pair.sensor_rows, &pair.markers[..]);
+    if sensor_rows == 1 {
+        let wrapped = &*phase;
+        let steps = costs::Input { wrapped, period, misfit, runs, sign, sensor_columns: 1, sensor_rows };
+        let votes = Votes { anchor, markers, phase, runs, blocks: None };
+        let settings = &settings.of(1, 1);
+        grow(&steps, votes, settings, rows, graph, turns);
+        let row_of = |v: usize| Pixels { turns: turns.row(v) };
+        return simd::dispatch(
+            #[inline(always)]
+            || write(phase, row_of, graph, settings),
+        );
+    }
+    blocks.take(phase, input, sign);
+    let Blocks { wrapped, period, misfit, runs: in_blocks, .. } = &*blocks;
+    let sensor_columns = COLUMNS;
+    let steps = costs::Input { wrapped, period, misfit, runs: in_blocks, sign, sensor_columns, sensor_rows };
+    let votes = Votes { anchor, markers, phase, runs, blocks: Some(blocks) };
+    let settings = &settings.of(COLUMNS, sensor_rows);
+    grow(&steps, votes, settings, rows, graph, turns);
+    let row_of = |v: usize| blocks.row(v, turns.row(v), sign);
+    simd::dispatch(
+        #[inline(always)]
+        || write(phase, row_of, graph, settings),
+    )
+}
+
+/// Grows the forest. `turns` receives how many whole turns make each phase continue those before it in its run.
+fn grow(
+    steps: &costs::Input<'_>,
+    votes: Votes<'_>,
+    settings: &Settings,
+    rows: &mut costs::Buffers,
+    graph: &mut Graph,
+    turns: &mut Plane<i16>,
+) {
+    let (wrapped, runs) = (steps.wrapped, steps.runs);
     turns.reshape(wrapped.width(), wrapped.height(), 0);
     graph.begin(wrapped.width(), settings);
-    let (sign, sensor_rows) = (pair.sign, pair.sensor_rows);
-    let steps = costs::Input { wrapped, period, misfit, runs, sign, sensor_rows };
-    let nodes = segments::Input { wrapped, anchor, markers: &pair.markers, runs };
+    let nodes = segments::Input { wrapped, runs, votes };
     let bounds = costs::Bounds {
         largest: UNITS * settings.max_residual,
         doubtful: UNITS * settings.doubtful_residual,
@@ -128,7 +178,7 @@ pub fn unwrap(
         #[inline(always)]
         || {
             costs::run(
-                &steps,
+                steps,
                 &bounds,
                 rows,
                 turns,
@@ -138,13 +188,6 @@ pub fn unwrap(
         },
     );
     graph.finish(settings);
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            let open = write(phase, turns, graph, settings);
-            Unwrapped { open, contradictions: graph.contradictions }
-        },
-    )
 }
 
 /// Where the phases of a segment go.
@@ -172,39 +215,96 @@ fn place(graph: &mut Graph, node: usize, last: &mut Option<(u32, Place)>, settin
     Place { turns: base.turns + turns, tree: base.tree }
 }
 
-/// Writes the phases of all segments, those beside each other that belong together at once.
-#[inline(always)]
-fn write(
-    phase: &mut Plane<f32>,
-    turns: &Plane<i16>,
-    graph: &mut Graph,
-    settings: &Settings,
-) -> Vec<(u32, Run)> {
-    let mut open = Vec::new();
-    let (mut node, mut last) = (0, None);
-    for v in 0..graph.ends.len() {
-        let end = graph.ends[v];
-        while node < end {
-            let own = place(graph, node, &mut last, settings);
-            let mut columns = graph.segments[node].columns();
-            node += 1;
-            while node < end
-                && graph.segments[node].columns().start == columns.end
-                && place(graph, node, &mut last, settings) == own
-            {
-                columns.end = graph.segments[node].columns().end;
-                node += 1;
-            }
-            let phases = phase.row_mut(v)[columns.clone()].iter_mut();
-            for (phase, &turns) in phases.zip(&turns.row(v)[columns.clone()]) {
-                *phase += TAU * (own.turns + i32::from(turns)) as f32;
-            }
-            if own.tree != 0 {
-                open.push((v as u32, Run::new(columns.start, columns.end)));
-            }
+/// A row's turns, and how they are written to its phases. What the forest is made of is a block, though it may be a pixel.
+trait Write {
+    /// Pixels of a block.
+    const COLUMNS: usize;
+
+    /// Adds the turns of some blocks, and `base`, to the pixels of a row.
+    fn add(&self, phase: &mut [f32], blocks: Range<usize>, base: i32);
+
+    /// Gives the last pixels of the block before `block` to that, if they go better with it than with their own; `bases` are those of
+    /// both. The pixels of the one before have their turns. Returns how many did.
+    fn part(&self, phase: &mut [f32], block: usize, bases: [i32; 2]) -> usize;
+}
+
+/// A row of pixels.
+#[derive(Debug, Clone, Copy)]
+struct Pixels<'a> {
+    turns: &'a [i16],
+}
+
+impl Write for Pixels<'_> {
+    const COLUMNS: usize = 1;
+
+    #[inline(always)]
+    fn add(&self, phase: &mut [f32], blocks: Range<usize>, base: i32) {
+        for (phase, &turns) in phase[blocks.clone()].iter_mut().zip(&self.turns[blocks]) {
+            *phase += TAU * (base + i32::from(turns)) as f32;
         }
     }
-    open
+
+    #[inline(always)]
+    fn part(&self, _: &mut [f32], _: usize, _: [i32; 2]) -> usize {
+        0
+    }
+}
+
+/// Writes the phases of all segments, those beside each other that belong together at once.
+#[inline(always)]
+fn write<R: Write>(
+    phase: &mut Plane<f32>,
+    row_of: impl Fn(usize) -> R,
+    graph: &mut Graph,
+    settings: &Settings,
+) -> Unwrapped {
+    let (mut open, mut open_px) = (Vec::new(), 0);
+    let (mut node, mut last) = (0, None);
+    for v in 0..graph.ends.len() {
+        let (row, end) = (row_of(v), graph.ends[v]);
+        let to = phase.row_mut(v);
+        let width = to.len();
+        // What was written last: its place, and the block behind it.
+        let mut before: Option<(Place, usize)> = None;
+        while node < end {
+            let own = place(graph, node, &mut last, settings);
+            let first = node;
+            let mut blocks = graph.segments[node].columns();
+            node += 1;
+            while node < end
+                && graph.segments[node].columns().start == blocks.end
+                && place(graph, node, &mut last, settings) == own
+            {
+                blocks.end = graph.segments[node].columns().end;
+                node += 1;
+            }
+            let mut begin = R::COLUMNS * blocks.start;
+            if let Some((before, end)) = before
+                && end == blocks.start
+            {
+                let taken = row.part(to, blocks.start, [before.turns, own.turns]);
+                begin -= taken;
+                // They are no longer of the open tree that is before.
+                if before.tree != 0
+                    && let Some((_, run)) = open.last_mut()
+                {
+                    *run = Run::new(Run::start(run), begin);
+                    open_px -= taken;
+                }
+            }
+            row.add(to, blocks.clone(), own.turns);
+            for segment in &graph.segments[first + 1..node] {
+                row.part(to, segment.columns().start, [own.turns; 2]);
+            }
+            if own.tree != 0 {
+                let columns = begin..(R::COLUMNS * blocks.end).min(width);
+                open_px += to[columns.clone()].iter().filter(|phase| !phase.is_nan()).count();
+                open.push((v as u32, Run::new(columns.start, columns.end)));
+            }
+            before = Some((own, blocks.end));
+        }
+    }
+    Unwrapped { open, open_px, contradictions: graph.contradictions }
 }
 
 #[cfg(test)]
@@ -231,13 +331,14 @@ mod tests {
         contradictions: usize,
     }
 
-    /// Unwraps a planted absolute phase (NaN: no surface) whose fringe 80 is the marker in `marker_rows`.
-    fn run(truth: &Plane<f32>, marker_rows: std::ops::Range<usize>) -> Found {
+    /// Unwraps a planted absolute phase (NaN: no surface) whose fringe 80 is the marker in `marker_rows`. A row is the mean of so many
+    /// of the sensor.
+    fn run(truth: &Plane<f32>, marker_rows: std::ops::Range<usize>, sensor_rows: usize) -> Found {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
         let calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         let head = &calibration.heads[0];
         let mut pair = Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair");
-        pair.sign = 1.0;
+        (pair.sign, pair.sensor_rows) = (1.0, sensor_rows);
         let map = |f: &dyn Fn(f32) -> f32| {
             Plane::from_vec(W, H, truth.as_slice().iter().map(|&x| f(x)).collect()).expect("same size")
         };
@@ -254,7 +355,7 @@ mod tests {
         let input = Input { period: &period, misfit: &misfit, anchor: &anchor, runs: &runs };
         let found = unwrap(&mut phase, &input, &pair, &Settings::default(), &mut Buffers::default());
         refuse(&mut phase, &found.open);
-        let refused_px = found.open.iter().map(|(_, run)| run.columns().len()).sum();
+        let refused_px = found.open_px;
         Found { phase, refused_px, contradictions: found.contradictions }
     }
 
@@ -273,9 +374,13 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
-        fn a_smooth_surface_is_unwrapped_whole(tilt in -0.4f32..0.4, curve in -0.0005f32..0.0005) {
+        fn a_smooth_surface_is_unwrapped_whole(
+            tilt in -0.4f32..0.4,
+            curve in -0.0005f32..0.0005,
+            sensor_rows in 1usize..=2,
+        ) {
             let truth = surface(tilt, curve);
-            let found = run(&truth, 0..H);
+            let found = run(&truth, 0..H, sensor_rows);
             for (found, truth) in found.phase.as_slice().iter().zip(truth.as_slice()) {
                 prop_assert!((found - truth).abs() < 1e-2, "{found} {truth}");
             }
@@ -283,13 +388,17 @@ mod tests {
         }
 
         #[test]
-        fn no_order_is_guessed_beyond_a_depth_step(step in 0.8f32..5.4, tilt in -0.1f32..0.1) {
+        fn no_order_is_guessed_beyond_a_depth_step(
+            step in 0.8f32..5.4,
+            tilt in -0.1f32..0.1,
+            sensor_rows in 1usize..=2,
+        ) {
             // The lower half lies `step` rad and two fringes nearer; only the upper half shows the marker.
             let mut truth = surface(tilt, 0.0);
             for v in 50..H {
                 truth.row_mut(v).iter_mut().for_each(|x| *x += step + 2.0 * TAU);
             }
-            let found = run(&truth, 0..45);
+            let found = run(&truth, 0..45, sensor_rows);
             for v in 0..H {
                 for u in 0..W {
                     let (found, truth) = (found.phase.at(u, v), truth.at(u, v));
@@ -310,17 +419,21 @@ mod tests {
         for v in 45..H {
             truth.row_mut(v).iter_mut().for_each(|x| *x += 2.0 * TAU + 0.03);
         }
-        let found = run(&truth, 0..H);
-        assert!(found.contradictions > 0);
-        let wrong =
-            found.phase.as_slice().iter().zip(truth.as_slice()).filter(|(a, b)| (*a - *b).abs() > 1.0);
-        assert!(wrong.count() < 3 * W, "only the seam may be wrong");
+        for sensor_rows in 1..=2 {
+            let found = run(&truth, 0..H, sensor_rows);
+            assert!(found.contradictions > 0);
+            let pixels = found.phase.as_slice().iter().zip(truth.as_slice());
+            let wrong = pixels.filter(|(found, truth)| (*found - *truth).abs() > 1.0);
+            assert!(wrong.count() < 3 * W, "only the seam may be wrong");
+        }
     }
 
     #[test]
     fn without_a_marker_everything_is_refused() {
-        let found = run(&surface(0.1, 0.0), 0..0);
-        assert!(found.phase.as_slice().iter().all(|x| x.is_nan()));
-        assert_eq!(found.refused_px, W * H);
+        for sensor_rows in 1..=2 {
+            let found = run(&surface(0.1, 0.0), 0..0, sensor_rows);
+            assert!(found.phase.as_slice().iter().all(|x| x.is_nan()));
+            assert_eq!(found.refused_px, W * H);
+        }
     }
 }

@@ -5,6 +5,7 @@
 //! run differ by no turns, and segments above each other by those that the pixels of their common border agree on.
 
 use super::Settings;
+use super::blocks::{Blocks, COLUMNS};
 use super::costs::{NONE, Row, UNITS, doubtful, turns_in, units};
 use super::forest::{Edge, Forest};
 use crate::image::Plane;
@@ -79,13 +80,23 @@ pub(super) struct Graph {
     pub contradictions: usize,
 }
 
-/// The planes that the graph is made of.
+/// The planes that the graph is made of, and the marker's votes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Input<'a> {
     pub wrapped: &'a Plane<f32>,
+    pub runs: &'a Runs,
+    pub votes: Votes<'a>,
+}
+
+/// The marker's pixels, which may be finer than those of the graph.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Votes<'a> {
     pub anchor: &'a Plane<u8>,
     pub markers: &'a [u32],
+    pub phase: &'a Plane<f32>,
     pub runs: &'a Runs,
+    /// What the graph is made of, if not of pixels.
+    pub blocks: Option<&'a Blocks>,
 }
 
 impl Graph {
@@ -131,7 +142,7 @@ impl Graph {
         self.ends.push(self.segments.len());
         self.forest.extend(&self.segments[first..]);
         self.find_edges(costs.down);
-        self.vote(v, turns.row(v), input);
+        self.vote(v, turns.row(v), &input.votes);
         // First to the row above, while the segments are small trees, which may be attached where it is doubtful.
         if let Some(above) = v.checked_sub(1) {
             self.compare(input, above, turns);
@@ -201,17 +212,18 @@ impl Graph {
 
     /// Counts the votes of the marker's pixels.
     #[inline(always)]
-    fn vote(&mut self, v: usize, turns: &[i16], input: &Input<'_>) {
-        let (anchor, wrapped) = (input.anchor.row(v), input.wrapped.row(v));
+    fn vote(&mut self, v: usize, turns: &[i16], votes: &Votes<'_>) {
+        let (anchor, phase) = (votes.anchor.row(v), votes.phase.row(v));
         let (node, forest) = (&self.rows[1].node, &mut self.forest);
-        for run in input.runs.row(v) {
+        for run in votes.runs.row(v) {
             let start = run.start();
             each_not_0(&anchor[run.columns()], |i| {
                 let u = start + i;
-                if !wrapped[u].is_nan() {
+                if !phase[u].is_nan() {
                     // Places of markers count from 1. The wrapped phase of a marker's core is that of its ridge.
-                    let order = input.markers[usize::from(anchor[u]) - 1] as i32;
-                    forest.vote(node[u], order - i32::from(turns[u]));
+                    let order = votes.markers[usize::from(anchor[u]) - 1] as i32;
+                    let (place, lead) = votes.blocks.map_or((u, 0), |x| (u / COLUMNS, x.lead(u, v)));
+                    forest.vote(node[place], order - i32::from(turns[place]) - lead);
                 }
             });
         }
