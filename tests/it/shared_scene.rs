@@ -113,15 +113,24 @@ fn score(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Score) 
     (found, score)
 }
 
+/// A camera alone has no other evidence than its marker and its forest, of pixels or, of pairs, of blocks.
 #[test]
 fn a_back_and_a_side_view_are_right_and_nearly_complete() {
     let Some(scene) = scene() else { return };
-    for (camera, completeness) in [("h3_low", 0.86), ("h0_low", 0.82)] {
-        let (found, score) = score(&scene, camera, Method::Anchored);
+    // What was measured, and little room.
+    let cases = [
+        (Method::Anchored, "h3_low", 0.0001, 0.902, 0.2),
+        (Method::Anchored, "h0_low", 0.003, 0.871, 0.22),
+        (Method::Paired, "h3_low", 0.0002, 0.9, 0.235),
+        (Method::Paired, "h0_low", 0.002, 0.871, 0.26),
+    ];
+    for (method, camera, wrong, complete, p95_mm) in cases {
+        let (found, score) = score(&scene, camera, method);
+        println!("{method:?} {camera}: {}, p95 {:.3} mm", wrong_and_complete(&score), score.p95_mm);
         assert_eq!(found.outcome, Outcome::Cloud);
-        assert!(score.wrong_order_share < 0.005, "{camera}: {score:?}");
-        assert!(score.completeness_of_lit > completeness, "{camera}: {score:?}");
-        assert!(score.robust_mm < 0.06 && score.p95_mm < 0.3, "{camera}: {score:?}");
+        assert!(score.wrong_order_share < wrong, "{camera}: {score:?}");
+        assert!(score.completeness_of_lit > complete, "{camera}: {score:?}");
+        assert!(score.robust_mm < 0.06 && score.p95_mm < p95_mm, "{camera}: {score:?}");
     }
 }
 
