@@ -216,8 +216,8 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     }
 }
 
-/// The same of pairs of rows, in less than three fifths of the time. Bounds: what was measured (0.0977 % wrong, 89.13 % of lit) and little
-/// room. Before forests were made of blocks there were 0.0756 % wrong and 88.99 % of lit: some 600 px of h1_low make the difference. Before
+/// The same of pairs of rows, in three fifths of the time. Bounds: what was measured (0.0977 % wrong, 89.13 % of lit) and little
+/// room. Before forests were made of blocks there were 0.0756 % wrong and 88.99 % of lit: h1_low has 557 wrong points instead of 172. Before
 /// one row stood alone where the two of a pair see different surfaces, there were 0.1219 % wrong; before what is open in both cameras of a
 /// head was matched, 87.40 % of lit, without the hair of h1, which is known less exactly (p95 0.297 mm instead of 0.312; 0.328
 /// since small stretches may hang on a surface).
@@ -236,7 +236,7 @@ fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
     }
     let all = sum.score();
     println!("all: {}", wrong_and_complete(&all));
-    assert!(all.wrong_order_share < 0.001, "{all:?}");
+    assert!(all.wrong_order_share < 0.00099, "{all:?}");
     assert!(all.completeness_of_lit > 0.891, "{all:?}");
     assert!(all.robust_mm < 0.055 && all.p95_mm < 0.326, "{all:?}");
 }

@@ -226,9 +226,7 @@ impl Glimpses {
     pub fn new(width: usize, height: usize) -> Self {
         let (stride, rows) = (padded(width), padded(height));
         let cells = vec![Glimpse::none(Glimpse::FAR); stride * rows];
-        // Growing it would copy it.
-        let rims = Vec::with_capacity(stride * rows / 8);
-        Self { stride, rows, cells, rims }
+        Self { stride, rows, cells, rims: Vec::new() }
     }
 
     /// The place of a cell of the region of interest in the padded grid.

@@ -2,7 +2,7 @@
 //! as a fringe, and those beside each other say nearly the same.
 //!
 //! A block has the phase that the first of its pixels that has one gives the first of its pixels. Its other pixels lead that by the
-//! carrier's steps, less whole turns.
+//! carrier's steps, less whole turns. (The blocks of `boxes` are another thing: what vectors work on at once.)
 
 use super::costs::turns_in;
 use super::{Input, Write};
@@ -57,19 +57,10 @@ impl Blocks {
         self.leads.reshape(w * COLUMNS, h, 0);
         self.runs.clear();
         for v in 0..h {
-            let mut open: Option<Run> = None;
             for run in runs.row(v) {
-                let (start, end) = (run.start() / COLUMNS, run.end().div_ceil(COLUMNS));
-                open = Some(match open {
-                    // They share a block, or nothing is between theirs.
-                    Some(before) if start <= before.end() => Run::new(before.start(), end),
-                    _ => {
-                        open.into_iter().for_each(|before| self.runs.push(before));
-                        Run::new(start, end)
-                    }
-                });
+                // Two may share a block.
+                self.runs.push_joined(Run::new(run.start() / COLUMNS, run.end().div_ceil(COLUMNS)));
             }
-            open.into_iter().for_each(|last| self.runs.push(last));
             self.runs.end_row();
         }
     }

@@ -69,19 +69,11 @@ pub(super) fn whole_vectors(run: &Run) -> usize {
 pub(super) fn find_blocks(runs: &Runs, blocks: &mut Runs) {
     blocks.clear();
     for v in 0..runs.height() {
-        let mut open: Option<Run> = None;
         for run in runs.row(v) {
             let columns = padded(run);
             let (start, end) = (columns.start / BLOCK * BLOCK, columns.end.next_multiple_of(BLOCK));
-            open = Some(match open {
-                Some(before) if start <= before.end() => Run::new(before.start(), end),
-                _ => {
-                    open.into_iter().for_each(|before| blocks.push(before));
-                    Run::new(start, end)
-                }
-            });
+            blocks.push_joined(Run::new(start, end));
         }
-        open.into_iter().for_each(|last| blocks.push(last));
         blocks.end_row();
     }
 }

@@ -81,7 +81,8 @@ impl Default for Settings {
 /// What came of the forest, beside the phases.
 #[derive(Debug)]
 pub struct Unwrapped {
-    /// Where the absolute phase is known but for the order of its tree, which is not: rows, and stretches of them.
+    /// Where the absolute phase is known but for the order of its tree, which is not: rows, and stretches of them, in which single pixels may
+    /// have no phase at all.
     pub open: Vec<(u32, Run)>,
     /// Phases that lack an order.
     pub open_px: usize,
@@ -409,6 +410,27 @@ mod tests {
                 }
             }
             prop_assert!(found.refused_px >= (H - 50) * W);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn no_order_is_guessed_beside_a_depth_step(step in 0.8f32..5.4, at in 80usize..100, sensor_rows in 1usize..=2) {
+            // The right part lies `step` rad and two fringes nearer; only the left one shows the marker.
+            let mut truth = surface(0.0, 0.0);
+            for v in 0..H {
+                truth.row_mut(v)[at..].iter_mut().for_each(|x| *x += step + 2.0 * TAU);
+            }
+            let found = run(&truth, 0..H, sensor_rows);
+            let pixels = || found.phase.as_slice().iter().zip(truth.as_slice()).enumerate();
+            for (i, (found, truth)) in pixels() {
+                let u = i % W;
+                prop_assert!(found.is_nan() || (found - truth).abs() < 1e-2, "column {u}: {found} {truth}");
+                // Columns just before the step may go with it.
+                prop_assert!(if u < at { u + 10 > at || !found.is_nan() } else { found.is_nan() }, "column {u}");
+            }
+            prop_assert_eq!(found.refused_px, pixels().filter(|(_, (found, _))| found.is_nan()).count());
         }
     }
 
