@@ -12,7 +12,7 @@ use std::f32::consts::TAU;
 
 /// Whole turns that make the phases of the nodes of all views absolute, or [`NONE`]: view after view, and at last those of
 /// [`Numbers::nothing`](super::witness::Numbers::nothing) and [`Numbers::past`](super::witness::Numbers::past).
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Known(Vec<i32>);
 
 /// What stands after the nodes of all views: nothing, and past the object.

@@ -132,12 +132,15 @@ pub struct Scene<'a> {
 struct Cache {
     /// The cameras as each view asks them for evidence.
     juries: Vec<Jury>,
-    /// What is settled.
+    /// What is settled, and what was before it was noted last.
     known: Known,
+    before: Known,
     /// The nodes that are tried, by view and piece.
     samples: BTreeMap<(usize, usize), Vec<u32>>,
-    /// What the cameras have at the sampled places.
-    looks: PieceLooks,
+    /// What was heard of each order, by view, piece and order.
+    heard: BTreeMap<(usize, usize, i32), Heard>,
+    /// How often what is settled, or the pieces, have changed: whoever is heard again in between says the same.
+    changes: u32,
     /// Orders worth a look, by view and piece.
     orders: BTreeMap<(usize, usize), Option<RangeInclusive<i32>>>,
     /// What the cameras have at the nodes of pieces that might be parted.
@@ -153,8 +156,10 @@ impl Cache {
         let mut cache = Self {
             juries: (0..scenes.len()).map(|view| Jury::new(scenes, view, |_| EVIDENCE)).collect(),
             known: Known::default(),
+            before: Known::default(),
             samples: BTreeMap::new(),
-            looks: PieceLooks::new(),
+            heard: BTreeMap::new(),
+            changes: 0,
             orders: BTreeMap::new(),
             asked: PieceLooks::new(),
         };
@@ -164,16 +169,27 @@ impl Cache {
 
     /// Takes note of what is settled now.
     fn update(&mut self, scenes: &[Scene<'_>]) {
+        std::mem::swap(&mut self.known, &mut self.before);
         self.known.update(scenes.iter().map(|scene| &scene.settled[..]));
+        self.changes += u32::from(self.known != self.before);
     }
 
-    /// Forgets a piece whose nodes have changed.
+    /// Forgets a piece whose nodes have changed. Others have other neighbours, too.
     fn forget(&mut self, view: usize, piece: usize) {
-        self.looks.retain(|x, _| (x.0, x.1) != (view, piece));
+        self.changes += 1;
+        self.heard.retain(|x, _| (x.0, x.1) != (view, piece));
         self.samples.remove(&(view, piece));
         self.orders.remove(&(view, piece));
         self.asked.retain(|x, _| (x.0, x.1) != (view, piece));
     }
+}
+
+/// What the cameras have at the sampled places of a piece at one order, and the evidence that came of it last.
+#[derive(Debug, Default)]
+struct Heard {
+    looks: Looks,
+    /// After how many [changes](Cache::changes).
+    last: Option<(u32, Evidence)>,
 }
 
 /// Evidence for one order of a piece.
@@ -417,10 +433,13 @@ impl Scene<'_> {
 /// Evidence for an order of a piece. Where nobody agrees at the first places, and nothing else is for it, these are all that are looked
 /// at.
 fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: &mut Cache) -> Evidence {
-    let Cache { juries, known, samples, looks, .. } = cache;
+    let Cache { juries, known, samples, heard, changes, .. } = cache;
+    let Heard { looks, last } = heard.entry((view, piece, order)).or_default();
+    if let Some((_, evidence)) = last.filter(|last| last.0 == *changes) {
+        return evidence;
+    }
     let scene = &scenes[view];
     let samples = samples.entry((view, piece)).or_insert_with(|| self::samples(scene, piece));
-    let looks = looks.entry((view, piece, order)).or_default();
     let (first, rest) = samples.split_at(samples.len().min(FIRST_SAMPLES));
     let look = |looks: &mut Looks, nodes: &[u32]| {
         let places: Vec<Place<'_>> = nodes.iter().map(|&node| scene.at(node)).collect();
@@ -429,17 +448,18 @@ fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: 
     if looks.len() == 0 {
         look(looks, first);
     }
-    let found = heard(scenes, view, piece, order, looks, &juries[view], known);
+    let mut found = hear(scenes, view, piece, order, looks, &juries[view], known);
     let is_worth_more = found.agree > 0 || found.all > found.cameras;
     if looks.len() < samples.len() && is_worth_more {
         look(looks, rest);
-        return heard(scenes, view, piece, order, looks, &juries[view], known);
+        found = hear(scenes, view, piece, order, looks, &juries[view], known);
     }
+    *last = Some((*changes, found));
     found
 }
 
 /// Evidence for an order of a piece, at whose places the cameras have these `looks`.
-fn heard(
+fn hear(
     scenes: &[Scene<'_>],
     view: usize,
     piece: usize,
@@ -448,8 +468,8 @@ fn heard(
     jury: &Jury,
     known: &Known,
 ) -> Evidence {
-    let counts = counts(scenes.len(), looks, jury, known);
     let mut found = Evidence { order, ..Evidence::default() };
+    let counts = (0..scenes.len().div_ceil(LANES)).flat_map(|block| counts(block, looks, jury, known));
     for (scene, counts) in scenes.iter().zip(counts) {
         let [agree, before, behind, past] = counts.to_le_bytes().map(u32::from);
         // The head's other camera stands beside this one and sees most of the same; for the others to be hidden is
@@ -485,25 +505,21 @@ fn heard(
     found
 }
 
-/// What the cameras say of all places that were looked at, for each camera the [`EVIDENCE`].
-fn counts(cameras: usize, looks: &Looks, jury: &Jury, known: &Known) -> Vec<u32> {
-    let mut counts = Vec::with_capacity(cameras.next_multiple_of(LANES));
-    for block in 0..cameras.div_ceil(LANES) {
-        let mut sum = [0; LANES];
-        simd::dispatch(
-            #[inline(always)]
-            || {
-                for place in 0..looks.len() {
-                    if let Some(seen) = looks.at(place) {
-                        let words = jury.hear(block, &seen[block], known);
-                        for i in 0..LANES {
-                            sum[i] += words[i];
-                        }
+/// What the cameras of a block say of all places that were looked at, for each camera the [`EVIDENCE`].
+fn counts(block: usize, looks: &Looks, jury: &Jury, known: &Known) -> [u32; LANES] {
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            let mut sum = [0; LANES];
+            for place in 0..looks.len() {
+                if let Some(seen) = looks.at(place) {
+                    let words = jury.hear(block, &seen[block], known);
+                    for i in 0..LANES {
+                        sum[i] += words[i];
                     }
                 }
-            },
-        );
-        counts.extend(sum);
-    }
-    counts
+            }
+            sum
+        },
+    )
 }
