@@ -7,6 +7,7 @@
 //! linearly. Against the exact solution the points are off by less than 0.01 mm over the whole volume (test).
 
 use super::pair::Pair;
+use super::prefetch;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 
@@ -170,6 +171,12 @@ impl RayTable {
         let above = v / NODE_PX * self.columns + first;
         let t = (v % NODE_PX) as f32 / NODE_PX as f32;
         let (a, b) = (&self.nodes[above..=above + blocks], &self.nodes[above + self.columns..]);
+        // A row of nodes is new to the cache every eight rows: a part of the next one is asked for in each of those before.
+        let next = &self.nodes[self.nodes.len().min(above + 2 * self.columns)..];
+        let part = blocks.div_ceil(NODE_PX);
+        for node in next.iter().take(blocks + 1).skip(v % NODE_PX * part).take(part + 1) {
+            prefetch::line(node);
+        }
         line.from.resize(a.len(), [0.0; 3 + TERMS]);
         line.step.resize(blocks, [0.0; 3 + TERMS]);
         let from = line.from.as_flattened_mut();
