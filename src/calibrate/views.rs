@@ -205,7 +205,11 @@ fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Plane<f32>, 
             let mut phase = Plane::filled(image.width(), image.height(), f32::NAN);
             let roi = prepared.roi;
             for v in 0..roi.height {
-                phase.row_mut(roi.v + v)[roi.u..roi.u + roi.width].copy_from_slice(prepared.absolute.row(v));
+                // What lies beside the runs is any number.
+                for run in prepared.runs().row(v) {
+                    let to = &mut phase.row_mut(roi.v + v)[roi.u..roi.u + roi.width];
+                    to[run.columns()].copy_from_slice(&prepared.absolute.row(v)[run.columns()]);
+                }
             }
             Ok(phase)
         }

@@ -349,7 +349,10 @@ impl Job<'_> {
     }
 
     fn prepare(&self, camera: &Camera, trigger: u64) -> Stage {
-        let frame = match self.source.frame(&camera.id, TriggerIndex(trigger)) {
+        let began = Instant::now();
+        let frame = self.source.frame(&camera.id, TriggerIndex(trigger));
+        let mapping = began.elapsed();
+        let frame = match frame {
             Err(reason) => return Stage::Missing("damaged", reason),
             Ok(frame) => frame,
         };
@@ -359,8 +362,17 @@ impl Job<'_> {
             Frame::Gap(cause) => return Stage::Missing("gap", cause.clone()),
         };
         match camera.pipeline.prepare(image) {
-            Ok(prepared) => Stage::Prepared(Box::new(prepared)),
-            Err(refused) => Stage::Refused(refused),
+            Ok(mut prepared) => {
+                prepared.add_time("map", mapping);
+                if self.plan.method != Method::Paper && self.plan.cameras.len() > 1 {
+                    order::cut(&mut prepared, camera.pipeline.triangulator().pair());
+                }
+                Stage::Prepared(Box::new(prepared))
+            }
+            Err(mut refused) => {
+                refused.stages.push(("map", mapping));
+                Stage::Refused(refused)
+            }
         }
     }
 

@@ -259,33 +259,35 @@ pub(super) fn row_reach(v: usize, h: usize, sensor_rows: usize) -> usize {
 /// A block of a row of phasors of length 1, their true lengths and misfit.
 pub(super) type Row<'a> = [&'a Lanes; 4];
 
-/// Mean phasor of up to five rows; the rows above and below take part in pairs, so that the mean stays centred.
+/// Mean phasor of up to five rows, of one and its nearest pair or two; the rows above and below take part in pairs, so that the mean stays centred.
 /// A pair takes part where both are known, each as strong as the weaker one (else an edge of colour along the
 /// fringe would draw the mean to its bright side), and neither has more misfit than the pixel's own row allows:
 /// the window of a row above may touch an edge that this one clears. Averaging along the fringe halves the
 /// noise. Pixels with a non-zero `skip` stay as they are, and so do those whose rows disagree. One block: of its own row are
 /// `[c, s]`, their `length` and `misfit`.
 #[inline(always)]
-pub(super) fn average_block(
+pub(super) fn average_block<const PAIRS: usize>(
     [c, s, length, misfit]: Row<'_>,
-    [near, far]: &[[Row<'_>; 2]; 2],
+    pairs: &[[Row<'_>; 2]; PAIRS],
     skip: &[u8; LANES],
 ) -> [Lanes; 2] {
     let mut out = [[0f32; LANES]; 2];
     for i in 0..LANES {
         let most = misfit[i] + MORE_MISFIT;
-        let near = of_pair(near, most, i);
-        let far = of_pair(far, most, i);
-        let sum_c = c[i] + near[1] + far[1];
-        let sum_s = s[i] + near[2] + far[2];
-        let length = length[i] + 2.0 * near[0] + 2.0 * far[0];
+        let (mut sum_c, mut sum_s, mut length, mut rows) = (c[i], s[i], length[i], 1.0);
+        for pair in pairs {
+            let [size, of_c, of_s] = of_pair(pair, most, i);
+            (sum_c, sum_s) = (sum_c + of_c, sum_s + of_s);
+            length += 2.0 * size;
+            rows += if size > 0.0 { 2.0 } else { 0.0 };
+        }
         let known = (c[i] != 0.0) | (s[i] != 0.0);
         let least = MIN_COHERENCE * length;
         let coherent = sum_c * sum_c + sum_s * sum_s > least * least;
         let averaged = (skip[i] == 0) & known & coherent;
         // One, three or five rows.
-        let more = if (near[0] > 0.0) | (far[0] > 0.0) { 1.0 / 3.0 } else { 1.0 };
-        let share = if (near[0] > 0.0) & (far[0] > 0.0) { 1.0 / 5.0 } else { more };
+        let more = if rows > 1.0 { 1.0 / 3.0 } else { 1.0 };
+        let share = if rows > 3.0 { 1.0 / 5.0 } else { more };
         out[0][i] = if averaged { sum_c * share } else { c[i] };
         out[1][i] = if averaged { sum_s * share } else { s[i] };
     }

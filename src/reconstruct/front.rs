@@ -8,7 +8,7 @@ use super::demodulate::{self, Gains};
 use super::marker_phase::{self, Ring};
 use super::pair::Pair;
 use super::pool::Pool;
-use super::runs::{Runs, fill_beside};
+use super::runs::{Runs, Surroundings, fill_around};
 use super::sample::{self, LANES, Lanes, Light};
 use super::timings::Clock;
 use super::windows::{self, Windows};
@@ -40,6 +40,8 @@ pub struct Front {
 /// Rows that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
+    /// Where planes are looked at.
+    surroundings: Surroundings,
     period: period_fast::Buffers,
     marker: marker::Buffers,
     /// C and S of each row as demodulated, and with the marker's means.
@@ -102,14 +104,14 @@ impl<T: Copy + Default> Planes<T> {
 pub(super) struct Keep {
     /// The marker's energy.
     pub energy: bool,
-    /// Light and misfit of 0 beside the runs, where they are any otherwise.
+    /// Light and misfit of 0 beside the runs, where they are any otherwise; periods and phases that are none far beside them, too.
     pub beside: bool,
 }
 
-/// Runs the front end on the part of a frame that holds the object, whose runs these are.
+/// Runs the front end on the part of a frame that holds the object, whose runs these are: without and with what is over-exposed.
 pub(super) fn run(
     image: Mono8<'_>,
-    runs: Runs,
+    (runs, lit): (Runs, &Runs),
     pair: &Pair,
     gains: &Gains,
     keep: Keep,
@@ -119,7 +121,9 @@ pub(super) fn run(
     let (w, h) = (image.width(), image.height());
     let mut period = planes.take(w, h);
     clock.time("period", || {
-        period_fast::measure(image, &runs, pair.period_px, &mut buffers.period, &mut period);
+        let Buffers { surroundings, period: rows, .. } = &mut *buffers;
+        surroundings.find(lit, w, keep.beside);
+        period_fast::measure(image, (&runs, surroundings), pair.period_px, rows, &mut period);
     });
     let mut energy = keep.energy.then(Plane::default);
     let (ridges, zone, zone_runs) = clock.time("marker", || {
@@ -190,6 +194,8 @@ impl Input<'_> {
         buffers.shaded.iter_mut().for_each(|row| sample::with_room(row, w));
         sample::with_room(&mut buffers.zeros, w);
         buffers.known = 0;
+        // Where rows are taken in pairs, fewer of them are averaged.
+        let reach_of_mean = demodulate::row_reach(LATER, BRIDGED, self.pair.sensor_rows);
         for next in 0..h + reach + LATER {
             if next < h {
                 self.demodulate(next, buffers, windows);
@@ -200,7 +206,10 @@ impl Input<'_> {
                 self.bridge(v, &average, buffers);
             }
             if let Some(v) = next.checked_sub(reach + LATER) {
-                self.finish(v, buffers, windows, wrapped);
+                match reach_of_mean {
+                    1 => self.finish::<1>(v, buffers, windows, wrapped),
+                    _ => self.finish::<LATER>(v, buffers, windows, wrapped),
+                }
             }
         }
     }
@@ -294,10 +303,24 @@ impl Input<'_> {
         }
     }
 
-    /// Averages row `v` with those around it, and takes its phases.
+    /// Averages row `v` with up to `REACH` above and below it, and takes its phases.
     #[inline(always)]
-    fn finish(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut Plane<f32>) {
-        let Buffers { bridged: [c, s], units: [unit_c, unit_s, length], misfit, zeros, known, .. } = buffers;
+    fn finish<const REACH: usize>(
+        &self,
+        v: usize,
+        buffers: &mut Buffers,
+        windows: &mut Windows,
+        wrapped: &mut Plane<f32>,
+    ) {
+        let Buffers {
+            bridged: [c, s],
+            units: [unit_c, unit_s, length],
+            misfit,
+            zeros,
+            known,
+            surroundings,
+            ..
+        } = buffers;
         let room = ..self.room();
         let rows = |v: usize| {
             let row = v % BRIDGED;
@@ -306,19 +329,24 @@ impl Input<'_> {
         let reach = demodulate::row_reach(v, self.image.height(), self.pair.sensor_rows);
         // Rows beyond the frame take no part.
         let beyond = [&zeros[room]; 4];
-        let near = if reach < 1 { [beyond; 2] } else { [rows(v - 1), rows(v + 1)] };
-        let far = if reach < 2 { [beyond; 2] } else { [rows(v - 2), rows(v + 2)] };
+        let mut around = [[beyond; 2]; REACH];
+        for (k, around) in (1..=reach).zip(&mut around) {
+            *around = [rows(v - k), rows(v + k)];
+        }
         let [_, _, length, misfit] = rows(v);
         let own = [&c[v % BRIDGED][room], &s[v % BRIDGED][room], length, misfit];
         // Nobody looks at windows outside of the runs, but at phases.
-        fill_beside(self.runs.row(v), wrapped.row_mut(v), f32::NAN);
+        fill_around(self.runs.row(v), wrapped.row_mut(v), surroundings.columns(v), f32::NAN);
         let (strength, misfit) = (self.rest(&mut windows.strength, v), self.rest(&mut windows.misfit, v));
         let phases = self.rest(wrapped, v);
         // The marker's zone is in few rows: the others need not come from memory.
         let marked = !self.zone_runs.row(v).is_empty();
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
-                let pairs = [pair(&near, first), pair(&far, first)];
+                let mut pairs = [pair(&around[0], first); REACH];
+                for (pairs, around) in pairs.iter_mut().zip(&around) {
+                    *pairs = pair(around, first);
+                }
                 let skip = if marked { sample::load(self.zone.row(v), first) } else { [0; LANES] };
                 let own = block(&own, first);
                 let [c, s] = demodulate::average_block(own, &pairs, &skip);

@@ -5,7 +5,7 @@
 //! counted: the period is the mean distance of crossings of equal direction.
 
 use super::period_windows::Windows;
-use super::runs::Runs;
+use super::runs::{Runs, Surroundings};
 use super::{period_fast, simd};
 use crate::image::{Mono8, Plane};
 use std::ops::Range;
@@ -36,8 +36,10 @@ pub fn measure(image: Mono8<'_>, mask: &Plane<u8>, nominal_px: f32) -> Periods {
     let mut amplitude = Plane::filled(image.width(), image.height(), 0u8);
     let mut period = Plane::default();
     let mut windows = Windows::default();
+    // All else is 0 already.
+    let nothing_more = Surroundings::default();
     period_fast::measure_with(
-        &runs,
+        (&runs, &nothing_more),
         (image.width(), image.height()),
         &mut period_fast::Buffers::default(),
         &mut period,

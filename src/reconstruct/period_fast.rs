@@ -9,7 +9,7 @@
 use super::bits::{WORD, bits_of};
 use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
 use super::round;
-use super::runs::{Run, Runs, fill_beside};
+use super::runs::{Run, Runs, Surroundings, fill_around};
 use super::simd;
 use crate::image::{Mono8, Plane};
 
@@ -62,10 +62,10 @@ struct Crossing {
     certain: u32,
 }
 
-/// Period of each mask pixel, px; 0 where it is unknown and off the mask. Windows never leave the mask's runs.
-pub fn measure(
+/// Period of each pixel of the runs, px; 0 where it is unknown and in what is around the runs. Windows never leave these.
+pub(super) fn measure(
     image: Mono8<'_>,
-    runs: &Runs,
+    (runs, around): (&Runs, &Surroundings),
     nominal_px: f32,
     buffers: &mut Buffers,
     period: &mut Plane<f32>,
@@ -73,7 +73,7 @@ pub fn measure(
     let half = (1.3 * nominal_px).round() as usize;
     let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
     measure_with(
-        runs,
+        (runs, around),
         (image.width(), image.height()),
         buffers,
         period,
@@ -84,7 +84,7 @@ pub fn measure(
 
 /// The mean of the periods around each pixel of the runs, where `each` gives those of a run of a row: see [`packed`].
 pub(super) fn measure_with(
-    runs: &Runs,
+    (runs, around): (&Runs, &Surroundings),
     (w, h): (usize, usize),
     buffers: &mut Buffers,
     period: &mut Plane<f32>,
@@ -106,14 +106,18 @@ pub(super) fn measure_with(
                     raw.fill(0);
                 } else {
                     let row = &mut raw[SMOOTH_COLUMNS..SMOOTH_COLUMNS + w];
-                    fill_beside(runs.row(v), row, 0);
+                    // What it holds is of a row that was there before.
+                    let before = v.checked_sub(RING).map(|v| runs.row(v)).unwrap_or_default();
+                    before.iter().for_each(|run| row[run.columns()].fill(0));
                     for run in runs.row(v) {
                         each(v, run, buffers, &mut row[run.columns()]);
                     }
                 }
                 buffers.raw[v % RING] = raw;
                 if let Some(v) = v.checked_sub(SMOOTH_ROWS) {
-                    smooth(runs.row(v), buffers, period.row_mut(v));
+                    let period = period.row_mut(v);
+                    fill_around(runs.row(v), period, around.columns(v), 0.0);
+                    smooth(runs.row(v), buffers, period);
                 }
             }
         },
@@ -346,7 +350,6 @@ fn find_crossings(pixels: usize, buffers: &mut Buffers) {
 /// Mean of the known values in the box around each pixel of a row's runs, from the ring of rows.
 #[inline(always)]
 fn smooth(runs: &[Run], buffers: &mut Buffers, period: &mut [f32]) {
-    fill_beside(runs, period, 0.0);
     let ([first, ..], [.., last]) = (runs, runs) else { return };
     let (start, n) = (first.start(), last.end() - first.start());
     const { assert!(SMOOTH_ROWS == 1 && SMOOTH_COLUMNS == 6, "three rows are added, and thirteen columns") };
@@ -387,12 +390,14 @@ mod tests {
     use super::{Buffers, LIGHT_PERIODS, measure};
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::period;
-    use crate::reconstruct::runs::Runs;
+    use crate::reconstruct::runs::{Runs, Surroundings};
     use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
 
     fn measured(image: &Plane<u8>, mask: &Plane<u8>, nominal: f32) -> Plane<f32> {
         let mut found = Plane::filled(1, 1, f32::NAN);
-        measure(Mono8::from(image), &Runs::of(mask), nominal, &mut Buffers::default(), &mut found);
+        let (runs, mut around) = (Runs::of(mask), Surroundings::default());
+        around.find(&runs, mask.width(), false);
+        measure(Mono8::from(image), (&runs, &around), nominal, &mut Buffers::default(), &mut found);
         found
     }
 

@@ -5,7 +5,7 @@ use super::demodulate::Gains;
 use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
 use super::marker_pieces::MarkerPieces;
-use super::order::Regions;
+use super::order::{Orders, Regions};
 use super::outcome::{WHY_ELSEWHERE, outcome_of};
 use super::pool::Pool;
 use super::rays::RayTable;
@@ -106,7 +106,7 @@ static BYTES: Planes<u8> = Planes::new();
 pub struct Prepared {
     /// Where the object is; all planes cover this part of the frame.
     pub roi: Roi,
-    /// Absolute phase, rad; NaN where it is not known.
+    /// Phase, rad, absolute but for [`Prepared::orders`]; NaN where it is not known. Far beside the runs it is any number.
     pub absolute: Plane<f32>,
     /// Where that lacks its fringe order as far as the camera alone can tell: rows, and stretches of them.
     pub open: Vec<(u32, Run)>,
@@ -114,6 +114,8 @@ pub struct Prepared {
     pub(super) table: Arc<RayTable>,
     /// Pieces of surface with their own fringe order, and how certain it is.
     pub regions: Regions,
+    /// Its patches until all cameras are heard, and then their orders.
+    pub(super) orders: Orders,
     /// Not 0 on marker cores.
     pub marker: Plane<u8>,
     /// Runs of the object, over-exposed or not.
@@ -153,7 +155,7 @@ impl Prepared {
     }
 
     /// Runs of the object without what is over-exposed.
-    pub(super) fn runs(&self) -> &Runs {
+    pub fn runs(&self) -> &Runs {
         &self.runs
     }
 
@@ -284,15 +286,19 @@ impl Pipeline {
                 single_rows::part(image, object, pair.period_px, pairs, singles)
             })
         });
-        let runs = roi.cut_runs(&buffers.object);
-        let lit = roi.cut_runs(&buffers.mask.lit);
+        let (runs, lit, part) = clock.time("cut", || {
+            let (runs, lit) = (roi.cut_runs(&buffers.object), roi.cut_runs(&buffers.mask.lit));
+            let mut part = BYTES.take(roi.width, roi.height);
+            roi.cut(pairs.as_ref().map_or(image, Mono8::from), &mut part);
+            (runs, lit, part)
+        });
         BUFFERS.give(buffers);
-        let mut part = BYTES.take(roi.width, roi.height);
-        roi.cut(pairs.as_ref().map_or(image, Mono8::from), &mut part);
         pairs.into_iter().for_each(|pairs| BYTES.give(pairs));
         counts.object = runs.area();
         let resolved = match self.method {
-            Method::Anchored | Method::Paired => self.anchored(&part, runs, roi, &mut clock, &mut counts),
+            Method::Anchored | Method::Paired => {
+                self.anchored(&part, (runs, &lit), roi, &mut clock, &mut counts)
+            }
             Method::Paper => Ok(self.paper(&part, runs, &mut clock, &mut counts)),
         };
         let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = match resolved {
@@ -300,13 +306,14 @@ impl Pipeline {
             Err(reason) => return Err(refused(clock, counts.of_sensor(pair.sensor_rows), reason)),
         };
         // Until all cameras are heard.
-        let regions = Regions::default();
+        let (regions, orders) = (Regions::default(), Orders::Unasked);
         Ok(Prepared {
             roi,
             absolute,
             open,
             table: Arc::clone(&self.table),
             regions,
+            orders,
             marker,
             lit,
             image: part,
@@ -329,6 +336,7 @@ impl Pipeline {
             mut absolute,
             open,
             regions,
+            orders,
             mut counts,
             runs,
             mut windows,
@@ -343,6 +351,7 @@ impl Pipeline {
         } = prepared;
         let pair = self.triangulator.pair();
         unwrap::refuse(&mut absolute, &open);
+        clock.time("order", || orders.apply(&mut absolute));
         // What the edges find, where uncertainties are asked for.
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
@@ -424,7 +433,7 @@ impl Pipeline {
     fn anchored(
         &self,
         image: &Plane<u8>,
-        runs: Runs,
+        (runs, lit): (Runs, &Runs),
         roi: Roi,
         clock: &mut Clock,
         counts: &mut Counts,
@@ -435,7 +444,7 @@ impl Pipeline {
         let mut buffers = BUFFERS.take();
         let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
         let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
-        let front = front::run(image, runs, pair, &self.gains, keep, memory, clock);
+        let front = front::run(image, (runs, lit), pair, &self.gains, keep, memory, clock);
         let Front { runs, period, windows, wrapped, zone, cores, energy, known } = front;
         counts.phase = known;
         let mut marker = BYTES.take(image.width(), image.height());

@@ -141,12 +141,65 @@ impl Runs {
 /// Fills what lies beside the runs of a row.
 #[inline(always)]
 pub(super) fn fill_beside<T: Copy>(runs: &[Run], row: &mut [T], value: T) {
-    let mut done = 0;
+    let all = 0..row.len();
+    fill_around(runs, row, all, value);
+}
+
+/// Fills what lies beside the runs of a row in some columns, and between them.
+#[inline(always)]
+pub(super) fn fill_around<T: Copy>(runs: &[Run], row: &mut [T], columns: Range<usize>, value: T) {
+    let mut done = runs.first().map_or(columns.start, |first| columns.start.min(first.start()));
     for run in runs {
         row[done..run.start()].fill(value);
         done = run.end();
     }
-    row[done..].fill(value);
+    row[done..columns.end.max(done)].fill(value);
+}
+
+/// Rows that have their [`Surroundings`] together.
+const BAND_ROWS: usize = 16;
+
+/// How far stages look beside the runs of a row, at most: they look as many rows up and down as a band has, too.
+const BESIDE_PX: usize = 64;
+
+/// Where stages look at planes beside the runs: what lies farther away need not be filled.
+#[derive(Debug, Default)]
+pub(super) struct Surroundings {
+    /// Columns of the runs of each band; empty where it has none.
+    spans: Vec<Range<usize>>,
+    width: usize,
+}
+
+impl Surroundings {
+    /// Takes those of the runs of rows of so many pixels; all columns where `all` is looked at.
+    pub fn find(&mut self, runs: &Runs, width: usize, all: bool) {
+        self.width = width;
+        self.spans.clear();
+        self.spans.extend((0..runs.height()).step_by(BAND_ROWS).map(|top| {
+            let rows = top..runs.height().min(top + BAND_ROWS);
+            if all { 0..width } else { rows.map(|v| runs.span(v)).fold(0..0, |all, row| joined(&all, &row)) }
+        }));
+    }
+
+    /// The columns that are looked at in row `v`.
+    pub fn columns(&self, v: usize) -> Range<usize> {
+        let band = v / BAND_ROWS;
+        let bands = self.spans.get(band.saturating_sub(1)..self.spans.len().min(band + 2));
+        let span = bands.unwrap_or_default().iter().fold(0..0, |all, band| joined(&all, band));
+        if span.is_empty() {
+            return span;
+        }
+        span.start.saturating_sub(BESIDE_PX)..self.width.min(span.end + BESIDE_PX)
+    }
+}
+
+/// The smallest range that holds two, of which either may be empty.
+fn joined(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
+    match (a.is_empty(), b.is_empty()) {
+        (true, _) => b.clone(),
+        (_, true) => a.clone(),
+        _ => a.start.min(b.start)..a.end.max(b.end),
+    }
 }
 
 /// Calls `each` with the first column of every run of ones, and the column after its last.
@@ -213,12 +266,42 @@ fn each_word(bytes: &[u8], mut each: impl FnMut(usize, usize, u64)) {
 
 #[cfg(test)]
 mod tests {
-    use super::{Runs, each_not_0};
+    use super::{BAND_ROWS, BESIDE_PX, Run, Runs, Surroundings, each_not_0, fill_around};
     use crate::image::Plane;
     use crate::reconstruct::period;
-    use proptest::prelude::{prop_assert_eq, proptest};
+    use proptest::prelude::{prop_assert, prop_assert_eq, proptest};
 
     proptest! {
+        /// Wherever runs are: all that is as near to them as stages look, and nothing beyond the row.
+        #[test]
+        fn what_is_near_runs_is_around_them(
+            places in proptest::collection::vec((0usize..70, 0usize..300, 1usize..40), 0..4),
+            at in (0usize..70, 0usize..300),
+        ) {
+            let mut mask = Plane::filled(300, 70, 0u8);
+            for &(v, u, n) in &places {
+                mask.row_mut(v)[u..300.min(u + n)].fill(1);
+            }
+            let runs = Runs::of(&mask);
+            let mut around = Surroundings::default();
+            around.find(&runs, 300, false);
+            let (v, u) = at;
+            let columns = around.columns(v);
+            let near = (v.saturating_sub(BAND_ROWS)..70.min(v + BAND_ROWS + 1)).any(|v| {
+                let beside = |run: &Run| run.start() <= u + BESIDE_PX && u < run.end() + BESIDE_PX;
+                runs.row(v).iter().any(beside)
+            });
+            prop_assert!(!near || columns.contains(&u), "{columns:?}");
+            prop_assert!(columns.end <= 300 && (columns.is_empty() || !runs.all().is_empty()));
+            let mut row = vec![7; 300];
+            fill_around(runs.row(v), &mut row, columns.clone(), 0);
+            for (u, (x, is_run)) in row.iter().zip(mask.row(v)).enumerate() {
+                prop_assert_eq!(*x == 0, *is_run == 0 && columns.contains(&u));
+            }
+            around.find(&runs, 300, true);
+            prop_assert_eq!(around.columns(v), 0..300);
+        }
+
         #[test]
         fn bytes_that_are_not_0_are_found(bytes in proptest::collection::vec(0u8..3, 0..60)) {
             let mut found = Vec::new();

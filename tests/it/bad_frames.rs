@@ -371,3 +371,39 @@ fn a_spoilt_frame_spoils_no_other() {
         assert!((1..).zip(least).all(|(camera, least)| points[camera] >= least), "{name}: {points:?}");
     }
 }
+
+/// Stages work in memory that other frames have used, and look beside the object: there must be nothing of theirs.
+#[test]
+fn a_frame_is_what_it_is_after_any_other() {
+    // Phases everywhere; and a ball with a hole that is wider than any stage looks, whose rows end here and there by turns.
+    let mut everywhere = Plane::filled(pair().camera.width, pair().camera.height, 0u8);
+    for v in 0..everywhere.height() {
+        for (u, pixel) in everywhere.row_mut(v).iter_mut().enumerate() {
+            *pixel = (120.0 + 90.0 * (u as f32 * 0.57).cos()) as u8;
+        }
+    }
+    let [u, v] = pair().camera.project(&centre()).expect("in view").map(|x| x as usize);
+    let holed = changed(|x, y, light| match light {
+        _ if x.abs_diff(u) < 90 && y.abs_diff(v) < 60 => 255,
+        _ if y / 20 % 2 == 0 && x.abs_diff(u) > 120 => 0,
+        _ => light,
+    });
+    for method in [Method::Anchored, Method::Paired] {
+        let all = || {
+            let places: [Place; 2] = [(0, 0), (0, 1)];
+            let photographs = places.map(|(head, camera)| {
+                let pair = pair_of(head, camera, None);
+                let image =
+                    if camera == 0 { holed.clone() } else { photograph(&pair, sphere(centre(), RADIUS_M)) };
+                Photograph { head, image, pair }
+            });
+            let found = frame_set::clouds_by(method, &photographs);
+            found.into_iter().map(|x| (x.phase, x.cloud.position_m, x.cloud.normal)).collect::<Vec<_>>()
+        };
+        let first = all();
+        assert!(first.iter().all(|(_, points, _)| points.len() > 10_000), "{method:?}");
+        let pipeline = Pipeline::new(Triangulator::new(pair()), method, false);
+        (0..4).for_each(|_| assert!(pipeline.run(Mono8::from(&everywhere)).cloud.is_empty()));
+        assert!(first == all(), "{method:?}");
+    }
+}

@@ -54,6 +54,7 @@ use super::pipeline::Prepared;
 use super::runs::each_not_0;
 use super::simd;
 use super::triangulate::Triangulator;
+use crate::image::Plane;
 use cells::{CELL_PX, Cells, Surface};
 use graph::Graph;
 use grow::{Label, NONE};
@@ -109,6 +110,48 @@ impl Regions {
     }
 }
 
+/// What a frame's patches come to. They are cut while their phases are in the cache, and their orders are written when these are read
+/// again.
+#[derive(Debug, Default)]
+pub enum Orders {
+    /// Nobody has asked for any.
+    #[default]
+    Unasked,
+    /// Patches without orders.
+    Open(Cells),
+    /// What to add to the phases of each patch, rad; NaN where there is no order.
+    Known(Cells, Vec<f32>),
+}
+
+impl Orders {
+    /// Adds them to the phases.
+    pub(super) fn apply(&self, phase: &mut Plane<f32>) {
+        if let Self::Known(cells, shift) = self {
+            simd::dispatch(
+                #[inline(always)]
+                || cells.shift(phase, shift),
+            );
+        }
+    }
+}
+
+/// Cuts a frame that other cameras will be asked for into patches.
+pub fn cut(prepared: &mut Prepared, pair: &Pair) {
+    let start = Instant::now();
+    prepared.orders = Orders::Open(cells(prepared, pair));
+    prepared.add_time("order", start.elapsed());
+}
+
+fn cells(prepared: &Prepared, pair: &Pair) -> Cells {
+    Cells::new(&Surface {
+        phase: &prepared.absolute,
+        period: prepared.period(),
+        runs: &prepared.lit,
+        sign: pair.sign,
+        sensor_rows: pair.sensor_rows as f32,
+    })
+}
+
 /// Gives every piece of every view its fringe order, or refuses it: afterwards `absolute` holds only what is certain.
 /// All views must show the same instant. The result does not depend on threads. One view alone has no witnesses: what its
 /// own marker says stands, without regions.
@@ -117,9 +160,10 @@ pub fn settle(views: &mut [View<'_>]) {
         return;
     }
     let start = Instant::now();
+    let all_cells: Vec<Cells> = views.par_iter_mut().map(take_cells).collect();
     let results: Vec<Outcome> = {
-        let mut scenes: Vec<Scene<'_>> =
-            (0..views.len()).into_par_iter().map(|view| scene(views, view)).collect();
+        let scenes = all_cells.into_par_iter().enumerate();
+        let mut scenes: Vec<Scene<'_>> = scenes.map(|(view, cells)| scene(views, view, cells)).collect();
         settle::settle(&mut scenes);
         let labels = grow::labels(&scenes);
         scenes.into_par_iter().zip(labels).map(|(scene, labels)| outcome(scene, &labels)).collect()
@@ -137,18 +181,19 @@ struct Outcome {
     contradicted: usize,
 }
 
+/// A view's patches, which may have been cut before.
+fn take_cells(view: &mut View<'_>) -> Cells {
+    match std::mem::take(&mut view.prepared.orders) {
+        Orders::Open(cells) | Orders::Known(cells, _) => cells,
+        Orders::Unasked => cells(view.prepared, view.triangulator.pair()),
+    }
+}
+
 /// A view's pieces, all open.
-fn scene<'a>(views: &'a [View<'_>], number: usize) -> Scene<'a> {
+fn scene<'a>(views: &'a [View<'_>], number: usize, cells: Cells) -> Scene<'a> {
     let view = &views[number];
     let prepared = &*view.prepared;
     let pair = view.triangulator.pair();
-    let cells = Cells::new(&Surface {
-        phase: &prepared.absolute,
-        period: prepared.period(),
-        runs: &prepared.lit,
-        sign: pair.sign,
-        sensor_rows: pair.sensor_rows as f32,
-    });
     let votes = votes(&cells, prepared, pair);
     let graph = Graph::new(&cells, pair.sensor_rows);
     let clearance = pieces::CORE_CLEARANCE / pair.sensor_rows as u8;
@@ -223,13 +268,9 @@ fn outcome(scene: Scene<'_>, labels: &[Label]) -> Outcome {
     Outcome { cells: scene.witness.cells, shift, regions, contradicted }
 }
 
-/// Writes the absolute phase of a view by the orders of its nodes.
+/// Keeps the orders of a view's nodes.
 fn apply(prepared: &mut Prepared, outcome: Outcome) {
     let Outcome { cells, shift, regions, contradicted } = outcome;
-    simd::dispatch(
-        #[inline(always)]
-        || cells.shift(&mut prepared.absolute, &shift),
-    );
     prepared.open.clear();
     let sizes = cells.nodes.iter().zip(&shift).filter(|(_, shift)| !shift.is_nan());
     let known: usize = sizes.map(|(node, _)| node.size as usize).sum();
@@ -237,4 +278,5 @@ fn apply(prepared: &mut Prepared, outcome: Outcome) {
     counts.refused = counts.phase.saturating_sub(known);
     counts.contradicted = contradicted;
     prepared.regions = regions;
+    prepared.orders = Orders::Known(cells, shift);
 }
