@@ -61,7 +61,7 @@ def add_body(summary, args):
     for stage in runs[0]["timings"]["stage_ms"]:
         values = [run["timings"]["stage_ms"].get(stage, 0.0) / run["timings"]["frames"] for run in runs]
         summary[f"stage_{stage}_ms"] = statistics.median(values)
-    # Mapping the frame, cutting out the object, freeing memory.
+    # Freeing memory, and what else lies between the stages.
     summary["stage_other_ms"] = statistics.median(per_frame(run) - per_frame(run, "total_ms") for run in runs)
     two = [run["timings"]["frames"] / (1e-3 * run["timings"]["wall_ms"]) for run in runs_of(args.runs, "two", body)]
     one = [run["timings"]["frames"] / (1e-3 * run["timings"]["wall_ms"]) for run in runs]
