@@ -152,9 +152,11 @@ fn cells(prepared: &Prepared, pair: &Pair) -> Cells {
     })
 }
 
-/// Gives every piece of every view its fringe order, or refuses it: afterwards `absolute` holds only what is certain.
-/// All views must show the same instant. The result does not depend on threads. One view alone has no witnesses: what its
+/// Gives every piece of every view its fringe order, or refuses it: [`Pipeline::finish`] adds these to the phases, of which only what is
+/// certain is left. All views must show the same instant. The result does not depend on threads. One view alone has no witnesses: what its
 /// own marker says stands, without regions.
+///
+/// [`Pipeline::finish`]: super::pipeline::Pipeline::finish
 pub fn settle(views: &mut [View<'_>]) {
     if views.len() < 2 {
         return;
