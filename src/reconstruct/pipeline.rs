@@ -351,11 +351,11 @@ impl Pipeline {
         } = prepared;
         let pair = self.triangulator.pair();
         unwrap::refuse(&mut absolute, &open);
-        clock.time("order", || orders.apply(&mut absolute));
         // What the edges find, where uncertainties are asked for.
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
         if self.method != Method::Paper {
+            clock.time("order", || orders.apply(&mut absolute));
             counts.phase += clock.time("run_ends", || {
                 let (runs, zone, gains) = (&runs, &zone, &self.gains);
                 let input = run_ends::Input { image: &image, runs, zone, gains, sign: pair.sign };

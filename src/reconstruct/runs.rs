@@ -136,6 +136,12 @@ impl Runs {
             [only] => only.columns(),
         }
     }
+
+    /// From the first to the last pixel of some rows; empty where they have none.
+    #[inline(always)]
+    pub fn span_of(&self, rows: Range<usize>) -> Range<usize> {
+        rows.map(|v| self.span(v)).fold(0..0, |all, row| joined(&all, &row))
+    }
 }
 
 /// Fills what lies beside the runs of a row.
@@ -171,13 +177,13 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    /// Takes those of the runs of rows of so many pixels; all columns where `all` is looked at.
-    pub fn find(&mut self, runs: &Runs, width: usize, all: bool) {
+    /// Takes those of the runs of rows of so many pixels; every column where `whole` rows are looked at.
+    pub fn find(&mut self, runs: &Runs, width: usize, whole: bool) {
         self.width = width;
         self.spans.clear();
         self.spans.extend((0..runs.height()).step_by(BAND_ROWS).map(|top| {
             let rows = top..runs.height().min(top + BAND_ROWS);
-            if all { 0..width } else { rows.map(|v| runs.span(v)).fold(0..0, |all, row| joined(&all, &row)) }
+            if whole { 0..width } else { runs.span_of(rows) }
         }));
     }
 

@@ -334,12 +334,8 @@ impl Object {
 /// Columns of the cells of a row that the object touches.
 #[inline(always)]
 pub fn band(runs: &Runs, row: usize) -> std::ops::Range<usize> {
-    let spans = (row * CELL_PX..runs.height().min((row + 1) * CELL_PX)).map(|v| runs.span(v));
-    let (mut first, mut end) = (usize::MAX, 0);
-    for span in spans.filter(|span| !span.is_empty()) {
-        (first, end) = (first.min(span.start), end.max(span.end));
-    }
-    if first < end { first / CELL_PX..end.div_ceil(CELL_PX) } else { 0..0 }
+    let span = runs.span_of(row * CELL_PX..runs.height().min((row + 1) * CELL_PX));
+    span.start / CELL_PX..span.end.div_ceil(CELL_PX)
 }
 
 /// A bit for every pixel (u, v) of a cell.
