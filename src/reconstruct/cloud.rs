@@ -4,6 +4,7 @@
 //! first so that a cloud made of a stored phase map has the same bytes.
 
 use super::normals::{LANES, Oriented, Points, REACH, Row, orient};
+use super::prefetch;
 use super::rays::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
 use super::roi::Roi;
 use super::round::whole;
@@ -258,10 +259,19 @@ impl RunNormals {
         self.good.resize(width, 0);
     }
 
-    /// Takes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] asks for.
+    /// Takes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] asks for. `block` is told the first
+    /// of each [`LANES`] of them.
     #[inline(always)]
-    fn orient(&mut self, rows: &[Row<'_>; 5], place: usize, count: usize, table: &RayTable) {
+    fn orient(
+        &mut self,
+        rows: &[Row<'_>; 5],
+        place: usize,
+        count: usize,
+        table: &RayTable,
+        mut block: impl FnMut(usize),
+    ) {
         for offset in (0..count).step_by(LANES) {
+            block(offset);
             let oriented = orient::<false>(rows, place + offset, table);
             self.put(&oriented, offset);
             let known = BELOW[LANES.min(count - offset)];
@@ -307,7 +317,14 @@ fn emit<const SIGMA: bool>(
     for run in runs {
         let count = usize::from(run.length);
         let place = usize::from(run.first) - left * NODE_PX + PAD;
-        own.orient(&points, place, count, table);
+        own.orient(
+            &points,
+            place,
+            count,
+            table,
+            #[inline(always)]
+            |offset| expect(cloud, offset),
+        );
         let positions = points[2].map(|axis| &axis[place..place + count]);
         let normals = own.normals.row(count);
         let light = &map.light[pixel + done..][..count];
@@ -332,6 +349,25 @@ fn emit<const SIGMA: bool>(
         done += count;
     }
     done
+}
+
+/// Asks for the memory of [`LANES`] points that are appended soon, behind so many others: a cloud is larger than the cache, and to
+/// write it would take longer than to make it.
+#[inline(always)]
+fn expect(cloud: &mut Cloud, offset: usize) {
+    ask_for(&mut cloud.position_m, offset);
+    ask_for(&mut cloud.normal, offset);
+    ask_for(&mut cloud.intensity, offset);
+    ask_for(&mut cloud.pixel, offset);
+}
+
+/// The same of one of its lists.
+#[inline(always)]
+fn ask_for<T>(list: &mut Vec<T>, offset: usize) {
+    let room = list.spare_capacity_mut();
+    for i in (0..LANES).step_by(prefetch::LINE / size_of::<T>()) {
+        prefetch::value(room, offset + i);
+    }
 }
 
 /// Appends points whose coordinates lie apart.

@@ -8,6 +8,7 @@ use super::demodulate::{self, Gains};
 use super::marker_phase::{self, Ring};
 use super::pair::Pair;
 use super::pool::Pool;
+use super::prefetch::{self, AHEAD};
 use super::runs::{Runs, Surroundings, fill_around};
 use super::sample::{self, LANES, Lanes, Light};
 use super::timings::Clock;
@@ -197,6 +198,8 @@ impl Input<'_> {
         // Where rows are taken in pairs, fewer of them are averaged.
         let reach_of_mean = demodulate::row_reach(LATER, BRIDGED, self.pair.sensor_rows);
         for next in 0..h + reach + LATER {
+            prefetch::row(self.period, self.runs, next + AHEAD);
+            prefetch::row(&windows.light, self.runs, next + AHEAD);
             if next < h {
                 self.demodulate(next, buffers, windows);
             }
@@ -206,6 +209,9 @@ impl Input<'_> {
                 self.bridge(v, &average, buffers);
             }
             if let Some(v) = next.checked_sub(reach + LATER) {
+                prefetch::row(wrapped, self.runs, v + AHEAD);
+                prefetch::row(&windows.strength, self.runs, v + AHEAD);
+                prefetch::row(&windows.misfit, self.runs, v + AHEAD);
                 match reach_of_mean {
                     1 => self.finish::<1>(v, buffers, windows, wrapped),
                     _ => self.finish::<LATER>(v, buffers, windows, wrapped),

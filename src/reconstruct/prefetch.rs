@@ -10,7 +10,7 @@ use crate::image::Plane;
 pub(super) const AHEAD: usize = 2;
 
 /// Bytes that memory is fetched by.
-const LINE: usize = 64;
+pub(super) const LINE: usize = 64;
 
 /// Asks for a value of a row; for none where there is none.
 #[inline(always)]
