@@ -132,12 +132,14 @@ impl RayTable {
         let at = v / NODE_PX * self.columns + u / NODE_PX;
         let (s, t) = ((u % NODE_PX) as f32 / NODE_PX as f32, (v % NODE_PX) as f32 / NODE_PX as f32);
         let nodes = [at, at + 1, at + self.columns, at + self.columns + 1];
-        let [a, b, c, d] = nodes.map(|at| self.nodes.get(at).copied().unwrap_or([f32::NAN; 3 + TERMS]));
-        let mix = |k: usize| {
+        let [a, b, c, d] = nodes.map(|at| self.nodes.get(at).unwrap_or(&[f32::NAN; 3 + TERMS]));
+        let mut mixed = [0f32; 3 + TERMS];
+        for (k, mixed) in mixed.iter_mut().enumerate() {
             let (above, below) = (a[k] + s * (b[k] - a[k]), c[k] + s * (d[k] - c[k]));
-            above + t * (below - above)
-        };
-        Sightline { direction: std::array::from_fn(mix), terms: std::array::from_fn(|k| mix(3 + k)) }
+            *mixed = above + t * (below - above);
+        }
+        let [x, y, z, terms @ ..] = mixed;
+        Sightline { direction: [x, y, z], terms }
     }
 
     /// Inverse of the depth at which each of some lines of sight has an absolute phase, in fringes; no number outside of the volume.

@@ -20,7 +20,7 @@ use crate::reconstruct::simd;
 use crate::reconstruct::triangulate::Triangulator;
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
 /// Marker pixels from which a piece counts as crossed by the marker.
 pub const MIN_VOTES: u32 = 20;
@@ -142,7 +142,7 @@ struct Cache {
     /// How often what is settled, or the pieces, have changed: whoever is heard again in between says the same.
     changes: u32,
     /// Orders worth a look, by view and piece.
-    orders: BTreeMap<(usize, usize), Option<RangeInclusive<i32>>>,
+    worth: BTreeMap<(usize, usize), Worth>,
     /// What the cameras have at the nodes of pieces that might be parted.
     asked: PieceLooks,
 }
@@ -160,7 +160,7 @@ impl Cache {
             samples: BTreeMap::new(),
             heard: BTreeMap::new(),
             changes: 0,
-            orders: BTreeMap::new(),
+            worth: BTreeMap::new(),
             asked: PieceLooks::new(),
         };
         cache.update(scenes);
@@ -179,16 +179,36 @@ impl Cache {
         self.changes += 1;
         self.heard.retain(|x, _| (x.0, x.1) != (view, piece));
         self.samples.remove(&(view, piece));
-        self.orders.remove(&(view, piece));
+        self.worth.remove(&(view, piece));
         self.asked.retain(|x, _| (x.0, x.1) != (view, piece));
     }
 }
 
-/// What the cameras have at the sampled places of a piece at one order, and the evidence that came of it last.
+/// Orders that put a piece into the volume, and what the cameras have at the [`FIRST_SAMPLES`] at each of them: to look at all of these
+/// together takes less time.
 #[derive(Debug, Default)]
+struct Worth {
+    orders: Option<RangeInclusive<i32>>,
+    first: Looks,
+}
+
+impl Worth {
+    /// Where what is had at an order stands in `first`, with so many places at each.
+    fn places(&self, order: i32, each: usize) -> Option<Range<usize>> {
+        let orders = self.orders.as_ref().filter(|orders| orders.contains(&order))?;
+        let at = (order - orders.start()) as usize * each;
+        Some(at..at + each)
+    }
+}
+
+/// What was heard of one order of a piece.
+#[derive(Debug)]
 struct Heard {
+    /// Where [`Worth`] has the first places, if it was there when the order was asked for first.
+    first: Option<Range<usize>>,
+    /// What the cameras have at the other places that were looked at.
     looks: Looks,
-    /// After how many [changes](Cache::changes).
+    /// The evidence that came of it last, and after how many [changes](Cache::changes).
     last: Option<(u32, Evidence)>,
 }
 
@@ -363,13 +383,23 @@ fn verify(scenes: &mut [Scene<'_>], cache: &mut Cache) -> bool {
 
 /// Evidence for every order of a piece that is worth a look.
 fn weigh(scenes: &[Scene<'_>], view: usize, piece: usize, cache: &mut Cache) -> Vec<Evidence> {
-    let Cache { samples, orders, .. } = &mut *cache;
+    let Cache { samples, worth, .. } = &mut *cache;
     let worth_a_look = || {
         let samples = samples.entry((view, piece)).or_insert_with(|| self::samples(&scenes[view], piece));
-        self::orders(&scenes[view], samples)
+        let (orders, mut first) = (orders(&scenes[view], samples), Looks::default());
+        if let Some(orders) = orders.clone() {
+            look(&mut first, scenes, view, &samples[..samples.len().min(FIRST_SAMPLES)], orders);
+        }
+        Worth { orders, first }
     };
-    let orders = orders.entry((view, piece)).or_insert_with(worth_a_look).clone();
+    let orders = worth.entry((view, piece)).or_insert_with(worth_a_look).orders.clone();
     orders.into_iter().flatten().map(|order| evidence(scenes, view, piece, order, cache)).collect()
+}
+
+/// Looks at nodes of a view, at each of some orders of their pieces.
+fn look(looks: &mut Looks, scenes: &[Scene<'_>], view: usize, nodes: &[u32], orders: RangeInclusive<i32>) {
+    let places: Vec<Place<'_>> = nodes.iter().map(|&node| scenes[view].at(node)).collect();
+    looks.add(scenes, view, &places, orders);
 }
 
 /// Orders that put a piece of which these nodes are tried into the volume.
@@ -433,43 +463,50 @@ impl Scene<'_> {
 /// Evidence for an order of a piece. Where nobody agrees at the first places, and nothing else is for it, these are all that are looked
 /// at.
 fn evidence(scenes: &[Scene<'_>], view: usize, piece: usize, order: i32, cache: &mut Cache) -> Evidence {
-    let Cache { juries, known, samples, heard, changes, .. } = cache;
-    let Heard { looks, last } = heard.entry((view, piece, order)).or_default();
-    if let Some((_, evidence)) = last.filter(|last| last.0 == *changes) {
+    let Cache { juries, known, samples, worth, heard, changes, .. } = cache;
+    let samples = samples.entry((view, piece)).or_insert_with(|| self::samples(&scenes[view], piece));
+    let (first, rest) = samples.split_at(samples.len().min(FIRST_SAMPLES));
+    let worth = worth.get(&(view, piece));
+    let heard = heard.entry((view, piece, order)).or_insert_with(|| {
+        let (place, mut looks) = (worth.and_then(|worth| worth.places(order, first.len())), Looks::default());
+        if place.is_none() {
+            look(&mut looks, scenes, view, first, order..=order);
+        }
+        Heard { first: place, looks, last: None }
+    });
+    if let Some((_, evidence)) = heard.last.filter(|last| last.0 == *changes) {
         return evidence;
     }
-    let scene = &scenes[view];
-    let samples = samples.entry((view, piece)).or_insert_with(|| self::samples(scene, piece));
-    let (first, rest) = samples.split_at(samples.len().min(FIRST_SAMPLES));
-    let look = |looks: &mut Looks, nodes: &[u32]| {
-        let places: Vec<Place<'_>> = nodes.iter().map(|&node| scene.at(node)).collect();
-        looks.add(scenes, view, &places, order..=order);
+    let Heard { first: place, looks, last } = heard;
+    let at_first = worth.map(|worth| &worth.first).zip(place.clone());
+    let looked = looks.len() + place.as_ref().map_or(0, Range::len);
+    let hear = |looks: &Looks| {
+        let looks = at_first.clone().into_iter().chain([(looks, 0..looks.len())]);
+        hear(scenes, view, piece, order, looks, &juries[view], known)
     };
-    if looks.len() == 0 {
-        look(looks, first);
-    }
-    let mut found = hear(scenes, view, piece, order, looks, &juries[view], known);
+    let mut found = hear(looks);
     let is_worth_more = found.agree > 0 || found.all > found.cameras;
-    if looks.len() < samples.len() && is_worth_more {
-        look(looks, rest);
-        found = hear(scenes, view, piece, order, looks, &juries[view], known);
+    if looked < samples.len() && is_worth_more {
+        look(looks, scenes, view, rest, order..=order);
+        found = hear(looks);
     }
     *last = Some((*changes, found));
     found
 }
 
 /// Evidence for an order of a piece, at whose places the cameras have these `looks`.
-fn hear(
+fn hear<'a>(
     scenes: &[Scene<'_>],
     view: usize,
     piece: usize,
     order: i32,
-    looks: &Looks,
+    looks: impl Iterator<Item = (&'a Looks, Range<usize>)> + Clone,
     jury: &Jury,
     known: &Known,
 ) -> Evidence {
     let mut found = Evidence { order, ..Evidence::default() };
-    let counts = (0..scenes.len().div_ceil(LANES)).flat_map(|block| counts(block, looks, jury, known));
+    let counts =
+        (0..scenes.len().div_ceil(LANES)).flat_map(|block| counts(block, looks.clone(), jury, known));
     for (scene, counts) in scenes.iter().zip(counts) {
         let [agree, before, behind, past] = counts.to_le_bytes().map(u32::from);
         // The head's other camera stands beside this one and sees most of the same; for the others to be hidden is
@@ -505,17 +542,24 @@ fn hear(
     found
 }
 
-/// What the cameras of a block say of all places that were looked at, for each camera the [`EVIDENCE`].
-fn counts(block: usize, looks: &Looks, jury: &Jury, known: &Known) -> [u32; LANES] {
+/// What the cameras of a block say of places that were looked at, for each camera the [`EVIDENCE`].
+fn counts<'a>(
+    block: usize,
+    looks: impl Iterator<Item = (&'a Looks, Range<usize>)>,
+    jury: &Jury,
+    known: &Known,
+) -> [u32; LANES] {
     simd::dispatch(
         #[inline(always)]
         || {
             let mut sum = [0; LANES];
-            for place in 0..looks.len() {
-                if let Some(seen) = looks.at(place) {
-                    let words = jury.hear(block, &seen[block], known);
-                    for i in 0..LANES {
-                        sum[i] += words[i];
+            for (looks, places) in looks {
+                for place in places {
+                    if let Some(seen) = looks.at(place) {
+                        let words = jury.hear(block, &seen[block], known);
+                        for i in 0..LANES {
+                            sum[i] += words[i];
+                        }
                     }
                 }
             }

@@ -126,6 +126,9 @@ pub struct Sights {
 /// Of a place outside of the volume nothing is kept.
 const OUTSIDE: u32 = u32::MAX;
 
+/// Nodes that are looked at before what there is is kept.
+const AT_ONCE: usize = 8 * PLACES;
+
 /// Orders of a node that are kept.
 const SLOTS: usize = 2;
 
@@ -211,7 +214,7 @@ impl Sights {
             all.filter(|&(node, x)| x != NONE && !self.turns[node].contains(&x)).collect();
         let places: Vec<Place<'_>> =
             new.iter().map(|&(node, x)| place(&scenes[self.view], node, x)).collect();
-        for (new, places) in new.chunks(PLACES).zip(places.chunks(PLACES)) {
+        for (new, places) in new.chunks(AT_ONCE).zip(places.chunks(AT_ONCE)) {
             self.looks.clear();
             self.looks.add(scenes, self.view, places, 0..=0);
             for (i, &(node, turns)) in new.iter().enumerate() {
