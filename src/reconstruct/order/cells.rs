@@ -249,6 +249,10 @@ impl Cells {
             let (left, top) = (cell % self.columns * CELL_PX, cell / self.columns * CELL_PX);
             let mut add = [[f32::NAN; CELL_PX]; CELL_PX];
             if self.nodes[first as usize].mask == ALL {
+                // Most have been unwrapped from the marker.
+                if by[first as usize] == 0.0 {
+                    continue;
+                }
                 add = [[by[first as usize]; CELL_PX]; CELL_PX];
             } else {
                 for node in first as usize..(first + count) as usize {

@@ -226,7 +226,9 @@ impl Glimpses {
     pub fn new(width: usize, height: usize) -> Self {
         let (stride, rows) = (padded(width), padded(height));
         let cells = vec![Glimpse::none(Glimpse::FAR); stride * rows];
-        Self { stride, rows, cells, rims: Vec::new() }
+        // Rows of rims are large: to move them to more room, again and again, takes longer than to take it.
+        let rims = Vec::with_capacity(cells.len() / 8);
+        Self { stride, rows, cells, rims }
     }
 
     /// The place of a cell of the region of interest in the padded grid.
