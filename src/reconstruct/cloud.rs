@@ -26,34 +26,71 @@ const PAD: usize = BLOCK_PX;
 /// Fringes beyond this are no phase.
 const MAX_STEPS: f32 = 4e6;
 
-/// Puts the known pixels of a frame together: `absolute` phase, rad (NaN: unknown), known within `runs` only, and their
-/// `light`, in whole steps, on the region of interest. `doubt` holds the standard uncertainty of the phase, as a byte, where it is asked for.
-pub fn phase_map(
-    absolute: &Plane<f32>,
-    runs: &Runs,
-    light: &Plane<u16>,
-    doubt: Option<&Plane<u8>>,
-    roi: Roi,
-    frame: [u16; 2],
-) -> PhaseMap {
+/// What is known of a frame on the region of interest.
+#[derive(Debug, Clone, Copy)]
+pub struct Known<'a> {
+    /// Absolute phase, rad; NaN where it is unknown.
+    pub absolute: &'a Plane<f32>,
+    /// It is known within these only.
+    pub runs: &'a Runs,
+    /// Light over one fringe, in the whole steps of a [`PhaseMap`].
+    pub light: &'a Plane<u16>,
+    /// Where the planes lie in the frame.
+    pub roi: Roi,
+}
+
+impl Known<'_> {
+    /// Appends the runs of the known pixels of a row of the frame. `known` has room for a row.
+    #[inline(always)]
+    pub(super) fn add_runs(&self, row: usize, known: &mut [u8], to: &mut Vec<Run>) {
+        let v = row - self.roi.v;
+        for run in self.runs.row(v) {
+            let phase = &self.absolute.row(v)[run.columns()];
+            let known = &mut known[..phase.len()];
+            for (known, phase) in known.iter_mut().zip(phase) {
+                *known = u8::from(!phase.is_nan());
+            }
+            runs::runs_of(known, |start, end| {
+                let (first, length) = (self.roi.u + run.start() + start, end - start);
+                to.push(Run { row: row as u16, first: first as u16, length: length as u16 });
+            });
+        }
+    }
+
+    /// The phases of a run in whole steps.
+    #[inline(always)]
+    pub(super) fn write_phases(&self, run: &Run, to: &mut [i32]) {
+        // A loop, not `extend`: that would be a call, compiled for the narrowest processor.
+        for (to, &phase) in to.iter_mut().zip(self.part(self.absolute, run)) {
+            *to = steps(phase);
+        }
+    }
+
+    /// The light of a run.
+    #[inline(always)]
+    pub(super) fn light(&self, run: &Run) -> &[u16] {
+        self.part(self.light, run)
+    }
+
+    /// What a plane of the region of interest has of a run.
+    #[inline(always)]
+    fn part<'p, T: Copy>(&self, plane: &'p Plane<T>, run: &Run) -> &'p [T] {
+        let Roi { u, v, .. } = self.roi;
+        &plane.row(usize::from(run.row) - v)[usize::from(run.first) - u..run.end() - u]
+    }
+}
+
+/// Puts the known pixels of a frame of so many columns and rows together, in whole steps. `doubt` holds the standard uncertainty of the
+/// phase, as a byte, where it is asked for.
+pub fn phase_map(known: &Known<'_>, doubt: Option<&Plane<u8>>, frame: [u16; 2]) -> PhaseMap {
     let mut map = PhaseMap { frame, ..PhaseMap::default() };
-    let mut known = vec![0u8; absolute.width()];
+    let Roi { v: first, width, height, .. } = known.roi;
+    let mut room = vec![0u8; width];
     simd::dispatch(
         #[inline(always)]
         || {
-            for v in 0..roi.height {
-                for run in runs.row(v) {
-                    let phase = &absolute.row(v)[run.columns()];
-                    let known = &mut known[..phase.len()];
-                    for (known, phase) in known.iter_mut().zip(phase) {
-                        *known = u8::from(!phase.is_nan());
-                    }
-                    runs::runs_of(known, |start, end| {
-                        let (start, end) = (run.start() + start, run.start() + end);
-                        let (row, first) = ((roi.v + v) as u16, (roi.u + start) as u16);
-                        map.runs.push(Run { row, first, length: (end - start) as u16 });
-                    });
-                }
+            for v in first..first + height {
+                known.add_runs(v, &mut room, &mut map.runs);
             }
             let pixels = map.runs.iter().map(|run| usize::from(run.length)).sum();
             map.phase = vec![0; pixels];
@@ -61,18 +98,13 @@ pub fn phase_map(
             map.doubt.reserve_exact(if doubt.is_some() { pixels } else { 0 });
             let (mut phases, mut lights) = (&mut map.phase[..], &mut map.light[..]);
             for run in &map.runs {
-                let v = usize::from(run.row) - roi.v;
-                let columns = usize::from(run.first) - roi.u..run.end() - roi.u;
-                let (phase, to);
-                (phase, phases) = phases.split_at_mut(columns.len());
-                (to, lights) = lights.split_at_mut(columns.len());
-                // Loops, not `extend`: that would be a call, compiled for the narrowest processor.
-                for (to, &x) in phase.iter_mut().zip(&absolute.row(v)[columns.clone()]) {
-                    *to = steps(x);
-                }
-                to.copy_from_slice(&light.row(v)[columns.clone()]);
+                let (phase, light);
+                (phase, phases) = phases.split_at_mut(usize::from(run.length));
+                (light, lights) = lights.split_at_mut(usize::from(run.length));
+                known.write_phases(run, phase);
+                light.copy_from_slice(known.light(run));
                 if let Some(doubt) = doubt {
-                    map.doubt.extend_from_slice(&doubt.row(v)[columns]);
+                    map.doubt.extend_from_slice(known.part(doubt, run));
                 }
             }
         },

@@ -388,22 +388,14 @@ impl Pipeline {
             clock.time("uncertainty", || uncertainty::doubts(&absolute, &windows, &expected, &zone, rows))
         });
         let frame = (pair.camera.width, pair.camera.height);
-        let map = clock.time("quantize", || {
-            cloud::phase_map(
-                &absolute,
-                &runs,
-                &windows.light,
-                doubts.as_ref(),
-                roi,
-                [frame.0 as u16, frame.1 as u16],
-            )
-        });
+        let known = cloud::Known { absolute: &absolute, runs: &runs, light: &windows.light, roi };
+        let size = self.frame.map(|px| px as u16);
         let (table, map) = match &self.all_rows {
-            None => (&*self.table, map),
-            Some(table) => {
-                let height = self.frame[1] as u16;
-                (table, clock.time("all_rows", || row_pairs::unfold(&map, height, &singles)))
+            None => {
+                let map = || cloud::phase_map(&known, doubts.as_ref(), size);
+                (&*self.table, clock.time("quantize", map))
             }
+            Some(table) => (table, clock.time("all_rows", || row_pairs::unfold(&known, size, &singles))),
         };
         let counts = counts.of_sensor(pair.sensor_rows);
         let cloud = clock.time("points", || cloud::make(table, &map));

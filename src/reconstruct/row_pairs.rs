@@ -9,6 +9,7 @@
 //! [`Pair::of_row_pairs`]: super::pair::Pair::of_row_pairs
 //! [`Pair::sensor_rows`]: super::pair::Pair::sensor_rows
 
+use super::cloud::Known;
 use super::mask::SATURATED;
 use super::simd;
 use crate::export::{PhaseMap, Run, STEPS_PER_FRINGE};
@@ -75,26 +76,28 @@ impl Side {
     }
 }
 
-/// All rows of what is known of pairs, for a frame of `height` rows. The middle of a row lies a quarter of the way from the middle of its
-/// pair to that of the next one, and so does its phase, where both are of one surface; its light is its pair's. Of `singles`, from top to
-/// bottom and from left to right, the row that stands alone has the phase of the pair, and the other one is half way to the pair on its
-/// side where that is of the same surface, or nothing. How certain phases are nobody knows of pairs.
-pub fn unfold(map: &PhaseMap, height: u16, mut singles: &[Single]) -> PhaseMap {
-    let mut out = PhaseMap { frame: [map.frame[0], height], ..PhaseMap::default() };
-    let pixels = 2 * map.phase.len();
-    out.runs.reserve_exact(2 * map.runs.len());
+/// All rows of what is known of pairs, for a frame of so many columns and rows. The middle of a row lies a quarter of the way from the
+/// middle of its pair to that of the next one, and so does its phase, where both are of one surface; its light is its pair's. Of `singles`,
+/// from top to bottom and from left to right, the row that stands alone has the phase of the pair, and the other one is half way to the
+/// pair on its side where that is of the same surface, or nothing. How certain phases are nobody knows of pairs.
+pub fn unfold(known: &Known<'_>, frame: [u16; 2], singles: &[Single]) -> PhaseMap {
+    let mut out = PhaseMap { frame, ..PhaseMap::default() };
+    let pairs = known.roi.v..known.roi.v + known.roi.height;
+    let pixels = 2 * known.runs.area();
     out.phase.reserve_exact(pixels);
     out.light.reserve_exact(pixels);
-    let mut rows = Rows::of(map);
+    let mut rows = Rows::new(usize::from(frame[0]));
+    let mut singles = &singles[singles.partition_point(|single| usize::from(single.pair) < pairs.start)..];
     simd::dispatch(
         #[inline(always)]
         || {
-            for k in 0..map.frame[1] {
-                rows.advance(map, k);
-                let here = singles.iter().take_while(|single| single.pair <= k).count();
+            rows.look_ahead(known, pairs.start);
+            for k in pairs {
+                rows.advance(known, k);
+                let here = singles.iter().take_while(|single| usize::from(single.pair) <= k).count();
                 let (of_pair, rest) = singles.split_at(here);
                 for side in [Side::Upper, Side::Lower] {
-                    rows.write(map, k, side, of_pair, &mut out);
+                    rows.write(known, k, side, of_pair, &mut out);
                 }
                 singles = rest;
             }
@@ -103,70 +106,58 @@ pub fn unfold(map: &PhaseMap, height: u16, mut singles: &[Single]) -> PhaseMap {
     out
 }
 
-/// The pairs of a phase map from top to bottom.
+/// What is known of the pairs above, here and below.
 struct Rows {
-    /// Runs of the pair and of that below it, as places in the map, and their first pixels.
-    own: Stretch,
-    below: Stretch,
-    /// Phases of the pairs above, here and below, for all columns; [`UNKNOWN`] where they are.
-    phases: [Vec<i32>; 3],
+    rows: [Row; 3],
+    /// Room for a row.
+    known: Vec<u8>,
 }
 
-/// Runs of one row.
-#[derive(Debug, Clone, Copy, Default)]
-struct Stretch {
-    run: usize,
-    end: usize,
-    pixel: usize,
+/// What is known of a pair.
+struct Row {
+    runs: Vec<Run>,
+    /// Phases of all columns; [`UNKNOWN`] where they are.
+    phases: Vec<i32>,
 }
 
 impl Rows {
-    /// Above the first.
-    fn of(map: &PhaseMap) -> Self {
-        let row = || vec![UNKNOWN; usize::from(map.frame[0])];
-        let mut rows =
-            Self { own: Stretch::default(), below: Stretch::default(), phases: [row(), row(), row()] };
-        rows.look_ahead(map, 0);
-        rows
+    /// Nothing is known yet, of so many columns.
+    fn new(columns: usize) -> Self {
+        let row = |()| Row { runs: Vec::new(), phases: vec![UNKNOWN; columns] };
+        Self { rows: [(); 3].map(row), known: vec![0; columns] }
     }
 
     /// Goes to pair `k`.
     #[inline(always)]
-    fn advance(&mut self, map: &PhaseMap, k: u16) {
-        self.phases.rotate_left(1);
-        self.own = self.below;
-        self.look_ahead(map, k + 1);
+    fn advance(&mut self, known: &Known<'_>, k: usize) {
+        self.rows.rotate_left(1);
+        self.look_ahead(known, k + 1);
     }
 
     /// Takes pair `k` as that below.
     #[inline(always)]
-    fn look_ahead(&mut self, map: &PhaseMap, k: u16) {
-        let of = |from: usize| map.runs[from..].iter().take_while(|run| run.row == k);
-        let before = self.own;
-        let lengths = map.runs[before.run..before.end].iter().map(|run| usize::from(run.length));
-        let (run, pixel) = (before.end, before.pixel + lengths.sum::<usize>());
-        self.below = Stretch { run, end: run + of(run).count(), pixel };
-        let row = &mut self.phases[2];
-        row.fill(UNKNOWN);
-        let mut at = pixel;
-        for run in of(run) {
-            let phases = &map.phase[at..at + usize::from(run.length)];
-            row[usize::from(run.first)..run.end()].copy_from_slice(phases);
-            at += phases.len();
+    fn look_ahead(&mut self, known: &Known<'_>, k: usize) {
+        let Row { runs, phases } = &mut self.rows[2];
+        for run in runs.drain(..) {
+            phases[usize::from(run.first)..run.end()].fill(UNKNOWN);
+        }
+        if k < known.roi.v + known.roi.height {
+            known.add_runs(k, &mut self.known, runs);
+        }
+        for run in &*runs {
+            known.write_phases(run, &mut phases[usize::from(run.first)..run.end()]);
         }
     }
 
     /// Writes one row of pair `k`, of which `singles` stand alone.
     #[inline(always)]
-    fn write(&self, map: &PhaseMap, k: u16, side: Side, mut singles: &[Single], out: &mut PhaseMap) {
-        let [above, own, under] = &self.phases;
-        let row = side.row(usize::from(k)) as u16;
-        let beside = if side == Side::Upper { above } else { under };
-        let mut at = self.own.pixel;
-        for run in &map.runs[self.own.run..self.own.end] {
+    fn write(&self, known: &Known<'_>, k: usize, side: Side, mut singles: &[Single], out: &mut PhaseMap) {
+        let [above, Row { runs, phases: own }, under] = &self.rows;
+        let row = side.row(k) as u16;
+        let beside = if side == Side::Upper { &above.phases } else { &under.phases };
+        for run in runs {
             let (first, end) = (usize::from(run.first), run.end());
-            let light = &map.light[at..at + usize::from(run.length)];
-            at += light.len();
+            let light = known.light(run);
             let mut columns = first;
             while columns < end {
                 // What ends before is of no use for what follows, either.
@@ -186,9 +177,10 @@ impl Rows {
                 match single {
                     None => {
                         begin(&mut out.runs, row, &part);
-                        let from = out.phase.len();
-                        out.phase.resize(from + own.len(), 0);
-                        towards(own, beside, &mut out.phase[from..]);
+                        out.phase.extend(own.iter().zip(beside).map(
+                            #[inline(always)]
+                            |(&own, &beside)| towards(own, beside),
+                        ));
                         out.light.extend_from_slice(light);
                     }
                     Some(single) if single == side => {
@@ -211,16 +203,12 @@ impl Rows {
     }
 }
 
-/// Phases a quarter of the way to those beside them where these are of the same surface.
+/// A phase a quarter of the way to that beside it where this is of the same surface.
 #[inline(always)]
-fn towards(own: &[i32], beside: &[i32], out: &mut [i32]) {
-    let n = out.len();
-    let (own, beside) = (&own[..n], &beside[..n]);
-    for i in 0..n {
-        let step = beside[i] - own[i];
-        let quarter = (step + 2) >> 2;
-        out[i] = own[i] + if (-STEP..=STEP).contains(&step) { quarter } else { 0 };
-    }
+fn towards(own: i32, beside: i32) -> i32 {
+    let step = beside - own;
+    let quarter = (step + 2) >> 2;
+    own + if (-STEP..=STEP).contains(&step) { quarter } else { 0 }
 }
 
 /// Begins a run, or makes the last one longer.
@@ -235,9 +223,13 @@ fn begin(runs: &mut Vec<Run>, row: u16, columns: &Range<usize>) {
 #[cfg(test)]
 mod tests {
     use super::{STEP, Side, Single, fold, unfold};
-    use crate::export::{PhaseMap, Run};
+    use crate::export::{PhaseMap, Run, STEPS_PER_FRINGE};
     use crate::image::{Mono8, Plane};
+    use crate::reconstruct::cloud::Known;
+    use crate::reconstruct::roi::Roi;
+    use crate::reconstruct::runs::Runs;
     use proptest::prelude::{Just, any, prop_assert, prop_assert_eq, prop_oneof, proptest};
+    use std::f32::consts::TAU;
 
     /// A phase map of these rows of columns that are known.
     fn map(rows: &[Vec<Option<i32>>]) -> PhaseMap {
@@ -254,6 +246,19 @@ mod tests {
             }
         }
         map
+    }
+
+    /// What [`unfold`] makes of these rows, for a frame of `height` rows. All of it is object.
+    fn unfolded(rows: &[Vec<Option<i32>>], height: usize, singles: &[Single]) -> PhaseMap {
+        let (w, h) = (rows[0].len(), rows.len());
+        let rad = |x: &Option<i32>| x.map_or(f32::NAN, |x| x as f32 * (TAU / STEPS_PER_FRINGE));
+        let absolute = Plane::from_vec(w, h, rows.iter().flatten().map(rad).collect()).expect("rows");
+        let light = (0..w * h).map(|i| (i / w * 100 + i % w) as u16).collect();
+        let light = Plane::from_vec(w, h, light).expect("rows");
+        let runs = Runs::of(&Plane::filled(w, h, 1));
+        let roi = Roi { u: 0, v: 0, width: w, height: h };
+        let known = Known { absolute: &absolute, runs: &runs, light: &light, roi };
+        unfold(&known, [w as u16, height as u16], singles)
     }
 
     /// Stretches of the pairs' pixels that stand alone, by what is said of each.
@@ -287,7 +292,7 @@ mod tests {
                 rows.into_iter().map(|row| row.into_iter().map(near).collect()).collect();
             let said = if none_alone { vec![vec![None; 7]; 5] } else { said };
             let height = 2 * rows.len() + 1;
-            let found = unfold(&map(&rows), height as u16, &singles(&said[..rows.len()]));
+            let found = unfolded(&rows, height, &singles(&said[..rows.len()]));
             let mut expected = vec![vec![None; 7]; height - 1];
             for (v, out) in expected.iter_mut().enumerate() {
                 let beside = if v % 2 == 0 { (v / 2).checked_sub(1) } else { Some(v / 2 + 1) };
@@ -315,7 +320,7 @@ mod tests {
         // Four steps of phase a row: eight a pair.
         let rows: Vec<Vec<Option<i32>>> =
             (0..5).map(|k| (0..9).map(|u| Some(8 * k + 100 * u)).collect()).collect();
-        let found = unfold(&map(&rows), 10, &[]);
+        let found = unfolded(&rows, 10, &[]);
         let row = |v: usize| &found.phase[9 * v..9 * (v + 1)];
         for v in 1..8 {
             assert!(row(v).iter().zip(row(v + 1)).all(|(x, y)| y - x == 4), "{v}");
