@@ -34,10 +34,10 @@ pub fn close(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &K
         return;
     }
     let size = |node: u32| scene.witness.cells.nodes[node as usize].size;
-    let (mut found, mut proposals) = (Vec::new(), Vec::new());
+    let mut found = Vec::new();
     let stretches = stretch::open(view.graph, labels);
     for stretch in stretches.iter() {
-        let Some(turns) = enclosing(view.graph, stretch, size, labels, &mut proposals) else { continue };
+        let Some(turns) = enclosing(view.graph, stretch, size, labels) else { continue };
         let places = stretch::places(scene, stretch, MIN_SAMPLE_PX, SAMPLES);
         let mut words = |&(node, own): &Member| view.sights.words(scenes, node as usize, turns + own, known);
         let against = places.iter().filter(|place| words(place).against > 0).count();
@@ -52,15 +52,9 @@ pub fn close(number: usize, view: &mut View<'_>, scenes: &[Scene<'_>], known: &K
     }
 }
 
-/// The turns that what is known around a stretch proposes for its first node, where it encloses the stretch. `proposals` is room to count in.
-fn enclosing(
-    graph: &Graph,
-    stretch: &[Member],
-    size: impl Fn(u32) -> u32,
-    labels: &[Label],
-    proposals: &mut Vec<(i32, u32)>,
-) -> Option<i32> {
-    proposals.clear();
+/// The turns that what is known around a stretch proposes for its first node, where it encloses the stretch.
+fn enclosing(graph: &Graph, stretch: &[Member], size: impl Fn(u32) -> u32, labels: &[Label]) -> Option<i32> {
+    let mut proposals: Vec<(i32, u32)> = Vec::new();
     let (mut good, mut bad) = (0, 0);
     for &(node, own) in stretch {
         for edge in graph.of(node as usize) {
@@ -111,8 +105,7 @@ mod tests {
         let stretches = stretch::open(&graph, &labels);
         let stretches: Vec<_> = stretches.iter().collect();
         let [stretch] = &stretches[..] else { panic!("one stretch, not {stretches:?}") };
-        let size = |_| (CELL_PX * CELL_PX) as u32;
-        (enclosing(&graph, stretch, size, &labels, &mut Vec::new()), stretch.len())
+        (enclosing(&graph, stretch, |_| (CELL_PX * CELL_PX) as u32, &labels), stretch.len())
     }
 
     /// Whether a cell is one of the four by four in the middle.

@@ -76,9 +76,8 @@ impl Graph {
             (0..n).map(|i| full[i] && self.of(i).iter().filter(continues).count() == 4).collect();
         self.clearance = inside.iter().map(|&inside| if inside { WIDEST } else { 0 }).collect();
         let mut ring: Vec<u32> = (0..n as u32).filter(|&i| !inside[i as usize]).collect();
-        let mut next = Vec::new();
         for step in 1..WIDEST {
-            next.clear();
+            let mut next = Vec::new();
             for &node in &ring {
                 let place = self.start[node as usize] as usize..self.start[node as usize + 1] as usize;
                 for edge in self.edges[place].iter().filter(|e| is_clean(e.good, e.bad)) {
@@ -90,7 +89,7 @@ impl Graph {
                     }
                 }
             }
-            std::mem::swap(&mut ring, &mut next);
+            ring = next;
         }
     }
 

@@ -327,7 +327,7 @@ fn grow(scenes: &[Scene<'_>], scene: &Scene<'_>, view: &mut View<'_>, known: &Kn
     }
     // These are in order already; the others come between them.
     let mut first = first.into_iter().peekable();
-    let mut heap = BinaryHeap::with_capacity(2 * open.len());
+    let mut heap = BinaryHeap::new();
     let begin = view.touched.len();
     while let Some(next) = first.peek().max(heap.peek()).copied() {
         if first.next_if_eq(&next).is_none() {

@@ -230,13 +230,6 @@ fn scene<'a>(views: &'a [View<'_>], number: usize, cells: Cells) -> Scene<'a> {
 /// The orders that marker pixels give their nodes: node, order, pixels of the sensor.
 fn votes(cells: &Cells, prepared: &Prepared, pair: &Pair) -> Vec<(u32, i32, u32)> {
     let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
-    // Most pixels vote as those before them.
-    let (mut last, mut count) = ((0, 0), 0);
-    let mut add = |vote: (u32, i32), n: u32| {
-        if n > 0 {
-            *votes.entry(vote).or_default() += n;
-        }
-    };
     for v in 0..prepared.marker.height() {
         for run in prepared.runs().row(v) {
             let (marker, phase) =
@@ -245,15 +238,10 @@ fn votes(cells: &Cells, prepared: &Prepared, pair: &Pair) -> Vec<(u32, i32, u32)
                 let Some(node) = cells.glimpses.node(run.start() + i, v) else { return };
                 // On the marker's core the wrapped phase is small: the nearest whole turn is the node's own.
                 let order = pair.markers[usize::from(marker[i] - 1)] as i32 - (phase[i] / TAU).round() as i32;
-                if (node, order) != last {
-                    add(last, count);
-                    (last, count) = ((node, order), 0);
-                }
-                count += pair.sensor_rows as u32;
+                *votes.entry((node, order)).or_default() += pair.sensor_rows as u32;
             });
         }
     }
-    add(last, count);
     votes.into_iter().map(|((node, order), n)| (node, order, n)).collect()
 }
 

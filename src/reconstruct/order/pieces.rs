@@ -244,10 +244,9 @@ fn grow(links: &mut Links, core: &[bool], cells: &Cells, graph: &Graph) {
         let open = (0..taken.len() as u32).filter(|&i| !taken[i as usize]);
         let is_beside = |&i: &u32| graph.of(i as usize).iter().any(|x| from[x.other as usize]);
         let mut next: Vec<u32> = open.filter(is_beside).collect();
-        let mut ring = Vec::new();
         while !next.is_empty() {
             // All of a ring are decided before any is taken in: the result does not depend on their order.
-            ring.clear();
+            let mut ring = Vec::new();
             for &node in &next {
                 sums.clear();
                 for edge in graph.of(node as usize).iter().filter(|x| taken[x.other as usize]) {
@@ -295,7 +294,7 @@ fn grow(links: &mut Links, core: &[bool], cells: &Cells, graph: &Graph) {
 
 fn collect(links: &mut Links, cells: &Cells, votes: &[(u32, i32, u32)]) -> Pieces {
     let n = cells.nodes.len();
-    let (mut number, mut sizes) = (vec![u32::MAX; n], Vec::new());
+    let mut number = vec![u32::MAX; n];
     let mut pieces = Pieces {
         of: vec![0; n],
         turns: vec![0; n],
@@ -309,16 +308,12 @@ fn collect(links: &mut Links, cells: &Cells, votes: &[(u32, i32, u32)]) -> Piece
     for node in 0..n {
         let (root, turns) = links.find(node);
         if number[root] == u32::MAX {
-            number[root] = sizes.len() as u32;
-            sizes.push(0);
+            number[root] = pieces.nodes.len() as u32;
+            pieces.nodes.push(Vec::new());
         }
         pieces.of[node] = number[root];
         pieces.turns[node] = turns;
-        sizes[number[root] as usize] += 1;
-    }
-    pieces.nodes = sizes.into_iter().map(Vec::with_capacity).collect();
-    for (node, &piece) in pieces.of.iter().enumerate() {
-        pieces.nodes[piece as usize].push(node as u32);
+        pieces.nodes[number[root] as usize].push(node as u32);
     }
     pieces.count(cells);
     pieces
