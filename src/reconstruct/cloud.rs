@@ -28,7 +28,7 @@ const MAX_STEPS: f32 = 4e6;
 
 /// What is known of a frame on the region of interest.
 #[derive(Debug, Clone, Copy)]
-pub struct Known<'a> {
+pub struct KnownPixels<'a> {
     /// Absolute phase, rad; NaN where it is unknown.
     pub absolute: &'a Plane<f32>,
     /// It is known within these only.
@@ -39,14 +39,14 @@ pub struct Known<'a> {
     pub roi: Roi,
 }
 
-impl Known<'_> {
-    /// Appends the runs of the known pixels of a row of the frame. `known` has room for a row.
+impl KnownPixels<'_> {
+    /// Appends the runs of the known pixels of a row of the frame. `room` is for a row of bytes.
     #[inline(always)]
-    pub(super) fn add_runs(&self, row: usize, known: &mut [u8], to: &mut Vec<Run>) {
+    pub(super) fn add_runs(&self, row: usize, room: &mut [u8], to: &mut Vec<Run>) {
         let v = row - self.roi.v;
         for run in self.runs.row(v) {
             let phase = &self.absolute.row(v)[run.columns()];
-            let known = &mut known[..phase.len()];
+            let known = &mut room[..phase.len()];
             for (known, phase) in known.iter_mut().zip(phase) {
                 *known = u8::from(!phase.is_nan());
             }
@@ -60,7 +60,6 @@ impl Known<'_> {
     /// The phases of a run in whole steps.
     #[inline(always)]
     pub(super) fn write_phases(&self, run: &Run, to: &mut [i32]) {
-        // A loop, not `extend`: that would be a call, compiled for the narrowest processor.
         for (to, &phase) in to.iter_mut().zip(self.part(self.absolute, run)) {
             *to = steps(phase);
         }
@@ -82,7 +81,7 @@ impl Known<'_> {
 
 /// Puts the known pixels of a frame of so many columns and rows together, in whole steps. `doubt` holds the standard uncertainty of the
 /// phase, as a byte, where it is asked for.
-pub fn phase_map(known: &Known<'_>, doubt: Option<&Plane<u8>>, frame: [u16; 2]) -> PhaseMap {
+pub fn phase_map(known: &KnownPixels<'_>, doubt: Option<&Plane<u8>>, frame: [u16; 2]) -> PhaseMap {
     let mut map = PhaseMap { frame, ..PhaseMap::default() };
     let Roi { v: first, width, height, .. } = known.roi;
     let mut room = vec![0u8; width];

@@ -388,7 +388,7 @@ impl Pipeline {
             clock.time("uncertainty", || uncertainty::doubts(&absolute, &windows, &expected, &zone, rows))
         });
         let frame = (pair.camera.width, pair.camera.height);
-        let known = cloud::Known { absolute: &absolute, runs: &runs, light: &windows.light, roi };
+        let known = cloud::KnownPixels { absolute: &absolute, runs: &runs, light: &windows.light, roi };
         let size = self.frame.map(|px| px as u16);
         let (table, map) = match &self.all_rows {
             None => {

@@ -9,7 +9,7 @@
 //! [`Pair::of_row_pairs`]: super::pair::Pair::of_row_pairs
 //! [`Pair::sensor_rows`]: super::pair::Pair::sensor_rows
 
-use super::cloud::Known;
+use super::cloud::KnownPixels;
 use super::mask::SATURATED;
 use super::simd;
 use crate::export::{PhaseMap, Run, STEPS_PER_FRINGE};
@@ -80,7 +80,7 @@ impl Side {
 /// middle of its pair to that of the next one, and so does its phase, where both are of one surface; its light is its pair's. Of `singles`,
 /// from top to bottom and from left to right, the row that stands alone has the phase of the pair, and the other one is half way to the
 /// pair on its side where that is of the same surface, or nothing. How certain phases are nobody knows of pairs.
-pub fn unfold(known: &Known<'_>, frame: [u16; 2], singles: &[Single]) -> PhaseMap {
+pub fn unfold(known: &KnownPixels<'_>, frame: [u16; 2], singles: &[Single]) -> PhaseMap {
     let mut out = PhaseMap { frame, ..PhaseMap::default() };
     let pairs = known.roi.v..known.roi.v + known.roi.height;
     let pixels = 2 * known.runs.area();
@@ -109,8 +109,8 @@ pub fn unfold(known: &Known<'_>, frame: [u16; 2], singles: &[Single]) -> PhaseMa
 /// What is known of the pairs above, here and below.
 struct Rows {
     rows: [Row; 3],
-    /// Room for a row.
-    known: Vec<u8>,
+    /// A row of bytes to find runs in.
+    room: Vec<u8>,
 }
 
 /// What is known of a pair.
@@ -124,25 +124,25 @@ impl Rows {
     /// Nothing is known yet, of so many columns.
     fn new(columns: usize) -> Self {
         let row = |()| Row { runs: Vec::new(), phases: vec![UNKNOWN; columns] };
-        Self { rows: [(); 3].map(row), known: vec![0; columns] }
+        Self { rows: [(); 3].map(row), room: vec![0; columns] }
     }
 
     /// Goes to pair `k`.
     #[inline(always)]
-    fn advance(&mut self, known: &Known<'_>, k: usize) {
+    fn advance(&mut self, known: &KnownPixels<'_>, k: usize) {
         self.rows.rotate_left(1);
         self.look_ahead(known, k + 1);
     }
 
     /// Takes pair `k` as that below.
     #[inline(always)]
-    fn look_ahead(&mut self, known: &Known<'_>, k: usize) {
+    fn look_ahead(&mut self, known: &KnownPixels<'_>, k: usize) {
         let Row { runs, phases } = &mut self.rows[2];
         for run in runs.drain(..) {
             phases[usize::from(run.first)..run.end()].fill(UNKNOWN);
         }
         if k < known.roi.v + known.roi.height {
-            known.add_runs(k, &mut self.known, runs);
+            known.add_runs(k, &mut self.room, runs);
         }
         for run in &*runs {
             known.write_phases(run, &mut phases[usize::from(run.first)..run.end()]);
@@ -151,7 +151,14 @@ impl Rows {
 
     /// Writes one row of pair `k`, of which `singles` stand alone.
     #[inline(always)]
-    fn write(&self, known: &Known<'_>, k: usize, side: Side, mut singles: &[Single], out: &mut PhaseMap) {
+    fn write(
+        &self,
+        known: &KnownPixels<'_>,
+        k: usize,
+        side: Side,
+        mut singles: &[Single],
+        out: &mut PhaseMap,
+    ) {
         let [above, Row { runs, phases: own }, under] = &self.rows;
         let row = side.row(k) as u16;
         let beside = if side == Side::Upper { &above.phases } else { &under.phases };
@@ -225,7 +232,7 @@ mod tests {
     use super::{STEP, Side, Single, fold, unfold};
     use crate::export::{PhaseMap, Run, STEPS_PER_FRINGE};
     use crate::image::{Mono8, Plane};
-    use crate::reconstruct::cloud::Known;
+    use crate::reconstruct::cloud::KnownPixels;
     use crate::reconstruct::roi::Roi;
     use crate::reconstruct::runs::Runs;
     use proptest::prelude::{Just, any, prop_assert, prop_assert_eq, prop_oneof, proptest};
@@ -248,17 +255,22 @@ mod tests {
         map
     }
 
-    /// What [`unfold`] makes of these rows, for a frame of `height` rows. All of it is object.
-    fn unfolded(rows: &[Vec<Option<i32>>], height: usize, singles: &[Single]) -> PhaseMap {
+    /// What [`unfold`] makes of these rows, all of which are object, from column `u` and pair `v` on. The frame has a row more than its
+    /// pairs, and what stands alone above them is none of theirs.
+    fn unfolded(rows: &[Vec<Option<i32>>], singles: &[Single], [u, v]: [u16; 2]) -> PhaseMap {
         let (w, h) = (rows[0].len(), rows.len());
         let rad = |x: &Option<i32>| x.map_or(f32::NAN, |x| x as f32 * (TAU / STEPS_PER_FRINGE));
         let absolute = Plane::from_vec(w, h, rows.iter().flatten().map(rad).collect()).expect("rows");
         let light = (0..w * h).map(|i| (i / w * 100 + i % w) as u16).collect();
         let light = Plane::from_vec(w, h, light).expect("rows");
         let runs = Runs::of(&Plane::filled(w, h, 1));
-        let roi = Roi { u: 0, v: 0, width: w, height: h };
-        let known = Known { absolute: &absolute, runs: &runs, light: &light, roi };
-        unfold(&known, [w as u16, height as u16], singles)
+        let roi = Roi { u: u.into(), v: v.into(), width: w, height: h };
+        let known = KnownPixels { absolute: &absolute, runs: &runs, light: &light, roi };
+        let frame = [u + w as u16, 2 * (v + h as u16) + 1];
+        let above = (0..v).map(|pair| Single { pair, first: 0, end: frame[0], side: Side::Lower });
+        let own =
+            singles.iter().map(|x| Single { pair: x.pair + v, first: x.first + u, end: x.end + u, ..*x });
+        unfold(&known, frame, &above.chain(own).collect::<Vec<_>>())
     }
 
     /// Stretches of the pairs' pixels that stand alone, by what is said of each.
@@ -286,31 +298,35 @@ mod tests {
             said in proptest::collection::vec(proptest::collection::vec(any::<Option<bool>>(), 7), 5),
             none_alone in any::<bool>(),
             divisor in prop_oneof![Just(1), Just(30)],
+            (u, v) in (0u16..4, 0u16..4),
         ) {
             let near = |x: Option<i16>| x.map(|x| i32::from(x) / divisor);
             let rows: Vec<Vec<Option<i32>>> =
                 rows.into_iter().map(|row| row.into_iter().map(near).collect()).collect();
             let said = if none_alone { vec![vec![None; 7]; 5] } else { said };
-            let height = 2 * rows.len() + 1;
-            let found = unfolded(&rows, height, &singles(&said[..rows.len()]));
-            let mut expected = vec![vec![None; 7]; height - 1];
-            for (v, out) in expected.iter_mut().enumerate() {
-                let beside = if v % 2 == 0 { (v / 2).checked_sub(1) } else { Some(v / 2 + 1) };
-                for (u, out) in out.iter_mut().enumerate() {
-                    let beside = beside.and_then(|k| rows.get(k)).and_then(|row| row[u]);
-                    let Some(own) = rows[v / 2][u] else { continue };
+            let found = unfolded(&rows, &singles(&said[..rows.len()]), [u, v]);
+            let mut expected = vec![vec![None; 7]; 2 * rows.len()];
+            for (row, out) in expected.iter_mut().enumerate() {
+                let beside = if row % 2 == 0 { (row / 2).checked_sub(1) } else { Some(row / 2 + 1) };
+                for (column, out) in out.iter_mut().enumerate() {
+                    let beside = beside.and_then(|k| rows.get(k)).and_then(|row| row[column]);
+                    let Some(own) = rows[row / 2][column] else { continue };
                     let step = beside.map(|x| x - own).filter(|step| step.abs() <= STEP);
-                    *out = match said[v / 2][u] {
+                    *out = match said[row / 2][column] {
                         None => Some(own + step.map_or(0, |step| (step + 2).div_euclid(4))),
-                        Some(lower) if lower == (v % 2 == 1) => Some(own),
+                        Some(lower) if lower == (row % 2 == 1) => Some(own),
                         Some(_) => step.map(|step| own + step.div_euclid(2)),
                     };
                 }
             }
-            let expected = map(&expected);
+            let mut expected = map(&expected);
+            for run in &mut expected.runs {
+                (run.row, run.first) = (run.row + 2 * v, run.first + u);
+            }
             prop_assert_eq!(&found.runs, &expected.runs);
             prop_assert_eq!(&found.phase, &expected.phase);
-            prop_assert_eq!(found.frame, [7, height as u16]);
+            prop_assert_eq!(found.frame, [u + 7, 2 * (v + rows.len() as u16) + 1]);
+            prop_assert_eq!(found.light.len(), expected.light.len());
             prop_assert!(found.light.iter().zip(&expected.light).all(|(x, y)| x % 100 == y % 100 && x / 100 == y / 200));
         }
     }
@@ -320,7 +336,7 @@ mod tests {
         // Four steps of phase a row: eight a pair.
         let rows: Vec<Vec<Option<i32>>> =
             (0..5).map(|k| (0..9).map(|u| Some(8 * k + 100 * u)).collect()).collect();
-        let found = unfolded(&rows, 10, &[]);
+        let found = unfolded(&rows, &[], [0, 0]);
         let row = |v: usize| &found.phase[9 * v..9 * (v + 1)];
         for v in 1..8 {
             assert!(row(v).iter().zip(row(v + 1)).all(|(x, y)| y - x == 4), "{v}");
