@@ -27,9 +27,6 @@ const STRETCH_PX: usize = 16;
 /// Pixels to each side that are summed, at most.
 const MOST_HALF_PX: usize = 12;
 
-/// Pixels of a block of sums.
-const LANES: usize = 32;
-
 /// Rows that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
@@ -37,6 +34,8 @@ pub struct Buffers {
     padded: [Vec<u8>; 2],
     /// What differs between the rows, and within each.
     differences: [Vec<u8>; 3],
+    /// Sums of these.
+    sums: [Vec<u16>; 3],
     /// Which pixels of a run are of two surfaces.
     apart: Vec<u8>,
     found: Vec<Range<usize>>,
@@ -108,19 +107,18 @@ impl Reach {
 
     /// Leaves in `buffers.found` the columns of a run in which the pair's rows differ.
     fn find(self, frame: Mono8<'_>, pair: usize, run: &Run, buffers: &mut Buffers) {
-        let Buffers { padded: [above, below], differences, apart, found } = buffers;
+        let Buffers { padded: [above, below], differences, sums, apart, found } = buffers;
         found.clear();
         let (n, window, quarter) = (run.columns().len(), self.window(), self.quarter);
-        // Sums are made in blocks: of what lies beyond the run nothing is used.
-        let sums = n.next_multiple_of(LANES);
-        let inner = sums + window - 1;
+        let inner = n + window - 1;
         let columns = run.start() as isize - (self.half + quarter) as isize;
         let (a, b) = (
             columns_of(frame.row(2 * pair), columns, inner + 2 * quarter, above),
             columns_of(frame.row(2 * pair + 1), columns, inner + 2 * quarter, below),
         );
         differences.iter_mut().for_each(|row| row.resize(inner, 0));
-        apart.resize(sums, 0);
+        sums.iter_mut().for_each(|row| row.resize(n, 0));
+        apart.resize(n, 0);
         let any = simd::dispatch(
             #[inline(always)]
             || {
@@ -128,24 +126,24 @@ impl Reach {
                 differ(&a[quarter..], &b[quarter..], between);
                 differ(a, &a[2 * quarter..], first);
                 differ(b, &b[2 * quarter..], second);
+                for (sums, differences) in sums.iter_mut().zip([between, first, second]) {
+                    add_up(differences, window, sums);
+                }
+                let [between, first, second] = sums;
+                let (between, first, second) = (&between[..n], &first[..n], &second[..n]);
+                let apart = &mut apart[..n];
                 let least = LEAST_CONTRAST_DN * window as u16;
                 let mut any = 0;
-                for block in (0..sums).step_by(LANES) {
-                    let between = add_up(&between[block..], window);
-                    let first = add_up(&first[block..], window);
-                    let second = add_up(&second[block..], window);
-                    let out = &mut apart[block..][..LANES];
-                    for i in 0..LANES {
-                        let contrast = first[i].max(second[i]).max(least);
-                        out[i] = u8::from(APART[1] * between[i] > APART[0] * contrast);
-                        any |= out[i];
-                    }
+                for i in 0..n {
+                    let contrast = first[i].max(second[i]).max(least);
+                    apart[i] = u8::from(APART[1] * between[i] > APART[0] * contrast);
+                    any |= apart[i];
                 }
                 any != 0
             },
         );
         if any {
-            runs_of(&apart[..n], |first, end| found.push(run.start() + first..run.start() + end));
+            runs_of(apart, |first, end| found.push(run.start() + first..run.start() + end));
         }
     }
 
@@ -209,22 +207,32 @@ fn differ(a: &[u8], b: &[u8], out: &mut [u8]) {
     }
 }
 
-/// The sums of `window` values from each of [`LANES`] on.
+/// The sums of `window` values from each on, for as many as there is room for.
 #[inline(always)]
-fn add_up(values: &[u8], window: usize) -> [u16; LANES] {
-    let mut sums = [0; LANES];
-    for from in 0..window {
-        let values = &values[from..][..LANES];
-        for i in 0..LANES {
+fn add_up(values: &[u8], window: usize, sums: &mut [u16]) {
+    let n = sums.len();
+    let from = |first: usize| &values[first..][..n];
+    sums.fill(0);
+    // Four at a time, so that the sums are seldom read and written; whole rows, because sums of a block would be taken apart.
+    let whole = window / 4 * 4;
+    for first in (0..whole).step_by(4) {
+        let (a, b, c, d) = (from(first), from(first + 1), from(first + 2), from(first + 3));
+        for i in 0..n {
+            let [a, b, c, d] = [u16::from(a[i]), u16::from(b[i]), u16::from(c[i]), u16::from(d[i])];
+            sums[i] += (a + b) + (c + d);
+        }
+    }
+    for first in whole..window {
+        let values = from(first);
+        for i in 0..n {
             sums[i] += u16::from(values[i]);
         }
     }
-    sums
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Buffers, LANES, add_up, part};
+    use super::{Buffers, add_up, part};
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::row_pairs::{Side, Single, fold};
     use crate::reconstruct::runs::Runs;
@@ -294,12 +302,13 @@ mod tests {
     proptest! {
         #[test]
         fn sums_are_those_of_a_loop(
-            values in proptest::collection::vec(any::<u8>(), LANES + 25),
+            values in proptest::collection::vec(any::<u8>(), 25..120),
             window in 1usize..26,
         ) {
-            let sums = add_up(&values, window);
-            for (i, sum) in sums.into_iter().enumerate() {
-                prop_assert_eq!(sum, values[i..i + window].iter().map(|&x| u16::from(x)).sum::<u16>());
+            let mut sums = vec![7; values.len() + 1 - window];
+            add_up(&values, window, &mut sums);
+            for (sum, values) in sums.into_iter().zip(values.windows(window)) {
+                prop_assert_eq!(sum, values.iter().map(|&x| u16::from(x)).sum::<u16>());
             }
         }
 
