@@ -263,11 +263,19 @@ fn each_word(bytes: &[u8], mut each: impl FnMut(usize, usize, u64)) {
     for (k, word) in words.iter().enumerate() {
         each(k * WORD, WORD, bits_of(word, u8::MAX));
     }
-    if !rest.is_empty() {
-        let mut word = [0; WORD];
-        word[..rest.len()].copy_from_slice(rest);
-        each(words.len() * WORD, rest.len(), bits_of(&word, u8::MAX));
+    if rest.is_empty() {
+        return;
     }
+    let bits = match bytes.last_chunk() {
+        // Of which the first have been looked at.
+        Some(word) => bits_of(word, u8::MAX) >> (WORD - rest.len()),
+        None => {
+            let mut word = [0; WORD];
+            word[..rest.len()].copy_from_slice(rest);
+            bits_of(&word, u8::MAX)
+        }
+    };
+    each(words.len() * WORD, rest.len(), bits);
 }
 
 #[cfg(test)]
