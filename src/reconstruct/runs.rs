@@ -317,7 +317,7 @@ mod tests {
         }
 
         #[test]
-        fn bytes_that_are_not_0_are_found(bytes in proptest::collection::vec(0u8..3, 0..60)) {
+        fn bytes_that_are_not_0_are_found(bytes in proptest::collection::vec(0u8..3, 0..200)) {
             let mut found = Vec::new();
             each_not_0(&bytes, |i| found.push(i));
             let plain: Vec<_> = (0..bytes.len()).filter(|&i| bytes[i] != 0).collect();
@@ -325,8 +325,8 @@ mod tests {
         }
 
         #[test]
-        fn runs_are_those_of_a_plain_search(bits in proptest::collection::vec(0u8..2, 37 * 5), long in 0usize..37) {
-            let mut mask = Plane::from_vec(37, 5, bits).expect("185 pixels");
+        fn runs_are_those_of_a_plain_search(bits in proptest::collection::vec(0u8..2, 150 * 5), long in 0usize..150) {
+            let mut mask = Plane::from_vec(150, 5, bits).expect("750 pixels");
             mask.row_mut(2)[..long].fill(1);
             mask.row_mut(3)[long..].fill(0);
             let found = Runs::of(&mask);
