@@ -8,7 +8,9 @@
 
 use crossbeam_channel::{Receiver, bounded};
 use fourdbody::acquire::pool::Block;
-use fourdbody::camera::{AravisCameras, Camera, CameraBackend, Received, StreamOptions, Transfer};
+use fourdbody::camera::{
+    AravisCameras, Camera, CameraBackend, FrameContract, Received, StreamOptions, Transfer,
+};
 use fourdbody::config::NodeConfig;
 use fourdbody::hsu::{ArmRequest, Hsu, HsuTimeouts, HsuTiming, session_id};
 use fourdbody::ids::SessionName;
@@ -48,10 +50,10 @@ impl Cameras {
         let stop = Arc::new(AtomicBool::new(false));
         let mut threads = Vec::new();
         for (number, camera) in opened.iter_mut().enumerate() {
-            let (width, height) = camera.image_size()?;
-            let blocks = (0..config.buffers_per_camera).map(|_| Block::allocate(width * height)).collect();
-            let options =
-                StreamOptions { packet_bytes: config.packet_bytes, socket: config.socket, period_ns };
+            let contract = FrameContract { size: camera.image_size()?, offset: (0, 0) };
+            let blocks = (0..config.buffers_per_camera).map(|_| Block::allocate(contract.bytes())).collect();
+            let (packet_bytes, socket) = (config.packet_bytes, config.socket);
+            let options = StreamOptions { contract, packet_bytes, socket, period_ns };
             let mut stream = camera.create_stream(blocks, &options)?;
             let (sender, stop) = (sender.clone(), Arc::clone(&stop));
             threads.push(std::thread::spawn(move || {

@@ -1,14 +1,15 @@
 //! Keeps the books of a session: gives every frame its trigger and every trigger of every camera its outcome.
 
 use super::assembler::Assembler;
+use super::breaches::{Breaches, gap_cause};
 use super::clock::{ClockFit, Exchange, Judged};
 use super::matcher::{Finding, Match, Matched, Matcher, Sighting, Witness};
 use super::receiver::Arrival;
 use super::recorder::{FromRecorder, LaneSetup, Progress, RecorderOptions, TICK, ToRecorder, WhenFull};
 use super::ring::{ReadyFrame, Ring, ToWriter};
 use super::trigger_table::TriggerTable;
-use crate::camera::Transfer;
-use crate::ids::{CameraId, TriggerIndex};
+use crate::camera::{Breach, Transfer};
+use crate::ids::{BlockId, CameraId, TriggerIndex};
 use crate::record::{ClockSample, FrameMeta, GapCause, NodeEvent, SessionEnd};
 use crate::time::host_time_ns;
 use crossbeam_channel::Sender;
@@ -40,6 +41,7 @@ struct Lane {
     /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
     given_up: u64,
     given_up_now: u64,
+    breaches: Breaches,
 }
 
 /// A frame that waits for its trigger, since this point of [`Books::awake`].
@@ -106,6 +108,7 @@ impl Books {
             unconfirmed: 0,
             given_up: 0,
             given_up_now: 0,
+            breaches: Breaches::default(),
         };
         Self {
             sets: Assembler::new(lanes.len(), options.set_patience, options.open_sets()),
@@ -302,6 +305,9 @@ impl Books {
         let cause = if back { absence } else { GapCause::MissingPackets };
         self.missing(camera, start..ignored_from, cause);
         self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
+        if let Transfer::Breach(breach) = arrival.transfer {
+            self.breach(camera, trigger, arrival.block_id, breach);
+        }
         match gap_cause(arrival.transfer) {
             Some(cause) => self.gaps(camera, trigger..trigger + 1, cause),
             None => self.ready(camera, trigger, arrival),
@@ -415,6 +421,16 @@ impl Books {
         }
     }
 
+    /// A frame is not what was agreed: the first of each kind is an event.
+    fn breach(&mut self, camera: usize, trigger: u64, block: BlockId, breach: Breach) {
+        if self.lanes[camera].breaches.count(breach) {
+            let text = format!(
+                "block {block} of trigger {trigger} is not recorded: {breach} (later ones are counted)"
+            );
+            self.note(camera, "frame_refused", None, text);
+        }
+    }
+
     /// Which of two triggers a frame was of could not be told: whichever it was, it has a gap record.
     fn give_up(&mut self, arrival: &Arrival) {
         let lane = &mut self.lanes[arrival.camera];
@@ -492,6 +508,9 @@ impl Books {
         for camera in 0..self.lanes.len() {
             self.clock_event(Some(camera));
             let Lane { spurious, unconfirmed, given_up, .. } = self.lanes[camera];
+            for text in std::mem::take(&mut self.lanes[camera].breaches).summary() {
+                self.note(camera, "frames_refused", None, text);
+            }
             if spurious > 1 {
                 self.note(
                     camera,
@@ -557,17 +576,7 @@ fn sighting(arrival: &Arrival) -> Sighting {
         // A frame whose leader was lost has no timestamp.
         camera_ns: Some(arrival.camera_ns).filter(|ns| *ns != 0),
         host_ns: arrival.host_ns,
-        complete: matches!(arrival.transfer, Transfer::Complete | Transfer::Unwritten),
-    }
-}
-
-fn gap_cause(transfer: Transfer) -> Option<GapCause> {
-    match transfer {
-        Transfer::Complete => None,
-        Transfer::MissingPackets | Transfer::Unwritten => Some(GapCause::MissingPackets),
-        Transfer::Timeout => Some(GapCause::Timeout),
-        Transfer::SizeMismatch => Some(GapCause::SizeMismatch),
-        Transfer::Aborted => Some(GapCause::Aborted),
+        complete: matches!(arrival.transfer, Transfer::Complete | Transfer::Unwritten | Transfer::Breach(_)),
     }
 }
 

@@ -3,6 +3,7 @@
 pub mod assembler;
 pub mod block_ids;
 mod books;
+mod breaches;
 pub mod clock;
 pub mod dry_run;
 pub mod heap;

@@ -215,6 +215,11 @@ impl Block {
         &self.bytes()[ROOM_BYTES..]
     }
 
+    /// Bytes after the pixels that are the block's own and of no use.
+    pub fn spare(&self) -> usize {
+        self.size.next_multiple_of(ROOM_BYTES) - self.size
+    }
+
     /// The room before the pixels.
     pub fn room_mut(&mut self) -> &mut [u8] {
         &mut self.bytes_mut()[..ROOM_BYTES]

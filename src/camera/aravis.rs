@@ -6,19 +6,24 @@
 //! * Late blocks of a reused stream are thrown away silently: every arm makes a fresh stream.
 //! * Automatic packet size may exceed the MTU: the size is explicit, adjustment is off.
 //! * An incomplete frame holds back later ones for `frame-retention`: it is set to a few trigger periods.
-//! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`].
+//! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`], and the bytes that arrived are counted.
+//! * It calls any frame complete whose packets came, whatever its leader says: each is held against its contract.
+//! * Without a tick frequency it stamps frames with the host's clock: such a stamp is none.
 //! * The receive thread is Aravis' own; blocks travel to it and back through its queues.
 
 use super::canary::Canaries;
+use super::device_clock::{self, DeviceClock};
+use super::features::{Failed, Features};
+use super::verify::verify;
 use super::{
-    AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing,
-    FrameStream, Received, StreamOptions, Transfer, matches,
+    AppliedSetting, Breach, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity,
+    CameraListing, FrameContract, FrameForm, FrameStream, Payload, Received, StreamOptions, Transfer, Wanted,
+    matches,
 };
 use crate::acquire::pool::{Block, ROOM_BYTES};
 use crate::acquire::realtime;
 use crate::config::{FeatureSetting, FeatureValue, SocketMode};
 use crate::ids::BlockId;
-use crate::time::monotonic_ns;
 use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};
@@ -27,7 +32,7 @@ use std::ffi::{CStr, c_void};
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// The cameras that Aravis can reach.
 #[derive(Debug, Default)]
@@ -83,7 +88,7 @@ impl CameraBackend for AravisCameras {
             model: text(camera.model_name()),
             serial: text(camera.device_serial_number()),
         };
-        Ok(Box::new(AravisCamera { camera, device, identity, lost }))
+        Ok(Box::new(AravisCamera { camera, device, identity, lost, clock: None }))
     }
 }
 
@@ -101,6 +106,8 @@ struct AravisCamera {
     device: aravis::Device,
     identity: CameraIdentity,
     lost: Arc<AtomicBool>,
+    /// How its clock is read, or why it is not, once that is known.
+    clock: Option<Result<DeviceClock, String>>,
 }
 
 fn link_error(doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
@@ -120,11 +127,15 @@ fn is_refusal(error: &glib::Error) -> bool {
 }
 
 impl AravisCamera {
-    /// What a failed command of ours means.
-    fn failed(&self, doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
-        move |e| match is_refusal(&e) {
-            true => CameraError::NotOurs { holder: holder(&self.device), detail: e.to_string() },
-            false => CameraError::Link { doing, detail: e.to_string() },
+    /// What it means that something could not be read or set.
+    fn failed(&self, error: &glib::Error) -> Failed {
+        let detail = error.to_string();
+        if is_silence(error) {
+            Failed::Lost(CameraError::Link { doing: "reading its features", detail })
+        } else if is_refusal(error) {
+            Failed::Lost(CameraError::NotOurs { holder: holder(&self.device), detail })
+        } else {
+            Failed::Refused(detail)
         }
     }
 
@@ -166,6 +177,82 @@ impl AravisCamera {
     fn is_float(&self, name: &str) -> bool {
         self.device.feature(name).is_some_and(|node| node.is::<aravis::GcFloat>())
     }
+
+    fn set_and_read(&self, setting: &FeatureSetting) -> Result<AppliedSetting, CameraError> {
+        if self.device.feature(&setting.feature).is_none() {
+            return Err(difference(setting, "the camera has no such feature".to_owned()));
+        }
+        self.set(setting).map_err(|e| self.refused(setting, "the camera refused it", &e))?;
+        let actual = self.expect(setting, "")?;
+        Ok(AppliedSetting { feature: setting.feature.clone(), requested: setting.value.clone(), actual })
+    }
+
+    /// Reads a setting back; `when` ends the sentence that says what is there instead.
+    fn expect(&self, setting: &FeatureSetting, when: &str) -> Result<FeatureValue, CameraError> {
+        let actual =
+            self.read_back(setting).map_err(|e| self.refused(setting, "reading it back failed", &e))?;
+        match matches(setting, &actual) {
+            true => Ok(actual),
+            false => Err(difference(setting, format!("the camera has {actual}{when}"))),
+        }
+    }
+
+    /// What it means that a setting could not be made or read.
+    fn refused(&self, setting: &FeatureSetting, what: &str, error: &glib::Error) -> CameraError {
+        if is_silence(error) {
+            return CameraError::Link { doing: "setting its features", detail: error.to_string() };
+        }
+        // One that was restarted has no controller, and the next heartbeat has not told us yet.
+        if is_refusal(error) && self.privilege() == Some(0) {
+            return CameraError::NotOurs { holder: None, detail: error.to_string() };
+        }
+        difference(setting, format!("{what} ({error})"))
+    }
+}
+
+fn difference(setting: &FeatureSetting, found: String) -> CameraError {
+    CameraError::Setting { feature: setting.feature.clone(), requested: setting.value.to_string(), found }
+}
+
+impl Features for AravisCamera {
+    fn has(&self, feature: &str) -> bool {
+        self.device.feature(feature).is_some()
+    }
+
+    fn integer(&self, feature: &str) -> Result<i64, Failed> {
+        self.device.integer_feature_value(feature).map_err(|e| self.failed(&e))
+    }
+
+    fn text(&self, feature: &str) -> Result<String, Failed> {
+        self.device.string_feature_value(feature).map(|text| text.to_string()).map_err(|e| self.failed(&e))
+    }
+
+    fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed> {
+        self.device.set_string_feature_value(feature, value).map_err(|e| self.failed(&e))
+    }
+
+    fn execute(&self, feature: &str) -> Result<(), Failed> {
+        self.device.execute_command(feature).map_err(|e| self.failed(&e))
+    }
+
+    fn entries(&self, feature: &str) -> Vec<String> {
+        let entries = self.has(feature).then(|| {
+            self.device.dup_available_enumeration_feature_values_as_strings(feature).unwrap_or_default()
+        });
+        entries.into_iter().flatten().map(|entry| entry.to_string()).collect()
+    }
+
+    fn has_registers(&self) -> bool {
+        self.device.is::<aravis::GvDevice>()
+    }
+
+    fn register(&self, address: u64) -> Result<u32, Failed> {
+        self.device.read_register(address).map(|(_, value)| value).map_err(|e| self.failed(&e))
+    }
+
+    fn set_register(&self, address: u64, value: u32) -> Result<(), Failed> {
+        self.device.write_register(address, value).map(drop).map_err(|e| self.failed(&e))
+    }
 }
 
 impl Camera for AravisCamera {
@@ -185,35 +272,20 @@ impl Camera for AravisCamera {
     }
 
     fn apply(&mut self, settings: &[FeatureSetting]) -> Result<Vec<AppliedSetting>, CameraError> {
-        let refused = |setting: &FeatureSetting, found: String| CameraError::Setting {
-            feature: setting.feature.clone(),
-            requested: setting.value.to_string(),
-            found,
-        };
-        let mut applied = Vec::with_capacity(settings.len());
-        for setting in settings {
-            if self.device.feature(&setting.feature).is_none() {
-                return Err(refused(setting, "the camera has no such feature".to_owned()));
+        let applied = settings.iter().map(|setting| self.set_and_read(setting)).collect::<Result<_, _>>()?;
+        // What is set later may change what was set before.
+        for (i, setting) in settings.iter().enumerate() {
+            if setting.is_selector() {
+                self.set(setting).map_err(|e| self.refused(setting, "the camera refused it again", &e))?;
+            } else if !settings[i + 1..].iter().any(|later| later.feature == setting.feature) {
+                self.expect(setting, " after all settings were made")?;
             }
-            let failed = |what: &str, e: glib::Error| {
-                if is_silence(&e) {
-                    return CameraError::Link { doing: "setting its features", detail: e.to_string() };
-                }
-                // One that was restarted has no controller, and the next heartbeat has not told us yet.
-                if is_refusal(&e) && self.privilege() == Some(0) {
-                    return CameraError::NotOurs { holder: None, detail: e.to_string() };
-                }
-                refused(setting, format!("{what} ({e})"))
-            };
-            self.set(setting).map_err(|e| failed("the camera refused it", e))?;
-            let actual = self.read_back(setting).map_err(|e| failed("reading it back failed", e))?;
-            if !matches(setting, &actual) {
-                return Err(refused(setting, format!("the camera has {actual}")));
-            }
-            let (feature, requested) = (setting.feature.clone(), setting.value.clone());
-            applied.push(AppliedSetting { feature, requested, actual });
         }
         Ok(applied)
+    }
+
+    fn verify(&mut self, wanted: &Wanted) -> Result<FrameContract, CameraError> {
+        verify(self, wanted)
     }
 
     fn image_size(&mut self) -> Result<(usize, usize), CameraError> {
@@ -222,24 +294,19 @@ impl Camera for AravisCamera {
     }
 
     fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError> {
-        // SFNC 2 names first, then the GigE Vision 1 names that Aravis provides for every GigE camera.
-        let names =
-            [("TimestampLatch", "TimestampLatchValue"), ("GevTimestampControlLatch", "GevTimestampValue")];
-        for (latch, value) in names {
-            if self.device.feature(latch).is_none() || self.device.feature(value).is_none() {
-                continue;
-            }
-            let host_before_ns = monotonic_ns(Instant::now());
-            self.device.execute_command(latch).map_err(self.failed("latching its clock"))?;
-            let host_after_ns = monotonic_ns(Instant::now());
-            let ticks = self.device.integer_feature_value(value).map_err(link_error("reading its clock"))?;
-            let frequency =
-                self.device.integer_feature_value("GevTimestampTickFrequency").unwrap_or(1_000_000_000);
-            let ns = i128::from(ticks) * 1_000_000_000 / i128::from(frequency.max(1));
-            let camera_ns = u64::try_from(ns).unwrap_or(0);
-            return Ok(Some(CameraClockSample { host_before_ns, camera_ns, host_after_ns }));
-        }
-        Ok(None)
+        let clock = match &self.clock {
+            Some(known) => known.clone(),
+            None => self.clock.insert(device_clock::find(self)?).clone(),
+        };
+        let Ok(clock) = clock else { return Ok(None) };
+        clock.sample(self).map(Some).map_err(|failed| match failed {
+            Failed::Lost(error) => error,
+            Failed::Refused(detail) => CameraError::Link { doing: "reading its clock", detail },
+        })
+    }
+
+    fn why_no_clock(&self) -> Option<&str> {
+        self.clock.as_ref()?.as_ref().err().map(String::as_str)
     }
 
     fn test_packet_size(&mut self, bytes: u32) -> Result<Option<u32>, CameraError> {
@@ -287,7 +354,7 @@ impl Camera for AravisCamera {
             }
             _ => None,
         };
-        Ok(Box::new(AravisStream::new(stream, blocks, canaries)))
+        Ok(Box::new(AravisStream::new(stream, blocks, canaries, options.contract)))
     }
 
     fn start(&mut self) -> Result<(), CameraError> {
@@ -354,23 +421,53 @@ struct AravisStream {
     returns: Receiver<Block>,
     /// What a whole frame overwrites; other transports have no packets that could be cut.
     canaries: Option<Canaries>,
+    /// What every frame must be.
+    contract: FrameContract,
 }
 
 impl AravisStream {
-    fn new(stream: aravis::Stream, blocks: Vec<Block>, canaries: Option<Canaries>) -> Self {
+    fn new(
+        stream: aravis::Stream,
+        blocks: Vec<Block>,
+        canaries: Option<Canaries>,
+        contract: FrameContract,
+    ) -> Self {
         let (home, returns) = bounded(blocks.len().max(1));
         let (mut lent, mut parked) = (Vec::new(), Vec::new());
         for mut block in blocks {
             plant(canaries.as_ref(), &mut block);
-            let (pointer, length) = (block.pixel_pointer(), block.pixels().len());
+            let over =
+                canaries.as_ref().is_some_and(|canaries| block.spare() > 0 && canaries.last_has_room());
+            let (pointer, length) = (block.pixel_pointer(), block.pixels().len() + usize::from(over));
             // SAFETY: the block's memory stays allocated while Aravis holds the buffer: it waits untouched in
-            // `lent`, and the stream has ended before the blocks are freed (see `drop`).
+            // `lent`, and the stream has ended before the blocks are freed (see `drop`). The byte after the pixels is
+            // the block's own where it has any to spare.
             let buffer = unsafe { aravis::Buffer::new_preallocated_borrowed(pointer, length) };
             stream.push_buffer(buffer);
             lent.push(Some(block));
             parked.push(None);
         }
-        Self { stream, lent, parked, home, returns, canaries }
+        Self { stream, lent, parked, home, returns, canaries, contract }
+    }
+
+    /// What a frame is that Aravis calls complete.
+    fn judge(&self, buffer: &aravis::Buffer, block: &Block) -> Transfer {
+        let is_whole =
+            || self.canaries.as_ref().is_none_or(|canaries| canaries.survivor(block.pixels()).is_none());
+        // Another datagram took the leader's place, and what the buffer says is of an older frame.
+        if self.canaries.is_some() && buffer.frame_id() == 0 {
+            return Transfer::Unwritten;
+        }
+        let breach = match form_of(buffer) {
+            Ok(form) => self.contract.breach(&form),
+            Err(payload) => Some(Breach::Payload(payload)),
+        };
+        match breach {
+            // A packet that was cut, as opposed to packets of another size.
+            None | Some(Breach::Bytes { .. }) if !is_whole() => Transfer::Unwritten,
+            None => Transfer::Complete,
+            Some(breach) => Transfer::Breach(breach),
+        }
     }
 
     /// Lends blocks that came back to Aravis again.
@@ -393,6 +490,44 @@ impl AravisStream {
     }
 }
 
+/// What the transport says of an image, or what came instead of one.
+fn form_of(buffer: &aravis::Buffer) -> Result<FrameForm, Payload> {
+    use aravis::BufferPayloadType as Type;
+    match buffer.payload_type() {
+        Type::Image if buffer.has_chunks() => return Err(Payload::WithChunks),
+        Type::Image => {}
+        Type::ExtendedChunkData => return Err(Payload::WithChunks),
+        Type::ChunkData => return Err(Payload::Other("chunk data")),
+        Type::Multipart => return Err(Payload::Parts(buffer.n_parts())),
+        Type::Rawdata => return Err(Payload::Other("raw data")),
+        Type::File => return Err(Payload::Other("a file")),
+        Type::Jpeg | Type::Jpeg2000 => return Err(Payload::Other("a compressed image")),
+        Type::H264 => return Err(Payload::Other("a film")),
+        _ => return Err(Payload::Other("of an unknown kind")),
+    }
+    if buffer.n_parts() != 1 {
+        return Err(Payload::Parts(buffer.n_parts()));
+    }
+    let (x, y, width, height) = buffer.image_region();
+    let mut bytes = 0;
+    // SAFETY: the buffer lives during the call and is ours; it has one part, and the size goes to a variable of the
+    // type that is asked for. The pointer that comes back is not used.
+    unsafe { aravis_sys::arv_buffer_get_image_data(buffer.to_glib_none().0, &mut bytes) };
+    Ok(FrameForm {
+        pixel_format: buffer_format(buffer),
+        size: (width, height),
+        offset: (x, y),
+        padding: buffer.image_padding(),
+        bytes,
+    })
+}
+
+/// The pixel format's code as the leader has it.
+fn buffer_format(buffer: &aravis::Buffer) -> u32 {
+    // SAFETY: the buffer lives during the call; it is an image of one part, as the caller has seen.
+    unsafe { aravis_sys::arv_buffer_get_image_pixel_format(buffer.to_glib_none().0) }
+}
+
 /// Marks a block's pixels before it is lent.
 fn plant(canaries: Option<&Canaries>, block: &mut Block) {
     if let Some(canaries) = canaries {
@@ -411,26 +546,19 @@ impl FrameStream for AravisStream {
         let mut block = self.lent[slot].take()?;
         block.set_home(self.home.clone());
         let transfer = match buffer.status() {
-            aravis::BufferStatus::Success => {
-                let (_, _, width, height) = buffer.image_region();
-                let pixels = i64::from(width) * i64::from(height);
-                let cut = || self.canaries.as_ref().and_then(|canaries| canaries.survivor(block.pixels()));
-                match usize::try_from(pixels) == Ok(block.pixels().len()) {
-                    true if cut().is_some() => Transfer::Unwritten,
-                    true => Transfer::Complete,
-                    false => Transfer::SizeMismatch,
-                }
-            }
+            aravis::BufferStatus::Success => self.judge(&buffer, &block),
             aravis::BufferStatus::Timeout => Transfer::Timeout,
             aravis::BufferStatus::Aborted => Transfer::Aborted,
             aravis::BufferStatus::SizeMismatch => Transfer::SizeMismatch,
             _ => Transfer::MissingPackets,
         };
+        let (camera_ns, host_ns) = (buffer.timestamp(), buffer.system_timestamp());
         let received = Received {
             transfer,
             block_id: BlockId(buffer.frame_id()),
-            camera_ns: buffer.timestamp(),
-            host_ns: buffer.system_timestamp(),
+            // Where Aravis has no unit for the camera's stamp, it gives the host's.
+            camera_ns: if camera_ns == host_ns { 0 } else { camera_ns },
+            host_ns,
             block,
         };
         self.parked[slot] = Some(buffer);

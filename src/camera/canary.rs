@@ -3,7 +3,7 @@
 //! Aravis 0.8.26 takes a truncated packet for a whole one, and calls the frame complete. Before a block is lent,
 //! the last [`MARK_BYTES`] of every packet's place get a mark that is random per stream; one that is still there
 //! when the frame is called complete was never written. A packet that lacks fewer bytes than a mark has leaves
-//! part of it only, and is not found.
+//! part of it only: the bytes that arrived tell.
 
 use std::hash::{BuildHasher, RandomState};
 
@@ -20,6 +20,8 @@ pub struct Canaries {
     secret: [u8; 2 * MARK_BYTES],
     /// First bytes of the marks, ascending.
     places: Vec<usize>,
+    /// Whether the last packet is shorter than the others, whatever the header.
+    last_has_room: bool,
 }
 
 impl Canaries {
@@ -44,7 +46,14 @@ impl Canaries {
             .collect();
         places.sort_unstable();
         places.dedup();
-        Self { secret, places }
+        let room = |payload: usize| payload > 0 && !pixel_bytes.is_multiple_of(payload);
+        Self { secret, places, last_has_room: payloads.into_iter().all(room) }
+    }
+
+    /// Whether a byte more than the image has would arrive in the last packet: then room for it shows that it came,
+    /// and does not change how many packets a frame has.
+    pub fn last_has_room(&self) -> bool {
+        self.last_has_room
     }
 
     /// The mark at `place`. Each byte depends on its place alone, so that marks may overlap.

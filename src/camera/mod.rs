@@ -7,11 +7,19 @@
 mod aravis;
 #[cfg(feature = "aravis")]
 mod canary;
+mod contract;
+#[cfg(feature = "aravis")]
+mod device_clock;
+#[cfg(feature = "aravis")]
+mod features;
 mod quiet;
 mod settings;
+#[cfg(feature = "aravis")]
+mod verify;
 
 #[cfg(feature = "aravis")]
 pub use self::aravis::AravisCameras;
+pub use contract::{Breach, FrameContract, FrameForm, MONO8, Payload};
 pub use quiet::quiet_stream;
 pub use settings::{AppliedSetting, matches};
 
@@ -94,6 +102,12 @@ pub enum CameraError {
         /// What the camera has or said.
         found: String,
     },
+    /// What it would send is not what a session records.
+    #[error("its frames would not be those of a session:\n  {}", problems.join("\n  "))]
+    Contract {
+        /// Each difference, with its remedy.
+        problems: Vec<String>,
+    },
     /// Communication failed.
     #[error(
         "communication with the camera failed while {doing} ({detail}); check its power, cable and switch"
@@ -106,9 +120,20 @@ pub enum CameraError {
     },
 }
 
+/// What a session needs of a camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wanted {
+    /// Columns and rows that the rig has for it.
+    pub size: (usize, usize),
+    /// Its frames are those of the HSU's triggers; a bench may let cameras run by themselves.
+    pub triggered: bool,
+}
+
 /// How a stream is to be set up.
 #[derive(Debug, Clone)]
 pub struct StreamOptions {
+    /// What every frame must be, as verified.
+    pub contract: FrameContract,
     /// GVSP packet size, bytes.
     pub packet_bytes: u32,
     /// How packets are received.
@@ -137,8 +162,10 @@ pub enum Transfer {
     MissingPackets,
     /// The transfer stalled.
     Timeout,
-    /// The image has another size than agreed.
+    /// The transport gave the frame up because it has another size than agreed.
     SizeMismatch,
+    /// It arrived, and is not what was agreed.
+    Breach(Breach),
     /// All bytes are said to have arrived, but a part of the block was not written.
     Unwritten,
     /// The stream was stopped in the middle.
@@ -152,7 +179,7 @@ pub struct Received {
     pub transfer: Transfer,
     /// GVSP block id.
     pub block_id: BlockId,
-    /// Start of exposure on the camera's clock, ns.
+    /// Start of exposure on the camera's clock, ns; 0 where it has no stamp of the camera.
     pub camera_ns: u64,
     /// When the frame's first packet was seen, host clock (CLOCK_REALTIME), ns.
     pub host_ns: u64,
@@ -183,14 +210,24 @@ pub trait Camera: Send {
         None
     }
 
-    /// Sets features in order and reads each back; a difference is an error.
+    /// Sets features in order, selectors included, and reads each back behind the selectors as they then are. What no
+    /// later setting names again is read once more when all are set. A difference is an error.
     fn apply(&mut self, settings: &[FeatureSetting]) -> Result<Vec<AppliedSetting>, CameraError>;
+
+    /// Asks its features, whatever was set, whether it sends what a session records.
+    ///
+    /// # Errors
+    /// [`CameraError::Contract`] with every difference, and with what cannot be found out.
+    fn verify(&mut self, wanted: &Wanted) -> Result<FrameContract, CameraError>;
 
     /// Columns and rows of its images as set now.
     fn image_size(&mut self) -> Result<(usize, usize), CameraError>;
 
-    /// Reads its clock; `None` where it has none that can be read.
+    /// Reads its clock; `None` where it has none that can be read ([`Self::why_no_clock`]).
     fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError>;
+
+    /// Why its clock cannot be read, once [`Self::sample_clock`] has found out.
+    fn why_no_clock(&self) -> Option<&str>;
 
     /// Has the camera send test packets of `bytes` and gives the size that arrives: `bytes`, or the largest
     /// smaller one that does. `None` where the transport or the camera has no such test. No stream may exist.

@@ -34,6 +34,13 @@ pub struct FeatureSetting {
     pub value: FeatureValue,
 }
 
+impl FeatureSetting {
+    /// Selectors may be set several times, each time for the features behind them.
+    pub fn is_selector(&self) -> bool {
+        self.feature.ends_with("Selector")
+    }
+}
+
 /// One camera of the node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraConfig {
@@ -156,6 +163,11 @@ impl NodeConfig {
             Some(config) if problems.is_empty() => Ok(config),
             _ => Err(ConfigError { path: path.to_owned(), problems }),
         }
+    }
+
+    /// Whether frames must be those of the HSU's triggers: without a silence gate cameras may run by themselves.
+    pub fn cameras_are_triggered(&self) -> bool {
+        !self.silence_gate.is_zero()
     }
 }
 
@@ -293,21 +305,39 @@ fn read_camera(section: Section<'_>, common: &[FeatureSetting]) -> CameraConfig 
     let id = CameraId(section.text("id"));
     let address = section.text("address");
     let own = read_settings(&section);
-    // A camera's own value replaces the common one in place, so that the order stays that of the file.
-    let mut settings = common.to_vec();
-    for setting in own {
-        match settings.iter_mut().find(|s| s.feature == setting.feature && !is_selector(&s.feature)) {
-            Some(existing) => *existing = setting,
-            None => settings.push(setting),
-        }
-    }
+    let settings = with_common(own, common, &section);
     section.finish();
     CameraConfig { id, address, settings }
 }
 
-/// Selectors may be set several times, each time for the features behind them.
-fn is_selector(feature: &str) -> bool {
-    feature.ends_with("Selector")
+/// A camera's own list, whole and in its order, stands where the first of the common settings stood that it names; the
+/// others that it names are left out. Where it names none, it comes last.
+fn with_common(
+    own: Vec<FeatureSetting>,
+    common: &[FeatureSetting],
+    section: &Section<'_>,
+) -> Vec<FeatureSetting> {
+    let names = |setting: &FeatureSetting| own.iter().any(|mine| mine.feature == setting.feature);
+    // Which of several is meant cannot be told without their selectors.
+    let mut said = BTreeSet::new();
+    for setting in common.iter().filter(|setting| names(setting) && !setting.is_selector()) {
+        let feature = &setting.feature;
+        let times = |list: &[FeatureSetting]| list.iter().filter(|other| other.feature == *feature).count();
+        if times(common) > 1 && times(&own) < times(common) && said.insert(feature) {
+            section.problem(
+                "settings",
+                format!(
+                    "the common list sets {feature} {} times, this one {}: which of them is meant? Expected it as often, each \
+                     time behind its selector",
+                    times(common),
+                    times(&own)
+                ),
+            );
+        }
+    }
+    let place = common.iter().position(names).unwrap_or(common.len());
+    let after = common[place..].iter().filter(|setting| !names(setting)).cloned().collect::<Vec<_>>();
+    common[..place].iter().cloned().chain(own).chain(after).collect()
 }
 
 fn read_settings(section: &Section<'_>) -> Vec<FeatureSetting> {
@@ -361,5 +391,48 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
     }
     for (_, camera) in rig.cameras_of(node).filter(|(_, camera)| !ids.contains(&camera.id)) {
         root.problem("camera", format!("{} of node {node} in the rig is missing", camera.id));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FeatureSetting, FeatureValue, with_common};
+    use crate::config::Section;
+    use std::cell::RefCell;
+
+    fn list(text: &str) -> Vec<FeatureSetting> {
+        let pair = |pair: &str| {
+            let (feature, value) = pair.split_once('=').expect("feature=value");
+            FeatureSetting { feature: feature.to_owned(), value: FeatureValue::Text(value.to_owned()) }
+        };
+        text.split_whitespace().map(pair).collect()
+    }
+
+    /// The list that a camera gets, and the problems with it.
+    fn merged(common: &str, own: &str) -> (String, usize) {
+        let (table, problems) = (toml::Table::new(), RefCell::default());
+        let all = with_common(list(own), &list(common), &Section::root(&table, &problems));
+        let words: Vec<String> = all.iter().map(|s| format!("{}={}", s.feature, s.value)).collect();
+        (words.join(" "), problems.into_inner().len())
+    }
+
+    #[test]
+    fn a_list_of_its_own_keeps_its_order_and_its_selectors() {
+        let common = "Width=1920 TriggerSelector=FrameStart TriggerMode=On TriggerSource=Line0 Gain=0";
+        let basler =
+            "TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSelector=FrameStart TriggerMode=On";
+        for (own, expected) in [
+            ("", common.to_owned()),
+            (basler, format!("Width=1920 {basler} TriggerSource=Line0 Gain=0")),
+            ("TriggerSource=Line1", common.replace("Line0", "Line1")),
+            ("Black=1", format!("{common} Black=1")),
+            ("Gain=3 Width=640", common.replace("Width=1920", "Gain=3 Width=640").replace(" Gain=0", "")),
+        ] {
+            assert_eq!(merged(common, own), (expected, 0), "{own}");
+        }
+        assert_eq!(merged("", basler), (basler.to_owned(), 0));
+        // Which of the two modes is meant?
+        assert_eq!(merged(basler, "TriggerMode=Off").1, 1);
+        assert_eq!(merged(basler, basler), (basler.to_owned(), 0));
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Check, Finding, Load};
 use crate::api::dto::NodeStatus;
-use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity};
+use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity, FrameContract, Wanted};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::hsu::{Hsu, HsuTimeouts};
 use crate::ids::CameraId;
@@ -15,26 +15,17 @@ use std::path::{Path, PathBuf};
 /// Clock readings per device; the shortest round trip counts.
 const CLOCK_READINGS: usize = 8;
 
-/// A camera's clock, read several times.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ClockFacts {
-    /// The shortest way there and back, ns.
-    pub round_trip_ns: u64,
-    /// Whether it moved between readings.
-    pub runs: bool,
-}
-
 /// An opened camera.
 #[derive(Debug)]
 pub struct OpenedCamera {
     /// Who it is.
     pub identity: CameraIdentity,
-    /// Columns and rows after all settings were set and read back.
-    pub size: Result<(usize, usize), CameraError>,
+    /// What its frames are after all settings were set and read back.
+    pub contract: Result<FrameContract, CameraError>,
     /// The packet size that arrives.
     pub packet_bytes: Result<Option<u32>, CameraError>,
-    /// Its clock, where it can be read.
-    pub clock: Result<Option<ClockFacts>, CameraError>,
+    /// The shortest way to its clock and back, ns, or why it has none that can be read.
+    pub clock: Result<Result<u64, String>, CameraError>,
 }
 
 /// What is known of a camera.
@@ -44,8 +35,6 @@ pub struct CameraFacts {
     pub id: CameraId,
     /// As configured.
     pub address: String,
-    /// Columns and rows that the rig has for it.
-    pub expected_size: (usize, usize),
     /// What opening it came to.
     pub opened: Result<OpenedCamera, CameraError>,
 }
@@ -54,13 +43,14 @@ impl CameraFacts {
     /// Opens the camera, tries it, and lets go of it. Its settings stay as the node file has them.
     pub fn gather(camera: &CameraConfig, config: &NodeConfig, backend: &mut dyn CameraBackend) -> Self {
         let device = config.rig.cameras().find(|(_, known)| known.id == camera.id);
+        let size = device.map_or((0, 0), |(_, c)| (c.device.width, c.device.height));
+        let wanted = Wanted { size, triggered: config.cameras_are_triggered() };
         Self {
             id: camera.id.clone(),
             address: camera.address.clone(),
-            expected_size: device.map_or((0, 0), |(_, c)| (c.device.width, c.device.height)),
             opened: backend.open(&camera.address).map(|mut opened| OpenedCamera {
                 identity: opened.identity().clone(),
-                size: opened.apply(&camera.settings).and_then(|_| opened.image_size()),
+                contract: opened.apply(&camera.settings).and_then(|_| opened.verify(&wanted)),
                 packet_bytes: opened.test_packet_size(config.packet_bytes),
                 clock: read_clock(opened.as_mut()),
             }),
@@ -68,16 +58,17 @@ impl CameraFacts {
     }
 }
 
-fn read_clock(camera: &mut dyn Camera) -> Result<Option<ClockFacts>, CameraError> {
-    let mut readings = Vec::new();
+fn read_clock(camera: &mut dyn Camera) -> Result<Result<u64, String>, CameraError> {
+    let mut shortest = u64::MAX;
     for _ in 0..CLOCK_READINGS {
-        let Some(reading) = camera.sample_clock()? else { return Ok(None) };
-        readings.push(reading);
+        match camera.sample_clock()? {
+            Some(reading) => {
+                shortest = shortest.min(reading.host_after_ns.saturating_sub(reading.host_before_ns));
+            }
+            None => return Ok(Err(camera.why_no_clock().unwrap_or("it has none").to_owned())),
+        }
     }
-    let round_trips = readings.iter().map(|r| r.host_after_ns.saturating_sub(r.host_before_ns));
-    // A latch that does nothing leaves the value as it is.
-    let runs = readings.windows(2).any(|pair| pair[0].camera_ns != pair[1].camera_ns);
-    Ok(Some(ClockFacts { round_trip_ns: round_trips.min().unwrap_or(0), runs }))
+    Ok(Ok(shortest))
 }
 
 /// The verdicts on one camera.
@@ -92,19 +83,20 @@ pub fn judge_camera(facts: &CameraFacts, load: &Load) -> Vec<Finding> {
     };
     let CameraIdentity { vendor, model, serial } = &opened.identity;
     let name = format!("{vendor} {model}, serial number {serial}, at {}, under our control", facts.address);
-    let (width, height) = facts.expected_size;
-    let settings = match &opened.size {
-        Ok(size) if *size == facts.expected_size => {
-            check(": settings").ok(format!("taken and read back, {width} x {height}"))
+    let expected = "every setting of the node file to be taken, and frames as a session records them";
+    let settings = match &opened.contract {
+        Ok(contract) => {
+            let (width, height) = contract.size;
+            check(": settings").ok(format!("taken and read back, {width} x {height} Mono8"))
         }
-        Ok(size) => check(": settings").failed(
-            format!("its images are {} x {}", size.0, size.1),
-            format!("{width} x {height}, as the rig has it"),
-            "set Width and Height in the node file",
+        Err(CameraError::Contract { problems }) => check(": settings").failed(
+            problems.join("; "),
+            expected,
+            "correct the node file's settings as named",
         ),
         Err(error) => {
             let (found, advice) = split(error);
-            check(": settings").failed(found, "every setting of the node file to be taken", advice)
+            check(": settings").failed(found, expected, advice)
         }
     };
     let mut findings = vec![check("").ok(name), settings];
@@ -136,14 +128,13 @@ fn judge_clock(check: Check, opened: &OpenedCamera, load: &Load) -> Finding {
     let expected = format!("a clock that can be read within {} (half a period)", duration(half_period_ns));
     let unread = "frames will be matched by block ids and arrival alone: prefer a camera with a clock";
     match &opened.clock {
-        Ok(Some(clock)) if !clock.runs => check.warning("stands still", expected, unread),
-        Ok(Some(clock)) if clock.round_trip_ns > half_period_ns => check.warning(
-            format!("read within {}", duration(clock.round_trip_ns)),
+        Ok(Ok(round_trip_ns)) if *round_trip_ns > half_period_ns => check.warning(
+            format!("read within {}", duration(*round_trip_ns)),
             expected,
             "look for load on this host or on the network",
         ),
-        Ok(Some(clock)) => check.ok(format!("runs, read within {}", duration(clock.round_trip_ns))),
-        Ok(None) => check.warning("cannot be read", expected, unread),
+        Ok(Ok(round_trip_ns)) => check.ok(format!("runs, read within {}", duration(*round_trip_ns))),
+        Ok(Err(why)) => check.warning(format!("cannot be read: {why}"), expected, unread),
         Err(error) => {
             let (found, advice) = split(error);
             check.failed(found, expected, advice)
@@ -316,12 +307,11 @@ mod tests {
         CameraFacts {
             id: CameraId::from("h0_up"),
             address: "192.168.10.2".to_owned(),
-            expected_size: (1920, 1200),
             opened: Ok(OpenedCamera {
                 identity: CameraIdentity::default(),
-                size: Ok((1920, 1200)),
+                contract: Ok(FrameContract { size: (1920, 1200), offset: (0, 0) }),
                 packet_bytes: Ok(Some(9000)),
-                clock: Ok(Some(ClockFacts { round_trip_ns: 200_000, runs: true })),
+                clock: Ok(Ok(200_000)),
             }),
         }
     }
@@ -341,16 +331,17 @@ mod tests {
         use Grade::{Failed, Ok as Good, Warning};
         let link = || CameraError::Link { doing: "reading its clock", detail: "Timeout".to_owned() };
         assert_eq!(grades(&camera()), [Good; 4]);
-        assert_eq!(opened(|c| c.size = Ok((640, 480))), [Good, Failed, Good, Good]);
+        let problems = vec!["PixelFormat is Mono16".to_owned()];
+        assert_eq!(
+            opened(|c| c.contract = Err(CameraError::Contract { problems })),
+            [Good, Failed, Good, Good]
+        );
         assert_eq!(opened(|c| c.packet_bytes = Ok(Some(1500))), [Good, Good, Failed, Good]);
         // USB cameras have neither packets nor, some, a clock.
         assert_eq!(opened(|c| c.packet_bytes = Ok(None)), [Good; 4]);
-        assert_eq!(opened(|c| c.clock = Ok(None)), [Good, Good, Good, Warning]);
+        assert_eq!(opened(|c| c.clock = Ok(Err("stands still".to_owned()))), [Good, Good, Good, Warning]);
         assert_eq!(opened(|c| c.clock = Err(link())), [Good, Good, Good, Failed]);
-        let stopped = ClockFacts { round_trip_ns: 1, runs: false };
-        assert_eq!(opened(|c| c.clock = Ok(Some(stopped))), [Good, Good, Good, Warning]);
-        let slow = ClockFacts { round_trip_ns: 5_000_000, runs: true };
-        assert_eq!(opened(|c| c.clock = Ok(Some(slow))), [Good, Good, Good, Warning]);
+        assert_eq!(opened(|c| c.clock = Ok(Ok(5_000_000))), [Good, Good, Good, Warning]);
     }
 
     #[test]

@@ -160,8 +160,10 @@ pub enum GapCause {
     ControlLost,
     /// The session was aborted before the frame came.
     Aborted,
-    /// The frame had another size than the session's.
+    /// The frame had another size than the session's: columns, rows, place on the sensor, padding, or bytes.
     SizeMismatch,
+    /// The frame was no plain image of 8-bit grey: another pixel format, chunks, several parts.
+    WrongFormat,
     /// Block id and camera timestamp named different triggers.
     IdentityMismatch,
     /// Imported images: there was no file for this trigger.
@@ -175,7 +177,7 @@ pub enum GapCause {
 
 impl GapCause {
     /// All of them; a cause's place is `cause as usize`.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::MissingPackets,
         Self::Timeout,
         Self::NotTriggered,
@@ -185,6 +187,7 @@ impl GapCause {
         Self::ControlLost,
         Self::Aborted,
         Self::SizeMismatch,
+        Self::WrongFormat,
         Self::IdentityMismatch,
         Self::NotRecorded,
         Self::Damaged,

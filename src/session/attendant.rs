@@ -5,7 +5,7 @@ use super::devices::{OpenCamera, SharedBackend};
 use crate::acquire::pool::Pool;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::ToRecorder;
-use crate::camera::{CameraError, StreamOptions, quiet_stream};
+use crate::camera::{CameraError, StreamOptions, Wanted, quiet_stream};
 use crate::record::{ClockSample, GapCause, NodeEvent};
 use crate::time::HostClock;
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
@@ -53,6 +53,8 @@ pub struct AttendantSetup {
     pub backend: SharedBackend,
     /// How its stream is set up.
     pub options: StreamOptions,
+    /// Its frames are those of the HSU's triggers.
+    pub triggered: bool,
     /// Its receiver's setup, for another one.
     pub receiver: ReceiverSetup,
     /// Buffers of a stream.
@@ -254,10 +256,8 @@ impl Work {
             return Err(reason);
         }
         camera.apply(&config.settings).map_err(text)?;
-        let size = camera.image_size().map_err(text)?;
-        if size != self.setup.camera.size {
-            return Err(format!("its images are {size:?}, expected {:?}", self.setup.camera.size));
-        }
+        let wanted = Wanted { size: self.setup.camera.size, triggered: self.setup.triggered };
+        self.setup.options.contract = camera.verify(&wanted).map_err(text)?;
         let (pool, pixel_bytes, count) = (&self.setup.pool, self.setup.pixel_bytes, self.setup.blocks);
         let blocks = || pool.take(pixel_bytes, count);
         let (mut stream, quiet) = quiet_stream(camera.as_mut(), blocks, &self.setup.options).map_err(text)?;

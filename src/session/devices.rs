@@ -8,7 +8,7 @@ use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::ToRecorder;
 use crate::api::dto::{CameraStatus, HsuStatus};
 use crate::camera::{
-    AppliedSetting, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, StreamOptions,
+    AppliedSetting, Camera, CameraBackend, CameraError, CameraIdentity, FrameContract, StreamOptions, Wanted,
     quiet_stream,
 };
 use crate::cmds::Exit;
@@ -33,6 +33,8 @@ pub struct OpenCamera {
     pub problem: Option<String>,
     /// Columns and rows that the rig has for it.
     pub size: (usize, usize),
+    /// What its frames must be, as it was last verified.
+    pub contract: FrameContract,
     /// While it is not open: when it is looked for again.
     next_try: Instant,
 }
@@ -43,13 +45,15 @@ impl OpenCamera {
         camera.start().map_err(|e| Fault::new(Exit::Device, format!("camera {}: {e}", self.config.id)))
     }
 
-    /// Sets and reads back all features.
-    fn set_up(&mut self) -> Result<PreparedCamera, CameraError> {
+    /// Sets and reads back all features, and asks whether what it then sends is what a session records.
+    fn set_up(&mut self, triggered: bool) -> Result<PreparedCamera, CameraError> {
         let not_open = CameraError::Link { doing: "setting its features", detail: "not open".to_owned() };
         let camera = self.camera.as_mut().ok_or(not_open)?;
         let settings = camera.apply(&self.config.settings)?;
+        let contract = camera.verify(&Wanted { size: self.size, triggered })?;
         let (id, identity) = (self.config.id.clone(), camera.identity().clone());
-        Ok(PreparedCamera { id, size: camera.image_size()?, identity, settings })
+        self.contract = contract;
+        Ok(PreparedCamera { id, size: self.size, identity, settings })
     }
 
     /// Everything but the open camera, which moves to the copy.
@@ -60,6 +64,7 @@ impl OpenCamera {
             identity: self.identity.clone(),
             problem: None,
             size: self.size,
+            contract: self.contract,
             next_try: self.next_try,
         }
     }
@@ -113,17 +118,18 @@ impl Devices {
     /// The devices of a node, none open yet.
     pub fn new(config: &NodeConfig, backend: Box<dyn CameraBackend>) -> Self {
         let not_yet = || Some("not opened yet".to_owned());
-        let slot = |camera: &CameraConfig| OpenCamera {
-            config: camera.clone(),
-            camera: None,
-            identity: None,
-            problem: not_yet(),
-            size: config
-                .rig
-                .cameras()
-                .find(|(_, known)| known.id == camera.id)
-                .map_or((0, 0), |(_, known)| (known.device.width, known.device.height)),
-            next_try: Instant::now(),
+        let slot = |camera: &CameraConfig| {
+            let mut known = config.rig.cameras().filter(|(_, known)| known.id == camera.id);
+            let size = known.next().map_or((0, 0), |(_, known)| (known.device.width, known.device.height));
+            OpenCamera {
+                config: camera.clone(),
+                camera: None,
+                identity: None,
+                problem: not_yet(),
+                size,
+                contract: FrameContract { size, offset: (0, 0) },
+                next_try: Instant::now(),
+            }
         };
         let slots: Vec<OpenCamera> = config.cameras.iter().map(slot).collect();
         let blocks = |slot: &OpenCamera| config.buffers_per_camera * block_bytes(slot.size.0 * slot.size.1);
@@ -267,26 +273,16 @@ impl Devices {
             self.slots[i].camera = None;
             self.open(i)?;
         }
-        let mut set_up = self.slots[i].set_up();
+        let triggered = self.config.cameras_are_triggered();
+        let mut set_up = self.slots[i].set_up(triggered);
         if matches!(set_up, Err(CameraError::NotOurs { holder: None, .. })) {
             // It was restarted since it was opened.
             self.slots[i].camera = None;
             self.open(i)?;
-            set_up = self.slots[i].set_up();
+            set_up = self.slots[i].set_up(triggered);
         }
-        let slot = &self.slots[i];
-        let id = &slot.config.id;
-        let fault = |error: &dyn std::fmt::Display| Fault::new(Exit::Device, format!("camera {id}: {error}"));
-        let prepared = set_up.map_err(|error| fault(&error))?;
-        if prepared.size != slot.size {
-            let (found, expected) = (prepared.size, slot.size);
-            let text = format!(
-                "its images are {} x {}, the rig has {} x {}; set Width and Height in the node file",
-                found.0, found.1, expected.0, expected.1
-            );
-            return Err(fault(&text));
-        }
-        Ok(prepared)
+        let id = &self.slots[i].config.id;
+        set_up.map_err(|error| Fault::new(Exit::Device, format!("camera {id}: {error}")))
     }
 
     /// A burst of clock readings of the HSU and of every camera, for the fits and for the record.
@@ -298,15 +294,19 @@ impl Devices {
         }
         for slot in &mut self.slots {
             let Some(camera) = slot.camera.as_mut() else { continue };
-            let samples: Vec<CameraClockSample> =
-                (0..CLOCK_BURST).filter_map(|_| camera.sample_clock().ok().flatten()).collect();
-            // A latch that does nothing leaves the value as it is.
-            if samples.iter().any(|s| s.camera_ns != samples[0].camera_ns) {
-                let id = &slot.config.id;
-                all.extend(samples.into_iter().map(|sample| camera_sample(id.clone(), sample, clock)));
-            }
+            let samples = (0..CLOCK_BURST).filter_map(|_| camera.sample_clock().ok().flatten());
+            let id = &slot.config.id;
+            all.extend(samples.map(|sample| camera_sample(id.clone(), sample, clock)));
         }
         all
+    }
+
+    /// Cameras whose clock cannot be read, and why, once it was tried.
+    pub fn without_clock(&self) -> Vec<(CameraId, String)> {
+        let why = |slot: &OpenCamera| {
+            Some((slot.config.id.clone(), slot.camera.as_ref()?.why_no_clock()?.to_owned()))
+        };
+        self.slots.iter().filter_map(why).collect()
     }
 
     /// Creates a fresh stream with a receiver on every camera, starts every acquisition, and puts every camera into
@@ -338,7 +338,8 @@ impl Devices {
                 pixel_bytes: slot.size.0 * slot.size.1,
                 camera: slot.hand_over(),
                 backend: self.backend.clone(),
-                options: stream_options(&self.config),
+                options: stream_options(&self.config, slot.contract),
+                triggered: self.config.cameras_are_triggered(),
                 receiver: setup.clone(),
                 blocks: self.config.buffers_per_camera,
                 pool: self.pool.clone(),
@@ -360,8 +361,8 @@ impl Devices {
     }
 
     fn create_stream(&mut self, setup: &ReceiverSetup) -> Result<Receiver, Fault> {
-        let options = stream_options(&self.config);
         let slot = &mut self.slots[setup.camera];
+        let options = stream_options(&self.config, slot.contract);
         let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
         let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
         let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
@@ -435,8 +436,9 @@ pub fn unique_id(hsu: &Hsu) -> String {
     }
 }
 
-fn stream_options(config: &NodeConfig) -> StreamOptions {
+fn stream_options(config: &NodeConfig, contract: FrameContract) -> StreamOptions {
     StreamOptions {
+        contract,
         packet_bytes: config.packet_bytes,
         socket: config.socket,
         period_ns: (1e9 / config.rig.trigger_rate_hz) as u64,

@@ -111,6 +111,17 @@ impl Node {
         session.recorder = Some(recorder);
         session.from_recorder = from_recorder;
         samples.into_iter().for_each(|sample| drop(to_recorder.send(ToRecorder::Clock(sample))));
+        for (camera, reason) in self.devices.without_clock() {
+            tracing::warn!(%camera, kind = "no_camera_clock", "{reason}");
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: "no_camera_clock".to_owned(),
+                camera: Some(camera),
+                trigger: None,
+                message: format!("its clock cannot be read, and its stamps have no witness: {reason}"),
+            };
+            drop(to_recorder.send(ToRecorder::Event(event)));
+        }
         session.to_recorder = Some(to_recorder.clone());
         let receivers: Vec<ReceiverSetup> = (0..cameras)
             .map(|camera| ReceiverSetup {
