@@ -3,7 +3,7 @@
 use super::Script;
 use fourdbody_simulator::gige::control::{Action, Control};
 use fourdbody_simulator::gige::registers::{Identity, Registers};
-use fourdbody_simulator::gige::{CameraClock, ClockOptions};
+use fourdbody_simulator::gige::{CameraClock, ClockOptions, Habits};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,7 +25,7 @@ pub fn control(data: &[u8]) {
         serial: "S1".into(),
         user_name: "left".into(),
     };
-    let mut control = Control::new(Registers::new(identity, SENSOR, Arc::new(clock)));
+    let mut control = Control::new(Registers::new(identity, SENSOR, Arc::new(clock), Habits::default()));
     let mut running = false;
     let mut script = Script(data);
     while let Some(sender) = script.byte() {

@@ -3,12 +3,13 @@
 
 use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::{CameraFaults, FaultPlan, HsuFaults, TruthLog};
-use crate::gige::{CameraError, CameraOptions, ClockOptions, SimulatedCamera};
+use crate::gige::{CameraError, CameraOptions, ClockOptions, Habits, SimulatedCamera};
 use crate::hsu::{HsuOptions, SimulatedHsu};
 use crate::images::ImageSource;
 use crossbeam_channel::unbounded;
 use fourdbody::config::{Rig, SocketMode};
 use fourdbody::ids::{CameraId, NodeId};
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io;
 use std::net::Ipv4Addr;
@@ -40,6 +41,8 @@ pub struct LaboratoryOptions {
     pub socket: SocketMode,
     /// Bytes of the cameras' packets, with all headers.
     pub packet_bytes: u32,
+    /// What cameras do differently from others, by their names.
+    pub habits: BTreeMap<String, Habits>,
     /// Faults of the cameras; what was injected is written to `faults.jsonl` in the run directory.
     pub faults: Option<FaultPlan>,
     /// Disks that misbehave, one for each node that it names; what they did is written to `faults.jsonl` as well. Needs
@@ -68,6 +71,7 @@ impl LaboratoryOptions {
             first_block_id: 1,
             socket: SocketMode::Auto,
             packet_bytes: 9000,
+            habits: BTreeMap::new(),
             faults: None,
             disk: None,
             carry_on: false,
@@ -157,6 +161,7 @@ impl Laboratory {
             setup.user_name = camera.id.to_string();
             setup.triggers = triggers;
             setup.first_block_id = options.first_block_id;
+            setup.habits = options.habits.get(camera.id.as_str()).copied().unwrap_or_default();
             // Every clock of its own, as in the laboratory.
             setup.clock = ClockOptions {
                 offset_ns: 1_000_000_000 * (1 + u64::from(number)),

@@ -41,6 +41,8 @@ mod endurance;
 mod export;
 #[cfg(feature = "aravis")]
 mod faults;
+#[cfg(feature = "aravis")]
+mod frame_contract;
 mod frame_set;
 mod fuzz_corpora;
 mod hsu;

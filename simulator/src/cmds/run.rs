@@ -3,11 +3,12 @@
 use crate::cache::{CachedImages, Manifest};
 use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::FaultPlan;
-use crate::gige::TestImages;
+use crate::gige::{Habits, TestImages};
 use crate::images::ImageSource;
 use crate::laboratory::{Laboratory, LaboratoryOptions};
 use fourdbody::cmds::{Exit, Failure};
 use fourdbody::config::Rig;
+use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -55,7 +56,8 @@ pub struct Args {
     /// Size of the nodes' segments, MiB.
     #[arg(long, value_name = "MIB")]
     segment_mib: Option<u64>,
-    /// Faults to inject: a TOML file with a table [faults] (cameras), [disk] (the nodes' disks; needs FUSE), or both.
+    /// Faults to inject: a TOML file with tables [faults] (cameras), [disk] (the nodes' disks; needs FUSE), or [[habit]]
+    /// (what single cameras do differently from others).
     /// What was injected goes to faults.jsonl in the run directory.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
@@ -97,7 +99,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.carry_on = args.carry_on;
     options.calibration =
         args.frames.as_ref().map(|frames| frames.join("calibration.json")).filter(|file| file.is_file());
-    (options.faults, options.disk) = fault_plans(args)?;
+    (options.faults, options.disk, options.habits) = fault_plans(args)?;
     // A mount outlives its process: a laboratory with disks must end in good order.
     let signals = options.disk.as_ref().map(|_| EndSignals::block());
     let mut images = images(args, &rig_path, &options.rig_text)?;
@@ -158,17 +160,18 @@ impl EndSignals {
     }
 }
 
-/// What the cameras and what the disks do wrong.
-type Plans = (Option<FaultPlan>, Option<DiskPlan>);
+/// What the cameras and what the disks do wrong, and what cameras do differently.
+type Plans = (Option<FaultPlan>, Option<DiskPlan>, BTreeMap<String, Habits>);
 
 fn fault_plans(args: &Args) -> Result<Plans, Failure> {
-    let Some(path) = &args.faults else { return Ok((None, None)) };
+    let Some(path) = &args.faults else { return Ok((None, None, BTreeMap::new())) };
     let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
     let mut disk = DiskPlan::parse(&text).map_err(|e| wrong(&e))?;
-    // A file without [faults] is no mistake where it has [disk].
+    let habits = Habits::parse(&text).map_err(|e| wrong(&e))?;
+    // A file without [faults] is no mistake where it has something else.
     let table: toml::Table = text.parse().map_err(|e| wrong(&e))?;
-    let wanted = disk.is_none() || table.contains_key("faults");
+    let wanted = disk.is_none() && habits.is_empty() || table.contains_key("faults");
     let mut cameras = wanted.then(|| FaultPlan::parse(&text)).transpose().map_err(|e| wrong(&e))?;
     if let Some(seed) = args.fault_seed {
         disk.iter_mut().for_each(|plan| plan.seed = seed);
@@ -177,7 +180,7 @@ fn fault_plans(args: &Args) -> Result<Plans, Failure> {
     if let Some(reason) = disk.as_ref().and_then(|_| SimulatedDisk::unavailable()) {
         return Err(wrong(&format_args!("[disk]: no disk can be simulated here: {reason}")));
     }
-    Ok((cameras, disk))
+    Ok((cameras, disk, habits))
 }
 
 /// The rig file's text, with another trigger rate or with the cameras of one node only, where asked for.

@@ -60,6 +60,14 @@ pub enum Kind {
     ClockReset,
     /// Several frames in a row are exposed and never sent.
     Stall,
+    /// The frame is of another pixel format, or its leader says so.
+    WrongFormat,
+    /// Bytes follow every row.
+    PaddedRows,
+    /// Chunks follow the image.
+    ChunksAppended,
+    /// Every packet of the frame is four bytes shorter than asked.
+    ShortPackets,
     /// The camera has no power for some triggers; then it is as it always is after power-on.
     Unplugged,
     /// Another client takes control of the camera, and gives it back after some triggers.
@@ -91,6 +99,10 @@ impl Kind {
             Kind::RepeatedFrame,
             Kind::ClockReset,
             Kind::Stall,
+            Kind::WrongFormat,
+            Kind::PaddedRows,
+            Kind::ChunksAppended,
+            Kind::ShortPackets,
         ]);
         kinds
     }
@@ -139,6 +151,10 @@ impl fmt::Display for Kind {
             Kind::RepeatedFrame => "repeated_frame",
             Kind::ClockReset => "clock_reset",
             Kind::Stall => "stall",
+            Kind::WrongFormat => "wrong_format",
+            Kind::PaddedRows => "padded_rows",
+            Kind::ChunksAppended => "chunks_appended",
+            Kind::ShortPackets => "short_packets",
             Kind::Unplugged => "unplugged",
             Kind::ControlTaken => "control_taken",
             Kind::RogueClient => "rogue_client",

@@ -57,6 +57,12 @@ pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
             (vec![missing, timeout], None)
         }
         Kind::Truncated => (vec![missing], None),
+        Kind::WrongFormat | Kind::ChunksAppended => {
+            (vec![GapCause::WrongFormat.to_string()], Some("frame_refused"))
+        }
+        Kind::PaddedRows | Kind::ShortPackets => {
+            (vec![GapCause::SizeMismatch.to_string()], Some("frame_refused"))
+        }
         Kind::TriggerIgnored => (vec![GapCause::NotTriggered.to_string()], Some("trigger_ignored")),
         Kind::ExtraFrame => (vec![FRAME.to_owned()], Some("spurious_frame")),
         Kind::IdJump => (vec![FRAME.to_owned()], Some("id_jump")),

@@ -3,9 +3,6 @@
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Instant;
 
-/// Ticks per second of every simulated camera: its timestamps are nanoseconds of its own clock.
-pub const TICK_FREQUENCY: u64 = 1_000_000_000;
-
 /// Offset and drift of a camera's clock against the host's monotonic clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockOptions {

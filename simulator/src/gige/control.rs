@@ -313,7 +313,8 @@ impl Control {
     fn stream_settings(&self) -> Result<StreamSettings, Status> {
         let registers = &self.registers;
         let (width, height) = (registers.settings.width, registers.settings.height);
-        let layout = Layout::new(width, height, registers.packet_size, registers.ids);
+        let layout = Layout::new(width, height, registers.packet_size, registers.ids)
+            .map(|layout| layout.with(registers.form()));
         Ok(StreamSettings {
             settings: registers.settings.clone(),
             layout: layout.ok_or(Status::InvalidParameter)?,

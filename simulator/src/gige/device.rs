@@ -2,6 +2,7 @@
 
 use super::clock::{CameraClock, ClockOptions};
 use super::control::{Action, Control, Outcome};
+use super::habits::Habits;
 use super::inject::Injector;
 use super::presence::Presence;
 use super::registers::{Identity, Registers};
@@ -49,6 +50,8 @@ pub struct CameraOptions {
     pub first_block_id: u64,
     /// First transmissions that get lost on the way, by block and packet id.
     pub lose: Option<PacketFilter>,
+    /// What it does differently from others.
+    pub habits: Habits,
     /// Faults to inject at triggers of the wire; none by default.
     pub faults: Option<CameraFaults>,
 }
@@ -67,6 +70,7 @@ impl CameraOptions {
             resend_frames: 8,
             first_block_id: 1,
             lose: None,
+            habits: Habits::default(),
             faults: None,
         }
     }
@@ -111,9 +115,9 @@ impl SimulatedCamera {
         };
         let source_port = stream_socket.local_addr().map_or(0, |a| a.port());
         let power_on = {
-            let clock = Arc::clone(&clock);
+            let (clock, habits) = (Arc::clone(&clock), options.habits);
             move || {
-                let mut registers = Registers::new(identity.clone(), sensor, Arc::clone(&clock));
+                let mut registers = Registers::new(identity.clone(), sensor, Arc::clone(&clock), habits);
                 registers.source_port = source_port;
                 Control::new(registers)
             }
@@ -147,6 +151,7 @@ impl SimulatedCamera {
             statistics: Arc::clone(&statistics),
             running: Arc::clone(&running),
             first_block_id: options.first_block_id,
+            habits: options.habits,
             injector: options.faults.clone().map(Injector::new),
             presence: Arc::clone(&presence),
             rogue,

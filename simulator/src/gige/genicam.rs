@@ -4,19 +4,20 @@
 //! behaviour cannot drift apart. Feature names follow the SFNC, element order the GenApi 1.1 schema.
 
 use super::VENDOR;
-use super::gvsp::MONO8;
+use super::gvsp::FORMATS;
+use super::habits::ClockHabit;
 use super::map::Id;
 use super::registers::{EXTENDED_IDS_BIT, PACKET_SIZE, PACKET_SIZE_STEP, WIDTH_MIN};
 use super::settings::{AcquisitionMode, EXPOSURE_US, ExposureMode, FRAME_RATE_MIN, GAIN_DB, TriggerSource};
 use std::fmt::Write;
 
 /// The XML document, padded to a multiple of four bytes so that it can be read in words.
-pub fn xml(model: &str) -> Vec<u8> {
+pub fn xml(model: &str, clock: ClockHabit) -> Vec<u8> {
     let mut xml = Description::default();
     xml.device_control();
     xml.image_format_control();
     xml.acquisition_control();
-    xml.transport_layer_control();
+    xml.transport_layer_control(clock);
     let mut document = xml.document(model).into_bytes();
     while !document.len().is_multiple_of(4) {
         document.push(b'\n');
@@ -193,7 +194,7 @@ impl Description {
         self.integer("Height", Id::Height, Mode::Rw, true, Limits::UpTo(1, "HeightMax"));
         self.integer("OffsetX", Id::OffsetX, Mode::Rw, true, Limits::Range(0, 0, 1));
         self.integer("OffsetY", Id::OffsetY, Mode::Rw, true, Limits::Range(0, 0, 1));
-        self.enumeration("PixelFormat", Id::PixelFormat, true, &[("Mono8", MONO8)]);
+        self.enumeration("PixelFormat", Id::PixelFormat, true, &FORMATS);
     }
 
     fn acquisition_control(&mut self) {
@@ -217,7 +218,12 @@ impl Description {
             format!("<Min>{}</Min><Max>{}</Max>", range.start(), range.end())
         };
         self.float("ExposureTime", Id::ExposureTime, "us", &limits(EXPOSURE_US));
-        self.enumeration("TriggerSelector", Id::TriggerSelector, false, &[("FrameStart", 0)]);
+        self.enumeration(
+            "TriggerSelector",
+            Id::TriggerSelector,
+            false,
+            &[("FrameStart", 0), ("AcquisitionStart", 1)],
+        );
         self.enumeration("TriggerMode", Id::TriggerMode, true, &[("Off", 0), ("On", 1)]);
         self.enumeration("TriggerSource", Id::TriggerSource, true, TriggerSource::ENTRIES);
         self.enumeration("TriggerActivation", Id::TriggerActivation, true, &[("RisingEdge", 0)]);
@@ -227,14 +233,21 @@ impl Description {
         self.float("Gain", Id::Gain, "dB", &limits(GAIN_DB));
     }
 
-    fn transport_layer_control(&mut self) {
+    fn transport_layer_control(&mut self, clock: ClockHabit) {
         self.category("TransportLayerControl");
         self.integer("PayloadSize", Id::PayloadSize, Mode::Ro, false, Limits::None);
         self.feature("TLParamsLocked");
         self.node("<Integer Name=\"TLParamsLocked\"><Value>0</Value><Min>0</Min><Max>1</Max></Integer>");
         self.integer("GevHeartbeatTimeout", Id::Heartbeat, Mode::Rw, false, Limits::None);
-        self.wide("GevTimestampTickFrequency", Id::TickFrequencyHigh, Id::TickFrequencyLow);
-        self.timestamp();
+        if clock.has_gev_features() || clock == ClockHabit::Nanoseconds {
+            self.wide("GevTimestampTickFrequency", Id::TickFrequencyHigh, Id::TickFrequencyLow);
+        }
+        if clock.has_gev_features() {
+            self.timestamp();
+        } else if clock == ClockHabit::Nanoseconds {
+            self.command("TimestampLatch", Id::TimestampControl, 2);
+            self.wide("TimestampLatchValue", Id::NanosecondsHigh, Id::NanosecondsLow);
+        }
         self.feature("GevGVSPExtendedIDMode");
         self.node(&format!(
             "<Enumeration Name=\"GevGVSPExtendedIDMode\">{LOCKED}\
@@ -320,16 +333,32 @@ mod tests {
 
     #[test]
     fn every_reference_has_its_node() {
-        let bytes = xml("Sim 23");
+        for clock in [ClockHabit::Ticks, ClockHabit::Bootstrap, ClockHabit::Nanoseconds] {
+            references_have_nodes(&xml("Sim 23", clock));
+        }
+    }
+
+    fn references_have_nodes(bytes: &[u8]) {
         assert!(bytes.len().is_multiple_of(4));
-        let xml = String::from_utf8(bytes).expect("UTF-8");
+        let xml = std::str::from_utf8(bytes).expect("UTF-8");
         let mut names = HashSet::new();
-        for name in names_after(&xml, " Name=\"", '"') {
-            let entry = ["Off", "On", "HIGH", "LOW", "Mono8", "Timed", "FrameStart", "RisingEdge"];
+        for name in names_after(xml, " Name=\"", '"') {
+            // Entries of enumerations; one of them has the name of a command, too.
+            let entry = [
+                "Off",
+                "On",
+                "HIGH",
+                "LOW",
+                "Mono8",
+                "Timed",
+                "FrameStart",
+                "RisingEdge",
+                "AcquisitionStart",
+            ];
             assert!(names.insert(name) || entry.contains(&name), "{name} is there twice");
         }
         for mark in ["<pFeature>", "<pValue>", "<pMax>", "<pPort>", "<pIsLocked>"] {
-            for name in names_after(&xml, mark, '<') {
+            for name in names_after(xml, mark, '<') {
                 assert!(names.contains(name), "{mark}{name} leads nowhere");
             }
         }

@@ -6,6 +6,14 @@
 
 /// Pixel format code of 8-bit grey (GenICam PFNC).
 pub const MONO8: u32 = 0x0108_0001;
+/// Names and codes (PFNC) of the pixel formats that the cameras have.
+pub const FORMATS: [(&str, u32); 5] = [
+    ("Mono8", MONO8),
+    ("Mono12p", 0x010c_0047),
+    ("Mono16", 0x0110_0007),
+    ("BayerRG8", 0x0108_0009),
+    ("RGB8", 0x0218_0014),
+];
 /// Bytes of IP and UDP headers, which the packet size register counts in.
 pub const IP_UDP_OVERHEAD: usize = 28;
 /// Longest GVSP header.
@@ -20,6 +28,8 @@ const TRAILER: u8 = 2;
 const PAYLOAD: u8 = 3;
 const EXTENDED: u8 = 0x80;
 const PAYLOAD_TYPE_IMAGE: u16 = 1;
+/// Set in the payload type of an image that chunks follow.
+const WITH_CHUNKS: u16 = 0x4000;
 const FLAG_RESEND: u16 = 0x0001;
 
 /// Packet status field.
@@ -61,6 +71,46 @@ impl IdMode {
     }
 }
 
+/// What the payload of an image is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Form {
+    /// PFNC code of its pixels.
+    pub format: u32,
+    /// What the leader says of them.
+    pub told: u32,
+    /// Bytes after every row.
+    pub padding: u16,
+    /// Bytes after the image.
+    pub appended: u32,
+    /// The leader says that chunks follow the image.
+    pub announced: bool,
+    /// Bytes by which every full packet is shorter than asked.
+    pub short: u16,
+}
+
+impl Default for Form {
+    fn default() -> Self {
+        Self { format: MONO8, told: MONO8, padding: 0, appended: 0, announced: false, short: 0 }
+    }
+}
+
+impl Form {
+    /// Bytes of a row, without its padding: a PFNC code says how many bits a pixel has.
+    pub fn line(&self, width: u32) -> usize {
+        (width as usize * (self.format >> 16 & 0xff) as usize).div_ceil(8)
+    }
+
+    /// Bytes of a whole payload.
+    pub fn payload(&self, width: u32, height: u32) -> usize {
+        (self.line(width) + usize::from(self.padding)) * height as usize + self.appended as usize
+    }
+
+    /// Whether a payload is the image's pixels and nothing else.
+    pub fn is_plain(&self) -> bool {
+        self.format == MONO8 && self.padding == 0 && self.appended == 0
+    }
+}
+
 /// How one image is cut into packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {
@@ -70,8 +120,10 @@ pub struct Layout {
     pub height: u32,
     /// Width of the ids.
     pub ids: IdMode,
-    /// Pixel bytes of every full payload packet.
+    /// Payload bytes of every full payload packet.
     pub chunk: usize,
+    /// What the payload is.
+    pub form: Form,
 }
 
 impl Layout {
@@ -82,12 +134,19 @@ impl Layout {
         if chunk == 0 || width == 0 || height == 0 {
             return None;
         }
-        Some(Self { width, height, ids, chunk })
+        Some(Self { width, height, ids, chunk, form: Form::default() })
     }
 
-    /// Bytes of the image.
+    /// The same for a payload of this form.
+    #[must_use]
+    pub fn with(self, form: Form) -> Self {
+        let asked = self.chunk + usize::from(self.form.short);
+        Self { chunk: asked.saturating_sub(usize::from(form.short)).max(1), form, ..self }
+    }
+
+    /// Bytes of the payload.
     pub fn image_bytes(&self) -> usize {
-        self.width as usize * self.height as usize
+        self.form.payload(self.width, self.height)
     }
 
     /// Number of payload packets; the trailer's packet id is one more.
@@ -174,12 +233,15 @@ pub fn leader(layout: &Layout, status: Status, block_id: u64, timestamp: u64) ->
     let mut bytes = Vec::with_capacity(size + LEADER_BODY);
     bytes.extend_from_slice(&header(layout.ids, status, LEADER, block_id, 0)[..size]);
     bytes.extend([0, 0]);
-    bytes.extend(PAYLOAD_TYPE_IMAGE.to_be_bytes());
+    let chunks = if layout.form.announced { WITH_CHUNKS } else { 0 };
+    bytes.extend((PAYLOAD_TYPE_IMAGE | chunks).to_be_bytes());
     bytes.extend(timestamp.to_be_bytes());
-    bytes.extend(MONO8.to_be_bytes());
+    bytes.extend(layout.form.told.to_be_bytes());
     bytes.extend(layout.width.to_be_bytes());
     bytes.extend(layout.height.to_be_bytes());
-    bytes.extend([0; 12]); // offset x, offset y, padding x, padding y
+    bytes.extend([0; 8]); // offset x, offset y
+    bytes.extend(layout.form.padding.to_be_bytes());
+    bytes.extend([0; 2]); // padding y
     bytes
 }
 

@@ -1,5 +1,6 @@
 //! Injected faults on the wire: which datagrams a frame with a fault becomes, and when a camera injects one.
 
+use super::gvsp::{FORMATS, Form, Layout};
 use crate::faults::{CameraFaults, CameraPlan, Fault, Kind, Part, Resend};
 use crate::random::hash;
 use crate::wire::TriggerEdge;
@@ -74,6 +75,27 @@ pub fn resend_policy(fault: Fault) -> Resend {
     }
 }
 
+/// What a frame with this fault is, and how it is cut: it may be no frame of the session's at all.
+pub fn layout(layout: Layout, fault: Fault) -> Layout {
+    /// Padding of a row and length of a chunk, bytes.
+    const EXTRA: u16 = 8;
+    let form = layout.form;
+    layout.with(match fault.kind {
+        // Every second one says so and is sent as ever: the leader alone tells.
+        Kind::WrongFormat => {
+            let others = FORMATS.len() as u64 - 1;
+            let (_, told) = FORMATS[1 + (fault.chance % others) as usize];
+            let format = if (fault.chance / others).is_multiple_of(2) { told } else { form.format };
+            Form { format, told, ..form }
+        }
+        Kind::PaddedRows => Form { padding: EXTRA, ..form },
+        Kind::ChunksAppended => Form { appended: u32::from(EXTRA), announced: true, ..form },
+        // As firmware does that rounds them down (aravis#687).
+        Kind::ShortPackets => Form { short: 4, ..form },
+        _ => form,
+    })
+}
+
 /// Leader, payload and trailer of a frame to the datagrams that go out instead.
 pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<Vec<u8>> {
     // Leader and trailer around at least one payload packet: a layout has no empty image.
@@ -117,6 +139,8 @@ pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<
         Kind::TriggerIgnored | Kind::ExtraFrame | Kind::IdJump | Kind::ClockReset => {}
         Kind::Unplugged | Kind::ControlTaken => packets.clear(),
         Kind::RogueClient | Kind::ForeignFar | Kind::ForeignAhead => {}
+        // What they are is in the layout.
+        Kind::WrongFormat | Kind::PaddedRows | Kind::ChunksAppended | Kind::ShortPackets => {}
     }
     packets
 }

@@ -125,6 +125,8 @@ registers! {
     TriggerActivation   0x1006c 4 ReadWrite locked;
     TriggerSoftware     0x10070 4 ReadWrite;
     TriggersIgnored     0x10074 4 ReadOnly;
+    NanosecondsHigh     0x10080 4 ReadOnly;
+    NanosecondsLow      0x10084 4 ReadOnly;
 }
 
 /// The register that holds an address, and how far into it the address lies.

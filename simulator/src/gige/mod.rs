@@ -19,6 +19,7 @@ mod discovery;
 pub mod genicam;
 pub mod gvcp;
 pub mod gvsp;
+pub mod habits;
 mod inject;
 pub mod map;
 mod net;
@@ -34,6 +35,8 @@ mod transmit;
 
 pub use clock::{CameraClock, ClockOptions};
 pub use device::{CameraOptions, SimulatedCamera};
+pub use gvsp::Form;
+pub use habits::{ClockHabit, HabitError, Habits};
 pub use net::process_cpu_time;
 pub use segmentation::loopback_cuts_before_receivers;
 pub use test_images::{TestImages, TestStamp};

@@ -3,9 +3,10 @@
 //! Addresses below 0xa000 are the bootstrap registers of GigE Vision 2.x; those from 0x10000 on are the
 //! camera's own features, declared to the world by [`super::genicam`].
 
-use super::clock::{CameraClock, TICK_FREQUENCY};
+use super::clock::CameraClock;
 use super::gvcp::{DISCOVERY_SIZE, Status};
-use super::gvsp::{IdMode, MONO8};
+use super::gvsp::{FORMATS, Form, IdMode};
+use super::habits::{ClockHabit, Habits};
 use super::map::{Access, Id, Register, find};
 use super::sensor;
 use super::settings::{AcquisitionMode, ExposureMode, Settings, TriggerSource};
@@ -69,6 +70,8 @@ pub struct Registers {
     sensor: (u32, u32),
     clock: Arc<CameraClock>,
     xml: Vec<u8>,
+    habits: Habits,
+    /// The clock as it was latched, ns.
     latched: u64,
     /// Control channel privilege as others read it.
     pub privilege: u32,
@@ -98,9 +101,12 @@ pub struct Registers {
 
 impl Registers {
     /// Registers after power-on of a camera with a sensor of (columns, rows).
-    pub fn new(identity: Identity, sensor: (u32, u32), clock: Arc<CameraClock>) -> Self {
+    pub fn new(identity: Identity, sensor: (u32, u32), clock: Arc<CameraClock>, habits: Habits) -> Self {
+        let mut settings = Settings::new(sensor.0, sensor.1);
+        settings.pixel_format = habits.power_on.format;
         Self {
-            xml: genicam::xml(&identity.model),
+            xml: genicam::xml(&identity.model, habits.clock),
+            habits,
             identity,
             sensor,
             clock,
@@ -115,9 +121,15 @@ impl Registers {
             do_not_fragment: true,
             packet_delay: 0,
             ids: IdMode::Standard,
-            settings: Settings::new(sensor.0, sensor.1),
+            settings,
             triggers_ignored: 0,
         }
+    }
+
+    /// What the payload of an image is, as its features say.
+    pub fn form(&self) -> Form {
+        let format = self.settings.pixel_format;
+        Form { format, told: format, ..self.habits.power_on }
     }
 
     /// Where the stream goes, if it is open.
@@ -233,7 +245,7 @@ impl Registers {
                 if value & 1 != 0 {
                     self.clock.reset(now);
                 }
-                if value & 2 != 0 {
+                if value & 2 != 0 && self.habits.clock != ClockHabit::Still {
                     self.latched = self.clock.at(now);
                 }
                 Ok(None)
@@ -280,8 +292,15 @@ impl Registers {
         match id {
             // Features with a single value, as their description says.
             Id::StreamConfiguration | Id::OffsetX | Id::OffsetY => accept(value == 0)?,
-            Id::ExposureAuto | Id::TriggerSelector | Id::TriggerActivation => accept(value == 0)?,
-            Id::PixelFormat => accept(value == MONO8)?,
+            Id::ExposureAuto | Id::TriggerActivation => accept(value == 0)?,
+            Id::TriggerSelector => {
+                accept(value <= 1)?;
+                settings.selected_trigger = value;
+            }
+            Id::PixelFormat => {
+                accept(FORMATS.iter().any(|(_, code)| *code == value))?;
+                settings.pixel_format = value;
+            }
             Id::Width => {
                 accept((WIDTH_MIN..=self.sensor.0).contains(&value))?;
                 settings.width = value;
@@ -303,7 +322,7 @@ impl Registers {
             Id::ExposureMode => settings.exposure_mode = ExposureMode::from_code(value).ok_or(coded)?,
             Id::TriggerMode => {
                 accept(value <= 1)?;
-                settings.triggered = value == 1;
+                *settings.trigger_mode() = value == 1;
             }
             Id::TriggerSource => settings.source = TriggerSource::from_code(value).ok_or(coded)?,
             Id::AcquisitionStart => return command(value, Effect::Start),
@@ -327,6 +346,10 @@ impl Registers {
     /// The four bytes at an aligned address.
     fn word(&self, address: u32) -> Option<[u8; 4]> {
         let Some((register, offset)) = find(address) else { return self.xml_word(address) };
+        if matches!(register.id, Id::TickFrequencyHigh | Id::TickFrequencyLow) {
+            // Not every camera says.
+            self.habits.clock.frequency()?;
+        }
         match register.length {
             4 => Some(self.integer(register.id).to_be_bytes()),
             8 => self.float(register.id).to_be_bytes().get(offset..offset + 4)?.try_into().ok(),
@@ -388,10 +411,12 @@ impl Registers {
             Id::GvspCapability => GVSP_CAPABILITY,
             Id::GvcpCapability => GVCP_CAPABILITY,
             Id::Heartbeat => self.heartbeat_ms,
-            Id::TickFrequencyHigh => (TICK_FREQUENCY >> 32) as u32,
-            Id::TickFrequencyLow => (TICK_FREQUENCY & 0xffff_ffff) as u32,
-            Id::TimestampHigh => (self.latched >> 32) as u32,
-            Id::TimestampLow => (self.latched & 0xffff_ffff) as u32,
+            Id::TickFrequencyHigh => (self.habits.clock.frequency().unwrap_or(0) >> 32) as u32,
+            Id::TickFrequencyLow => (self.habits.clock.frequency().unwrap_or(0) & 0xffff_ffff) as u32,
+            Id::TimestampHigh => (self.habits.clock.ticks(self.latched) >> 32) as u32,
+            Id::TimestampLow => (self.habits.clock.ticks(self.latched) & 0xffff_ffff) as u32,
+            Id::NanosecondsHigh => (self.latched >> 32) as u32,
+            Id::NanosecondsLow => (self.latched & 0xffff_ffff) as u32,
             Id::GvspConfiguration if self.ids == IdMode::Extended => EXTENDED_IDS_BIT,
             Id::Privilege => self.privilege,
             Id::ControllerPort => self.controller.map_or(0, |c| u32::from(c.port())),
@@ -405,13 +430,16 @@ impl Registers {
             Id::SensorHeight => self.sensor.1,
             Id::Width => settings.width,
             Id::Height => settings.height,
-            Id::PixelFormat => MONO8,
-            Id::PayloadSize => settings.width.saturating_mul(settings.height),
+            Id::PixelFormat => settings.pixel_format,
+            Id::PayloadSize => {
+                u32::try_from(self.form().payload(settings.width, settings.height)).unwrap_or(u32::MAX)
+            }
             Id::AcquisitionMode => settings.mode as u32,
             Id::FrameCount => settings.frame_count,
             Id::FrameRateEnable => u32::from(settings.frame_rate_enabled),
             Id::ExposureMode => settings.exposure_mode as u32,
-            Id::TriggerMode => u32::from(settings.triggered),
+            Id::TriggerSelector => settings.selected_trigger,
+            Id::TriggerMode => u32::from(settings.is_trigger_on()),
             Id::TriggerSource => settings.source as u32,
             Id::TriggersIgnored => self.triggers_ignored,
             _ => 0,

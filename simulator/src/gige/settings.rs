@@ -1,5 +1,6 @@
 //! Camera features that a client sets: their values, limits and defaults.
 
+use super::gvsp::MONO8;
 use super::sensor;
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -77,6 +78,12 @@ pub struct Settings {
     pub frame_rate_enabled: bool,
     /// What ends an exposure.
     pub exposure_mode: ExposureMode,
+    /// PFNC code of the pixels.
+    pub pixel_format: u32,
+    /// The trigger whose mode is read and set: 0 starts a frame, 1 the acquisition.
+    pub selected_trigger: u32,
+    /// Frames wait for a trigger of the acquisition, which no wire of this camera gives.
+    pub acquisition_triggered: bool,
     /// Exposures start on triggers, not by themselves.
     pub triggered: bool,
     /// Which triggers.
@@ -96,12 +103,30 @@ impl Settings {
             frame_count: 1,
             frame_rate_enabled: true,
             exposure_mode: ExposureMode::Timed,
+            pixel_format: MONO8,
+            selected_trigger: 0,
+            acquisition_triggered: false,
             triggered: false,
             source: TriggerSource::Line0,
             frame_rate: 30.0,
             exposure_us: 1000.0,
             gain_db: 0.0,
         }
+    }
+
+    /// The mode of the selected trigger.
+    pub fn trigger_mode(&mut self) -> &mut bool {
+        if self.selected_trigger == 0 { &mut self.triggered } else { &mut self.acquisition_triggered }
+    }
+
+    /// Whether the selected trigger is on.
+    pub fn is_trigger_on(&self) -> bool {
+        if self.selected_trigger == 0 { self.triggered } else { self.acquisition_triggered }
+    }
+
+    /// Whether an edge on the trigger input starts a frame.
+    pub fn hears_edges(&self) -> bool {
+        self.triggered && self.source == TriggerSource::Line0 && !self.acquisition_triggered
     }
 
     /// Exposure time, microseconds.

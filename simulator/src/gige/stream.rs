@@ -4,13 +4,14 @@
 use super::Statistics;
 use super::clock::CameraClock;
 use super::control::StreamSettings;
+use super::habits::Habits;
 use super::inject::Injector;
 use super::net;
 use super::presence::Presence;
 use super::rogue::Rogue;
 use super::segmentation;
 use super::sensor::{Exposure, Sensor};
-use super::settings::{ExposureMode, TriggerSource};
+use super::settings::ExposureMode;
 use super::transmit::{Frame, History, Transmitter};
 use crate::faults::{Fault, Kind};
 use crate::wire::TriggerEdge;
@@ -88,6 +89,8 @@ pub struct Streamer {
     pub running: Arc<AtomicU64>,
     /// Block id of the first frame of each acquisition.
     pub first_block_id: u64,
+    /// What its frames and stamps are like.
+    pub habits: Habits,
     /// Faults to inject.
     pub injector: Option<Injector>,
     /// What the control thread must know of faults.
@@ -197,10 +200,8 @@ impl Streamer {
     }
 
     fn on_edge(&mut self, acquisition: &mut Option<Acquisition>, edge: TriggerEdge) {
-        let listening = acquisition.as_mut().filter(|a| {
-            let settings = &a.stream.settings;
-            settings.triggered && settings.source == TriggerSource::Line0 && edge.time >= a.started
-        });
+        let listening =
+            acquisition.as_mut().filter(|a| a.stream.settings.hears_edges() && edge.time >= a.started);
         let Some(running) = listening else {
             self.statistics.edges_unheard.fetch_add(1, Relaxed);
             return;
@@ -318,8 +319,12 @@ impl Streamer {
                 running.next_block_id = running.stream.layout.ids.next_block_id(running.next_block_id);
             }
         }
-        let frame =
-            Frame { block_id: running.next_block_id, timestamp, instant, layout: running.stream.layout };
+        let layout = match self.habits.frames {
+            Some((from, form)) if instant >= from => running.stream.layout.with(form),
+            _ => running.stream.layout,
+        };
+        let timestamp = self.habits.clock.ticks(timestamp);
+        let frame = Frame { block_id: running.next_block_id, timestamp, instant, layout };
         running.next_block_id = frame.layout.ids.next_block_id(frame.block_id);
         running.frames_left = running.frames_left.map(|left| left.saturating_sub(1));
         let lag = now.saturating_duration_since(exposure.end).as_nanos();
@@ -349,7 +354,8 @@ impl Acquisition {
             exposures: VecDeque::new(),
             next_block_id: first_block_id,
             next_instant: 0,
-            next_free_run: (!stream.settings.triggered).then_some(started),
+            next_free_run: (!stream.settings.triggered && !stream.settings.acquisition_triggered)
+                .then_some(started),
             frames_left: stream.settings.frame_limit(),
             stream,
         }

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 pub struct Frame {
     /// GVSP block id.
     pub block_id: u64,
-    /// Camera clock at the start of the exposure, ns.
+    /// Camera clock at the start of the exposure, ticks.
     pub timestamp: u64,
     /// Which light fell on the sensor.
     pub instant: i64,
@@ -36,6 +36,9 @@ fn crop(
 ) {
     let pixels = source.pixels(instant);
     let (stride, width) = (source.size().0, layout.width as usize);
+    if !layout.form.is_plain() {
+        return bytes.extend(range.map(|at| formed(pixels, stride, layout, at)));
+    }
     if stride == width {
         bytes.extend_from_slice(pixels.get(range).unwrap_or(&[]));
         return;
@@ -48,6 +51,19 @@ fn crop(
         bytes.extend_from_slice(pixels.get(start..start + length).unwrap_or(&[]));
         at += length;
     }
+}
+
+/// A byte of a payload that is more than the pixels: wide pixels repeat their value, what fills is not 0.
+fn formed(pixels: &[u8], stride: usize, layout: &Layout, at: usize) -> u8 {
+    const FILL: u8 = 0xa5;
+    let line = layout.form.line(layout.width);
+    let row_bytes = line + usize::from(layout.form.padding);
+    let (row, offset) = (at / row_bytes, at % row_bytes);
+    if row >= layout.height as usize || offset >= line {
+        return FILL;
+    }
+    let column = offset * layout.width as usize / line;
+    pixels.get(row * stride + column).copied().unwrap_or(0)
 }
 
 /// The last frames sent, for resend requests. No pixels are kept: the source still has them.
@@ -169,6 +185,7 @@ impl Transmitter {
 
     /// Sends one frame with a fault, packet by packet.
     pub fn send_with(&mut self, frame: &Frame, fault: Fault) {
+        let frame = &Frame { layout: inject::layout(frame.layout, fault), ..*frame };
         self.history.push(*frame, inject::resend_policy(fault));
         let layout = &frame.layout;
         let mut headers = PayloadHeaders::new(layout);
@@ -198,7 +215,7 @@ impl Transmitter {
         }
         let Some((_, headers)) = &mut self.headers else { return };
         headers.stamp(frame.block_id);
-        let pixels = if self.source.size().0 == layout.width as usize {
+        let pixels = if layout.form.is_plain() && self.source.size().0 == layout.width as usize {
             self.source.pixels(frame.instant).get(..layout.image_bytes()).unwrap_or(&[])
         } else {
             self.cropped.clear();

@@ -1,6 +1,7 @@
 //! Tests of the control channel: privileges, heartbeat, locks, and traffic of any kind.
 
 use super::super::clock::{CameraClock, ClockOptions};
+use super::super::habits::Habits;
 use super::super::map::{Access, Id, REGISTERS};
 use super::super::registers::Identity;
 use super::*;
@@ -17,7 +18,7 @@ fn device() -> (Control, Instant) {
         serial: "S1".into(),
         user_name: "left".into(),
     };
-    (Control::new(Registers::new(identity, (1920, 1200), Arc::new(clock))), start)
+    (Control::new(Registers::new(identity, (1920, 1200), Arc::new(clock), Habits::default())), start)
 }
 
 fn host(port: u16) -> SocketAddrV4 {

@@ -1,0 +1,164 @@
+//! What cameras do differently from each other, and in which they are right by their own lights: formats, padding, chunks,
+//! packets of another size, clocks.
+
+use super::gvsp::{FORMATS, Form};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// The habits of one camera; by default none is worth a word.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Habits {
+    /// Its pixel format after power-on, and what of its frames its features tell.
+    pub power_on: Form,
+    /// What its frames are from a trigger on, whatever its features say.
+    pub frames: Option<(i64, Form)>,
+    /// How its clock is read.
+    pub clock: ClockHabit,
+}
+
+/// How a camera's clock is read, and in which unit it stamps frames.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClockHabit {
+    /// Features of GigE Vision 1; ticks of 1 ns.
+    #[default]
+    Ticks,
+    /// No features, only the bootstrap registers; ticks of 8 ns.
+    Bootstrap,
+    /// Features of SFNC 2, which count ns, beside ticks of 8 ns in stamps and bootstrap registers.
+    Nanoseconds,
+    /// Features of GigE Vision 1; ticks of 8 ns, and the frequency says 0.
+    ZeroFrequency,
+    /// No features, and no register says how long the ticks of 8 ns are.
+    NoFrequency,
+    /// Features of GigE Vision 1 whose latch does nothing.
+    Still,
+}
+
+impl ClockHabit {
+    /// What the registers say of its frequency, Hz.
+    pub fn frequency(self) -> Option<u64> {
+        match self {
+            Self::Ticks | Self::Still => Some(1_000_000_000),
+            Self::Bootstrap | Self::Nanoseconds => Some(125_000_000),
+            Self::ZeroFrequency => Some(0),
+            Self::NoFrequency => None,
+        }
+    }
+
+    /// Ticks of so many ns.
+    pub fn ticks(self, ns: u64) -> u64 {
+        match self {
+            Self::Ticks | Self::Still => ns,
+            _ => ns / 8,
+        }
+    }
+
+    /// Whether its description names the features of GigE Vision 1.
+    pub fn has_gev_features(self) -> bool {
+        matches!(self, Self::Ticks | Self::ZeroFrequency | Self::Still)
+    }
+}
+
+/// Why habits cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("[[habit]] {0}")]
+pub struct HabitError(String);
+
+impl Habits {
+    /// Reads the tables `[[habit]]` of a TOML text: the habits of each camera that is named.
+    ///
+    /// # Errors
+    /// Text that is no TOML, an unknown key or name, a camera that is named twice.
+    pub fn parse(text: &str) -> Result<BTreeMap<String, Self>, HabitError> {
+        let file: File = toml::from_str(text).map_err(|e| HabitError(e.to_string()))?;
+        let mut habits = BTreeMap::new();
+        for table in file.habit {
+            let from = table.frames.as_ref().map(|frames| frames.from_trigger.unwrap_or(i64::MIN));
+            let frames = table.frames.as_ref().map(FormTable::form).transpose()?;
+            let habit = Self {
+                power_on: table.power_on.as_ref().map(FormTable::form).transpose()?.unwrap_or_default(),
+                frames: from.zip(frames),
+                clock: table.clock,
+            };
+            if habits.insert(table.camera.clone(), habit).is_some() {
+                return Err(HabitError(format!("{} is named twice", table.camera)));
+            }
+        }
+        Ok(habits)
+    }
+}
+
+#[derive(Deserialize)]
+struct File {
+    #[serde(default)]
+    habit: Vec<Table>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Table {
+    camera: String,
+    #[serde(default)]
+    clock: ClockHabit,
+    power_on: Option<FormTable>,
+    frames: Option<FormTable>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FormTable {
+    pixel_format: Option<String>,
+    /// What the leader says instead.
+    told: Option<String>,
+    /// Bytes after every row.
+    #[serde(default)]
+    padding: u16,
+    /// Bytes after the image.
+    #[serde(default)]
+    appended: u32,
+    /// The leader says that chunks follow.
+    #[serde(default)]
+    announced: bool,
+    /// Bytes that each packet is shorter than asked.
+    #[serde(default)]
+    short: u16,
+    from_trigger: Option<i64>,
+}
+
+impl FormTable {
+    fn form(&self) -> Result<Form, HabitError> {
+        let code = |name: &str| {
+            let known = FORMATS.iter().find(|(known, _)| *known == name);
+            known.map(|(_, code)| *code).ok_or_else(|| {
+                let names: Vec<&str> = FORMATS.iter().map(|(name, _)| *name).collect();
+                HabitError(format!("pixel format {name:?}: expected one of {}", names.join(", ")))
+            })
+        };
+        let format = code(self.pixel_format.as_deref().unwrap_or("Mono8"))?;
+        let told = self.told.as_deref().map_or(Ok(format), code)?;
+        let Self { padding, appended, announced, short, .. } = *self;
+        Ok(Form { format, told, padding, appended, announced, short })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{ClockHabit, Form, Habits};
+
+    #[test]
+    fn habits_are_read_by_camera_and_wrong_ones_refused() {
+        let text = "[[habit]]\ncamera = \"h0_up\"\nclock = \"bootstrap\"\n\
+            frames = { pixel_format = \"Mono16\", from_trigger = 20 }\n\
+            [[habit]]\ncamera = \"h0_low\"\npower_on = { appended = 16, announced = true }\n";
+        let habits = Habits::parse(text).expect("valid");
+        let up = habits["h0_up"];
+        assert_eq!(up.clock, ClockHabit::Bootstrap);
+        assert_eq!(up.frames.map(|(from, form)| (from, form.format)), Some((20, 0x0110_0007)));
+        assert_eq!(habits["h0_low"].power_on, Form { appended: 16, announced: true, ..Form::default() });
+        for wrong in ["clock = \"sun\"", "frames = { pixel_format = \"Grey\" }", "colour = 1"] {
+            assert!(Habits::parse(&format!("[[habit]]\ncamera = \"c\"\n{wrong}\n")).is_err(), "{wrong}");
+        }
+        assert!(Habits::parse("[[habit]]\ncamera = \"c\"\n[[habit]]\ncamera = \"c\"\n").is_err());
+    }
+}
