@@ -103,7 +103,7 @@ impl<T: Copy> Plane<T> {
     }
 }
 
-/// A borrowed Mono8 image, for instance a frame mapped from a recording.
+/// A borrowed Mono8 image, for instance a frame read from a recording.
 #[derive(Debug, Clone, Copy)]
 pub struct Mono8<'a> {
     width: usize,

@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! trigger -> camera -> [camera] Aravis buffer -> [acquire] matcher -> ring -> [record] writer -> MCAP
-//! MCAP -> [record] reader (mmap) -> [reconstruct] phase pipeline -> clouds -> [export] PLY, MCAP, PNG
+//! MCAP -> [record] reader (pread) -> [reconstruct] phase pipeline -> clouds -> [export] PLY, MCAP, PNG
 //! operator -> [cmds] CLI -> [api] HTTP -> [session] state machine -> [hsu] serial link + [camera]
 //! ```
 //!

@@ -304,7 +304,7 @@ fn collected(
 struct Cost {
     #[serde(flatten)]
     timings: Timings,
-    /// The most memory that the process had at once, mapped recordings included, bytes.
+    /// The most memory that the process had at once, bytes.
     peak_memory_bytes: u64,
 }
 

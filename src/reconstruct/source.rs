@@ -8,9 +8,9 @@ use std::ops::Range;
 /// What a source has at one trigger of one camera.
 #[derive(Debug)]
 pub enum Frame<'a> {
-    /// The image, mapped from a recording.
+    /// The image, in memory that the source keeps.
     Image(Mono8<'a>),
-    /// The image, decoded from a file.
+    /// The image, read or decoded from a file.
     Owned(Plane<u8>),
     /// There is no image, for this reason (a gap record's cause).
     Gap(String),

@@ -2,10 +2,10 @@
 //!
 //! Of each recording only the header of its first segment and the summary of its last are looked at.
 
-use super::direct::map_file;
 use super::layout::{KEY_JSON, VERDICT_METADATA};
 use super::metadata::read_header;
 use super::scan::metadata_by_index;
+use super::segment_file::SegmentFile;
 use super::session::{RecordingFiles, find, node_dir, unfinished};
 use super::verdict::Verdict;
 use crate::ids::NodeId;
@@ -94,23 +94,29 @@ fn describe(path: PathBuf, made: SystemTime) -> CatalogueEntry {
 fn read(entry: &mut CatalogueEntry, files: &RecordingFiles) {
     let sizes = files.segments.iter().filter_map(|(_, path)| std::fs::metadata(path).ok());
     entry.bytes = sizes.map(|metadata| metadata.len()).sum();
-    let first = files.segments.first().and_then(|(_, path)| map_file(path).ok());
-    match first.as_deref().map(read_header) {
-        Some(Ok(stated)) => {
-            entry.session_id = Some(stated.header.session_id);
-            entry.created_ns = stated.header.created_ns;
-            entry.trigger_rate_hz = Some(stated.header.trigger_rate_hz);
-            entry.cameras = stated.header.cameras.iter().map(|camera| camera.id.to_string()).collect();
-            entry.subject = stated.header.subject;
-            entry.note = stated.header.note;
+    // All segments have the same header: the first one that can be read tells.
+    for (_, path) in &files.segments {
+        let named = |reason: String| format!("{}: {reason}", path.display());
+        match SegmentFile::open(path)
+            .map_err(|e| format!("cannot be opened: {e}"))
+            .and_then(|f| read_header(&f))
+        {
+            Ok(stated) => {
+                entry.session_id = Some(stated.header.session_id);
+                entry.created_ns = stated.header.created_ns;
+                entry.trigger_rate_hz = Some(stated.header.trigger_rate_hz);
+                entry.cameras = stated.header.cameras.iter().map(|camera| camera.id.to_string()).collect();
+                entry.subject = stated.header.subject;
+                entry.note = stated.header.note;
+                break;
+            }
+            Err(reason) => {
+                entry.problem.get_or_insert(named(reason));
+            }
         }
-        Some(Err(reason)) => {
-            entry.problem.get_or_insert(reason);
-        }
-        None => {}
     }
-    let last = files.segments.last().and_then(|(_, path)| map_file(path).ok());
-    let metadata = last.as_deref().and_then(metadata_by_index).unwrap_or_default();
+    let last = files.segments.last().and_then(|(_, path)| SegmentFile::open(path).ok());
+    let metadata = last.as_ref().and_then(metadata_by_index).unwrap_or_default();
     let stated = metadata.iter().find(|(name, _)| *name == VERDICT_METADATA);
     entry.verdict = stated
         .and_then(|(_, entries)| entries.get(KEY_JSON))

@@ -209,7 +209,7 @@ pub fn segments(recording: &RecordingReader) -> Vec<SegmentDescription> {
         SegmentDescription {
             number: segment.number,
             path: segment.path.clone(),
-            bytes: segment.bytes().len() as u64,
+            bytes: segment.length() as u64,
             first_trigger: segment.first_trigger,
             end_trigger: segment.end_trigger,
             frames_end: frames_end(recording, place),
@@ -260,6 +260,10 @@ pub fn missing(recording: &RecordingReader) -> Vec<String> {
         if let Some(broken) = segment.broken {
             lines.push(format!("segment {}: {broken} of {}", segment.number, segment.bytes));
         }
+    }
+    for segment in &recording.segments {
+        let bad = segment.bad_ranges().into_iter();
+        lines.extend(bad.map(|bad| format!("segment {}: {bad}", segment.number)));
     }
     lines.extend(recording.problems.iter().map(|problem| {
         let camera = problem.camera.as_ref().map(|camera| format!(" camera {camera}")).unwrap_or_default();

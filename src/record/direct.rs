@@ -1,4 +1,4 @@
-//! Bytes to the disk past the page cache, and files into memory.
+//! Bytes to the disk past the page cache.
 //!
 //! A buffered writer at 1.1 GB/s fills the page cache until the kernel makes the writer wait for seconds;
 //! `O_DIRECT` keeps the pace of the disk. It wants addresses, offsets and lengths in multiples of
@@ -184,16 +184,6 @@ pub fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
         libc::renameat2(libc::AT_FDCWD, old.as_ptr(), libc::AT_FDCWD, new.as_ptr(), libc::RENAME_NOREPLACE)
     };
     if code == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
-}
-
-/// Maps a file for reading.
-pub fn map_file(path: &Path) -> io::Result<memmap2::Mmap> {
-    let file = File::open(path)?;
-    // SAFETY: the mapping is only read. Recordings are append-only: a segment that is being written is cut
-    // only inside its last page, which stays mapped, so no mapped page disappears. Bytes that change while
-    // they are read (somebody else writes to the file) are covered by the checksums: everything read from a
-    // recording is treated as untrusted.
-    unsafe { memmap2::Mmap::map(&file) }
 }
 
 #[cfg(test)]

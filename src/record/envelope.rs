@@ -15,6 +15,7 @@ pub const ENVELOPE_CAPACITY: usize = 256;
 pub const SCHEMA_NAME: &str = "foxglove.RawImage";
 
 const ENCODING: &[u8] = b"mono8";
+const PIXELS: u64 = 6;
 const TRIGGER: u32 = 1001;
 const BLOCK: u32 = 1002;
 const CAMERA_TIME: u32 = 1003;
@@ -28,6 +29,8 @@ const PADDING: u32 = 1007;
 const PADDING_OVERHEAD: usize = 4;
 /// The longest padded envelope: one page.
 const PADDED_MAX: usize = 4096;
+/// No frame's message has more bytes in front of its pixels, fields of later versions included.
+pub(super) const FRONT: usize = 2 * PADDED_MAX;
 
 /// Identity of a frame and the checksum of its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -221,7 +224,10 @@ struct Fields<'a> {
 /// pixels' checksum is left to the caller, because it costs a pass over all of them.
 pub fn parse_envelope(message: &[u8]) -> Result<Envelope<'_>, EnvelopeError> {
     let (envelope, length) = parse_envelope_of(message)?;
-    if length != message.len() {
+    if length > message.len() {
+        return Err(EnvelopeError::Malformed { offset: envelope.pixels.start });
+    }
+    if length < message.len() {
         let extra = message.len() - length;
         return Err(field_error("data", format!("followed by {extra} bytes"), "the last field"));
     }
@@ -237,21 +243,25 @@ pub(super) fn begins_like_envelope(bytes: &[u8]) -> bool {
     *length <= 22 && rest.get(usize::from(*length)) == Some(&WIDTH)
 }
 
-/// As [`parse_envelope`], of bytes that a frame's message begins; returns the message's length as well.
+/// As [`parse_envelope`], of bytes that a frame's message begins, which need not reach into the pixels; returns the
+/// message's length as well.
 pub(super) fn parse_envelope_of(message: &[u8]) -> Result<(Envelope<'_>, usize), EnvelopeError> {
     let mut reader = MessageReader::new(message);
     let mut fields = Fields::default();
-    let pixels = loop {
+    let (first, length) = loop {
         let start = reader.position();
         let malformed = EnvelopeError::Malformed { offset: start };
+        if let Some(length) = reader.enter_bytes(PIXELS) {
+            break (reader.position(), length);
+        }
         match reader.next_field().map_err(|()| malformed)? {
             None => return Err(field_error("data", "absent", "the last field")),
-            Some((6, Value::Bytes(pixels))) => break pixels,
             Some((number, value)) => note(&mut fields, number, value, start),
         }
     };
-    let end = reader.position();
-    finish(&fields, message, end - pixels.len()..end).map(|envelope| (envelope, end))
+    let end = usize::try_from(length).ok().and_then(|length| first.checked_add(length));
+    let end = end.ok_or(EnvelopeError::Malformed { offset: first })?;
+    finish(&fields, message, first..end).map(|envelope| (envelope, end))
 }
 
 fn note<'a>(fields: &mut Fields<'a>, number: u64, value: Value<'a>, start: usize) {

@@ -75,6 +75,7 @@ fn identity(files: &RecordingFiles) -> Option<(String, NodeId)> {
     let first = RecordingFiles {
         path: files.path.clone(),
         segments: files.segments.first().cloned().into_iter().collect(),
+        unlisted: files.unlisted.clone(),
     };
     let header = RecordingReader::open(&first, Extent::Outcomes).ok()?.header;
     Some((header.session_id, header.node))

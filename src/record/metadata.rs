@@ -4,8 +4,8 @@ use super::layout::{
     FORMAT, HEADER_METADATA, KEY_CRC, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG,
     KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA, SegmentIndex, VERSION,
 };
-use super::scan::{End, Event, Walker};
-use std::collections::BTreeMap;
+use super::scan::{End, Entries, Event, MAX_MESSAGE, Walker};
+use super::segment_file::SegmentFile;
 
 /// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left out.
 pub(super) fn checksum<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> u32 {
@@ -20,9 +20,9 @@ pub(super) fn checksum<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>
 }
 
 /// Whether the entries are those that were written; `None` where no checksum is stated, as in older recordings.
-pub(super) fn is_sound(entries: &BTreeMap<&str, &str>) -> Option<bool> {
+pub(super) fn is_sound(entries: &Entries) -> Option<bool> {
     let stated = entries.get(KEY_CRC)?;
-    let found = checksum(entries.iter().map(|(key, value)| (*key, *value)));
+    let found = checksum(entries.iter().map(|(key, value)| (key.as_str(), value.as_str())));
     Some(stated.parse() == Ok(found))
 }
 
@@ -68,12 +68,16 @@ pub(super) fn of_most(headers: &[&StatedHeader]) -> Option<RecordingHeader> {
 }
 
 /// The header of a segment, from the first metadata record.
-pub(super) fn read_header(bytes: &[u8]) -> Result<StatedHeader, String> {
-    let mut walker = Walker::new(bytes);
+pub(super) fn read_header(file: &SegmentFile) -> Result<StatedHeader, String> {
+    let mut walker = Walker::new(file);
     for event in walker.by_ref().take(8) {
-        if let Event::Metadata { name: HEADER_METADATA, entries } = event {
-            return parse_header(&entries);
+        match event {
+            Event::Metadata { name, entries } if name == HEADER_METADATA => return parse_header(&entries),
+            _ => {}
         }
+    }
+    if let Some(bad) = file.bad_ranges().first() {
+        return Err(format!("its header is not readable: {bad}"));
     }
     match walker.end() {
         End::Damaged { at, reason } => Err(format!("not a recording: at byte {at}: {reason}")),
@@ -82,8 +86,9 @@ pub(super) fn read_header(bytes: &[u8]) -> Result<StatedHeader, String> {
 }
 
 /// Parses the entries of the header's metadata record.
-pub(super) fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<StatedHeader, String> {
-    let get = |key: &str| entries.get(key).copied().ok_or_else(|| format!("the header has no {key:?}"));
+pub(super) fn parse_header(entries: &Entries) -> Result<StatedHeader, String> {
+    let get =
+        |key: &str| entries.get(key).map(String::as_str).ok_or_else(|| format!("the header has no {key:?}"));
     let (format, version) = (get("format")?, get("version")?);
     if format != FORMAT || version.parse::<u32>().is_ok_and(|v| v > VERSION) {
         return Err(format!(
@@ -100,16 +105,20 @@ pub(super) fn parse_header(entries: &BTreeMap<&str, &str>) -> Result<StatedHeade
 }
 
 /// The index that a closed segment states, if it is intact.
-pub(super) fn stated_index(bytes: &[u8], metadata: &[(&str, BTreeMap<&str, &str>)]) -> Option<SegmentIndex> {
+pub(super) fn stated_index(file: &SegmentFile, metadata: &[(String, Entries)]) -> Option<SegmentIndex> {
     let mut own = metadata.iter().filter(|(name, _)| *name == SEGMENT_METADATA);
-    own.find_map(|(_, entries)| parse_index(bytes, entries))
+    own.find_map(|(_, entries)| parse_index(file, entries))
 }
 
 /// The index that the entries of the segment's metadata record lead to, if it is intact.
-pub(super) fn parse_index(bytes: &[u8], entries: &BTreeMap<&str, &str>) -> Option<SegmentIndex> {
+pub(super) fn parse_index(file: &SegmentFile, entries: &Entries) -> Option<SegmentIndex> {
     let number = |key: &str| entries.get(key)?.parse::<usize>().ok();
     let (offset, length) = (number(KEY_INDEX_OFFSET)?, number(KEY_INDEX_LENGTH)?);
-    let index = bytes.get(offset..offset.checked_add(length)?)?;
-    let intact = number(KEY_INDEX_CRC)? == crc32fast::hash(index) as usize;
-    intact.then(|| serde_json::from_slice(index).ok()).flatten()
+    if length > MAX_MESSAGE || offset.checked_add(length)? > file.len() {
+        return None;
+    }
+    let mut index = vec![0; length];
+    file.read(offset, &mut index).ok()?;
+    let intact = number(KEY_INDEX_CRC)? == crc32fast::hash(&index) as usize;
+    intact.then(|| serde_json::from_slice(&index).ok()).flatten()
 }

@@ -17,6 +17,7 @@ mod reader;
 pub mod recover;
 mod scan;
 mod segment;
+mod segment_file;
 mod session;
 mod statistics;
 mod verdict;
@@ -34,6 +35,7 @@ pub use layout::{
 };
 pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
+pub use segment_file::BadRange;
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, Latency, WriteStatistics};
 pub(crate) use verdict::CameraTally;

@@ -1,10 +1,10 @@
 //! A copy of a segment that has its indexes and chosen frames, and holes elsewhere: what a reader of frames needs of a file
 //! that lies far away.
 
-use super::direct::map_file;
 use super::layout::{KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, SEGMENT_METADATA, segment_number};
 use super::metadata::{read_header, stated_index};
 use super::scan::{metadata_by_index, metadata_places, summary_start};
+use super::segment_file::SegmentFile;
 use crate::ids::CameraId;
 use rayon::prelude::*;
 use std::fs::File;
@@ -46,8 +46,8 @@ pub fn copy_frames(
     let copy = Copy { size, read, file: &file, read_bytes: AtomicU64::new(0) };
     let (head, tail) = (END.min(size), size.saturating_sub(END).max(END.min(size)));
     copy.fetch(0..head).and_then(|()| copy.fetch(tail..size)).map_err(failed)?;
-    let map = map_file(path).map_err(failed)?;
-    let frames = match copy.index(&map, tail).map_err(failed)? {
+    let there = SegmentFile::open(path).map_err(failed)?;
+    let frames = match copy.index(&there, tail).map_err(failed)? {
         Some(index) => index.into_iter().filter(|(camera, trigger, _)| wanted(camera, *trigger)),
         None => {
             let pieces: Vec<u64> = (head..tail).step_by(PIECE as usize).collect();
@@ -82,19 +82,19 @@ impl Copy<'_> {
 
     /// Camera, trigger and place of all frames; `None` when the segment has no index that can be relied on. `tail`: from here on
     /// everything is there.
-    fn index(&self, map: &[u8], tail: u64) -> std::io::Result<Option<Vec<FramePlace>>> {
-        let Some(start) = summary_start(map) else { return Ok(None) };
+    fn index(&self, there: &SegmentFile, tail: u64) -> std::io::Result<Option<Vec<FramePlace>>> {
+        let Some(start) = summary_start(there) else { return Ok(None) };
         self.fetch(start as u64..tail)?;
-        let Some(places) = metadata_places(map) else { return Ok(None) };
+        let Some(places) = metadata_places(there) else { return Ok(None) };
         places.into_iter().try_for_each(|place| self.fetch(place))?;
-        let Some(metadata) = metadata_by_index(map) else { return Ok(None) };
+        let Some(metadata) = metadata_by_index(there) else { return Ok(None) };
         for (_, entries) in metadata.iter().filter(|(name, _)| *name == SEGMENT_METADATA) {
             let number = |key: &str| entries.get(key)?.parse::<u64>().ok();
             if let (Some(offset), Some(length)) = (number(KEY_INDEX_OFFSET), number(KEY_INDEX_LENGTH)) {
                 self.fetch(offset..offset.saturating_add(length))?;
             }
         }
-        let (Some(index), Ok(stated)) = (stated_index(map, &metadata), read_header(map)) else {
+        let (Some(index), Ok(stated)) = (stated_index(there, &metadata), read_header(there)) else {
             return Ok(None);
         };
         let named = |(camera, trigger, offset, length): (u32, u64, u64, u64)| {

@@ -172,6 +172,17 @@ impl<'a> MessageReader<'a> {
         self.field().map(Some).ok_or(())
     }
 
+    /// If the next field is this one, of bytes: their length, of which nothing is read. Stays in front of any other field.
+    pub fn enter_bytes(&mut self, number: u64) -> Option<u64> {
+        let start = self.position;
+        let tag = self.raw_varint();
+        let length = tag.filter(|tag| *tag == number << 3 | LEN).and_then(|_| self.raw_varint());
+        if length.is_none() {
+            self.position = start;
+        }
+        length
+    }
+
     fn field(&mut self) -> Option<(u64, Value<'a>)> {
         let tag = self.raw_varint()?;
         let value = match tag & 7 {

@@ -1,7 +1,6 @@
-//! Reads recordings: maps segments, knows the outcome of every trigger, checks every frame on access.
+//! Reads recordings: opens segments, knows the outcome of every trigger, checks every frame on access.
 
-use super::direct::map_file;
-use super::envelope::{FrameMeta, parse_envelope, pixels_crc};
+use super::envelope::{FRONT, FrameMeta, parse_envelope_of, pixels_crc};
 use super::layout::{
     CLOCK_TOPIC, CameraHeader, ClockSample, EVENTS_TOPIC, GAPS_TOPIC, GapCause, GapRecord, HEADER_METADATA,
     KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA,
@@ -10,14 +9,15 @@ use super::layout::{
 use super::metadata::{
     StatedHeader, foreign_reason, is_sound, of_most, parse_header, read_header, stated_index,
 };
-use super::scan::{End, Event, Walker, metadata_by_index};
+use super::scan::{End, Entries, Event, Walker, metadata_by_index};
+use super::segment_file::{BadRange, SegmentFile};
 use super::session::RecordingFiles;
 use super::statistics::WriteStatistics;
 use super::verdict::{CameraVerdict, Verdict};
 use crate::ids::{CameraId, TriggerIndex};
-use crate::image::Mono8;
-use memmap2::{Advice, Mmap};
+use crate::image::Plane;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::PathBuf;
 
 /// Notes about one recording beyond this many are dropped: the first ones say what is wrong.
@@ -41,7 +41,7 @@ pub struct Problem {
     pub message: String,
 }
 
-/// One mapped segment.
+/// One segment.
 pub struct SegmentReader {
     /// Its number.
     pub number: u32,
@@ -53,7 +53,8 @@ pub struct SegmentReader {
     pub end_trigger: Option<u64>,
     /// How its records end.
     pub end: End,
-    pub(crate) map: Option<Mmap>,
+    /// `None` where it cannot be opened; [`Self::end`] says why.
+    pub(crate) file: Option<SegmentFile>,
 }
 
 impl SegmentReader {
@@ -62,18 +63,14 @@ impl SegmentReader {
         self.end == End::Closed
     }
 
-    /// All bytes.
-    pub(crate) fn bytes(&self) -> &[u8] {
-        // An empty file cannot be mapped.
-        self.map.as_deref().unwrap_or_default()
+    /// Its length when it was opened, bytes.
+    pub fn length(&self) -> usize {
+        self.file.as_ref().map_or(0, SegmentFile::len)
     }
 
-    /// A message's bytes, which the system is told to fetch in one go.
-    fn message(&self, offset: usize, length: usize) -> Option<&[u8]> {
-        let message = self.bytes().get(offset..offset.checked_add(length)?)?;
-        // Advice is only advice.
-        let _ = self.map.as_ref()?.advise_range(Advice::WillNeed, offset, length);
-        Some(message)
+    /// What could not be read of it so far.
+    pub fn bad_ranges(&self) -> Vec<BadRange> {
+        self.file.as_ref().map(SegmentFile::bad_ranges).unwrap_or_default()
     }
 }
 
@@ -129,12 +126,12 @@ pub struct GapRun {
 }
 
 /// A frame that passed its checks.
-#[derive(Debug, Clone, Copy)]
-pub struct RecordedFrame<'a> {
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedFrame {
     /// Identity.
     pub meta: FrameMeta,
     /// Pixels.
-    pub image: Mono8<'a>,
+    pub image: Plane<u8>,
 }
 
 impl RecordingReader {
@@ -154,22 +151,31 @@ impl RecordingReader {
         self.outcomes.iter().map(runs).collect()
     }
 
-    /// Maps the segments and walks their records.
+    /// Opens the segments and reads their small records. A segment that cannot be opened costs what is in it.
     pub(super) fn open(files: &RecordingFiles, what: Extent) -> Result<Self, ReadError> {
         let error = |message: String| ReadError(format!("{}: {message}", files.path.display()));
+        if let Some(reason) = &files.unlisted {
+            return Err(ReadError(reason.clone()));
+        }
         let mut segments = Vec::new();
         for (number, path) in &files.segments {
-            let length = std::fs::metadata(path).map_err(|e| error(e.to_string()))?.len();
-            let map = (length > 0).then(|| map_file(path)).transpose().map_err(|e| error(e.to_string()))?;
+            let (file, end) = match SegmentFile::open(path) {
+                Ok(file) => (Some(file), End::Cut { at: 0 }),
+                Err(e) => (None, End::Damaged { at: 0, reason: format!("cannot be opened: {e}") }),
+            };
+            let stated = match (&file, &end) {
+                (None, End::Damaged { reason, .. }) => Err(format!("{}: {reason}", path.display())),
+                (None, _) => Err(String::new()),
+                (Some(file), _) => read_header(file),
+            };
             let segment = SegmentReader {
                 number: *number,
                 path: path.clone(),
                 first_trigger: 0,
                 end_trigger: None,
-                end: End::Cut { at: 0 },
-                map,
+                end,
+                file,
             };
-            let stated = read_header(segment.bytes());
             segments.push((segment, stated));
         }
         let readable: Vec<&StatedHeader> =
@@ -231,54 +237,56 @@ impl RecordingReader {
         if number != expected {
             self.problem(number, None, None, format!("expected segment {expected} here: it is missing"));
         }
-        let map = segment.map.take();
-        if let Some(map) = &map {
-            // The walk touches a page here and there: reading ahead would fetch most of the file. Advice is
-            // only advice, so a refusal is none of our business.
-            let _ = map.advise(Advice::Random);
+        if let Some(file) = segment.file.take() {
+            if what == Extent::Everything || !self.take_index(&mut segment, &file) {
+                self.walk(&mut segment, &file);
+            }
+            segment.file = Some(file);
         }
-        let bytes = map.as_deref().unwrap_or_default();
-        if what == Extent::Everything || !self.take_index(&mut segment, bytes) {
-            self.walk(&mut segment, bytes);
-        }
-        if let Some(map) = &map {
-            let _ = map.advise(Advice::Normal);
-        }
-        segment.map = map;
         self.segments.push(segment);
     }
 
-    fn walk(&mut self, segment: &mut SegmentReader, bytes: &[u8]) {
+    fn walk(&mut self, segment: &mut SegmentReader, file: &SegmentFile) {
         let (place, number) = (self.segments.len(), segment.number);
         let topics: Vec<String> = self.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
         let mut channels: BTreeMap<u16, Topic> = BTreeMap::new();
-        let mut walker = Walker::new(bytes);
-        for event in walker.by_ref() {
-            match event {
-                Event::Channel { id, topic } => {
-                    channels.insert(id, Topic::of(topic, &topics));
-                }
-                Event::Message { channel, sequence, data } => {
-                    let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
-                    if let Topic::Image(camera) = topic {
-                        let outcome =
-                            Outcome::Frame { segment: place, offset: data.start, length: data.len() };
-                        self.outcome(number, camera, u64::from(sequence), outcome);
-                    } else {
-                        self.small_record(number, topic, &bytes[data]);
+        let mut walker = Walker::new(file);
+        let mut payload = Vec::new();
+        loop {
+            for event in walker.by_ref() {
+                match event {
+                    Event::Channel { id, topic } => {
+                        channels.insert(id, Topic::of(&topic, &topics));
                     }
+                    Event::Message { channel, sequence, data } => {
+                        let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
+                        if let Topic::Image(camera) = topic {
+                            let outcome =
+                                Outcome::Frame { segment: place, offset: data.start, length: data.len() };
+                            self.outcome(number, camera, u64::from(sequence), outcome);
+                        } else if topic != Topic::Other {
+                            payload.resize(data.len(), 0);
+                            // What cannot be read is told of the segment as a whole.
+                            if file.read(data.start, &mut payload).is_ok() {
+                                self.small_record(number, topic, &payload);
+                            }
+                        }
+                    }
+                    Event::Metadata { name, entries } => self.metadata(segment, &name, &entries),
+                    Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
                 }
-                Event::Metadata { name, entries } => self.metadata(segment, name, &entries),
-                Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
+            }
+            if !walker.go_on() {
+                break;
             }
         }
         segment.end = walker.end();
     }
 
     /// The outcomes of a closed segment from its index; `false` when there is none to rely on.
-    fn take_index(&mut self, segment: &mut SegmentReader, bytes: &[u8]) -> bool {
-        let Some(metadata) = metadata_by_index(bytes) else { return false };
-        let Some(index) = stated_index(bytes, &metadata) else { return false };
+    fn take_index(&mut self, segment: &mut SegmentReader, file: &SegmentFile) -> bool {
+        let Some(metadata) = metadata_by_index(file) else { return false };
+        let Some(index) = stated_index(file, &metadata) else { return false };
         for (name, entries) in &metadata {
             self.metadata(segment, name, entries);
         }
@@ -339,8 +347,8 @@ impl RecordingReader {
         }
     }
 
-    fn metadata(&mut self, segment: &mut SegmentReader, name: &str, entries: &BTreeMap<&str, &str>) {
-        let number = |key| entries.get(key).and_then(|text: &&str| text.parse::<u64>().ok());
+    fn metadata(&mut self, segment: &mut SegmentReader, name: &str, entries: &Entries) {
+        let number = |key| entries.get(key).and_then(|text: &String| text.parse::<u64>().ok());
         if is_sound(entries) == Some(false) {
             self.problem(
                 segment.number,
@@ -367,11 +375,11 @@ impl RecordingReader {
             SEGMENT_METADATA => segment.end_trigger = number(KEY_END_TRIGGER),
             // Of a kind that is nice to have: one that is not readable is no problem.
             STATISTICS_METADATA => {
-                let json = entries.get(KEY_JSON).copied().unwrap_or_default();
+                let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
                 self.statistics = serde_json::from_str(json).ok();
             }
             VERDICT_METADATA => {
-                let json = entries.get(KEY_JSON).copied().unwrap_or_default();
+                let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
                 match serde_json::from_str(json) {
                     Ok(verdict) => self.verdict = Some(verdict),
                     Err(error) => {
@@ -384,12 +392,36 @@ impl RecordingReader {
         }
     }
 
-    /// The frame of a camera (its place in the header) at a trigger, checked; `Ok(Err(cause))` for a gap.
+    /// The frame of a camera (its place in the header) at a trigger, checked; `Ok(Err(cause))` for a gap. An error names the
+    /// camera and the trigger.
     pub fn frame(
         &self,
         camera: usize,
         trigger: TriggerIndex,
-    ) -> Result<Result<RecordedFrame<'_>, GapCause>, String> {
+    ) -> Result<Result<RecordedFrame, GapCause>, String> {
+        self.outcome_at(camera, trigger, |file, place| self.read_frame(file, place, camera, trigger))
+    }
+
+    /// The identity of a camera's frame (its place in the header) at a trigger, without a look at its pixels; `Ok(Err(cause))`
+    /// for a gap.
+    pub fn frame_meta(
+        &self,
+        camera: usize,
+        trigger: TriggerIndex,
+    ) -> Result<Result<FrameMeta, GapCause>, String> {
+        self.outcome_at(camera, trigger, |file, place| {
+            let front = read_front(file, &place)?;
+            parse_envelope_of(&front).map(|(envelope, _)| envelope.meta).map_err(|e| e.to_string())
+        })
+    }
+
+    /// What a camera has at a trigger; of a frame what `read` makes of its message.
+    fn outcome_at<T>(
+        &self,
+        camera: usize,
+        trigger: TriggerIndex,
+        read: impl FnOnce(&SegmentFile, Range<usize>) -> Result<T, String>,
+    ) -> Result<Result<T, GapCause>, String> {
         let described = self.header.cameras.get(camera).ok_or("no such camera in the recording")?;
         let place = || format!("{}: camera {} trigger {trigger}", self.path.display(), described.id);
         let outcome = self.outcomes.get(camera).and_then(|outcomes| outcomes.get(&trigger.0));
@@ -401,33 +433,31 @@ impl RecordingReader {
             )),
             Some(Outcome::Gap(cause)) => Ok(Err(*cause)),
             Some(&Outcome::Frame { segment, offset, length }) => {
-                let message = self.segments.get(segment).and_then(|s| s.message(offset, length));
-                let message = message.ok_or_else(|| format!("{}: outside of its file", place()))?;
-                check_frame(message, camera, trigger, &self.header)
+                let file = self.segments.get(segment).and_then(|segment| segment.file.as_ref());
+                let message = offset.checked_add(length).map(|end| offset..end);
+                let inside = file.zip(message).filter(|(file, message)| message.end <= file.len());
+                let (file, message) = inside.ok_or_else(|| format!("{}: outside of its file", place()))?;
+                read(file, message)
                     .map(Ok)
                     .map_err(|reason| format!("{}: {reason}; run `fourdbody verify`", place()))
             }
         }
     }
 
-    /// The identity of a camera's frame (its place in the header) at a trigger, without a look at its pixels; `Ok(Err(cause))`
-    /// for a gap.
-    pub fn frame_meta(
+    fn read_frame(
         &self,
+        file: &SegmentFile,
+        message: Range<usize>,
         camera: usize,
         trigger: TriggerIndex,
-    ) -> Result<Result<FrameMeta, GapCause>, String> {
-        let outcome = self.outcomes.get(camera).and_then(|outcomes| outcomes.get(&trigger.0));
-        match outcome {
-            Some(&Outcome::Frame { segment, offset, length }) => {
-                let bytes = self.segments.get(segment).map(SegmentReader::bytes);
-                let message = bytes.and_then(|bytes| bytes.get(offset..offset.checked_add(length)?));
-                let message = message.ok_or("outside of its file")?;
-                parse_envelope(message).map(|envelope| Ok(envelope.meta)).map_err(|e| e.to_string())
-            }
-            // All that needs no message.
-            _ => self.frame(camera, trigger).map(|outcome| outcome.map(|frame| frame.meta)),
-        }
+    ) -> Result<RecordedFrame, String> {
+        let front = read_front(file, &message)?;
+        let (meta, pixels) = identify(&front, message.len(), camera, trigger, &self.header)?;
+        let mut data = vec![0; pixels.len()];
+        file.read(message.start + pixels.start, &mut data).map_err(|bad| bad.to_string())?;
+        check_pixels(&data, &meta)?;
+        let image = Plane::from_vec(meta.width as usize, meta.height as usize, data);
+        Ok(RecordedFrame { meta, image: image.ok_or("pixels do not fill the frame")? })
     }
 
     /// Outcomes of each camera, counted from the records.
@@ -468,15 +498,24 @@ impl RecordingReader {
     }
 }
 
-/// Checks a frame's message against its own checksums and against the identity that it was asked for.
-pub(crate) fn check_frame<'a>(
-    message: &'a [u8],
+/// The bytes of a message up to somewhere in its pixels.
+fn read_front(file: &SegmentFile, message: &Range<usize>) -> Result<Vec<u8>, String> {
+    let mut front = vec![0; message.len().min(FRONT)];
+    file.read(message.start, &mut front).map_err(|bad| bad.to_string())?;
+    Ok(front)
+}
+
+/// Checks a frame's envelope against its own checksum and against the identity that it was asked for; `front` is the begin
+/// of a message of `length` bytes. Returns the place of the pixels in the message.
+fn identify(
+    front: &[u8],
+    length: usize,
     camera: usize,
     trigger: TriggerIndex,
     header: &RecordingHeader,
-) -> Result<RecordedFrame<'a>, String> {
+) -> Result<(FrameMeta, Range<usize>), String> {
     let described = &header.cameras[camera];
-    let envelope = parse_envelope(message).map_err(|e| e.to_string())?;
+    let (envelope, stated) = parse_envelope_of(front).map_err(|e| e.to_string())?;
     let meta = envelope.meta;
     if envelope.camera != described.id.as_str() || meta.trigger != trigger {
         return Err(format!("the frame says camera {} trigger {}", envelope.camera, meta.trigger));
@@ -485,14 +524,30 @@ pub(crate) fn check_frame<'a>(
     if (meta.width, meta.height) != (width, height) {
         return Err(format!("the frame is {} x {}, expected {width} x {height}", meta.width, meta.height));
     }
-    let pixels = &message[envelope.pixels];
-    let found = pixels_crc(pixels);
-    if found != meta.pixels_crc {
-        let stated = meta.pixels_crc;
+    if stated != length {
+        return Err(format!("the frame's message has {length} bytes, expected {stated}"));
+    }
+    Ok((meta, envelope.pixels))
+}
+
+fn check_pixels(pixels: &[u8], meta: &FrameMeta) -> Result<(), String> {
+    let (found, stated) = (pixels_crc(pixels), meta.pixels_crc);
+    if found != stated {
         return Err(format!("checksum of the pixels is {found:#010x}, expected {stated:#010x}: damaged"));
     }
-    let image = Mono8::new(width as usize, height as usize, pixels).ok_or("pixels do not fill the frame")?;
-    Ok(RecordedFrame { meta, image })
+    Ok(())
+}
+
+/// Checks a frame's message against its own checksums and against the identity that it was asked for.
+pub(crate) fn check_frame(
+    message: &[u8],
+    camera: usize,
+    trigger: TriggerIndex,
+    header: &RecordingHeader,
+) -> Result<(FrameMeta, Range<usize>), String> {
+    let (meta, pixels) = identify(message, message.len(), camera, trigger, header)?;
+    check_pixels(&message[pixels.clone()], &meta)?;
+    Ok((meta, pixels))
 }
 
 /// What a channel carries.

@@ -1,41 +1,50 @@
-//! Walks the records of an MCAP file in memory, as far as they are whole.
+//! Walks the records of an MCAP file, as far as they are whole.
 //!
-//! Made for files that a crash has cut and for bytes that nobody vouches for: nothing is allocated by a
-//! length found in the file, no record is trusted to fit, pixels are not touched.
+//! Made for files that a crash has cut, for disks that fail, and for bytes that nobody vouches for: what is allocated by
+//! a length found in the file is bounded, no record is trusted to fit, pixels are not read. A record that cannot be
+//! read is passed over where its length is known.
 //! Record layouts: <https://mcap.dev/spec>.
 
 mod find;
 
+use super::segment_file::{Pieces, SegmentFile};
 use mcap::MAGIC;
 use mcap::records::op;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-pub use find::{Found, find};
+pub use find::{Found, find, is_json};
 
 /// Metadata records, schemas and channels larger than this are refused: ours are far below.
 const MAX_SMALL_RECORD: usize = 16 << 20;
+/// Messages larger than this are refused: it bounds what is read into memory at once. No camera has as many pixels.
+pub const MAX_MESSAGE: usize = 512 << 20;
 /// Opcode and length.
 const PREAMBLE: usize = 9;
+/// A chunk's fields before its records: two times, size, checksum, the name of a compression, size.
+const MAX_CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 64 + 8;
 /// A message's record without its payload: preamble, channel, sequence, two times.
 pub const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
 
+/// What a metadata record says.
+pub type Entries = BTreeMap<String, String>;
+
 /// Something found in the file, in file order.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Event<'a> {
+pub enum Event {
     /// A metadata record.
     Metadata {
         /// Its name.
-        name: &'a str,
+        name: String,
         /// Its entries.
-        entries: BTreeMap<&'a str, &'a str>,
+        entries: Entries,
     },
     /// A channel.
     Channel {
         /// Its number in messages.
         id: u16,
         /// Its topic.
-        topic: &'a str,
+        topic: String,
     },
     /// A chunk; its messages follow.
     Chunk {
@@ -92,33 +101,64 @@ pub enum End {
 
 /// The walk.
 pub struct Walker<'a> {
-    bytes: &'a [u8],
+    pieces: Pieces<'a>,
+    /// Where the walk ends, at the latest.
+    limit: usize,
     position: usize,
     /// End of the open chunk, which may lie beyond the file.
     chunk_end: Option<usize>,
     end: Option<End>,
+    /// Behind the bytes that the walk stopped at because they cannot be read.
+    unreadable_to: Option<usize>,
 }
 
 impl<'a> Walker<'a> {
     /// Begins at the file's magic.
-    pub fn new(bytes: &'a [u8]) -> Self {
-        let mut walker = Self { bytes, position: MAGIC.len(), chunk_end: None, end: None };
-        if bytes.len() < MAGIC.len() && MAGIC.starts_with(bytes) {
-            walker.end = Some(End::Cut { at: 0 });
-        } else if !bytes.starts_with(MAGIC) {
-            walker.damaged(0, "expected the magic of an MCAP file");
+    pub fn new(file: &'a SegmentFile) -> Self {
+        let mut walker = Self::resume(file, MAGIC.len());
+        let length = file.len().min(MAGIC.len());
+        match walker.pieces.get(0..length) {
+            // The magic says nothing that the records behind it do not say.
+            Err(_) => {}
+            Ok(bytes) if bytes == MAGIC => {}
+            Ok(bytes) if MAGIC.starts_with(bytes) => walker.end = Some(End::Cut { at: 0 }),
+            Ok(_) => walker.damaged(0, "expected the magic of an MCAP file"),
         }
         walker
     }
 
     /// Goes on behind damage, at a record outside of any chunk.
-    pub fn resume(bytes: &'a [u8], at: usize) -> Self {
-        Self { bytes, position: at, chunk_end: None, end: None }
+    pub fn resume(file: &'a SegmentFile, at: usize) -> Self {
+        Self::within(file, at..file.len())
+    }
+
+    /// Walks the records of a range.
+    pub fn within(file: &'a SegmentFile, range: Range<usize>) -> Self {
+        let (limit, position) = (range.end.min(file.len()), range.start);
+        Self { pieces: Pieces::new(file), limit, position, chunk_end: None, end: None, unreadable_to: None }
     }
 
     /// How the walk ended; `Cut` at the current place before that.
     pub fn end(&self) -> End {
         self.end.clone().unwrap_or(End::Cut { at: self.position })
+    }
+
+    /// If it ended because bytes cannot be read: goes on at the next place that is a record without doubt. `false` where
+    /// that is not why, or where there is none.
+    pub fn go_on(&mut self) -> bool {
+        let Some(to) = self.unreadable_to.take() else { return false };
+        match find(self.pieces.file(), to) {
+            Some(found) => {
+                let at = match found {
+                    Found::Record(at) => at,
+                    // Its own record is what cannot be read: who walks by records goes on behind it.
+                    Found::Frame(message) => message.end,
+                };
+                (self.position, self.chunk_end, self.end) = (at, None, None);
+                true
+            }
+            None => false,
+        }
     }
 
     fn damaged(&mut self, at: usize, reason: impl Into<String>) {
@@ -131,19 +171,33 @@ impl<'a> Walker<'a> {
         self.end.get_or_insert(End::Cut { at });
     }
 
+    /// Opcode and length of the record that begins here; `None` where the walk ends.
+    fn preamble(&mut self, start: usize) -> Option<(u8, u64)> {
+        let limit = self.chunk_end.unwrap_or(usize::MAX).min(self.limit);
+        if limit.saturating_sub(start) < PREAMBLE {
+            self.stop_at_rest();
+            return None;
+        }
+        match self.pieces.get(start..start + PREAMBLE) {
+            Ok(bytes) => preamble(bytes),
+            Err(bad) => {
+                self.unreadable_to = Some(bad.to);
+                self.damaged(start, bad.to_string());
+                None
+            }
+        }
+    }
+
     /// The next record that matters.
-    fn step(&mut self) -> Option<Event<'a>> {
+    fn step(&mut self) -> Option<Event> {
         while self.end.is_none() {
             if self.chunk_end.is_some_and(|end| self.position >= end) {
                 self.chunk_end = None;
             }
             let start = self.position;
-            let limit = self.chunk_end.unwrap_or(usize::MAX).min(self.bytes.len());
-            let Some((opcode, length)) = preamble(self.bytes.get(start..limit).unwrap_or_default()) else {
-                self.stop_at_rest();
-                break;
-            };
-            if opcode == 0 && self.bytes[start..].iter().all(|&byte| byte == 0) {
+            let (opcode, length) = self.preamble(start)?;
+            if opcode == 0 && self.limit == self.pieces.file().len() && self.pieces.file().is_zero_from(start)
+            {
                 self.stop_at_rest();
                 break;
             }
@@ -155,7 +209,7 @@ impl<'a> Walker<'a> {
                     None => break,
                 }
             }
-            let inside = |end: &usize| *end <= self.bytes.len() && self.chunk_end.is_none_or(|c| *end <= c);
+            let inside = |end: &usize| *end <= self.limit && self.chunk_end.is_none_or(|c| *end <= c);
             let Some(end) = end.filter(inside) else {
                 self.too_long(start, end);
                 break;
@@ -183,23 +237,33 @@ impl<'a> Walker<'a> {
     }
 
     /// Enters a chunk. One that is cut is entered as well: the messages before the cut are whole.
-    fn chunk(&mut self, start: usize, body: usize, end: Option<usize>) -> Option<Event<'a>> {
+    fn chunk(&mut self, start: usize, body: usize, end: Option<usize>) -> Option<Event> {
         let Some(end) = end else {
             self.damaged(start, "a chunk's length exceeds any file's");
             return None;
         };
-        let mut fields = Fields { bytes: self.bytes.get(body..end.min(self.bytes.len()))?, position: 0 };
+        let there = end.min(self.limit);
+        let header = match self.pieces.get(body..there.min(body + MAX_CHUNK_FIELDS)) {
+            Ok(bytes) => bytes,
+            Err(bad) => {
+                self.unreadable_to = Some(bad.to);
+                self.damaged(start, bad.to_string());
+                return None;
+            }
+        };
+        let mut fields = Fields { bytes: header, position: 0 };
         let parsed = (|| {
             fields.u64()?;
             fields.u64()?;
             let uncompressed = fields.u64()?;
             let crc = fields.u32()?;
-            let compression = fields.text()?;
+            let compression = fields.text()?.to_owned();
             let compressed = fields.u64()?;
             Some((uncompressed, crc, compression, compressed))
         })();
+        let header_bytes = fields.position;
         let Some((uncompressed, crc, compression, compressed)) = parsed else {
-            if end > self.bytes.len() {
+            if end > self.limit {
                 self.stop_at_rest();
             } else {
                 self.damaged(start, "a chunk without its header");
@@ -211,7 +275,7 @@ impl<'a> Walker<'a> {
             self.damaged(start, reason);
             return None;
         }
-        let records = body + fields.position..end;
+        let records = body + header_bytes..end;
         let length = (end - records.start) as u64;
         if uncompressed != length || compressed != length {
             let reason = format!("a chunk of {length} bytes states {uncompressed} and {compressed}");
@@ -220,85 +284,111 @@ impl<'a> Walker<'a> {
         }
         self.position = records.start;
         self.chunk_end = Some(end);
-        Some(Event::Chunk { crc, whole: end <= self.bytes.len(), records })
+        Some(Event::Chunk { crc, whole: end <= self.limit, records })
     }
 
-    fn record(&mut self, opcode: u8, start: usize, body: Range<usize>) -> Option<Event<'a>> {
-        let bytes = &self.bytes[body.clone()];
-        let mut fields = Fields { bytes, position: 0 };
-        let event = match opcode {
-            op::MESSAGE => (|| {
-                let (channel, sequence) = (fields.u16()?, fields.u32()?);
-                fields.u64()?;
-                fields.u64()?;
-                Some(Event::Message { channel, sequence, data: body.start + fields.position..body.end })
-            })(),
-            op::METADATA | op::CHANNEL if bytes.len() > MAX_SMALL_RECORD => None,
-            op::METADATA => (|| {
-                let name = fields.text()?;
-                Some(Event::Metadata { name, entries: fields.text_map()? })
-            })()
-            .filter(|_| fields.used_up()),
-            op::CHANNEL => (|| {
-                let id = fields.u16()?;
-                fields.u16()?;
-                Some(Event::Channel { id, topic: fields.text()? })
-            })(),
-            op::DATA_END => {
-                fields.u32().map(|crc| Event::DataEnd { offset: start, crc }).filter(|_| fields.used_up())
-            }
-            op::FOOTER if self.chunk_end.is_none() => {
-                let event = (|| {
-                    let (summary, _) = (fields.u64()?, fields.u64()?);
-                    let first = if summary == 0 { start } else { usize::try_from(summary).ok()? };
-                    let covered = first..body.start + fields.position;
-                    self.bytes.get(covered.clone())?;
-                    Some(Event::Footer { covered, crc: fields.u32()? })
-                })();
-                if event.is_some() {
-                    self.footer(start, body.end);
-                }
-                event
-            }
+    fn record(&mut self, opcode: u8, start: usize, body: Range<usize>) -> Option<Event> {
+        let known = match opcode {
+            op::MESSAGE | op::METADATA | op::CHANNEL | op::DATA_END => true,
+            op::FOOTER => self.chunk_end.is_none(),
             op::HEADER | op::SCHEMA | op::MESSAGE_INDEX => return None,
             op::CHUNK_INDEX..=op::SUMMARY_OFFSET if self.chunk_end.is_none() => return None,
             // Private records and those of later versions of MCAP.
             128.. => return None,
-            _ => {
-                self.damaged(start, format!("no record has opcode {opcode:#04x} here"));
-                return None;
-            }
+            _ => false,
         };
+        if !known {
+            self.damaged(start, format!("no record has opcode {opcode:#04x} here"));
+            return None;
+        }
+        let needed = match opcode {
+            op::MESSAGE if body.len() > MAX_MESSAGE => None,
+            op::MESSAGE => Some(body.len().min(MESSAGE_HEADER - PREAMBLE)),
+            _ => Some(body.len()).filter(|length| *length <= MAX_SMALL_RECORD),
+        };
+        let event = match needed.map(|length| self.pieces.get(body.start..body.start + length)) {
+            // The walk knows where it goes on; who counts what cannot be read asks the file.
+            Some(Err(_)) => return None,
+            Some(Ok(bytes)) => event(opcode, bytes, start, &body),
+            None => None,
+        };
+        let event = event.filter(|event| match event {
+            Event::Footer { covered, .. } => covered.end <= self.limit && covered.start <= covered.end,
+            _ => true,
+        });
         if event.is_none() {
             self.damaged(start, format!("the record with opcode {opcode:#04x} is not well-formed"));
+        } else if opcode == op::FOOTER {
+            self.footer(start, body.end);
         }
         event
     }
 
     fn footer(&mut self, start: usize, end: usize) {
-        if self.bytes.get(end..) == Some(MAGIC) {
-            self.end.get_or_insert(End::Closed);
-        } else if MAGIC.starts_with(self.bytes.get(end..).unwrap_or_default()) {
-            self.stop_at_rest();
-        } else {
-            self.damaged(start, "the footer is not followed by the closing magic");
+        let rest = end..self.limit.max(end);
+        match self.pieces.get(rest.start..rest.end.min(end + MAGIC.len() + 1)) {
+            Ok(bytes) if bytes == MAGIC => {
+                self.end.get_or_insert(End::Closed);
+            }
+            Ok(bytes) if MAGIC.starts_with(bytes) => self.stop_at_rest(),
+            Ok(_) => self.damaged(start, "the footer is not followed by the closing magic"),
+            Err(bad) => self.damaged(start, bad.to_string()),
         }
     }
 }
 
-impl<'a> Iterator for Walker<'a> {
-    type Item = Event<'a>;
+impl Iterator for Walker<'_> {
+    type Item = Event;
 
-    fn next(&mut self) -> Option<Event<'a>> {
+    fn next(&mut self) -> Option<Event> {
         self.step()
     }
 }
 
+/// What a record of one of our kinds says; of a message, `bytes` are its header.
+fn event(opcode: u8, bytes: &[u8], start: usize, body: &Range<usize>) -> Option<Event> {
+    let mut fields = Fields { bytes, position: 0 };
+    match opcode {
+        op::MESSAGE => {
+            let (channel, sequence) = (fields.u16()?, fields.u32()?);
+            fields.u64()?;
+            fields.u64()?;
+            Some(Event::Message { channel, sequence, data: body.start + fields.position..body.end })
+        }
+        op::METADATA => {
+            let name = fields.text()?.to_owned();
+            let entries = fields.text_map()?;
+            fields.used_up().then_some(Event::Metadata { name, entries })
+        }
+        op::CHANNEL => {
+            let id = fields.u16()?;
+            fields.u16()?;
+            Some(Event::Channel { id, topic: fields.text()?.to_owned() })
+        }
+        op::DATA_END => {
+            let crc = fields.u32()?;
+            fields.used_up().then_some(Event::DataEnd { offset: start, crc })
+        }
+        op::FOOTER => {
+            let (summary, _) = (fields.u64()?, fields.u64()?);
+            let first = if summary == 0 { start } else { usize::try_from(summary).ok()? };
+            let covered = first..body.start + fields.position;
+            Some(Event::Footer { covered, crc: fields.u32()? })
+        }
+        _ => None,
+    }
+}
+
 /// Where the summary of a closed segment begins, by its footer.
-pub fn summary_start(bytes: &[u8]) -> Option<usize> {
+pub fn summary_start(file: &SegmentFile) -> Option<usize> {
+    summary_of(&mut Pieces::new(file))
+}
+
+fn summary_of(pieces: &mut Pieces<'_>) -> Option<usize> {
     const FOOTER_BODY: usize = 20;
-    let footer = bytes.strip_suffix(MAGIC)?;
-    let (_, footer) = footer.split_at_checked(footer.len().checked_sub(PREAMBLE + FOOTER_BODY)?)?;
+    let length = pieces.file().len();
+    let start = length.checked_sub(PREAMBLE + FOOTER_BODY + MAGIC.len())?;
+    let footer = pieces.get(start..length).ok()?.strip_suffix(MAGIC)?;
     if preamble(footer)? != (op::FOOTER, FOOTER_BODY as u64) {
         return None;
     }
@@ -307,45 +397,55 @@ pub fn summary_start(bytes: &[u8]) -> Option<usize> {
 }
 
 /// Where the metadata records of a closed segment are, by its summary.
-pub fn metadata_places(bytes: &[u8]) -> Option<Vec<Range<u64>>> {
-    let mut position = summary_start(bytes)?;
+pub fn metadata_places(file: &SegmentFile) -> Option<Vec<Range<u64>>> {
+    let mut pieces = Pieces::new(file);
+    let mut position = summary_of(&mut pieces)?;
     let mut found = Vec::new();
     loop {
-        let (opcode, body, next) = record_at(bytes, position)?;
+        let (opcode, body) = record_at(&mut pieces, position)?;
+        position = body.end;
         match opcode {
             op::METADATA_INDEX => {
-                let mut fields = Fields { bytes: body, position: 0 };
+                let mut fields = Fields { bytes: small_body(&mut pieces, body)?, position: 0 };
                 let (offset, length) = (fields.u64()?, fields.u64()?);
                 found.push(offset..offset.checked_add(length)?);
             }
             op::FOOTER => return Some(found),
             _ => {}
         }
-        position = next;
     }
 }
 
 /// The metadata records of a closed file, by way of its summary and without a walk; `None` when the file is
 /// not closed or its summary does not lead there.
-pub fn metadata_by_index(bytes: &[u8]) -> Option<Vec<(&str, BTreeMap<&str, &str>)>> {
+pub fn metadata_by_index(file: &SegmentFile) -> Option<Vec<(String, Entries)>> {
+    let mut pieces = Pieces::new(file);
     let mut found = Vec::new();
-    for place in metadata_places(bytes)? {
-        let (opcode, body, _) = record_at(bytes, usize::try_from(place.start).ok()?)?;
-        let mut fields = Fields { bytes: body, position: 0 };
+    for place in metadata_places(file)? {
+        let (opcode, body) = record_at(&mut pieces, usize::try_from(place.start).ok()?)?;
         if opcode != op::METADATA {
             return None;
         }
-        found.push((fields.text()?, fields.text_map()?));
+        let mut fields = Fields { bytes: small_body(&mut pieces, body)?, position: 0 };
+        found.push((fields.text()?.to_owned(), fields.text_map()?));
     }
     Some(found)
 }
 
-/// Opcode and body of the record at `position`, and where the next one begins.
-fn record_at(bytes: &[u8], position: usize) -> Option<(u8, &[u8], usize)> {
-    let (opcode, length) = preamble(bytes.get(position..)?)?;
-    let body = position.checked_add(PREAMBLE)?;
+/// Opcode of the record at `position`, and where its body is: inside of the file.
+fn record_at(pieces: &mut Pieces<'_>, position: usize) -> Option<(u8, Range<usize>)> {
+    let body = position.checked_add(PREAMBLE).filter(|body| *body <= pieces.file().len())?;
+    let (opcode, length) = preamble(pieces.get(position..body).ok()?)?;
     let end = body.checked_add(usize::try_from(length).ok()?)?;
-    Some((opcode, bytes.get(body..end)?, end))
+    (end <= pieces.file().len()).then_some((opcode, body..end))
+}
+
+/// The body of a small record.
+fn small_body<'p>(pieces: &'p mut Pieces<'_>, body: Range<usize>) -> Option<&'p [u8]> {
+    if body.len() > MAX_SMALL_RECORD {
+        return None;
+    }
+    pieces.get(body).ok()
 }
 
 fn preamble(bytes: &[u8]) -> Option<(u8, u64)> {
@@ -389,12 +489,12 @@ impl<'a> Fields<'a> {
         std::str::from_utf8(self.take(usize::try_from(length).ok()?)?).ok()
     }
 
-    fn text_map(&mut self) -> Option<BTreeMap<&'a str, &'a str>> {
+    fn text_map(&mut self) -> Option<Entries> {
         let length = self.u32()?;
         let mut inner = Fields { bytes: self.take(usize::try_from(length).ok()?)?, position: 0 };
         let mut map = BTreeMap::new();
         while inner.position < inner.bytes.len() {
-            map.insert(inner.text()?, inner.text()?);
+            map.insert(inner.text()?.to_owned(), inner.text()?.to_owned());
         }
         Some(map)
     }
@@ -403,6 +503,7 @@ impl<'a> Fields<'a> {
 #[cfg(test)]
 mod tests {
     use super::{End, Walker};
+    use crate::record::segment_file::of_bytes;
     use mcap::MAGIC;
     use proptest::prelude::*;
 
@@ -412,7 +513,8 @@ mod tests {
             if magic {
                 bytes.splice(0..0, MAGIC.iter().copied());
             }
-            let mut walker = Walker::new(&bytes);
+            let file = of_bytes(&bytes);
+            let mut walker = Walker::new(&file);
             prop_assert!(walker.by_ref().count() <= bytes.len());
             if !magic && !bytes.is_empty() && !MAGIC.starts_with(&bytes) && !bytes.starts_with(MAGIC) {
                 prop_assert!(matches!(walker.end(), End::Damaged { at: 0, .. }), "a file without magic is not read");

@@ -1,9 +1,9 @@
 //! A session: a directory with the recordings of all its nodes, read as one source of frames.
 
-use super::direct::map_file;
 use super::layout::{GapCause, VERDICT_METADATA, segment_number};
 use super::reader::{Extent, ReadError, RecordedFrame, RecordingReader};
 use super::scan::metadata_by_index;
+use super::segment_file::SegmentFile;
 use crate::config::Rig;
 use crate::ids::{CameraId, NodeId, TriggerIndex};
 use crate::reconstruct::{Frame, FrameSource, SourceStatement, StatedCamera};
@@ -23,6 +23,14 @@ pub struct RecordingFiles {
     pub path: PathBuf,
     /// Number and path.
     pub segments: Vec<(u32, PathBuf)>,
+    /// Why the directory cannot be listed, if so.
+    pub unlisted: Option<String>,
+}
+
+impl RecordingFiles {
+    fn of(path: &Path, segments: Vec<(u32, PathBuf)>) -> Self {
+        Self { path: path.to_owned(), segments, unlisted: None }
+    }
 }
 
 /// Finds the recordings at `path`: a session's directory, a recording's, or a single segment.
@@ -34,16 +42,21 @@ pub(super) fn find(path: &Path) -> Result<Vec<RecordingFiles>, String> {
     if kind.is_file() {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         let segments = vec![(segment_number(name).unwrap_or(0), path.to_owned())];
-        return Ok(vec![RecordingFiles { path: path.to_owned(), segments }]);
+        return Ok(vec![RecordingFiles::of(path, segments)]);
     }
     let own = segments(path)?;
     if !own.is_empty() {
-        return Ok(vec![RecordingFiles { path: path.to_owned(), segments: own }]);
+        return Ok(vec![RecordingFiles::of(path, own)]);
     }
     let mut recordings = Vec::new();
     for (name, entry) in entries(path)? {
         if name.starts_with("node-") && entry.is_dir() {
-            recordings.push(RecordingFiles { segments: segments(&entry)?, path: entry });
+            // One that cannot be listed does not hide the others.
+            let (segments, unlisted) = match segments(&entry) {
+                Ok(segments) => (segments, None),
+                Err(reason) => (Vec::new(), Some(reason)),
+            };
+            recordings.push(RecordingFiles { path: entry, segments, unlisted });
         }
     }
     if recordings.is_empty() {
@@ -72,18 +85,20 @@ fn entries(dir: &Path) -> Result<Vec<(String, PathBuf)>, String> {
     Ok(found)
 }
 
-/// Why the recording in `dir` is thought to be unfinished: its last segment is not closed, or states no verdict. `None`
-/// for a finished one, and where there is no recording.
+/// Why the recording in `dir` is thought to be unfinished: its last segment is not closed, or states no verdict, or cannot
+/// be read. `None` for a finished one, and where there is no recording.
 pub(super) fn unfinished(dir: &Path) -> Option<String> {
     let (_, last) = segments(dir).ok()?.pop()?;
     let name = last.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let file = match map_file(&last) {
+    let file = match SegmentFile::open(&last) {
         Ok(file) => file,
-        // An empty file cannot be mapped: the node died before its first byte.
-        Err(_) => return Some(format!("{name} is empty")),
+        Err(error) => return Some(format!("{name} cannot be opened: {error}")),
     };
     match metadata_by_index(&file) {
-        None => Some(format!("{name} was not closed")),
+        None => Some(match file.bad_ranges().first() {
+            Some(bad) => format!("{name}: {bad}"),
+            None => format!("{name} was not closed"),
+        }),
         Some(metadata) if metadata.iter().any(|(name, _)| *name == VERDICT_METADATA) => None,
         Some(_) => Some(format!("{name} has no verdict")),
     }
@@ -181,7 +196,7 @@ impl SessionReader {
         &self,
         camera: &CameraId,
         trigger: TriggerIndex,
-    ) -> Result<Result<RecordedFrame<'_>, GapCause>, String> {
+    ) -> Result<Result<RecordedFrame, GapCause>, String> {
         let place = self.cameras.iter().position(|id| id == camera);
         let (r, c) = place.and_then(|place| self.places.get(place).copied()).ok_or_else(|| {
             let known: Vec<&str> = self.cameras.iter().map(CameraId::as_str).collect();
@@ -222,7 +237,7 @@ impl FrameSource for SessionReader {
 
     fn frame(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String> {
         self.recorded_frame(camera, trigger).map(|outcome| match outcome {
-            Ok(frame) => Frame::Image(frame.image),
+            Ok(frame) => Frame::Owned(frame.image),
             Err(cause) => Frame::Gap(cause.to_string()),
         })
     }

@@ -157,7 +157,7 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
     }
     let single_segment = path.is_file();
     let length = |recording: &RecordingReader| -> u64 {
-        recording.segments.iter().map(|segment| segment.bytes().len() as u64).sum()
+        recording.segments.iter().map(|segment| segment.length() as u64).sum()
     };
     let total = readers.iter().map(length).sum();
     let done = AtomicU64::new(0);

@@ -1,6 +1,6 @@
 //! Recordings and results in an S3-compatible object store, for machines that share no directory.
 //!
-//! `reconstruct` takes `s3://BUCKET/PREFIX` for the session and for `--out`. Recordings are mapped and results are renamed into
+//! `reconstruct` takes `s3://BUCKET/PREFIX` for the session and for `--out`. Recordings are read in many places and results are renamed into
 //! place, neither of which a store offers; so both are staged in a scratch directory ([`recordings`], [`results`]):
 //!
 //! ```text

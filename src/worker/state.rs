@@ -52,7 +52,7 @@ pub struct Job {
     pub ended_ns: u64,
     /// Time spent on it, s.
     pub busy_s: f64,
-    /// The most memory that its last process had at once, mapped recordings included, bytes.
+    /// The most memory that its last process had at once, bytes.
     pub peak_memory_bytes: u64,
     /// Frames without a cloud: missing, refused or damaged.
     pub frames_without_cloud: u64,

@@ -64,7 +64,7 @@ fn a_node_that_is_killed_loses_at_most_its_last_chunks_and_the_other_ends_accoun
     let images = reader.triggers().flat_map(|t| reader.cameras().iter().map(move |c| (c.clone(), t)));
     let images: Vec<_> = images.collect();
     let intact = images.iter().filter(|(camera, trigger)| {
-        matches!(reader.frame(camera, fourdbody::ids::TriggerIndex(*trigger)), Ok(Frame::Image(_)))
+        matches!(reader.frame(camera, fourdbody::ids::TriggerIndex(*trigger)), Ok(Frame::Owned(_)))
     });
     assert!(intact.count() >= 4, "some of the first frames must have reached the disk");
 }

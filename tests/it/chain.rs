@@ -27,7 +27,7 @@ fn a_session_of_both_nodes_is_complete_and_every_frame_is_its_own() {
         for (number, camera) in (1..).zip(reader.cameras()) {
             for trigger in 0..24 {
                 let frame = reader.frame(camera, TriggerIndex(trigger)).expect("intact");
-                let Frame::Image(image) = frame else { panic!("{camera} {trigger}: {frame:?}") };
+                let Frame::Owned(image) = frame else { panic!("{camera} {trigger}: {frame:?}") };
                 let stamp = TestImages::identify(image.as_slice(), image.width()).expect("a test image");
                 assert_eq!((stamp.camera, stamp.instant), (number, trigger as u32), "{camera} {trigger}");
             }

@@ -138,7 +138,7 @@ fn frames(part: &Path) -> u64 {
     let Ok(reader) = SessionReader::open(part) else { return 0 };
     let all = reader.triggers().flat_map(|t| reader.cameras().iter().map(move |c| (c.clone(), t)));
     let frame = |(camera, trigger)| reader.frame(&camera, fourdbody::ids::TriggerIndex(trigger));
-    all.map(frame).filter(|frame| matches!(frame, Ok(Frame::Image(_)))).count() as u64
+    all.map(frame).filter(|frame| matches!(frame, Ok(Frame::Owned(_)))).count() as u64
 }
 
 /// Nothing recorded is lost: what a dead node left is named when it starts, and saved by the command that it names.

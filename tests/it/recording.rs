@@ -136,13 +136,13 @@ fn check_two_nodes(reader: &SessionReader) {
     for (camera, number) in [("h0_up", 0), ("h0_low", 1), ("h2_up", 0), ("h2_low", 1)] {
         for index in 0..50 {
             match reader.frame(&CameraId::from(camera), TriggerIndex(index)).expect("an outcome") {
-                Frame::Image(image) => {
+                Frame::Owned(image) => {
                     assert_eq!(image.as_slice(), pixels(number, index), "{camera} {index}")
                 }
                 Frame::Gap(cause) => {
                     assert_eq!((camera, index, cause.as_str()), ("h2_low", 7, "missing_packets"));
                 }
-                Frame::Owned(_) => panic!("a recording's frames are mapped"),
+                Frame::Image(_) => panic!("a recording's frames are read into memory of their own"),
             }
         }
     }
@@ -196,7 +196,7 @@ fn small_records_read_back_and_every_segment_stands_alone() {
         assert_eq!(alone.triggers().start, last.start);
         for index in last.clone() {
             let frame = alone.frame(&CameraId::from("h0_up"), TriggerIndex(index)).expect("an outcome");
-            assert!(matches!(frame, Frame::Image(image) if image.as_slice() == pixels(0, index)));
+            assert!(matches!(frame, Frame::Owned(image) if image.as_slice() == pixels(0, index)));
         }
         next = last.end;
     }

@@ -125,8 +125,8 @@ fn imported_images_are_a_session() {
     for (number, camera) in reader.cameras().to_vec().iter().enumerate() {
         for trigger in 0..5 {
             match reader.frame(camera, TriggerIndex(trigger as u64)).expect("an outcome") {
-                Frame::Image(found) => assert_eq!(found.as_slice(), image(number, trigger).as_slice()),
-                Frame::Owned(_) => panic!("a recording is mapped, not copied"),
+                Frame::Owned(found) => assert_eq!(found.as_slice(), image(number, trigger).as_slice()),
+                Frame::Image(_) => panic!("a recording is read into memory of its own"),
                 Frame::Gap(cause) => {
                     assert_eq!(
                         (camera, trigger, cause.as_str()),

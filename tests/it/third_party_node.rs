@@ -96,7 +96,7 @@ fn our_node_records_from_aravis_own_fake_camera() {
     let mut images = 0;
     for trigger in reader.triggers() {
         let id = fourdbody::ids::TriggerIndex(trigger);
-        if let Frame::Image(image) = reader.frame(&"h0_up".into(), id).expect("intact") {
+        if let Frame::Owned(image) = reader.frame(&"h0_up".into(), id).expect("intact") {
             assert_eq!((image.width(), image.height()), (512, 512));
             assert!(image.as_slice().iter().any(|&pixel| pixel != image.as_slice()[0]), "a test pattern");
             images += 1;

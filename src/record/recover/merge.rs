@@ -4,16 +4,15 @@
 use super::salvage::{SegmentScan, scan};
 use super::{Damage, RecoverError, header};
 use crate::ids::TriggerIndex;
-use crate::record::direct::map_file;
 use crate::record::layout::{
     ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
 };
 use crate::record::metadata::foreign_reason;
 use crate::record::reader::Outcome;
+use crate::record::segment_file::SegmentFile;
 use crate::record::session::RecordingFiles;
 use crate::record::statistics::WriteStatistics;
 use crate::record::verdict::Verdict;
-use memmap2::{Advice, Mmap};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -28,8 +27,8 @@ pub struct Salvage {
     pub rebuilt: bool,
     /// Whether a checksum proves the header.
     pub proven: bool,
-    /// The segments' bytes, in order; an empty file cannot be mapped.
-    pub maps: Vec<Option<Mmap>>,
+    /// The segments, in order; `None` where one cannot be opened.
+    pub files: Vec<Option<SegmentFile>>,
     /// Per camera of the header.
     pub outcomes: Vec<BTreeMap<u64, Outcome>>,
     /// Per camera of the header: frames whose identity is known and whose pixels are damaged.
@@ -54,36 +53,36 @@ pub struct Salvage {
     pub records_lost: u64,
 }
 
-/// Maps and scans all segments.
+/// Opens and scans all segments. One that cannot be opened costs what is in it.
 pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result<Salvage, RecoverError> {
-    let unreadable = |path: &PathBuf, e: std::io::Error| RecoverError::Unusable {
-        path: path.clone(),
-        reason: e.to_string(),
-    };
-    let mut maps = Vec::new();
-    for (_, path) in &files.segments {
-        let length = std::fs::metadata(path).map_err(|e| unreadable(path, e))?.len();
-        let map = (length > 0).then(|| map_file(path)).transpose().map_err(|e| unreadable(path, e))?;
-        // Advice is only advice.
-        let _ = map.as_ref().map(|map| map.advise(Advice::Sequential));
-        maps.push(map);
+    let unusable = |reason: String| RecoverError::Unusable { path: files.path.clone(), reason };
+    if let Some(reason) = &files.unlisted {
+        return Err(unusable(reason.clone()));
     }
-    let numbered: Vec<(u32, &[u8])> = files
-        .segments
-        .iter()
-        .zip(&maps)
-        .map(|((n, _), map)| (*n, map.as_deref().unwrap_or_default()))
+    let (mut opened, mut closed_to_us) = (Vec::new(), Vec::new());
+    for (number, path) in &files.segments {
+        match SegmentFile::open(path) {
+            Ok(file) => opened.push(Some(file)),
+            Err(error) => {
+                closed_to_us.push((*number, format!("{} cannot be opened: {error}", segment_name(*number))));
+                opened.push(None);
+            }
+        }
+    }
+    if let Some((_, reason)) = closed_to_us.first().filter(|_| closed_to_us.len() == opened.len()) {
+        return Err(unusable(reason.clone()));
+    }
+    let numbered: Vec<(u32, &Option<SegmentFile>)> =
+        files.segments.iter().zip(&opened).map(|((number, _), file)| (*number, file)).collect();
+    let scans: Vec<SegmentScan> = numbered
+        .par_iter()
+        .map(|(number, file)| file.as_ref().map(|file| scan(*number, file, advance)).unwrap_or_default())
         .collect();
-    let scans: Vec<SegmentScan> =
-        numbered.par_iter().map(|(number, bytes)| scan(*number, bytes, advance)).collect();
     let stated = header::readable(&scans);
     let rebuilt = stated.is_none();
     let (header, proven) = stated
         .or_else(|| header::rebuilt(&files.path, &scans).map(|header| (header, false)))
-        .ok_or_else(|| RecoverError::Unusable {
-            path: files.path.clone(),
-            reason: "no segment has a readable header or a whole frame".to_owned(),
-        })?;
+        .ok_or_else(|| unusable("no segment has a readable header or a whole frame".to_owned()))?;
     let single = files.path.is_file();
     let mut salvage = Salvage {
         path: files.path.clone(),
@@ -101,12 +100,13 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         fragment: single && scans.first().is_some_and(|scan| scan.end_trigger.is_some()),
         damage: Vec::new(),
         records_lost: 0,
-        maps,
+        files: opened,
     };
     if rebuilt {
         salvage.note(0, "no segment has a readable header: made anew from the frames");
     }
     salvage.note_missing_segments(files, single);
+    closed_to_us.into_iter().for_each(|(number, reason)| salvage.note(number, reason));
     let numbers: Vec<u32> = files.segments.iter().map(|(number, _)| *number).collect();
     let closed: Vec<bool> = scans.iter().map(|scan| scan.closed).collect();
     for (place, scan) in scans.into_iter().enumerate() {
@@ -141,7 +141,8 @@ impl Salvage {
         let finished = if self.verdict.is_some() { closed.len() } else { 0 };
         let last_closed = closed.iter().rposition(|closed| *closed).unwrap_or(0);
         for (place, number) in numbers.iter().enumerate().take(finished.max(last_closed)) {
-            if !closed[place] && !self.events.iter().any(|event| event.gives_up(*number)) {
+            let opened = self.files[place].is_some();
+            if opened && !closed[place] && !self.events.iter().any(|event| event.gives_up(*number)) {
                 self.note(*number, format!("{} was closed, but is cut", segment_name(*number)));
             }
         }
@@ -249,7 +250,7 @@ impl Salvage {
 
     /// Bytes of all segments.
     pub fn bytes(&self) -> u64 {
-        self.maps.iter().flatten().map(|map| map.len() as u64).sum()
+        self.files.iter().flatten().map(|file| file.len() as u64).sum()
     }
 
     /// Bytes of all whole frames.
@@ -261,8 +262,10 @@ impl Salvage {
         self.outcomes.iter().flat_map(|outcomes| outcomes.values()).map(length).sum()
     }
 
-    /// A frame's message.
-    pub fn message(&self, segment: usize, offset: usize, length: usize) -> Option<&[u8]> {
-        self.maps.get(segment)?.as_deref()?.get(offset..offset.checked_add(length)?)
+    /// A frame's message, into `message`.
+    pub fn read(&self, segment: usize, offset: usize, length: usize, message: &mut Vec<u8>) -> bool {
+        message.resize(length, 0);
+        let file = self.files.get(segment).and_then(Option::as_ref);
+        file.is_some_and(|file| file.read(offset, message).is_ok())
     }
 }

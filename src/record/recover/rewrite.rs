@@ -34,6 +34,7 @@ pub fn write(
         added: Vec::new(),
         advance,
         advanced: 0,
+        message: Vec::new(),
     };
     let triggers = extent.triggers.filter(|_| !source.fragment).unwrap_or(0).max(source.end());
     for trigger in 0..triggers {
@@ -50,6 +51,8 @@ struct Copy<'a> {
     added: Vec<AddedGaps>,
     advance: &'a dyn Fn(u64),
     advanced: u64,
+    /// Of the frame that is copied.
+    message: Vec<u8>,
 }
 
 impl Copy<'_> {
@@ -79,10 +82,10 @@ impl Copy<'_> {
         place: (usize, usize, usize),
     ) -> WriteResult<()> {
         let (segment, offset, length) = place;
-        let message = self.source.message(segment, offset, length).unwrap_or_default();
-        match check_frame(message, camera, trigger, &self.source.header) {
-            Ok(frame) => self.recording.frame(camera, &frame.meta, message)?,
-            Err(_) => self.add_gap(camera, trigger, GapCause::Damaged)?,
+        let there = self.source.read(segment, offset, length, &mut self.message);
+        match check_frame(&self.message, camera, trigger, &self.source.header) {
+            Ok((meta, _)) if there => self.recording.frame(camera, &meta, &self.message)?,
+            _ => self.add_gap(camera, trigger, GapCause::Damaged)?,
         }
         self.advanced += length as u64;
         (self.advance)(length as u64);

@@ -5,18 +5,18 @@
 //! small records are known by their fields: what the container says around them may be what is damaged.
 
 use super::Damage;
-use crate::record::envelope::{Envelope, parse_envelope, pixels_crc};
+use crate::record::envelope::{Envelope, FRONT, parse_envelope, parse_envelope_of, pixels_crc};
 use crate::record::layout::{
     ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, NodeEvent,
     SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
 };
 use crate::record::metadata::{StatedHeader, is_sound, parse_header, parse_index};
-use crate::record::scan::{End, Event, Found, MESSAGE_HEADER, Walker, find};
+use crate::record::scan::{End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, find, is_json};
+use crate::record::segment_file::SegmentFile;
 use crate::record::statistics::WriteStatistics;
 use crate::record::verdict::Verdict;
 use crc32fast::Hasher;
 use serde::Deserialize;
-use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Damaged places beyond this many are counted as the last one.
@@ -38,7 +38,7 @@ pub struct SegmentScan {
     /// Its header, if readable.
     pub header: Option<StatedHeader>,
     /// Entries of a header that is not readable as a whole.
-    pub header_entries: BTreeMap<String, String>,
+    pub header_entries: Entries,
     /// No frame of an earlier trigger belongs to it.
     pub first_trigger: Option<u64>,
     /// No frame from this trigger on belongs to it; not known in the last one.
@@ -84,10 +84,10 @@ enum SmallRecord {
 }
 
 /// Scans a segment. `advance` is told the bytes done.
-pub fn scan(number: u32, bytes: &[u8], advance: &dyn Fn(u64)) -> SegmentScan {
+pub fn scan(number: u32, file: &SegmentFile, advance: &dyn Fn(u64)) -> SegmentScan {
     let mut scanner = Scanner {
         number,
-        bytes,
+        file,
         advance,
         reported: 0,
         found: SegmentScan::default(),
@@ -98,7 +98,10 @@ pub fn scan(number: u32, bytes: &[u8], advance: &dyn Fn(u64)) -> SegmentScan {
         hashed: 0,
     };
     scanner.run();
-    (scanner.advance)((bytes.len() - scanner.reported) as u64);
+    (scanner.advance)((file.len() - scanner.reported) as u64);
+    for bad in file.bad_ranges() {
+        scanner.damage(bad.from..bad.to, format!("cannot be read: {}", bad.reason));
+    }
     scanner.found
 }
 
@@ -111,7 +114,7 @@ struct Break {
 
 struct Scanner<'a> {
     number: u32,
-    bytes: &'a [u8],
+    file: &'a SegmentFile,
     advance: &'a dyn Fn(u64),
     reported: usize,
     found: SegmentScan,
@@ -127,11 +130,11 @@ struct Scanner<'a> {
 
 impl<'a> Scanner<'a> {
     fn run(&mut self) {
-        let mut walker = Walker::new(self.bytes);
+        let mut walker = Walker::new(self.file);
         while let Some(stop) = self.walk(&mut walker) {
             self.report(stop.at);
-            let next = find(self.bytes, stop.at + 1, is_payload);
-            let end = next.as_ref().map_or(self.bytes.len(), Found::start);
+            let next = find(self.file, stop.at + 1);
+            let end = next.as_ref().map_or(self.file.len(), Found::start);
             match (stop.reason, &next) {
                 (Some(reason), _) => self.damage(stop.at..end, reason),
                 (None, Some(_)) => self.damage(stop.at..end, "no record begins here".to_owned()),
@@ -149,7 +152,7 @@ impl<'a> Scanner<'a> {
                     end
                 }
             };
-            walker = Walker::resume(self.bytes, goes_on);
+            walker = Walker::resume(self.file, goes_on);
         }
     }
 
@@ -164,7 +167,7 @@ impl<'a> Scanner<'a> {
     }
 
     fn report(&mut self, position: usize) {
-        let position = position.min(self.bytes.len());
+        let position = position.min(self.file.len());
         (self.advance)(position.saturating_sub(self.reported) as u64);
         self.reported = self.reported.max(position);
     }
@@ -179,10 +182,11 @@ impl<'a> Scanner<'a> {
                         return Some(Break { at: data.start - MESSAGE_HEADER, reason: Some(reason) });
                     }
                 }
-                Event::Metadata { name, entries } => self.metadata(name, &entries),
+                Event::Metadata { name, entries } => self.metadata(&name, &entries),
                 Event::DataEnd { offset, crc } => {
-                    if let Some(rest) = self.bytes.get(self.hashed..offset) {
-                        self.data.update(rest);
+                    let rest = Some(self.hashed..offset).filter(|rest| rest.start <= rest.end);
+                    if let Some(rest) = rest.and_then(|rest| self.file.checksum(rest)) {
+                        self.data.combine(&rest);
                         self.found.proven = self.data.clone().finalize() == crc;
                         if let Some(header) = self.found.header.as_mut().filter(|_| self.found.proven) {
                             header.proven = true;
@@ -198,24 +202,25 @@ impl<'a> Scanner<'a> {
                 None
             }
             // Zeros up to the end are what a sync leaves.
-            End::Cut { at } | End::Damaged { at, .. } if self.bytes[at..].iter().all(|byte| *byte == 0) => {
-                None
-            }
+            End::Cut { at } | End::Damaged { at, .. } if self.file.is_zero_from(at) => None,
             End::Cut { at } => Some(Break { at, reason: None }),
             End::Damaged { at, reason } => Some(Break { at, reason: Some(reason) }),
         }
     }
 
     fn enter_chunk(&mut self, records: Range<usize>, crc: u32, whole: bool) {
-        let end = records.end.min(self.bytes.len());
+        let end = records.end.min(self.file.len());
         self.report(records.start);
         self.chunk = records.start..end;
         // One that the end of the file cuts cannot be checked: what is whole before the cut is used.
         (self.trusted, self.checked) = (true, false);
-        let Some(before) = self.bytes.get(self.hashed..records.start).filter(|_| whole) else { return };
+        if !whole || self.hashed > records.start {
+            return;
+        }
+        // Zeros stand where nothing can be read: the checksum tells, as of any damage.
+        self.file.pass(self.hashed..records.start, |bytes| self.data.update(bytes));
         let mut of_chunk = Hasher::new();
-        of_chunk.update(&self.bytes[records.clone()]);
-        self.data.update(before);
+        self.file.pass(records.clone(), |bytes| of_chunk.update(bytes));
         self.trusted = of_chunk.clone().finalize() == crc;
         if !self.trusted {
             let as_written = self.but_for_pixels(&records);
@@ -235,26 +240,32 @@ impl<'a> Scanner<'a> {
     /// pixels: if it is right, only pixels are damaged, and the small records between them may be believed.
     fn but_for_pixels(&self, records: &Range<usize>) -> Hasher {
         let (mut whole, mut done) = (Hasher::new(), records.start);
-        for event in Walker::resume(&self.bytes[..records.end], records.start) {
+        let mut front = Vec::new();
+        for event in Walker::within(self.file, records.clone()) {
             let Event::Message { data, .. } = event else { continue };
-            let Ok(envelope) = parse_envelope(&self.bytes[data.clone()]) else { continue };
+            front.resize(data.len().min(FRONT), 0);
+            self.file.read_with_holes(data.start, &mut front);
+            let Ok((envelope, length)) = parse_envelope_of(&front) else { continue };
+            if length != data.len() {
+                continue;
+            }
             let first = data.start + envelope.pixels.start;
-            whole.update(&self.bytes[done..first]);
+            self.file.pass(done..first, |bytes| whole.update(bytes));
             let length = envelope.pixels.len() as u64;
             whole.combine(&Hasher::new_with_initial_len(envelope.meta.pixels_crc, length));
             done = data.end;
         }
-        whole.update(&self.bytes[done..records.end]);
+        self.file.pass(done..records.end, |bytes| whole.update(bytes));
         whole
     }
 
     fn message(&mut self, data: Range<usize>) -> Result<(), String> {
-        let payload = &self.bytes[data.clone()];
-        if !is_json(payload) {
-            return self.frame(data);
+        let payload = self.payload(&data);
+        if payload.first() != Some(&b'{') {
+            return self.frame_of(data, &payload);
         }
         let trusted = self.trusted && self.chunk.contains(&data.start);
-        match serde_json::from_slice(payload) {
+        match serde_json::from_slice(&payload) {
             Ok(_) if !trusted => self.found.records_lost += 1,
             Ok(SmallRecord::Gap(gap)) => self.found.gaps.push(gap),
             Ok(SmallRecord::Trigger(row)) => self.found.triggers.push(row),
@@ -263,14 +274,25 @@ impl<'a> Scanner<'a> {
             // The index, and records of later versions.
             Err(_) if trusted => {}
             // Its length may be what is damaged.
-            Err(_) if !is_payload(payload) => return Err("a small record is not readable".to_owned()),
+            Err(_) if !is_json(&payload) => return Err("a small record is not readable".to_owned()),
             Err(_) => {}
         }
         Ok(())
     }
 
+    /// A message's bytes, with zeros where nothing can be read: no checksum takes them for what was there.
+    fn payload(&self, data: &Range<usize>) -> Vec<u8> {
+        let mut payload = vec![0; data.len()];
+        self.file.read_with_holes(data.start, &mut payload);
+        payload
+    }
+
     fn frame(&mut self, data: Range<usize>) -> Result<(), String> {
-        let payload = &self.bytes[data.clone()];
+        let payload = self.payload(&data);
+        self.frame_of(data, &payload)
+    }
+
+    fn frame_of(&mut self, data: Range<usize>, payload: &[u8]) -> Result<(), String> {
         let envelope = parse_envelope(payload).map_err(|e| e.to_string())?;
         let camera = self.camera(&envelope);
         let (trigger, stated) = (envelope.meta.trigger.0, envelope.meta.pixels_crc);
@@ -302,8 +324,8 @@ impl<'a> Scanner<'a> {
         })
     }
 
-    fn metadata(&mut self, name: &str, entries: &BTreeMap<&str, &str>) {
-        let number = |key| entries.get(key).and_then(|text: &&str| text.parse::<u64>().ok());
+    fn metadata(&mut self, name: &str, entries: &Entries) {
+        let number = |key| entries.get(key).and_then(|text: &String| text.parse::<u64>().ok());
         match name {
             HEADER_METADATA => {
                 self.found.first_trigger = number(KEY_FIRST_TRIGGER);
@@ -316,8 +338,7 @@ impl<'a> Scanner<'a> {
                     }
                     Err(reason) => {
                         self.damage(0..0, reason);
-                        let owned = |(key, text): (&&str, &&str)| ((*key).to_owned(), (*text).to_owned());
-                        self.found.header_entries = entries.iter().map(owned).collect();
+                        self.found.header_entries.clone_from(entries);
                     }
                 }
             }
@@ -326,12 +347,12 @@ impl<'a> Scanner<'a> {
                 self.index(entries);
             }
             VERDICT_METADATA => {
-                let json = entries.get(KEY_JSON).copied().unwrap_or_default();
+                let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
                 self.found.verdict = serde_json::from_str(json).ok();
                 self.found.verdict_proven = is_sound(entries) == Some(true);
             }
             STATISTICS_METADATA if is_sound(entries) == Some(true) => {
-                let json = entries.get(KEY_JSON).copied().unwrap_or_default();
+                let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
                 self.found.statistics = serde_json::from_str(json).ok();
             }
             _ => {}
@@ -339,15 +360,17 @@ impl<'a> Scanner<'a> {
     }
 
     /// The index knows the gap records, and frames whose way from record to record is damaged.
-    fn index(&mut self, entries: &BTreeMap<&str, &str>) {
-        let Some(index) = parse_index(self.bytes, entries) else { return };
+    fn index(&mut self, entries: &Entries) {
+        let Some(index) = parse_index(self.file, entries) else { return };
         let known: std::collections::BTreeSet<usize> =
             self.found.frames.iter().map(|frame| frame.message.start).collect();
         for (_, _, offset, length) in index.frames {
             let (Ok(offset), Ok(length)) = (usize::try_from(offset), usize::try_from(length)) else {
                 continue;
             };
-            let Some(end) = offset.checked_add(length).filter(|end| *end <= self.bytes.len()) else {
+            let Some(end) =
+                offset.checked_add(length).filter(|end| *end <= self.file.len() && length <= MAX_MESSAGE)
+            else {
                 continue;
             };
             if !known.contains(&offset) {
@@ -360,18 +383,5 @@ impl<'a> Scanner<'a> {
             self.found.gaps.iter().map(|gap| (gap.camera.clone(), gap.trigger)).collect();
         let more = index.gaps.into_iter().filter(|gap| !known.contains(&(gap.camera.clone(), gap.trigger)));
         self.found.gaps.extend(more);
-    }
-}
-
-fn is_json(payload: &[u8]) -> bool {
-    payload.first() == Some(&b'{')
-}
-
-/// Whether these bytes are, without doubt, the payload of a message of ours.
-fn is_payload(payload: &[u8]) -> bool {
-    if is_json(payload) {
-        payload.last() == Some(&b'}') && serde_json::from_slice::<serde::de::IgnoredAny>(payload).is_ok()
-    } else {
-        parse_envelope(payload).is_ok()
     }
 }

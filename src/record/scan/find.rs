@@ -1,12 +1,17 @@
 //! Where to go on behind damage.
 
-use super::{Fields, MAX_SMALL_RECORD, MESSAGE_HEADER, PREAMBLE, preamble, record_at};
-use crate::record::envelope::{begins_like_envelope, parse_envelope_of, pixels_crc};
+use super::{
+    Fields, MAX_MESSAGE, MAX_SMALL_RECORD, MESSAGE_HEADER, PREAMBLE, preamble, record_at, small_body,
+};
+use crate::record::envelope::{FRONT, begins_like_envelope, parse_envelope_of};
+use crate::record::segment_file::{Pieces, SegmentFile};
 use mcap::records::op;
 use std::ops::Range;
 
 /// A chunk's fields before its records: two times, size, checksum, empty compression, size.
-const CHUNK_FIELDS: u64 = 8 + 8 + 8 + 4 + 4 + 8;
+const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 8;
+/// Looked through at once, bytes.
+const PIECE: usize = 64 << 10;
 
 /// What is usable behind damage.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -28,50 +33,97 @@ impl Found {
 }
 
 /// The next place from `from` on where something of ours is without doubt: a chunk whose three lengths agree, a
-/// metadata record with one of our names, a message that `is_payload` knows, or a frame both of whose checksums are
-/// right, whatever is around it.
-pub fn find(bytes: &[u8], from: usize, is_payload: impl Fn(&[u8]) -> bool) -> Option<Found> {
-    let candidates = bytes.get(from..)?.iter().enumerate();
-    candidates.filter(|(_, byte)| matches!(**byte, op::MESSAGE | op::CHUNK | op::METADATA | b'\n')).find_map(
-        |(at, byte)| {
-            let at = from + at;
-            match *byte {
-                b'\n' => frame(bytes, at).map(Found::Frame),
-                _ => is_record(bytes, at, &is_payload)?.then_some(Found::Record(at)),
+/// metadata record with one of our names, a message of JSON or with an envelope whose checksum is right, or a frame
+/// both of whose checksums are right, whatever is around it.
+pub fn find(file: &SegmentFile, from: usize) -> Option<Found> {
+    // Candidates are looked at through a piece of their own.
+    let (mut passed, mut candidates) = (Pieces::new(file), Pieces::new(file));
+    let mut at = from;
+    while at < file.len() {
+        let mut end = (at + PIECE).min(file.len());
+        if let Err(bad) = passed.get(at..end) {
+            if bad.from <= at {
+                at = bad.to;
+                continue;
             }
-        },
-    )
+            end = bad.from;
+        }
+        let bytes = passed.get(at..end).ok()?.iter().zip(at..);
+        let begins = |byte: u8| matches!(byte, op::MESSAGE | op::CHUNK | op::METADATA | b'\n');
+        let found = bytes.filter(|(byte, _)| begins(**byte)).find_map(|(byte, at)| match *byte {
+            b'\n' => frame(&mut candidates, at).map(Found::Frame),
+            _ => is_record(&mut candidates, at)?.then_some(Found::Record(at)),
+        });
+        if found.is_some() {
+            return found;
+        }
+        at = end;
+    }
+    None
 }
 
-fn is_record(bytes: &[u8], at: usize, is_payload: &impl Fn(&[u8]) -> bool) -> Option<bool> {
-    let (opcode, length) = preamble(&bytes[at..])?;
+fn is_record(pieces: &mut Pieces<'_>, at: usize) -> Option<bool> {
+    let (opcode, length) = preamble(pieces.get(at..at + PREAMBLE).ok()?)?;
     Some(match opcode {
         // It may reach beyond the end of a file that was cut.
         op::CHUNK => {
-            let mut fields = Fields { bytes: bytes.get(at + PREAMBLE..)?, position: 16 };
+            let body = at + PREAMBLE;
+            let mut fields = Fields { bytes: pieces.get(body..body + CHUNK_FIELDS).ok()?, position: 16 };
             let (uncompressed, _) = (fields.u64()?, fields.u32()?);
             let (compression, compressed) = (fields.u32()?, fields.u64()?);
             compression == 0
                 && uncompressed == compressed
-                && compressed.checked_add(CHUNK_FIELDS) == Some(length)
+                && compressed.checked_add(CHUNK_FIELDS as u64) == Some(length)
         }
         op::METADATA if length <= MAX_SMALL_RECORD as u64 => {
-            let (_, body, _) = record_at(bytes, at)?;
-            let mut fields = Fields { bytes: body, position: 0 };
+            let (_, body) = record_at(pieces, at)?;
+            let mut fields = Fields { bytes: small_body(pieces, body)?, position: 0 };
             fields.text()?.starts_with("fourdbody.") && fields.text_map().is_some() && fields.used_up()
         }
         op::MESSAGE => {
-            let (_, body, _) = record_at(bytes, at)?;
-            is_payload(body.get(MESSAGE_HEADER - PREAMBLE..)?)
+            let (_, body) = record_at(pieces, at)?;
+            is_payload(pieces, body.start.checked_add(MESSAGE_HEADER - PREAMBLE)?..body.end)?
         }
         _ => false,
     })
 }
 
+/// Whether this is, without doubt, the payload of a message of ours.
+fn is_payload(pieces: &mut Pieces<'_>, payload: Range<usize>) -> Option<bool> {
+    if payload.is_empty() || payload.len() > MAX_MESSAGE {
+        return Some(false);
+    }
+    let front = pieces.get(payload.start..payload.end.min(payload.start + FRONT)).ok()?;
+    if front.first() == Some(&b'{') {
+        return Some(is_json(pieces.get(payload).ok()?));
+    }
+    let (_, length) = parse_envelope_of(front).ok()?;
+    Some(length == payload.len())
+}
+
+/// Whether a payload is a small record, whole.
+pub fn is_json(payload: &[u8]) -> bool {
+    payload.first() == Some(&b'{')
+        && payload.last() == Some(&b'}')
+        && serde_json::from_slice::<serde::de::IgnoredAny>(payload).is_ok()
+}
+
 /// The message of a whole frame that begins here, found by its own bytes alone.
-fn frame(bytes: &[u8], at: usize) -> Option<Range<usize>> {
-    let rest = bytes.get(at..).filter(|rest| begins_like_envelope(rest))?;
-    let (envelope, length) = parse_envelope_of(rest).ok()?;
-    let whole = pixels_crc(rest.get(envelope.pixels)?) == envelope.meta.pixels_crc;
-    whole.then_some(at..at + length)
+fn frame(pieces: &mut Pieces<'_>, at: usize) -> Option<Range<usize>> {
+    let file = pieces.file();
+    let few = pieces.get(at..file.len().min(at + 32)).ok()?;
+    if !begins_like_envelope(few) {
+        return None;
+    }
+    // Nothing says how much of it can be read: the piece ends in front of what cannot.
+    let end = file.len().min(at + FRONT);
+    let front = match pieces.get(at..end) {
+        Ok(_) => pieces.get(at..end).ok()?,
+        Err(bad) => pieces.get(at..bad.from.max(at)).ok()?,
+    };
+    let (envelope, length) = parse_envelope_of(front).ok()?;
+    let (pixels, stated) = (envelope.pixels, envelope.meta.pixels_crc);
+    let end = at.checked_add(length).filter(|end| length <= MAX_MESSAGE && *end <= file.len())?;
+    let whole = file.checksum(at + pixels.start..end)?.finalize() == stated;
+    whole.then_some(at..end)
 }
