@@ -87,5 +87,6 @@ mod third_party_session;
 #[cfg(feature = "aravis")]
 mod two_nodes;
 mod unread_output;
+mod unreadable_disk;
 mod validate_commands;
 mod worker;

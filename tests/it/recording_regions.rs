@@ -18,8 +18,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
-const TRIGGERS: u64 = 30;
+pub const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
+pub const TRIGGERS: u64 = 30;
 /// Two pages but for 80 bytes: the first page of a frame goes to the disk from its own memory, the rest is staged, and what is
 /// left of the second is too little for the next envelope, so that a private record of zeros goes in front of it.
 const SIZE: (u32, u32) = (104, 78);
@@ -79,7 +79,7 @@ fn record(dir: &Path, header: RecordingHeader, salt: u64) {
 
 /// What a byte of a segment is part of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Region {
+pub enum Region {
     Magic,
     FileHeader,
     HeaderMetadata,
@@ -102,15 +102,15 @@ enum Region {
 const REGIONS: usize = 16;
 
 /// A good segment, taken apart as the MCAP specification says.
-struct Anatomy {
-    bytes: Vec<u8>,
-    regions: BTreeMap<Region, Vec<Range<usize>>>,
+pub struct Anatomy {
+    pub bytes: Vec<u8>,
+    pub regions: BTreeMap<Region, Vec<Range<usize>>>,
     /// Starts and ends of chunks.
     chunks: Vec<usize>,
     /// Ends of all records.
     ends: Vec<usize>,
     /// Camera, trigger, and where the message is.
-    frames: Vec<(usize, u64, Range<usize>)>,
+    pub frames: Vec<(usize, u64, Range<usize>)>,
 }
 
 impl Anatomy {
@@ -183,7 +183,7 @@ impl Anatomy {
 }
 
 /// The good recording: header, segments taken apart. Made once.
-fn good() -> &'static Vec<Anatomy> {
+pub fn good() -> &'static Vec<Anatomy> {
     static GOOD: OnceLock<Vec<Anatomy>> = OnceLock::new();
     GOOD.get_or_init(|| {
         let dir = quick_dir();
@@ -295,7 +295,7 @@ impl Damaged {
 }
 
 /// All frames of a recording, each compared with the pixels that were recorded.
-fn frames(reader: &SessionReader, salt: u64) -> BTreeSet<(usize, u64)> {
+pub fn frames(reader: &SessionReader, salt: u64) -> BTreeSet<(usize, u64)> {
     let mut expected = vec![0; (SIZE.0 * SIZE.1) as usize];
     let mut saved = BTreeSet::new();
     for (camera, name) in CAMERAS.iter().enumerate() {

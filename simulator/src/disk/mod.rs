@@ -16,7 +16,7 @@ mod passthrough;
 pub mod plan;
 mod unsynced;
 
-pub use plan::{Amount, DiskPlan, DiskPlanError, Full, IoFault, Operation, Slow};
+pub use plan::{Amount, DiskPlan, DiskPlanError, Full, IoFault, Operation, ReadFault, Slow};
 
 use crate::faults::TruthLog;
 use fuser::{BackgroundSession, Config, MountOption};
@@ -72,6 +72,7 @@ impl SimulatedDisk {
         }
         let medium = Medium::new(plan.drawn(node));
         let shared = Arc::new(Shared::new(backing.canonicalize()?, node, medium, plan.fallocate, truth));
+        shared.set_unreadable(plan.unreadable.clone());
         let mut config = Config::default();
         config.mount_options =
             vec![MountOption::FSName("fourdbody-sim".to_owned()), MountOption::NoDev, MountOption::NoSuid];
@@ -83,6 +84,11 @@ impl SimulatedDisk {
     /// Where it is mounted.
     pub fn mount_point(&self) -> &Path {
         &self.mount_point
+    }
+
+    /// What cannot be read from now on, instead of what the plan says; `path` is below the mount point.
+    pub fn set_unreadable(&self, faults: Vec<ReadFault>) {
+        self.shared.set_unreadable(faults);
     }
 
     /// Ends all faults.

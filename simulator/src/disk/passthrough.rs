@@ -5,6 +5,7 @@
 
 use super::medium::{BLOCK, Medium};
 use super::nodes::Nodes;
+use super::plan::ReadFault;
 use super::unsynced::Unsynced;
 use crate::faults::{DiskEvent, DiskFault, TruthLog};
 use fuser::{
@@ -49,6 +50,7 @@ pub struct Shared {
     node: String,
     fallocate: bool,
     truth: Option<Arc<TruthLog>>,
+    unreadable: Mutex<Vec<ReadFault>>,
     state: Mutex<State>,
 }
 
@@ -71,12 +73,45 @@ impl Shared {
             medium,
             unsynced: HashMap::new(),
         };
-        Self { root, node: node.to_owned(), fallocate, truth, state: Mutex::new(state) }
+        let (unreadable, state) = (Mutex::new(Vec::new()), Mutex::new(state));
+        Self { root, node: node.to_owned(), fallocate, truth, unreadable, state }
     }
 
     /// No faults any more.
     pub fn repair(&self) {
         self.lock().medium.repair();
+        self.set_unreadable(Vec::new());
+    }
+
+    /// What cannot be read from now on; files that are open already are concerned as well.
+    pub fn set_unreadable(&self, faults: Vec<ReadFault>) {
+        *self.unreadable.lock().unwrap_or_else(PoisonError::into_inner) = faults;
+    }
+
+    /// Fails as a whole for one bad byte; then the kernel asks for single pages.
+    fn read(&self, handle: FileHandle, offset: u64, size: u32) -> Answer<Vec<u8>> {
+        let Open { node, file } = self.open(handle)?;
+        let path = self.lock().nodes.path(node).map(Path::to_owned).unwrap_or_default();
+        let end = offset.saturating_add(u64::from(size));
+        let concerns = |fault: &ReadFault| {
+            Path::new(&fault.path) == path && fault.from < end && fault.to.is_none_or(|to| to > offset)
+        };
+        if self.unreadable.lock().unwrap_or_else(PoisonError::into_inner).iter().any(concerns) {
+            self.note(&path, DiskFault::IoError, "read", |event| {
+                (event.offset, event.bytes) = (offset, u64::from(size));
+            });
+            return Err(Errno::EIO);
+        }
+        let mut bytes = vec![0; size as usize];
+        let mut filled = 0;
+        while filled < bytes.len() {
+            match file.read_at(&mut bytes[filled..], offset + filled as u64)? {
+                0 => break,
+                more => filled += more,
+            }
+        }
+        bytes.truncate(filled);
+        Ok(bytes)
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -460,18 +495,7 @@ impl Filesystem for Passthrough {
         _: Option<LockOwner>,
         reply: ReplyData,
     ) {
-        let read = self.0.open(fh).and_then(|open| {
-            let mut bytes = vec![0; size as usize];
-            let mut filled = 0;
-            while filled < bytes.len() {
-                match open.file.read_at(&mut bytes[filled..], offset + filled as u64)? {
-                    0 => break,
-                    more => filled += more,
-                }
-            }
-            bytes.truncate(filled);
-            Ok(bytes)
-        });
+        let read = self.0.read(fh, offset, size);
         answer!(reply, read, |bytes: Vec<u8>| reply.data(&bytes));
     }
 

@@ -94,6 +94,18 @@ pub struct IoFault {
     pub for_good: bool,
 }
 
+/// Bytes of a file that cannot be read: an I/O error for each call that concerns one of them.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReadFault {
+    /// The file, below the disk's root.
+    pub path: String,
+    /// The first byte.
+    pub from: u64,
+    /// Behind the last byte; to the file's end by default.
+    pub to: Option<u64>,
+}
+
 /// What the disks of a laboratory do wrong. Nothing that is not asked for.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -113,6 +125,9 @@ pub struct DiskPlan {
     /// When it fails.
     #[serde(default)]
     pub error: Vec<IoFault>,
+    /// What cannot be read.
+    #[serde(default)]
+    pub unreadable: Vec<ReadFault>,
 }
 
 fn yes() -> bool {
@@ -158,6 +173,11 @@ impl DiskPlan {
             slow.from_byte.map_or(Ok(()), |amount| amount.check("slow.from_byte"))?;
         }
         self.full.as_ref().map_or(Ok(()), |full| full.capacity_bytes.check("full.capacity_bytes"))?;
+        if let Some(fault) = self.unreadable.iter().find(|fault| fault.to.is_some_and(|to| to <= fault.from))
+        {
+            let ReadFault { path, from, .. } = fault;
+            return wrong(format!("unreadable: {path} from byte {from} to one that is not behind it"));
+        }
         for fault in &self.error {
             let given = [fault.nth.is_some(), fault.at_byte.is_some(), fault.probability.is_some()];
             if given.iter().filter(|given| **given).count() != 1 {
@@ -276,6 +296,7 @@ mod tests {
             "[[disk.error]]\non = \"read\"\nnth = 1",
             "[[disk.error]]\non = \"write\"\nnth = 1\nprobability = 0.5",
             "[[disk.error]]\non = \"sync\"\nat_byte = 1",
+            "[[disk.unreadable]]\npath = \"s\"\nfrom = 5\nto = 5",
             "[[disk.error]]\non = \"write\"\nprobability = 1.5",
         ] {
             assert!(DiskPlan::parse(&format!("[disk]\nseed = 1\n{wrong}\n")).is_err(), "{wrong}");
