@@ -323,7 +323,7 @@ function series(extra = {}) {
   const filled = (id) => $(id).value.trim() || null;
   const seconds = filled("seconds");
   return {
-    wish: { name: filled("name"), subject: filled("subject"), note: filled("note"), duration_s: seconds ? Number(seconds) : null, countdown_s: Number(filled("countdown") ?? 0), ...extra },
+    wish: { name: filled("name"), subject: filled("subject"), note: filled("note"), duration_s: seconds ? Number(seconds) : null, countdown_s: Number(filled("countdown") ?? 0), partial: $("partial").checked, ...extra },
     takes: Number(filled("takes") ?? 1),
     pause_s: 0,
   };

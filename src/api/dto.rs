@@ -23,6 +23,9 @@ pub struct NodeStatus {
     pub rig: String,
     /// Triggers per second, by the rig.
     pub trigger_rate_hz: f64,
+    /// The nodes that the rig has: a session of fewer is one of a part of the rig.
+    #[schema(value_type = Vec<String>)]
+    pub rig_nodes: Vec<NodeId>,
     /// Where it is in a session.
     pub phase: Phase,
     /// Its cameras, in the rig's order.

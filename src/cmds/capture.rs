@@ -48,6 +48,9 @@ pub struct Args {
     /// Do all but write: triggers, frames and verdict are real, nothing is recorded.
     #[arg(long)]
     dry_run: bool,
+    /// Capture a part of the rig: without this all nodes of the rig must be in --nodes.
+    #[arg(long)]
+    partial: bool,
     /// Print one JSON object at the end instead of text.
     #[arg(long)]
     json: bool,
@@ -62,6 +65,7 @@ impl Args {
             subject: self.subject.clone(),
             note: self.note.clone(),
             dry_run: self.dry_run,
+            partial: self.partial,
             countdown_s: self.countdown,
             on_behalf_of: None,
         };

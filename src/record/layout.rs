@@ -82,6 +82,10 @@ pub fn segment_number(name: &str) -> Option<u32> {
     (digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit())).then(|| digits.parse().ok())?
 }
 
+/// The kind of the event that names, as its message, a node of the rig that was not asked to take part: the session is one of a part
+/// of the rig, as somebody wished.
+pub const NOT_ASKED: &str = "node_not_asked";
+
 /// One camera of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraHeader {

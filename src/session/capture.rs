@@ -11,6 +11,7 @@ use crate::api::dto::{NodeStatus, Outcome, SessionStatus};
 use crate::cmds::Exit;
 use crate::ids::SessionName;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -32,6 +33,8 @@ pub struct Wish {
     pub note: Option<String>,
     /// Everything but the recording.
     pub dry_run: bool,
+    /// A part of the rig is meant: without this all nodes of the rig take part.
+    pub partial: bool,
     /// Seconds from the moment at which every node is ready to the first trigger.
     pub countdown_s: u32,
     /// Whom the node that runs the capture serves. Not theirs to say.
@@ -154,7 +157,7 @@ pub fn capture(
     }
     let sessions = follow(nodes, &request, control, &mut progress)?;
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
-    let captured = Captured::new(request.name, wish.dry_run, named.collect());
+    let captured = Captured::new(request.name, wish.dry_run, absent(&statuses), named.collect());
     match failure_of_all(captured.nodes()) {
         Some(fault) => Err(fault),
         None => Ok(captured),
@@ -187,6 +190,15 @@ fn request(wish: &Wish, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault
             )));
         }
     }
+    let absent = absent(statuses);
+    // A dry run records nothing, and says what it was of.
+    if !absent.is_empty() && !wish.partial && !wish.dry_run {
+        return Err(usage(format!(
+            "the rig has node {}, which was not asked; add it to --nodes (on a node: to its peers), or ask for a part of the rig with \
+             --partial",
+            absent.join(" and node ")
+        )));
+    }
     if wish.countdown_s > COUNTDOWN_MAX_S {
         return Err(usage(format!(
             "a countdown of {} s; expected at most {COUNTDOWN_MAX_S}",
@@ -209,6 +221,13 @@ fn request(wish: &Wish, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault
         dry_run: wish.dry_run,
         on_behalf_of: wish.on_behalf_of.clone(),
     })
+}
+
+/// Nodes of the rig that are not among these.
+fn absent(statuses: &[NodeStatus]) -> Vec<String> {
+    let rig = statuses.iter().flat_map(|status| &status.rig_nodes);
+    let absent = rig.filter(|node| !statuses.iter().any(|status| status.node == **node));
+    absent.map(ToString::to_string).collect::<BTreeSet<_>>().into_iter().collect()
 }
 
 /// Triggers asked for, 0: until stopped.

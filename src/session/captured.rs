@@ -10,13 +10,20 @@ use std::path::PathBuf;
 pub struct Captured {
     name: String,
     dry_run: bool,
+    /// Nodes of the rig that were not asked.
+    absent: Vec<String>,
     /// Per node: its name, and its session as it ended.
     nodes: Vec<(String, SessionStatus)>,
 }
 
 impl Captured {
-    pub(super) fn new(name: String, dry_run: bool, nodes: Vec<(String, SessionStatus)>) -> Self {
-        Self { name, dry_run, nodes }
+    pub(super) fn new(
+        name: String,
+        dry_run: bool,
+        absent: Vec<String>,
+        nodes: Vec<(String, SessionStatus)>,
+    ) -> Self {
+        Self { name, dry_run, absent, nodes }
     }
 
     /// The session's name.
@@ -28,7 +35,7 @@ impl Captured {
         &self.nodes
     }
 
-    /// 0 when every frame of every camera is there, 3 otherwise.
+    /// 0 when every frame of every camera that was asked is there, 3 otherwise.
     pub fn exit(&self) -> Exit {
         if self.nodes.iter().all(|(_, session)| status_word(session) == "complete") {
             Exit::Done
@@ -47,6 +54,7 @@ impl Captured {
     pub fn lines(&self) -> Vec<String> {
         let kind = if self.dry_run { "dry run" } else { "session" };
         let mut lines = vec![format!("{kind} {}: {}", self.name, self.verdict())];
+        lines.extend(self.absent.iter().map(|node| format!("  partial: node {node} not asked")));
         for (node, session) in &self.nodes {
             lines.push(format!("  node {node}: {}, {} triggers", status_word(session), session.triggers));
             match &session.outcome {
@@ -71,11 +79,12 @@ impl Captured {
             "name": self.name,
             "dry_run": self.dry_run,
             "verdict": self.verdict(),
+            "not_asked": self.absent,
             "nodes": nodes.collect::<Vec<_>>(),
         })
     }
 
-    /// `complete`, `incomplete` or `aborted`.
+    /// `complete`, `incomplete` or `aborted`; `partial` where all is there that was asked of a part of the rig.
     pub fn verdict(&self) -> &'static str {
         let words: Vec<&str> = self.nodes.iter().map(|(_, session)| status_word(session)).collect();
         let is = |word| words.contains(&word);
@@ -83,6 +92,8 @@ impl Captured {
             "aborted"
         } else if is("incomplete") {
             "incomplete"
+        } else if !self.absent.is_empty() {
+            "partial"
         } else {
             "complete"
         }

@@ -50,6 +50,7 @@ impl Driver {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             rig: config.rig.name.clone(),
             trigger_rate_hz: config.rig.trigger_rate_hz,
+            rig_nodes: config.rig.nodes().into_iter().collect(),
             phase: Phase::Idle,
             cameras: devices.camera_statuses(),
             hsu: devices.hsu_status(),

@@ -14,7 +14,8 @@ use crate::cmds::Exit;
 use crate::config::FeatureSetting;
 use crate::ids::{CameraId, SessionName};
 use crate::record::{
-    CameraHeader, ClockSample, HsuIdentity, NodeEvent, RecordError, Recording, RecordingHeader, WriterOptions,
+    CameraHeader, ClockSample, HsuIdentity, NOT_ASKED, NodeEvent, RecordError, Recording, RecordingHeader,
+    WriterOptions,
 };
 use crossbeam_channel::{bounded, unbounded};
 use std::path::Path;
@@ -73,11 +74,22 @@ impl Node {
             session.destination = Some(Destination::DryRun(Box::new(DryRun::new(header))));
             return Ok(());
         }
-        let recording = Recording::create(&session.dir, header, options).map_err(|error| {
+        let mut recording = Recording::create(&session.dir, header, options).map_err(|error| {
             remove_if_empty(&session.dir);
             let exit = if matches!(error, RecordError::Exists { .. }) { Exit::Usage } else { Exit::Failure };
             Fault::new(exit, error)
         })?;
+        let absent = self.config.rig.nodes().into_iter().filter(|node| !request.nodes.contains(node));
+        for node in absent {
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: NOT_ASKED.to_owned(),
+                camera: None,
+                trigger: None,
+                message: node.to_string(),
+            };
+            recording.event(&event).map_err(|error| Fault::new(Exit::Failure, error))?;
+        }
         self.telemetry.recording(recording.progress());
         session.destination = Some(Destination::Recording(Box::new(recording)));
         Ok(())

@@ -61,6 +61,44 @@ fn the_next_session_works(laboratory: &Laboratory, name: &str) {
 }
 
 #[test]
+fn half_a_rig_is_asked_for_by_name_and_is_never_called_complete() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 219, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let url = nodes[0].client.url().to_owned();
+    let mut capture = |name: &str, options: &[&str]| {
+        let args = [&["capture", "--nodes", &url, "--triggers", "6", "--name", name], options].concat();
+        let done = fourdbody(&args);
+        nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+        done
+    };
+    let refused = capture("half", &[]);
+    assert_eq!(refused.status.code(), Some(2), "{}", text_of(&refused));
+    assert_contains(&text_of(&refused), &["node b, which was not asked", "--nodes", "--partial"]);
+    let session = dir.path().join("sessions/half");
+    assert!(!session.exists(), "nothing is left behind");
+
+    let part = capture("half", &["--partial"]);
+    assert_eq!(part.status.code(), Some(0), "{}", text_of(&part));
+    assert_contains(
+        &text_of(&part),
+        &["session half: partial", "partial: node b not asked", "node a: complete"],
+    );
+    let verified = fourdbody(&["verify", &session.display().to_string()]);
+    assert_eq!(verified.status.code(), Some(0), "{}", text_of(&verified));
+    assert_contains(&text_of(&verified), &["node b", "was not asked to take part"]);
+    let told = capture("told", &["--partial", "--json"]);
+    let json: Value = serde_json::from_slice(&told.stdout).expect("JSON");
+    assert_eq!((&json["verdict"], &json["not_asked"]), (&"partial".into(), &json!(["b"])));
+    // Nothing is lost in a dry run; it says what it was of.
+    let dry = capture("dry", &["--dry-run"]);
+    assert_eq!(dry.status.code(), Some(0), "{}", text_of(&dry));
+    assert_contains(&text_of(&dry), &["dry run dry: partial", "node b not asked"]);
+    // Whole is whole.
+    the_next_session_works(&laboratory, "whole");
+}
+
+#[test]
 fn a_node_runs_takes_and_dry_runs_for_whoever_asks() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory(dir.path(), 172, 20.0);

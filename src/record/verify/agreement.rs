@@ -1,6 +1,7 @@
 //! The nodes of one session must tell the same story: one session, one HSU, one trigger table, and no camera twice.
 
 use super::{Finding, Notes, Severity, accounting, instants};
+use crate::record::layout::NOT_ASKED;
 use crate::record::reader::RecordingReader;
 use crate::record::session::{open_each, parse_rig};
 use crate::record::verdict::Verdict;
@@ -125,7 +126,15 @@ pub fn note_absent(recordings: &[&RecordingReader], unreadable: &[&str], notes: 
     };
     for node in rig.nodes().iter().filter(|node| !here(node.as_str())) {
         notes.node = node.to_string();
-        notes.add(Severity::Note, None, None, None, "its recording is not here; agreement was not checked");
+        let not_asked = recordings.iter().any(|recording| {
+            recording.events.iter().any(|event| event.kind == NOT_ASKED && event.message == node.as_str())
+        });
+        let message = if not_asked {
+            "was not asked to take part: the session is of a part of the rig"
+        } else {
+            "its recording is not here; agreement was not checked"
+        };
+        notes.add(Severity::Note, None, None, None, message);
     }
 }
 
