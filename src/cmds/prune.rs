@@ -3,12 +3,12 @@
 use super::{Exit, Failure};
 use crate::config::WorkerConfig;
 use crate::worker::retention::{Judgement, delete, judge};
-use crate::worker::state::{Job, Stage};
+use crate::worker::state::Job;
 use std::path::PathBuf;
 
 /// Show which recordings are verified, reconstructed and copied to the archive, and delete them when asked.
 ///
-/// Without names all sessions that were reconstructed are looked at, by the sizes of their copies. With names every byte is
+/// Without names all sessions that were reconstructed or set aside are looked at, by the sizes of their copies. With names every byte is
 /// verified and compared with the copy, and with --delete the recordings that pass are deleted. Nothing else ever deletes one.
 #[derive(clap::Args)]
 #[command(after_help = "\
@@ -73,11 +73,11 @@ fn print(judgement: &Judgement, deleted: bool, thoroughly: bool) {
     }
 }
 
-/// Sessions whose results are there, by name.
+/// Sessions that are reconstructed or were set aside, by name.
 fn reconstructed(config: &WorkerConfig) -> Vec<String> {
     let entries = std::fs::read_dir(&config.results).into_iter().flatten().flatten();
     let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-    let done = |name: &String| Job::load(&config.results, name).is_some_and(|job| job.stage == Stage::Done);
+    let done = |name: &String| Job::load(&config.results, name).is_some_and(|job| job.has_ended());
     let mut names: Vec<String> = names.filter(done).collect();
     names.sort();
     names

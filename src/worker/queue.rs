@@ -19,6 +19,8 @@ pub struct Found {
     pub created_ns: u64,
     /// Its triggers.
     pub triggers: u64,
+    /// Frames of all nodes, as the verdicts count them.
+    pub frames: u64,
     /// The recording of each node, in the configuration's order.
     pub parts: Vec<PathBuf>,
 }
@@ -131,11 +133,13 @@ pub fn parts(config: &WorkerConfig, name: &str) -> Result<Found, String> {
         return Err(format!("{a} and {b} are of two sessions; keep those of one together"));
     }
     let verdicts = entries.iter().filter_map(|entry| entry.verdict.as_ref());
+    let frames = verdicts.clone().flat_map(|verdict| &verdict.cameras).map(|camera| camera.frames).sum();
     Ok(Found {
         name: name.to_owned(),
         session_id: first.session_id.clone().unwrap_or_default(),
         created_ns: entries.iter().map(|entry| entry.created_ns).min().unwrap_or(0),
         triggers: verdicts.map(|verdict| verdict.triggers).max().unwrap_or(0),
+        frames,
         parts: entries.into_iter().map(|entry| entry.path).collect(),
     })
 }

@@ -1,14 +1,19 @@
 //! Making room: recordings that are verified, reconstructed and copied may be deleted, by name, when somebody asks for it.
 
-use super::queue;
+use super::queue::{self, Found};
 use super::state::{Job, Stage};
 use crate::config::WorkerConfig;
-use crate::reconstruct::{batch::Format, collect};
+use crate::reconstruct::batch::{Format, Summary};
+use crate::reconstruct::collect;
 use crate::record::verify::{Severity, verify};
 use serde::Serialize;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+
+/// Of all frames with light, so many have a cloud where a recording may go: of the rest a later version could make more. A camera whose
+/// frames are all refused is an eighth.
+pub const SHARE_OF_LIT: f64 = 0.99;
 
 /// Read at a time while comparing, bytes.
 const BLOCK: usize = 1 << 20;
@@ -38,7 +43,7 @@ pub fn judge(config: &WorkerConfig, session: &str, thoroughly: bool) -> Judgemen
         }
     };
     judgement.parts = found.parts.clone();
-    judgement.stays.extend(not_reconstructed(config, session, &found.session_id));
+    judgement.stays.extend(not_reconstructed(config, &found));
     let Some(archive) = &config.archive else {
         judgement.stays.push("no archive is configured; set archive in the worker file".to_owned());
         return judgement;
@@ -79,11 +84,17 @@ pub fn delete(judgement: &Judgement) -> io::Result<u64> {
     Ok(judgement.bytes)
 }
 
-fn not_reconstructed(config: &WorkerConfig, session: &str, session_id: &str) -> Option<String> {
-    let Some(job) = Job::load(&config.results, session).filter(|job| job.stage == Stage::Done) else {
-        return Some("it is not reconstructed yet".to_owned());
+fn not_reconstructed(config: &WorkerConfig, found: &Found) -> Option<String> {
+    let (session, session_id) = (&found.name, &found.session_id);
+    let job = match Job::load(&config.results, session) {
+        Some(job) if job.stage == Stage::Done => job,
+        Some(Job { stage: Stage::SetAside, reason, .. }) => {
+            let reason = reason.unwrap_or_else(|| "for no stated reason".to_owned());
+            return Some(format!("it was set aside, not reconstructed: {reason}"));
+        }
+        _ => return Some("it is not reconstructed yet".to_owned()),
     };
-    if job.session_id != session_id {
+    if job.session_id != *session_id {
         return Some(format!("its results are of another session of this name ({})", job.session_id));
     }
     let dir = config.results.join(session);
@@ -91,6 +102,12 @@ fn not_reconstructed(config: &WorkerConfig, session: &str, session_id: &str) -> 
         Ok(summary) => summary,
         Err(reason) => return Some(reason),
     };
+    if summary.session.id != *session_id {
+        return Some(format!("{} has the results of another session, {}", dir.display(), summary.session));
+    }
+    if let Some(reason) = too_few_clouds(found.frames, &summary) {
+        return Some(reason);
+    }
     let there = summary.triggers.len() as u64;
     if there != job.of {
         return Some(format!("{} frame sets were recorded, {there} are in {}", job.of, dir.display()));
@@ -99,6 +116,21 @@ fn not_reconstructed(config: &WorkerConfig, session: &str, session_id: &str) -> 
     let lacking = [Format::Phase, Format::Ply].map(|format| collect::without_files(&dir, format, &summary));
     let fewest = lacking.iter().min_by_key(|lacking| lacking.len()).filter(|lacking| !lacking.is_empty())?;
     Some(format!("{} has no whole results of {}", dir.display(), collect::named(fewest)))
+}
+
+/// Whether clouds are lacking of frames that are in the recordings, and have light.
+fn too_few_clouds(recorded: u64, summary: &Summary) -> Option<String> {
+    let lit = recorded.saturating_sub(summary.dark() as u64);
+    let clouds = summary.clouds as u64;
+    if lit > 0 && clouds as f64 >= SHARE_OF_LIT * lit as f64 {
+        return None;
+    }
+    let most =
+        summary.most_refused_for().map_or_else(String::new, |reason| format!("; most often: {reason}"));
+    Some(format!(
+        "{clouds} clouds of {lit} frames with light ({recorded} recorded), expected {:.0} % at least{most}",
+        100.0 * SHARE_OF_LIT
+    ))
 }
 
 fn not_verified(part: &Path) -> Option<String> {
@@ -156,5 +188,51 @@ fn same(a: &Path, b: &Path) -> io::Result<bool> {
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(false),
             Err(error) => return Err(error),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::too_few_clouds;
+    use crate::reconstruct::batch::Summary;
+    use serde_json::json;
+
+    /// A summary of so many clouds, frames refused with light, and frames refused without.
+    fn summary(clouds: u64, refused: u64, dark: u64) -> Summary {
+        let frame = |outcome: &str, reason: Option<&str>| {
+            let mut frame = json!({
+                "camera": "h0_up", "outcome": outcome, "points": 0, "unresolved_px": 0, "contradicted_px": 0
+            });
+            reason.into_iter().for_each(|reason| frame["reason"] = reason.into());
+            frame
+        };
+        let mut frames = vec![frame("cloud", None); clouds as usize];
+        frames.extend(vec![frame("refused", Some("no marker was found")); refused as usize]);
+        frames.extend(vec![frame("refused", Some("there is no object in the frame")); dark as usize]);
+        let summary = json!({
+            "session": { "id": "s", "cameras": ["h0_up"] }, "algorithm": 1, "parameters": "p", "method": "anchored",
+            "frames": clouds + refused + dark, "clouds": clouds, "refused": refused + dark, "gaps": 0, "damaged": 0,
+            "triggers": [{ "trigger": 0, "frames": frames }]
+        });
+        serde_json::from_value(summary).expect("a summary")
+    }
+
+    #[test]
+    fn a_recording_goes_only_where_as_good_as_all_frames_with_light_have_clouds() {
+        assert_eq!(too_few_clouds(1000, &summary(990, 10, 0)), None);
+        assert_eq!(
+            too_few_clouds(2000, &summary(990, 10, 1000)),
+            None,
+            "nothing is lost where there is no light"
+        );
+        let stays = |recorded: u64, summary: &Summary, words: &str| {
+            let reason = too_few_clouds(recorded, summary).expect("must stay");
+            assert!(reason.contains(words), "{reason}");
+        };
+        stays(1000, &summary(989, 11, 0), "989 clouds of 1000 frames with light");
+        stays(1000, &summary(875, 125, 0), "most often: no marker was found");
+        stays(1000, &summary(500, 0, 0), "500 clouds of 1000");
+        stays(1000, &summary(0, 0, 1000), "0 clouds of 0 frames with light (1000 recorded)");
+        stays(0, &summary(0, 0, 0), "0 clouds");
     }
 }

@@ -9,6 +9,7 @@ use crate::cmds::Exit;
 use crate::config::{Output, WorkerConfig};
 use crate::export::write_whole;
 use crate::reconstruct::collect;
+use crate::reconstruct::key::{ALGORITHM, KEY_FILE, Key, calibration_sha256};
 use crate::record::{free_bytes, node_dir};
 use crate::session::state::Fault;
 use std::collections::BTreeSet;
@@ -296,6 +297,9 @@ impl Worker {
         {
             return Outcome::Interrupted(Interruption::Obstacle(reason));
         }
+        if let Err(reason) = earlier_apart(&dir, &calibration, self.config.output) {
+            return Outcome::Failed(reason);
+        }
         let cameras = match self.cameras(&calibration, &dir.join("session")) {
             Ok(cameras) => cameras,
             Err(reason) => return Outcome::SetAside(reason),
@@ -329,7 +333,8 @@ impl Worker {
         }
     }
 
-    /// The cameras of the session, in the calibration's order: of one node's recordings it has others.
+    /// The cameras of the session, in the calibration's order: of one node's recordings it has others. All of the session's must be
+    /// in it.
     fn cameras(&self, calibration: &Path, session: &Path) -> Result<String, String> {
         use crate::reconstruct::FrameSource;
         let known = Calibration::load(calibration).map_err(|e| e.to_string())?;
@@ -337,13 +342,15 @@ impl Worker {
         let both = known.cameras().map(|(_, camera)| camera.id.as_str());
         let both: Vec<&str> =
             both.filter(|id| recorded.cameras().iter().any(|c| c.as_str() == *id)).collect();
-        match both.is_empty() {
-            true => {
-                Err("the calibration has none of the session's cameras; worker --retry after correcting it"
-                    .to_owned())
-            }
-            false => Ok(both.join(",")),
+        let lacking = recorded.cameras().iter().filter(|id| !both.contains(&id.as_str()));
+        let lacking: Vec<&str> = lacking.map(|id| id.as_str()).collect();
+        if !lacking.is_empty() {
+            return Err(format!(
+                "the calibration lacks the session's cameras {}; worker --retry after correcting it",
+                lacking.join(", ")
+            ));
         }
+        Ok(both.join(","))
     }
 
     fn outcome(&self, job: &Job, ended: std::io::Result<Ended>) -> Outcome {
@@ -396,6 +403,31 @@ fn keep_calibration(from: &Path, to: &Path) -> Result<(), String> {
     write_whole(to, |file| file.write_all(&text)).map_err(|e| format!("{}: {e}", to.display()))
 }
 
+/// What was made of the session with another calibration, algorithm or output is put aside, so that results are of one kind; nothing is
+/// deleted.
+fn earlier_apart(dir: &Path, calibration: &Path, output: Output) -> Result<(), String> {
+    let Some(key) = Key::load(dir)? else { return Ok(()) };
+    let calibration = Calibration::load(calibration).map_err(|e| e.to_string())?;
+    let wanted = (ALGORITHM, calibration_sha256(&calibration)?, output.as_str());
+    if (key.algorithm, key.calibration_sha256, key.format.as_str()) == wanted {
+        return Ok(());
+    }
+    let failed = |path: &Path, e: std::io::Error| format!("{}: {e}", path.display());
+    let apart = (1..).map(|n: u32| dir.join(format!("earlier-{n}"))).find(|path| !path.exists());
+    let apart = apart.ok_or("no name is left for earlier results")?;
+    std::fs::create_dir(&apart).map_err(|e| failed(&apart, e))?;
+    tracing::warn!("results of another calibration, algorithm or output are put aside: {}", apart.display());
+    // The key comes last: while it is there, the rest is found again.
+    for name in ["clouds", "merged", "phases", "sequence.mcap", "summary.json", KEY_FILE] {
+        let from = dir.join(name);
+        match std::fs::rename(&from, apart.join(name)) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(&from, error)),
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
 /// Frame sets of which something is ready, for people: `retention` looks more closely.
 fn frame_sets(dir: &Path, output: Output) -> u64 {
     let (folder, end) = match output {
@@ -412,6 +444,12 @@ fn frame_sets(dir: &Path, output: Output) -> u64 {
 /// What the summary says of a session that is done.
 fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
     let summary = collect::load_summary(dir)?;
+    if summary.session.id != job.session_id {
+        return Err(format!(
+            "its results are of the session {}, expected {}",
+            summary.session, job.session_id
+        ));
+    }
     let timings = std::fs::read(dir.join("timings.json")).unwrap_or_default();
     let timings: serde_json::Value = serde_json::from_slice(&timings).unwrap_or_default();
     job.peak_memory_bytes = timings["peak_memory_bytes"].as_u64().unwrap_or(0);

@@ -456,3 +456,69 @@ fn phase_maps_are_results_and_a_session_keeps_its_recordings_when_one_of_them_is
     assert_contains(&place.prune(&["--delete", "walk"]).1, &["deleted"]);
     assert!(!recording.exists() && map.exists());
 }
+
+#[test]
+fn a_session_of_which_nothing_was_reconstructed_is_set_aside_and_its_recording_stays() {
+    let place = Place::new();
+    // Black frames; and photographs of which the calibration is another's.
+    let images = place.path("black");
+    let pixels = vec![0; 960 * 600];
+    for camera in ["h0_up", "h0_low"] {
+        std::fs::create_dir_all(images.join(camera)).expect("writable");
+        let image = fourdbody::image::Mono8::new(960, 600, &pixels).expect("fits");
+        fourdbody::image::write_png_grey(&images.join(camera).join("0.png"), image).expect("writable");
+    }
+    let [rig, from, out] =
+        [rig(&place.fixture), images, place.path("sessions/black")].map(|p| p.display().to_string());
+    let imported = fourdbody(&["import", "--rig", &rig, "--images", &from, "--out", &out]);
+    assert_eq!(imported.status.code(), Some(0), "{}", text_of(&imported));
+    let calibration = place.path("calibration.json");
+    let right = std::fs::read(&calibration).expect("readable");
+    let mut wrong: serde_json::Value = serde_json::from_slice(&right).expect("JSON");
+    let cameras = wrong["heads"][0]["cameras"].as_array_mut().expect("cameras");
+    let devices: Vec<_> = cameras.iter().map(|camera| camera["device"].clone()).collect();
+    cameras.iter_mut().zip(devices.into_iter().rev()).for_each(|(camera, device)| camera["device"] = device);
+    std::fs::write(&calibration, wrong.to_string()).expect("writable");
+
+    assert_eq!(place.once().0, Some(3));
+    let state = place.state();
+    assert_eq!((state.done, state.set_aside.len()), (0, 2), "{state:#?}");
+    for (session, reason) in &state.set_aside {
+        assert_contains(reason, &["exit code 4", "no frame was reconstructed"]);
+        let copy = place.path("archive").join(session).join("node-a");
+        let recording = place.path("sessions").join(session).join("node-a");
+        std::fs::create_dir_all(&copy).expect("writable");
+        std::fs::copy(recording.join("segment-000.mcap"), copy.join("segment-000.mcap")).expect("writable");
+        for options in [&["--delete", session.as_str()][..], &[]] {
+            let (code, text) = place.prune(options);
+            assert_eq!(code, Some(if options.is_empty() { 0 } else { 4 }), "{text}");
+            assert_contains(
+                &text,
+                &[&format!("{session}: stays: it was set aside"), "no frame was reconstructed"],
+            );
+        }
+        assert!(recording.exists());
+    }
+    // With the right calibration the one with light is done; what was made with the wrong one is kept apart.
+    std::fs::write(&calibration, right).expect("writable");
+    let retried = fourdbody(&["worker", "--config", &place.config(), "--retry", "walk"]);
+    assert!(retried.status.success(), "{}", text_of(&retried));
+    assert_eq!(place.once().0, Some(3));
+    assert_eq!(Job::load(&place.results(), "walk").expect("there").stage, Stage::Done);
+    place.assert_same();
+    assert!(place.results().join("walk/earlier-1/summary.json").exists());
+    assert_contains(&place.prune(&["--delete", "walk"]).1, &["deleted"]);
+
+    // Results that were taken from another session are no reason to delete this one's recordings.
+    place.import("other");
+    assert_eq!(place.once().0, Some(3));
+    let copy = place.path("archive/other/node-a");
+    std::fs::create_dir_all(&copy).expect("writable");
+    std::fs::copy(place.path("sessions/other/node-a/segment-000.mcap"), copy.join("segment-000.mcap"))
+        .expect("writable");
+    let summary = place.results().join("other/summary.json");
+    std::fs::copy(place.results().join("walk/summary.json"), summary).expect("writable");
+    let (code, text) = place.prune(&["--delete", "other"]);
+    assert_eq!(code, Some(4), "{text}");
+    assert_contains(&text, &["results of another session", "walk"]);
+}
