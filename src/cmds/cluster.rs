@@ -6,6 +6,7 @@ use crate::cluster::{self, Answer, Job, Measured, ShardStatus, Slurm, State, Sta
 use crate::export::write_whole;
 use crate::reconstruct::batch::{self, Format};
 use crate::reconstruct::collect::Shards;
+use crate::reconstruct::key::KEY_FILE;
 use crate::s3::remote::Remote;
 use crate::s3::{Location, recordings, results};
 use std::collections::BTreeMap;
@@ -130,7 +131,7 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     }
     let out = absolute(&args.what.out)?;
     let store = args.store.as_deref().map(store).transpose()?;
-    let (session, Opened { calibration, mut plan, .. }) =
+    let (path, Opened { session, calibration, mut plan, .. }) =
         open(&args.what, |session| refuse_if_taken(session, &out, slurm.as_ref().ok().copied()))?;
     let program = match &args.program {
         // Looked for on the node.
@@ -160,17 +161,18 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
     if let Some(store) = &store {
         fetch_summaries(store, &plan.out)?;
     }
+    let finished = Shards::new(session, &plan, &calibration, sizing.tasks).map_err(failed)?;
+    finished.key().check(&plan.out).map_err(usage)?;
     let work = Work {
         program,
-        session,
+        session: path,
         out,
         store: store.as_ref().map(ToString::to_string),
         options,
         phase: plan.format == Format::Phase,
-        parameters: batch::parameters(&calibration, &plan).map_err(failed)?,
+        parameters: finished.key().parameters(),
         triggers: [plan.triggers.start, plan.triggers.end],
     };
-    let finished = Shards::new(&plan, &calibration, sizing.tasks).map_err(failed)?;
     let array = (0..sizing.tasks).filter(|shard| finished.summary(*shard).is_err()).collect();
     let mut job = Job::new(work, sizing, array, args.at_once, sbatch_options(args));
     if !args.dry_run {
@@ -215,7 +217,7 @@ fn open(
 /// What is known of a result in a store, to where it is looked for.
 fn fetch_summaries(store: &Location, out: &Path) -> Result<(), Failure> {
     let remote = Remote::new(store.clone()).map_err(failed)?;
-    let named = |name: &str| name.starts_with("summary") && name.ends_with(".json");
+    let named = |name: &str| name == KEY_FILE || (name.starts_with("summary") && name.ends_with(".json"));
     std::fs::create_dir_all(out).map_err(|e| failed(format!("{}: {e}", out.display())))?;
     results::fetch(&remote, out, &|_| false, &named).map(drop).map_err(failed)
 }

@@ -8,6 +8,7 @@ use super::{Exit, Failure};
 use crate::config::{Rig, RigCamera};
 use crate::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::image::read_png_grey;
+use crate::reconstruct::image_tree::{INDEX_END, ImageTree, Images};
 use crate::record::envelope::pixels_crc;
 use crate::record::{
     CameraHeader, ENVELOPE_CAPACITY, FrameMeta, GapCause, MAX_TRIGGERS, RecordError, Recording,
@@ -25,7 +26,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 #[command(after_help = "\
 DIR holds a directory per camera of the rig, with 8-bit grey images of the camera's size, named by trigger
 index: DIR/h0_up/0.png, DIR/h0_up/1.png, ... (leading zeros are fine). An index that some camera has and another
-has not becomes a gap record (not_recorded).
+has not becomes a gap record (not_recorded). Other files, and folders without images, are left out and named; two files of
+one index, and images of a camera that the rig has not, are refused.
 
 Example:
   fourdbody import --rig config/rig.toml --images shots --out sessions/walk-01")]
@@ -44,8 +46,8 @@ pub struct Args {
     json: bool,
 }
 
-/// Images of one camera by trigger.
-type Sequence = BTreeMap<u64, PathBuf>;
+// What is listed can be recorded.
+const _: () = assert!(INDEX_END == MAX_TRIGGERS);
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
@@ -58,8 +60,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             format!("{} exists; a session is never overwritten: choose another name", args.out.display());
         return Err(Failure::new(Exit::Usage, message));
     }
-    let sequences =
-        find_images(&rig, &args.images).map_err(|problems| all_problems(&args.images, &problems))?;
+    let tree = find_images(&rig, &args.images).map_err(|problems| all_problems(&args.images, &problems))?;
+    if let Some(left_out) = ImageTree::told(&tree.left_out) {
+        eprintln!("{left_out}");
+    }
+    let sequences = tree.cameras;
     let triggers = sequences.values().filter_map(|s| s.last_key_value()).map(|(last, _)| last + 1).max();
     let triggers = triggers.unwrap_or(0);
     check_images(&rig, &sequences).map_err(|problems| all_problems(&args.images, &problems))?;
@@ -79,7 +84,10 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         }
     };
     if args.json {
-        println!("{}", serde_json::json!({"session": args.out, "triggers": triggers, "nodes": verdicts}));
+        println!(
+            "{}",
+            serde_json::json!({"session": args.out, "triggers": triggers, "nodes": verdicts, "left_out": tree.left_out})
+        );
     } else {
         for (node, verdict) in &verdicts {
             println!("node {node}: {verdict}");
@@ -108,69 +116,32 @@ fn all_problems(images: &Path, problems: &[String]) -> Failure {
     Failure::new(Exit::Usage, format!("{}: {count} problem{plural}\n  {list}", images.display()))
 }
 
-/// The images of every camera, or everything that is wrong with their names.
-fn find_images(rig: &Rig, images: &Path) -> Result<BTreeMap<CameraId, Sequence>, Vec<String>> {
-    let mut problems = Vec::new();
-    let mut sequences = BTreeMap::new();
-    for name in names_in(images, &mut problems) {
-        if images.join(&name).is_dir() && !rig.cameras().any(|(_, camera)| camera.id.as_str() == name) {
-            let known: Vec<&str> = rig.cameras().map(|(_, camera)| camera.id.as_str()).collect();
-            let path = images.join(&name);
-            problems.push(format!("{}: no camera of the rig; expected {}", path.display(), known.join(", ")));
-        }
+/// The images of every camera of the rig, and what lies beside them; or everything that is wrong with their names.
+fn find_images(rig: &Rig, images: &Path) -> Result<ImageTree, Vec<String>> {
+    let known: Vec<CameraId> = rig.cameras().map(|(_, camera)| camera.id.clone()).collect();
+    let mut tree = ImageTree::list(images, &known)?;
+    let unknown = tree.cameras.keys().filter(|camera| !known.contains(camera));
+    let names = known.iter().map(CameraId::as_str).collect::<Vec<_>>().join(", ");
+    let problem = |camera: &CameraId| {
+        let path = images.join(camera.as_str());
+        format!("{}: has images, but is no camera of the rig; expected {names}", path.display())
+    };
+    let problems: Vec<String> = unknown.map(problem).collect();
+    if !problems.is_empty() {
+        return Err(problems);
     }
-    for (_, camera) in rig.cameras() {
-        let dir = images.join(camera.id.as_str());
-        let mut sequence = Sequence::new();
-        // A camera without a directory recorded nothing.
-        let names = if dir.is_dir() { names_in(&dir, &mut problems) } else { Vec::new() };
-        for name in names.iter().filter(|name| !name.starts_with('.')) {
-            let path = dir.join(name);
-            let index = name.strip_suffix(".png").filter(|digits| digits.bytes().all(|b| b.is_ascii_digit()));
-            let index = index.and_then(|digits| digits.parse().ok()).filter(|index| *index < MAX_TRIGGERS);
-            match index {
-                None => problems.push(format!(
-                    "{}: expected INDEX.png with a trigger index from 0 to {}",
-                    path.display(),
-                    MAX_TRIGGERS - 1
-                )),
-                Some(index) => {
-                    if let Some(other) = sequence.insert(index, path.clone()) {
-                        problems.push(format!(
-                            "{} and {}: both are trigger {index}",
-                            other.display(),
-                            path.display()
-                        ));
-                    }
-                }
-            }
-        }
-        sequences.insert(camera.id.clone(), sequence);
+    if tree.cameras.values().all(Images::is_empty) {
+        return Err(vec!["no images; expected CAMERA/INDEX.png with the rig's camera names".to_owned()]);
     }
-    if problems.is_empty() && sequences.values().all(BTreeMap::is_empty) {
-        problems.push("no images; expected CAMERA/INDEX.png with the rig's camera names".to_owned());
+    // A camera without a directory recorded nothing.
+    for camera in known {
+        tree.cameras.entry(camera).or_default();
     }
-    if problems.is_empty() { Ok(sequences) } else { Err(problems) }
-}
-
-fn names_in(dir: &Path, problems: &mut Vec<String>) -> Vec<String> {
-    let entries = std::fs::read_dir(dir).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-    match entries {
-        Ok(entries) => {
-            let mut names: Vec<String> =
-                entries.iter().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-            names.sort();
-            names
-        }
-        Err(error) => {
-            problems.push(format!("{}: {error}", dir.display()));
-            Vec::new()
-        }
-    }
+    Ok(tree)
 }
 
 /// Decodes every image once to be sure of it: an import of an hour must not fail at its end.
-fn check_images(rig: &Rig, sequences: &BTreeMap<CameraId, Sequence>) -> Result<(), Vec<String>> {
+fn check_images(rig: &Rig, sequences: &BTreeMap<CameraId, Images>) -> Result<(), Vec<String>> {
     let progress = Progress::of("checking", "images");
     let total: u64 = sequences.values().map(|s| s.len() as u64).sum();
     let done = AtomicU64::new(0);
@@ -209,7 +180,7 @@ struct Import<'a> {
     rig: &'a Rig,
     rig_text: &'a str,
     name: &'a SessionName,
-    sequences: &'a BTreeMap<CameraId, Sequence>,
+    sequences: &'a BTreeMap<CameraId, Images>,
     triggers: u64,
 }
 

@@ -6,12 +6,13 @@ use super::{Exit, Failure};
 use crate::calibrate::Calibration;
 use crate::export::write_whole;
 use crate::ids::CameraId;
-use crate::reconstruct::FrameSource;
-use crate::reconstruct::batch::{self, Format, Plan, Summary, Timings};
+use crate::reconstruct::batch::{self, Format, Plan, RunError, Summary, Timings};
 use crate::reconstruct::collect::{self, Lack, Shards};
 use crate::reconstruct::dashes::REMARKABLE_PX;
+use crate::reconstruct::image_tree::ImageTree;
 use crate::reconstruct::pipeline::Method;
 use crate::reconstruct::png_source::PngSource;
+use crate::reconstruct::{FrameSource, SessionIdentity};
 use crate::record::SessionReader;
 use clap::ValueEnum;
 use staged::Staged;
@@ -24,9 +25,13 @@ use std::path::{Path, PathBuf};
 /// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and another one
 /// sees well within 2 mm; the clouds of the cameras have all of theirs.
 ///
-/// Finished clouds that were made with the same calibration and method are kept, so that an interrupted run
-/// goes on where it was. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
-/// `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in --scratch. Exit code 3: some frames are missing, and are listed in summary.json.
+/// Finished clouds of the same session, calibration, method and algorithm are kept, so that an interrupted run goes on where it
+/// was; an --out with anything else is refused. All cameras of the session are reconstructed, unless --cameras or --partial says
+/// otherwise. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
+/// `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in --scratch.
+///
+/// Exit codes: 3 some frames are missing or were refused, and are listed in summary.json; 4 some frames are damaged, or no frame was
+/// reconstructed at all.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody reconstruct sessions/walk-01 --calibration calibration.json --out clouds/walk-01"
@@ -79,6 +84,9 @@ pub(super) struct What {
     /// Only these cameras, separated by commas.
     #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
     cameras: Vec<String>,
+    /// Only the cameras that both session and calibration have; without this and --cameras they must have the same ones.
+    #[arg(long, conflicts_with = "cameras")]
+    partial: bool,
     /// Triggers per second, for the times in sequence.mcap where the session does not tell them.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
     rate_hz: f64,
@@ -117,6 +125,27 @@ pub(super) fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn F
     Ok(Box::new(SessionReader::open_frames(path).map_err(|e| e.to_string())?))
 }
 
+/// Half a rig is never taken for a whole one: the calibration's cameras are those of the session.
+fn same_cameras(calibrated: &[CameraId], session: &SessionIdentity) -> Result<(), String> {
+    let list = |ids: &[&CameraId]| ids.iter().map(|id| id.as_str()).collect::<Vec<_>>().join(", ");
+    let lacking = |all: &'_ [CameraId], there: &[CameraId]| -> String {
+        let lacking: Vec<&CameraId> = all.iter().filter(|id| !there.contains(id)).collect();
+        list(&lacking)
+    };
+    let (of_session, of_calibration) =
+        (lacking(&session.cameras, calibrated), lacking(calibrated, &session.cameras));
+    let found = match (of_session.as_str(), of_calibration.as_str()) {
+        ("", "") => return Ok(()),
+        (more, "") => format!("the session has {more}, which the calibration has not"),
+        ("", more) => format!("the calibration has {more}, which the session has not"),
+        (a, b) => format!("the session has {a}, which the calibration has not, and the calibration {b}"),
+    };
+    Err(format!(
+        "{found}; expected the same cameras in both. Give the calibration of the whole rig, or ask for a part of it: --cameras, or \
+         --partial for those that both have"
+    ))
+}
+
 /// Lets the allocator keep what a frame gives back for the next one. By default blocks of this size go back to the
 /// system each time, and every page of them is cleared and mapped anew: a quarter of the time.
 pub(super) fn keep_freed_memory() {
@@ -132,6 +161,7 @@ pub(super) fn keep_freed_memory() {
 
 /// A session that is opened with its calibration, and what is to be made of it.
 pub(super) struct Opened {
+    pub(super) session: SessionIdentity,
     pub(super) source: Box<dyn FrameSource>,
     pub(super) calibration: Calibration,
     pub(super) plan: Plan,
@@ -143,8 +173,23 @@ impl What {
     pub(super) fn open(&self) -> Result<Opened, Failure> {
         let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
         let calibration = Calibration::load(&self.calibration).map_err(|e| usage(&e))?;
-        let cameras = self.chosen_cameras(&calibration)?;
+        let mut cameras = self.chosen_cameras(&calibration)?;
         let source = open_source(&self.session, &cameras).map_err(|e| usage(&e))?;
+        if let Some(left_out) = ImageTree::told(source.left_out()) {
+            eprintln!("{left_out}");
+        }
+        let session = source
+            .identity()
+            .map_err(|e| Failure::new(Exit::Corrupt, format!("{}: {e}", self.session.display())))?;
+        if self.partial {
+            cameras.retain(|camera| session.cameras.contains(camera));
+        } else if self.cameras.is_empty() {
+            same_cameras(&cameras, &session).map_err(|e| usage(&e))?;
+        }
+        if let Some(none) = cameras.is_empty().then_some("the calibration has none of the session's cameras")
+        {
+            return Err(usage(&none));
+        }
         if let Some(stated) = source.statement() {
             calibration.fits(&cameras, &stated).map_err(|e| usage(&e))?;
         }
@@ -182,7 +227,7 @@ impl What {
             maps: None,
             discard: false,
         };
-        Ok(Opened { source, calibration, plan })
+        Ok(Opened { session, source, calibration, plan })
     }
 
     fn chosen_cameras(&self, calibration: &Calibration) -> Result<Vec<CameraId>, Failure> {
@@ -199,6 +244,9 @@ impl What {
     /// The options beside session, calibration and out, as the command line takes them, for these triggers.
     pub(super) fn options(&self, triggers: &Range<u64>) -> Vec<String> {
         let mut options = Vec::new();
+        if self.partial {
+            options.push("--partial".to_owned());
+        }
         let mut option = |name: &str, value: String| options.extend([name.to_owned(), value]);
         option("--triggers", format!("{}..{}", triggers.start, triggers.end));
         if !self.cameras.is_empty() {
@@ -230,7 +278,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 
 /// Runs with paths on this machine.
 fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
-    let Opened { source, calibration, mut plan } = what.open()?;
+    let Opened { session, source, calibration, mut plan } = what.open()?;
     plan.shard = args.shard.unwrap_or((0, 1));
     plan.maps.clone_from(&args.dump_maps);
     plan.discard = args.discard;
@@ -241,25 +289,44 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Failure, e))?;
     let summary = match args.collect {
         None => reconstruct(args, &pool, source.as_ref(), &calibration, &plan)?,
-        Some(count) => collected(&pool, &calibration, &plan, count)?,
+        Some(count) => collected(&pool, Shards::new(session, &plan, &calibration, count))?,
     };
     // The merged clouds of other shards may not be there yet: one sequence of all is made when they are collected.
     if plan.merges() && args.shard.is_none() {
-        batch::write_sequence(source.as_ref(), &plan, what.rate_hz, &plan.out.join("sequence.mcap"))
+        batch::write_sequence(source.as_ref(), &plan, &summary, what.rate_hz)
             .map_err(|e| Failure::new(Exit::Failure, e))?;
     }
     write_json(&collect::summary_path(&plan.out, args.shard), &summary)?;
     report(args, &summary);
+    // Of few frame sets a shard may have none.
+    if args.shard.is_some() && summary.frames == 0 {
+        return Ok(Exit::Done);
+    }
+    if summary.clouds == 0 {
+        eprintln!("error: {}", nothing(&summary));
+    }
     Ok(exit_of(&summary))
 }
 
 /// The exit code that a summary means.
 pub(super) fn exit_of(summary: &Summary) -> Exit {
-    match (summary.damaged, summary.gaps) {
-        (0, 0) => Exit::Done,
-        (0, _) => Exit::DataLoss,
+    match summary {
+        Summary { clouds: 0, .. } => Exit::Corrupt,
+        Summary { damaged: 0, gaps: 0, refused: 0, .. } => Exit::Done,
+        Summary { damaged: 0, .. } => Exit::DataLoss,
         _ => Exit::Corrupt,
     }
+}
+
+/// That nothing was reconstructed, and why most of it was not.
+fn nothing(summary: &Summary) -> String {
+    let Summary { frames, refused, gaps, damaged, .. } = summary;
+    let most =
+        summary.most_refused_for().map_or_else(String::new, |reason| format!("; most often: {reason}"));
+    format!(
+        "no frame was reconstructed: expected clouds of {frames} frames, but {refused} were refused, {gaps} are missing and {damaged} \
+         damaged{most}. Is it the calibration of this rig, and was there light?"
+    )
 }
 
 fn reconstruct(
@@ -277,7 +344,13 @@ fn reconstruct(
         }
     };
     let run = pool.install(|| batch::run(source, calibration, plan, progress));
-    let (summary, timings) = run.map_err(|e| Failure::new(Exit::Failure, e))?;
+    let (summary, timings) = run.map_err(|error| {
+        let exit = match error {
+            RunError::Occupied(_) => Exit::Usage,
+            RunError::Failed(_) => Exit::Failure,
+        };
+        Failure::new(exit, error)
+    })?;
     if let Some(path) = &args.timings {
         write_json(path, &Cost { timings, peak_memory_bytes: peak_memory_bytes() })?;
     }
@@ -285,14 +358,9 @@ fn reconstruct(
 }
 
 /// The summary of all shards.
-fn collected(
-    pool: &rayon::ThreadPool,
-    calibration: &Calibration,
-    plan: &Plan,
-    count: u64,
-) -> Result<Summary, Failure> {
-    collect::remove_leftovers(&plan.out);
-    let shards = Shards::new(plan, calibration, count).map_err(|e| Failure::new(Exit::Failure, e))?;
+fn collected(pool: &rayon::ThreadPool, shards: Result<Shards<'_>, String>) -> Result<Summary, Failure> {
+    let shards = shards.map_err(|e| Failure::new(Exit::Failure, e))?;
+    shards.remove_leftovers();
     pool.install(|| collect::collect(&shards)).map_err(|error| {
         let agree = error.problems.iter().all(|problem| problem.lack == Lack::Work);
         Failure::new(if agree { Exit::Failure } else { Exit::Usage }, error)
@@ -343,6 +411,10 @@ fn report(args: &Args, summary: &Summary) {
         summary.damaged,
         summary.points(),
     );
+    if !summary.left_out.is_empty() {
+        let names: Vec<&str> = summary.left_out.iter().map(CameraId::as_str).collect();
+        println!("  partial, as asked: without {}", names.join(", "));
+    }
     for lack in &summary.unchecked {
         println!("  not checked: {lack}");
     }

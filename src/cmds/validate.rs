@@ -51,6 +51,15 @@ fn load_cloud(path: &Path) -> Result<crate::export::Cloud, Failure> {
     crate::validate::set::load(path).map_err(|e| Failure::new(Exit::Corrupt, e))
 }
 
+/// Figures of nothing are no figures: an error where there is none.
+fn of_something(figures: usize, clouds: &Path, expected: &str) -> Result<(), Failure> {
+    if figures > 0 {
+        return Ok(());
+    }
+    let message = format!("{}: expected {expected}, found none: nothing was measured", clouds.display());
+    Err(Failure::new(Exit::Corrupt, message))
+}
+
 /// Mean of some numbers; NaN of none.
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, n) = values.fold((0.0, 0.0), |(s, n), x| (s + x, n + 1.0));

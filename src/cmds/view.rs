@@ -31,7 +31,12 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let (_, cloud) = ply::load(&args.cloud).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    let (header, cloud) = ply::load(&args.cloud).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    if cloud.is_empty() {
+        let reason = header.comment("refused").map_or_else(String::new, |reason| format!(" ({reason})"));
+        let path = args.cloud.display();
+        return Err(Failure::new(Exit::Corrupt, format!("{path}: has no points{reason}; nothing is drawn")));
+    }
     let height = usize::from(args.height);
     let style = Style { width: height * 4 / 5, height, by_camera: args.by_camera };
     let picture = draw_sides(&cloud, args.azimuth, usize::from(args.sides), style);

@@ -9,7 +9,7 @@
 //! ```
 //!
 //! A file that is there and not older than the clouds that it is made of is not made again. So that this is right,
-//! a folder takes files of one origin and one kind only: another one is refused.
+//! a folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is written.
 
 use super::cloud::Cloud;
 use super::format::Format;
@@ -28,7 +28,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Comments of directional clouds that are true of a merged one, too.
-const COMMON: [&str; 4] = ["fourdbody ", "parameters ", "calibration ", "trigger "];
+const COMMON: [&str; 5] = ["fourdbody ", "parameters ", "calibration ", "trigger ", "frames "];
 
 /// What to write.
 #[derive(Debug, Clone)]
@@ -60,6 +60,8 @@ pub struct Summary {
     pub written: usize,
     /// Files found finished.
     pub skipped: usize,
+    /// Clouds without a point, of which nothing is written.
+    pub empty: usize,
     /// Points in the files written.
     pub points: usize,
     /// Triangles in the files written.
@@ -241,6 +243,13 @@ impl Job<'_> {
     fn save(&self, outputs: &[Output], shape: &Shape<'_>) -> Result<(), String> {
         for Output { path, format } in outputs {
             let fail = |e: std::io::Error| format!("{}: {e}", path.display());
+            if shape.cloud.is_empty() {
+                match std::fs::remove_file(path) {
+                    Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(fail(error)),
+                    _ => self.count(|summary| summary.empty += 1),
+                }
+                continue;
+            }
             format.save(path, shape).map_err(fail)?;
             let bytes = path.metadata().map_err(fail)?.len();
             self.count(|summary| {

@@ -34,4 +34,4 @@ pub use format::Format;
 pub use phase_map::{PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_of, doubt_rad};
 pub use shape::Shape;
 pub use source::{CloudSource, Commented, PlyDirectory};
-pub use whole::{STALE, remove_stale, write_whole, write_whole_cached};
+pub use whole::{STALE, remove_stale, write_new, write_whole, write_whole_cached};

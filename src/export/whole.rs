@@ -31,6 +31,24 @@ pub fn write_whole_cached(path: &Path, write: impl FnOnce(&mut File) -> io::Resu
     write_with(path, write)
 }
 
+/// As [`write_whole`], unless something has the name already: then that stays, and the answer is `false`.
+pub fn write_new(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<bool> {
+    let partial = partial_name(path)?;
+    let file = File::options().write(true).create_new(true).open(&partial);
+    let linked = file.and_then(|mut file| {
+        write(&mut file)?;
+        file.sync_data()?;
+        // Unlike a rename, a link never takes a name away from another file.
+        std::fs::hard_link(&partial, path)
+    });
+    let _ = std::fs::remove_file(&partial);
+    match linked {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
 fn write_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let partial = partial_name(path)?;
     let file = File::options().read(true).write(true).create_new(true).open(&partial);
@@ -80,7 +98,7 @@ fn partial_name(path: &Path) -> io::Result<PathBuf> {
 
 #[cfg(test)]
 mod tests {
-    use super::{remove_stale, write_whole, write_whole_cached};
+    use super::{remove_stale, write_new, write_whole, write_whole_cached};
     use std::io::{self, Write};
     use std::time::Duration;
 
@@ -110,6 +128,16 @@ mod tests {
         })
         .expect("writable");
         assert_eq!(std::fs::read(&path).expect("readable"), b"slow");
+    }
+
+    #[test]
+    fn a_name_that_is_taken_stays_with_what_has_it() {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        let path = dir.path().join("a.json");
+        let write = |text: &'static [u8]| write_new(&path, |file| file.write_all(text)).expect("writable");
+        assert_eq!([write(b"first"), write(b"second")], [true, false]);
+        assert_eq!(std::fs::read(&path).expect("readable"), b"first");
+        assert_eq!(dir.path().read_dir().expect("a directory").count(), 1, "nothing temporary stays");
     }
 
     #[test]

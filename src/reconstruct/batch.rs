@@ -6,14 +6,17 @@
 //! OUT/sequence.mcap             the merged clouds, for viewers
 //! OUT/phases/CAMERA_INDEX.phase   instead of all these, where it is asked for: what they follow from
 //! OUT/summary.json              what became of every frame
+//! OUT/reconstruct.json          of which session all this is, and how it is made ([`super::key`])
 //! ```
 //!
-//! Every cloud states the parameters that it was made with, as a hash over calibration, method and the
-//! version of this program; a finished cloud with the same hash is not made again.
+//! Every cloud states the parameters that it was made with, as a hash over algorithm, calibration and method, and the frames of
+//! its trigger, by the checksums of their pixels; a finished cloud that states the same is not made again. Where a trigger has
+//! no point at all there is no merged cloud.
 
 use super::collect::remove_leftovers;
 use super::dashes::Dashes;
 use super::dump;
+use super::key::{Key, KeyError};
 use super::order::{self, View};
 use super::pair::Pair;
 use super::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
@@ -28,7 +31,6 @@ use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
 use crate::time::process_cpu_time;
 use rayon::prelude::*;
-use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -38,9 +40,6 @@ use std::time::Instant;
 
 pub use super::summary::{FrameSummary, Summary, TriggerSummary};
 pub use super::timings::Timings;
-
-/// Raised whenever the same frame may give other points.
-const ALGORITHM: u32 = 28;
 
 /// What is written of each frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -126,6 +125,32 @@ struct Camera {
     pipeline: Pipeline,
 }
 
+/// Why a run ended.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The directory has results of something else.
+    #[error("{0}")]
+    Occupied(String),
+    /// Anything else.
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl From<String> for RunError {
+    fn from(reason: String) -> Self {
+        Self::Failed(reason)
+    }
+}
+
+impl From<KeyError> for RunError {
+    fn from(error: KeyError) -> Self {
+        match error {
+            KeyError::Occupied(reason) => Self::Occupied(reason),
+            KeyError::Write(reason) => Self::Failed(reason),
+        }
+    }
+}
+
 /// A frame on its way.
 enum Stage {
     Prepared(Box<Prepared>),
@@ -133,6 +158,9 @@ enum Stage {
     /// No frame: outcome and reason.
     Missing(&'static str, String),
 }
+
+/// The CRC-32 of a frame's pixels; `None` where there is no frame, an error where it is damaged.
+type Pixels = Result<Option<u32>, ()>;
 
 /// Where the markers of most cameras contradict the calibration, those of the others agree by chance.
 fn heed_dashes(stages: Vec<Stage>) -> Vec<Stage> {
@@ -162,20 +190,21 @@ fn help_each_other(cameras: &[(usize, &Camera)], stages: &mut [Stage]) {
     order::settle(&mut views.collect::<Vec<_>>());
 }
 
-/// Writes the merged clouds of a finished run as one MCAP file, in order. Triggers without a time of their
-/// own are placed by index at `rate_hz`.
+/// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers without a time of
+/// their own are placed by index at `rate_hz`.
 pub fn write_sequence(
     source: &dyn FrameSource,
     plan: &Plan,
+    summary: &Summary,
     rate_hz: f64,
-    path: &Path,
 ) -> Result<(), String> {
-    let clouds = plan.shard_triggers().map(|trigger| {
+    let with_points = summary.triggers.iter().filter(|trigger| trigger.merged_points > Some(0));
+    let clouds = with_points.map(|&TriggerSummary { trigger, .. }| {
         let time = source.trigger_time_ns(TriggerIndex(trigger));
         let by_index = (trigger as f64 * 1e9 / rate_hz).round() as u64;
         (time.unwrap_or(by_index), merged_path(&plan.out, trigger))
     });
-    stored::write_sequence(clouds, path)
+    stored::write_sequence(clouds, &plan.out.join("sequence.mcap"))
 }
 
 /// The cameras that are asked for, those of a head together, each with its tables: they take longer than a frame.
@@ -212,7 +241,11 @@ pub fn run(
     calibration: &Calibration,
     plan: &Plan,
     progress: impl Fn(usize) + Sync,
-) -> Result<(Summary, Timings), String> {
+) -> Result<(Summary, Timings), RunError> {
+    let key = Key::of(source.identity()?, calibration, plan)?;
+    if !plan.discard {
+        key.claim(&plan.out)?;
+    }
     let folders: &[&str] = match plan.format {
         Format::Ply => &["clouds", "merged"],
         Format::Phase => &["phases"],
@@ -223,7 +256,7 @@ pub fn run(
     }
     remove_leftovers(&plan.out);
     let heads = cameras_by_head(plan, calibration)?;
-    let parameters = parameters(calibration, plan)?;
+    let parameters = key.parameters();
     let calibration_statement = stored::statement_of(calibration);
     let timings = Mutex::default();
     let job = Job { source, plan, calibration, parameters, calibration_statement, heads, timings };
@@ -241,23 +274,10 @@ pub fn run(
         .collect();
     let wall_ms = began.elapsed().as_secs_f64() * 1e3;
     let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
-    let summary = Summary::of(triggers?, &job.parameters, plan, calibration);
+    let summary = Summary::of(triggers?, &key, plan, calibration);
     let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))
-}
-
-/// Hash over everything that the clouds depend on beside the frames.
-pub fn parameters(calibration: &Calibration, plan: &Plan) -> Result<String, String> {
-    let value = serde_json::json!({
-        "algorithm": ALGORITHM,
-        "version": env!("CARGO_PKG_VERSION"),
-        "method": method_name(plan.method),
-        "uncertainty": plan.uncertainty,
-        "calibration": calibration,
-    });
-    let text = serde_json::to_string(&value).map_err(|e| e.to_string())?;
-    Ok(Sha256::digest(text).iter().take(16).map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// The comment that names the cameras that a directional cloud depends on.
@@ -265,19 +285,44 @@ pub(super) fn together<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> Strin
     format!("together {}", cameras.map(CameraId::as_str).collect::<Vec<_>>().join(" "))
 }
 
+/// The comment that tells the frames that a trigger's clouds depend on, by the CRC-32 of their pixels: `gap` where there is none, and
+/// `damaged` where that is not known.
+fn frames_comment<'a>(frames: impl Iterator<Item = (&'a CameraId, Pixels)>) -> String {
+    let stated = frames.map(|(camera, crc)| match crc {
+        Ok(Some(crc)) => format!("{camera}={crc:08x}"),
+        Ok(None) => format!("{camera}=gap"),
+        Err(()) => format!("{camera}=damaged"),
+    });
+    format!("frames {}", stated.collect::<Vec<_>>().join(" "))
+}
+
+/// Takes away what is not true any more.
+fn remove(path: &Path) -> Result<(), String> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(format!("{}: {error}", path.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
 impl Job<'_> {
     fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
         if let Some(finished) = self.finished_trigger(trigger) {
             return Ok(finished);
         }
-        let results = self.clouds(trigger)?;
-        let merged_points = self.plan.merges().then(|| self.merge(trigger, &results)).transpose()?;
+        let (results, frames) = self.clouds(trigger)?;
+        let merged_points = self.plan.merges().then(|| self.merge(trigger, &results, &frames)).transpose()?;
         let frames = results.into_iter().map(|(summary, _)| summary).collect();
         Ok(TriggerSummary { trigger, merged_points, frames })
     }
 
-    /// Writes the merged cloud; the number of its points.
-    fn merge(&self, trigger: u64, results: &[(FrameSummary, Cloud)]) -> Result<usize, String> {
+    /// Writes the merged cloud, unless it has no points; their number.
+    fn merge(&self, trigger: u64, results: &[(FrameSummary, Cloud)], frames: &str) -> Result<usize, String> {
+        let path = merged_path(&self.plan.out, trigger);
+        if results.iter().all(|(_, cloud)| cloud.is_empty()) {
+            return remove(&path).map(|()| 0);
+        }
         let began = Instant::now();
         let views = self.heads.iter().flatten().zip(results).map(|(camera, (_, cloud))| {
             let from = Some(&camera.viewpoint);
@@ -287,8 +332,7 @@ impl Job<'_> {
         let left_out = merge::left_out(&views, merge::Rule::default());
         self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner).merge_ms +=
             began.elapsed().as_secs_f64() * 1e3;
-        let path = merged_path(&self.plan.out, trigger);
-        merge::save(&path, &views, &left_out, self.merged_comments(trigger))
+        merge::save(&path, &views, &left_out, self.merged_comments(trigger, frames))
             .map_err(|e| format!("{}: {e}", path.display()))
     }
 
@@ -301,67 +345,93 @@ impl Job<'_> {
         result
     }
 
-    /// The directional clouds of all cameras together: each frame may give fringe orders to the others.
-    fn clouds(&self, trigger: u64) -> Result<Vec<(FrameSummary, Cloud)>, String> {
+    /// The directional clouds of all cameras together, since each frame may give fringe orders to the others; and the comment
+    /// that tells these frames.
+    fn clouds(&self, trigger: u64) -> Result<(Vec<(FrameSummary, Cloud)>, String), String> {
         let cameras: Vec<(usize, &Camera)> =
             self.heads.iter().enumerate().flat_map(|(i, head)| head.iter().map(move |x| (i, x))).collect();
-        let finished: Option<Vec<_>> =
-            cameras.iter().map(|(_, camera)| self.finished(camera, trigger)).collect();
-        if let Some(finished) = finished {
+        if let Some(finished) = self.finished(trigger) {
             return Ok(finished);
         }
         let prepare = |(_, camera): &(usize, &Camera)| self.timed(|| self.prepare(camera, trigger));
-        let mut stages: Vec<Stage> = cameras.par_iter().with_max_len(1).map(prepare).collect();
+        let prepared: Vec<(Stage, Pixels)> = cameras.par_iter().with_max_len(1).map(prepare).collect();
+        let (mut stages, pixels): (Vec<Stage>, Vec<Pixels>) = prepared.into_iter().unzip();
+        let frames = frames_comment(cameras.iter().map(|(_, camera)| &camera.id).zip(pixels));
         if self.plan.method != Method::Paper {
             stages = heed_dashes(stages);
             self.timed(|| help_each_other(&cameras, &mut stages));
         }
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
             Stage::Prepared(prepared) => {
-                self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)))
+                self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)), &frames)
             }
-            Stage::Refused(result) => self.save(camera, trigger, *result),
+            Stage::Refused(result) => self.save(camera, trigger, *result, &frames),
             Stage::Missing(outcome, reason) => {
+                if !self.plan.discard {
+                    remove(&self.frame_path(camera, trigger))?;
+                }
                 Ok((FrameSummary::missing(&camera.id, outcome, reason), Cloud::default()))
             }
         });
-        work.collect()
+        let made: Result<Vec<_>, String> = work.collect();
+        Ok((made?, frames))
+    }
+
+    /// What is written of a frame.
+    fn frame_path(&self, camera: &Camera, trigger: u64) -> PathBuf {
+        match self.plan.format {
+            Format::Ply => cloud_path(&self.plan.out, &camera.id, trigger),
+            Format::Phase => phase_path(&self.plan.out, camera.id.as_str(), trigger),
+        }
+    }
+
+    /// The comment that tells the frames of a trigger as the source has them now.
+    fn frames(&self, trigger: u64) -> String {
+        let cameras: Vec<&CameraId> = self.cameras().collect();
+        let pixels = cameras.par_iter().with_max_len(1).map(|camera| {
+            let crc = self.source.pixels_crc(camera, TriggerIndex(trigger));
+            crc.map_err(drop)
+        });
+        let pixels: Vec<Pixels> = pixels.collect();
+        frames_comment(cameras.into_iter().zip(pixels))
     }
 
     fn cameras(&self) -> impl Iterator<Item = &CameraId> {
         self.heads.iter().flatten().map(|camera| &camera.id)
     }
 
-    fn comments(&self, trigger: u64) -> Vec<String> {
+    fn comments(&self, trigger: u64, frames: &str) -> Vec<String> {
         vec![
             format!("fourdbody {}", env!("CARGO_PKG_VERSION")),
             format!("parameters {}", self.parameters),
             format!("calibration {}: {}", self.calibration.rig, self.calibration.origin),
             format!("trigger {trigger}"),
+            frames.to_owned(),
         ]
     }
 
-    fn merged_comments(&self, trigger: u64) -> Vec<String> {
-        let mut comments = self.comments(trigger);
+    fn merged_comments(&self, trigger: u64, frames: &str) -> Vec<String> {
+        let mut comments = self.comments(trigger, frames);
         let names = self.heads.iter().flatten().map(|c| format!("{}={}", c.number, c.id));
         comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
         comments
     }
 
-    fn prepare(&self, camera: &Camera, trigger: u64) -> Stage {
+    /// The frame on its way, and the checksum of its pixels.
+    fn prepare(&self, camera: &Camera, trigger: u64) -> (Stage, Pixels) {
         let began = Instant::now();
         let frame = self.source.frame(&camera.id, TriggerIndex(trigger));
         let mapping = began.elapsed();
         let frame = match frame {
-            Err(reason) => return Stage::Missing("damaged", reason),
+            Err(reason) => return (Stage::Missing("damaged", reason), Err(())),
             Ok(frame) => frame,
         };
         let image = match &frame {
             Frame::Image(image) => *image,
             Frame::Owned(plane) => Mono8::from(plane),
-            Frame::Gap(cause) => return Stage::Missing("gap", cause.clone()),
+            Frame::Gap(cause) => return (Stage::Missing("gap", cause.clone()), Ok(None)),
         };
-        match camera.pipeline.prepare(image) {
+        let stage = match camera.pipeline.prepare(image) {
             Ok(mut prepared) => {
                 prepared.add_time("map", mapping);
                 if self.plan.method != Method::Paper && self.plan.cameras.len() > 1 {
@@ -373,7 +443,8 @@ impl Job<'_> {
                 refused.stages.push(("map", mapping));
                 Stage::Refused(refused)
             }
-        }
+        };
+        (stage, Ok(frame.pixels_crc()))
     }
 
     /// Writes a cloud, and the maps where they are asked for.
@@ -382,13 +453,14 @@ impl Job<'_> {
         camera: &Camera,
         trigger: u64,
         result: Reconstruction,
+        frames: &str,
     ) -> Result<(FrameSummary, Cloud), String> {
         let id = &camera.id;
         if let (Some(folder), Some(maps)) = (&self.plan.maps, &result.maps) {
             dump::write(folder, &format!("{id}_{trigger:06}"), maps)
                 .map_err(|e| format!("{}: {e}", folder.display()))?;
         }
-        let mut comments = self.comments(trigger);
+        let mut comments = self.comments(trigger, frames);
         comments.push(format!("camera {id}"));
         comments.push(camera.viewpoint.comment());
         comments.push(together(self.cameras()));
@@ -402,7 +474,7 @@ impl Job<'_> {
         };
         comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
         if !self.plan.discard {
-            self.write(camera, trigger, &result, comments)?;
+            self.write(camera, trigger, &result, [comments, self.merged_comments(trigger, frames)])?;
         }
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         timings.add(&result.stages);
@@ -428,10 +500,10 @@ impl Job<'_> {
         camera: &Camera,
         trigger: u64,
         result: &Reconstruction,
-        comments: Vec<String>,
+        [comments, merged_comments]: [Vec<String>; 2],
     ) -> Result<(), String> {
+        let path = self.frame_path(camera, trigger);
         if self.plan.format == Format::Ply {
-            let path = cloud_path(&self.plan.out, &camera.id, trigger);
             return ply::save(&path, &result.cloud, &comments)
                 .map_err(|e| format!("{}: {e}", path.display()));
         }
@@ -449,65 +521,74 @@ impl Job<'_> {
             volume_m,
             points: result.cloud.len(),
             comments,
-            merged_comments: self.merged_comments(trigger),
+            merged_comments,
         };
-        let path = phase_path(&self.plan.out, camera.id.as_str(), trigger);
         phase_file::save(&path, &statement, &map).map_err(|e| format!("{}: {e}", path.display()))
     }
 
     /// A trigger of which everything is there, which only headers are read for.
     fn finished_trigger(&self, trigger: u64) -> Option<TriggerSummary> {
-        let frames: Vec<FrameSummary> = self
-            .heads
-            .iter()
-            .flatten()
-            .map(|camera| self.finished_frame(camera, trigger))
-            .collect::<Option<_>>()?;
+        let (frames, stated) = self.finished_frames(trigger)?;
         if self.plan.format != Format::Ply {
             return Some(TriggerSummary { trigger, merged_points: None, frames });
         }
-        let header = ply::load_whole_header(&merged_path(&self.plan.out, trigger)).ok()?;
         let points = frames.iter().map(|frame| frame.points).sum();
-        merge::is_finished(&header, &self.merged_comments(trigger), points, true).then_some(())?;
+        let path = merged_path(&self.plan.out, trigger);
+        if points == 0 {
+            return (!path.exists()).then_some(TriggerSummary { trigger, merged_points: Some(0), frames });
+        }
+        let header = ply::load_whole_header(&path).ok()?;
+        let comments = self.merged_comments(trigger, &stated);
+        merge::is_finished(&header, &comments, points, true).then_some(())?;
         let merged_points = Some(header.points);
         Some(TriggerSummary { trigger, merged_points, frames })
     }
 
-    /// The finished cloud of a frame. Of phase maps merged clouds are made when they are exported: there it is empty.
-    fn finished(&self, camera: &Camera, trigger: u64) -> Option<(FrameSummary, Cloud)> {
-        let summary = self.finished_frame(camera, trigger)?;
-        let cloud = match (self.plan.format, summary.outcome.as_ref()) {
-            (Format::Ply, "cloud" | "refused") => {
-                ply::load(&cloud_path(&self.plan.out, &camera.id, trigger)).ok()?.1
-            }
-            _ => Cloud::default(),
+    /// The finished clouds of a trigger, and the comment that tells its frames. Of phase maps merged clouds are made when they
+    /// are exported: there they are empty.
+    fn finished(&self, trigger: u64) -> Option<(Vec<(FrameSummary, Cloud)>, String)> {
+        let (frames, stated) = self.finished_frames(trigger)?;
+        let load = |(camera, summary): (&Camera, FrameSummary)| {
+            let cloud = match (self.plan.format, summary.outcome.as_ref()) {
+                (Format::Ply, "cloud" | "refused") => ply::load(&self.frame_path(camera, trigger)).ok()?.1,
+                _ => Cloud::default(),
+            };
+            Some((summary, cloud))
         };
-        Some((summary, cloud))
+        let clouds: Option<Vec<_>> = self.heads.iter().flatten().zip(frames).map(load).collect();
+        Some((clouds?, stated))
     }
 
-    /// What became of a frame that is finished: with a cloud made with the same parameters, or missing in the source. `None`
-    /// where maps are asked for.
-    fn finished_frame(&self, camera: &Camera, trigger: u64) -> Option<FrameSummary> {
-        let camera = &camera.id;
+    /// What became of a trigger's frames, where all of them are finished and were made of the frames that the source has; and the
+    /// comment that tells these.
+    fn finished_frames(&self, trigger: u64) -> Option<(Vec<FrameSummary>, String)> {
+        let found = self.heads.iter().flatten().map(|camera| self.finished_frame(camera, trigger));
+        let (frames, stated): (Vec<_>, Vec<_>) = found.collect::<Option<Vec<_>>>()?.into_iter().unzip();
+        // Read last: of images this takes longer than all headers.
+        let expected = self.frames(trigger);
+        stated.iter().flatten().all(|stated| *stated == expected).then_some((frames, expected))
+    }
+
+    /// What became of a frame that is finished: with a cloud made with the same parameters, and the comment that tells the frames
+    /// that it was made of; or missing in the source. `None` where maps are asked for.
+    fn finished_frame(&self, camera: &Camera, trigger: u64) -> Option<(FrameSummary, Option<String>)> {
         if self.plan.maps.is_some() || self.plan.discard {
             return None;
         }
+        let path = self.frame_path(camera, trigger);
+        let camera = &camera.id;
         let stated = match self.plan.format {
-            Format::Ply => ply::load_whole_header(&cloud_path(&self.plan.out, camera, trigger)).ok(),
-            Format::Phase => {
-                let stored =
-                    phase_file::load_statement(&phase_path(&self.plan.out, camera.as_str(), trigger));
-                stored.ok().map(|stored| ply::Header {
-                    points: stored.points,
-                    merged: false,
-                    sigma: false,
-                    comments: stored.comments,
-                })
-            }
+            Format::Ply => ply::load_whole_header(&path).ok(),
+            Format::Phase => phase_file::load_statement(&path).ok().map(|stored| ply::Header {
+                points: stored.points,
+                merged: false,
+                sigma: false,
+                comments: stored.comments,
+            }),
         };
         let Some(header) = stated else {
             return match self.source.frame(camera, TriggerIndex(trigger)) {
-                Ok(Frame::Gap(cause)) => Some(FrameSummary::missing(camera, "gap", cause)),
+                Ok(Frame::Gap(cause)) => Some((FrameSummary::missing(camera, "gap", cause), None)),
                 _ => None,
             };
         };
@@ -515,8 +596,9 @@ impl Job<'_> {
         if !same || !header.comments.contains(&together(self.cameras())) {
             return None;
         }
+        let frames = header.comments.iter().find(|comment| comment.starts_with("frames "))?.clone();
         let reason = header.comment("refused").map(str::to_owned);
-        Some(FrameSummary {
+        let summary = FrameSummary {
             camera: camera.clone(),
             outcome: if reason.is_some() { "refused" } else { "cloud" }.into(),
             reason,
@@ -524,6 +606,7 @@ impl Job<'_> {
             unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
             contradicted_px: header.comment("contradicted_px").and_then(|x| x.parse().ok()).unwrap_or(0),
             marker_offset_px: header.comment("marker_offset_px").and_then(|x| x.parse().ok()),
-        })
+        };
+        Some((summary, Some(frames)))
     }
 }

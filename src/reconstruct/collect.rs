@@ -6,11 +6,13 @@
 //! OUT/summary.json, sequence.mcap what is made of them
 //! ```
 //!
-//! Nothing is taken on trust: a shard counts when its summary was made with these parameters, for just these triggers and
+//! Nothing is taken on trust: a shard counts when its summary was made of this session with these parameters, for just these triggers and
 //! cameras, and every file that it speaks of is there, whole, and made with the same parameters. Collecting changes
 //! nothing that shards have written, so that it may be done again at any time.
 
 use super::batch::{self, Format, FrameSummary, Plan, Summary, TriggerSummary, cloud_path, merged_path};
+use super::key::Key;
+use super::source::SessionIdentity;
 use super::stored::phase_path;
 use crate::calibrate::Calibration;
 use crate::export::{STALE, phase_file, ply, remove_stale};
@@ -50,7 +52,7 @@ pub fn remove_leftovers(out: &Path) {
 pub enum Lack {
     /// It has not been run to its end, or files that it wrote are gone.
     Work,
-    /// It was made with another calibration, method, version, or of other frames.
+    /// It was made with another calibration, method, algorithm, or of other frames.
     Agreement,
 }
 
@@ -95,23 +97,30 @@ pub struct Shards<'a> {
     /// The run; its own shard does not matter.
     plan: &'a Plan,
     calibration: &'a Calibration,
-    parameters: String,
-    /// The cameras asked for, in the calibration's order.
-    cameras: Vec<&'a CameraId>,
+    key: Key,
     count: u64,
 }
 
 impl<'a> Shards<'a> {
-    /// The `count` shards of a plan.
-    pub fn new(plan: &'a Plan, calibration: &'a Calibration, count: u64) -> Result<Self, String> {
-        let all = calibration.cameras().map(|(_, camera)| &camera.id);
-        Ok(Self {
-            plan,
-            calibration,
-            parameters: batch::parameters(calibration, plan)?,
-            cameras: all.filter(|id| plan.cameras.contains(id)).collect(),
-            count: count.max(1),
-        })
+    /// The `count` shards of a plan for a session.
+    pub fn new(
+        session: SessionIdentity,
+        plan: &'a Plan,
+        calibration: &'a Calibration,
+        count: u64,
+    ) -> Result<Self, String> {
+        let key = Key::of(session, calibration, plan)?;
+        Ok(Self { plan, calibration, key, count: count.max(1) })
+    }
+
+    /// Removes what killed processes have left.
+    pub fn remove_leftovers(&self) {
+        remove_leftovers(&self.plan.out);
+    }
+
+    /// What they are made of.
+    pub fn key(&self) -> &Key {
+        &self.key
     }
 
     /// What a shard says of its triggers. Its files are not looked at.
@@ -131,20 +140,24 @@ impl<'a> Shards<'a> {
 
     /// Whether a summary is of this run.
     fn agrees(&self, shard: u64, summary: &Summary) -> Result<(), String> {
-        if summary.parameters != self.parameters {
+        if summary.session != self.key.session {
+            return Err(format!("made of the session {}, expected {}", summary.session, self.key.session));
+        }
+        let parameters = self.key.parameters();
+        if summary.parameters != parameters {
             return Err(format!(
-                "made with the parameters {}, expected {}: another calibration, method or version of the program",
-                summary.parameters, self.parameters
+                "made with the parameters {}, expected {parameters}: another calibration, method or algorithm (number {}, expected \
+                 {})",
+                summary.parameters, summary.algorithm, self.key.algorithm
             ));
         }
-        let has =
-            |t: &TriggerSummary| t.frames.iter().map(|frame| &frame.camera).eq(self.cameras.iter().copied());
+        let has = |t: &TriggerSummary| t.frames.iter().map(|frame| &frame.camera).eq(&self.key.cameras);
         if let Some(trigger) = summary.triggers.iter().find(|t| !has(t)) {
             let list = |ids: &mut dyn Iterator<Item = &CameraId>| {
                 ids.map(CameraId::as_str).collect::<Vec<_>>().join(",")
             };
             let found = list(&mut trigger.frames.iter().map(|frame| &frame.camera));
-            let expected = list(&mut self.cameras.iter().copied());
+            let expected = list(&mut self.key.cameras.iter());
             return Err(format!("made of the cameras {found}, expected {expected}"));
         }
         let expected: Vec<u64> = self.triggers(shard).collect();
@@ -188,7 +201,7 @@ pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
         return Err(CollectError { shards: shards.count, problems });
     }
     merged.sort_by_key(|t| t.trigger);
-    Ok(Summary::of(merged, &shards.parameters, shards.plan, shards.calibration))
+    Ok(Summary::of(merged, &shards.key, shards.plan, shards.calibration))
 }
 
 /// Triggers of a summary of which a file is missing, cut, or of other parameters, on the current rayon pool.
@@ -233,7 +246,11 @@ impl Stated<'_> {
         points == frame.points && comments.contains(&self.parameters) && comments.contains(together)
     }
 
+    /// Of a trigger without points there is none.
     fn has_merged(&self, trigger: &TriggerSummary) -> bool {
+        if trigger.merged_points == Some(0) {
+            return true;
+        }
         let header = ply::load_whole_header(&merged_path(self.out, trigger.trigger));
         header.is_ok_and(|header| {
             Some(header.points) == trigger.merged_points && header.comments.contains(&self.parameters)

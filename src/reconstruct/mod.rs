@@ -28,6 +28,10 @@ pub mod dump;
 pub mod edges;
 /// From a photograph and its mask to wrapped phases and the marker.
 pub mod front;
+/// Directories of images.
+pub mod image_tree;
+/// What a result is made of.
+pub mod key;
 /// Marker map Mm.
 pub mod marker;
 /// Which of several markers it is.
@@ -96,4 +100,4 @@ pub mod unwrap_paper;
 /// What later stages need of the demodulation's windows.
 pub mod windows;
 
-pub use source::{Frame, FrameSource, SourceStatement, StatedCamera};
+pub use source::{Frame, FrameSource, SessionIdentity, SourceStatement, StatedCamera};

@@ -12,6 +12,9 @@ pub enum Outcome {
     Refused(String),
 }
 
+/// Why a frame without light is refused.
+pub(super) const NO_OBJECT: &str = "there is no object in the frame";
+
 /// What to ask when dashes lie elsewhere.
 pub(super) const WHY_ELSEWHERE: &str =
     "is it the calibration of another camera, or another projector's light, or has a device moved?";

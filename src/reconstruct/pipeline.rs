@@ -6,7 +6,7 @@ use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
 use super::marker_pieces::MarkerPieces;
 use super::order::{Orders, Regions};
-use super::outcome::{WHY_ELSEWHERE, outcome_of};
+use super::outcome::{NO_OBJECT, WHY_ELSEWHERE, outcome_of};
 use super::pool::Pool;
 use super::rays::RayTable;
 use super::roi::Roi;
@@ -278,7 +278,7 @@ impl Pipeline {
         let Some(roi) = roi else {
             BUFFERS.give(buffers);
             pairs.into_iter().for_each(|pairs| BYTES.give(pairs));
-            return Err(refused(clock, counts, "there is no object in the frame".to_owned()));
+            return Err(refused(clock, counts, NO_OBJECT.to_owned()));
         };
         let singles = pairs.as_mut().map(|pairs| {
             clock.time("single_rows", || {

@@ -7,6 +7,7 @@
 use super::batch::{cloud_path, merged_path};
 use super::cloud;
 use super::collect::remove_leftovers;
+use super::key::{Key, KeyError};
 use super::pair::Pair;
 use super::rays::RayTable;
 use crate::calibrate::Calibration;
@@ -45,6 +46,8 @@ pub struct Exported {
     pub triggers: usize,
     /// Triggers whose clouds were there already.
     pub kept: usize,
+    /// Triggers without a single point: they have no merged cloud.
+    pub empty: usize,
 }
 
 /// What became of a trigger.
@@ -65,9 +68,26 @@ pub enum StoredError {
     /// The maps cannot be used: damaged, or made with another calibration.
     #[error("{0}")]
     Maps(String),
+    /// There is not a single point in them.
+    #[error(
+        "{0}: no frame was reconstructed, so that there is nothing to export; `fourdbody reconstruct` told why (summary.json)"
+    )]
+    Nothing(String),
+    /// The directory has results of something else.
+    #[error("{0}")]
+    Occupied(String),
     /// Something could not be written.
     #[error("{0}")]
     Write(String),
+}
+
+impl From<KeyError> for StoredError {
+    fn from(error: KeyError) -> Self {
+        match error {
+            KeyError::Occupied(reason) => Self::Occupied(reason),
+            KeyError::Write(reason) => Self::Write(reason),
+        }
+    }
 }
 
 /// Makes the clouds of all phase maps in `from`, on the current rayon pool: directional ones, merged ones, and the
@@ -81,6 +101,11 @@ pub fn export(
     progress: impl Fn(u64, u64) + Sync,
 ) -> Result<Exported, StoredError> {
     let triggers = list(from, calibration).map_err(StoredError::Maps)?;
+    if let Some(key) = Key::load(from).map_err(StoredError::Maps)? {
+        // Maps and the clouds of them may lie in one directory, which the maps have taken.
+        let clouds = Key { format: "ply".to_owned(), ..key.clone() };
+        clouds.claim(out).or_else(|refused| key.check(out).map_err(|_| refused))?;
+    }
     for folder in ["clouds", "merged"] {
         let path = out.join(folder);
         let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
@@ -103,7 +128,11 @@ pub fn export(
         .collect();
     let made = made?;
     let path = out.join("sequence.mcap");
-    let times = made.iter().map(|&Made { trigger, time_ns, .. }| {
+    let with_points = || made.iter().filter(|made| made.points > 0);
+    if with_points().next().is_none() {
+        return Err(StoredError::Nothing(from.display().to_string()));
+    }
+    let times = with_points().map(|&Made { trigger, time_ns, .. }| {
         (time_ns.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64), merged_path(out, trigger))
     });
     write_sequence(times, &path).map_err(StoredError::Write)?;
@@ -112,6 +141,7 @@ pub fn export(
         merged_points: made.iter().map(|made| made.points).sum(),
         triggers: made.len(),
         kept: made.iter().filter(|made| made.kept).count(),
+        empty: made.iter().filter(|made| made.points == 0).count(),
     })
 }
 
@@ -179,8 +209,12 @@ impl CloudSource for PhaseDirectory<'_> {
     }
 }
 
-/// Packs merged clouds with their times, ns, into one MCAP file.
+/// Packs merged clouds with their times, ns, into one MCAP file; without clouds there is none.
 pub fn write_sequence(clouds: impl Iterator<Item = (u64, PathBuf)>, path: &Path) -> Result<(), String> {
+    let mut clouds = clouds.peekable();
+    if clouds.peek().is_none() {
+        return Ok(());
+    }
     let packed = write_whole(path, |file| {
         let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(io::Error::other)?;
         for (time, cloud) in clouds {
@@ -232,11 +266,14 @@ fn finished(trigger: u64, maps: &Maps, geometry: &Geometry, out: &Path) -> Optio
             && is_there(&path, statement.points, &statement.comments)
     };
     statements.iter().all(has_cloud).then_some(())?;
+    let time_ns = statements.iter().find_map(|statement| statement.time_ns);
+    let points = statements.iter().map(|statement| statement.points).sum();
+    if points == 0 {
+        return Some(Made { trigger, time_ns, points: 0, kept: true });
+    }
     let merged = ply::load_whole_header(&merged_path(out, trigger)).ok()?;
     let decided = statements.iter().any(|statement| Viewpoint::of(&statement.comments).is_some());
-    let points = statements.iter().map(|statement| statement.points).sum();
     let there = merge::is_finished(&merged, &statements.first()?.merged_comments, points, decided);
-    let time_ns = statements.iter().find_map(|statement| statement.time_ns);
     there.then_some(Made { trigger, time_ns, points: merged.points, kept: true })
 }
 
@@ -261,6 +298,10 @@ fn export_trigger(
         })
         .collect();
     let made = made?;
+    let time_ns = made.iter().find_map(|(_, _, statement)| statement.time_ns);
+    if made.iter().all(|(_, cloud, _)| cloud.is_empty()) {
+        return Ok(Made { trigger, time_ns, points: 0, kept: false });
+    }
     let from: Vec<_> = made.iter().map(|(_, _, statement)| Viewpoint::of(&statement.comments)).collect();
     let views = made.iter().zip(&from);
     let views = views.map(|((camera, cloud, _), from)| View { camera: *camera, cloud, from: from.as_ref() });
@@ -270,7 +311,6 @@ fn export_trigger(
     let comments = made.first().map_or(Vec::new(), |(_, _, statement)| statement.merged_comments.clone());
     let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
     let points = merge::save(&path, &views, &left_out, comments).map_err(failed)?;
-    let time_ns = made.iter().find_map(|(_, _, statement)| statement.time_ns);
     Ok(Made { trigger, time_ns, points, kept: false })
 }
 

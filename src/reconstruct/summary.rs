@@ -1,6 +1,9 @@
 //! What became of every frame of a run: `OUT/summary.json`.
 
-use super::batch::{Plan, method_name};
+use super::batch::Plan;
+use super::key::Key;
+use super::outcome::NO_OBJECT;
+use super::source::SessionIdentity;
 use super::unchecked::unchecked;
 use crate::calibrate::Calibration;
 use crate::ids::CameraId;
@@ -63,10 +66,17 @@ pub struct TriggerSummary {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Summary {
+    /// Whose frames.
+    pub session: SessionIdentity,
+    /// The algorithm's number ([`super::key::ALGORITHM`]).
+    pub algorithm: u32,
     /// Hash of everything that the clouds depend on beside the frames.
     pub parameters: String,
     /// `anchored`, `paired` or `paper`.
     pub method: Cow<'static, str>,
+    /// Cameras of the session or of the calibration that were left out, as was asked for; absent where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<CameraId>,
     /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unchecked: Vec<String>,
@@ -91,16 +101,21 @@ impl Summary {
     /// What became of all triggers together.
     pub(super) fn of(
         triggers: Vec<TriggerSummary>,
-        parameters: &str,
+        key: &Key,
         plan: &Plan,
         calibration: &Calibration,
     ) -> Self {
         let count = |outcome: &str| {
             triggers.iter().flat_map(|t| &t.frames).filter(|frame| frame.outcome == outcome).count()
         };
+        let known = calibration.cameras().map(|(_, camera)| &camera.id);
+        let beyond = key.session.cameras.iter().filter(|id| calibration.camera(id).is_none());
         Self {
-            parameters: parameters.to_owned(),
-            method: method_name(plan.method).into(),
+            session: key.session.clone(),
+            algorithm: key.algorithm,
+            parameters: key.parameters(),
+            method: key.method.clone().into(),
+            left_out: known.chain(beyond).filter(|id| !key.cameras.contains(id)).cloned().collect(),
             unchecked: unchecked(calibration, &plan.cameras, plan.method),
             frames: triggers.iter().map(|t| t.frames.len()).sum(),
             clouds: count("cloud"),
@@ -123,6 +138,22 @@ impl Summary {
             }
         }
         sums.into_iter().map(|(camera, (sum, frames))| (camera, sum / frames)).collect()
+    }
+
+    /// Frames in which there is no light: nothing is lost where they have no cloud.
+    pub fn dark(&self) -> usize {
+        let frames = self.triggers.iter().flat_map(|trigger| &trigger.frames);
+        frames.filter(|frame| frame.reason.as_deref() == Some(NO_OBJECT)).count()
+    }
+
+    /// The reason that most refused frames have.
+    pub fn most_refused_for(&self) -> Option<&str> {
+        let mut counts = BTreeMap::<&str, usize>::new();
+        let frames = self.triggers.iter().flat_map(|trigger| &trigger.frames);
+        for reason in frames.filter_map(|frame| frame.reason.as_deref()) {
+            *counts.entry(reason).or_default() += 1;
+        }
+        counts.into_iter().max_by_key(|(_, count)| *count).map(|(reason, _)| reason)
     }
 
     /// Points of all directional clouds.

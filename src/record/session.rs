@@ -6,7 +6,7 @@ use super::scan::metadata_by_index;
 use super::segment_file::SegmentFile;
 use crate::config::Rig;
 use crate::ids::{CameraId, NodeId, TriggerIndex};
-use crate::reconstruct::{Frame, FrameSource, SourceStatement, StatedCamera};
+use crate::reconstruct::{Frame, FrameSource, SessionIdentity, SourceStatement, StatedCamera};
 use serde::Serialize;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -225,6 +225,33 @@ impl FrameSource for SessionReader {
         };
         let pattern = self.rig().ok().map(|rig| rig.pattern);
         Some(SourceStatement { cameras: self.places.iter().map(camera).collect(), pattern })
+    }
+
+    fn identity(&self) -> Result<SessionIdentity, String> {
+        let first = &self.recordings.first().ok_or("the session has no recording")?.header;
+        let ids = self.recordings.iter().map(|recording| &recording.header);
+        if let Some(other) = ids.clone().find(|header| header.session_id != first.session_id) {
+            return Err(format!(
+                "the recordings are of two sessions, {} ({}) on node {} and {} ({}) on node {}; keep those of one together",
+                first.session, first.session_id, first.node, other.session, other.session_id, other.node
+            ));
+        }
+        let mut nodes: Vec<String> = ids.map(|header| header.node.to_string()).collect();
+        nodes.sort();
+        Ok(SessionIdentity {
+            id: first.session_id.clone(),
+            name: Some(first.session.to_string()),
+            nodes,
+            cameras: self.cameras.clone(),
+        })
+    }
+
+    fn pixels_crc(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Option<u32>, String> {
+        let place = self.cameras.iter().position(|id| id == camera);
+        let place = place.and_then(|place| self.places.get(place));
+        // What is not there is told where it is read.
+        let Some(&(r, c)) = place else { return Ok(self.frame(camera, trigger)?.pixels_crc()) };
+        Ok(self.recordings[r].frame_meta(c, trigger)?.ok().map(|meta| meta.pixels_crc))
     }
 
     fn cameras(&self) -> &[CameraId] {

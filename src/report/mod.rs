@@ -11,6 +11,9 @@ use crate::export::ply;
 use crate::ids::TriggerIndex;
 use crate::preview::quick_look::encode;
 use crate::preview::{Light, measure, upright_png};
+use crate::reconstruct::FrameSource;
+use crate::reconstruct::batch::TriggerSummary;
+use crate::reconstruct::collect;
 use crate::record::describe::{self, CameraDescription, EventKind};
 use crate::record::{GapRun, RecordingReader, SessionReader, Verdict, WriteStatistics};
 use std::path::{Path, PathBuf};
@@ -78,7 +81,7 @@ pub struct Report {
 /// Looks at a session, and at what was reconstructed of it in `result` (the directory of `fourdbody reconstruct`).
 pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, String> {
     let reader = SessionReader::open(session).map_err(|e| e.to_string())?;
-    let points = result.map(points_of).transpose()?.unwrap_or_default();
+    let points = result.map(|result| points_of(result, &reader)).transpose()?.unwrap_or_default();
     let first = reader.recordings().first().ok_or_else(|| format!("{}: no recording", session.display()))?;
     let header = &first.header;
     let nodes = reader.recordings().iter().map(|recording| node(recording, &points)).collect();
@@ -142,24 +145,22 @@ fn samples(recording: &RecordingReader, camera: usize) -> Vec<Sample> {
 /// Trigger, camera, points.
 type Points = (u64, String, u64);
 
-/// From `summary.json` of a reconstruction.
-fn points_of(result: &Path) -> Result<Vec<Points>, String> {
-    let path = result.join("summary.json");
-    let text = std::fs::read_to_string(&path).map_err(|e| {
-        format!("{}: {e}; expected the directory of `fourdbody reconstruct --out`", path.display())
-    })?;
-    let summary: serde_json::Value =
-        serde_json::from_str(&text).map_err(|e| format!("{}: {e}", path.display()))?;
-    let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
-    let mut points = Vec::new();
-    for trigger in list(&summary["triggers"]) {
-        let Some(number) = trigger["trigger"].as_u64() else { continue };
-        for frame in list(&trigger["frames"]) {
-            let camera = frame["camera"].as_str().unwrap_or_default().to_owned();
-            points.push((number, camera, frame["points"].as_u64().unwrap_or(0)));
-        }
+/// From `summary.json` of a reconstruction, which must be of this session.
+fn points_of(result: &Path, session: &SessionReader) -> Result<Vec<Points>, String> {
+    let summary = collect::load_summary(result)
+        .map_err(|e| format!("{e}; expected the directory of `fourdbody reconstruct --out`"))?;
+    let expected = session.identity()?;
+    if summary.session.id != expected.id {
+        return Err(format!(
+            "{}: has the results of the session {}, expected {expected}; give those of this session with --clouds",
+            result.display(),
+            summary.session
+        ));
     }
-    Ok(points)
+    let frames = summary.triggers.into_iter().flat_map(|TriggerSummary { trigger, frames, .. }| {
+        frames.into_iter().map(move |frame| (trigger, frame.camera.to_string(), frame.points as u64))
+    });
+    Ok(frames.collect())
 }
 
 /// The merged cloud in the middle of what was reconstructed.

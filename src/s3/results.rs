@@ -11,6 +11,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+/// What a result is made of: it is in the store before any other file (`reconstruct::key`).
+const KEY_FILE: &str = crate::reconstruct::key::KEY_FILE;
+
 /// Folders of files that belong to a trigger each, and how their names end.
 const FOLDERS: [(&str, &str); 3] = [("clouds", ".ply"), ("merged", ".ply"), ("phases", ".phase")];
 /// How often finished files are looked for.
@@ -98,7 +101,8 @@ impl Drop for Uploader {
 impl Files {
     /// Names of all finished files: what is being written has another ending.
     fn finished(&self) -> Vec<(String, (u64, i64, i64))> {
-        let mut found = Vec::new();
+        let key = self.out.join(KEY_FILE).metadata().ok();
+        let mut found: Vec<_> = key.iter().map(|key| (KEY_FILE.to_owned(), identity(key))).collect();
         for (folder, end) in FOLDERS {
             for entry in std::fs::read_dir(self.out.join(folder)).into_iter().flatten().flatten() {
                 let name = entry.file_name().into_string().ok().filter(|name| name.ends_with(end));

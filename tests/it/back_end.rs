@@ -140,8 +140,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
             };
             let (summary, _) = batch::run(&source, &calibration, &plan, |_| ()).expect("runs");
             if format == Format::Ply {
-                let path = plan.out.join("sequence.mcap");
-                batch::write_sequence(&source, &plan, 120.0, &path).expect("writable");
+                batch::write_sequence(&source, &plan, &summary, 120.0).expect("writable");
             }
             summary
         };

@@ -67,6 +67,7 @@ mod recover;
 mod refusals;
 #[cfg(feature = "aravis")]
 mod report;
+mod reused;
 #[cfg(feature = "aravis")]
 mod service;
 #[cfg(feature = "aravis")]

@@ -9,6 +9,7 @@ use crate::export::sequence::{self, Contents, Options};
 use crate::export::{CloudSource, Format, PlyDirectory};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::reconstruct::FrameSource;
+use crate::reconstruct::key::Key;
 use crate::reconstruct::stored::PhaseDirectory;
 use crate::record::SessionReader;
 
@@ -37,11 +38,24 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
         summary.written += made.written;
         summary.points += made.points;
         summary.bytes += made.bytes;
+        summary.empty = summary.empty.max(made.empty);
         summary.problems.extend(made.problems);
     }
     drop(progress);
     report(args, &summary);
-    Ok(if summary.problems.is_empty() { Exit::Done } else { Exit::Corrupt })
+    if summary.problems.is_empty() && summary.written + summary.skipped == 0 {
+        let message = format!(
+            "{}: nothing was exported: expected clouds with points, found none in {} triggers (summary.json tells why frames were refused)",
+            args.directory.display(),
+            summary.triggers
+        );
+        return Err(Failure::new(Exit::Corrupt, message));
+    }
+    Ok(match (summary.problems.is_empty(), summary.empty) {
+        (true, 0) => Exit::Done,
+        (true, _) => Exit::DataLoss,
+        (false, _) => Exit::Corrupt,
+    })
 }
 
 fn plan(args: &Args, source: &dyn CloudSource) -> Result<Plan, Failure> {
@@ -84,9 +98,12 @@ fn plan(args: &Args, source: &dyn CloudSource) -> Result<Plan, Failure> {
             )));
         }
     }
+    // The same place may have other clouds today.
+    let key = Key::load(&args.directory).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    let made_of = key.map_or_else(String::new, |key| format!(": {}, {}", key.session, key.parameters()));
     Ok(Plan {
         out: args.out.clone(),
-        origin: origin.display().to_string(),
+        origin: format!("{}{made_of}", origin.display()),
         formats,
         merged,
         directional,
@@ -146,13 +163,14 @@ fn report(args: &Args, summary: &Summary) {
         println!("{}", serde_json::json!(summary));
     } else {
         println!(
-            "{} triggers: {} files written ({:.1} MB, {} points, {} triangles), {} were finished, {} problems",
+            "{} triggers: {} files written ({:.1} MB, {} points, {} triangles), {} were finished, {} without points, {} problems",
             summary.triggers,
             summary.written,
             summary.bytes as f64 / 1e6,
             summary.points,
             summary.triangles,
             summary.skipped,
+            summary.empty,
             summary.problems.len()
         );
     }

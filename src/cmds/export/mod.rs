@@ -24,8 +24,8 @@ use std::path::PathBuf;
 /// Without any choice of clouds, stored phase maps become all that `reconstruct` would have written itself, byte for byte:
 /// clouds/, merged/ and sequence.mcap.
 ///
-/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session; 4 some clouds or frames are damaged,
-/// and listed; 1 could not write.
+/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session, or clouds have no points (nothing is written
+/// of these); 4 some clouds or frames are damaged, and listed, or there is nothing to export at all; 1 could not write.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -185,19 +185,22 @@ fn everything(args: &Args) -> Result<Exit, Failure> {
     let at = |done, total| progress.at(done, total);
     let made =
         stored::export(&args.directory, &calibration, &args.out, args.rate_hz, at).map_err(|e| match e {
-            StoredError::Maps(_) => Failure::new(Exit::Corrupt, e),
+            StoredError::Maps(_) | StoredError::Nothing(_) => Failure::new(Exit::Corrupt, e),
+            StoredError::Occupied(_) => Failure::new(Exit::Usage, e),
             StoredError::Write(_) => Failure::new(Exit::Failure, e),
         })?;
     drop(progress);
     if args.json {
         println!("{}", serde_json::json!(made));
     } else {
-        let stored::Exported { clouds, merged_points, triggers, kept } = made;
+        let stored::Exported { clouds, merged_points, triggers, kept, empty } = made;
+        let merged = triggers - empty;
         println!(
-            "{clouds} clouds; {merged_points} points in {triggers} merged clouds, {kept} of them finished before"
+            "{clouds} clouds; {merged_points} points in {merged} merged clouds; {kept} of {triggers} triggers finished before, {empty} \
+             without a point"
         );
     }
-    Ok(Exit::Done)
+    Ok(if made.empty == 0 { Exit::Done } else { Exit::DataLoss })
 }
 
 fn calibration(args: &Args) -> Result<Calibration, Failure> {

@@ -1,6 +1,6 @@
 //! `fourdbody validate plane`: how flat the board comes out.
 
-use super::{load_calibration, load_cloud, mean, open_clouds};
+use super::{load_calibration, load_cloud, mean, of_something, open_clouds};
 use crate::calibrate::Board;
 use crate::cmds::{Exit, Failure};
 use crate::export::Cloud;
@@ -78,6 +78,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         judge(None, &clouds.iter().flat_map(|(_, c)| points(c)).collect::<Vec<_>>(), &mut per_head);
     }
     failed.iter().for_each(|reason| eprintln!("{reason}"));
+    of_something(per_head.len(), &args.clouds, "directional clouds with a plane")?;
     print(args.json, &per_camera, &per_head);
     Ok(if failed.is_empty() { Exit::Done } else { Exit::Corrupt })
 }

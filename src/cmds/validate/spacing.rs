@@ -1,6 +1,6 @@
 //! `fourdbody validate spacing`: distances between points.
 
-use super::{load_cloud, mean, open_clouds};
+use super::{load_cloud, mean, of_something, open_clouds};
 use crate::cmds::{Exit, Failure};
 use crate::validate::spacing::{Directional, Merged, directional, merged};
 use std::path::PathBuf;
@@ -44,6 +44,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     for (&trigger, path) in &set.merged {
         all.extend(merged(&load_cloud(path)?).map(|spacing| MergedRow { trigger, spacing }));
     }
+    of_something(clouds.len() + all.len(), &args.clouds, "clouds with points")?;
     // Every point counts the same.
     let weighted = clouds.iter().map(|row| row.spacing.points as f64 * row.spacing.spacing_mm).sum::<f64>();
     let spacing_cloud_mm = weighted / clouds.iter().map(|row| row.spacing.points as f64).sum::<f64>();

@@ -1,6 +1,6 @@
 //! `fourdbody validate truth`: clouds against rendered ground truth, a sphere or a mesh.
 
-use super::{load_calibration, load_cloud, open_clouds};
+use super::{load_calibration, load_cloud, of_something, open_clouds};
 use crate::calibrate::Calibration;
 use crate::cmds::reconstruct::open_source;
 use crate::cmds::{Exit, Failure};
@@ -89,6 +89,8 @@ fn solid(args: &Args, score: impl Fn(&[Point3<f64>]) -> SolidScore) -> Result<Ex
     for path in set.merged.values() {
         points_of(&load_cloud(path)?, &mut merged);
     }
+    let points = merged.len() + sets.values().map(Vec::len).sum::<usize>();
+    of_something(points, &args.clouds, "clouds with points")?;
     let cameras: BTreeMap<&String, SolidScore> =
         sets.iter().map(|(name, points)| (name, score(points))).collect();
     let merged = score(&merged);
@@ -144,7 +146,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let images = args.images.as_deref().map(|path| open_source(path, &ids)).transpose();
     let images = images.map_err(|e| Failure::new(Exit::Usage, e))?;
     let mut per_camera: BTreeMap<usize, Tally> = BTreeMap::new();
-    let (mut merged, mut merged_clouds) = (Tally::default(), 0);
+    let (mut merged, mut merged_clouds, mut directional_clouds) = (Tally::default(), 0, 0);
     let mut predicted = Points::default();
     let mut loaded: Option<(u64, Option<Cloud>)> = None;
     for (&(trigger, number), path) in &files {
@@ -153,6 +155,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
         let reference =
             Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
         let path = set.directional.get(&(trigger, camera.id.to_string()));
+        directional_clouds += usize::from(path.is_some());
         let cloud = path.map(|path| load_cloud(path)).transpose()?.unwrap_or_default();
         let light = images.as_deref().map(|images| light_of(images, &camera.id, trigger, &truth, reference));
         let light = light.transpose()?;
@@ -178,6 +181,11 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
             merged.add(cloud, |i| cloud.camera.get(i) == Some(&number), &truth, reference);
         }
     }
+    of_something(
+        directional_clouds + merged_clouds,
+        &args.clouds,
+        "clouds of the truth's triggers and cameras",
+    )?;
     let mut all = Tally::default();
     per_camera.values().for_each(|tally| all.join(tally));
     let rows = per_camera.iter().map(|(&number, tally)| (cameras[number].1.id.to_string(), tally.score()));

@@ -31,7 +31,7 @@ struct Ready {
 }
 
 /// Writes a sequence, which is never half there; messages are made on the current rayon pool. `time_ns` says when a trigger
-/// was; times must not go back from trigger to trigger. `progress` is told triggers done and their number. An error is one
+/// was; times must not go back from trigger to trigger. Clouds without points are left out; without any points there is no file. `progress` is told triggers done and their number. An error is one
 /// of writing; damaged clouds are in the summary.
 pub fn collect(
     source: &dyn CloudSource,
@@ -43,7 +43,8 @@ pub fn collect(
 ) -> io::Result<Summary> {
     let triggers: Vec<(&u64, &Vec<usize>)> = source.triggers().range(contents.triggers.clone()).collect();
     let mut summary = Summary { triggers: triggers.len(), written: 1, ..Summary::default() };
-    write_whole(path, |file| {
+    let mut is_nothing = false;
+    let written = write_whole(path, |file| {
         let out = io::BufWriter::with_capacity(1 << 20, file);
         let mut writer = SequenceWriter::with(out, options).map_err(io::Error::other)?;
         let mut done = 0;
@@ -60,6 +61,10 @@ pub fn collect(
                 match ready {
                     Ok(ready) => {
                         for Ready { camera, points, message } in ready {
+                            if points == 0 {
+                                summary.empty += 1;
+                                continue;
+                            }
                             summary.points += points;
                             writer.write(time, camera.as_deref(), &message).map_err(io::Error::other)?;
                         }
@@ -70,9 +75,18 @@ pub fn collect(
             done += part.len() as u64;
             progress(done, triggers.len() as u64);
         }
+        is_nothing = summary.points == 0;
+        if is_nothing {
+            return Err(io::Error::other("there are no points"));
+        }
         let buffer = writer.finish().map_err(io::Error::other)?;
         buffer.into_inner().map(|_| ()).map_err(io::IntoInnerError::into_error)
-    })?;
+    });
+    if is_nothing {
+        summary.written = 0;
+        return Ok(summary);
+    }
+    written?;
     summary.bytes = path.metadata()?.len();
     Ok(summary)
 }
