@@ -97,8 +97,8 @@ function ended(capture) {
   if (capture.fault) return { kind: "bad", word: "FAILED", detail: capture.fault.message };
   if (preview(capture)) return { kind: "good", word: "READY", detail: "the preview has ended; nothing was recorded" };
   const words = capture.takes.map((take) => take.verdict);
-  const worst = ["aborted", "incomplete", "complete"].find((word) => words.includes(word)) ?? "aborted";
-  const kind = { complete: "good", incomplete: "warn", aborted: "bad" }[worst];
+  const worst = ["aborted", "incomplete", "unconfirmed", "complete"].find((word) => words.includes(word)) ?? "aborted";
+  const kind = { complete: "good", unconfirmed: "warn", incomplete: "warn", aborted: "bad" }[worst];
   const last = capture.takes.at(-1);
   const name = capture.takes.map((take) => take.name).join(", ");
   const dry = capture.series.wish.dry_run ? "dry run, nothing was recorded\n" : "";
@@ -122,7 +122,7 @@ function causes({ node: name, session }) {
 function endedHere(session) {
   const verdict = session.outcome.recorded;
   if (!verdict) return { kind: "bad", word: "FAILED", detail: session.outcome.failed.message };
-  const kind = { complete: "good", incomplete: "warn", aborted: "bad" }[verdict.status] ?? "bad";
+  const kind = { complete: "good", unconfirmed: "warn", incomplete: "warn", aborted: "bad" }[verdict.status] ?? "bad";
   return { kind, word: verdict.status.toUpperCase(), detail: `${session.name}, at this node\n${causes({ node: known.status.node, session })}` };
 }
 
@@ -261,9 +261,9 @@ function sessionRow(session) {
   const now = sessionsUnderWay().some(({ name }) => name === session.name);
   const words = session.parts.map(({ entry }) => (entry.verdict ? entry.verdict.status : "unfinished"));
   if (session.parts.length < expected) words.push("one node only");
-  const worst = ["aborted", "unfinished", "one node only", "incomplete", "complete"].find((word) => words.includes(word));
+  const worst = ["aborted", "unfinished", "one node only", "incomplete", "unconfirmed", "complete"].find((word) => words.includes(word));
   const word = now ? "recording" : worst;
-  const kind = { complete: "good", incomplete: "warn", recording: "warn" }[word] ?? "bad";
+  const kind = { complete: "good", unconfirmed: "warn", incomplete: "warn", recording: "warn" }[word] ?? "bad";
   const triggers = Math.max(...session.parts.map(({ entry }) => entry.verdict?.triggers ?? 0));
   const button = make("button", { type: "button", textContent: "look", onclick: () => openLook(session.name) });
   button.setAttribute("aria-label", `quick look at ${session.name}`);

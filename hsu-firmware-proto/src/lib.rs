@@ -23,7 +23,7 @@ pub use codec::DecodeError;
 pub use host_to_unit::{Arm, Hello, HostToUnit, Request};
 pub use ids::{LinkId, NodeName, SessionId};
 pub use timing::{HeadTiming, Sync, Timing, TimingError};
-pub use unit::{Unit, UnitOutputs};
+pub use unit::{PAUSE_BEFORE, Unit, UnitOutputs};
 pub use unit_to_host::{
     EndReason, Fault, Identity, Refusal, State, Status, TriggerFlags, TriggerRecord, TriggerRecords,
     UnitToHost, Welcome,

@@ -10,7 +10,7 @@ use super::ring::{ReadyFrame, Ring, ToWriter};
 use super::trigger_table::TriggerTable;
 use crate::camera::{Breach, Transfer};
 use crate::ids::{BlockId, CameraId, TriggerIndex};
-use crate::record::{ClockSample, FrameMeta, GapCause, NodeEvent, SessionEnd};
+use crate::record::{ClockSample, FrameMeta, GapCause, NodeEvent, SessionEnd, UNCONFIRMED, WarmUp};
 use crate::time::host_time_ns;
 use crossbeam_channel::Sender;
 use std::collections::VecDeque;
@@ -36,7 +36,7 @@ struct Lane {
     absence: GapCause,
     /// Frames that no trigger explains.
     spurious: u64,
-    /// Frames recorded on their block id alone.
+    /// Frames whose trigger rests on one witness.
     unconfirmed: u64,
     /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
     given_up: u64,
@@ -164,6 +164,8 @@ impl Books {
             }
             ToRecorder::WarmUp { number, hsu_time_ns } if number < 0 => {
                 self.table.insert(number, hsu_time_ns);
+                let sample = WarmUp::Trigger { number, hsu_time_ns };
+                self.ring.small(ToWriter::Event(sample.event(None, host_time_ns())));
                 self.advance_all();
             }
             ToRecorder::WarmUp { .. } => {}
@@ -182,7 +184,7 @@ impl Books {
                 self.advance(camera, true);
                 let lane = &mut self.lanes[camera];
                 (lane.lost, lane.back, lane.stream) = (false, true, stream);
-                lane.matcher.restart();
+                lane.matcher.restart(!self.table.is_empty());
                 self.sets.expect(camera, true);
             }
             ToRecorder::Drain { emitted } => {
@@ -231,14 +233,15 @@ impl Books {
             let many = lane.pending.len() >= self.options.waiting_frames();
             let patience = if many { BURST_PATIENCE } else { self.options.report_patience };
             let last_call = now || self.awake - since > patience;
-            let mut behind = lane.pending.iter().map(|next| sighting(&next.arrival));
-            let next = behind.find(|next| next.camera_ns.is_some());
+            let behind = lane.pending.iter().map(|next| sighting(&next.arrival)).filter(|next| next.complete);
             let seen = sighting(&arrival);
+            let mut followers = [seen; Matcher::FOLLOWERS];
+            let count = followers.iter_mut().zip(behind).map(|(place, next)| *place = next).count();
             if last_call {
                 self.infer_trigger(camera, &seen);
             }
             let lane = &mut self.lanes[camera];
-            match lane.matcher.assign(&seen, next.as_ref(), &self.table, &self.hsu, last_call) {
+            match lane.matcher.assign(&seen, &followers[..count], &self.table, &self.hsu, last_call) {
                 Match::Wait => return lane.pending.push_front(Pending { arrival, since }),
                 Match::Undecided => self.give_up(&arrival),
                 Match::Trigger(matched) => self.settle(matched, arrival),
@@ -286,7 +289,15 @@ impl Books {
         let camera = arrival.camera;
         self.progress.latencies.matched.record(arrival.taken.elapsed());
         self.report(camera, &matched, &arrival);
-        let Ok(trigger) = u64::try_from(matched.number) else { return };
+        let Ok(trigger) = u64::try_from(matched.number) else {
+            let sample = WarmUp::Frame {
+                block: arrival.block_id.0,
+                camera_time_ns: arrival.camera_ns,
+                host_time_ns: arrival.host_ns,
+            };
+            let camera = Some(self.lanes[camera].id.clone());
+            return self.ring.small(ToWriter::Event(sample.event(camera, host_time_ns())));
+        };
         if self.emitted.is_some_and(|emitted| trigger >= emitted) {
             return self.spurious(&arrival, "came after the last trigger");
         }
@@ -297,7 +308,7 @@ impl Books {
             return self.note(camera, "repeated_frame", Some(trigger), text);
         }
         self.last_settled = self.awake;
-        lane.unconfirmed += u64::from(matched.witness == Witness::BlockIdOnly);
+        lane.unconfirmed += u64::from(matched.witness == Witness::One);
         let start = std::mem::replace(&mut lane.next, trigger + 1);
         let (back, absence) = (std::mem::take(&mut lane.back), lane.absence);
         // Frames lost on the way first: in which order the two happened is not to be known.
@@ -345,7 +356,17 @@ impl Books {
             }
             Some(Finding::ClockReset(step)) => (
                 "camera_clock_reset",
-                format!("its clock was set anew, by {step} ns; block {block} by its id alone"),
+                format!(
+                    "its clock was set anew, by {step} ns, from block {block} on: frames behind it agree"
+                ),
+            ),
+            Some(Finding::StampWrong(Some(by))) => (
+                "stamp_wrong",
+                format!("the timestamp of block {block} is {by} ns off; its id and arrival are not"),
+            ),
+            Some(Finding::StampWrong(None)) => (
+                "stamp_wrong",
+                format!("block {block} has no timestamp; its id and arrival name its trigger"),
             ),
         };
         self.note(camera, kind, at(number), text);
@@ -524,8 +545,8 @@ impl Books {
                 self.note(camera, "identity_unknown", None, text);
             }
             if unconfirmed > 0 {
-                let text = format!("{unconfirmed} frames have their trigger by block id alone");
-                self.note(camera, "identity_unconfirmed", None, text);
+                let text = format!("{unconfirmed} frames have their trigger by one witness alone");
+                self.note(camera, UNCONFIRMED, None, text);
             }
         }
         if self.ring.refused > 0 {

@@ -2,7 +2,7 @@
 
 use super::ring::{Sink, ToWriter};
 use crate::ids::TriggerIndex;
-use crate::record::{CameraTally, RecordError, RecordingHeader, SessionEnd, Verdict};
+use crate::record::{CameraTally, Noted, RecordError, RecordingHeader, SessionEnd, Verdict};
 
 /// What stands where a recording would be.
 #[derive(Debug)]
@@ -10,14 +10,14 @@ pub struct DryRun {
     header: RecordingHeader,
     tallies: Vec<CameraTally>,
     triggers_end: u64,
-    refused: u64,
+    noted: Noted,
 }
 
 impl DryRun {
     /// For the session that `header` describes; nothing is made on disk.
     pub fn new(header: RecordingHeader) -> Self {
         let tallies = vec![CameraTally::default(); header.cameras.len()];
-        Self { header, tallies, triggers_end: 0, refused: 0 }
+        Self { header, tallies, triggers_end: 0, noted: Noted::default() }
     }
 }
 
@@ -34,9 +34,13 @@ impl Sink for DryRun {
                 self.triggers_end = self.triggers_end.max(record.index.0.saturating_add(1));
                 true
             }
-            ToWriter::Clock(_) | ToWriter::Event(_) | ToWriter::End(_) => true,
+            ToWriter::Event(event) => {
+                self.noted.note(&event.kind);
+                true
+            }
+            ToWriter::Clock(_) | ToWriter::End(_) => true,
         };
-        self.refused += u64::from(!fresh);
+        self.noted.refused += u64::from(!fresh);
         Ok(())
     }
 
@@ -51,7 +55,7 @@ impl Sink for DryRun {
                 tally.gap(TriggerIndex(trigger), end.absent);
             }
         }
-        Ok(Verdict::of(&self.header, &self.tallies, triggers, self.refused, end))
+        Ok(Verdict::of(&self.header, &self.tallies, triggers, self.noted, end))
     }
 }
 

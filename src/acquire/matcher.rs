@@ -1,30 +1,43 @@
-//! Which trigger a frame belongs to, by two witnesses: its block id and its timestamp.
+//! Which trigger a frame belongs to, by three witnesses: its block id, its timestamp, and its arrival.
 //!
-//! The block id counts frames that the camera made: a camera that ignored a trigger does not skip an id. The
-//! timestamp, brought to the HSU's clock, names the trigger by its time. Where they disagree the timestamp wins as
-//! long as its clock is believed, and the caller learns what happened. The arrival on the host is a third witness
-//! that errs only towards late: it can refute a timestamp from the future, and bridge a clock that was reset.
+//! * The **block id** counts what the camera sent: one that ignored a trigger does not skip an id. Its beginning is
+//!   known, because an armed stream is silent until the train starts ([`anchor`]).
+//! * The **timestamp**, brought to the HSU's clock by the frames before it, names the trigger by its time. How long
+//!   after a trigger a camera stamps is measured in the warm-up.
+//! * The **arrival** on the host errs towards late only; how late it usually is, is measured likewise.
+//!
+//! A frame is filed where two of them agree. Where id and timestamp disagree, the frames behind it say what happened
+//! ([`contradiction`]); where nothing says so, the frame is given up, never guessed.
 
 use super::block_ids::BlockIds;
 use super::clock::{ClockFit, Exchange, Judged};
-use super::relation::{Anchor, Latency, Tracker};
+use super::relation::{Latency, Tracker};
 use super::trigger_table::{Schedule, TriggerTable};
+use crate::ids::BlockId;
+use anchor::{Anchoring, Early};
 
-mod ruling;
+pub mod anchor;
+mod contradiction;
+mod rejoin;
 mod sighting;
-mod witnesses;
-
-use ruling::{Claim, Ruling};
-use witnesses::ByTime;
 
 pub use sighting::{Finding, Match, Matched, Sighting, Witness};
 
-/// What is known of a camera's clock before the first exchange.
+/// So long a tracker is believed without a frame before the clock's fit is asked, ns.
+const TRACKER_REACH_NS: i128 = 2_000_000_000;
+/// After a contradiction, so many frames are looked at closely.
+const DOUBT: u32 = 16;
+/// So many frames given up in a row mean that what is known of ids and clock is wrong.
+const GIVEN_UP_MAX: u32 = 8;
+
+/// What is known before a camera's first frame.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct ClockRelation {
-    /// The camera's clock minus the HSU's, ns, where the camera's can be read.
-    pub camera_minus_hsu_ns: Option<i128>,
-    /// The HSU's clock minus the host's, ns.
+pub struct Start {
+    /// Trigger period, ns.
+    pub period_ns: u64,
+    /// Triggers of the warm-up: the first trigger has this number, negative.
+    pub warm_up: u32,
+    /// The HSU's clock minus the host's, ns, where exchanges before the session said so.
     pub hsu_minus_host_ns: Option<i128>,
 }
 
@@ -33,39 +46,50 @@ pub struct ClockRelation {
 struct Last {
     number: i64,
     camera_ns: Option<u64>,
-    host_ns: u64,
+}
+
+/// How far a stream's identity is known.
+#[derive(Debug)]
+enum Stage {
+    /// The train is about to begin, or in its warm-up; so many ids after the first.
+    Beginning(Anchoring, Option<i64>),
+    /// Ids count from a known trigger.
+    Known,
+    /// The camera is back, or nothing fitted any more.
+    Lost(rejoin::Rejoin),
 }
 
 /// Matches the frames of one camera, in the order in which they arrive.
 #[derive(Debug)]
 pub struct Matcher {
-    period_ns: u64,
-    clocks: ClockRelation,
+    start: Start,
+    stage: Stage,
     camera: ClockFit,
     tracker: Option<Tracker>,
+    /// From a trigger to its frame's timestamp, ns, by the clock's fit: measured once.
+    stamp_delay_ns: Option<i128>,
     latency: Latency,
     ids: BlockIds,
     /// The trigger that the last id taken stands for.
-    base: Option<i64>,
+    base: i64,
     /// Ids skipped before frames that were not recorded.
     lost_before: u64,
     last: Option<Last>,
-    /// Frames were given up since the last one that got a trigger: ids alone prove nothing until one does.
-    in_doubt: bool,
-    /// The clock was set anew while in doubt: neither ids nor times prove anything until arrivals agree.
-    anchor: Option<Anchor>,
+    given_up: u32,
+    /// So many frames must still be in order before arrivals need not confirm id and stamp any more.
+    doubt: u32,
+    /// The trigger that a given-up frame's arrival named.
+    arrived: Option<(BlockId, i64)>,
 }
 
 /// A frame, and all there is to judge it by.
 #[derive(Clone, Copy)]
 struct Case<'a> {
     frame: &'a Sighting,
-    /// The next frame with a timestamp that has arrived already.
-    next: Option<&'a Sighting>,
+    /// Whole frames that have arrived behind it, in order.
+    followers: &'a [Sighting],
     /// The trigger that its id points at.
-    by_id: Option<i64>,
-    /// The trigger that its arrival points at.
-    arrival: Option<i64>,
+    by_id: i64,
     table: Schedule<'a>,
     /// The HSU's clock against the host's.
     hsu: &'a ClockFit,
@@ -74,31 +98,32 @@ struct Case<'a> {
 }
 
 impl Matcher {
-    /// With what is known of the clocks before the session.
-    pub fn new(period_ns: u64, clocks: ClockRelation) -> Self {
+    /// Of the frames behind the one in question, so many are of use.
+    pub const FOLLOWERS: usize = 6;
+
+    /// Before the session.
+    pub fn new(start: Start) -> Self {
         Self {
-            period_ns: period_ns.max(1),
-            clocks,
+            start: Start { period_ns: start.period_ns.max(16), ..start },
+            stage: Stage::Beginning(Anchoring::default(), None),
             camera: ClockFit::new(),
             tracker: None,
+            stamp_delay_ns: None,
             latency: Latency::default(),
             ids: BlockIds::default(),
-            base: None,
+            base: 0,
             lost_before: 0,
             last: None,
-            in_doubt: false,
-            anchor: None,
+            given_up: 0,
+            doubt: 0,
+            arrived: None,
         }
     }
 
-    /// Takes an exchange with the camera's clock into account.
+    /// Takes an exchange with the camera's clock into account. What it says of a clock that was set anew is believed
+    /// of a stream that is looked for; otherwise the frames themselves must show it.
     pub fn clock_sample(&mut self, exchange: &Exchange) -> Judged {
-        let judged = self.camera.exchange(exchange);
-        if let Judged::Reset { .. } = judged {
-            self.tracker = None;
-            self.clocks.camera_minus_hsu_ns = None;
-        }
-        judged
+        self.camera.exchange(exchange)
     }
 
     /// The camera's clock against the host's.
@@ -106,33 +131,36 @@ impl Matcher {
         &self.camera
     }
 
-    /// The camera is back with a fresh stream: what was known of its clock and ids ends here.
-    pub fn restart(&mut self) {
+    /// The camera is back with a fresh stream: ids begin anew, its clock may have been set. How long it takes to stamp
+    /// a frame and to send it stays.
+    pub fn restart(&mut self, train_began: bool) {
         self.camera = ClockFit::new();
-        self.tracker = None;
-        self.latency = Latency::default();
-        self.clocks.camera_minus_hsu_ns = None;
         self.ids = BlockIds::default();
-        (self.base, self.lost_before, self.in_doubt) = (None, 0, false);
-        self.anchor = None;
+        self.lost_before = 0;
+        self.stage = match train_began {
+            true => Stage::Lost(rejoin::Rejoin { before: self.tracker.take() }),
+            false => Stage::Beginning(Anchoring::default(), None),
+        };
+        (self.given_up, self.arrived) = (0, None);
         self.last = self.last.map(|last| Last { camera_ns: None, ..last });
     }
 
     /// What a frame says of its trigger by itself: the number by its id, and the time (HSU clock, ns) by its timestamp.
     pub fn claim(&self, frame: &Sighting) -> Option<(i64, i128)> {
-        let camera_ns = frame.camera_ns.filter(|_| frame.complete && self.anchor.is_none())?;
+        let known = matches!(self.stage, Stage::Known) && frame.complete;
+        let camera_ns = frame.camera_ns.filter(|_| known)?;
         let tracker = self.tracker.filter(|tracker| tracker.is_settled())?;
-        let number = self.base?.checked_add(self.ids.step(frame.id)?)?;
+        let number = self.base.checked_add(self.ids.step(frame.id)?)?;
         Some((number, tracker.hsu_ns(camera_ns)))
     }
 
-    /// Names the trigger of `frame`. `next` is the next frame with a timestamp that has arrived already; `hsu` the
-    /// HSU's clock against the host's. While the answer is [`Match::Wait`] nothing has changed: ask again with the
+    /// Names the trigger of `frame`. `followers` are the whole frames that have arrived behind it, in order; `hsu` is
+    /// the HSU's clock against the host's. While the answer is [`Match::Wait`] nothing has changed: ask again with the
     /// same frame; with `last_call` there is always an answer.
     pub fn assign(
         &mut self,
         frame: &Sighting,
-        next: Option<&Sighting>,
+        followers: &[Sighting],
         table: &TriggerTable,
         hsu: &ClockFit,
         last_call: bool,
@@ -141,191 +169,203 @@ impl Matcher {
         if self.is_repeated(frame, step) {
             return Match::Repeated;
         }
-        // Nothing that arrives was triggered later: so far the train is known even where its reports are held up.
-        let now_ns = self.arrival_hsu_ns(frame.host_ns, hsu).filter(|_| last_call);
-        let table = now_ns.map_or(table.reported(), |now| table.expected_until(now, self.period_ns));
         if table.is_empty() {
             return if last_call { Match::BeforeTrain } else { Match::Wait };
         }
-        let by_id = self.base.zip(step).map(|(base, step)| base.saturating_add(step));
-        let arrival = self.by_arrival(frame.host_ns, &table, hsu);
-        let case = Case { frame, next, by_id, arrival, table, hsu, last_call };
-        let Some(camera_ns) = frame.camera_ns else { return self.by_id_alone(&case) };
-        if self.anchor.is_some() {
-            return self.by_anchor(&case, camera_ns);
+        if matches!(self.stage, Stage::Beginning(..)) {
+            return self.begin(frame, table, hsu, last_call);
         }
-        let stray = self.is_stray(&case);
-        if let Some(by_id) = by_id.filter(|_| !stray && step > Some(0) && self.is_certainly_reset(frame)) {
-            return self.reset(&case, camera_ns, by_id);
+        // Nothing that arrives was triggered later: so far the train is known even where its reports are held up.
+        let now_ns = self.arrived_ns(frame.host_ns, hsu).filter(|_| last_call);
+        let period_ns = self.start.period_ns;
+        let table = now_ns.map_or(table.reported(), |now| table.expected_until(now, period_ns));
+        let by_id = self.base.saturating_add(step.unwrap_or(0));
+        let case = Case { frame, followers, by_id, table, hsu, last_call };
+        if matches!(self.stage, Stage::Lost(_)) {
+            return self.rejoin(&case);
         }
-        match self.by_time(camera_ns, frame.host_ns, &case) {
-            ByTime::Trigger(number, residual) => self.by_both(case, camera_ns, number, residual),
-            ByTime::Beyond if stray => Match::Stray,
-            ByTime::Beyond => self.beyond(&case, camera_ns, now_ns.is_some()),
-            ByTime::Unknown => self.by_id_alone(&case),
+        let answer = if frame.complete { self.whole(&case) } else { self.torn(&case) };
+        if answer == Match::Undecided && self.given_up >= GIVEN_UP_MAX {
+            self.stage = Stage::Lost(rejoin::Rejoin { before: self.tracker.take() });
         }
+        answer
     }
 
-    /// The timestamp is later than all triggers that have been, or (`until_now`) can have been.
-    fn beyond(&mut self, case: &Case<'_>, camera_ns: u64, until_now: bool) -> Match {
-        let reported = case.by_id.filter(|id| case.table.time_ns(*id).is_some());
-        let ahead = self.is_ahead(case, camera_ns);
-        match (case.by_id, case.arrival) {
-            // The trigger of its id has been reported, and its arrival confirms it: the time is wrong.
-            (Some(id), arrival) if reported.is_some() && (arrival == Some(id) || ahead) => {
-                self.reset(case, camera_ns, id)
-            }
-            _ if !case.last_call => Match::Wait,
-            (Some(id), _) if self.in_doubt && ahead => self.reset(case, camera_ns, id),
-            _ if until_now => self.undecided(case.frame),
-            _ => self.by_id_alone(case),
-        }
-    }
-
-    /// The timestamp points at a trigger, the id at the same one or not.
-    fn by_both(&mut self, case: Case<'_>, camera_ns: u64, number: i64, residual: i128) -> Match {
-        // In doubt, an extra frame's id may stand for the trigger before it.
-        let near = if self.in_doubt { self.sharp_ns() } else { self.tolerance_ns() };
-        if case.by_id == Some(number) && residual.abs() <= near {
-            // Nothing arrives before its trigger: both witnesses go back to a frame that was late, and stood wrong.
-            if self.precedes(&case, number) {
-                let arrival = case.arrival.or_else(|| self.fired_before(&case));
-                return self.reset(&Case { arrival, ..case }, camera_ns, number);
-            }
-            return self.accept(&case, number, Witness::Both, None);
-        }
-        let fits = residual.abs() <= self.tolerance_ns();
-        let fresh = self.last.is_none_or(|last| number > last.number);
-        let Some(id) = case.by_id else {
-            return match (fits, fresh) {
-                (true, true) => self.accept(&case, number, Witness::TimeOnly, None),
-                (false, _) if case.table.time_ns(number - 1).is_none() && residual < 0 => Match::BeforeTrain,
-                _ => self.spurious(case.frame, residual),
-            };
-        };
-        if !case.frame.complete {
-            return self.by_id_alone(&case);
-        }
-        if fresh && case.table.is_expected(number) {
-            // A camera that ignored triggers, or a train that paused? Only the reports know.
-            return self.undecided(case.frame);
-        }
-        if self.in_doubt && fresh && residual.abs() > self.sharp_ns() {
-            return self.reset(&case, camera_ns, id);
-        }
-        if fits && fresh {
-            let hsu_ns = i128::from(case.table.time_ns(number).unwrap_or(0)) + residual;
-            return match self.rule(&Claim { id, number, hsu_ns, residual }, &case) {
-                Ruling::Id => self.reset(&case, camera_ns, id),
-                Ruling::Later if !case.last_call => Match::Wait,
-                Ruling::Time | Ruling::Later => self.accept(&case, number, Witness::Both, None),
-            };
-        }
-        match self.is_extra(&case, id, camera_ns) {
-            Some(false) => self.reset(&case, camera_ns, id),
-            None if !case.last_call => Match::Wait,
-            _ => self.spurious(case.frame, residual),
-        }
-    }
-
-    /// A frame without a timestamp that can be used.
-    fn by_id_alone(&mut self, case: &Case<'_>) -> Match {
-        if self.is_stray(case) {
-            return Match::Stray;
-        }
-        if !case.last_call && case.by_id.is_none_or(|id| case.table.time_ns(id).is_none()) {
+    /// A frame of a stream whose place in the train is not settled yet.
+    fn begin(&mut self, frame: &Sighting, table: &TriggerTable, hsu: &ClockFit, last_call: bool) -> Match {
+        let period_ns = self.start.period_ns;
+        let arrived = self.arrived_ns(frame.host_ns, hsu);
+        let first = -i64::from(self.start.warm_up);
+        let Stage::Beginning(anchoring, count) = &mut self.stage else { return Match::Wait };
+        let next = count.map_or(0, |count: i64| count.saturating_add(self.ids.step(frame.id).unwrap_or(1)));
+        let provisional = first.saturating_add(next);
+        if table.reported_ns(provisional).is_none() && !last_call {
             return Match::Wait;
         }
-        if self.in_doubt {
-            return Match::Undecided;
+        if count.is_some() && anchoring.is_copy(frame, next) {
+            return Match::Repeated;
         }
-        // Without any witness it could be any trigger's.
-        let Some(id) = case.by_id.or(case.arrival) else { return Match::Spurious(0) };
-        let next = self.last.map_or(i64::MIN, |last| last.number.saturating_add(1));
-        // Nothing arrives before its trigger.
-        let number = case.arrival.filter(|arrival| *arrival < id).unwrap_or(id).max(next);
-        Match::Trigger(self.place(case.frame, number, Witness::BlockIdOnly, None))
+        let before = |due: u64| arrived.is_some_and(|ns| ns + i128::from(period_ns / 8) < due.into());
+        if count.is_none() && table.time_ns(first).is_some_and(before) {
+            return Match::BeforeTrain;
+        }
+        self.ids.take(frame.id);
+        *count = Some(next);
+        if frame.complete {
+            anchoring.add(Early::of(frame, next, arrived));
+        }
+        let place = anchoring.place(first, table, period_ns);
+        // Where there is a rhythm, it must be heard.
+        let place = place.filter(|place| place.confirmed || !table.has_rhythm(first, period_ns));
+        let number = place.map_or(provisional, |place| next.saturating_add(place.offset));
+        let settled = place.filter(|place| place.confirmed || number >= 0);
+        if let Some(place) = settled {
+            let anchoring = std::mem::take(anchoring);
+            self.settle(&anchoring, place, table, hsu);
+            let witness = if place.confirmed { Witness::Two } else { Witness::One };
+            (self.base, self.stage) = (number, Stage::Known);
+            self.last = Some(Last { number, camera_ns: frame.camera_ns });
+            return Match::Trigger(Matched { number, witness, lost: 0, ignored: 0, finding: None });
+        }
+        if number >= 0 {
+            // The rhythm is over: what it did not tell is not to be known any more.
+            if provisional >= i64::from(self.start.warm_up) {
+                self.stage = Stage::Lost(rejoin::Rejoin { before: None });
+            }
+            return self.give_up(frame);
+        }
+        Match::Trigger(Matched { number, witness: Witness::Two, lost: 0, ignored: 0, finding: None })
     }
 
-    /// The ids go on, the clock does not: the id names the trigger, and the frame teaches the clock's new relation.
-    fn reset(&mut self, case: &Case<'_>, camera_ns: u64, by_id: i64) -> Match {
-        if self.in_doubt {
-            self.forget_clock();
-            self.anchor = Some(Anchor::default());
-            return Match::Undecided;
+    /// Learns from the warm-up how the camera's clock runs, and how long its stamps and its frames take.
+    fn settle(&mut self, anchoring: &Anchoring, place: anchor::Place, table: &TriggerTable, hsu: &ClockFit) {
+        let mut delays = Vec::new();
+        for (_, due, frame) in anchoring.explained(place, table, self.start.period_ns) {
+            if let Some(camera_ns) = frame.camera_ns.filter(|_| anchoring.has_stamps()) {
+                Tracker::learn(&mut self.tracker, due, camera_ns);
+                delays.extend(self.by_fits(camera_ns, hsu).map(|ns| ns - i128::from(due)));
+            }
+            if let Some(arrived) = frame.arrived_ns {
+                self.latency.follow(arrived - i128::from(due));
+            }
         }
-        let number = case.arrival.filter(|arrival| *arrival < by_id).unwrap_or(by_id);
-        let Some(due) = case.table.time_ns(number) else {
-            let case = Case { by_id: Some(by_id), ..*case };
-            return if case.last_call { self.by_id_alone(&case) } else { Match::Wait };
+        delays.sort_unstable();
+        self.stamp_delay_ns = delays.get(delays.len() / 2).copied();
+    }
+
+    /// A frame that arrived whole, of a stream whose ids count from a known trigger.
+    fn whole(&mut self, case: &Case<'_>) -> Match {
+        let due = case.table.time_ns(case.by_id);
+        if due.is_none() && !case.last_call {
+            return Match::Wait;
+        }
+        let Some(tracker) = self.tracker else { return self.by_arrivals(case) };
+        let exposed = case.frame.camera_ns.map(|camera_ns| self.triggered_ns(&tracker, camera_ns, case.hsu));
+        let agrees = |(exposed, due): (i128, u64)| (exposed - i128::from(due)).abs() <= self.near_ns();
+        let refuted = |due: u64| {
+            let half = i128::from(self.start.period_ns / 2);
+            let untimely =
+                self.doubt > 0 && self.late_ns(case.frame, due, case.hsu).is_some_and(|ns| ns.abs() > half);
+            untimely || self.precedes(case.frame, due, case.hsu)
         };
-        let was = self.hsu_ns(camera_ns, case.frame.host_ns, case.hsu).unwrap_or(due.into());
-        let step = was - i128::from(due);
-        self.forget_clock();
-        self.tracker = Some(Tracker::new(due, camera_ns));
-        if self.last.is_some_and(|last| number <= last.number) {
-            // A frame before it stood too far on and took this one's place: it is given up, the next ones stand right.
-            self.saw(case.frame);
-            self.ids.take(case.frame.id);
-            (self.base, self.lost_before) = (Some(number), 0);
-            return Match::Spurious(i64::try_from(step).unwrap_or(i64::MAX));
+        if exposed.zip(due).is_some_and(agrees) && !due.is_some_and(refuted) && self.is_fresh(case.by_id) {
+            self.doubt = self.doubt.saturating_sub(1);
+            return self.accept(case, case.by_id, Witness::Two, None);
         }
-        let finding = Some(Finding::ClockReset(step));
-        Match::Trigger(self.place(case.frame, number, Witness::BlockIdOnly, finding))
+        self.doubt = DOUBT;
+        self.contradiction(case, exposed)
     }
 
-    fn forget_clock(&mut self) {
-        self.camera = ClockFit::new();
-        self.clocks.camera_minus_hsu_ns = None;
-        self.tracker = None;
+    /// Parts of a frame: no pixels are recorded of it, and its id says which frame is missing.
+    fn torn(&mut self, case: &Case<'_>) -> Match {
+        let Some(due) = case.table.time_ns(case.by_id) else {
+            let ahead = self.arrived_ns(case.frame.host_ns, case.hsu).zip(case.table.latest_ns());
+            let period_ns = i128::from(self.start.period_ns);
+            // Triggers come no faster than 8/7 of the rate (`hsu-protocol.md`, invariant 5).
+            let triggers = i128::from(case.by_id.saturating_sub(case.table.end()));
+            let yet = |(now, latest): (i128, u64)| {
+                now + 3 * period_ns < i128::from(latest) + triggers * period_ns * 7 / 8
+            };
+            return match ahead.is_some_and(yet) {
+                true => Match::Stray,
+                false if case.last_call => self.give_up(case.frame),
+                false => Match::Wait,
+            };
+        };
+        if !self.is_fresh(case.by_id) || self.precedes(case.frame, due, case.hsu) {
+            return Match::Stray;
+        }
+        Match::Trigger(self.place(case.frame, case.by_id, Witness::Two, None))
     }
 
-    /// Notes when a frame without a trigger was exposed and came.
-    fn saw(&mut self, frame: &Sighting) {
-        let seen = |last: Last| Last { camera_ns: frame.camera_ns, host_ns: frame.host_ns, ..last };
-        self.last = self.last.map(seen);
+    fn is_fresh(&self, number: i64) -> bool {
+        self.last.is_none_or(|last| number > last.number)
     }
 
-    /// Given up: what it was is not to be known. Ids count on from the last frame that has a trigger.
-    fn undecided(&mut self, frame: &Sighting) -> Match {
-        self.in_doubt = true;
-        self.saw(frame);
-        Match::Undecided
+    /// What the residuals of an unchanged clock do not exceed, ns.
+    fn near_ns(&self) -> i128 {
+        let period_ns = i128::from(self.start.period_ns);
+        let spread = self.tracker.map_or(0.0, |tracker| tracker.spread_ns);
+        (period_ns / 16).max((spread * 6.0) as i128).min(period_ns / 4)
     }
 
-    /// Neither id nor clock can be believed: what new exchanges say, or what arrivals in a row agree on.
-    fn by_anchor(&mut self, case: &Case<'_>, camera_ns: u64) -> Match {
-        let Case { frame, table, hsu, .. } = *case;
-        let slack_ns = i128::from(self.period_ns / 8);
-        let latency = self.latency.usual_ns(self.period_ns).unwrap_or(i128::from(self.period_ns / 4));
-        let fired = self.arrival_hsu_ns(frame.host_ns, hsu).filter(|_| frame.complete);
-        let by_arrivals = fired.zip(self.anchor.as_mut()).and_then(|(arrived, anchor)| {
-            Some(anchor.sighted(arrived - latency, camera_ns, slack_ns)? + i128::from(camera_ns))
-        });
-        let fresh = self.last.map_or(i64::MIN, |last| last.number.saturating_add(1));
-        let at = self.by_fits(camera_ns, hsu).or(by_arrivals).and_then(|hsu_ns| table.nearest(hsu_ns));
-        let at = at.filter(|(number, residual)| {
-            *number >= fresh && !table.is_expected(*number) && residual.abs() <= self.tolerance_ns()
-        });
-        let Some((number, residual)) = at else { return Match::Undecided };
-        self.accept(case, number, Witness::TimeOnly, Some(Finding::ClockReset(residual)))
+    /// When a frame's trigger was fired by its timestamp, HSU time: by the frames before it, or where these are long
+    /// ago, by the clock's fit.
+    fn triggered_ns(&self, tracker: &Tracker, camera_ns: u64, hsu: &ClockFit) -> i128 {
+        let tracked = tracker.hsu_ns(camera_ns);
+        if (tracked - tracker.last_hsu_ns()).abs() <= TRACKER_REACH_NS {
+            return tracked;
+        }
+        let fitted = self.by_fits(camera_ns, hsu).zip(self.stamp_delay_ns).map(|(ns, delay)| ns - delay);
+        fitted.unwrap_or(tracked)
+    }
+
+    /// HSU time of a timestamp by the clock exchanges alone, where they are sure enough.
+    fn by_fits(&self, camera_ns: u64, hsu: &ClockFit) -> Option<i128> {
+        let host_ns = self.camera.host_from_device(camera_ns.into())?;
+        let hsu_ns = hsu.device_from_host(host_ns)?;
+        let unsure =
+            self.camera.uncertainty_ns(camera_ns.into())?.saturating_add(hsu.uncertainty_ns(hsu_ns)?);
+        (unsure < self.start.period_ns / 4).then_some(hsu_ns)
+    }
+
+    /// When a frame arrived, HSU time.
+    fn arrived_ns(&self, host_ns: u64, hsu: &ClockFit) -> Option<i128> {
+        let measured = || Some(i128::from(host_ns) + self.start.hsu_minus_host_ns?);
+        hsu.device_from_host(host_ns.into()).or_else(measured)
+    }
+
+    /// How much later than usual a frame of the trigger at `due` arrived, ns, where arrivals are regular.
+    fn late_ns(&self, frame: &Sighting, due: u64, hsu: &ClockFit) -> Option<i128> {
+        let usual = self.latency.usual_ns(self.start.period_ns)?;
+        Some(self.arrived_ns(frame.host_ns, hsu)? - usual - i128::from(due))
+    }
+
+    /// Whether a frame arrived before a trigger was fired.
+    fn precedes(&self, frame: &Sighting, due: u64, hsu: &ClockFit) -> bool {
+        let slack = i128::from(self.start.period_ns / 8);
+        self.arrived_ns(frame.host_ns, hsu).is_some_and(|arrived| arrived + slack < due.into())
+    }
+
+    /// The same frame once more, or one from before the last.
+    fn is_repeated(&self, frame: &Sighting, step: Option<i64>) -> bool {
+        let Some((last, step)) = self.last.zip(step) else { return false };
+        match frame.camera_ns.zip(last.camera_ns) {
+            Some((now, before)) => (step == 0 && now == before) || (step < 0 && now < before),
+            None => step <= 0,
+        }
     }
 
     fn accept(&mut self, case: &Case<'_>, number: i64, witness: Witness, finding: Option<Finding>) -> Match {
         let Case { frame, table, hsu, .. } = *case;
         // From times that are expected or inferred nothing is learned: they come from what was learned before.
-        let reported = table.time_ns(number).filter(|_| table.is_reported(number));
-        if let Some((due, camera_ns)) = reported.zip(frame.camera_ns) {
-            let near = |tracker: &Tracker| {
-                (tracker.hsu_ns(camera_ns) - i128::from(due)).abs() <= i128::from(self.period_ns / 2)
-            };
-            match self.tracker.as_mut().filter(|tracker| near(tracker)) {
-                Some(tracker) => tracker.follow(due, camera_ns),
-                None => self.tracker = Some(Tracker::new(due, camera_ns)),
+        if let Some(due) = table.time_ns(number).filter(|_| table.is_reported(number)) {
+            let stamp = frame.camera_ns.filter(|_| !matches!(finding, Some(Finding::StampWrong(_))));
+            if let Some(camera_ns) = stamp {
+                Tracker::learn(&mut self.tracker, due, camera_ns);
             }
-            let latency = self.arrival_hsu_ns(frame.host_ns, hsu).map(|arrived| arrived - i128::from(due));
-            if let Some(latency) = latency.filter(|latency| *latency >= 0) {
-                self.latency.follow(latency);
+            if let Some(arrived) = self.arrived_ns(frame.host_ns, hsu) {
+                self.latency.follow(arrived - i128::from(due));
             }
         }
         Match::Trigger(self.place(frame, number, witness, finding))
@@ -339,12 +379,12 @@ impl Matcher {
         witness: Witness,
         finding: Option<Finding>,
     ) -> Matched {
-        let step = self.ids.step(frame.id).zip(self.base);
+        let step = self.ids.step(frame.id).filter(|_| matches!(self.stage, Stage::Known));
         let skipped = self.last.map_or(0, |last| (number - last.number - 1).max(0)) as u64;
         let (mut lost, mut ignored, mut finding) = (skipped, 0, finding);
-        if let Some((step, base)) = step {
+        if let Some(step) = step {
             let ids = self.lost_before.saturating_add_signed(step.saturating_sub(1).max(0));
-            match base.saturating_add(step).saturating_sub(number) {
+            match self.base.saturating_add(step).saturating_sub(number) {
                 0 => {}
                 _ if step == 0 => finding = finding.or(Some(Finding::IdRepeated)),
                 ahead if ahead > 0 || step < 0 => finding = finding.or(Some(Finding::IdJump(ahead))),
@@ -355,23 +395,31 @@ impl Matcher {
             }
         }
         self.ids.take(frame.id);
-        (self.base, self.lost_before, self.in_doubt) = (Some(number), 0, false);
-        self.anchor = None;
-        let camera_ns = frame.camera_ns.or(self.last.and_then(|last| last.camera_ns));
-        self.last = Some(Last { number, camera_ns, host_ns: frame.host_ns });
+        (self.base, self.lost_before, self.given_up) = (number, 0, 0);
+        self.stage = Stage::Known;
+        self.last = Some(Last { number, camera_ns: frame.camera_ns });
         Matched { number, witness, lost, ignored, finding }
     }
 
     /// A frame without a trigger has an id all the same: the next one follows on it.
     fn spurious(&mut self, frame: &Sighting, residual: i128) -> Match {
-        if let Some((step, base)) = self.ids.step(frame.id).zip(self.base)
+        if let Some(step) = self.ids.step(frame.id)
             && step > 0
         {
             self.lost_before = self.lost_before.saturating_add_signed(step - 1);
-            self.base = Some(base.saturating_add(step - 1));
+            self.base = self.base.saturating_add(step - 1);
             self.ids.take(frame.id);
         }
         Match::Spurious(i64::try_from(residual).unwrap_or(i64::MAX))
+    }
+
+    /// Given up: what it was is not to be known. Ids count on from the last frame that has a trigger.
+    fn give_up(&mut self, frame: &Sighting) -> Match {
+        self.given_up = self.given_up.saturating_add(1);
+        if let Some(last) = self.last.as_mut() {
+            last.camera_ns = frame.camera_ns.or(last.camera_ns);
+        }
+        Match::Undecided
     }
 }
 

@@ -25,6 +25,14 @@ impl Tracker {
         Self { hsu_ns: hsu_ns.into(), camera_ns: camera_ns.into(), drift: 0.0, spread_ns: 0.0, frames: 1 }
     }
 
+    /// Follows a frame of the trigger at `hsu_ns`, or begins with it.
+    pub(super) fn learn(tracker: &mut Option<Self>, hsu_ns: u64, camera_ns: u64) {
+        match tracker {
+            Some(tracker) => tracker.follow(hsu_ns, camera_ns),
+            None => *tracker = Some(Self::new(hsu_ns, camera_ns)),
+        }
+    }
+
     /// HSU time of a timestamp.
     pub(super) fn hsu_ns(&self, camera_ns: u64) -> i128 {
         let since = i128::from(camera_ns) - self.camera_ns;
@@ -58,53 +66,38 @@ impl Tracker {
     }
 }
 
-/// Two clocks' relation from arrivals alone: believed when frames in a row agree. Of a burst that was held up together
-/// no two do, for their exposures were a period apart.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Anchor {
-    hsu_minus_camera_ns: i128,
-    agreeing: u32,
-}
-
-impl Anchor {
-    /// Frames in a row that must agree.
-    const AGREEING: u32 = 8;
-
-    /// A frame whose trigger was fired at about `hsu_ns` by its arrival. The relation once it is believed.
-    pub(super) fn sighted(&mut self, hsu_ns: i128, camera_ns: u64, slack_ns: i128) -> Option<i128> {
-        let offset = hsu_ns - i128::from(camera_ns);
-        let agrees = self.agreeing > 0 && (offset - self.hsu_minus_camera_ns).abs() <= slack_ns;
-        // Arrivals err towards late only: the earliest is nearest.
-        self.hsu_minus_camera_ns = if agrees { offset.min(self.hsu_minus_camera_ns) } else { offset };
-        self.agreeing = if agrees { self.agreeing + 1 } else { 1 };
-        (self.agreeing >= Self::AGREEING).then_some(self.hsu_minus_camera_ns)
-    }
-}
-
 /// From trigger to arrival on the host, in HSU time: a witness that errs only towards late.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Latency {
-    mean_ns: f64,
-    spread_ns: f64,
-    frames: u32,
+    /// The last ones, ns, the newest at `frames - 1` modulo their number.
+    last: [i64; Self::KEPT],
+    frames: usize,
 }
 
 impl Latency {
+    const KEPT: usize = 32;
+    /// Of those that are kept, so many must be alike.
+    const ALIKE: usize = 3;
+
     /// Learns from a frame whose trigger two witnesses agree on.
     pub(super) fn follow(&mut self, latency_ns: i128) {
-        let latency = latency_ns as f64;
-        self.frames = self.frames.saturating_add(1);
-        // A straggler must not pull the mean along: what exceeds a few spreads counts as that much.
-        let limit = if self.frames > 16 { self.spread_ns * 4.0 + 1e5 } else { f64::INFINITY };
-        let residual = (latency - self.mean_ns).clamp(-limit, limit);
-        let share = (1.0f64 / 32.0).max(1.0 / f64::from(self.frames));
-        self.mean_ns += residual * share;
-        self.spread_ns += (residual.abs() - self.spread_ns) * share;
+        self.last[self.frames % Self::KEPT] = i64::try_from(latency_ns).unwrap_or(i64::MAX);
+        self.frames += 1;
     }
 
-    /// The usual latency, where arrivals are regular enough to tell triggers a period apart.
+    /// The usual latency: that of the quickest frames, which have stood in no queue. `None` where they are not regular
+    /// enough to tell triggers a period apart.
     pub(super) fn usual_ns(&self, period_ns: u64) -> Option<i128> {
-        let regular = self.frames >= 16 && self.spread_ns * 8.0 < period_ns as f64;
-        regular.then_some(self.mean_ns as i128)
+        let mut known = self.last;
+        let known = &mut known[..self.frames.min(Self::KEPT)];
+        known.sort_unstable();
+        let alike = Self::ALIKE.max(known.len() / 8);
+        let reach = (period_ns / 8) as i64;
+        let quickest =
+            known.windows(alike).find(|alike| alike[alike.len() - 1].saturating_sub(alike[0]) <= reach)?;
+        // The middle of all that are like them.
+        let alike = known.iter().filter(|ns| (quickest[0]..=quickest[0].saturating_add(reach)).contains(*ns));
+        let count = alike.clone().count();
+        alike.clone().nth(count / 2).map(|ns| i128::from(*ns))
     }
 }

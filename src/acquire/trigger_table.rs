@@ -34,8 +34,11 @@ impl TriggerTable {
             self.first = number;
             return self.rows.push_back(Row { hsu_ns, reported: true });
         };
+        if number < self.first {
+            return self.insert_before(number, hsu_ns);
+        }
         let ahead = number - self.end() + 1;
-        if ahead > HOLE_MAX || number < self.first || (ahead > 0 && hsu_ns <= last.hsu_ns) {
+        if ahead > HOLE_MAX || (ahead > 0 && hsu_ns <= last.hsu_ns) {
             return;
         }
         if ahead > 0 {
@@ -54,6 +57,27 @@ impl TriggerTable {
         }
     }
 
+    /// A report of before the first one that was heard.
+    fn insert_before(&mut self, number: i64, hsu_ns: u64) {
+        let Some(first) = self.rows.front().map(|row| row.hsu_ns).filter(|first| hsu_ns < *first) else {
+            return;
+        };
+        let missing = self.first - number;
+        let span = u128::from(first - hsu_ns);
+        for k in (1..missing).rev() {
+            let between = (span * k as u128 / missing as u128) as u64;
+            self.rows.push_front(Row { hsu_ns: hsu_ns + between, reported: false });
+        }
+        self.rows.push_front(Row { hsu_ns, reported: true });
+        self.first = number;
+    }
+
+    /// Whether the triggers from `first` to the first of the session have a rhythm: longer pauses between some of them.
+    pub fn has_rhythm(&self, first: i64, period_ns: u64) -> bool {
+        let pause = |number: i64| Some(self.time_ns(number + 1)? - self.time_ns(number)?);
+        (first..0).filter_map(pause).any(|ns| (period_ns / 4 * 5..period_ns / 4 * 9).contains(&ns))
+    }
+
     /// Notes a trigger whose report is held up, from what cameras agree on; its report, once there, replaces it.
     pub fn infer(&mut self, number: i64, hsu_ns: u64) {
         let end = self.end();
@@ -68,8 +92,18 @@ impl TriggerTable {
         Some(self.row(number)?.hsu_ns)
     }
 
+    /// The time of a trigger, where the HSU itself said so.
+    pub fn reported_ns(&self, number: i64) -> Option<u64> {
+        self.row(number).filter(|row| row.reported).map(|row| row.hsu_ns)
+    }
+
     fn row(&self, number: i64) -> Option<&Row> {
         self.rows.get(usize::try_from(number.checked_sub(self.first)?).ok()?)
+    }
+
+    /// The lowest number reported; 0 before the first.
+    pub fn first(&self) -> i64 {
+        self.first
     }
 
     /// One more than the highest number reported; 0 before the first.

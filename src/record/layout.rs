@@ -278,6 +278,44 @@ impl NodeEvent {
     }
 }
 
+/// What was seen in the warm-up: raw, so that the beginning of every stream can be found again from the files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum WarmUp {
+    /// A frame of the event's camera.
+    Frame {
+        /// Its block id.
+        block: u64,
+        /// Its timestamp, camera clock, ns; 0 without one.
+        camera_time_ns: u64,
+        /// Its first packet's arrival, host clock, ns.
+        host_time_ns: u64,
+    },
+    /// A trigger.
+    Trigger {
+        /// Its number, negative.
+        number: i64,
+        /// When it was fired, HSU clock, ns.
+        hsu_time_ns: u64,
+    },
+}
+
+/// Kind of the events that hold a [`WarmUp`].
+const WARM_UP: &str = "warm_up";
+
+impl WarmUp {
+    /// As an event; its message is JSON.
+    pub fn event(&self, camera: Option<CameraId>, host_time_ns: u64) -> NodeEvent {
+        let message = serde_json::to_string(self).unwrap_or_default();
+        NodeEvent { host_time_ns, kind: WARM_UP.to_owned(), camera, trigger: None, message }
+    }
+
+    /// From an event.
+    pub fn of(event: &NodeEvent) -> Option<Self> {
+        (event.kind == WARM_UP).then(|| serde_json::from_str(&event.message).ok())?
+    }
+}
+
 /// All outcomes of a segment, so that a closed one opens without walking its records.
 #[derive(Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SegmentIndex {

@@ -31,7 +31,7 @@ pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_
 pub use interrupted::{Interrupted, interrupted};
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NOT_ASKED, NodeEvent,
-    RecordingHeader, TriggerRecord,
+    RecordingHeader, TriggerRecord, WarmUp,
 };
 pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
@@ -39,7 +39,7 @@ pub use segment_file::BadRange;
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, Latency, WriteStatistics};
 pub(crate) use verdict::CameraTally;
-pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
+pub use verdict::{CameraVerdict, Noted, SessionEnd, Status, UNCONFIRMED, Verdict};
 #[cfg(test)]
 pub(crate) use writer::tests as small_recordings;
 #[cfg(test)]

@@ -13,6 +13,8 @@ use std::ops::Range;
 pub enum Status {
     /// Every camera has a frame for every trigger that was asked for.
     Complete,
+    /// As [`Self::Complete`], but of some frames one witness alone says which trigger they are of.
+    Unconfirmed,
     /// Something is missing, and it is known what and why.
     Incomplete,
     /// The session was aborted; what was recorded until then is accounted for.
@@ -56,6 +58,9 @@ pub struct Verdict {
     /// Outcomes that were refused: a second one for a trigger, or one that lies outside the session. Each
     /// is an event in the recording.
     pub refused: u64,
+    /// Cameras of which one witness alone says which trigger some frames are of. Each is an event in the recording.
+    #[serde(default)]
+    pub unconfirmed: u64,
     /// Why the session was aborted.
     pub aborted: Option<String>,
 }
@@ -82,7 +87,7 @@ impl Verdict {
         header: &RecordingHeader,
         tallies: &[CameraTally],
         triggers: u64,
-        refused: u64,
+        noted: Noted,
         end: SessionEnd,
     ) -> Self {
         let named = header.cameras.iter().zip(tallies);
@@ -92,7 +97,8 @@ impl Verdict {
             triggers_expected: header.expected_triggers,
             triggers_emitted: end.triggers_emitted,
             cameras: named.map(|(camera, tally)| tally.verdict(&camera.id)).collect(),
-            refused,
+            refused: noted.refused,
+            unconfirmed: noted.unconfirmed,
             aborted: end.aborted,
         };
         verdict.status = verdict.judge();
@@ -106,7 +112,7 @@ impl Verdict {
         if self.aborted.is_some() {
             Status::Aborted
         } else if asked && counted && self.gaps() == 0 && self.refused == 0 {
-            Status::Complete
+            if self.unconfirmed == 0 { Status::Complete } else { Status::Unconfirmed }
         } else {
             Status::Incomplete
         }
@@ -117,6 +123,7 @@ impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let word = match self.status {
             Status::Complete => "complete",
+            Status::Unconfirmed => "unconfirmed",
             Status::Incomplete => "incomplete",
             Status::Aborted => "aborted",
         };
@@ -131,6 +138,10 @@ impl fmt::Display for Verdict {
         if self.refused > 0 {
             write!(f, "; {} outcomes refused", self.refused)?;
         }
+        if self.unconfirmed > 0 {
+            let cameras = self.unconfirmed;
+            write!(f, "; of {cameras} cameras one witness alone says which trigger some frames are of")?;
+        }
         if let Some(reason) = &self.aborted {
             write!(f, "; {reason}")?;
         }
@@ -141,6 +152,28 @@ impl fmt::Display for Verdict {
             }
         }
         Ok(())
+    }
+}
+
+/// Kind of the events that name a camera of which one witness alone says which trigger some frames are of.
+pub const UNCONFIRMED: &str = "identity_unconfirmed";
+/// Kind of the events that name an outcome which was refused.
+pub const REFUSED: &str = "refused";
+
+/// What a recording's events say of its outcomes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Noted {
+    /// Events of kind [`REFUSED`].
+    pub refused: u64,
+    /// Events of kind [`UNCONFIRMED`].
+    pub unconfirmed: u64,
+}
+
+impl Noted {
+    /// Takes an event into account.
+    pub fn note(&mut self, kind: &str) {
+        self.refused += u64::from(kind == REFUSED);
+        self.unconfirmed += u64::from(kind == UNCONFIRMED);
     }
 }
 

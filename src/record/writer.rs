@@ -10,7 +10,7 @@ use super::layout::{
 };
 use super::segment::{Closing, JsonChannel, Segment};
 use super::statistics::{DiskProgress, WriteStatistics};
-use super::verdict::{CameraTally, SessionEnd, Verdict};
+use super::verdict::{CameraTally, Noted, REFUSED, SessionEnd, Verdict};
 use super::window::QUEUE;
 use crate::acquire::pool::Block;
 use crate::ids::{CameraId, TriggerIndex};
@@ -44,9 +44,6 @@ const CHUNK_BYTES: u64 = 1 << 20;
 /// Records kept for the rescue segment when there is no segment to write them to.
 const MAX_UNWRITTEN: usize = 1 << 20;
 
-/// Kind of the events that stand for refused outcomes; `verify` counts them.
-pub(crate) const REFUSED: &str = "refused";
-
 type OpenStore = Arc<dyn Fn(&Path) -> io::Result<Box<dyn Store>> + Send + Sync>;
 
 /// Shared with whoever looks.
@@ -67,7 +64,7 @@ pub struct Recording {
     unwritten: Vec<Unwritten>,
     stopped: Option<String>,
     triggers_end: u64,
-    refused: u64,
+    noted: Noted,
     time_ns: u64,
     last_sync: Instant,
     unsynced: u64,
@@ -133,7 +130,7 @@ impl Recording {
             unwritten: Vec::new(),
             stopped: None,
             triggers_end: 0,
-            refused: 0,
+            noted: Noted::default(),
             last_sync: Instant::now(),
             unsynced: 0,
             unlooked: 0,
@@ -301,7 +298,7 @@ impl Recording {
 
     /// Records an event. One of kind `refused` (recovery repeats those of its source) counts as in the verdict.
     pub fn event(&mut self, event: &NodeEvent) -> Result<(), RecordError> {
-        self.refused += u64::from(event.kind == REFUSED);
+        self.noted.note(&event.kind);
         self.json(JsonChannel::Events, self.newest(), event.host_time_ns, event)
     }
 
@@ -335,7 +332,7 @@ impl Recording {
         let _ = self.sync();
         let _ = self.settle_all();
         let closed = self.join_closing();
-        let verdict = Verdict::of(&self.header, &self.tallies, triggers, self.refused, end);
+        let verdict = Verdict::of(&self.header, &self.tallies, triggers, self.noted, end);
         let result = closed.and(self.close(&verdict));
         result.map_err(|source| RecordError::Unfinished {
             path: self.dir.clone(),

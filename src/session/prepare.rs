@@ -6,13 +6,13 @@ use super::driver::{Node, hsu_session};
 use super::link::{LinkKeeper, LinkSetup};
 use super::state::Fault;
 use crate::acquire::dry_run::DryRun;
-use crate::acquire::matcher::{ClockRelation, Matcher};
+use crate::acquire::matcher::{Matcher, Start};
 use crate::acquire::receiver::{Arrival, ReceiverSetup};
 use crate::acquire::recorder::{Destination, LaneSetup, Recorder, RecorderOptions, ToRecorder};
 use crate::camera::AppliedSetting;
 use crate::cmds::Exit;
 use crate::config::FeatureSetting;
-use crate::ids::{CameraId, SessionName};
+use crate::ids::SessionName;
 use crate::record::{
     CameraHeader, ClockSample, HsuIdentity, NOT_ASKED, NodeEvent, RecordError, Recording, RecordingHeader,
     WriterOptions,
@@ -101,11 +101,16 @@ impl Node {
         let Some(destination) = session.destination.take() else { return Ok(()) };
         let samples = self.devices.clock_burst(&session.clock);
         let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
+        let start = Start {
+            period_ns,
+            warm_up: self.config.rig.warm_up_triggers,
+            hsu_minus_host_ns: hsu_minus_host_ns(&samples),
+        };
         let lane = |camera: &PreparedCamera| LaneSetup {
             id: camera.id.clone(),
             width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
             height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
-            matcher: Matcher::new(period_ns, relation(&samples, &camera.id)),
+            matcher: Matcher::new(start),
         };
         let lanes: Vec<LaneSetup> = session.cameras.iter().map(lane).collect();
         let cameras = lanes.len();
@@ -231,20 +236,12 @@ impl Node {
     }
 }
 
-/// How a camera's clock relates to the HSU's, by the exchanges with the shortest round trips.
-fn relation(samples: &[ClockSample], camera: &CameraId) -> ClockRelation {
-    let best = |of: Option<&CameraId>| {
-        let mine = samples.iter().filter(|sample| sample.camera.as_ref() == of);
-        mine.min_by_key(|sample| sample.host_receive_ns.saturating_sub(sample.host_send_ns))
-    };
-    let minus_host = |s: &ClockSample| {
-        i128::from(s.device_time_ns) - (i128::from(s.host_send_ns) + i128::from(s.host_receive_ns)) / 2
-    };
-    let hsu = best(None).map(minus_host);
-    ClockRelation {
-        camera_minus_hsu_ns: best(Some(camera)).map(minus_host).zip(hsu).map(|(camera, hsu)| camera - hsu),
-        hsu_minus_host_ns: hsu,
-    }
+/// The HSU's clock minus the host's, ns, by the exchange with the shortest round trip.
+fn hsu_minus_host_ns(samples: &[ClockSample]) -> Option<i128> {
+    let of_hsu = samples.iter().filter(|sample| sample.camera.is_none());
+    let best = of_hsu.min_by_key(|sample| sample.host_receive_ns.saturating_sub(sample.host_send_ns))?;
+    let host_ns = (i128::from(best.host_send_ns) + i128::from(best.host_receive_ns)) / 2;
+    Some(i128::from(best.device_time_ns) - host_ns)
 }
 
 /// Removes a session's directory, unless the other node has recorded into it.

@@ -48,6 +48,7 @@ mod fuzz_corpora;
 mod hsu;
 mod hsu_clock;
 #[cfg(feature = "aravis")]
+mod identity;
 mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]

@@ -17,6 +17,8 @@
 
 mod train;
 
+pub use train::PAUSE_BEFORE;
+
 use crate::codec::DecodeError;
 use crate::host_to_unit::{Arm, Hello, HostToUnit, Request, Unreadable};
 use crate::ids::{LinkId, NodeName, SessionId};

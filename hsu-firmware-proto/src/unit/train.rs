@@ -19,6 +19,10 @@ pub(super) enum Step {
     Ended(EndReason),
 }
 
+/// Before these warm-up triggers the train pauses for half a period more: a rhythm that occurs once, so that hosts see
+/// from the timestamps of a camera's frames which of them belongs to which trigger.
+pub const PAUSE_BEFORE: [i64; 3] = [-6, -3, -2];
+
 /// A train that runs.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Train {
@@ -82,8 +86,15 @@ impl Train {
         if self.fired_any { self.since_ns.saturating_add(timing.window_ns()) } else { self.since_ns }
     }
 
+    /// What the pause before the next trigger is longer than a period.
+    fn pause_ns(&self, timing: &Timing) -> u64 {
+        if self.fired_any && PAUSE_BEFORE.contains(&self.number) { timing.period_ns / 2 } else { 0 }
+    }
+
     fn sync_deadline_ns(&self, timing: &Timing) -> u64 {
-        self.since_ns.saturating_add(timing.period_ns + timing.period_ns / 2)
+        // Frames of the projectors come a period apart: the pause lasts until the next of them.
+        let pause_ns = self.pause_ns(timing) * 2;
+        self.since_ns.saturating_add(timing.period_ns + timing.period_ns / 2 + pause_ns)
     }
 
     /// When [`Self::step`] has something to do; `None`: it waits for a frame sync.
@@ -122,7 +133,8 @@ impl Train {
         let late = match timing.sync {
             Sync::Timer => now_ns.saturating_sub(self.due_ns) > period_ns / 16,
             Sync::ProjectorFrame => {
-                self.fired_any && now_ns.saturating_sub(self.since_ns) > period_ns + period_ns / 16
+                let due_ns = period_ns + self.pause_ns(timing) * 2;
+                self.fired_any && now_ns.saturating_sub(self.since_ns) > due_ns + period_ns / 16
             }
         };
         let flags = TriggerFlags::default()
@@ -133,13 +145,14 @@ impl Train {
         // After a delay the schedule moves: no trigger is dropped, and none comes closer to the one before
         // than 7/8 of a period, which a camera could not follow.
         let earliest = now_ns.saturating_add(period_ns - period_ns / 8);
-        self.due_ns = match timing.sync {
+        let due_ns = match timing.sync {
             Sync::Timer => earliest.max(self.due_ns.saturating_add(period_ns)),
             Sync::ProjectorFrame => earliest,
         };
         self.number = self.number.saturating_add(1);
         self.since_ns = now_ns;
         self.fired_any = true;
+        self.due_ns = due_ns.saturating_add(self.pause_ns(timing));
         self.sync_missing = false;
         record
     }

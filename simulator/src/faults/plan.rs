@@ -60,6 +60,10 @@ pub enum Kind {
     ClockReset,
     /// Several frames in a row are exposed and never sent.
     Stall,
+    /// The frame's timestamp is wrong, by little or by far.
+    StampGlitch,
+    /// The frame has no timestamp: it is 0.
+    StampAbsent,
     /// The frame is of another pixel format, or its leader says so.
     WrongFormat,
     /// Bytes follow every row.
@@ -99,6 +103,8 @@ impl Kind {
             Kind::RepeatedFrame,
             Kind::ClockReset,
             Kind::Stall,
+            Kind::StampGlitch,
+            Kind::StampAbsent,
             Kind::WrongFormat,
             Kind::PaddedRows,
             Kind::ChunksAppended,
@@ -151,6 +157,8 @@ impl fmt::Display for Kind {
             Kind::RepeatedFrame => "repeated_frame",
             Kind::ClockReset => "clock_reset",
             Kind::Stall => "stall",
+            Kind::StampGlitch => "stamp_glitch",
+            Kind::StampAbsent => "stamp_absent",
             Kind::WrongFormat => "wrong_format",
             Kind::PaddedRows => "padded_rows",
             Kind::ChunksAppended => "chunks_appended",

@@ -4,6 +4,7 @@
 use super::gvsp::{FORMATS, Form};
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// The habits of one camera; by default none is worth a word.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -14,6 +15,12 @@ pub struct Habits {
     pub frames: Option<(i64, Form)>,
     /// How its clock is read.
     pub clock: ClockHabit,
+    /// It stamps a frame so long after its exposure began.
+    pub stamp_late: Duration,
+    /// It stamps frames with 0.
+    pub no_stamps: bool,
+    /// It sends a frame so long after its exposure ended.
+    pub send_late: Duration,
 }
 
 /// How a camera's clock is read, and in which unit it stamps frames.
@@ -80,6 +87,9 @@ impl Habits {
                 power_on: table.power_on.as_ref().map(FormTable::form).transpose()?.unwrap_or_default(),
                 frames: from.zip(frames),
                 clock: table.clock,
+                stamp_late: Duration::from_micros(table.stamp_late_us),
+                no_stamps: table.no_stamps,
+                send_late: Duration::from_micros(table.send_late_us),
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -101,6 +111,12 @@ struct Table {
     camera: String,
     #[serde(default)]
     clock: ClockHabit,
+    #[serde(default)]
+    stamp_late_us: u64,
+    #[serde(default)]
+    no_stamps: bool,
+    #[serde(default)]
+    send_late_us: u64,
     power_on: Option<FormTable>,
     frames: Option<FormTable>,
 }

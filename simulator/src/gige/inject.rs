@@ -96,6 +96,21 @@ pub fn layout(layout: Layout, fault: Fault) -> Layout {
     })
 }
 
+/// The timestamp of a frame with this fault, ns.
+pub fn stamp(ns: u64, fault: Fault) -> u64 {
+    match fault.kind {
+        Kind::StampAbsent => 0,
+        Kind::StampGlitch => match fault.chance % 5 {
+            0 => ns.wrapping_add(60_000_000),
+            1 => ns.saturating_sub(60_000_000).max(1),
+            2 => ns.wrapping_add(1 << 45),
+            3 => ns.wrapping_add(3_000_000),
+            _ => u64::MAX,
+        },
+        _ => ns,
+    }
+}
+
 /// Leader, payload and trailer of a frame to the datagrams that go out instead.
 pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<Vec<u8>> {
     // Leader and trailer around at least one payload packet: a layout has no empty image.
@@ -137,6 +152,7 @@ pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<
             }
         }
         Kind::TriggerIgnored | Kind::ExtraFrame | Kind::IdJump | Kind::ClockReset => {}
+        Kind::StampGlitch | Kind::StampAbsent => {}
         Kind::Unplugged | Kind::ControlTaken => packets.clear(),
         Kind::RogueClient | Kind::ForeignFar | Kind::ForeignAhead => {}
         // What they are is in the layout.

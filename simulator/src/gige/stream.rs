@@ -5,7 +5,7 @@ use super::Statistics;
 use super::clock::CameraClock;
 use super::control::StreamSettings;
 use super::habits::Habits;
-use super::inject::Injector;
+use super::inject::{self, Injector};
 use super::net;
 use super::presence::Presence;
 use super::rogue::Rogue;
@@ -62,6 +62,8 @@ struct Acquisition {
     /// Exposures that are not sent yet.
     exposures: VecDeque<Shot>,
     next_block_id: u64,
+    /// A frame is sent so long after its exposure.
+    late: Duration,
     /// Instant of the simulated world for exposures that no wire triggers.
     next_instant: i64,
     /// Start of the next free-running exposure.
@@ -165,7 +167,7 @@ impl Streamer {
                 self.transmitter.set_segmented(local && segmentation::loopback_cuts_before_receivers());
                 self.statistics.triggers_ignored_now.store(0, Relaxed);
                 self.connect(&stream, connected);
-                *acquisition = Some(Acquisition::new(number, started, stream, self.first_block_id));
+                *acquisition = Some(Acquisition::new(number, started, stream, self));
             }
             Order::Update(stream) => {
                 self.connect(&stream, connected);
@@ -287,12 +289,13 @@ impl Streamer {
         let rows = running.stream.layout.height;
         match running.sensor.trigger(time, exposure, rows) {
             Some(exposure) => {
-                let timestamp = self.clock.at(exposure.start);
+                let timestamp = self.clock.at(exposure.start + self.habits.stamp_late);
                 running.exposures.push_back(Shot { exposure, timestamp, instant, fault });
                 let period = self.injector.as_ref().and_then(Injector::period);
                 if let (Some(Kind::ExtraFrame), Some(period)) = (fault.map(|fault| fault.kind), period) {
                     let (start, end) = (exposure.start + period / 3, exposure.end + period / 3);
-                    let (exposure, timestamp) = (Exposure { start, end }, self.clock.at(start));
+                    let (exposure, timestamp) =
+                        (Exposure { start, end }, self.clock.at(start + self.habits.stamp_late));
                     running.exposures.push_back(Shot { exposure, timestamp, instant, fault: None });
                 }
             }
@@ -307,7 +310,7 @@ impl Streamer {
     fn advance(&mut self, running: &mut Acquisition) {
         let now = Instant::now();
         running.free_run(now, &self.clock);
-        let due = running.exposures.front().is_some_and(|shot| shot.exposure.end <= now);
+        let due = running.exposures.front().is_some_and(|shot| shot.exposure.end + running.late <= now);
         if !due {
             return;
         }
@@ -323,7 +326,9 @@ impl Streamer {
             Some((from, form)) if instant >= from => running.stream.layout.with(form),
             _ => running.stream.layout,
         };
-        let timestamp = self.habits.clock.ticks(timestamp);
+        let timestamp = if self.habits.no_stamps { 0 } else { timestamp };
+        let timestamp =
+            self.habits.clock.ticks(fault.map_or(timestamp, |fault| inject::stamp(timestamp, fault)));
         let frame = Frame { block_id: running.next_block_id, timestamp, instant, layout };
         running.next_block_id = frame.layout.ids.next_block_id(frame.block_id);
         running.frames_left = running.frames_left.map(|left| left.saturating_sub(1));
@@ -346,13 +351,14 @@ impl Streamer {
 }
 
 impl Acquisition {
-    fn new(number: u64, started: Instant, stream: StreamSettings, first_block_id: u64) -> Self {
+    fn new(number: u64, started: Instant, stream: StreamSettings, camera: &Streamer) -> Self {
         Self {
             number,
             started,
             sensor: Sensor::default(),
             exposures: VecDeque::new(),
-            next_block_id: first_block_id,
+            next_block_id: camera.first_block_id,
+            late: camera.habits.send_late,
             next_instant: 0,
             next_free_run: (!stream.settings.triggered && !stream.settings.acquisition_triggered)
                 .then_some(started),
@@ -385,7 +391,7 @@ impl Acquisition {
     /// How long the thread may sleep.
     fn next_deadline(&mut self) -> Duration {
         let next = match self.exposures.front() {
-            Some(shot) => Some(shot.exposure.end),
+            Some(shot) => Some(shot.exposure.end + self.late),
             None => self.next_free_run,
         };
         next.map_or(IDLE, |at| at.saturating_duration_since(Instant::now()).min(IDLE))

@@ -1,7 +1,7 @@
 //! The books by themselves, turn by turn: whose frames count, and what stands in for reports that are held up.
 
 use super::*;
-use crate::acquire::matcher::ClockRelation;
+use crate::acquire::matcher::Start;
 use crate::acquire::pool::Block;
 use crate::acquire::ring::Sink;
 use crate::ids::BlockId;
@@ -54,13 +54,12 @@ impl Desk {
         let options = RecorderOptions::new(PERIOD_NS, 512, WhenFull::DropFrameSet);
         let sink = Box::new(Kept(Arc::clone(&outcomes)));
         let ring = Ring::start(sink, 4096, Arc::clone(&progress), events.clone()).expect("a thread");
-        let clocks =
-            ClockRelation { camera_minus_hsu_ns: Some(0), hsu_minus_host_ns: Some(-i128::from(HOST_NS)) };
+        let start = Start { period_ns: PERIOD_NS, warm_up: 0, hsu_minus_host_ns: Some(-i128::from(HOST_NS)) };
         let lane = |camera| LaneSetup {
             id: CameraId(format!("c{camera}")),
             width: 16,
             height: 1,
-            matcher: Matcher::new(PERIOD_NS, clocks),
+            matcher: Matcher::new(start),
         };
         let lanes = (0..cameras).map(lane).collect();
         Self { books: Books::new(lanes, options, progress, ring, events), outcomes, closed }

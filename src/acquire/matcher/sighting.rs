@@ -7,7 +7,8 @@ use crate::ids::BlockId;
 pub struct Sighting {
     /// GVSP block id.
     pub id: BlockId,
-    /// Start of exposure, camera clock, ns; `None` where the leader that carries it was lost.
+    /// Camera clock, ns, at whatever point of the frame the camera stamps; `None` where the leader was lost or there
+    /// is no stamp.
     pub camera_ns: Option<u64>,
     /// First packet seen, host clock, ns.
     pub host_ns: u64,
@@ -15,15 +16,13 @@ pub struct Sighting {
     pub complete: bool,
 }
 
-/// How sure the match is.
+/// What a match rests on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Witness {
-    /// Block id and timestamp agree, or what they differ by is explained.
-    Both,
-    /// The timestamp alone: a stream's first frame.
-    TimeOnly,
-    /// The block id alone: no timestamp, no believed clock or no trigger time.
-    BlockIdOnly,
+    /// Two of block id, timestamp and arrival agree, and the third does not refute them.
+    Two,
+    /// One of them alone.
+    One,
 }
 
 /// What else a frame's witnesses show.
@@ -35,6 +34,8 @@ pub enum Finding {
     IdRepeated,
     /// The camera's clock was set anew, by about so many ns.
     ClockReset(i128),
+    /// Its timestamp alone is wrong, by so many ns; `None`: it has none, and the camera's other frames have.
+    StampWrong(Option<i128>),
 }
 
 /// A frame's place, and what happened since the frame before.
@@ -42,7 +43,7 @@ pub enum Finding {
 pub struct Matched {
     /// The trigger's number; negative in the warm-up.
     pub number: i64,
-    /// How sure it is.
+    /// What it rests on.
     pub witness: Witness,
     /// So many triggers before it gave frames that were lost on the way.
     pub lost: u64,
@@ -63,7 +64,7 @@ pub enum Match {
     Spurious(i64),
     /// Packets, no frame: its id is that of a trigger that has its outcome, or that had not been fired when it arrived.
     Stray,
-    /// Its id and its time name different triggers, and whether these were fired is not reported: it could be either's.
+    /// Its witnesses contradict each other, and nothing says which of them is right.
     Undecided,
     /// It came before the first trigger.
     BeforeTrain,

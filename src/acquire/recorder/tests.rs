@@ -1,7 +1,7 @@
 //! The recorder behind a disk that is too slow: whole sets go, all are accounted for, the rest is intact.
 
 use super::{FromRecorder, LaneSetup, Progress, Recorder, RecorderOptions, ToRecorder, WhenFull};
-use crate::acquire::matcher::{ClockRelation, Matcher};
+use crate::acquire::matcher::{Matcher, Start};
 use crate::acquire::pool::Block;
 use crate::acquire::receiver::Arrival;
 use crate::acquire::ring::{Sink, ToWriter};
@@ -59,9 +59,9 @@ impl Sink for SlowSink {
 }
 
 fn lane(camera: usize) -> LaneSetup {
-    let clocks = ClockRelation { camera_minus_hsu_ns: Some(0), hsu_minus_host_ns: None };
+    let start = Start { period_ns: PERIOD_NS, warm_up: 0, hsu_minus_host_ns: Some(0) };
     let id = CameraId(format!("c{camera}"));
-    LaneSetup { id, width: 16, height: 1, matcher: Matcher::new(PERIOD_NS, clocks) }
+    LaneSetup { id, width: 16, height: 1, matcher: Matcher::new(start) }
 }
 
 fn due(trigger: u64) -> u64 {

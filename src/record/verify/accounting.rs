@@ -4,21 +4,23 @@ use super::{Notes, Severity};
 use crate::ids::TriggerIndex;
 use crate::record::layout::GapCause;
 use crate::record::reader::{Outcome, RecordingReader};
-use crate::record::verdict::{Status, Verdict};
-use crate::record::writer::REFUSED;
+use crate::record::verdict::{Noted, REFUSED, Status, UNCONFIRMED, Verdict};
 
 /// The verdict as the records have it. What records cannot show (the HSU's count, why it was aborted) comes
 /// from the stored one.
 pub fn recount(recording: &RecordingReader) -> Verdict {
     let stored = recording.verdict.as_ref();
     let emitted = stored.and_then(|verdict| verdict.triggers_emitted);
+    let mut noted = Noted::default();
+    recording.events.iter().for_each(|event| noted.note(&event.kind));
     let mut verdict = Verdict {
         status: Status::Incomplete,
         triggers: recording.known_end().max(emitted.unwrap_or(0)),
         triggers_expected: recording.header.expected_triggers,
         triggers_emitted: emitted,
         cameras: recording.counted(),
-        refused: recording.events.iter().filter(|event| event.kind == REFUSED).count() as u64,
+        refused: noted.refused,
+        unconfirmed: noted.unconfirmed,
         aborted: stored.and_then(|verdict| verdict.aborted.clone()),
     };
     verdict.status = verdict.judge();
@@ -55,7 +57,8 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
     } else if verdict.triggers_emitted.is_none() && recording.verdict.is_some() {
         notes.add(Severity::Loss, None, None, None, "the HSU's trigger count is missing");
     }
-    for event in recording.events.iter().filter(|event| event.kind == REFUSED) {
+    for event in recording.events.iter().filter(|event| [REFUSED, UNCONFIRMED].contains(&event.kind.as_str()))
+    {
         let trigger = event.trigger.map(|t| (t.0, t.0));
         notes.add(Severity::Loss, None, event.camera.as_ref(), trigger, &event.message);
     }

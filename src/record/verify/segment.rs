@@ -1,6 +1,6 @@
 //! The bytes of the segments: every checksum, every frame, and the frames' places in time.
 
-use super::instants::{self, Times};
+use super::instants::{self, Seen, Times};
 use super::{Notes, Severity};
 use crate::ids::TriggerIndex;
 use crate::record::layout::{GapRecord, SegmentIndex, image_topic};
@@ -33,8 +33,7 @@ pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u
         }
     }
     for (camera, times) in times.iter().enumerate() {
-        instants::check_steps(recording, camera, times, notes);
-        instants::check_offset(recording, camera, times, notes);
+        instants::check(recording, camera, times, notes);
     }
 }
 
@@ -78,7 +77,8 @@ fn check_segment(
                         });
                         note_frame(recording, segment, *camera, trigger, checked.as_ref().err(), notes);
                         if let Ok((meta, pixels)) = checked {
-                            times[*camera].insert(trigger, meta.camera_time_ns);
+                            let (camera_ns, host_ns) = (meta.camera_time_ns, meta.host_time_ns);
+                            times[*camera].insert(trigger, Seen { block: meta.block.0, camera_ns, host_ns });
                             sums.message(&data, &payload[..pixels.start], Some(meta.pixels_crc), notes);
                             continue;
                         }
