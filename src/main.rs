@@ -10,6 +10,7 @@ use tracing_subscriber::util::SubscriberInitExt;
 fn main() -> ExitCode {
     let cli = Cli::parse();
     log();
+    fourdbody::record::survive_file_limit();
     match cli.run() {
         Ok(exit) => exit.into(),
         Err(Failure { exit, message }) => {

@@ -13,6 +13,8 @@ pub struct Assembler<F> {
     passed: u64,
     patience: Duration,
     most_open: usize,
+    /// Sets before this trigger are waited for, however many there are.
+    patient_until: u64,
     spare: Vec<Vec<F>>,
 }
 
@@ -38,13 +40,18 @@ impl<F> Assembler<F> {
     /// there are at most `most_open` sets.
     pub fn new(cameras: usize, patience: Duration, most_open: usize) -> Self {
         let expected = if cameras >= 64 { u64::MAX } else { (1 << cameras) - 1 };
-        Self { expected, open: VecDeque::new(), passed: 0, patience, most_open, spare: Vec::new() }
+        Self { expected, open: VecDeque::new(), passed: 0, patience, most_open, patient_until: 0, spare: Vec::new() }
     }
 
     /// Whether a camera's outcomes are waited for.
     pub fn expect(&mut self, camera: usize, expected: bool) {
         let bit = 1u64.checked_shl(camera as u32).unwrap_or(0);
         if expected { self.expected |= bit } else { self.expected &= !bit }
+    }
+
+    /// Sets before this trigger are waited for, however many are open: their frames come all at once, camera by camera.
+    pub fn wait_until(&mut self, trigger: u64) {
+        self.patient_until = self.patient_until.max(trigger);
     }
 
     /// Enters a camera's outcome for a trigger: its frame, or that there is none.
@@ -67,7 +74,8 @@ impl<F> Assembler<F> {
         let first = self.open.front()?;
         let complete = first.outcomes & self.expected == self.expected || first.trigger < self.passed;
         let late = now.saturating_duration_since(first.since) >= self.patience;
-        if !(all || complete || late || self.open.len() > self.most_open) {
+        let crowded = self.open.len() > self.most_open && first.trigger >= self.patient_until;
+        if !(all || complete || late || crowded) {
             return None;
         }
         let open = self.open.pop_front()?;
@@ -79,6 +87,11 @@ impl<F> Assembler<F> {
     pub fn recycle(&mut self, mut frames: Vec<F>) {
         frames.clear();
         self.spare.push(frames);
+    }
+
+    /// Triggers below this have been passed on.
+    pub fn passed(&self) -> u64 {
+        self.passed
     }
 
     /// Frames that wait in sets.

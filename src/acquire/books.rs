@@ -4,6 +4,7 @@ use super::assembler::Assembler;
 use super::breaches::{Breaches, gap_cause};
 use super::clock::{ClockFit, Exchange, Judged};
 use super::matcher::{Finding, Match, Matched, Matcher, Sighting, Witness};
+use super::pause::Pauses;
 use super::receiver::Arrival;
 use super::recorder::{FromRecorder, LaneSetup, Progress, RecorderOptions, TICK, ToRecorder, WhenFull};
 use super::ring::{ReadyFrame, Ring, ToWriter};
@@ -76,6 +77,7 @@ pub(super) struct Books {
     /// is heard before anybody's patience is at its end.
     awake: Duration,
     last_turn: Instant,
+    pauses: Pauses,
     /// When a frame last got its trigger.
     last_settled: Duration,
 }
@@ -125,6 +127,7 @@ impl Books {
             emitted: None,
             awake: Duration::ZERO,
             last_turn: Instant::now(),
+            pauses: Pauses::default(),
             last_settled: Duration::ZERO,
         }
     }
@@ -132,8 +135,36 @@ impl Books {
     /// A turn of the thread begins.
     pub(super) fn turn(&mut self) {
         let now = Instant::now();
-        self.awake += now.saturating_duration_since(self.last_turn).min(LONGEST_TURN);
+        let took = now.saturating_duration_since(self.last_turn);
+        self.awake += took.min(LONGEST_TURN);
         self.last_turn = now;
+        if took >= Pauses::SHORTEST {
+            self.paused(took);
+        }
+    }
+
+    /// The process stood still for so long. Frames of these triggers may be lost with any camera: what is not whole is
+    /// given up by sets.
+    pub(super) fn paused(&mut self, took: Duration) {
+        let periods = |time: Duration| (time.as_nanos() / u128::from(self.options.period_ns.max(1))) as u64;
+        let here = || self.lanes.iter().filter(|lane| !lane.lost);
+        let first = here().map(|lane| lane.next).min().unwrap_or(0).max(self.sets.passed());
+        let reported = here().map(|lane| lane.next).max().unwrap_or(0).max(self.table.len());
+        // Frames and reports may have been on their way already.
+        let end = reported.saturating_add(periods(took)).saturating_add(2);
+        if self.draining || reported == 0 {
+            return;
+        }
+        self.pauses.add(first..end);
+        self.sets.wait_until(end);
+        let message = format!(
+            "this process did not run for {} ms (stopped, or without a processor): frame sets of triggers {first} to {} \
+             that are not whole are given up",
+            took.as_millis(),
+            end - 1
+        );
+        tracing::warn!(kind = "node_paused", "{message}");
+        self.event("node_paused", None, Some(first), message);
     }
 
     /// A frame arrived; `behind` more are on their way to this thread.
@@ -393,7 +424,13 @@ impl Books {
         while let Some(mut set) = self.sets.next(Instant::now(), all) {
             // At the end no more frames come, and there are no more of them than blocks.
             let dropped_before = self.full.as_ref().is_some_and(|full| full.last == set.trigger);
-            if !all && (dropped_before || !self.ring.has_room_for(set.frames.len())) {
+            let broken = self.pauses.is_broken(set.trigger);
+            if broken {
+                // What of it is there already has no use, and says so.
+                for frame in set.frames.drain(..) {
+                    self.count_gap(frame.camera, TriggerIndex(set.trigger), GapCause::NodePaused);
+                }
+            } else if !all && (dropped_before || !self.ring.has_room_for(set.frames.len())) {
                 self.drop_set(set.trigger, &mut set.frames);
             } else if !set.frames.is_empty() {
                 self.end_of_full();
@@ -410,6 +447,12 @@ impl Books {
 
     fn drop_set(&mut self, trigger: u64, frames: &mut Vec<ReadyFrame>) {
         let count = frames.len() as u64;
+        if self.pauses.breaks(trigger, GapCause::DroppedRingFull) {
+            for frame in frames.drain(..) {
+                self.count_gap(frame.camera, TriggerIndex(trigger), GapCause::NodePaused);
+            }
+            return;
+        }
         for frame in frames.drain(..) {
             self.count_gap(frame.camera, TriggerIndex(trigger), GapCause::DroppedRingFull);
         }
@@ -477,7 +520,8 @@ impl Books {
     fn gaps(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
         let now = Instant::now();
         for trigger in triggers {
-            self.count_gap(camera, TriggerIndex(trigger), cause);
+            let paused = self.pauses.breaks(trigger, cause);
+            self.count_gap(camera, TriggerIndex(trigger), if paused { GapCause::NodePaused } else { cause });
             self.sets.outcome(camera, trigger, None, now);
             // A long absence must not pile up sets that nobody waits for.
             self.pass_sets_on(false);

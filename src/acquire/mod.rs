@@ -9,6 +9,7 @@ pub mod dry_run;
 pub mod heap;
 pub mod latency;
 pub mod matcher;
+mod pause;
 pub mod pool;
 pub mod preview;
 pub mod realtime;

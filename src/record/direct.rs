@@ -113,6 +113,10 @@ fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<
             return Err(error);
         };
         let whole = written - written % BLOCK;
+        if whole == 0 && written > 0 && file_limit().is_some_and(|limit| offset + BLOCK as u64 > limit) {
+            // The next write would say so, if there were blocks small enough.
+            return Err(io::Error::from_raw_os_error(libc::EFBIG));
+        }
         if whole == 0 {
             return Err(io::Error::new(io::ErrorKind::WriteZero, "the file takes no whole block"));
         }
@@ -120,6 +124,21 @@ fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<
         offset += whole as u64;
     }
     Ok(())
+}
+
+/// The length that a file of this process may have, if it is limited, bytes.
+fn file_limit() -> Option<u64> {
+    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+    // SAFETY: `limit` is valid for writing for the duration of the call.
+    let code = unsafe { libc::getrlimit(libc::RLIMIT_FSIZE, &mut limit) };
+    (code == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
+}
+
+/// Lets a write beyond the limit on file sizes fail with `EFBIG`, as any other write fails, instead of ending the process
+/// with `SIGXFSZ` in the middle of a session.
+pub fn survive_file_limit() {
+    // SAFETY: ignoring a signal installs no handler: no code of ours runs in signal context.
+    unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
 }
 
 /// Memory that starts at a multiple of [`BLOCK`]; it grows in whole blocks.

@@ -172,6 +172,8 @@ pub enum GapCause {
     IdentityMismatch,
     /// Imported images: there was no file for this trigger.
     NotRecorded,
+    /// The node's process stood still, and frames of this trigger did not survive it: the whole set is given up.
+    NodePaused,
     /// The frame was recorded, but is damaged (written by `recover`).
     Damaged,
     /// Nothing is known; also stands for causes of a later version.
@@ -181,7 +183,7 @@ pub enum GapCause {
 
 impl GapCause {
     /// All of them; a cause's place is `cause as usize`.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::MissingPackets,
         Self::Timeout,
         Self::NotTriggered,
@@ -194,6 +196,7 @@ impl GapCause {
         Self::WrongFormat,
         Self::IdentityMismatch,
         Self::NotRecorded,
+        Self::NodePaused,
         Self::Damaged,
         Self::Unknown,
     ];

@@ -27,6 +27,7 @@ mod window;
 mod writer;
 
 pub use direct::free_bytes;
+pub use direct::survive_file_limit;
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
 pub use interrupted::{Interrupted, interrupted};
 pub use layout::{

@@ -1,7 +1,7 @@
 //! A session that ended on every node, for the person and the script that asked for it.
 
 use super::state::Fault;
-use crate::api::dto::{Outcome, SessionStatus};
+use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
 use crate::cmds::Exit;
 use std::path::PathBuf;
 
@@ -59,7 +59,7 @@ impl Captured {
             lines.push(format!("  node {node}: {}, {} triggers", status_word(session), session.triggers));
             match &session.outcome {
                 Some(Outcome::Recorded(verdict)) => lines.extend(camera_lines(verdict)),
-                _ => lines.push("    nothing recorded".to_owned()),
+                _ => lines.extend(last_heard(session, self.dry_run)),
             }
             if let Some(reason) = ended_early(session) {
                 lines.push(format!("    ended early: {reason}"));
@@ -110,6 +110,23 @@ fn camera_lines(verdict: &serde_json::Value) -> Vec<String> {
         format!("    {}: {} frames, {gaps}", camera["camera"].as_str().unwrap_or("?"), camera["frames"])
     };
     verdict["cameras"].as_array().into_iter().flatten().map(line).collect()
+}
+
+/// What a node without a verdict had written when it was last heard of, and where that is.
+fn last_heard(session: &SessionStatus, dry_run: bool) -> Vec<String> {
+    let written: u64 = session.cameras.iter().map(|camera| camera.frames + camera.gaps).sum();
+    if dry_run || (written == 0 && session.triggers == 0) {
+        return vec!["    nothing recorded".to_owned()];
+    }
+    let camera = |camera: &CameraProgress| {
+        format!("    {}: {} frames and {} gaps when last heard of", camera.id, camera.frames, camera.gaps)
+    };
+    let mut lines: Vec<String> = session.cameras.iter().map(camera).collect();
+    let directory = session.directory.display();
+    lines.push(format!(
+        "    without a verdict; what is on its disk: `fourdbody info {directory}` there, and `fourdbody recover` to complete it"
+    ));
+    lines
 }
 
 fn status_word(session: &SessionStatus) -> &str {

@@ -50,6 +50,17 @@ pub enum RecordError {
         /// What the system said.
         source: io::Error,
     },
+    /// A file may not become as long as it has to: the disk has room.
+    #[error(
+        "{path}: a file may not grow beyond the limit that this process has ({source}); the disk is not full; raise \
+         LimitFSIZE= of the unit, or `ulimit -f`; frames are no longer recorded; stop the session"
+    )]
+    FileLimit {
+        /// The recording.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
     /// An earlier error ended the recording of frames; this one is accounted for as `dropped_disk`.
     #[error("frames are no longer recorded since an earlier error: {reason}")]
     Stopped {
@@ -74,4 +85,14 @@ pub enum RecordError {
         /// What could not be written.
         verdict: Box<Verdict>,
     },
+}
+
+impl RecordError {
+    /// What refused a write, by its name: the disk, or a limit of this process.
+    pub(super) fn refused(path: PathBuf, source: io::Error) -> Self {
+        match source.raw_os_error() {
+            Some(libc::EFBIG) => Self::FileLimit { path, source },
+            _ => Self::Disk { path, source },
+        }
+    }
 }

@@ -11,7 +11,7 @@ impl Recording {
     /// After a failed write or sync: nothing more goes to the open segments, frames that are not in the file, or
     /// cannot be trusted to stay there, become gaps, and the books go on in a segment of their own.
     pub(super) fn fail(&mut self, source: io::Error) -> Result<(), RecordError> {
-        let error = RecordError::Disk { path: self.dir.clone(), source };
+        let error = RecordError::refused(self.dir.clone(), source);
         tracing::error!("{error}");
         self.stopped.get_or_insert_with(|| error.to_string());
         self.abandon_segments();
