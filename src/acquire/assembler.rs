@@ -40,7 +40,15 @@ impl<F> Assembler<F> {
     /// there are at most `most_open` sets.
     pub fn new(cameras: usize, patience: Duration, most_open: usize) -> Self {
         let expected = if cameras >= 64 { u64::MAX } else { (1 << cameras) - 1 };
-        Self { expected, open: VecDeque::new(), passed: 0, patience, most_open, patient_until: 0, spare: Vec::new() }
+        Self {
+            expected,
+            open: VecDeque::new(),
+            passed: 0,
+            patience,
+            most_open,
+            patient_until: 0,
+            spare: Vec::new(),
+        }
     }
 
     /// Whether a camera's outcomes are waited for.

@@ -70,6 +70,8 @@ mod tests {
         assert!(!pauses.breaks(9, GapCause::MissingPackets) && !pauses.breaks(20, GapCause::Timeout));
         assert!(!pauses.breaks(12, GapCause::NotTriggered) && !pauses.breaks(12, GapCause::Unplugged));
         assert!(!pauses.is_broken(12), "a camera that ignored a trigger did so without our help");
-        assert!(pauses.breaks(12, GapCause::DroppedRingFull) && pauses.is_broken(12) && !pauses.is_broken(13));
+        assert!(
+            pauses.breaks(12, GapCause::DroppedRingFull) && pauses.is_broken(12) && !pauses.is_broken(13)
+        );
     }
 }

@@ -3,6 +3,7 @@
 //! `RawImage` as Foxglove publishes it has timestamp = 1, width = 2, height = 3, encoding = 4, step = 5,
 //! data = 6, frame_id = 7. Fields from 1001 on are ours; the embedded descriptor declares them.
 
+use super::belonging::SessionMark;
 use super::layout::MAX_CAMERA_NAME;
 use super::protobuf::{self, Buffer, FieldType, Fixed, MessageReader, MessageWriter, Value};
 use crate::ids::{BlockId, CameraId, TriggerIndex};
@@ -23,6 +24,7 @@ const HOST_TIME: u32 = 1004;
 const PIXELS_CRC: u32 = 1005;
 const ENVELOPE_CRC: u32 = 1006;
 const PADDING: u32 = 1007;
+const SESSION: u32 = 1008;
 
 /// Bytes of the padding field without its content: two of tag, two of length (a varint that is not shortened,
 /// so that the field can have any length from here on).
@@ -63,6 +65,8 @@ pub struct Envelope<'a> {
     pub camera: &'a str,
     /// Identity and checksum.
     pub meta: FrameMeta,
+    /// The session that it is of; messages of version 1 do not say.
+    pub session: Option<SessionMark>,
     /// Where the pixels are in the message; they reach to its end.
     pub pixels: Range<usize>,
 }
@@ -107,9 +111,9 @@ pub enum EnvelopeError {
 /// Writes the envelope to the end of `room`, so that the pixels that follow in the same buffer continue it,
 /// and returns its length: the message is the last so many bytes of `room` and the pixels.
 ///
-/// `room` of [`ENVELOPE_CAPACITY`] bytes always suffices.
+/// `room` of [`ENVELOPE_CAPACITY`] bytes always suffices. The recording that takes the message marks it with its session.
 pub fn write_envelope(room: &mut [u8], camera: &CameraId, meta: &FrameMeta) -> Result<usize, EnvelopeError> {
-    let envelope = encode(camera, meta)?;
+    let envelope = encode(None, camera, meta)?;
     let envelope = envelope.as_slice();
     let start = room
         .len()
@@ -119,15 +123,23 @@ pub fn write_envelope(room: &mut [u8], camera: &CameraId, meta: &FrameMeta) -> R
     Ok(envelope.len())
 }
 
+/// A message as it is, but marked with a session.
+pub(super) fn marked(session: SessionMark, message: &[u8]) -> Result<Vec<u8>, EnvelopeError> {
+    let envelope = parse_envelope(message)?;
+    let front = encode(Some(session), &CameraId::from(envelope.camera), &envelope.meta)?;
+    Ok([front.as_slice(), &message[envelope.pixels]].concat())
+}
+
 /// As [`write_envelope`], but the envelope becomes exactly `length` bytes long, by a field of zeros that every
 /// reader skips: so the pixels begin where the disk wants them. [`padded_lengths`] says what is possible.
 pub(super) fn write_padded_envelope(
     room: &mut [u8],
+    session: Option<SessionMark>,
     camera: &CameraId,
     meta: &FrameMeta,
     length: usize,
 ) -> Result<(), EnvelopeError> {
-    let fields = encode_fields(camera, meta)?;
+    let fields = encode_fields(session, camera, meta)?;
     let fields = fields.as_slice();
     let bare = fields.len() + encode_end(meta, 0).as_slice().len();
     let padding = length.checked_sub(bare + PADDING_OVERHEAD).filter(|_| length <= room.len());
@@ -151,15 +163,20 @@ pub(super) fn write_padded_envelope(
 
 /// The lengths that [`write_padded_envelope`] can give to this envelope.
 pub(super) fn padded_lengths(
+    session: Option<SessionMark>,
     camera: &CameraId,
     meta: &FrameMeta,
 ) -> Result<std::ops::RangeInclusive<usize>, EnvelopeError> {
-    let bare = encode_fields(camera, meta)?.as_slice().len() + encode_end(meta, 0).as_slice().len();
+    let bare = encode_fields(session, camera, meta)?.as_slice().len() + encode_end(meta, 0).as_slice().len();
     Ok(bare + PADDING_OVERHEAD..=PADDED_MAX)
 }
 
-fn encode(camera: &CameraId, meta: &FrameMeta) -> Result<Fixed<ENVELOPE_CAPACITY>, EnvelopeError> {
-    let mut envelope = encode_fields(camera, meta)?;
+fn encode(
+    session: Option<SessionMark>,
+    camera: &CameraId,
+    meta: &FrameMeta,
+) -> Result<Fixed<ENVELOPE_CAPACITY>, EnvelopeError> {
+    let mut envelope = encode_fields(session, camera, meta)?;
     let crc = crc32fast::hash(envelope.as_slice());
     envelope.append(encode_end(meta, crc).as_slice());
     Ok(envelope)
@@ -171,8 +188,12 @@ fn encode_end(meta: &FrameMeta, crc: u32) -> Fixed<24> {
     MessageWriter::default().fixed32(ENVELOPE_CRC, crc).bytes_header(6, pixels).into_bytes()
 }
 
-/// No allocation, because it runs for every frame. With the longest name the envelope has 201 bytes.
-fn encode_fields(camera: &CameraId, meta: &FrameMeta) -> Result<Fixed<ENVELOPE_CAPACITY>, EnvelopeError> {
+/// No allocation, because it runs for every frame. With the longest name the envelope has 211 bytes.
+fn encode_fields(
+    session: Option<SessionMark>,
+    camera: &CameraId,
+    meta: &FrameMeta,
+) -> Result<Fixed<ENVELOPE_CAPACITY>, EnvelopeError> {
     let name = camera.as_str().as_bytes();
     if name.len() > MAX_CAMERA_NAME {
         return Err(field_error(
@@ -197,6 +218,10 @@ fn encode_fields(camera: &CameraId, meta: &FrameMeta) -> Result<Fixed<ENVELOPE_C
         .fixed64(CAMERA_TIME, meta.camera_time_ns)
         .fixed64(HOST_TIME, meta.host_time_ns)
         .fixed32(PIXELS_CRC, meta.pixels_crc);
+    let checked = match session {
+        Some(session) => checked.fixed64(SESSION, session.0),
+        None => checked,
+    };
     Ok(checked.into_bytes())
 }
 
@@ -216,6 +241,7 @@ struct Fields<'a> {
     camera_time: Option<u64>,
     host_time: Option<u64>,
     pixels_crc: Option<u32>,
+    session: Option<u64>,
     /// As stated, and the length of what it covers.
     envelope_crc: Option<(u32, usize)>,
 }
@@ -276,6 +302,7 @@ fn note<'a>(fields: &mut Fields<'a>, number: u64, value: Value<'a>, start: usize
         (CAMERA_TIME, Value::Fixed64(v)) => fields.camera_time = Some(v),
         (HOST_TIME, Value::Fixed64(v)) => fields.host_time = Some(v),
         (PIXELS_CRC, Value::Fixed32(v)) => fields.pixels_crc = Some(v),
+        (SESSION, Value::Fixed64(v)) => fields.session = Some(v),
         (ENVELOPE_CRC, Value::Fixed32(v)) => fields.envelope_crc = Some((v, start)),
         // The timestamp repeats the host time; fields of later versions are skipped.
         _ => {}
@@ -321,7 +348,7 @@ fn finish<'a>(
         height,
         pixels_crc: need("pixels_crc32", fields.pixels_crc)?,
     };
-    Ok(Envelope { camera, meta, pixels })
+    Ok(Envelope { camera, meta, session: fields.session.map(SessionMark), pixels })
 }
 
 /// The schema that goes into the recording: a `FileDescriptorSet` of the message and of the timestamp.
@@ -353,6 +380,7 @@ pub fn schema() -> Vec<u8> {
             protobuf::field("pixels_crc32", PIXELS_CRC, FieldType::Fixed32),
             protobuf::field("envelope_crc32", ENVELOPE_CRC, FieldType::Fixed32),
             protobuf::field("padding", PADDING, FieldType::Bytes),
+            protobuf::field("session_mark", SESSION, FieldType::Fixed64),
         ],
     );
     protobuf::file_set(&[timestamp, image])
@@ -360,7 +388,9 @@ pub fn schema() -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use super::{ENVELOPE_CAPACITY, EnvelopeError, FrameMeta, parse_envelope, pixels_crc, write_envelope};
+    use super::{
+        ENVELOPE_CAPACITY, EnvelopeError, FrameMeta, SessionMark, parse_envelope, pixels_crc, write_envelope,
+    };
     use crate::ids::{BlockId, CameraId, TriggerIndex};
     use proptest::prelude::*;
 
@@ -383,6 +413,22 @@ mod tests {
             pixels_crc: pixels_crc(&pixels),
         };
         (meta, pixels)
+    }
+
+    /// Version 2 adds the session's mark, in front of the checksum.
+    #[test]
+    fn golden_bytes_of_a_marked_message() {
+        let (meta, pixels) = sample();
+        let bare = message("h0", &meta, &pixels);
+        let marked = super::marked(SessionMark(0x0102_0304_0506_0708), &bare).expect("a message");
+        let at = bare.len() - pixels.len() - 8;
+        assert_eq!(marked[..at], bare[..at]);
+        assert_eq!(marked[at..at + 10], [0x81, 0x3f, 8, 7, 6, 5, 4, 3, 2, 1], "session_mark");
+        assert_eq!(marked[at + 10..at + 12], [0xf5, 0x3e], "the checksum covers it");
+        assert_eq!(marked[at + 16..], [0x32, 6, 10, 20, 30, 40, 50, 60]);
+        let found = parse_envelope(&marked).expect("readable");
+        assert_eq!((found.meta, found.session), (meta, Some(SessionMark(0x0102_0304_0506_0708))));
+        assert_eq!(parse_envelope(&bare).expect("readable").session, None);
     }
 
     /// Version 1 of the format; a change here is a new version.
@@ -442,10 +488,11 @@ mod tests {
     fn padded_to_any_length_it_reads_back_and_no_flip_is_missed() {
         let (meta, pixels) = sample();
         let camera = CameraId::from("h0_up");
-        let lengths = super::padded_lengths(&camera, &meta).expect("an envelope");
+        let lengths = super::padded_lengths(Some(SessionMark(7)), &camera, &meta).expect("an envelope");
         for length in lengths.clone().step_by(7).chain([*lengths.start() + 124, *lengths.end()]) {
             let mut message = vec![0xEE; 4096];
-            super::write_padded_envelope(&mut message, &camera, &meta, length).expect("a possible length");
+            super::write_padded_envelope(&mut message, Some(SessionMark(7)), &camera, &meta, length)
+                .expect("a possible length");
             message.extend_from_slice(&pixels);
             let mut message = message.split_off(4096 - length);
             let found = parse_envelope(&message).expect("readable");
@@ -457,7 +504,13 @@ mod tests {
             }
         }
         for impossible in [*lengths.start() - 1, *lengths.end() + 1] {
-            let error = super::write_padded_envelope(&mut [0; 4096], &camera, &meta, impossible);
+            let error = super::write_padded_envelope(
+                &mut [0; 4096],
+                Some(SessionMark(7)),
+                &camera,
+                &meta,
+                impossible,
+            );
             assert!(matches!(error, Err(EnvelopeError::Room { .. })), "{impossible}: {error:?}");
         }
     }

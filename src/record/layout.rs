@@ -9,7 +9,7 @@ use std::fmt;
 /// `format` in the header metadata.
 pub const FORMAT: &str = "fourdbody-recording";
 /// `version` in the header metadata; a reader refuses a higher one.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Metadata record at the start of every segment.
 pub const HEADER_METADATA: &str = "fourdbody.header";
@@ -41,6 +41,11 @@ pub const KEY_INDEX_OFFSET: &str = "index_offset";
 pub const KEY_INDEX_LENGTH: &str = "index_length";
 /// See [`KEY_INDEX_OFFSET`].
 pub const KEY_INDEX_CRC: &str = "index_crc32";
+
+/// Key of the segment's, the verdict's and the statistics' metadata: the mark of the session.
+pub const KEY_SESSION: &str = "session_mark";
+/// Key of the verdict's metadata: how many small records the recording has; they are numbered from 0.
+pub const KEY_RECORDS: &str = "records";
 
 /// Topic of gap records.
 pub const GAPS_TOPIC: &str = "/gaps";

@@ -33,6 +33,8 @@ pub(super) struct StatedHeader {
     pub header: RecordingHeader,
     /// The segment's number.
     pub number: u32,
+    /// Version of its format.
+    pub version: u32,
     /// Whether its own checksum is right.
     pub proven: bool,
 }
@@ -90,7 +92,8 @@ pub(super) fn parse_header(entries: &Entries) -> Result<StatedHeader, String> {
     let get =
         |key: &str| entries.get(key).map(String::as_str).ok_or_else(|| format!("the header has no {key:?}"));
     let (format, version) = (get("format")?, get("version")?);
-    if format != FORMAT || version.parse::<u32>().is_ok_and(|v| v > VERSION) {
+    let stated: Option<u32> = version.parse().ok().filter(|version| *version <= VERSION);
+    if format != FORMAT || stated.is_none() {
         return Err(format!(
             "format {format:?} version {version}, this program reads {FORMAT:?} up to version {VERSION}"
         ));
@@ -101,7 +104,8 @@ pub(super) fn parse_header(entries: &Entries) -> Result<StatedHeader, String> {
     header.check()?;
     let segment = get(KEY_SEGMENT)?;
     let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
-    Ok(StatedHeader { header, number, proven: is_sound(entries) == Some(true) })
+    let version = stated.unwrap_or(VERSION);
+    Ok(StatedHeader { header, number, version, proven: is_sound(entries) == Some(true) })
 }
 
 /// The index that a closed segment states, if it is intact.

@@ -3,6 +3,7 @@
 //! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and
 //! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
 
+mod belonging;
 pub mod catalogue;
 pub mod describe;
 mod direct;

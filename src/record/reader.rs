@@ -1,10 +1,12 @@
 //! Reads recordings: opens segments, knows the outcome of every trigger, checks every frame on access.
 
+use super::belonging::{Belonging, Label};
 use super::envelope::{FRONT, FrameMeta, parse_envelope_of, pixels_crc};
 use super::layout::{
     CLOCK_TOPIC, CameraHeader, ClockSample, EVENTS_TOPIC, GAPS_TOPIC, GapCause, GapRecord, HEADER_METADATA,
-    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA,
-    STATISTICS_METADATA, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, image_topic,
+    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader,
+    SEGMENT_METADATA, STATISTICS_METADATA, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, VERSION,
+    image_topic,
 };
 use super::metadata::{
     StatedHeader, foreign_reason, is_sound, of_most, parse_header, read_header, stated_index,
@@ -13,7 +15,7 @@ use super::scan::{End, Entries, Event, Walker, metadata_by_index};
 use super::segment_file::{BadRange, SegmentFile};
 use super::session::RecordingFiles;
 use super::statistics::WriteStatistics;
-use super::verdict::{CameraVerdict, Verdict};
+use super::verdict::{CameraVerdict, TriggerSet, Verdict};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Plane;
 use std::collections::BTreeMap;
@@ -98,6 +100,8 @@ pub struct RecordingReader {
     pub path: PathBuf,
     /// What it says about itself.
     pub header: RecordingHeader,
+    /// What its records have to say about their session.
+    pub(crate) belonging: Belonging,
     /// In order.
     pub segments: Vec<SegmentReader>,
     /// The HSU's trigger table, by index.
@@ -114,6 +118,10 @@ pub struct RecordingReader {
     pub problems: Vec<Problem>,
     /// Per camera of the header.
     pub(crate) outcomes: Vec<BTreeMap<u64, Outcome>>,
+    /// Numbers of the small records that are there, where they have numbers and were read.
+    pub(super) numbers: TriggerSet,
+    /// How many there were in all, if the recording was finished.
+    pub(super) records: Option<u64>,
 }
 
 /// Triggers of a camera in a row that have gap records of the same cause.
@@ -190,7 +198,9 @@ impl RecordingReader {
                 _ => "no segments: nothing was recorded".to_owned(),
             }));
         };
-        let mut recording = Self::empty(files.path.clone(), header);
+        let versions = readable.iter().filter(|one| !one.is_foreign(&header)).map(|one| one.version);
+        let version = versions.max().unwrap_or(VERSION);
+        let mut recording = Self::empty(files.path.clone(), header, version);
         for (segment, stated) in segments {
             match stated {
                 Ok(stated) if stated.is_foreign(&recording.header) => {
@@ -202,10 +212,13 @@ impl RecordingReader {
         Ok(recording)
     }
 
-    fn empty(path: PathBuf, header: RecordingHeader) -> Self {
+    fn empty(path: PathBuf, header: RecordingHeader, version: u32) -> Self {
         Self {
             path,
             outcomes: vec![BTreeMap::new(); header.cameras.len()],
+            belonging: Belonging::of(&header, version),
+            numbers: TriggerSet::default(),
+            records: None,
             header,
             segments: Vec::new(),
             triggers: BTreeMap::new(),
@@ -330,6 +343,13 @@ impl RecordingReader {
     }
 
     fn small_record(&mut self, segment: u32, topic: Topic, bytes: &[u8]) {
+        let label = Label::of(bytes);
+        if let Err(reason) = self.belonging.check(label.session) {
+            return self.problem(segment, None, None, format!("{topic:?}: {reason}"));
+        }
+        if let Some(number) = label.number {
+            self.numbers.insert(number);
+        }
         let result = match topic {
             Topic::Gaps => serde_json::from_slice(bytes).map(|gap| self.gap(segment, &gap)),
             Topic::Triggers => serde_json::from_slice(bytes).map(|record: TriggerRecord| {
@@ -348,6 +368,13 @@ impl RecordingReader {
     }
 
     fn metadata(&mut self, segment: &mut SegmentReader, name: &str, entries: &Entries) {
+        let session = Label::of_entries(entries).session;
+        let marked = [SEGMENT_METADATA, STATISTICS_METADATA, VERDICT_METADATA].contains(&name);
+        if let Err(reason) = self.belonging.check(session)
+            && marked
+        {
+            return self.problem(segment.number, None, None, format!("{name}: {reason}"));
+        }
         let number = |key| entries.get(key).and_then(|text: &String| text.parse::<u64>().ok());
         if is_sound(entries) == Some(false) {
             self.problem(
@@ -381,7 +408,10 @@ impl RecordingReader {
             VERDICT_METADATA => {
                 let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
                 match serde_json::from_str(json) {
-                    Ok(verdict) => self.verdict = Some(verdict),
+                    Ok(verdict) => {
+                        self.records = number(KEY_RECORDS);
+                        self.verdict = Some(verdict);
+                    }
                     Err(error) => {
                         let message = format!("the stored verdict is not readable: {error}");
                         self.problem(segment.number, None, None, message);
@@ -411,7 +441,9 @@ impl RecordingReader {
     ) -> Result<Result<FrameMeta, GapCause>, String> {
         self.outcome_at(camera, trigger, |file, place| {
             let front = read_front(file, &place)?;
-            parse_envelope_of(&front).map(|(envelope, _)| envelope.meta).map_err(|e| e.to_string())
+            let (envelope, _) = parse_envelope_of(&front).map_err(|e| e.to_string())?;
+            self.belonging.check(envelope.session)?;
+            Ok(envelope.meta)
         })
     }
 
@@ -452,7 +484,8 @@ impl RecordingReader {
         trigger: TriggerIndex,
     ) -> Result<RecordedFrame, String> {
         let front = read_front(file, &message)?;
-        let (meta, pixels) = identify(&front, message.len(), camera, trigger, &self.header)?;
+        let (meta, pixels) =
+            identify(&front, message.len(), (camera, trigger), &self.header, &self.belonging)?;
         let mut data = vec![0; pixels.len()];
         file.read(message.start + pixels.start, &mut data).map_err(|bad| bad.to_string())?;
         check_pixels(&data, &meta)?;
@@ -473,6 +506,11 @@ impl RecordingReader {
             counted
         };
         self.header.cameras.iter().zip(&self.outcomes).map(count).collect()
+    }
+
+    /// How many small records there were, as far as is known.
+    pub(super) fn numbered(&self) -> u64 {
+        self.records.unwrap_or(0).max(self.numbers.end())
     }
 
     /// One more than the highest trigger in the records.
@@ -510,13 +548,14 @@ fn read_front(file: &SegmentFile, message: &Range<usize>) -> Result<Vec<u8>, Str
 fn identify(
     front: &[u8],
     length: usize,
-    camera: usize,
-    trigger: TriggerIndex,
+    (camera, trigger): (usize, TriggerIndex),
     header: &RecordingHeader,
+    belonging: &Belonging,
 ) -> Result<(FrameMeta, Range<usize>), String> {
     let described = &header.cameras[camera];
     let (envelope, stated) = parse_envelope_of(front).map_err(|e| e.to_string())?;
     let meta = envelope.meta;
+    belonging.check(envelope.session)?;
     if envelope.camera != described.id.as_str() || meta.trigger != trigger {
         return Err(format!("the frame says camera {} trigger {}", envelope.camera, meta.trigger));
     }
@@ -544,8 +583,9 @@ pub(crate) fn check_frame(
     camera: usize,
     trigger: TriggerIndex,
     header: &RecordingHeader,
+    belonging: &Belonging,
 ) -> Result<(FrameMeta, Range<usize>), String> {
-    let (meta, pixels) = identify(message, message.len(), camera, trigger, header)?;
+    let (meta, pixels) = identify(message, message.len(), (camera, trigger), header, belonging)?;
     check_pixels(&message[pixels.clone()], &meta)?;
     Ok((meta, pixels))
 }

@@ -13,7 +13,7 @@ use mcap::records::op;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-pub use find::{Found, find, is_json};
+pub use find::{Found, budget, find, is_json};
 
 /// Metadata records, schemas and channels larger than this are refused: ours are far below.
 const MAX_SMALL_RECORD: usize = 16 << 20;
@@ -110,6 +110,8 @@ pub struct Walker<'a> {
     end: Option<End>,
     /// Behind the bytes that the walk stopped at because they cannot be read.
     unreadable_to: Option<usize>,
+    /// Bytes that may still be looked at for where to go on.
+    budget: usize,
 }
 
 impl<'a> Walker<'a> {
@@ -135,7 +137,8 @@ impl<'a> Walker<'a> {
     /// Walks the records of a range.
     pub fn within(file: &'a SegmentFile, range: Range<usize>) -> Self {
         let (limit, position) = (range.end.min(file.len()), range.start);
-        Self { pieces: Pieces::new(file), limit, position, chunk_end: None, end: None, unreadable_to: None }
+        let (pieces, budget) = (Pieces::new(file), budget(file.len()));
+        Self { pieces, limit, position, chunk_end: None, end: None, unreadable_to: None, budget }
     }
 
     /// How the walk ended; `Cut` at the current place before that.
@@ -147,7 +150,7 @@ impl<'a> Walker<'a> {
     /// that is not why, or where there is none.
     pub fn go_on(&mut self) -> bool {
         let Some(to) = self.unreadable_to.take() else { return false };
-        match find(self.pieces.file(), to) {
+        match find(self.pieces.file(), to, &mut self.budget) {
             Some(found) => {
                 let at = match found {
                     Found::Record(at) => at,

@@ -1,11 +1,13 @@
 //! One segment: an MCAP file whose bytes on disk are a clean prefix at every instant.
 
+use super::belonging::{Belonging, Label, SessionMark};
 use super::direct::{BLOCK, Store};
 use super::envelope::{self, FrameMeta};
 use super::layout::{
     FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_CRC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC,
-    KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG, KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA,
-    STATISTICS_METADATA, SegmentIndex, VERDICT_METADATA, VERSION, image_topic, index_schema, json_channels,
+    KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RECORDS, KEY_RIG, KEY_SEGMENT, KEY_SESSION,
+    RecordingHeader, SEGMENT_METADATA, STATISTICS_METADATA, SegmentIndex, VERDICT_METADATA, image_topic,
+    index_schema, json_channels,
 };
 use super::metadata::checksum;
 use super::statistics::WriteStatistics;
@@ -33,6 +35,8 @@ const STAGING_BYTES: usize = 256 << 10;
 /// What the last segment says besides its own records.
 pub(super) struct Closing<'a> {
     pub verdict: &'a Verdict,
+    /// Small records that the recording has.
+    pub records: u64,
     /// `None` where it is not known how the disk kept up.
     pub statistics: Option<&'a WriteStatistics>,
 }
@@ -56,6 +60,8 @@ pub struct Segment {
     window: Arc<Mutex<Window>>,
     number: u32,
     first_trigger: u64,
+    /// `None` in a copy of a recording without marks.
+    mark: Option<SessionMark>,
     images: Vec<u16>,
     json: Vec<u16>,
     index_channel: u16,
@@ -71,6 +77,7 @@ impl Segment {
         number: u32,
         first_trigger: u64,
         header: &RecordingHeader,
+        version: u32,
     ) -> io::Result<Self> {
         let window = Arc::new(Mutex::new(Window::new(store, STAGING_BYTES)?));
         // Chunks end where `commit` says; see docs/design/recording.md for why seeking is allowed, and the
@@ -88,6 +95,7 @@ impl Segment {
             window,
             number,
             first_trigger,
+            mark: Belonging::of(header, version).written(),
             images: Vec::new(),
             json: Vec::new(),
             index_channel: 0,
@@ -95,16 +103,16 @@ impl Segment {
             last_time_ns: header.created_ns,
             chunk_open: false,
         };
-        segment.begin(header).map_err(io_error)?;
+        segment.begin(header, version).map_err(io_error)?;
         segment.commit()?;
         Ok(segment)
     }
 
-    fn begin(&mut self, header: &RecordingHeader) -> Result<(), McapError> {
+    fn begin(&mut self, header: &RecordingHeader, version: u32) -> Result<(), McapError> {
         let json = serde_json::to_string(header).map_err(|e| McapError::Io(e.into()))?;
         let entries = [
             ("format", FORMAT.to_owned()),
-            ("version", VERSION.to_string()),
+            ("version", version.to_string()),
             ("session", header.session.to_string()),
             ("session_id", header.session_id.clone()),
             ("node", header.node.to_string()),
@@ -168,7 +176,8 @@ impl Segment {
         mut block: Block,
     ) -> io::Result<()> {
         let length = self.align(id, meta)?;
-        envelope::write_padded_envelope(block.room_mut(), id, meta, length).map_err(io::Error::other)?;
+        envelope::write_padded_envelope(block.room_mut(), self.mark, id, meta, length)
+            .map_err(io::Error::other)?;
         self.lock().announce(block.pixels(), meta.pixels_crc);
         let result = self.frame(camera, meta, &block.bytes()[ROOM_BYTES - length..]);
         self.lock().deliver(block);
@@ -177,7 +186,7 @@ impl Segment {
 
     /// Length of the envelope that makes the next message's pixels begin at a whole block.
     fn align(&mut self, id: &CameraId, meta: &FrameMeta) -> io::Result<usize> {
-        let possible = envelope::padded_lengths(id, meta).map_err(io::Error::other)?;
+        let possible = envelope::padded_lengths(self.mark, id, meta).map_err(io::Error::other)?;
         let room = |segment: &Self| {
             let chunk = if segment.chunk_open { 0 } else { CHUNK_HEADER };
             BLOCK - (segment.bytes() % BLOCK as u64) as usize + 2 * BLOCK - chunk - MESSAGE_HEADER
@@ -254,7 +263,9 @@ impl Segment {
     /// Writes the index, the segment's range, and the summary; `closing` in the last one. The segment can only
     /// be dropped afterwards.
     pub fn finish(&mut self, end_trigger: Option<u64>, closing: Option<Closing<'_>>) -> io::Result<()> {
-        let index = serde_json::to_vec(&self.index)?;
+        let mut index = serde_json::to_vec(&self.index)?;
+        Label { session: self.mark, number: None }.attach(&mut index);
+        let mark = self.mark.map(|mark| (KEY_SESSION, mark.to_string()));
         self.write(self.index_channel, 0, self.last_time_ns, &index)?;
         let mut entries = vec![
             (KEY_SEGMENT, self.number.to_string()),
@@ -264,13 +275,17 @@ impl Segment {
             (KEY_INDEX_CRC, crc32fast::hash(&index).to_string()),
         ];
         entries.extend(end_trigger.map(|end| (KEY_END_TRIGGER, end.to_string())));
+        entries.extend(mark.clone());
         self.mcap.write_metadata(&metadata(SEGMENT_METADATA, entries)).map_err(io_error)?;
         if let Some(closing) = closing {
             if let Some(statistics) = closing.statistics {
-                let entries = [(KEY_JSON, serde_json::to_string(statistics)?)];
+                let entries =
+                    [(KEY_JSON, serde_json::to_string(statistics)?)].into_iter().chain(mark.clone());
                 self.mcap.write_metadata(&metadata(STATISTICS_METADATA, entries)).map_err(io_error)?;
             }
-            let entries = [(KEY_JSON, serde_json::to_string(closing.verdict)?)];
+            let verdict = (KEY_JSON, serde_json::to_string(closing.verdict)?);
+            let counted = mark.as_ref().map(|_| (KEY_RECORDS, closing.records.to_string()));
+            let entries = [verdict].into_iter().chain(counted).chain(mark);
             self.mcap.write_metadata(&metadata(VERDICT_METADATA, entries)).map_err(io_error)?;
         }
         self.lock().end_data();

@@ -3,10 +3,12 @@
 //! One thread calls it. It waits for the disk only when the queue of chunks is full; frames wait in their pool
 //! meanwhile.
 
+use super::belonging::{Belonging, Label};
 use super::direct::{DirectFile, Store, sync_directory};
-use super::envelope::{FrameMeta, parse_envelope};
+use super::envelope::{FrameMeta, marked, parse_envelope};
 use super::layout::{
-    ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
+    ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION,
+    segment_name,
 };
 use super::segment::{Closing, JsonChannel, Segment};
 use super::statistics::{DiskProgress, WriteStatistics};
@@ -53,6 +55,10 @@ type Latencies = Arc<DiskProgress>;
 pub struct Recording {
     dir: PathBuf,
     header: RecordingHeader,
+    /// Version of the format, and the session's mark in it.
+    belonging: Belonging,
+    /// Small records so far.
+    records: u64,
     options: WriterOptions,
     open_store: OpenStore,
     tallies: Vec<CameraTally>,
@@ -81,18 +87,20 @@ impl Recording {
     /// Creates the directory `dir` with its first segment. The parent is created if needed.
     pub fn create(dir: &Path, header: RecordingHeader, options: WriterOptions) -> Result<Self, RecordError> {
         let bytes = header.expected_bytes().unwrap_or(0);
-        Self::create_for(dir, header, options, bytes)
+        Self::create_for(dir, header, options, bytes, VERSION)
     }
 
-    /// As [`Self::create`], but for this many bytes, whatever the header expects.
+    /// As [`Self::create`], but for this many bytes, whatever the header expects, and in this version of the format: a copy
+    /// of records that do not prove their session must not prove it.
     pub(super) fn create_for(
         dir: &Path,
         header: RecordingHeader,
         options: WriterOptions,
         bytes: u64,
+        version: u32,
     ) -> Result<Self, RecordError> {
         let open = |path: &Path| -> io::Result<Box<dyn Store>> { Ok(Box::new(DirectFile::create(path)?)) };
-        Self::create_sized(dir, header, options, bytes, Arc::new(open))
+        Self::create_sized(dir, header, options, bytes, version, Arc::new(open))
     }
 
     fn create_sized(
@@ -100,6 +108,7 @@ impl Recording {
         header: RecordingHeader,
         options: WriterOptions,
         bytes: u64,
+        version: u32,
         open_store: OpenStore,
     ) -> Result<Self, RecordError> {
         header.check().and_then(|()| options.check()).map_err(RecordError::Header)?;
@@ -120,6 +129,8 @@ impl Recording {
             dir: dir.to_owned(),
             tallies: vec![CameraTally::default(); header.cameras.len()],
             time_ns: header.created_ns,
+            belonging: Belonging::of(&header, version),
+            records: 0,
             header,
             options,
             open_store,
@@ -166,7 +177,18 @@ impl Recording {
     /// `dropped_disk`: the caller adds nothing.
     pub fn frame(&mut self, camera: usize, meta: &FrameMeta, message: &[u8]) -> Result<(), RecordError> {
         self.check_frame(camera, meta, message)?;
-        self.place_frame(camera, meta, |segment, _| segment.frame(camera, meta, message))
+        let known = parse_envelope(message).ok().and_then(|envelope| envelope.session);
+        match self.belonging.written().filter(|own| known != Some(*own)) {
+            None => self.place_frame(camera, meta, |segment, _| segment.frame(camera, meta, message)),
+            Some(own) => {
+                let wrong = |reason: String| RecordError::Frame { camera, reason };
+                if known.is_some() {
+                    return Err(wrong("the message is of another session".to_owned()));
+                }
+                let message = marked(own, message).map_err(|e| wrong(e.to_string()))?;
+                self.place_frame(camera, meta, |segment, _| segment.frame(camera, meta, &message))
+            }
+        }
     }
 
     /// Records a frame from the memory that the camera layer received it into: the envelope goes into the
@@ -357,7 +379,7 @@ impl Recording {
             result = result.and(entry.segment.finish(end, None));
         }
         if let Some(last) = &mut last {
-            let closing = Closing { verdict, statistics };
+            let closing = Closing { verdict, records: self.records, statistics };
             result = result.and(last.segment.finish(None, Some(closing)));
         }
         result.and(sync_directory(&self.dir))
@@ -399,6 +421,16 @@ impl Recording {
         self.segments.iter().rposition(|entry| entry.segment.first_trigger() <= trigger.0).unwrap_or(0)
     }
 
+    /// A small record's bytes, with the session's mark and its number.
+    fn small(&mut self, record: &impl Serialize) -> serde_json::Result<Vec<u8>> {
+        let mut bytes = serde_json::to_vec(record)?;
+        if let Some(session) = self.belonging.written() {
+            Label { session: Some(session), number: Some(self.records) }.attach(&mut bytes);
+            self.records += 1;
+        }
+        Ok(bytes)
+    }
+
     fn json(
         &mut self,
         channel: JsonChannel,
@@ -407,8 +439,8 @@ impl Recording {
         record: &impl Serialize,
     ) -> Result<(), RecordError> {
         self.time_ns = self.time_ns.max(time_ns);
-        let bytes = serde_json::to_vec(record)
-            .map_err(|e| RecordError::Disk { path: self.dir.clone(), source: e.into() })?;
+        let bytes =
+            self.small(record).map_err(|e| RecordError::Disk { path: self.dir.clone(), source: e.into() })?;
         let record = Unwritten::Json { channel, sequence: trigger.0, time_ns, bytes };
         let place = self.place(trigger);
         let Some(entry) = self.segments.get_mut(place) else {
@@ -466,7 +498,8 @@ impl Recording {
             }
         };
         self.past.access = Some(store.access());
-        let segment = Segment::create(store, self.next_number, first_trigger, &self.header)?;
+        let segment =
+            Segment::create(store, self.next_number, first_trigger, &self.header, self.belonging.version)?;
         self.next_number += 1;
         self.segments.push_back(OpenSegment::new(segment, ahead));
         Ok(())

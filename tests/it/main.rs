@@ -42,6 +42,7 @@ mod export;
 #[cfg(feature = "aravis")]
 mod faults;
 #[cfg(feature = "aravis")]
+mod foreign_records;
 mod frame_contract;
 mod frame_set;
 mod fuzz_corpora;

@@ -224,3 +224,66 @@ fn a_camera_that_runs_by_itself_is_refused() {
     assert!(text.contains("h0_up") && text.contains("TriggerMode"), "{text}");
     assert!(!dir.path().join("sessions/free").exists(), "no trigger, no file");
 }
+
+fn signal(node: &NodeProcess, signal: libc::c_int) {
+    let pid = libc::pid_t::try_from(node.pid()).expect("a process id");
+    // SAFETY: the process is a child that has not been waited for: the id is its own.
+    assert_eq!(unsafe { libc::kill(pid, signal) }, 0);
+}
+
+#[test]
+fn a_node_that_stood_still_gives_up_whole_frame_sets() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 194, 50.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "paused");
+    wait_triggers(&mut nodes[0], 20);
+    signal(&nodes[0], libc::SIGSTOP);
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    signal(&nodes[0], libc::SIGCONT);
+    wait_triggers(&mut nodes[0], 40);
+    let output = stop(capture);
+    let session = dir.path().join("sessions/paused");
+    let gaps = check_frames(&session);
+    for camera in 1..4 {
+        assert_eq!(gaps[camera], gaps[0], "sets are given up whole: {}", text_of(&output));
+    }
+    assert!(gaps[0].iter().all(|(_, cause)| *cause == GapCause::NodePaused), "{:?}", gaps[0]);
+    assert!(gaps[4..].iter().all(Vec::is_empty), "the other node ran: {gaps:?}");
+    assert!(events(&session, "node_paused") >= 1);
+    let expected = if gaps[0].is_empty() { 0 } else { 3 };
+    assert_eq!(output.status.code(), Some(expected), "{}", text_of(&output));
+}
+
+#[test]
+fn what_a_stalled_node_had_written_is_told() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 195, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "stalled");
+    wait_triggers(&mut nodes[1], 10);
+    signal(&nodes[1], libc::SIGSTOP);
+    let output = capture.wait_with_output().expect("it gives the node up");
+    signal(&nodes[1], libc::SIGCONT);
+    let text = text_of(&output);
+    assert!(!text.contains("nothing recorded"), "{text}");
+    assert!(text.contains("when last heard of") && text.contains("fourdbody recover"), "{text}");
+}
+
+#[test]
+fn a_limit_on_file_sizes_is_not_a_full_disk() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 196, 20.0);
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "limited");
+    wait_triggers(&mut nodes[0], 5);
+    let limit = libc::rlimit { rlim_cur: 256 << 10, rlim_max: 256 << 10 };
+    let pid = libc::pid_t::try_from(nodes[0].pid()).expect("a process id");
+    // SAFETY: `limit` lives for the duration of the call, and nothing is asked back.
+    let code = unsafe { libc::prlimit(pid, libc::RLIMIT_FSIZE, &limit, std::ptr::null_mut()) };
+    assert_eq!(code, 0);
+    let output = capture.wait_with_output().expect("it ends by itself");
+    let text = format!("{}{}", text_of(&output), nodes[0].log());
+    assert!(text.contains("a file may not grow") && text.contains("LimitFSIZE"), "{text}");
+    assert_eq!(output.status.code(), Some(3), "{text}");
+}

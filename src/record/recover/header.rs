@@ -63,7 +63,7 @@ pub fn rebuilt(path: &Path, scans: &[SegmentScan]) -> Option<RecordingHeader> {
     let node = NodeId(safe(node).unwrap_or_else(|| "unknown".to_owned()));
     let rig_text = entry(KEY_RIG).unwrap_or_default();
     let cameras = cameras_from_frames(&rig_text, scans)?;
-    let rows: Vec<_> = scans.iter().flat_map(|scan| &scan.triggers).collect();
+    let rows: Vec<_> = scans.iter().flat_map(|scan| &scan.triggers).map(|row| &row.record).collect();
     let header = RecordingHeader {
         session: SessionName(safe(session).unwrap_or_else(|| "unknown".to_owned())),
         session_id: entry("session_id").unwrap_or_default(),
@@ -107,7 +107,7 @@ fn rate(rig_text: &str, scans: &[SegmentScan]) -> f64 {
     if let Ok(rig) = parse_rig(rig_text) {
         return rig.trigger_rate_hz;
     }
-    let rows = || scans.iter().flat_map(|scan| &scan.triggers);
+    let rows = || scans.iter().flat_map(|scan| &scan.triggers).map(|row| &row.record);
     let (Some(first), Some(last)) = (rows().min_by_key(|row| row.index), rows().max_by_key(|row| row.index))
     else {
         return 0.0;

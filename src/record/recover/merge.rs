@@ -1,18 +1,19 @@
 //! One recording's segments together: which header to believe, one outcome for each camera and trigger, and how
 //! the session ended.
 
-use super::salvage::{SegmentScan, scan};
+use super::salvage::{Labelled, SegmentScan, scan};
 use super::{Damage, RecoverError, header};
 use crate::ids::TriggerIndex;
+use crate::record::belonging::{Belonging, SessionMark};
 use crate::record::layout::{
-    ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, segment_name,
+    ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION, segment_name,
 };
 use crate::record::metadata::foreign_reason;
 use crate::record::reader::Outcome;
 use crate::record::segment_file::SegmentFile;
 use crate::record::session::RecordingFiles;
 use crate::record::statistics::WriteStatistics;
-use crate::record::verdict::Verdict;
+use crate::record::verdict::{TriggerSet, Verdict};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -27,6 +28,12 @@ pub struct Salvage {
     pub rebuilt: bool,
     /// Whether a checksum proves the header.
     pub proven: bool,
+    /// What its records have to say about their session.
+    pub belonging: Belonging,
+    /// Numbers of the small records that are there.
+    numbers: TriggerSet,
+    /// How many there were in all, if that is known.
+    records: u64,
     /// The segments, in order; `None` where one cannot be opened.
     pub files: Vec<Option<SegmentFile>>,
     /// Per camera of the header.
@@ -83,6 +90,7 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
     let (header, proven) = stated
         .or_else(|| header::rebuilt(&files.path, &scans).map(|header| (header, false)))
         .ok_or_else(|| unusable("no segment has a readable header or a whole frame".to_owned()))?;
+    let (header, belonging) = belonging(header, proven, &scans);
     let single = files.path.is_file();
     let mut salvage = Salvage {
         path: files.path.clone(),
@@ -91,6 +99,9 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         header,
         rebuilt,
         proven,
+        belonging,
+        numbers: TriggerSet::default(),
+        records: 0,
         triggers: BTreeMap::new(),
         clock_samples: Vec::new(),
         events: Vec::new(),
@@ -113,10 +124,12 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         let foreign = scan.header.as_ref().filter(|stated| stated.is_foreign(&salvage.header));
         match foreign.map(|stated| foreign_reason(&stated.header)) {
             Some(reason) => salvage.note(numbers[place], reason),
-            None => salvage.take(place, scan),
+            None => salvage.take(place, numbers[place], scan),
         }
     }
     salvage.note_cut_segments(&numbers, &closed);
+    salvage.note_missing_records();
+    salvage.leave_out_the_incredible();
     Ok(salvage)
 }
 
@@ -148,7 +161,95 @@ impl Salvage {
         }
     }
 
-    fn take(&mut self, place: usize, scan: SegmentScan) {
+    /// Small records have numbers: those that are not there were lost, even where nothing else tells. A single segment
+    /// has only some of them.
+    fn note_missing_records(&mut self) {
+        let end = self.records.max(self.numbers.end()).min(MAX_TRIGGERS);
+        let absent: u64 = self.numbers.absent(end).iter().map(|range| range.end - range.start).sum();
+        if absent > 0 && !self.path.is_file() {
+            // Those that are there without a checksum are among them.
+            self.records_lost = self.records_lost.max(absent);
+        }
+    }
+
+    /// Gap records that are credible for as many bytes: what is missing left its bytes behind, or its records in a segment
+    /// of which the others tell. So what is written stays within what was read, and a number that is wrong costs nothing.
+    pub fn most_gaps(bytes: u64) -> u64 {
+        const FLOOR: u64 = 1 << 16;
+        const BYTES_EACH: u64 = 64;
+        FLOOR + bytes / BYTES_EACH
+    }
+
+    /// Leaves out what lies so far behind everything else that the gap records between would exceed [`Self::most_gaps`].
+    fn leave_out_the_incredible(&mut self) {
+        let cameras = self.outcomes.len() as u64;
+        let most = Self::most_gaps(self.bytes());
+        let mut there: BTreeMap<u64, u64> = BTreeMap::new();
+        for trigger in self.outcomes.iter().flat_map(BTreeMap::keys) {
+            *there.entry(*trigger).or_default() += 1;
+        }
+        let others = self.damaged.iter().flatten().chain(self.triggers.keys());
+        for trigger in others {
+            there.entry(*trigger).or_default();
+        }
+        let stated = self.verdict.as_ref().map_or(0, |verdict| verdict.triggers);
+        if let Some(last) = stated.checked_sub(1) {
+            there.entry(last).or_default();
+        }
+        let (mut known, mut end) = (0, 0);
+        for (trigger, outcomes) in &there {
+            known += outcomes;
+            if (trigger + 1) * cameras - known > most {
+                break;
+            }
+            end = trigger + 1;
+        }
+        let Some((&last, _)) = there.last_key_value().filter(|(last, _)| **last >= end) else { return };
+        let reason = format!(
+            "records of triggers {end} to {last} are left out: so many are not in a recording of {} bytes",
+            self.bytes()
+        );
+        self.note(0, reason);
+        self.outcomes.iter_mut().for_each(|outcomes| drop(outcomes.split_off(&end)));
+        self.damaged.iter_mut().for_each(|damaged| drop(damaged.split_off(&end)));
+        drop(self.triggers.split_off(&end));
+        self.verdict = self.verdict.take().filter(|verdict| verdict.triggers <= end);
+    }
+
+    /// The records that are of this session; the others are counted.
+    fn own<T>(&mut self, records: Vec<Labelled<T>>, foreign: &mut u64) -> Vec<T> {
+        let mut own = Vec::with_capacity(records.len());
+        for Labelled { label, record } in records {
+            if !self.belonging.admits(label.session) {
+                *foreign += 1;
+                continue;
+            }
+            if let Some(number) = label.number {
+                self.numbers.insert(number);
+            }
+            own.push(record);
+        }
+        own
+    }
+
+    fn take(&mut self, place: usize, number: u32, mut scan: SegmentScan) {
+        let belonging = self.belonging;
+        let before = scan.frames.len();
+        scan.frames.retain(|frame| belonging.admits(frame.session));
+        scan.damaged_frames.retain(|(_, _, session)| belonging.admits(*session));
+        let (frames, mut records) = (before - scan.frames.len(), 0);
+        let gaps = self.own(scan.gaps, &mut records);
+        let triggers = self.own(scan.triggers, &mut records);
+        let clock_samples = self.own(scan.clock_samples, &mut records);
+        let events = self.own(scan.events, &mut records);
+        let verdict = self.own(scan.verdict.into_iter().collect(), &mut records).pop();
+        let statistics = self.own(scan.statistics.into_iter().collect(), &mut records).pop();
+        if frames > 0 || records > 0 {
+            let reason = format!(
+                "{frames} frames and {records} other records are of another session, which the disk still held: they are left out"
+            );
+            self.note(number, reason);
+        }
         self.damage.extend(scan.damage);
         self.records_lost += scan.records_lost;
         let camera_of: Vec<Option<usize>> = scan
@@ -171,28 +272,29 @@ impl Salvage {
                 *known = outcome;
             }
         }
-        for (camera, trigger) in scan.damaged_frames {
+        for (camera, trigger, _) in scan.damaged_frames {
             if let Some(camera) = camera_of[camera].filter(|_| trigger < MAX_TRIGGERS) {
                 self.damaged[camera].insert(trigger);
             }
         }
-        for gap in scan.gaps {
+        for gap in gaps {
             let camera = self.header.cameras.iter().position(|camera| camera.id == gap.camera);
             if let Some(camera) = camera.filter(|_| gap.trigger.0 < MAX_TRIGGERS) {
                 self.outcomes[camera].entry(gap.trigger.0).or_insert(Outcome::Gap(gap.cause));
             }
         }
-        for row in scan.triggers.into_iter().filter(|row| row.index.0 < MAX_TRIGGERS) {
+        for row in triggers.into_iter().filter(|row| row.index.0 < MAX_TRIGGERS) {
             self.triggers.entry(row.index.0).or_insert(row);
         }
-        self.clock_samples.extend(scan.clock_samples);
-        self.events.extend(scan.events);
+        self.clock_samples.extend(clock_samples);
+        self.events.extend(events);
         if let Some(verdict) =
-            scan.verdict.filter(|verdict| scan.proven || scan.verdict_proven || self.agrees(verdict))
+            verdict.filter(|verdict| scan.proven || scan.verdict_proven || self.agrees(verdict))
         {
+            self.records = scan.records.unwrap_or(0);
             self.verdict = Some(verdict);
         }
-        self.statistics = scan.statistics.or(self.statistics);
+        self.statistics = statistics.or(self.statistics);
     }
 
     /// Whether a verdict that no checksum proves agrees with itself and with the header.
@@ -268,4 +370,26 @@ impl Salvage {
         let file = self.files.get(segment).and_then(Option::as_ref);
         file.is_some_and(|file| file.read(offset, message).is_ok())
     }
+}
+
+/// What the records have to say about their session. An id that no checksum proves is held against the marks of the frames:
+/// where most contradict it, it is the id that is damaged, and the records stay without one.
+fn belonging(
+    mut header: RecordingHeader,
+    proven: bool,
+    scans: &[SegmentScan],
+) -> (RecordingHeader, Belonging) {
+    let own = scans.iter().filter_map(|scan| scan.header.as_ref()).filter(|one| !one.is_foreign(&header));
+    let mut marks: BTreeMap<Option<SessionMark>, u64> = BTreeMap::new();
+    for frame in scans.iter().flat_map(|scan| &scan.frames) {
+        *marks.entry(frame.session).or_default() += 1;
+    }
+    let most = marks.into_iter().max_by_key(|(_, count)| *count).and_then(|(mark, _)| mark);
+    let version = own.map(|one| one.version).max().unwrap_or(if most.is_some() { VERSION } else { 1 });
+    let mut belonging = Belonging::of(&header, version);
+    if !proven && most.is_some() && belonging.own != most {
+        header.session_id.clear();
+        belonging.own = most;
+    }
+    (header, belonging)
 }

@@ -24,7 +24,13 @@ pub fn write(
 ) -> WriteResult<RecoveredRecording> {
     let options =
         WriterOptions { reserve_bytes: RESERVE_BYTES, preallocate: false, ..WriterOptions::default() };
-    let mut recording = Recording::create_for(dir, source.header.clone(), options, source.frame_bytes())?;
+    let mut recording = Recording::create_for(
+        dir,
+        source.header.clone(),
+        options,
+        source.frame_bytes(),
+        source.belonging.version,
+    )?;
     recording.state_statistics(source.statistics);
     let mut copy = Copy {
         source,
@@ -83,7 +89,7 @@ impl Copy<'_> {
     ) -> WriteResult<()> {
         let (segment, offset, length) = place;
         let there = self.source.read(segment, offset, length, &mut self.message);
-        match check_frame(&self.message, camera, trigger, &self.source.header) {
+        match check_frame(&self.message, camera, trigger, &self.source.header, &self.source.belonging) {
             Ok((meta, _)) if there => self.recording.frame(camera, &meta, &self.message)?,
             _ => self.add_gap(camera, trigger, GapCause::Damaged)?,
         }

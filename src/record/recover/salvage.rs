@@ -5,13 +5,16 @@
 //! small records are known by their fields: what the container says around them may be what is damaged.
 
 use super::Damage;
+use crate::record::belonging::{Label, SessionMark};
 use crate::record::envelope::{Envelope, FRONT, parse_envelope, parse_envelope_of, pixels_crc};
 use crate::record::layout::{
-    ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, NodeEvent,
-    SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
+    ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, KEY_RECORDS,
+    NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
 };
 use crate::record::metadata::{StatedHeader, is_sound, parse_header, parse_index};
-use crate::record::scan::{End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, find, is_json};
+use crate::record::scan::{
+    End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json,
+};
 use crate::record::segment_file::SegmentFile;
 use crate::record::statistics::WriteStatistics;
 use crate::record::verdict::Verdict;
@@ -22,12 +25,22 @@ use std::ops::Range;
 /// Damaged places beyond this many are counted as the last one.
 const MAX_DAMAGE: usize = 1000;
 
+/// A record with what it says of its session and its number.
+pub struct Labelled<T> {
+    /// What it says.
+    pub label: Label,
+    /// The record.
+    pub record: T,
+}
+
 /// A frame whose envelope and pixels are whole.
 pub struct FoundFrame {
     /// Its camera, as a place in [`SegmentScan::cameras`].
     pub camera: usize,
     /// Its trigger.
     pub trigger: u64,
+    /// Its session.
+    pub session: Option<SessionMark>,
     /// Where its message is in the file.
     pub message: Range<usize>,
 }
@@ -52,21 +65,23 @@ pub struct SegmentScan {
     /// In the order of the file.
     pub frames: Vec<FoundFrame>,
     /// Camera and trigger of frames whose envelope is whole and whose pixels are not.
-    pub damaged_frames: Vec<(usize, u64)>,
+    pub damaged_frames: Vec<(usize, u64, Option<SessionMark>)>,
     /// In the order of the file; then those that only the index has.
-    pub gaps: Vec<GapRecord>,
+    pub gaps: Vec<Labelled<GapRecord>>,
     /// In the order of the file.
-    pub triggers: Vec<TriggerRecord>,
+    pub triggers: Vec<Labelled<TriggerRecord>>,
     /// In the order of the file.
-    pub clock_samples: Vec<ClockSample>,
+    pub clock_samples: Vec<Labelled<ClockSample>>,
     /// In the order of the file.
-    pub events: Vec<NodeEvent>,
+    pub events: Vec<Labelled<NodeEvent>>,
     /// As stored.
-    pub verdict: Option<Verdict>,
+    pub verdict: Option<Labelled<Verdict>>,
+    /// Small records of the recording, as the verdict's metadata states them.
+    pub records: Option<u64>,
     /// Whether the verdict's own checksum is right.
     pub verdict_proven: bool,
     /// As stored, if its own checksum is right.
-    pub statistics: Option<WriteStatistics>,
+    pub statistics: Option<Labelled<WriteStatistics>>,
     /// In the order of the file.
     pub damage: Vec<Damage>,
     /// Small records that were there, but under no checksum that is right.
@@ -96,6 +111,7 @@ pub fn scan(number: u32, file: &SegmentFile, advance: &dyn Fn(u64)) -> SegmentSc
         checked: false,
         data: Hasher::new(),
         hashed: 0,
+        budget: budget(file.len()),
     };
     scanner.run();
     (scanner.advance)((file.len() - scanner.reported) as u64);
@@ -126,6 +142,8 @@ struct Scanner<'a> {
     /// Of the data section so far.
     data: Hasher,
     hashed: usize,
+    /// Bytes that may still be looked at, see [`budget`].
+    budget: usize,
 }
 
 impl<'a> Scanner<'a> {
@@ -133,7 +151,12 @@ impl<'a> Scanner<'a> {
         let mut walker = Walker::new(self.file);
         while let Some(stop) = self.walk(&mut walker) {
             self.report(stop.at);
-            let next = find(self.file, stop.at + 1);
+            let next = find(self.file, stop.at + 1, &mut self.budget);
+            if self.budget == 0 {
+                let reason = "its records overlap, over and over: nothing from here on is looked for";
+                self.damage(stop.at..self.file.len(), reason.to_owned());
+                break;
+            }
             let end = next.as_ref().map_or(self.file.len(), Found::start);
             match (stop.reason, &next) {
                 (Some(reason), _) => self.damage(stop.at..end, reason),
@@ -217,6 +240,7 @@ impl<'a> Scanner<'a> {
         if !whole || self.hashed > records.start {
             return;
         }
+        self.look_at(2 * records.len());
         // Zeros stand where nothing can be read: the checksum tells, as of any damage.
         self.file.pass(self.hashed..records.start, |bytes| self.data.update(bytes));
         let mut of_chunk = Hasher::new();
@@ -260,17 +284,24 @@ impl<'a> Scanner<'a> {
     }
 
     fn message(&mut self, data: Range<usize>) -> Result<(), String> {
+        self.look_at(data.len());
+        if self.budget == 0 {
+            return Err("there is more in its records than in the file".to_owned());
+        }
         let payload = self.payload(&data);
         if payload.first() != Some(&b'{') {
             return self.frame_of(data, &payload);
         }
         let trusted = self.trusted && self.chunk.contains(&data.start);
+        let label = Label::of(&payload);
         match serde_json::from_slice(&payload) {
             Ok(_) if !trusted => self.found.records_lost += 1,
-            Ok(SmallRecord::Gap(gap)) => self.found.gaps.push(gap),
-            Ok(SmallRecord::Trigger(row)) => self.found.triggers.push(row),
-            Ok(SmallRecord::Clock(sample)) => self.found.clock_samples.push(sample),
-            Ok(SmallRecord::Event(event)) => self.found.events.push(event),
+            Ok(SmallRecord::Gap(gap)) => self.found.gaps.push(Labelled { label, record: gap }),
+            Ok(SmallRecord::Trigger(row)) => self.found.triggers.push(Labelled { label, record: row }),
+            Ok(SmallRecord::Clock(sample)) => {
+                self.found.clock_samples.push(Labelled { label, record: sample })
+            }
+            Ok(SmallRecord::Event(event)) => self.found.events.push(Labelled { label, record: event }),
             // The index, and records of later versions.
             Err(_) if trusted => {}
             // Its length may be what is damaged.
@@ -278,6 +309,10 @@ impl<'a> Scanner<'a> {
             Err(_) => {}
         }
         Ok(())
+    }
+
+    fn look_at(&mut self, bytes: usize) {
+        self.budget = self.budget.saturating_sub(bytes);
     }
 
     /// A message's bytes, with zeros where nothing can be read: no checksum takes them for what was there.
@@ -295,13 +330,14 @@ impl<'a> Scanner<'a> {
     fn frame_of(&mut self, data: Range<usize>, payload: &[u8]) -> Result<(), String> {
         let envelope = parse_envelope(payload).map_err(|e| e.to_string())?;
         let camera = self.camera(&envelope);
-        let (trigger, stated) = (envelope.meta.trigger.0, envelope.meta.pixels_crc);
+        let (trigger, session) = (envelope.meta.trigger.0, envelope.session);
+        let stated = envelope.meta.pixels_crc;
         let found = pixels_crc(&payload[envelope.pixels]);
         if found == stated {
-            self.found.frames.push(FoundFrame { camera, trigger, message: data });
+            self.found.frames.push(FoundFrame { camera, trigger, session, message: data });
             return Ok(());
         }
-        self.found.damaged_frames.push((camera, trigger));
+        self.found.damaged_frames.push((camera, trigger, session));
         let name = &self.found.cameras[camera].0;
         let reason = format!(
             "frame of camera {name} trigger {trigger}: checksum of the pixels is {found:#010x}, expected {stated:#010x}"
@@ -326,6 +362,7 @@ impl<'a> Scanner<'a> {
 
     fn metadata(&mut self, name: &str, entries: &Entries) {
         let number = |key| entries.get(key).and_then(|text: &String| text.parse::<u64>().ok());
+        let label = Label::of_entries(entries);
         match name {
             HEADER_METADATA => {
                 self.found.first_trigger = number(KEY_FIRST_TRIGGER);
@@ -348,12 +385,14 @@ impl<'a> Scanner<'a> {
             }
             VERDICT_METADATA => {
                 let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
-                self.found.verdict = serde_json::from_str(json).ok();
+                self.found.verdict = serde_json::from_str(json).ok().map(|record| Labelled { label, record });
+                self.found.records = number(KEY_RECORDS);
                 self.found.verdict_proven = is_sound(entries) == Some(true);
             }
             STATISTICS_METADATA if is_sound(entries) == Some(true) => {
                 let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
-                self.found.statistics = serde_json::from_str(json).ok();
+                self.found.statistics =
+                    serde_json::from_str(json).ok().map(|record| Labelled { label, record });
             }
             _ => {}
         }
@@ -380,8 +419,9 @@ impl<'a> Scanner<'a> {
             }
         }
         let known: std::collections::BTreeSet<_> =
-            self.found.gaps.iter().map(|gap| (gap.camera.clone(), gap.trigger)).collect();
+            self.found.gaps.iter().map(|gap| (gap.record.camera.clone(), gap.record.trigger)).collect();
         let more = index.gaps.into_iter().filter(|gap| !known.contains(&(gap.camera.clone(), gap.trigger)));
-        self.found.gaps.extend(more);
+        let label = Label::of_entries(entries);
+        self.found.gaps.extend(more.map(|record| Labelled { label, record }));
     }
 }

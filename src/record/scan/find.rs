@@ -13,6 +13,21 @@ const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 8;
 /// Looked through at once, bytes.
 const PIECE: usize = 64 << 10;
 
+/// What the bytes of a file may be looked at in all: so many times its length, and a floor for short ones. A file that is not
+/// made to cost time needs four: chunk, pixels, and both once more where something is damaged.
+pub fn budget(length: usize) -> usize {
+    const LOOKS: usize = 8;
+    const FLOOR: usize = 16 << 20;
+    length.saturating_mul(LOOKS).saturating_add(FLOOR)
+}
+
+/// Takes what a look costs off the budget; `None`, and nothing is left, where it is not enough.
+fn spend(budget: &mut usize, bytes: usize) -> Option<()> {
+    let left = budget.checked_sub(bytes);
+    *budget = left.unwrap_or(0);
+    left.map(|_| ())
+}
+
 /// What is usable behind damage.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Found {
@@ -34,8 +49,9 @@ impl Found {
 
 /// The next place from `from` on where something of ours is without doubt: a chunk whose three lengths agree, a
 /// metadata record with one of our names, a message of JSON or with an envelope whose checksum is right, or a frame
-/// both of whose checksums are right, whatever is around it.
-pub fn find(file: &SegmentFile, from: usize) -> Option<Found> {
+/// both of whose checksums are right, whatever is around it. Bytes of candidates are taken off `budget`; what exceeds it is
+/// no candidate.
+pub fn find(file: &SegmentFile, from: usize, budget: &mut usize) -> Option<Found> {
     // Candidates are looked at through a piece of their own.
     let (mut passed, mut candidates) = (Pieces::new(file), Pieces::new(file));
     let mut at = from;
@@ -51,8 +67,8 @@ pub fn find(file: &SegmentFile, from: usize) -> Option<Found> {
         let bytes = passed.get(at..end).ok()?.iter().zip(at..);
         let begins = |byte: u8| matches!(byte, op::MESSAGE | op::CHUNK | op::METADATA | b'\n');
         let found = bytes.filter(|(byte, _)| begins(**byte)).find_map(|(byte, at)| match *byte {
-            b'\n' => frame(&mut candidates, at).map(Found::Frame),
-            _ => is_record(&mut candidates, at)?.then_some(Found::Record(at)),
+            b'\n' => frame(&mut candidates, at, budget).map(Found::Frame),
+            _ => is_record(&mut candidates, at, budget)?.then_some(Found::Record(at)),
         });
         if found.is_some() {
             return found;
@@ -62,7 +78,7 @@ pub fn find(file: &SegmentFile, from: usize) -> Option<Found> {
     None
 }
 
-fn is_record(pieces: &mut Pieces<'_>, at: usize) -> Option<bool> {
+fn is_record(pieces: &mut Pieces<'_>, at: usize, budget: &mut usize) -> Option<bool> {
     let (opcode, length) = preamble(pieces.get(at..at + PREAMBLE).ok()?)?;
     Some(match opcode {
         // It may reach beyond the end of a file that was cut.
@@ -82,19 +98,20 @@ fn is_record(pieces: &mut Pieces<'_>, at: usize) -> Option<bool> {
         }
         op::MESSAGE => {
             let (_, body) = record_at(pieces, at)?;
-            is_payload(pieces, body.start.checked_add(MESSAGE_HEADER - PREAMBLE)?..body.end)?
+            is_payload(pieces, body.start.checked_add(MESSAGE_HEADER - PREAMBLE)?..body.end, budget)?
         }
         _ => false,
     })
 }
 
 /// Whether this is, without doubt, the payload of a message of ours.
-fn is_payload(pieces: &mut Pieces<'_>, payload: Range<usize>) -> Option<bool> {
+fn is_payload(pieces: &mut Pieces<'_>, payload: Range<usize>, budget: &mut usize) -> Option<bool> {
     if payload.is_empty() || payload.len() > MAX_MESSAGE {
         return Some(false);
     }
     let front = pieces.get(payload.start..payload.end.min(payload.start + FRONT)).ok()?;
     if front.first() == Some(&b'{') {
+        spend(budget, payload.len())?;
         return Some(is_json(pieces.get(payload).ok()?));
     }
     let (_, length) = parse_envelope_of(front).ok()?;
@@ -109,7 +126,7 @@ pub fn is_json(payload: &[u8]) -> bool {
 }
 
 /// The message of a whole frame that begins here, found by its own bytes alone.
-fn frame(pieces: &mut Pieces<'_>, at: usize) -> Option<Range<usize>> {
+fn frame(pieces: &mut Pieces<'_>, at: usize, budget: &mut usize) -> Option<Range<usize>> {
     let file = pieces.file();
     let few = pieces.get(at..file.len().min(at + 32)).ok()?;
     if !begins_like_envelope(few) {
@@ -124,6 +141,7 @@ fn frame(pieces: &mut Pieces<'_>, at: usize) -> Option<Range<usize>> {
     let (envelope, length) = parse_envelope_of(front).ok()?;
     let (pixels, stated) = (envelope.pixels, envelope.meta.pixels_crc);
     let end = at.checked_add(length).filter(|end| length <= MAX_MESSAGE && *end <= file.len())?;
+    spend(budget, length)?;
     let whole = file.checksum(at + pixels.start..end)?.finalize() == stated;
     whole.then_some(at..end)
 }

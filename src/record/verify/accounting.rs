@@ -2,7 +2,7 @@
 
 use super::{Notes, Severity};
 use crate::ids::TriggerIndex;
-use crate::record::layout::GapCause;
+use crate::record::layout::{GapCause, MAX_TRIGGERS};
 use crate::record::reader::{Outcome, RecordingReader};
 use crate::record::verdict::{Noted, REFUSED, Status, UNCONFIRMED, Verdict};
 
@@ -45,6 +45,20 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
             notes.add(Severity::Corrupt, None, None, None, message);
         }
         Some(_) => {}
+    }
+    if !recording.belonging.is_witnessed() {
+        let message = "its records do not say which session they are of, as those of earlier versions: that none of \
+                       another session is among them rests on the headers alone";
+        notes.add(Severity::Note, None, None, None, message);
+    }
+    for range in recording.numbers.absent(recording.numbered().min(MAX_TRIGGERS)) {
+        let message = format!(
+            "{} small records are missing (rows of the trigger table, gap records, samples or events), numbers {} to {}",
+            range.end - range.start,
+            range.start,
+            range.end - 1
+        );
+        notes.add(Severity::Corrupt, None, None, None, message);
     }
     if verdict.status == Status::Aborted || verdict.triggers_expected.is_some_and(|n| n != verdict.triggers) {
         let first_line = verdict.to_string().lines().next().unwrap_or_default().to_owned();

@@ -73,7 +73,13 @@ fn check_segment(
                         let trigger = u64::from(sequence);
                         index.frames.push((*camera as u32, trigger, data.start as u64, data.len() as u64));
                         let checked = read.clone().and_then(|()| {
-                            check_frame(&payload, *camera, TriggerIndex(trigger), &recording.header)
+                            check_frame(
+                                &payload,
+                                *camera,
+                                TriggerIndex(trigger),
+                                &recording.header,
+                                &recording.belonging,
+                            )
                         });
                         note_frame(recording, segment, *camera, trigger, checked.as_ref().err(), notes);
                         if let Ok((meta, pixels)) = checked {

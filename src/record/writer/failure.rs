@@ -42,7 +42,7 @@ impl Recording {
         let event = NodeEvent::segment_given_up(entry.segment.number(), self.time_ns);
         self.lose(entry.abandon());
         let (channel, sequence, time_ns) = (JsonChannel::Events, self.newest().0, self.time_ns);
-        let written = serde_json::to_vec(&event).ok();
+        let written = self.small(&event).ok();
         self.unwritten.extend(written.map(|bytes| Unwritten::Json { channel, sequence, time_ns, bytes }));
     }
 
@@ -90,7 +90,7 @@ impl Recording {
         tally.forget_frame(trigger);
         tally.gap(trigger, GapCause::DroppedDisk);
         let gap = GapRecord { camera: self.camera_id(camera)?, trigger, cause: GapCause::DroppedDisk };
-        let bytes = serde_json::to_vec(&gap).ok()?;
+        let bytes = self.small(&gap).ok()?;
         let (channel, time_ns) = (JsonChannel::Gaps, self.time_ns);
         Some(Unwritten::Json { channel, sequence: trigger.0, time_ns, bytes })
     }

@@ -1,6 +1,6 @@
 //! The writer against disks that fail and frames that come in any order.
 
-use super::{OpenStore, Recording, Store, WriterOptions};
+use super::{OpenStore, Recording, Store, VERSION, WriterOptions};
 use crate::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::record::envelope::pixels_crc;
 use crate::record::{
@@ -53,7 +53,7 @@ impl Recording {
         open_store: OpenStore,
     ) -> Result<Self, RecordError> {
         let bytes = header.expected_bytes().unwrap_or(0);
-        Self::create_sized(dir, header, options, bytes, open_store)
+        Self::create_sized(dir, header, options, bytes, VERSION, open_store)
     }
 }
 
