@@ -1,6 +1,9 @@
-//! Identifiers that must not be mixed up, and nothing else.
+//! Identifiers that must not be mixed up, and what names and texts may hold: the one place for these rules.
+//!
+//! Names become names of files and topics, words of commands and lines on a terminal, whoever made them up. So what a
+//! name may not be is refused wherever one is read: a configuration, a request, a recording, a calibration.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 
 /// 0-based index of a trigger within one session, counted by the HSU: the only time base both nodes share.
@@ -16,9 +19,17 @@ pub struct BlockId(pub u64);
 macro_rules! name_type {
     ($(#[$doc:meta])* $name:ident) => {
         $(#[$doc])*
-        #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
         #[serde(transparent)]
         pub struct $name(pub String);
+
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+                let text = String::deserialize(from)?;
+                check_name(&text).map_err(serde::de::Error::custom)?;
+                Ok(Self(text))
+            }
+        }
 
         impl $name {
             /// The name as text.
@@ -41,6 +52,58 @@ macro_rules! name_type {
     };
 }
 
+/// Characters of a name at most.
+pub const NAME_MAX: usize = 64;
+/// Characters of a subject or a note at most.
+pub const TEXT_MAX: usize = 4000;
+
+/// Whether a name may be read: letters, digits, `.`, `_`, `-` and spaces, 1 to 64, and none of the last four first.
+///
+/// # Errors
+/// What it may not be.
+pub fn check_name(text: &str) -> Result<(), String> {
+    let allowed = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-' | ' ');
+    let first = |c: char| c.is_alphanumeric() || c == '_';
+    let count = text.chars().count();
+    if !(1..=NAME_MAX).contains(&count) || !text.starts_with(first) || !text.chars().all(allowed) {
+        let shown: String = text.chars().take(NAME_MAX).collect();
+        return Err(format!(
+            "the name {shown:?} has {count} characters; expected 1 to {NAME_MAX} letters, digits, '.', '_' and '-', \
+             a letter, a digit or '_' first"
+        ));
+    }
+    Ok(())
+}
+
+/// Whether a subject or a note may be taken: anything that can be printed on one line.
+///
+/// # Errors
+/// What it may not be.
+pub fn check_text(what: &str, text: &str) -> Result<(), String> {
+    let count = text.chars().count();
+    if count > TEXT_MAX {
+        return Err(format!("{what}: found {count} characters, expected at most {TEXT_MAX}"));
+    }
+    match text.chars().find(|c| is_control(*c)) {
+        Some(found) => {
+            Err(format!("{what}: found the control character {found:?}, expected one line of text"))
+        }
+        None => Ok(()),
+    }
+}
+
+/// A text as it may be shown: each control character is replaced.
+pub fn printable(text: &str) -> String {
+    text.chars().map(|c| if is_control(c) { char::REPLACEMENT_CHARACTER } else { c }).collect()
+}
+
+/// What moves a cursor, colours a terminal, ends a line, or turns the direction of writing.
+fn is_control(c: char) -> bool {
+    let turns =
+        matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{200e}' | '\u{200f}' | '\u{61c}');
+    c.is_control() || turns
+}
+
 name_type! {
     /// A camera's name in the rig, for instance `h0_up`.
     CameraId
@@ -54,7 +117,7 @@ name_type! {
     NodeId
 }
 name_type! {
-    /// A session's name: also its directory, so `[A-Za-z0-9._-]`, 1 to 64 characters, no leading dot.
+    /// A session's name: also its directory, so `[A-Za-z0-9._-]`, 1 to 64 characters, no leading dot or dash.
     SessionName
 }
 
@@ -65,9 +128,9 @@ impl SessionName {
         if text.is_empty() || text.len() > 64 {
             return Err(format!("session name has {} characters, expected 1 to 64", text.len()));
         }
-        if text.starts_with('.') || !text.chars().all(allowed) {
+        if text.starts_with(['.', '-']) || !text.chars().all(allowed) {
             return Err(format!(
-                "session name {text:?} may hold only letters, digits, '.', '_' and '-', and may not start with '.'"
+                "session name {text:?} may hold only letters, digits, '.', '_' and '-', and may not start with '.' or '-'"
             ));
         }
         Ok(Self(text.to_owned()))
@@ -88,11 +151,50 @@ impl fmt::Display for BlockId {
 
 #[cfg(test)]
 mod tests {
-    use super::SessionName;
+    use super::{CameraId, SessionName, check_name, check_text, printable};
+    use proptest::prelude::{prop_assert, proptest};
+
+    #[test]
+    fn names_lead_nowhere_and_print_as_they_are() {
+        for good in ["h0_up", "_a", "Kamera 1", "obere-Kamera.2", "тест"] {
+            assert_eq!(check_name(good), Ok(()));
+        }
+        let long = "x".repeat(65);
+        for bad in [
+            "",
+            "../x",
+            "/x",
+            "a/b",
+            "a\\b",
+            "-rf",
+            ".",
+            " a",
+            "a\nb",
+            "a\u{1b}[2J",
+            "a\u{202e}b",
+            "a\"b",
+            "a$b",
+            &long,
+        ] {
+            assert!(check_name(bad).is_err(), "{bad:?}");
+            let json = serde_json::to_string(bad).expect("JSON");
+            let refused = serde_json::from_str::<CameraId>(&json).expect_err("refused").to_string();
+            assert!(!refused.contains(['\n', '\u{1b}', '\u{202e}']), "{refused:?}");
+        }
+        assert!(check_text("note", "arm up, 2 kg (left)").is_ok());
+        assert!(check_text("note", "a\u{1b}[31m").is_err() && check_text("note", &"x".repeat(5000)).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_shown_is_one_line(text in "\\PC*[\\x00-\\x1f\\x7f]{0,3}\\PC*") {
+            prop_assert!(check_text("note", &printable(&text)).is_ok() || text.chars().count() > super::TEXT_MAX);
+        }
+    }
 
     #[test]
     fn session_names_cannot_leave_their_directory() {
-        for bad in ["", "..", ".hidden", "a/b", "a\\b", "a b", "ä", &"x".repeat(65)] {
+        for bad in ["", "..", ".hidden", "a/b", "a\\b", "a b", "ä", "-rf", &"x".repeat(65)] {
             assert!(SessionName::parse(bad).is_err(), "{bad:?} must be refused");
         }
         for good in ["walk-01", "2026-11-21_a.b"] {

@@ -80,6 +80,7 @@ function underWay(capture, trouble) {
   if (!at) return { kind: "warn", word: "PAUSE", detail: `${take}${capture.takes.length} takes done${told}` };
   if (at.stage === "preparing") return { kind: "warn", word: "PREPARING", detail: `${take}cameras and HSU of all nodes${told}` };
   if (at.stage === "counting_down") return { kind: "warn", word: String(at.left_s), detail: `${take}every node is ready${told}` };
+  if (at.stage === "unanswered") return { kind: "warn", word: "WAITING", detail: `${take}no status from ${at.place} for ${at.since_s} s; its session goes on${told}` };
   if (at.stage === "stopping") return { kind: "live", word: "STOPPING", detail: take + told };
   const rate = known.status.trigger_rate_hz;
   const seconds = (at.triggers / rate).toFixed(1);

@@ -1,7 +1,8 @@
 //! The API's client, blocking: what `capture`, `status` and `doctor` use. Over TCP, TLS or a Unix socket.
 
-use super::dto::{NodeStatus, SessionCommand, path};
-use super::tokens::read_secret;
+use super::dto::{Challenge, NodeStatus, SessionCommand, path};
+use super::proof::{self, Asked};
+use super::tokens::{SecretHash, read_secret};
 use crate::cmds::Exit;
 use crate::session::state::{Fault, SessionRequest};
 use http_body_util::{BodyExt, Full, Limited};
@@ -12,6 +13,7 @@ use hyper_util::rt::TokioIo;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt;
+use std::net::ToSocketAddrs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -43,7 +45,7 @@ pub struct Credentials {
 pub struct NodeClient {
     url: String,
     place: Result<Place, String>,
-    authorization: Option<HeaderValue>,
+    secret: Option<String>,
     tls: Option<Arc<ClientConfig>>,
 }
 
@@ -78,7 +80,7 @@ impl NodeClient {
     pub fn new(url: &str) -> Self {
         let url = url.trim_end_matches('/').to_owned();
         let place = place_of(&url);
-        Self { url, place, authorization: None, tls: None }
+        Self { url, place, secret: None, tls: None }
     }
 
     /// A client that shows a token, and that may use `https://`.
@@ -91,12 +93,24 @@ impl NodeClient {
         }
         if let Some(file) = &credentials.token_file {
             let secret = read_secret(file).map_err(|e| usage(e.to_string()))?;
-            let header = HeaderValue::from_str(&format!("Bearer {secret}"));
-            let mut header = header.map_err(|e| usage(format!("{}: {e}", file.display())))?;
-            header.set_sensitive(true);
-            client.authorization = Some(header);
+            authorization("Bearer ", &secret).map_err(|e| usage(format!("{}: {e}", file.display())))?;
+            client.secret = Some(secret);
         }
         Ok(client)
+    }
+
+    /// Whether something takes connections there, whatever it answers: a node that is only busy is not gone. Waits for
+    /// two seconds at most.
+    pub fn is_there(&self) -> bool {
+        const PATIENCE: Duration = Duration::from_secs(2);
+        match &self.place {
+            Ok(Place::Unix(path)) => std::os::unix::net::UnixStream::connect(path).is_ok(),
+            Ok(Place::Tcp { host, port, .. }) => {
+                let mut addresses = (host.as_str(), *port).to_socket_addrs().into_iter().flatten();
+                addresses.any(|address| std::net::TcpStream::connect_timeout(&address, PATIENCE).is_ok())
+            }
+            Err(_) => false,
+        }
     }
 
     /// The URL.
@@ -195,24 +209,27 @@ impl NodeClient {
             Place::Tcp { authority, .. } => authority,
         };
         let mut request = Request::builder().method(method).uri(path).header(HOST, authority);
-        if let Some(authorization) = &self.authorization {
-            request = request.header(AUTHORIZATION, authorization);
+        // Over plain TCP whoever has bound the port could be anybody: the secret is proved, and not shown.
+        let plain = matches!(place, Place::Tcp { tls: false, .. });
+        let prover = self.secret.as_ref().filter(|_| plain).map(|secret| Prover { secret, authority });
+        if let Some(secret) = self.secret.as_ref().filter(|_| !plain) {
+            request = request.header(AUTHORIZATION, authorization("Bearer ", secret)?);
         }
         if body.is_some() {
             request = request.header(CONTENT_TYPE, "application/json");
         }
         let request = request.body(Full::new(Bytes::from(body.unwrap_or_default())))?;
         match place {
-            Place::Unix(path) => exchange(UnixStream::connect(path).await?, request).await,
+            Place::Unix(path) => exchange(UnixStream::connect(path).await?, request, None).await,
             Place::Tcp { host, port, tls, .. } => {
                 let stream = TcpStream::connect((host.as_str(), *port)).await?;
                 stream.set_nodelay(true)?;
                 if !tls {
-                    return exchange(stream, request).await;
+                    return exchange(stream, request, prover).await;
                 }
                 let config = self.tls.clone().ok_or("this client was made without TLS")?;
                 let name = ServerName::try_from(host.clone())?;
-                exchange(TlsConnector::from(config).connect(name, stream).await?, request).await
+                exchange(TlsConnector::from(config).connect(name, stream).await?, request, None).await
             }
         }
     }
@@ -234,17 +251,76 @@ impl NodeClient {
 
 type AnyError = Box<dyn std::error::Error + Send + Sync>;
 
-async fn exchange<S>(stream: S, request: Request<Full<Bytes>>) -> Result<Answer, AnyError>
+/// A header that is not printed.
+fn authorization(scheme: &str, shown: &str) -> Result<HeaderValue, hyper::header::InvalidHeaderValue> {
+    let mut header = HeaderValue::from_str(&format!("{scheme}{shown}"))?;
+    header.set_sensitive(true);
+    Ok(header)
+}
+
+/// Shows a token without sending it.
+struct Prover<'a> {
+    secret: &'a str,
+    authority: &'a str,
+}
+
+type Sender = hyper::client::conn::http1::SendRequest<Full<Bytes>>;
+
+impl Prover<'_> {
+    /// Asks for the connection's nonce, then for what is wanted; an answer of somebody else is none.
+    async fn ask(&self, sender: &mut Sender, mut request: Request<Full<Bytes>>) -> Result<Answer, AnyError> {
+        let challenge = Request::builder().uri(path::CHALLENGE).header(HOST, self.authority);
+        let (challenge, _) = answer_to(sender, challenge.body(Full::default())?).await?;
+        if !challenge.status.is_success() {
+            return Ok(challenge);
+        }
+        let Challenge { nonce } = serde_json::from_slice(&challenge.body)
+            .map_err(|e| format!("it gave no challenge ({e}); does it run the same version?"))?;
+        let body = request.body().clone().collect().await?.to_bytes();
+        let (method, uri) = (request.method().clone(), request.uri().clone());
+        let path = uri.path_and_query().map_or("/", |path| path.as_str());
+        let asked =
+            Asked { authority: self.authority, nonce: &nonce, method: method.as_str(), path, body: &body };
+        let shown = authorization(proof::SCHEME, &asked.prove(self.secret))?;
+        request.headers_mut().insert(AUTHORIZATION, shown);
+        sender.ready().await?;
+        let (answer, proof) = answer_to(sender, request).await?;
+        let known = proof.is_some_and(|proof| proof == asked.answer(&SecretHash::of(self.secret)));
+        match known || !answer.status.is_success() {
+            true => Ok(answer),
+            false => {
+                Err("something answers there that does not know this token, so it is not the node".into())
+            }
+        }
+    }
+}
+
+async fn answer_to(
+    sender: &mut Sender,
+    request: Request<Full<Bytes>>,
+) -> Result<(Answer, Option<HeaderValue>), AnyError> {
+    let response = sender.send_request(request).await?;
+    let status = response.status();
+    let content_type = response.headers().get(CONTENT_TYPE).cloned();
+    let proof = response.headers().get(proof::HEADER).cloned();
+    let body = Limited::new(response.into_body(), ANSWER_BYTES_MAX).collect().await?.to_bytes();
+    Ok((Answer { status, content_type, body }, proof))
+}
+
+async fn exchange<S>(
+    stream: S,
+    request: Request<Full<Bytes>>,
+    prover: Option<Prover<'_>>,
+) -> Result<Answer, AnyError>
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
     let (mut sender, connection) = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await?;
     let answer = async {
-        let response = sender.send_request(request).await?;
-        let status = response.status();
-        let content_type = response.headers().get(CONTENT_TYPE).cloned();
-        let body = Limited::new(response.into_body(), ANSWER_BYTES_MAX).collect().await?.to_bytes();
-        Ok::<_, AnyError>(Answer { status, content_type, body })
+        match prover {
+            Some(prover) => prover.ask(&mut sender, request).await,
+            None => answer_to(&mut sender, request).await.map(|(answer, _)| answer),
+        }
     };
     tokio::pin!(answer, connection);
     tokio::select! {

@@ -270,6 +270,13 @@ pub struct Identity {
     pub via: Via,
 }
 
+/// What a proof of a token is made for (`docs/design/api.md`).
+#[derive(Debug, Clone, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Challenge {
+    /// Of this connection alone.
+    pub nonce: String,
+}
+
 /// What a browser logs in with.
 #[derive(Clone, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -350,6 +357,8 @@ pub mod path {
     pub const STOP: &str = "/api/v1/session/stop";
     /// POST [`super::SessionCommand`].
     pub const ABORT: &str = "/api/v1/session/abort";
+    /// GET [`super::Challenge`]: what a proof of a token is made for, for clients over plain TCP.
+    pub const CHALLENGE: &str = "/api/v1/challenge";
     /// POST [`super::Login`]: a cookie.
     pub const LOGIN: &str = "/api/v1/login";
     /// POST: ends the login.

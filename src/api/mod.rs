@@ -5,5 +5,6 @@
 
 pub mod client;
 pub mod dto;
+pub mod proof;
 pub mod server;
 pub mod tokens;

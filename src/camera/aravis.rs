@@ -14,6 +14,7 @@
 use super::canary::Canaries;
 use super::device_clock::{self, DeviceClock};
 use super::features::{Failed, Features};
+use super::source_filter::{self, Route};
 use super::verify::verify;
 use super::{
     AppliedSetting, Breach, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity,
@@ -255,6 +256,26 @@ impl Features for AravisCamera {
     }
 }
 
+impl AravisCamera {
+    /// Sees to it that the stream hears its camera and nobody else.
+    fn restrict(&self, stream: &aravis::GvStream, socket: SocketMode) -> Result<(), CameraError> {
+        const OWN_ADDRESS: u64 = 0x0024;
+        const SOURCE_PORT: u64 = 0x0d1c;
+        let address = self.device.read_register(OWN_ADDRESS).map_err(link_error("reading its address"))?.1;
+        // Version 1.0 of the protocol has no such register, and 0 says that the port is not told.
+        let port = self.device.read_register(SOURCE_PORT).ok().and_then(|(_, port)| u16::try_from(port).ok());
+        let route = Route {
+            camera: Ipv4Addr::from_bits(address),
+            source_port: port.filter(|port| *port != 0),
+            stream_port: stream.port(),
+        };
+        source_filter::restrict(route, socket == SocketMode::Auto).map_err(|e| CameraError::Link {
+            doing: "setting the filter of its stream",
+            detail: e.to_string(),
+        })
+    }
+}
+
 impl Camera for AravisCamera {
     fn identity(&self) -> &CameraIdentity {
         &self.identity
@@ -345,6 +366,7 @@ impl Camera for AravisCamera {
         let stream = new_stream(&self.camera).map_err(link_error("creating the stream"))?;
         if let Some(gv) = stream.downcast_ref::<aravis::GvStream>() {
             tune(gv, options.period_ns);
+            self.restrict(gv, options.socket)?;
         }
         let canaries = match (self.device.downcast_ref::<aravis::GvDevice>(), blocks.first()) {
             // The size that the camera made of the one asked for: packets have their places by it.

@@ -15,6 +15,8 @@ mod features;
 mod quiet;
 mod settings;
 #[cfg(feature = "aravis")]
+mod source_filter;
+#[cfg(feature = "aravis")]
 mod verify;
 
 #[cfg(feature = "aravis")]

@@ -208,7 +208,7 @@ fn read_acquisition(section: Section<'_>) -> Acquisition {
 
 fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
     root.integer("format", FORMAT..=FORMAT);
-    let node = NodeId(root.text("node"));
+    let node = NodeId(root.name("node"));
     let rig_path = base.join(root.text("rig"));
     let hsu_device = root.section("hsu").map(|section| {
         let device = PathBuf::from(section.text("device"));
@@ -302,7 +302,7 @@ fn read_realtime(section: Section<'_>) -> Realtime {
 }
 
 fn read_camera(section: Section<'_>, common: &[FeatureSetting]) -> CameraConfig {
-    let id = CameraId(section.text("id"));
+    let id = CameraId(section.name("id"));
     let address = section.text("address");
     let own = read_settings(&section);
     let settings = with_common(own, common, &section);

@@ -237,7 +237,7 @@ fn read_board(section: Section<'_>) -> Board {
 }
 
 fn read_head(section: Section<'_>, trigger_rate_hz: f64) -> Head {
-    let id = HeadId(section.text("id"));
+    let id = HeadId(section.name("id"));
     let channel = section.choice("channel", &[("R", Channel::R), ("G", Channel::G), ("B", Channel::B)]);
     let delay_us = section.number_or("delay_us", 0.0..=1e6, 0.0);
     let exposure_us = section.number("exposure_us", 1.0..=1e6);
@@ -272,8 +272,8 @@ fn placeholder_device() -> Device {
 /// Reads a device table; with `names`, also the `id` and `node` of a camera.
 fn read_device(section: Section<'_>, names: Option<&mut (CameraId, NodeId)>) -> Device {
     if let Some((id, node)) = names {
-        *id = CameraId(section.text("id"));
-        *node = NodeId(section.text("node"));
+        *id = CameraId(section.name("id"));
+        *node = NodeId(section.name("node"));
     }
     let width = section.integer("width", 16..=16_384) as usize;
     let height = section.integer("height", 16..=16_384) as usize;

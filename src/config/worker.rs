@@ -142,7 +142,7 @@ fn read_worker(root: Section<'_>, base: &Path) -> Option<WorkerConfig> {
 fn read_node(section: Section<'_>, base: &Path) -> WorkerNode {
     let path = |key: &'static str| section.has(key).then(|| base.join(section.text(key)));
     let node = WorkerNode {
-        name: NodeId(section.text("name")),
+        name: NodeId(section.name("name")),
         sessions_dir: base.join(section.text("sessions_dir")),
         url: section.has("url").then(|| section.text("url")),
         token_file: path("token_file"),

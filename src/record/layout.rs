@@ -402,6 +402,7 @@ impl RecordingHeader {
                     name.len()
                 ));
             }
+            crate::ids::check_name(name).map_err(|e| format!("camera: {e}"))?;
             if !ids.insert(name) {
                 return Err(format!("camera {name} is listed twice"));
             }

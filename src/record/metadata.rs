@@ -6,6 +6,7 @@ use super::layout::{
 };
 use super::scan::{End, Entries, Event, MAX_MESSAGE, Walker};
 use super::segment_file::SegmentFile;
+use crate::ids::printable;
 
 /// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left out.
 pub(super) fn checksum<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> u32 {
@@ -102,6 +103,9 @@ pub(super) fn parse_header(entries: &Entries) -> Result<StatedHeader, String> {
         serde_json::from_str(get(KEY_JSON)?).map_err(|e| format!("the header is not readable: {e}"))?;
     header.rig_text = get(KEY_RIG)?.to_owned();
     header.check()?;
+    // Whoever made the recording: what is printed of it shall not steer a terminal.
+    header.subject = header.subject.map(|text| printable(&text));
+    header.note = header.note.map(|text| printable(&text));
     let segment = get(KEY_SEGMENT)?;
     let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
     let version = stated.unwrap_or(VERSION);

@@ -6,10 +6,10 @@
 use super::captured::{Captured, ended_early, failure_of_all};
 use super::countdown::{Watch, count_down};
 use super::participant::Participant;
+use super::peer_watch::UNSERVED_PATIENCE;
 use super::state::{Fault, Phase, SessionRequest};
 use crate::api::dto::{NodeStatus, Outcome, SessionStatus};
 use crate::cmds::Exit;
-use crate::ids::SessionName;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fmt;
@@ -99,6 +99,13 @@ pub enum Stage {
     },
     /// A stop was asked for.
     Stopping,
+    /// A node takes connections and gives no status; the session goes on there, and its verdict is waited for.
+    Unanswered {
+        /// Where it is.
+        place: String,
+        /// For so long.
+        since_s: u64,
+    },
 }
 
 impl fmt::Display for Stage {
@@ -115,6 +122,12 @@ impl fmt::Display for Stage {
                 write!(f, "trigger {triggers} of {asked}: {frames} frames, {gaps} gaps")
             }
             Self::Stopping => write!(f, "stopping after the current trigger"),
+            Self::Unanswered { place, since_s } => {
+                write!(
+                    f,
+                    "no status from {place} for {since_s} s; its session goes on, and is asked for again"
+                )
+            }
         }
     }
 }
@@ -155,7 +168,9 @@ pub fn capture(
         let fault = watch.look().err().unwrap_or(refused);
         return Err(watch.give_up(fault));
     }
-    let sessions = follow(nodes, &request, control, &mut progress)?;
+    let rate = statuses.first().map_or(1.0, |status| status.trigger_rate_hz);
+    let train = Duration::try_from_secs_f64(request.triggers as f64 / rate).unwrap_or(Duration::MAX);
+    let sessions = follow(nodes, &request, train, control, &mut progress)?;
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
     let captured = Captured::new(request.name, wish.dry_run, absent(&statuses), named.collect());
     match failure_of_all(captured.nodes()) {
@@ -209,18 +224,19 @@ fn request(wish: &Wish, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault
     let triggers = triggers(wish, rate).map_err(usage)?;
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let name = wish.name.clone().unwrap_or_else(|| format!("session-{}", now.as_secs()));
-    let name = SessionName::parse(&name).map_err(usage)?;
     let nodes = statuses.iter().map(|status| status.node.clone()).collect();
-    Ok(SessionRequest {
+    let request = SessionRequest {
         session_id: random_id(now),
-        name: name.0,
+        name,
         triggers,
         nodes,
         subject: wish.subject.clone(),
         note: wish.note.clone(),
         dry_run: wish.dry_run,
         on_behalf_of: wish.on_behalf_of.clone(),
-    })
+    };
+    request.check().map_err(usage)?;
+    Ok(request)
 }
 
 /// Nodes of the rig that are not among these.
@@ -284,22 +300,24 @@ fn lost(node: &dyn Participant) -> Fault {
     Fault::new(Exit::Device, message)
 }
 
-/// Polls until every node has an outcome for this session.
+/// Polls until every node has an outcome for this session; `train` is how long its triggers take, 0 where nobody knows.
 fn follow(
     nodes: Nodes<'_>,
     request: &SessionRequest,
+    train: Duration,
     control: &Control,
     progress: &mut impl FnMut(&Stage),
 ) -> Result<Vec<SessionStatus>, Fault> {
     const POLL: Duration = Duration::from_millis(100);
     let mut seen = vec![Instant::now(); nodes.len()];
     let mut latest: Vec<Option<SessionStatus>> = vec![None; nodes.len()];
-    let mut told = false;
+    let (mut told, mut stopping, started) = (false, false, Instant::now());
     loop {
-        if control.stop.swap(false, Ordering::AcqRel) {
+        stopping |= control.stop.swap(false, Ordering::AcqRel);
+        if stopping {
             progress(&Stage::Stopping);
-            // Any link will do: the first node may be the one that is gone.
-            nodes.iter().map(|node| node.stop(request.session_id)).find(Result::is_ok).unwrap_or(Ok(()))?;
+            // Any link will do: the first node may be the one that is gone. Where none takes it, it is asked again.
+            stopping = !nodes.iter().any(|node| node.stop(request.session_id).is_ok());
         }
         if let Some(reason) = control.take_abort() {
             told = true;
@@ -317,6 +335,16 @@ fn follow(
                     latest[i] = Some(session);
                 }
                 _ if seen[i].elapsed() < LOST_PATIENCE => {}
+                // Somebody else may take all that it can serve: that ends no session.
+                Err(_)
+                    if seen[i].elapsed().min(started.elapsed().saturating_sub(train)) < UNSERVED_PATIENCE
+                        && node.is_there() =>
+                {
+                    progress(&Stage::Unanswered {
+                        place: node.place(),
+                        since_s: seen[i].elapsed().as_secs(),
+                    });
+                }
                 // It died, or was restarted and knows nothing of the session.
                 _ => match &mut latest[i] {
                     Some(session) => session.outcome = Some(Outcome::Failed(lost(node.as_ref()))),

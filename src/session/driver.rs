@@ -12,7 +12,7 @@ use crate::camera::CameraBackend;
 use crate::cmds::Exit;
 use crate::config::NodeConfig;
 use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId};
-use crate::ids::{CameraId, SessionName};
+use crate::ids::CameraId;
 use crate::record::{NodeEvent, free_bytes};
 use crate::telemetry::{Current, Telemetry};
 use crossbeam_channel::{Receiver, Sender, bounded, never, select};
@@ -206,7 +206,7 @@ impl Node {
         if self.machine.phase() != Phase::Idle {
             return refuse(reply, format!("the node is busy with a session ({:?})", self.machine.phase()));
         }
-        let name = match SessionName::parse(&request.name) {
+        let name = match request.check() {
             Ok(name) => name,
             Err(message) => return refuse(reply, message),
         };

@@ -15,6 +15,8 @@ pub trait Participant: Send + Sync {
     fn place(&self) -> String;
     /// Its status.
     fn status(&self) -> Result<NodeStatus, Fault>;
+    /// Whether it takes connections at all, asked when it gave no status: a node that is only busy goes on.
+    fn is_there(&self) -> bool;
     /// Prepares a session and waits until the node is ready.
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault>;
     /// Starts the train.
@@ -32,6 +34,10 @@ impl Participant for NodeClient {
 
     fn status(&self) -> Result<NodeStatus, Fault> {
         Self::status(self)
+    }
+
+    fn is_there(&self) -> bool {
+        Self::is_there(self)
     }
 
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault> {
@@ -81,6 +87,10 @@ impl Participant for Here {
     fn status(&self) -> Result<NodeStatus, Fault> {
         // The writer only assigns: what a panic left is whole.
         Ok(self.status.read().unwrap_or_else(PoisonError::into_inner).clone())
+    }
+
+    fn is_there(&self) -> bool {
+        true
     }
 
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault> {

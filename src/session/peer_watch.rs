@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 
 /// Another node that does not answer for so long ends the session here.
 pub const PEER_PATIENCE: Duration = Duration::from_secs(15);
+/// One that takes connections, and only does not serve them, has so long.
+pub const UNSERVED_PATIENCE: Duration = Duration::from_secs(60);
 /// How often they are asked.
 const POLL: Duration = Duration::from_millis(500);
 /// A node that answers has been in the session, or takes so long to say that it has ended it.
@@ -84,8 +86,11 @@ impl Watch {
                 Seen::Ended(reason) => Some(format!("node {name} ended early: {reason}")),
                 Seen::NotInSession => (seen.elapsed() > RESTART_PATIENCE)
                     .then(|| format!("node {name} is not in the session any more; it was restarted")),
-                Seen::Silent => (seen.elapsed() > PEER_PATIENCE)
-                    .then(|| format!("node {name} has not answered for {} s", PEER_PATIENCE.as_secs())),
+                Seen::Silent => {
+                    let silent = seen.elapsed();
+                    let gone = silent > UNSERVED_PATIENCE || silent > PEER_PATIENCE && !peer.is_there();
+                    gone.then(|| format!("node {name} has not answered for {} s", silent.as_secs()))
+                }
             };
             if let Some(reason) = reason {
                 tracing::warn!("{reason}");

@@ -12,7 +12,7 @@
 //! train is started only when this node and, by the HSU, every other node is ready.
 
 use crate::cmds::Exit;
-use crate::ids::NodeId;
+use crate::ids::{NodeId, SessionName, check_text};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -39,6 +39,16 @@ pub struct SessionRequest {
     /// Whom the node that runs the capture serves; the other nodes' audit logs name them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub on_behalf_of: Option<String>,
+}
+
+impl SessionRequest {
+    /// The session's name, if everything that was asked for may be recorded; or why not.
+    pub fn check(&self) -> Result<SessionName, String> {
+        for (what, text) in [("subject", &self.subject), ("note", &self.note)] {
+            text.as_ref().map_or(Ok(()), |text| check_text(what, text))?;
+        }
+        SessionName::parse(&self.name)
+    }
 }
 
 /// Why something failed, with the exit code that it means on the command line.

@@ -82,6 +82,10 @@ pub enum Kind {
     ForeignFar,
     /// A stream packet with the id of a frame that is soon to come comes from a foreign address.
     ForeignAhead,
+    /// Another program at the camera's own address sends the frame with other pixels and another stamp.
+    ForeignPixels,
+    /// Small datagrams that are no packets come to the stream's port from other ports, the camera's address among theirs.
+    ForeignSmall,
 }
 
 const RESENDS: [Resend; 4] = [Resend::Answered, Resend::Refused, Resend::Ignored, Resend::Late];
@@ -114,8 +118,20 @@ impl Kind {
     }
 
     /// Kinds that only happen where they are named: they cost a camera many triggers, or come from a third party.
-    pub const APART: [Kind; 5] =
-        [Kind::Unplugged, Kind::ControlTaken, Kind::RogueClient, Kind::ForeignFar, Kind::ForeignAhead];
+    pub const APART: [Kind; 7] = [
+        Kind::Unplugged,
+        Kind::ControlTaken,
+        Kind::RogueClient,
+        Kind::ForeignFar,
+        Kind::ForeignAhead,
+        Kind::ForeignPixels,
+        Kind::ForeignSmall,
+    ];
+
+    /// Whether another program sends to the stream's port.
+    pub fn is_foreign(self) -> bool {
+        matches!(self, Kind::ForeignFar | Kind::ForeignAhead | Kind::ForeignPixels | Kind::ForeignSmall)
+    }
 
     /// Whether the camera is away from its node for a while.
     pub fn is_absence(self) -> bool {
@@ -168,6 +184,8 @@ impl fmt::Display for Kind {
             Kind::RogueClient => "rogue_client",
             Kind::ForeignFar => "foreign_far",
             Kind::ForeignAhead => "foreign_ahead",
+            Kind::ForeignPixels => "foreign_pixels",
+            Kind::ForeignSmall => "foreign_small",
         };
         f.write_str(name)
     }

@@ -154,7 +154,8 @@ pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<
         Kind::TriggerIgnored | Kind::ExtraFrame | Kind::IdJump | Kind::ClockReset => {}
         Kind::StampGlitch | Kind::StampAbsent => {}
         Kind::Unplugged | Kind::ControlTaken => packets.clear(),
-        Kind::RogueClient | Kind::ForeignFar | Kind::ForeignAhead => {}
+        Kind::RogueClient => {}
+        Kind::ForeignFar | Kind::ForeignAhead | Kind::ForeignPixels | Kind::ForeignSmall => {}
         // What they are is in the layout.
         Kind::WrongFormat | Kind::PaddedRows | Kind::ChunksAppended | Kind::ShortPackets => {}
     }

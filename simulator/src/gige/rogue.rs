@@ -17,6 +17,8 @@ use std::sync::atomic::Ordering::Relaxed;
 #[derive(Debug)]
 pub struct Rogue {
     socket: UdpSocket,
+    /// At the camera's own address: a program of the same machine, or one that forges the address.
+    same_address: UdpSocket,
     camera: SocketAddrV4,
     statistics: Arc<Statistics>,
     next_id: u16,
@@ -36,8 +38,9 @@ impl Rogue {
         let [_, _, c, d] = camera.octets();
         let socket = UdpSocket::bind((Ipv4Addr::new(127, 254, c, d), 0))?;
         socket.set_nonblocking(true)?;
+        let same_address = UdpSocket::bind((camera, 0))?;
         let camera = SocketAddrV4::new(camera, gvcp::PORT);
-        Ok(Self { socket, camera, statistics, next_id: 1, left: None })
+        Ok(Self { socket, same_address, camera, statistics, next_id: 1, left: None })
     }
 
     /// Its own address.
@@ -106,8 +109,15 @@ impl Rogue {
 
     /// Sends stream packets that belong to no frame of the camera to where its frames go.
     pub fn stray(&self, frame: &Frame, fault: Fault, destination: SocketAddrV4) {
+        let from: &[&UdpSocket] = match fault.kind {
+            Kind::ForeignPixels => &[&self.same_address],
+            Kind::ForeignSmall => &[&self.same_address, &self.socket],
+            _ => &[&self.socket],
+        };
         for packet in stray_packets(frame, fault) {
-            let _ = self.socket.send_to(&packet, destination);
+            for socket in from {
+                let _ = socket.send_to(&packet, destination);
+            }
         }
     }
 }
@@ -121,13 +131,25 @@ fn later_id(ids: IdMode, id: u64, by: u64) -> u64 {
 
 fn stray_packets(frame: &Frame, fault: Fault) -> Vec<Vec<u8>> {
     let layout: &Layout = &frame.layout;
-    let payload = |block_id: u64| {
+    let payload_at = |block_id: u64, id: u32| {
         let mut headers = PayloadHeaders::new(layout);
         headers.stamp(block_id);
-        let mut packet = headers.get(1).to_vec();
-        packet.resize(packet.len() + layout.range(1).len(), 0xa5);
+        let mut packet = headers.get(id).to_vec();
+        packet.resize(packet.len() + layout.range(id).len(), 0xa5);
         packet
     };
+    let payload = |block_id: u64| payload_at(block_id, 1);
+    if fault.kind == Kind::ForeignPixels {
+        let stamp = frame.timestamp.wrapping_add(1_000_000_000);
+        let leader = gvsp::leader(layout, gvsp::Status::Ok, frame.block_id, stamp);
+        let pixels = (1..=layout.payload_packets()).map(|id| payload_at(frame.block_id, id));
+        return std::iter::once(leader).chain(pixels).collect();
+    }
+    if fault.kind == Kind::ForeignSmall {
+        // Bytes in which an id can be read are among them.
+        let noise = |n: u64| (0..4 * n).map(move |k| hash(fault.chance, &[n, k]) as u8).collect();
+        return (0..8).map(noise).collect();
+    }
     if fault.kind == Kind::ForeignAhead {
         return vec![payload(later_id(layout.ids, frame.block_id, fault.count))];
     }

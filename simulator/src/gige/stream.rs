@@ -335,8 +335,7 @@ impl Streamer {
         let lag = now.saturating_duration_since(exposure.end).as_nanos();
         self.statistics.worst_lag_ns.fetch_max(u64::try_from(lag).unwrap_or(u64::MAX), Relaxed);
         if let Some(destination) = running.stream.destination {
-            let foreign = |f: &Fault| matches!(f.kind, Kind::ForeignFar | Kind::ForeignAhead);
-            if let (Some(rogue), Some(fault)) = (&self.rogue, fault.filter(foreign)) {
+            if let (Some(rogue), Some(fault)) = (&self.rogue, fault.filter(|fault| fault.kind.is_foreign())) {
                 rogue.stray(&frame, fault, destination);
             }
             match fault {

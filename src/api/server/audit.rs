@@ -8,16 +8,17 @@ use super::auth::{Caller, only_looks};
 use super::guard::Sent;
 use super::limits::{Buckets, Key, Rate};
 use super::transport::Link;
-use super::{Shared, path};
+use super::{Refusal, Shared, path};
 use crate::api::dto::SessionStatus;
 use crate::api::dto::Via;
 use crate::api::tokens::Role;
-use crate::session::state::Phase;
+use crate::cmds::Exit;
+use crate::session::state::{Fault, Phase};
 use crate::time::host_time_ns;
 use axum::extract::{Request, State};
 use axum::http::{Method, StatusCode};
 use axum::middleware::Next;
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -206,37 +207,85 @@ pub(super) async fn audited(State(shared): State<Shared>, request: Request, next
     let what = format!("{} {}", request.method(), request.uri().path());
     let secret = request.uri().path() == path::LOGIN;
     let sent = request.extensions().get::<Sent>().filter(|_| !secret).cloned();
-    let response = next.run(request).await;
-    let from = from_text(&link);
-    // Whoever logs in is known by the answer only.
-    let caller = caller.or_else(|| response.extensions().get::<Caller>().cloned());
+    // On a task of its own: a client that goes away while it waits takes neither the request nor its line along.
+    let work = async move {
+        let response = next.run(request).await;
+        // Whoever logs in is known by the answer only.
+        let caller = caller.or_else(|| response.extensions().get::<Caller>().cloned());
+        write_down(&shared, &link, caller, what, sent, response.status()).await;
+        response
+    };
+    tokio::spawn(work).await.unwrap_or_else(|e| {
+        Refusal::from(Fault::new(Exit::Failure, format!("the request failed: {e}"))).into_response()
+    })
+}
+
+/// The line of a request that was answered.
+async fn write_down(
+    shared: &Shared,
+    link: &Link,
+    caller: Option<Caller>,
+    what: String,
+    sent: Option<Sent>,
+    status: StatusCode,
+) {
+    let from = from_text(link);
     if caller.is_none() {
         // A login that failed is a refusal.
-        shared.audit.refused(&link, None, &Method::POST, path::LOGIN, response.status());
-        return response;
+        shared.audit.refused(link, None, &Method::POST, path::LOGIN, status);
+        return;
     }
     let mut line = shared.audit.line(caller.as_ref().map_or(&from, |caller| &caller.name), &from, what);
     (line.role, line.via) = caller.map_or((None, None), |caller| (Some(caller.role), via_text(caller.via)));
-    line.status = response.status().as_u16();
-    line.request = sent.and_then(|sent| serde_json::from_slice(&sent.0).ok()).filter(is_short);
-    let status = shared.status();
+    line.status = status.as_u16();
+    line.request = sent.and_then(|sent| serde_json::from_slice(&sent.0).ok());
+    let node = shared.status();
     let asked = line.request.as_ref().and_then(|request| request.get("session_id")?.as_u64());
-    let concerned = status.session.as_ref().filter(|session| match asked {
+    let concerned = node.session.as_ref().filter(|session| match asked {
         Some(asked) => session.session_id == asked,
-        None => status.phase != Phase::Idle,
+        None => node.phase != Phase::Idle,
     });
     line.concerns(concerned);
     // A session that has just been prepared may not be in the status yet.
     let name = line.request.as_ref().and_then(|request| request.get("name")?.as_str());
-    line.session = line.session.or_else(|| asked.and(name).map(str::to_owned));
+    line.session = line.session.or_else(|| asked.and(name).map(|name| name.chars().take(100).collect()));
     line.session_id = line.session_id.or_else(|| asked.map(|id| format!("{id:016x}")));
+    line.request = line.request.map(shortened);
     shared.audit.record(line).await;
-    response
 }
 
-/// A line shall stay a line.
-fn is_short(request: &serde_json::Value) -> bool {
-    request.to_string().len() <= 4096
+/// A line shall stay a line: of a request that is long, long texts are cut, and of one that is longer yet the beginning is kept.
+fn shortened(request: serde_json::Value) -> serde_json::Value {
+    const LINE: usize = 4096;
+    const TEXT: usize = 200;
+    let cut = |text: &str, to: usize| {
+        let kept: String = text.chars().take(to).collect();
+        let all = text.chars().count();
+        if kept.len() == text.len() { kept } else { format!("{kept}... ({all} characters)") }
+    };
+    let whole = request.to_string();
+    if whole.len() <= LINE {
+        return request;
+    }
+    let fields = match request {
+        serde_json::Value::Object(fields) => fields,
+        _ => return serde_json::Value::String(cut(&whole, TEXT)),
+    };
+    let short = fields.into_iter().take(64).map(|(name, value)| {
+        let value = match value {
+            serde_json::Value::String(text) => serde_json::Value::String(cut(&text, TEXT)),
+            value if value.to_string().len() > TEXT => {
+                serde_json::Value::String(cut(&value.to_string(), TEXT))
+            }
+            value => value,
+        };
+        (cut(&name, TEXT), value)
+    });
+    let short = serde_json::Value::Object(short.collect());
+    match short.to_string().len() <= 8 * LINE {
+        true => short,
+        false => serde_json::Value::String(cut(&whole, TEXT)),
+    }
 }
 
 struct Log {
@@ -366,6 +415,19 @@ mod tests {
         block_on(audit.record(audit.line("anna", "uid 7", "two".to_owned())));
         assert_eq!(audit.warning(), None);
         assert_eq!(lines(&path).len(), 1);
+    }
+
+    #[test]
+    fn of_a_long_request_the_beginning_is_kept() {
+        let short = serde_json::json!({ "session_id": 7, "note": "n" });
+        assert_eq!(super::shortened(short.clone()), short);
+        let long = super::shortened(serde_json::json!({ "session_id": 7, "note": "n".repeat(60_000) }));
+        assert_eq!(long["session_id"], 7);
+        assert!(long["note"].as_str().is_some_and(|note| note.ends_with("(60000 characters)")), "{long}");
+        for wild in [serde_json::json!(vec![1; 30_000]), serde_json::json!({ "a": { "b": vec![1; 30_000] } })]
+        {
+            assert!(super::shortened(wild).to_string().len() < 1000);
+        }
     }
 
     #[test]

@@ -1,16 +1,19 @@
 //! Who asks, and whether they may: tokens, browser sessions, users of the Unix socket.
 
+use super::connections::Standing;
+use super::guard::Sent;
 use super::limits::{self, Buckets, Key};
 use super::logins::Logins;
 use super::refusal::Refusal;
 use super::transport::Link;
 use super::{Shared, path};
 pub use crate::api::dto::Via;
+use crate::api::proof::{self, Asked};
 use crate::api::tokens::{Role, TokenError, TokenList};
 use crate::config::ApiConfig;
 use axum::extract::{FromRequestParts, Request, State};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use std::os::unix::fs::MetadataExt;
@@ -125,7 +128,29 @@ impl Auth {
         }
     }
 
-    fn identify(&self, link: &Link, headers: &HeaderMap, cookie: &str) -> Option<Caller> {
+    /// Who asks, and what proves to them that this node knows their token, where they showed it by a proof.
+    fn identify(&self, link: &Link, request: &Request, cookie: &str) -> Option<(Caller, Option<String>)> {
+        let headers = request.headers();
+        if let (Some(tokens), Some(proof)) = (&self.tokens, proof_of(headers)) {
+            let standing = request.extensions().get::<Standing>()?;
+            let body = request.extensions().get::<Sent>().map_or(&[][..], |sent| &sent.0);
+            let asked = Asked {
+                authority: headers.get(header::HOST)?.to_str().ok()?,
+                nonce: &standing.nonce,
+                method: request.method().as_str(),
+                path: request.uri().path_and_query()?.as_str(),
+                body,
+            };
+            let list = tokens.current();
+            let shown = list.0.iter().find(|token| asked.secret_of(proof, &token.hash).is_some())?;
+            let (name, role) = (shown.name.clone(), shown.role);
+            let caller = Caller { key: Key::Token(name.clone()), name, role, via: Via::Token };
+            return Some((caller, Some(asked.answer(&shown.hash))));
+        }
+        Some((self.identify_plainly(link, headers, cookie)?, None))
+    }
+
+    fn identify_plainly(&self, link: &Link, headers: &HeaderMap, cookie: &str) -> Option<Caller> {
         let token = |name: String, role, via| Caller { key: Key::Token(name.clone()), name, role, via };
         if let Some(tokens) = &self.tokens {
             // Whoever shows a token is judged by it, wherever they come from.
@@ -185,6 +210,10 @@ impl Tokens {
     }
 }
 
+fn proof_of(headers: &HeaderMap) -> Option<&str> {
+    headers.get(header::AUTHORIZATION)?.to_str().ok()?.strip_prefix(proof::SCHEME)
+}
+
 /// The value of a cookie.
 pub(super) fn cookie_of<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     let cookies = headers.get_all(header::COOKIE).into_iter().filter_map(|value| value.to_str().ok());
@@ -214,18 +243,26 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
     let Some(link) = request.extensions().get::<Link>().copied() else {
         return unauthenticated().into_response();
     };
+    // Not counted: whoever floods it from an address must not keep others there from showing who they are.
+    if request.uri().path() == path::CHALLENGE {
+        return next.run(request).await;
+    }
     if is_open(&request) {
         return match shared.auth.requests.take(link.key(), Instant::now()) {
             Ok(()) => next.run(request).await,
             Err(wait) => too_fast(wait).into_response(),
         };
     }
-    let Some(caller) = shared.auth.identify(&link, request.headers(), &shared.cookie) else {
+    let Some((caller, answer)) = shared.auth.identify(&link, &request, &shared.cookie) else {
         shared.audit.refused(&link, None, request.method(), request.uri().path(), StatusCode::UNAUTHORIZED);
         return shared.auth.refused(&link).into_response();
     };
     if let Err(wait) = shared.auth.requests.take(caller.key.clone(), Instant::now()) {
         return too_fast(wait).into_response();
+    }
+    let standing = request.extensions().get::<Standing>();
+    if standing.is_some_and(|standing| !standing.is_of(&caller.key, caller.role == Role::View)) {
+        return Refusal::too_many_connections().into_response();
     }
     let needed = if only_looks(request.method()) { Role::View } else { Role::Operate };
     if !caller.role.may(needed) && request.uri().path() != path::LOGOUT {
@@ -239,7 +276,11 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
         return forbidden(&caller, needed).into_response();
     }
     request.extensions_mut().insert(caller);
-    next.run(request).await
+    let mut response = next.run(request).await;
+    if let Some(answer) = answer.and_then(|answer| HeaderValue::try_from(answer).ok()) {
+        response.headers_mut().insert(proof::HEADER, answer);
+    }
+    response
 }
 
 /// A layer of routes that only an administrator may use.

@@ -2,9 +2,8 @@
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// The whole head of a request must be there after this long.
 pub const HEADER: Duration = Duration::from_secs(5);
@@ -18,10 +17,16 @@ pub const BODY_BYTES_MAX: usize = 64 << 10;
 pub const HEADER_BYTES_MAX: usize = 32 << 10;
 /// Header lines of a request.
 pub const HEADERS_MAX: usize = 64;
-/// Connections of all clients at the same time.
+/// Connections of all callers that have shown who they are, at the same time.
 pub const CONNECTIONS_MAX: usize = 128;
-/// Connections of one client at the same time.
+/// Connections of one caller at the same time.
 pub const CONNECTIONS_OF_ONE_MAX: usize = 48;
+/// Connections of all callers that may only look: the rest is for those who run sessions.
+pub const LOOKERS_MAX: usize = 64;
+/// Connections whose client has not shown who it is; a new one closes the oldest of the address that has most.
+pub const STRANGERS_MAX: usize = 64;
+/// The same of one address.
+pub const STRANGERS_OF_ONE_MAX: usize = 32;
 /// Requests of one caller: how many a second, and how many at once after a pause.
 pub const REQUESTS: Rate = Rate { per_second: 200.0, burst: 400.0 };
 /// Requests of one client that were refused for want of authentication, before it is told to come back later.
@@ -97,62 +102,9 @@ impl Buckets {
     }
 }
 
-/// Connections, of all and of each.
-#[derive(Clone)]
-pub struct Connections {
-    all: Arc<Semaphore>,
-    of_one: Arc<Mutex<HashMap<Key, usize>>>,
-}
-
-/// One connection; dropped when it ends.
-pub struct Admitted {
-    key: Key,
-    connections: Connections,
-    _permit: OwnedSemaphorePermit,
-}
-
-impl Default for Connections {
-    /// None yet.
-    fn default() -> Self {
-        Self { all: Arc::new(Semaphore::new(CONNECTIONS_MAX)), of_one: Arc::default() }
-    }
-}
-
-impl Connections {
-    /// Counts a connection, if there may be one more.
-    pub fn admit(&self, key: Key) -> Option<Admitted> {
-        let permit = Arc::clone(&self.all).try_acquire_owned().ok()?;
-        let mut of_one = self.of_one.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = of_one.entry(key.clone()).or_insert(0);
-        if *count >= CONNECTIONS_OF_ONE_MAX {
-            return None;
-        }
-        *count += 1;
-        Some(Admitted { key, connections: self.clone(), _permit: permit })
-    }
-
-    /// Waits until none is left.
-    pub async fn all_gone(&self) {
-        // The semaphore is never closed.
-        let _ = self.all.acquire_many(CONNECTIONS_MAX as u32).await;
-    }
-}
-
-impl Drop for Admitted {
-    fn drop(&mut self) {
-        let mut of_one = self.connections.of_one.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = of_one.get_mut(&self.key) {
-            *count -= 1;
-            if *count == 0 {
-                of_one.remove(&self.key);
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Buckets, CLIENTS_MAX, CONNECTIONS_MAX, CONNECTIONS_OF_ONE_MAX, Connections, Key, Rate};
+    use super::{Buckets, CLIENTS_MAX, Key, Rate};
     use proptest::prelude::{prop_assert, proptest};
     use std::time::{Duration, Instant};
 
@@ -192,17 +144,5 @@ mod tests {
         assert_eq!(of("2001:db8::1"), of("2001:db8::ffff"));
         assert_ne!(of("2001:db8::1"), of("2001:db8:0:1::1"));
         assert_eq!(of("::ffff:10.0.0.1"), of("10.0.0.1"));
-    }
-
-    #[test]
-    fn connections_are_bounded_for_one_and_for_all() {
-        let connections = Connections::default();
-        let of_one: Vec<_> = std::iter::from_fn(|| connections.admit(Key::User(1))).collect();
-        assert_eq!(of_one.len(), CONNECTIONS_OF_ONE_MAX);
-        let others: Vec<_> = (2..1000).map_while(|uid| connections.admit(Key::User(uid))).collect();
-        assert_eq!(of_one.len() + others.len(), CONNECTIONS_MAX);
-        drop(of_one);
-        assert!(connections.admit(Key::User(1)).is_some());
-        assert!(connections.of_one.lock().expect("not poisoned").get(&Key::User(1)).is_none());
     }
 }

@@ -9,6 +9,7 @@
 pub mod audit;
 pub mod auth;
 mod body;
+mod connections;
 mod console;
 mod guard;
 pub mod limits;

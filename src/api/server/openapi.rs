@@ -65,7 +65,7 @@ pub(super) fn complete(mut api: OpenApi) -> OpenApi {
                     response.content.insert("application/json".to_owned(), fault_content().into());
                 }
             }
-            if path == super::path::LOGIN {
+            if path == super::path::LOGIN || path == super::path::CHALLENGE {
                 operation.security = Some(Vec::new());
             }
         }

@@ -24,6 +24,13 @@ impl Refusal {
         Self { status, fault: Fault::new(Exit::Usage, message), retry_after: None }
     }
 
+    /// More connections than one caller, or all, may hold.
+    pub fn too_many_connections() -> Self {
+        let message = "too many connections of this caller, or of all; close some";
+        let retry_after = Some(Duration::from_secs(5));
+        Self { retry_after, ..Self::new(StatusCode::SERVICE_UNAVAILABLE, message) }
+    }
+
     /// Too much was asked for.
     pub fn too_many(message: impl ToString, wait: Duration) -> Self {
         Self { retry_after: Some(wait), ..Self::new(StatusCode::TOO_MANY_REQUESTS, message) }

@@ -7,6 +7,7 @@ use crate::api::client::{Credentials, NodeClient};
 use crate::config::NodeConfig;
 use crate::ids::NodeId;
 use crate::preview::Previews;
+use crate::preview::listing::Listing;
 use crate::preview::quick_look::{QuickLooks, Settings};
 use crate::session::coordinator::{Cast, Coordinator};
 use crate::session::participant::{Here, Participant};
@@ -22,6 +23,8 @@ pub struct Services {
     pub coordinator: Coordinator,
     /// Pictures of this node's cameras.
     pub previews: Previews,
+    /// What this node has recorded.
+    pub listing: Listing,
     /// Clouds of what this node has recorded.
     pub quick_looks: QuickLooks,
     /// The other nodes.
@@ -80,6 +83,7 @@ impl Services {
         Ok(Self {
             coordinator: Coordinator::new(cast),
             previews: Previews::start(taps).map_err(thread)?,
+            listing: Listing::start(config.sessions_dir.clone(), config.node.clone()).map_err(thread)?,
             quick_looks: QuickLooks::start(quick_look, status).map_err(thread)?,
             peers,
             worker: WorkerWatch::start(config.worker_results.clone()).map_err(thread)?,

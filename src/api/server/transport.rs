@@ -1,6 +1,7 @@
 //! Where requests come in: a Unix socket, and TCP with or without TLS. Connections are counted, and none may dawdle.
 
-use super::limits::{self, Connections, Key};
+use super::connections::{Connections, Standing};
+use super::limits::{self, Key};
 use super::patience::Patient;
 use crate::config::{ApiConfig, SocketConfig, TlsConfig};
 use axum::Router;
@@ -189,7 +190,15 @@ impl Server {
     where
         S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
     {
-        let Some(admitted) = self.connections.admit(link.key()) else {
+        let admitted = match link {
+            Link::Unix { .. } => self.connections.admit_known(link.key()),
+            Link::Tcp { .. } => self.connections.admit(link.key()).map(Some),
+        };
+        let admitted = match admitted {
+            Ok(admitted) => admitted,
+            Err(error) => return pause_after(&error).await,
+        };
+        let Some(admitted) = admitted else {
             if tls.is_none() {
                 // It fits into any socket's buffer: a client that does not read is not waited for.
                 let _ = tokio::time::timeout(Duration::from_millis(1), stream.write_all(TOO_MANY)).await;
@@ -198,15 +207,20 @@ impl Server {
         };
         let (router, ended) = (self.router.clone(), self.ended.clone());
         tokio::spawn(async move {
-            let _admitted = admitted;
-            let stream = Patient::new(stream, limits::STALL);
-            match tls {
-                None => converse(stream, link, router, ended).await,
-                Some(tls) => match tokio::time::timeout(limits::HEADER, tls.accept(stream)).await {
-                    Ok(Ok(stream)) => converse(stream, link, router, ended).await,
-                    Ok(Err(error)) => tracing::debug!(?link, "TLS: {error}"),
-                    Err(_) => tracing::debug!(?link, "TLS: no handshake in time"),
-                },
+            let (stream, standing) = (Patient::new(stream, limits::STALL), admitted.standing());
+            let talk = async {
+                match tls {
+                    None => converse(stream, link, standing, router, ended).await,
+                    Some(tls) => match tokio::time::timeout(limits::HEADER, tls.accept(stream)).await {
+                        Ok(Ok(stream)) => converse(stream, link, standing, router, ended).await,
+                        Ok(Err(error)) => tracing::debug!(?link, "TLS: {error}"),
+                        Err(_) => tracing::debug!(?link, "TLS: no handshake in time"),
+                    },
+                }
+            };
+            tokio::select! {
+                () = talk => {}
+                () = admitted.evicted() => tracing::debug!(?link, "closed for a newer connection"),
             }
         });
     }
@@ -218,13 +232,19 @@ async fn pause_after(error: &io::Error) {
 }
 
 /// One connection, request by request.
-async fn converse<S>(stream: S, link: Link, router: Router, mut ended: watch::Receiver<bool>)
-where
+async fn converse<S>(
+    stream: S,
+    link: Link,
+    standing: Standing,
+    router: Router,
+    mut ended: watch::Receiver<bool>,
+) where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
     let router = TowerToHyperService::new(router);
     let service = service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(link);
+        request.extensions_mut().insert(standing.clone());
         router.call(request)
     });
     let connection = http1::Builder::new()

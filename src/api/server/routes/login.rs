@@ -1,7 +1,8 @@
 //! Browsers: a token is exchanged for a cookie that no script can read.
 
-use crate::api::dto::{Identity, Login, path};
+use crate::api::dto::{Challenge, Identity, Login, path};
 use crate::api::server::auth::{Caller, Via, cookie_of};
+use crate::api::server::connections::Standing;
 use crate::api::server::limits::Key;
 use crate::api::server::logins::LIFETIME;
 use crate::api::server::{Body, Link, Refusal, Shared};
@@ -16,7 +17,18 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub(in crate::api::server) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new().routes(routes!(login)).routes(routes!(logout)).routes(routes!(identity))
+    OpenApiRouter::new()
+        .routes(routes!(challenge))
+        .routes(routes!(login))
+        .routes(routes!(logout))
+        .routes(routes!(identity))
+}
+
+/// What a proof of a token is made for: open to all, and good for this connection alone.
+#[utoipa::path(get, path = path::CHALLENGE, tag = "login",
+    responses((status = 200, description = "The connection's nonce.", body = Challenge)))]
+async fn challenge(Extension(standing): Extension<Standing>) -> Json<Challenge> {
+    Json(Challenge { nonce: standing.nonce.as_ref().to_owned() })
 }
 
 /// Exchanges a token for a cookie (HttpOnly, SameSite=Strict), for browsers.

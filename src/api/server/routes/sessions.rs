@@ -3,8 +3,9 @@
 use crate::api::dto::path;
 use crate::api::server::{Refusal, Shared};
 use crate::cmds::Exit;
+use crate::preview::listing::{Busy, LISTED_MAX, Told};
 use crate::preview::quick_look::Look;
-use crate::record::catalogue::{CatalogueEntry, catalogue, entry};
+use crate::record::catalogue::CatalogueEntry;
 use crate::session::state::Fault;
 use axum::Json;
 use axum::extract::{Path, Query, State};
@@ -21,9 +22,6 @@ pub(in crate::api::server) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(get_quick_look, ask_quick_look))
         .routes(routes!(get_cloud))
 }
-
-/// Sessions of one answer at most.
-const LIMIT_MAX: usize = 1000;
 
 /// Which sessions.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
@@ -43,27 +41,24 @@ fn fifty() -> usize {
 #[utoipa::path(get, path = path::SESSIONS, tag = "sessions", params(Choice),
     responses(
         (status = 200, description = "The recordings.", body = Vec<CatalogueEntry>),
-        (status = 400, description = "The query is not what is described.")))]
+        (status = 400, description = "The query is not what is described."),
+        (status = 503, description = "Too many ask at the same time.", body = Fault)))]
 async fn get_sessions(
     State(shared): State<Shared>,
     Query(choice): Query<Choice>,
-) -> Result<Json<Vec<CatalogueEntry>>, Refusal> {
-    let limit = choice.limit.clamp(1, LIMIT_MAX);
-    on_disk(move || catalogue(&shared.config.sessions_dir, &shared.config.node, limit)).await.map(Json)
+) -> Result<Response, Refusal> {
+    let listed = shared.services.listing.newest(choice.limit.clamp(1, LISTED_MAX)).await;
+    told(listed)?.ok_or_else(|| Refusal::new(StatusCode::NOT_FOUND, "no sessions"))
 }
 
 /// One recording.
 #[utoipa::path(get, path = path::SESSION, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 200, description = "The recording.", body = CatalogueEntry),
-        (status = 404, description = "This node has no such session.", body = Fault)))]
-async fn get_session(
-    State(shared): State<Shared>,
-    Path(name): Path<String>,
-) -> Result<Json<CatalogueEntry>, Refusal> {
-    let wanted = name.clone();
-    let found = on_disk(move || entry(&shared.config.sessions_dir, &shared.config.node, &wanted)).await?;
-    found.map(Json).ok_or_else(|| not_found(&name))
+        (status = 404, description = "This node has no such session.", body = Fault),
+        (status = 503, description = "Too many ask at the same time.", body = Fault)))]
+async fn get_session(State(shared): State<Shared>, Path(name): Path<String>) -> Result<Response, Refusal> {
+    told(shared.services.listing.one(name.clone()).await)?.ok_or_else(|| not_found(&name))
 }
 
 /// How far the look at a session is. Every session is looked at when it has been recorded, where that is configured.
@@ -111,8 +106,8 @@ fn not_found(name: &str) -> Refusal {
     Refusal::new(StatusCode::NOT_FOUND, format!("no session {name:?} at this node"))
 }
 
-/// Files are not looked at on the threads that serve requests.
-async fn on_disk<T: Send + 'static>(look: impl FnOnce() -> T + Send + 'static) -> Result<T, Refusal> {
-    let looked = tokio::task::spawn_blocking(look).await;
-    looked.map_err(|e| Fault::new(Exit::Failure, format!("looking at the disk failed: {e}")).into())
+/// JSON that was made elsewhere.
+fn told(told: Result<Told, Busy>) -> Result<Option<Response>, Refusal> {
+    let told = told.map_err(|busy| Refusal::from(Fault::new(Exit::Device, busy)))?;
+    Ok(told.map(|json| ([(header::CONTENT_TYPE, "application/json")], json).into_response()))
 }
