@@ -1,10 +1,9 @@
-//! Cameras through Aravis 0.8: the only file that names it.
+//! Cameras through Aravis 0.8: with its folder the only place that names it.
 //!
 //! What bites, and how it is met here (facts measured on 0.8.26):
-//! * A failed take-over of control is not an error of `Camera::new`: [`open`](CameraBackend::open) asks
-//!   `is_controller`.
-//! * Late blocks of a reused stream are thrown away silently: every arm makes a fresh stream.
-//! * Automatic packet size may exceed the MTU: the size is explicit, adjustment is off.
+//! * A failed take-over of control is no error of `Camera::new`: [`open`](CameraBackend::open) asks for it.
+//! * Late blocks of a reused stream are thrown away silently: every arm makes a fresh one.
+//! * Automatic packet size may exceed the MTU: it is explicit, adjustment is off.
 //! * An incomplete frame holds back later ones for `frame-retention`: it is set to a few trigger periods.
 //! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`], and the bytes that arrived are counted.
 //! * It calls any frame complete whose packets came, whatever its leader says: each is held against its contract.
@@ -14,7 +13,6 @@
 use super::canary::Canaries;
 use super::device_clock::{self, DeviceClock};
 use super::features::{Failed, Features};
-use super::source_filter::{self, Route};
 use super::verify::verify;
 use super::{
     AppliedSetting, Breach, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity,
@@ -34,6 +32,8 @@ use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+
+mod filter;
 
 /// The cameras that Aravis can reach.
 #[derive(Debug, Default)]
@@ -253,26 +253,6 @@ impl Features for AravisCamera {
 
     fn set_register(&self, address: u64, value: u32) -> Result<(), Failed> {
         self.device.write_register(address, value).map(drop).map_err(|e| self.failed(&e))
-    }
-}
-
-impl AravisCamera {
-    /// Sees to it that the stream hears its camera and nobody else.
-    fn restrict(&self, stream: &aravis::GvStream, socket: SocketMode) -> Result<(), CameraError> {
-        const OWN_ADDRESS: u64 = 0x0024;
-        const SOURCE_PORT: u64 = 0x0d1c;
-        let address = self.device.read_register(OWN_ADDRESS).map_err(link_error("reading its address"))?.1;
-        // Version 1.0 of the protocol has no such register, and 0 says that the port is not told.
-        let port = self.device.read_register(SOURCE_PORT).ok().and_then(|(_, port)| u16::try_from(port).ok());
-        let route = Route {
-            camera: Ipv4Addr::from_bits(address),
-            source_port: port.filter(|port| *port != 0),
-            stream_port: stream.port(),
-        };
-        source_filter::restrict(route, socket == SocketMode::Auto).map_err(|e| CameraError::Link {
-            doing: "setting the filter of its stream",
-            detail: e.to_string(),
-        })
     }
 }
 

@@ -4,7 +4,6 @@
 //! a second and camera, and only while somebody asks for them. However many look, it renders once.
 
 mod light;
-pub mod listing;
 mod picture;
 pub mod quick_look;
 

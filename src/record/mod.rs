@@ -21,6 +21,7 @@ mod segment;
 mod segment_file;
 mod session;
 mod statistics;
+mod topic;
 mod verdict;
 pub mod verify;
 mod window;

@@ -3,10 +3,9 @@
 use super::belonging::{Belonging, Label};
 use super::envelope::{FRONT, FrameMeta, parse_envelope_of, pixels_crc};
 use super::layout::{
-    CLOCK_TOPIC, CameraHeader, ClockSample, EVENTS_TOPIC, GAPS_TOPIC, GapCause, GapRecord, HEADER_METADATA,
-    KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader,
-    SEGMENT_METADATA, STATISTICS_METADATA, TRIGGERS_TOPIC, TriggerRecord, VERDICT_METADATA, VERSION,
-    image_topic,
+    CameraHeader, ClockSample, GapCause, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER,
+    KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA, STATISTICS_METADATA,
+    TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
 };
 use super::metadata::{
     StatedHeader, foreign_reason, is_sound, of_most, parse_header, read_header, stated_index,
@@ -15,6 +14,7 @@ use super::scan::{End, Entries, Event, Walker, metadata_by_index};
 use super::segment_file::{BadRange, SegmentFile};
 use super::session::RecordingFiles;
 use super::statistics::WriteStatistics;
+pub(crate) use super::topic::Topic;
 use super::verdict::{CameraVerdict, TriggerSet, Verdict};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Plane;
@@ -588,33 +588,4 @@ pub(crate) fn check_frame(
     let (meta, pixels) = identify(message, message.len(), (camera, trigger), header, belonging)?;
     check_pixels(&message[pixels.clone()], &meta)?;
     Ok((meta, pixels))
-}
-
-/// What a channel carries.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Topic {
-    /// Frames of the camera at this place in the header.
-    Image(usize),
-    /// Gap records.
-    Gaps,
-    /// The trigger table.
-    Triggers,
-    /// Clock samples.
-    Clock,
-    /// Events.
-    Events,
-    /// The frame index, and what later versions add.
-    Other,
-}
-
-impl Topic {
-    pub(crate) fn of(topic: &str, images: &[String]) -> Self {
-        match topic {
-            GAPS_TOPIC => Self::Gaps,
-            TRIGGERS_TOPIC => Self::Triggers,
-            CLOCK_TOPIC => Self::Clock,
-            EVENTS_TOPIC => Self::Events,
-            _ => images.iter().position(|image| image == topic).map_or(Self::Other, Self::Image),
-        }
-    }
 }

@@ -113,7 +113,7 @@ fn computing_knows_no_devices() {
 }
 
 #[test]
-fn aravis_is_named_in_one_file() {
+fn aravis_is_named_in_one_place() {
     // `self::aravis` is our own module of that name.
     let names = |code: &str| {
         let words = words(code);
@@ -122,7 +122,7 @@ fn aravis_is_named_in_one_file() {
         words.contains(&"aravis_sys") || (0..words.len()).any(path)
     };
     assert!(names("use aravis::prelude;") && !names("use self::aravis::AravisCameras;"));
-    assert_eq!(offenders(|place| place == "camera/aravis.rs", names), [""; 0]);
+    assert_eq!(offenders(|place| place.starts_with("camera/aravis"), names), [""; 0]);
 }
 
 #[test]

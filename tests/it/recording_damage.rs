@@ -244,7 +244,9 @@ fn a_shifted_camera_contradicts_the_hsu() {
     recording.finish(end(30)).expect("finished");
     let report = verify(&path, &|_, _| ()).expect("readable");
     assert_eq!(report.worst, Some(Severity::Corrupt));
-    assert!(report.findings.iter().any(|f| f.triggers == Some((10, 10)) && f.message.contains("HSU")));
+    assert!(
+        report.findings.iter().any(|f| f.triggers == Some((10, 29)) && f.message.contains("not the frames"))
+    );
 }
 
 #[test]
@@ -326,7 +328,7 @@ fn a_camera_that_is_one_trigger_off_from_the_start_contradicts_the_exchanges() {
         with_exchanges(dir.path(), "a", "h0_up", late_ns, 0);
         let report = verify(dir.path(), &|_, _| ()).expect("readable");
         assert_eq!(report.worst, worst, "{late_ns} ns: {:?}", report.findings);
-        let named = report.findings.iter().any(|f| f.message.contains("8.333 ms after their triggers"));
+        let named = report.findings.iter().any(|f| f.message.contains("ms after their triggers"));
         assert_eq!(named, worst.is_some(), "{:?}", report.findings);
     }
 }

@@ -13,6 +13,7 @@ mod connections;
 mod console;
 mod guard;
 pub mod limits;
+pub mod listing;
 mod logins;
 mod openapi;
 mod patience;

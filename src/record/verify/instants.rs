@@ -206,7 +206,7 @@ fn check_part(camera: &Camera<'_>, part: &[Frame], usual: &Usual, first: bool, n
         // A clock that was set between two exchanges, or one that cannot be read: arrivals tell.
         (_, Some(late)) => late.abs() <= half || (by_clock.is_none() && first),
         (Some(_), None) => false,
-        (None, None) => true,
+        (None, None) => first,
     };
     let recorded = || part.iter().filter_map(|frame| u64::try_from(frame.number).ok());
     let (Some(from), Some(to)) = (recorded().next(), recorded().next_back()) else { return };

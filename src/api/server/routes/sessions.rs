@@ -1,9 +1,9 @@
 //! What this node has recorded, and quick looks at it.
 
 use crate::api::dto::path;
+use crate::api::server::listing::{Busy, LISTED_MAX, Told};
 use crate::api::server::{Refusal, Shared};
 use crate::cmds::Exit;
-use crate::preview::listing::{Busy, LISTED_MAX, Told};
 use crate::preview::quick_look::Look;
 use crate::record::catalogue::CatalogueEntry;
 use crate::session::state::Fault;
