@@ -8,7 +8,6 @@
 //! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`], and the bytes that arrived are counted.
 //! * It calls any frame complete whose packets came, whatever its leader says: each is held against its contract.
 //! * Without a tick frequency it stamps frames with the host's clock: such a stamp is none.
-//! * The receive thread is Aravis' own; blocks travel to it and back through its queues.
 
 use super::canary::Canaries;
 use super::device_clock::{self, DeviceClock};

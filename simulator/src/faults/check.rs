@@ -127,6 +127,7 @@ fn check_recording(
         .collect();
     let end = recording.triggers_end();
     let dropped = GapCause::DroppedRingFull.to_string();
+    let doubtful = GapCause::IdentityMismatch.to_string();
     let mut all = Vec::new();
     let links = Links::of(truth, train, recording);
     links.judge(recording, into);
@@ -145,6 +146,10 @@ fn check_recording(
         let rows = Rows::of(mine(), &outcomes);
         rows.judge(recording, &outcomes, into);
         // Nothing after it proves what a camera's last frames were lost by.
+        let back = |trigger: u64| {
+            let since = |fault: &Injected| trigger.checked_sub(fault.trigger + fault.lasts.unwrap_or(0));
+            mine().filter(|fault| fault.lasts.is_some()).filter_map(since).any(|since| since <= 48)
+        };
         let last_frame = outcomes.iter().rposition(|outcome| outcome == FRAME).map_or(0, |at| at as u64);
         for (trigger, found) in (0u64..).zip(&outcomes) {
             if unfinished && trigger > last_frame && found.contains(ABSENT) {
@@ -162,6 +167,8 @@ fn check_recording(
                 _ if links.is_cut_off(trigger) || rows.at(trigger).is_some() => {}
                 None if found == FRAME => {}
                 _ if excuse.covers(found) => {}
+                // The first frames of a camera that is back may be given up: their place must be certain.
+                None if *found == doubtful && back(trigger) => {}
                 // That the set is whole and that an event names it is judged below.
                 _ if *found == dropped => into.dropped_by_host += 1,
                 None => into.mismatch(format!("{}: {found}, nothing was injected", place())),

@@ -83,6 +83,9 @@ impl Camera<'_> {
             self.of_hsu.as_ref().and_then(|fit| fit.uncertainty_ns(frame.hsu_ns)).unwrap_or(u64::MAX);
         let in_force = self.of_camera.iter().filter(|(_, first, last)| {
             let host_ns = frame.seen.host_ns;
+            if self.of_camera.len() == 1 {
+                return true;
+            }
             host_ns.saturating_add(BETWEEN_EXCHANGES_NS) >= *first
                 && host_ns <= last.saturating_add(BETWEEN_EXCHANGES_NS)
         });
