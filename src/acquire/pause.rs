@@ -22,7 +22,7 @@ pub(super) struct Pauses {
 impl Pauses {
     /// A thread that wakes up every 10 ms and did not run for so long stood still. Longer than what a loaded machine
     /// takes now and then, shorter than what the sockets can hold at full rate.
-    pub(super) const SHORTEST: Duration = Duration::from_millis(100);
+    pub(super) const SHORTEST: Duration = Duration::from_millis(200);
 
     /// These triggers came while the process stood still, or just around it.
     pub(super) fn add(&mut self, triggers: Range<u64>) {

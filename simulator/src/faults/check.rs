@@ -128,6 +128,7 @@ fn check_recording(
     let end = recording.triggers_end();
     let dropped = GapCause::DroppedRingFull.to_string();
     let doubtful = GapCause::IdentityMismatch.to_string();
+    let paused = GapCause::NodePaused.to_string();
     let mut all = Vec::new();
     let links = Links::of(truth, train, recording);
     links.judge(recording, into);
@@ -170,7 +171,7 @@ fn check_recording(
                 // The first frames of a camera that is back may be given up: their place must be certain.
                 None if *found == doubtful && back(trigger) => {}
                 // That the set is whole and that an event names it is judged below.
-                _ if *found == dropped => into.dropped_by_host += 1,
+                _ if *found == dropped || *found == paused => into.dropped_by_host += 1,
                 None => into.mismatch(format!("{}: {found}, nothing was injected", place())),
                 Some(fault) => {
                     let wrong = judge(fault, found, at_end, &events);

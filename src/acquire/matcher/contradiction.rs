@@ -112,6 +112,15 @@ impl Matcher {
             return self.give_up(case.frame);
         }
         let possible = self.is_fresh(case.by_id) && case.table.is_reported(case.by_id);
+        // Late alone, in a doubtful time: its id and stamp agree, and those behind it are in time.
+        let in_time = |f: &Follower<'_>| {
+            let due = case.table.time_ns(f.by_id);
+            due.and_then(|due| self.late_ns(f.frame, due, case.hsu)).is_some_and(|ns| ns.abs() <= half)
+        };
+        let agrees = residual.is_some_and(|ns| ns.abs() <= self.near_ns());
+        if possible && agrees && followers.iter().any(in_time) {
+            return self.accept(case, case.by_id, Witness::Two, None);
+        }
         if possible && punctual(case.by_id) && !between {
             return self.accept(case, case.by_id, Witness::Two, Some(Finding::StampWrong(residual)));
         }
