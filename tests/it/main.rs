@@ -41,8 +41,8 @@ mod endurance;
 mod export;
 #[cfg(feature = "aravis")]
 mod faults;
-#[cfg(feature = "aravis")]
 mod foreign_records;
+#[cfg(feature = "aravis")]
 mod frame_contract;
 mod frame_set;
 mod fuzz_corpora;
@@ -50,6 +50,7 @@ mod hsu;
 mod hsu_clock;
 #[cfg(feature = "aravis")]
 mod identity;
+#[cfg(feature = "aravis")]
 mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
