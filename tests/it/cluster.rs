@@ -44,7 +44,7 @@ impl Fixture {
         let done = fixture.run("one", &["--jobs", "1"]);
         assert_eq!(done.status.code(), Some(3), "{}", text(&done));
         let expected = fixture.files("one");
-        assert_eq!(expected.len() as u64, (2 * triggers - 1) + triggers + 2, "{:?}", expected.keys());
+        assert_eq!(expected.len() as u64, (2 * triggers - 1) + triggers + 3, "{:?}", expected.keys());
         assert!(expected.values().map(Vec::len).sum::<usize>() > 5_000_000, "there is something to compare");
         Self { expected, ..fixture }
     }
