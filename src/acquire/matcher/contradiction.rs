@@ -99,8 +99,10 @@ impl Matcher {
         let half = i128::from(self.start.period_ns / 2);
         let punctual = |number: i64| late(number).is_some_and(|ns| ns.abs() <= half);
         // Exposed between two triggers: then it arrives when its stamp says, and not when its id does.
-        let between =
-            late(case.by_id).zip(residual).is_some_and(|(ns, residual)| (ns - residual).abs() < ns.abs());
+        let quarter = i128::from(self.start.period_ns / 4);
+        let between = late(case.by_id)
+            .zip(residual)
+            .is_some_and(|(ns, residual)| residual.abs() > quarter && (ns - residual).abs() < ns.abs());
         // Nor are they early: ids and a clock that both stand a trigger too far agree with each other.
         let early = |f: &Follower<'_>| {
             let due = case.table.time_ns(f.by_id);
