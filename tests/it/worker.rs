@@ -474,11 +474,11 @@ fn a_session_of_which_nothing_was_reconstructed_is_set_aside_and_its_recording_s
     assert_eq!(imported.status.code(), Some(0), "{}", text_of(&imported));
     let calibration = place.path("calibration.json");
     let right = std::fs::read(&calibration).expect("readable");
-    let mut wrong: serde_json::Value = serde_json::from_slice(&right).expect("JSON");
-    let cameras = wrong["heads"][0]["cameras"].as_array_mut().expect("cameras");
-    let devices: Vec<_> = cameras.iter().map(|camera| camera["device"].clone()).collect();
-    cameras.iter_mut().zip(devices.into_iter().rev()).for_each(|(camera, device)| camera["device"] = device);
-    std::fs::write(&calibration, wrong.to_string()).expect("writable");
+    let mut wrong = fourdbody::calibrate::Calibration::load(&calibration).expect("valid");
+    let cameras = &mut wrong.heads[0].cameras;
+    let devices: Vec<_> = cameras.iter().map(|camera| camera.device.clone()).collect();
+    cameras.iter_mut().zip(devices.into_iter().rev()).for_each(|(camera, device)| camera.device = device);
+    wrong.save(&calibration).expect("writable");
 
     assert_eq!(place.once().0, Some(3));
     let state = place.state();
