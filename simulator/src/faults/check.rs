@@ -11,6 +11,8 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+/// So many triggers after a fault a frame may be given up, where this host made it late.
+const DOUBTFUL: u64 = 48;
 /// Mismatches beyond this many are counted, not listed.
 const LISTED: usize = 200;
 
@@ -37,6 +39,8 @@ pub struct Accounting {
     /// Outcomes of whole frame sets that the node dropped and said so, because this host was too busy: no fault of its
     /// own, and no proof of anything.
     pub dropped_by_host: u64,
+    /// Frames without a fault that were given up by name, shortly after a fault of their camera: late on a busy host.
+    pub given_up: u64,
     /// Everything that is not as it should be, faults and others.
     pub mismatches: u64,
     /// The first of them, in words.
@@ -147,9 +151,10 @@ fn check_recording(
         let rows = Rows::of(mine(), &outcomes);
         rows.judge(recording, &outcomes, into);
         // Nothing after it proves what a camera's last frames were lost by.
-        let back = |trigger: u64| {
+        // Shortly after a fault id, stamp and arrival must all agree: a frame that this host made late is given up then.
+        let doubtful_time = |trigger: u64| {
             let since = |fault: &Injected| trigger.checked_sub(fault.trigger + fault.lasts.unwrap_or(0));
-            mine().filter(|fault| fault.lasts.is_some()).filter_map(since).any(|since| since <= 48)
+            mine().filter_map(since).any(|since| since <= DOUBTFUL)
         };
         let last_frame = outcomes.iter().rposition(|outcome| outcome == FRAME).map_or(0, |at| at as u64);
         for (trigger, found) in (0u64..).zip(&outcomes) {
@@ -168,8 +173,7 @@ fn check_recording(
                 _ if links.is_cut_off(trigger) || rows.at(trigger).is_some() => {}
                 None if found == FRAME => {}
                 _ if excuse.covers(found) => {}
-                // The first frames of a camera that is back may be given up: their place must be certain.
-                None if *found == doubtful && back(trigger) => {}
+                None if *found == doubtful && doubtful_time(trigger) => into.given_up += 1,
                 // That the set is whole and that an event names it is judged below.
                 _ if *found == dropped || *found == paused => into.dropped_by_host += 1,
                 None => into.mismatch(format!("{}: {found}, nothing was injected", place())),
