@@ -52,7 +52,7 @@ fn time(pipeline: &Pipeline, image: &Plane<u8>, stage: Option<&str>, count: u64)
 fn stages(criterion: &mut Criterion) {
     for (name, scenario) in SCENES {
         let (pair, image) = photograph(name, scenario);
-        for (suffix, method) in [("", Method::Anchored), (" by the paper's method", Method::Paper)] {
+        for (suffix, method) in [("", Method::Joint), (" by the paper's method", Method::Paper)] {
             let pipeline = Pipeline::new(Triangulator::new(pair.clone()), method, false);
             let mut group = criterion.benchmark_group(format!("{name}{suffix}"));
             group

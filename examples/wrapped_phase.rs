@@ -49,7 +49,7 @@ fn main() -> Result<(), Failure> {
         }
         _ => return Err(USAGE.into()),
     };
-    let timed = Pipeline::new(Triangulator::new(pair.clone()), Method::Anchored, false);
+    let timed = Pipeline::new(Triangulator::new(pair.clone()), Method::Joint, false);
     let mut stages: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for run in 0..=RUNS {
         let mut times: BTreeMap<&str, f64> = BTreeMap::new();
@@ -60,13 +60,12 @@ fn main() -> Result<(), Failure> {
             times.into_iter().for_each(|(stage, ms)| stages.entry(stage).or_default().push(ms));
         }
     }
-    let pipeline = Pipeline::new(Triangulator::new(pair), Method::Anchored, true);
+    let pipeline = Pipeline::new(Triangulator::new(pair), Method::Joint, true);
     let result = pipeline.run(Mono8::from(&image));
     let maps = result.maps.ok_or_else(|| format!("{:?}", result.outcome))?;
-    let mut prepared =
+    let prepared =
         pipeline.prepare(Mono8::from(&image)).map_err(|refused| format!("{:?}", refused.outcome))?;
-    prepared.open.clear();
-    let kept = pipeline.finish(prepared).maps.ok_or("the pipeline keeps no maps")?;
+    let kept = pipeline.finish(prepared.without_orders()).maps.ok_or("the pipeline keeps no maps")?;
     write(Path::new(out), &[("wrapped", &maps, "Wm"), ("absolute", &maps, "Fm"), ("kept", &kept, "Fm")])?;
     let figure = |times: &mut Vec<f64>| {
         times.sort_by(f64::total_cmp);

@@ -65,7 +65,6 @@ for scene in $scenes; do
     # Only some scenes have a truth.
     ls "$here"/light/truth/*.npz >/dev/null 2>&1 || continue
     scored "$scene" "$scene"
-    [ "$scene" != "${scenes%% *}" ] || scored "$scene.paired" "$scene" --method paired
 done
 
 # Turn by turn, so that what else the machine does is spread over all.
@@ -79,8 +78,6 @@ for run in $(seq "$repeat"); do
     timed "first_1_thread.$first.$run" "$first" --jobs 1 --triggers 0..1
     timed "first_2_threads.$first.$run" "$first" --jobs 2 --triggers 0..1
     timed "paper.$first.$run" "$first" --jobs 1 --method paper
-    timed "paired.$first.$run" "$first" --jobs 1 --method paired
-    FOURDBODY_SIMD=avx2 timed "paired_avx2.$first.$run" "$first" --jobs 1 --method paired
     for path in portable avx2 avx512; do
         FOURDBODY_SIMD=$path timed "$path.$first.$run" "$first" --jobs 1
     done

@@ -72,21 +72,19 @@ def add_body(summary, args):
     # From nothing: what a preview of one instant waits for.
     for kind in ("first_1_thread", "first_2_threads"):
         median_and_least(summary, f"frame_set_{kind}_ms", [run["timings"]["wall_ms"] for run in runs_of(args.runs, kind, body)])
-    for kind in ("paper", "paired", "paired_avx2", "portable", "avx2", "avx512"):
+    for kind in ("paper", "portable", "avx2", "avx512"):
         values = [per_frame(run) for run in runs_of(args.runs, kind, body)]
         if values:
             median_and_least(summary, f"pipeline_{kind}_ms_per_frame_1_thread", values)
     summary["points_per_frame"] = points_per_frame(args, body)
     summary["body_robust_mm"] = score["robust_mm"]
     summary["body_p95_mm"] = score["p95_mm"]
-    paired = json.loads((args.scores / f"{body}.paired.json").read_text())["directional"]
-    for prefix, figures in (("", score), ("paired_", paired)):
-        for figure in ("completeness_of_lit", "wrong_order_share"):
-            summary[prefix + figure] = figures[figure]
-        for row in figures["by_modulation"]:
-            if row["min_modulation_dn"] == 4.0:
-                summary[f"{prefix}completeness_of_usable"] = row["completeness"]
-                summary[f"{prefix}completeness_of_usable_whole_fringes"] = row["whole_completeness"]
+    for figure in ("completeness_of_lit", "wrong_order_share"):
+        summary[figure] = score[figure]
+    for row in score["by_modulation"]:
+        if row["min_modulation_dn"] == 4.0:
+            summary["completeness_of_usable"] = row["completeness"]
+            summary["completeness_of_usable_whole_fringes"] = row["whole_completeness"]
 
 
 def word(text):

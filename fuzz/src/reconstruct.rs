@@ -6,7 +6,7 @@ use fourdbody::config::Rig;
 use fourdbody::geometry::Device;
 use fourdbody::image::{Mono8, Plane};
 use fourdbody::pattern::Pattern;
-use fourdbody::reconstruct::order::{self, View};
+use fourdbody::reconstruct::fringe_order::{self, View};
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
 use fourdbody::reconstruct::triangulate::Triangulator;
@@ -154,8 +154,7 @@ pub fn photograph(data: &[u8]) {
     let mut images = good_frames().to_vec();
     while change_frame(&mut images, &mut script).is_some() {}
     if first & 0x80 == 0 {
-        reconstruct(&calibration, &images, Method::Anchored, first & 0x40 != 0, data.len() > 1);
-        reconstruct(&calibration, &images, Method::Paired, first & 0x40 != 0, true);
+        reconstruct(&calibration, &images, Method::Joint, first & 0x40 != 0, data.len() > 1);
     } else {
         reconstruct(&calibration, &images, Method::Paper, first & 0x40 != 0, true);
     }
@@ -171,11 +170,7 @@ fn reconstruct(
 ) {
     let mut pipelines = Vec::new();
     for (head, camera) in calibration.cameras() {
-        let pair = Pair::new(head, camera, calibration).and_then(|pair| match method {
-            Method::Paired => pair.has_room_for_pairs().map(|()| pair),
-            Method::Anchored | Method::Paper => Ok(pair),
-        });
-        match pair {
+        match Pair::new(head, camera, calibration) {
             Ok(pair) => pipelines.push(Pipeline::new(Triangulator::new(pair), method, keep_maps)),
             Err(why) => return assert!(!why.is_empty()),
         }
@@ -198,11 +193,14 @@ fn together(pipelines: &[Pipeline], images: &[Plane<u8>]) -> Vec<Reconstruction>
     let mut prepared: Vec<Result<Prepared, _>> =
         all.map(|(x, image)| x.prepare(Mono8::from(image))).collect();
     let views = pipelines.iter().zip([0, 0, 1]).zip(&mut prepared).filter_map(|((x, head), prepared)| {
-        Some(View { triangulator: x.triangulator(), head, prepared: prepared.as_mut().ok()? })
+        Some(View { id: "", triangulator: x.triangulator(), head, prepared: prepared.as_mut().ok()? })
     });
-    order::settle(&mut views.collect::<Vec<_>>());
+    let said = fringe_order::settle(&mut views.collect::<Vec<_>>(), fringe_order::MARGIN);
     let finished = pipelines.iter().zip(prepared).map(|(x, prepared)| match prepared {
-        Ok(prepared) => x.finish(prepared),
+        Ok(prepared) => match &said {
+            Ok(()) => x.finish(prepared),
+            Err(reason) => *prepared.refuse(reason.clone()),
+        },
         Err(refused) => *refused,
     });
     finished.collect()

@@ -131,8 +131,7 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
 
 /// One pipeline for every camera, in the calibration's order. Nominal geometry has no rows to hold dashes against.
 pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
-    let pipeline =
-        |pair| Pipeline::new(Triangulator::new(Pair { rows: None, ..pair }), Method::Anchored, false);
+    let pipeline = |pair| Pipeline::new(Triangulator::new(Pair { rows: None, ..pair }), Method::Joint, false);
     nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).map(pipeline)).collect()
 }
 
@@ -200,7 +199,7 @@ fn owned(image: Mono8<'_>) -> Plane<u8> {
 }
 
 fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Plane<f32>, Refusal> {
-    match pipeline.prepare(image) {
+    match pipeline.absolute(image) {
         Ok(prepared) if prepared.counts.marker > 0 => {
             let mut phase = Plane::filled(image.width(), image.height(), f32::NAN);
             let roi = prepared.roi;

@@ -9,6 +9,7 @@ use crate::ids::CameraId;
 use crate::reconstruct::batch::{self, Format, Plan, RunError, Summary, Timings};
 use crate::reconstruct::collect::{self, Lack, Shards};
 use crate::reconstruct::dashes::REMARKABLE_PX;
+use crate::reconstruct::fringe_order;
 use crate::reconstruct::image_tree::ImageTree;
 use crate::reconstruct::pipeline::Method;
 use crate::reconstruct::png_source::PngSource;
@@ -90,11 +91,13 @@ pub(super) struct What {
     /// Triggers per second, for the times in sequence.mcap where the session does not tell them.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
     rate_hz: f64,
-    /// How the absolute phase is found: `anchored` refuses what no marker anchors; `paired` does so on the means of pairs of rows,
-    /// in three fifths of the time, with more that is refused (docs/validation.md); `paper` is section 4.1 of the paper to
-    /// the letter.
-    #[arg(long, value_enum, default_value = "anchored")]
+    /// How fringe orders are found: `joint`, from all cameras of a trigger together, refuses what is not certain; `paper` is section 4.1
+    /// of the paper to the letter.
+    #[arg(long, value_enum, default_value = "joint")]
     method: MethodName,
+    /// Refuse points whose fringe order leads any other by less: more is refused, and less is wrong (docs/validation.md has the curve).
+    #[arg(long, value_name = "T", default_value_t = fringe_order::MARGIN, value_parser = parse_margin)]
+    margin: f32,
     /// What to write: `ply` point clouds, or `phase` maps in phases/, a twentieth of the bytes, of which
     /// `fourdbody export` makes the very same clouds.
     #[arg(long, value_enum, default_value = "ply")]
@@ -112,8 +115,7 @@ enum FormatName {
 
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum MethodName {
-    Anchored,
-    Paired,
+    Joint,
     Paper,
 }
 
@@ -205,20 +207,16 @@ impl What {
             let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
             return Err(usage(&message));
         }
-        if matches!(self.method, MethodName::Paired) && self.uncertainty {
-            let message = "--uncertainty: how certain points are is not known of pairs of rows; leave out --method paired";
-            return Err(usage(&message));
-        }
         let plan = Plan {
             out: self.out.clone(),
             triggers,
             cameras,
             shard: (0, 1),
             method: match self.method {
-                MethodName::Anchored => Method::Anchored,
-                MethodName::Paired => Method::Paired,
+                MethodName::Joint => Method::Joint,
                 MethodName::Paper => Method::Paper,
             },
+            margin: self.margin,
             format: match self.format {
                 FormatName::Ply => Format::Ply,
                 FormatName::Phase => Format::Phase,
@@ -437,6 +435,11 @@ fn report(args: &Args, summary: &Summary) {
 pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
     let rate = text.parse().ok().filter(|rate: &f64| (0.001..=1e6).contains(rate));
     rate.ok_or_else(|| format!("expected triggers per second, for instance 120, found {text:?}"))
+}
+
+fn parse_margin(text: &str) -> Result<f32, String> {
+    let margin = text.parse().ok().filter(|margin: &f32| (0.0..=100.0).contains(margin));
+    margin.ok_or_else(|| format!("expected a margin of 0 or more, for instance 1.5, found {text:?}"))
 }
 
 pub(super) fn parse_range(text: &str) -> Result<Range<u64>, String> {

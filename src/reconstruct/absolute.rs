@@ -15,8 +15,6 @@ use std::f32::consts::TAU;
 pub struct Settings {
     /// Neighbours whose absolute phases differ by more than the carrier and this are on a step, rad.
     pub step_rad: f32,
-    /// The same from row to row, rad.
-    pub step_down_rad: f32,
     /// Least fringe amplitude, DN.
     pub min_amplitude: f32,
     /// Largest misfit of the fringe model (see [`Windows::misfit`]).
@@ -25,12 +23,9 @@ pub struct Settings {
     pub clear_misfit: f32,
 }
 
-impl Settings {
-    /// For images of which a row is the mean of so many rows of the sensor.
-    pub fn of_rows(sensor_rows: usize) -> Self {
-        let step_rad = 1.2;
-        let step_down_rad = step_rad * sensor_rows as f32;
-        Self { step_rad, step_down_rad, min_amplitude: 1.5, max_misfit: 0.6, clear_misfit: 0.08 }
+impl Default for Settings {
+    fn default() -> Self {
+        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6, clear_misfit: 0.08 }
     }
 }
 
@@ -112,7 +107,7 @@ impl Buffers {
         sign: f32,
         settings: &Settings,
     ) {
-        let Settings { step_rad, step_down_rad, .. } = *settings;
+        let Settings { step_rad, .. } = *settings;
         let (start, n) = (run.start(), run.columns().len());
         let (row, p) = (&row[run.columns()][..n], &period[run.columns()][..n]);
         let (right, beside) = (&mut self.right[..n], &mut self.beside[..n]);
@@ -130,7 +125,7 @@ impl Buffers {
             Some(below) => {
                 let below = &below[run.columns()][..n];
                 for i in 0..n {
-                    down[i] = u8::from((below[i] - row[i]).abs() > step_down_rad);
+                    down[i] = u8::from((below[i] - row[i]).abs() > step_rad);
                 }
             }
         }

@@ -16,8 +16,9 @@
 use super::collect::remove_leftovers;
 use super::dashes::Dashes;
 use super::dump;
+use super::fringe_order::{self, View};
 use super::key::{Key, KeyError};
-use super::order::{self, View};
+use super::outcome::WHY_ELSEWHERE;
 use super::pair::Pair;
 use super::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
 use super::source::{Frame, FrameSource};
@@ -65,6 +66,8 @@ pub struct Plan {
     pub shard: (u64, u64),
     /// How the absolute phase is found.
     pub method: Method,
+    /// By how much a fringe order must lead any other.
+    pub margin: f32,
     /// What is written.
     pub format: Format,
     /// Whether every point gets its standard uncertainty.
@@ -90,8 +93,7 @@ impl Plan {
 /// The name of a method on the command line and in files.
 pub fn method_name(method: Method) -> &'static str {
     match method {
-        Method::Anchored => "anchored",
-        Method::Paired => "paired",
+        Method::Joint => "joint",
         Method::Paper => "paper",
     }
 }
@@ -174,22 +176,36 @@ fn heed_dashes(stages: Vec<Stage>) -> Vec<Stage> {
     if !Dashes::most_contradict(dashes) {
         return stages;
     }
+    let reason = format!(
+        "the markers of most other cameras do not lie where the calibration has them; {WHY_ELSEWHERE}"
+    );
+    refuse(stages, &reason)
+}
+
+/// No clouds are made of any frame of a trigger, for this reason.
+fn refuse(stages: Vec<Stage>, reason: &str) -> Vec<Stage> {
     let refuse = |stage| match stage {
-        Stage::Prepared(prepared) => Stage::Refused(prepared.refuse()),
+        Stage::Prepared(prepared) => Stage::Refused(prepared.refuse(reason.to_owned())),
         other => other,
     };
     stages.into_iter().map(refuse).collect()
 }
 
 /// The frames of all cameras of one trigger give each other their fringe orders.
-fn help_each_other(cameras: &[(usize, &Camera)], stages: &mut [Stage]) {
-    let views = cameras.iter().zip(stages).filter_map(|((head, camera), stage)| match stage {
-        Stage::Prepared(prepared) => {
-            Some(View { triangulator: camera.pipeline.triangulator(), head: *head, prepared })
-        }
+fn help_each_other(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, margin: f32) -> Vec<Stage> {
+    let views = cameras.iter().zip(&mut stages).filter_map(|((head, camera), stage)| match stage {
+        Stage::Prepared(prepared) => Some(View {
+            id: camera.id.as_str(),
+            triangulator: camera.pipeline.triangulator(),
+            head: *head,
+            prepared,
+        }),
         _ => None,
     });
-    order::settle(&mut views.collect::<Vec<_>>());
+    match fringe_order::settle(&mut views.collect::<Vec<_>>(), margin) {
+        Ok(()) => stages,
+        Err(reason) => refuse(stages, &reason),
+    }
 }
 
 /// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers without a time of
@@ -216,9 +232,6 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
     let made = asked.par_iter().map(|(number, (head, camera))| {
         let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
         let pair = Pair::new(head, camera, calibration)?;
-        if plan.method == Method::Paired {
-            pair.has_room_for_pairs().map_err(|why| format!("camera {}: {why}", camera.id))?;
-        }
         let triangulator = Triangulator::new(pair);
         let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
         let pipeline = pipeline.with_uncertainty(plan.uncertainty);
@@ -361,7 +374,7 @@ impl Job<'_> {
         let frames = frames_comment(cameras.iter().map(|(_, camera)| &camera.id).zip(pixels));
         if self.plan.method != Method::Paper {
             stages = heed_dashes(stages);
-            self.timed(|| help_each_other(&cameras, &mut stages));
+            stages = self.timed(|| help_each_other(&cameras, stages, self.plan.margin));
         }
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
             Stage::Prepared(prepared) => {
@@ -436,9 +449,6 @@ impl Job<'_> {
         let stage = match camera.pipeline.prepare(image) {
             Ok(mut prepared) => {
                 prepared.add_time("map", mapping);
-                if self.plan.method != Method::Paper && self.plan.cameras.len() > 1 {
-                    order::cut(&mut prepared, camera.pipeline.triangulator().pair());
-                }
                 Stage::Prepared(Box::new(prepared))
             }
             Err(mut refused) => {
@@ -467,7 +477,6 @@ impl Job<'_> {
         comments.push(camera.viewpoint.comment());
         comments.push(together(self.cameras()));
         comments.push(format!("unresolved_px {}", result.counts.refused));
-        comments.push(format!("contradicted_px {}", result.counts.contradicted));
         let marker_offset_px = result.counts.dashes.offset_px;
         comments.extend(marker_offset_px.map(|offset| format!("marker_offset_px {offset}")));
         let (outcome, reason) = match &result.outcome {
@@ -481,17 +490,8 @@ impl Job<'_> {
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         timings.add(&result.stages);
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
-        let contradicted_px = result.counts.contradicted;
         let (camera, outcome) = (id.clone(), outcome.into());
-        let summary = FrameSummary {
-            camera,
-            outcome,
-            reason,
-            points,
-            unresolved_px,
-            contradicted_px,
-            marker_offset_px,
-        };
+        let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, marker_offset_px };
         let cloud = if self.plan.merges() { result.cloud } else { Cloud::default() };
         Ok((summary, cloud))
     }

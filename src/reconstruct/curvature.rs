@@ -30,7 +30,7 @@ const MAX_MISFIT: f32 = 0.15;
 /// planes would be rougher by a tenth.
 const NOISE_RAD_DN: f32 = 1.0;
 
-/// Rows of the sensor to each side over which the second difference along the column is taken, and its largest value, rad.
+/// Rows to each side over which the second difference along the column is taken, and its largest value, rad.
 const REACH_ROWS: usize = 6;
 const MAX_BEND_ROWS: f32 = 1.0;
 
@@ -41,8 +41,8 @@ thread_local! {
     static SUPPORT: RefCell<Support> = RefCell::default();
 }
 
-/// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phases are means of `rows` rows of the sensor, of
-/// `marker_rows` where `zone` is not zero; a row of the image is the mean of `sensor_rows`.
+/// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phases are means of `rows` rows, of
+/// `marker_rows` where `zone` is not zero.
 pub fn correct(
     absolute: &mut Plane<f32>,
     runs: &Runs,
@@ -50,11 +50,10 @@ pub fn correct(
     period: &Plane<f32>,
     zone: &Plane<u8>,
     (rows, marker_rows): (f32, f32),
-    sensor_rows: usize,
 ) {
     let per_bend = |rows: f32| (rows * rows - 1.0) / 24.0 / (REACH_ROWS * REACH_ROWS) as f32;
     let weight = [per_bend(rows), per_bend(marker_rows)];
-    let reach = REACH_ROWS / sensor_rows;
+    let reach = REACH_ROWS;
     SUPPORT.with_borrow_mut(|support| {
         simd::dispatch(
             #[inline(always)]
@@ -272,7 +271,7 @@ mod tests {
         };
         let before = rms(&absolute);
         let runs = Runs::of(&mask);
-        correct(&mut absolute, &runs, &windows(phasors, &runs), &period, &none, (ROWS as f32, 12.0), 1);
+        correct(&mut absolute, &runs, &windows(phasors, &runs), &period, &none, (ROWS as f32, 12.0));
         [before, rms(&absolute)]
     }
 

@@ -246,14 +246,9 @@ pub(super) fn of_samples(samples: &[f32; 7], [gain_s, gain_c]: [f32; 2]) -> (f32
     (s, c, mean, misfit)
 }
 
-/// Rows of the sensor that the mean of a phase is taken over, where a row of the image is the mean of so many.
-pub(super) fn averaged_rows(sensor_rows: usize) -> usize {
-    (2 * (ROWS_EACH_SIDE / sensor_rows) + 1) * sensor_rows
-}
-
-/// Rows to each side of row `v` of `h` that are averaged with it, where a row is the mean of so many of the sensor.
-pub(super) fn row_reach(v: usize, h: usize, sensor_rows: usize) -> usize {
-    (ROWS_EACH_SIDE / sensor_rows).min(v).min(h - 1 - v)
+/// Rows to each side of row `v` of `h` that are averaged with it.
+pub(super) fn row_reach(v: usize, h: usize) -> usize {
+    ROWS_EACH_SIDE.min(v).min(h - 1 - v)
 }
 
 /// A block of a row of phasors of length 1, their true lengths and misfit.

@@ -18,7 +18,7 @@ use std::cell::RefCell;
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-/// Settings of this stage. Its trade-off is tabulated in `docs/design/reconstruction-experiments.md`.
+/// Settings of this stage.
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {
     /// Pixels from this misfit on are doubtful.
@@ -458,7 +458,7 @@ mod tests {
         phasors::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
         let windows = phasors::windows(phasors, &runs);
-        curvature::correct(&mut phase, &runs, &windows, &period, &none, (5.0, 12.0), 1);
+        curvature::correct(&mut phase, &runs, &windows, &period, &none, (5.0, 12.0));
         refine(&mut phase, &runs, &windows, &period, &none, 1.0, &Settings::default(), None);
         [before, score(&phase)]
     }

@@ -195,8 +195,6 @@ impl Input<'_> {
         buffers.shaded.iter_mut().for_each(|row| sample::with_room(row, w));
         sample::with_room(&mut buffers.zeros, w);
         buffers.known = 0;
-        // Where rows are taken in pairs, fewer of them are averaged.
-        let reach_of_mean = demodulate::row_reach(LATER, BRIDGED, self.pair.sensor_rows);
         for next in 0..h + reach + LATER {
             prefetch::row(self.period, self.runs, next + AHEAD);
             prefetch::row(&windows.light, self.runs, next + AHEAD);
@@ -212,10 +210,7 @@ impl Input<'_> {
                 prefetch::row(wrapped, self.runs, v + AHEAD);
                 prefetch::row(&windows.strength, self.runs, v + AHEAD);
                 prefetch::row(&windows.misfit, self.runs, v + AHEAD);
-                match reach_of_mean {
-                    1 => self.finish::<1>(v, buffers, windows, wrapped),
-                    _ => self.finish::<LATER>(v, buffers, windows, wrapped),
-                }
+                self.finish(v, buffers, windows, wrapped);
             }
         }
     }
@@ -311,13 +306,7 @@ impl Input<'_> {
 
     /// Averages row `v` with up to `REACH` above and below it, and takes its phases.
     #[inline(always)]
-    fn finish<const REACH: usize>(
-        &self,
-        v: usize,
-        buffers: &mut Buffers,
-        windows: &mut Windows,
-        wrapped: &mut Plane<f32>,
-    ) {
+    fn finish(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows, wrapped: &mut Plane<f32>) {
         let Buffers {
             bridged: [c, s],
             units: [unit_c, unit_s, length],
@@ -332,7 +321,8 @@ impl Input<'_> {
             let row = v % BRIDGED;
             [&unit_c[row][room], &unit_s[row][room], &length[row][room], &misfit[v % misfit.len()][room]]
         };
-        let reach = demodulate::row_reach(v, self.image.height(), self.pair.sensor_rows);
+        let reach = demodulate::row_reach(v, self.image.height());
+        const REACH: usize = demodulate::ROWS / 2;
         // Rows beyond the frame take no part.
         let beyond = [&zeros[room]; 4];
         let mut around = [[beyond; 2]; REACH];

@@ -15,10 +15,10 @@ use std::path::{Path, PathBuf};
 
 /// The algorithm's number: raised whenever the same frames may give other points, or a file other bytes than its comments.
 /// `it::reused` holds the digest of a small scene's clouds beside it, and fails when one changes without the other.
-pub const ALGORITHM: u32 = 28;
+pub const ALGORITHM: u32 = 29;
 
 /// Everything that the clouds of a directory share.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Key {
     /// Whose frames.
@@ -27,8 +27,10 @@ pub struct Key {
     pub algorithm: u32,
     /// SHA-256 of the calibration, all of it.
     pub calibration_sha256: String,
-    /// `anchored`, `paired` or `paper`.
+    /// `joint` or `paper`.
     pub method: String,
+    /// By how much a fringe order must lead any other.
+    pub margin: f32,
     /// Whether points have their standard uncertainty.
     pub uncertainty: bool,
     /// `ply` or `phase`.
@@ -71,6 +73,7 @@ impl Key {
             algorithm: ALGORITHM,
             calibration_sha256: calibration_sha256(calibration)?,
             method: method_name(plan.method).to_owned(),
+            margin: plan.margin,
             uncertainty: plan.uncertainty,
             format: match plan.format {
                 Format::Ply => "ply",
@@ -83,8 +86,8 @@ impl Key {
 
     /// As clouds state it: a hash over what they depend on beside the frames, whatever session these are of.
     pub fn parameters(&self) -> String {
-        let Self { algorithm, calibration_sha256, method, uncertainty, .. } = self;
-        let value = serde_json::json!([algorithm, calibration_sha256, method, uncertainty]);
+        let Self { algorithm, calibration_sha256, method, margin, uncertainty, .. } = self;
+        let value = serde_json::json!([algorithm, calibration_sha256, method, margin, uncertainty]);
         Sha256::digest(value.to_string()).iter().take(16).map(|byte| format!("{byte:02x}")).collect()
     }
 
@@ -145,6 +148,7 @@ impl Key {
                 ("algorithm", key.algorithm.to_string()),
                 ("calibration", key.calibration_sha256.chars().take(16).collect()),
                 ("method", key.method.clone()),
+                ("margin", key.margin.to_string()),
                 ("uncertainty", key.uncertainty.to_string()),
                 ("format", key.format.clone()),
                 ("cameras", cameras(key)),
@@ -186,7 +190,8 @@ mod tests {
             session,
             algorithm: ALGORITHM,
             calibration_sha256: "c".repeat(64),
-            method: "anchored".to_owned(),
+            method: "joint".to_owned(),
+            margin: 1.0,
             uncertainty: false,
             format: "ply".to_owned(),
             cameras: vec!["h0_up".into(), "h0_low".into()],
@@ -210,7 +215,8 @@ mod tests {
         refused(&|key| key.session.nodes.push("b".to_owned()), &["session: there", "a,b"]);
         refused(&|key| key.algorithm += 1, &["algorithm: there"]);
         refused(&|key| key.calibration_sha256 = "d".repeat(64), &["calibration: there cccc", "dddd"]);
-        refused(&|key| key.method = "paper".to_owned(), &["method: there anchored, asked for paper"]);
+        refused(&|key| key.method = "paper".to_owned(), &["method: there joint, asked for paper"]);
+        refused(&|key| key.margin = 2.0, &["margin: there 1, asked for 2"]);
         refused(&|key| key.uncertainty = true, &["uncertainty: there false"]);
         refused(&|key| key.format = "phase".to_owned(), &["format: there ply"]);
         refused(&|key| key.cameras.truncate(1), &["cameras: there h0_up,h0_low, asked for h0_up"]);

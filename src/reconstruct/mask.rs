@@ -13,7 +13,7 @@ use crate::image::{Mono8, Plane};
 /// Pixels at or above this value are over-exposed: their phase means nothing.
 pub const SATURATED: u8 = 250;
 
-/// Smallest component that [`envelope`] keeps, px of the sensor.
+/// Smallest component that [`envelope`] keeps, px.
 const MIN_COMPONENT_PX: u32 = 400;
 
 /// Envelope levels below the black level by less than this are never object, DN.
@@ -41,18 +41,12 @@ pub struct Buffers {
     pub lit: Runs,
 }
 
-/// Rows of the sensor that the opening reaches up and down.
+/// Rows that the opening reaches up and down.
 const OPENING_ROWS: usize = 2;
 
 /// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in the
-/// image, of which a row is the mean of so many rows of the sensor.
-pub fn envelope(
-    image: Mono8<'_>,
-    period_px: f32,
-    sensor_rows: usize,
-    buffers: &mut Buffers,
-    object: &mut Runs,
-) {
+/// image.
+pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
     let width = (1.2 * period_px).ceil() as usize | 1;
     simd::dispatch(
         #[inline(always)]
@@ -60,13 +54,12 @@ pub fn envelope(
             sample_envelope(image, width, buffers);
             let Buffers { smooth, above, bits, opening, runs, .. } = &mut *buffers;
             let columns = above.find(image, log_threshold(smooth), width / 2, bits);
-            opening.runs(bits, columns, (image.height(), OPENING_ROWS / sensor_rows), runs);
+            opening.runs(bits, columns, (image.height(), OPENING_ROWS), runs);
         },
     );
     let Buffers { runs, row, lit, .. } = buffers;
     let (piece, pieces) = components::connect(runs);
-    let least = MIN_COMPONENT_PX / sensor_rows as u32;
-    keep(runs, |place| pieces[piece[place] as usize].area >= least, lit);
+    keep(runs, |place| pieces[piece[place] as usize].area >= MIN_COMPONENT_PX, lit);
     part(lit, image, row, object);
 }
 
@@ -342,14 +335,10 @@ impl Scratch {
 
 #[cfg(test)]
 mod tests {
-    use super::{Buffers, Scratch, histogram, median3x3, otsu};
+    use super::{Buffers, Scratch, envelope, histogram, median3x3, otsu};
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::runs::Runs;
     use proptest::prelude::{any, prop_assert_eq, proptest};
-
-    fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
-        super::envelope(image, period_px, 1, buffers, object);
-    }
 
     /// The mask that one of the two methods makes, as a plane.
     fn mask(image: &Plane<u8>, method: impl Fn(Mono8<'_>, f32, &mut Buffers, &mut Runs)) -> Plane<u8> {

@@ -26,6 +26,8 @@ pub mod demodulate;
 pub mod dump;
 /// Phase at edges of colour, and the error to expect of it.
 pub mod edges;
+/// Fringe orders of all views of one instant.
+pub mod fringe_order;
 /// From a photograph and its mask to wrapped phases and the marker.
 pub mod front;
 /// Directories of images.
@@ -47,8 +49,6 @@ pub mod mask;
 /// Normals from neighbouring points.
 pub mod normals;
 mod opening;
-/// Fringe orders of all views of one instant.
-pub mod order;
 mod outcome;
 /// What the pipeline must know of a camera and its projector.
 pub mod pair;
@@ -72,7 +72,6 @@ pub mod rays;
 /// The part of a frame that holds the object.
 pub mod roi;
 mod round;
-pub mod row_pairs;
 mod run_ends;
 /// Runs of a mask's pixels.
 pub mod runs;
@@ -81,7 +80,6 @@ mod sample;
 pub mod shading;
 /// Vectors as wide as the processor has.
 pub mod simd;
-mod single_rows;
 mod source;
 /// Stored phase maps to clouds.
 pub mod stored;
@@ -93,8 +91,6 @@ pub mod triangulate;
 /// Standard uncertainty of every phase.
 pub mod uncertainty;
 mod unchecked;
-/// The anchored spanning forest.
-pub mod unwrap;
 /// The paper's spanning tree.
 pub mod unwrap_paper;
 /// What later stages need of the demodulation's windows.

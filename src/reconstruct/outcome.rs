@@ -19,7 +19,7 @@ pub(super) const NO_OBJECT: &str = "there is no object in the frame";
 pub(super) const WHY_ELSEWHERE: &str =
     "is it the calibration of another camera, or another projector's light, or has a device moved?";
 
-/// Pixel counts that tell how a frame went, px of the sensor.
+/// Pixel counts that tell how a frame went.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Counts {
     /// Pixels on the object mask.
@@ -32,27 +32,8 @@ pub struct Counts {
     pub dashes: Dashes,
     /// Pixels left out because their fringe order is not certain.
     pub refused: usize,
-    /// Of these, pixels for whose order the evidence contradicts itself; the others have too little.
-    pub contradicted: usize,
-    /// Merges refused because anchors contradicted.
-    pub contradictions: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,
-}
-
-impl Counts {
-    /// Of px of the sensor, where they were of images of which a row is the mean of so many rows.
-    pub(super) fn of_sensor(self, rows: usize) -> Self {
-        Self {
-            object: rows * self.object,
-            phase: rows * self.phase,
-            marker: rows * self.marker,
-            refused: rows * self.refused,
-            contradicted: rows * self.contradicted,
-            dropped: rows * self.dropped,
-            ..self
-        }
-    }
 }
 
 /// What a frame with this cloud has come to.

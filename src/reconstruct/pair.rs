@@ -30,8 +30,6 @@ pub struct Pair {
     pub volume_min_m: [f64; 3],
     /// Upper corner of that volume, world, m.
     pub volume_max_m: [f64; 3],
-    /// Rows of the sensor that a row of the image is the mean of: 1, or 2 where rows are taken in pairs.
-    pub sensor_rows: usize,
 }
 
 /// No surface is nearer to a camera, m.
@@ -85,31 +83,7 @@ impl Pair {
             pattern,
             volume_min_m: min.map(|x| x - VOLUME_MARGIN_M),
             volume_max_m: max.map(|x| x + VOLUME_MARGIN_M),
-            sensor_rows: 1,
         })
-    }
-
-    /// Whether rows can be taken in pairs; an error when the marker's dashes are too fine for that.
-    pub fn has_room_for_pairs(&self) -> Result<(), String> {
-        let (rows, period) = (self.camera.height, self.marker_period_px);
-        if rows < 2 || period < 4.0 {
-            return Err(format!(
-                "expected frames of two rows or more and a marker with a period of 4 px or more in them, to take rows in pairs, found {rows} rows and {period:.1} px; use --method anchored"
-            ));
-        }
-        Ok(())
-    }
-
-    /// The same camera with rows in pairs: row `v` of the image is the mean of the rows `2 v` and `2 v + 1`, whose middle lies
-    /// between them.
-    #[must_use]
-    pub fn of_row_pairs(mut self) -> Self {
-        self.camera.height /= 2;
-        self.camera.lens.fy /= 2.0;
-        self.camera.lens.cy = (self.camera.lens.cy - 0.5) / 2.0;
-        self.marker_period_px /= 2.0;
-        self.sensor_rows *= 2;
-        self
     }
 
     /// The ray of pixel (u, v), and the distances, m, between which it is in the volume; `None` where it misses it.
@@ -154,32 +128,4 @@ fn panel_steps(camera: &Device, projector: &Device, middle: &Point3<f64>) -> Opt
     let across = step(panel(u - 4.0, v)?, panel(u + 4.0, v)?);
     let along = step(panel(u, v - 4.0)?, panel(u, v + 4.0)?);
     Some((across, along))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Pair;
-    use crate::calibrate::Calibration;
-    use crate::config::Rig;
-    use nalgebra::Point3;
-
-    #[test]
-    fn a_pair_of_rows_lies_between_them() {
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
-        let calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
-        let head = &calibration.heads[0];
-        let all = Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair");
-        let pairs = all.clone().of_row_pairs();
-        assert_eq!((pairs.camera.width, pairs.camera.height, pairs.sensor_rows), (1920, 600, 2));
-        let [x, y, z] = [0.1, -0.2, 1.1];
-        let point = Point3::new(x, y, z);
-        let [u, v] = all.camera.project(&point).expect("in view");
-        let [u2, v2] = pairs.camera.project(&point).expect("in view");
-        // Rows 2 k and 2 k + 1 are k: their middle is 2 k + 1/2.
-        assert!((u - u2).abs() < 1e-9 && (v - (2.0 * v2 + 0.5)).abs() < 1e-9, "{v} {v2}");
-        assert!((pairs.marker_period_px * 2.0 - all.marker_period_px).abs() < 1e-6);
-        assert_eq!(all.has_room_for_pairs(), Ok(()));
-        let fine = Pair { marker_period_px: 3.9, ..all };
-        assert!(fine.has_room_for_pairs().is_err_and(|why| why.contains("3.9 px")));
-    }
 }

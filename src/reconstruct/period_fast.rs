@@ -14,7 +14,7 @@ use super::simd;
 use crate::image::{Mono8, Plane};
 
 /// The threshold is the mean over this many nominal periods to each side. Shorter means find more crossings where the
-/// light falls off towards an outline, and more wrong ones (docs/design/reconstruction-experiments.md).
+/// light falls off towards an outline, and more wrong ones.
 const LIGHT_PERIODS: f32 = 1.3;
 
 /// Steps of a pixel in which distances are summed.

@@ -51,7 +51,7 @@ pub fn average_rows(phasors: &mut Phasors, skip: &Plane<u8>) {
     let (w, h) = (phasors.c.width(), phasors.c.height());
     let (c, s) = (phasors.c.clone(), phasors.s.clone());
     for v in 0..h {
-        let reach = row_reach(v, h, 1);
+        let reach = row_reach(v, h);
         for first in (0..w).step_by(LANES) {
             let block = |plane: &Plane<f32>, v: usize| sample::load(plane.row(v), first);
             let row = |v: usize| {

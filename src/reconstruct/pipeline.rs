@@ -2,22 +2,21 @@
 
 use super::dashes::{self, Dashes};
 use super::demodulate::Gains;
+use super::fringe_order::{self, Orders, Regions, View};
 use super::front::{self, Front, Planes};
 use super::marker_phase::Bias;
 use super::marker_pieces::MarkerPieces;
-use super::order::{Orders, Regions};
 use super::outcome::{NO_OBJECT, WHY_ELSEWHERE, outcome_of};
 use super::pool::Pool;
 use super::rays::RayTable;
 use super::roi::Roi;
-use super::row_pairs::Single;
-use super::runs::{Run, Runs};
+use super::runs::Runs;
 use super::timings::Clock;
 use super::triangulate::Triangulator;
 use super::windows::{self, Windows};
 use super::{
     absolute, cloud, curvature, demodulate, edges, marker_number, marker_paper, mask, period, quality,
-    row_pairs, run_ends, simd, single_rows, uncertainty, unwrap, unwrap_paper,
+    run_ends, simd, uncertainty, unwrap_paper,
 };
 use crate::export::{Cloud, PhaseMap, STEPS_PER_LEVEL};
 use crate::image::{Mono8, Plane};
@@ -29,12 +28,10 @@ pub use super::outcome::{Counts, Outcome};
 /// How the absolute phase is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
+    /// The fringe orders of all cameras of a trigger together ([`super::fringe_order`]).
+    Joint,
     /// The paper's section 4.1: one spanning tree guided by Qm, one shift by the marker's median.
     Paper,
-    /// The anchored spanning forest: every marker pixel is an anchor, contradictions are refused.
-    Anchored,
-    /// The same on the means of pairs of rows ([`row_pairs`]): faster, with more that is refused.
-    Paired,
 }
 
 /// Everything that one frame gives.
@@ -70,13 +67,8 @@ pub struct Maps {
 /// Reconstructs the frames of one camera.
 #[derive(Debug)]
 pub struct Pipeline {
-    /// Of the image that the stages see.
     triangulator: Triangulator,
     table: Arc<RayTable>,
-    /// Where rows are taken in pairs: lines of sight of all of them.
-    all_rows: Option<RayTable>,
-    /// Columns and rows of a frame.
-    frame: [usize; 2],
     gains: Gains,
     bias: Bias,
     method: Method,
@@ -89,9 +81,7 @@ pub struct Pipeline {
 struct Buffers {
     object: Runs,
     mask: mask::Buffers,
-    singles: single_rows::Buffers,
     front: front::Buffers,
-    unwrap: unwrap::Buffers,
 }
 
 /// Of all cameras: a thread that goes from one to the next finds its memory there.
@@ -100,26 +90,22 @@ static PLANES: Planes<f32> = Planes::new();
 static WORDS: Planes<u16> = Planes::new();
 static BYTES: Planes<u8> = Planes::new();
 
-/// A frame whose phase is unwrapped as far as the camera alone can. [`super::order::settle`] weighs its orders
-/// before [`Pipeline::finish`] makes the cloud.
+/// A frame whose phase is known but for its fringe orders: [`fringe_order::settle`] finds these before [`Pipeline::finish`] makes the
+/// cloud.
 #[derive(Debug)]
 pub struct Prepared {
     /// Where the object is; all planes cover this part of the frame.
     pub roi: Roi,
     /// Phase, rad, absolute but for [`Prepared::orders`]; NaN where it is not known. Far beside the runs it is any number.
     pub absolute: Plane<f32>,
-    /// Where that lacks its fringe order as far as the camera alone can tell: rows, and stretches of them.
-    pub open: Vec<(u32, Run)>,
     /// Lines of sight of the camera.
     pub(super) table: Arc<RayTable>,
-    /// Pieces of surface with their own fringe order, and how certain it is.
+    /// How certain its orders are.
     pub regions: Regions,
-    /// Its patches until all cameras are heard, and then their orders.
+    /// Its patches, and their orders.
     pub(super) orders: Orders,
     /// Not 0 on marker cores.
     pub marker: Plane<u8>,
-    /// Runs of the object, over-exposed or not.
-    pub(super) lit: Runs,
     /// How it went so far.
     pub counts: Counts,
     /// Runs of the object without what is over-exposed: nothing is known outside of them.
@@ -127,10 +113,6 @@ pub struct Prepared {
     windows: Windows,
     /// The photograph.
     image: Plane<u8>,
-    /// Rows of the sensor that one of its rows is the mean of.
-    sensor_rows: usize,
-    /// Where these are, of pairs of which one row is taken alone.
-    singles: Vec<Single>,
     period: Plane<f32>,
     /// Around the marker: not 0.
     zone: Plane<u8>,
@@ -139,14 +121,18 @@ pub struct Prepared {
 }
 
 impl Prepared {
-    /// No cloud is made of the frame: its marker agrees with the calibration, those of most other cameras do not.
-    pub fn refuse(self) -> Box<Reconstruction> {
+    /// No cloud is made of the frame, for this reason.
+    pub fn refuse(self, reason: String) -> Box<Reconstruction> {
         let mut counts = self.counts;
         counts.refused = counts.phase;
-        let reason = format!(
-            "the markers of most other cameras do not lie where the calibration has them; {WHY_ELSEWHERE}"
-        );
-        refused(self.clock, counts.of_sensor(self.sensor_rows), reason)
+        refused(self.clock, counts, reason)
+    }
+
+    /// Phases as they are within each patch, whatever their fringe orders: for comparisons of phases alone.
+    #[must_use]
+    pub fn without_orders(mut self) -> Self {
+        self.orders.forget();
+        self
     }
 
     /// Fringe period Pm, px.
@@ -174,7 +160,7 @@ impl Prepared {
 /// The absolute phase with what the points need beside it.
 struct Resolved {
     absolute: Plane<f32>,
-    open: Vec<(u32, Run)>,
+    orders: Orders,
     marker: Plane<u8>,
     /// Runs of the object: nothing is known outside of them.
     runs: Runs,
@@ -188,137 +174,108 @@ struct Resolved {
 impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
-        let camera = &triangulator.pair().camera;
-        let frame = [camera.width, camera.height];
-        let (triangulator, all_rows) = match method {
-            Method::Paired => {
-                let of_pairs = Triangulator::new(triangulator.pair().clone().of_row_pairs());
-                (of_pairs, Some(RayTable::new(triangulator.pair())))
-            }
-            Method::Anchored | Method::Paper => (triangulator, None),
-        };
-        let bias = Bias::new(&triangulator.pair().pattern);
-        let table = Arc::new(RayTable::new(triangulator.pair()));
-        let camera = &triangulator.pair().camera;
-        PLANES.make_room(camera.width * camera.height);
-        WORDS.make_room(camera.width * camera.height);
-        BYTES.make_room(camera.width * camera.height);
-        Self {
-            triangulator,
-            table,
-            all_rows,
-            frame,
-            gains: Gains::new(),
-            bias,
-            method,
-            keep_maps,
-            uncertainty: false,
-        }
+        let pair = triangulator.pair();
+        let (bias, table) = (Bias::new(&pair.pattern), Arc::new(RayTable::new(pair)));
+        let pixels = pair.camera.width * pair.camera.height;
+        PLANES.make_room(pixels);
+        WORDS.make_room(pixels);
+        BYTES.make_room(pixels);
+        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
 
-    /// Also gives every point its standard uncertainty; not where rows are taken in pairs, for which its model of noise was not made.
+    /// Also gives every point its standard uncertainty.
     #[must_use]
     pub fn with_uncertainty(self, uncertainty: bool) -> Self {
-        Self { uncertainty: uncertainty && self.method != Method::Paired, ..self }
+        Self { uncertainty, ..self }
     }
 
-    /// What it triangulates with: where rows are taken in pairs, the pixels of these.
+    /// What it triangulates with.
     pub fn triangulator(&self) -> &Triangulator {
         &self.triangulator
     }
 
     /// Columns and rows of its frames.
     pub fn frame(&self) -> [usize; 2] {
-        self.frame
+        let camera = &self.triangulator.pair().camera;
+        [camera.width, camera.height]
     }
 
     /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
-        match self.prepare(image) {
+        match self.settled(image) {
             Ok(prepared) => self.finish(prepared),
             Err(refused) => *refused,
         }
     }
 
-    /// Unwraps one frame; the error is the refusal of a frame that shows nothing.
+    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs.
+    pub fn absolute(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
+        let mut prepared = self.settled(image)?;
+        std::mem::take(&mut prepared.orders).apply(&mut prepared.absolute);
+        Ok(prepared)
+    }
+
+    /// One frame whose orders no other camera has been asked for.
+    fn settled(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
+        let mut prepared = self.prepare(image)?;
+        if self.method == Method::Joint {
+            let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
+            if let Err(reason) = fringe_order::settle(&mut [view], fringe_order::MARGIN) {
+                return Err(prepared.refuse(reason));
+            }
+        }
+        Ok(prepared)
+    }
+
+    /// Finds the phases of one frame; the error is the refusal of a frame that shows nothing.
     pub fn prepare(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
         let pair = self.triangulator.pair();
-        let (expected, found) = (self.frame, [image.width(), image.height()]);
+        let (expected, found) = (self.frame(), [image.width(), image.height()]);
         if found != expected {
             let reason =
                 format!("expected a frame of {expected:?} pixels, as the calibration has, found {found:?}");
             return Err(refused(clock, counts, reason));
         }
-        let folded = self.all_rows.is_some().then(|| {
-            clock.time("pair_rows", || {
-                let [mut pairs, mut largest] =
-                    [(); 2].map(|()| BYTES.take(pair.camera.width, pair.camera.height));
-                row_pairs::fold(image, &mut pairs, &mut largest);
-                (pairs, largest)
-            })
-        });
-        let (mut pairs, largest) = folded.unzip();
         let mut buffers = BUFFERS.take();
         let roi = clock.time("mask", || {
             let Buffers { mask, object, .. } = &mut buffers;
-            // Object is a pair of which one row is.
-            let image = largest.as_ref().map_or(image, Mono8::from);
             match self.method {
-                Method::Anchored | Method::Paired => {
-                    mask::envelope(image, pair.period_px, pair.sensor_rows, mask, object);
-                }
+                Method::Joint => mask::envelope(image, pair.period_px, mask, object),
                 Method::Paper => mask::otsu(image, pair.period_px, mask, object),
             }
             // What is over-exposed hides the background from the other cameras: it belongs to the region, too.
             Roi::of(&mask.lit).filter(|_| !object.all().is_empty())
         });
-        largest.into_iter().for_each(|plane| BYTES.give(plane));
         let Some(roi) = roi else {
             BUFFERS.give(buffers);
-            pairs.into_iter().for_each(|pairs| BYTES.give(pairs));
             return Err(refused(clock, counts, NO_OBJECT.to_owned()));
         };
-        let singles = pairs.as_mut().map(|pairs| {
-            clock.time("single_rows", || {
-                let Buffers { object, singles, .. } = &mut buffers;
-                single_rows::part(image, object, pair.period_px, pairs, singles)
-            })
-        });
         let (runs, lit, part) = clock.time("cut", || {
             let (runs, lit) = (roi.cut_runs(&buffers.object), roi.cut_runs(&buffers.mask.lit));
             let mut part = BYTES.take(roi.width, roi.height);
-            roi.cut(pairs.as_ref().map_or(image, Mono8::from), &mut part);
+            roi.cut(image, &mut part);
             (runs, lit, part)
         });
         BUFFERS.give(buffers);
-        pairs.into_iter().for_each(|pairs| BYTES.give(pairs));
         counts.object = runs.area();
         let resolved = match self.method {
-            Method::Anchored | Method::Paired => {
-                self.anchored(&part, (runs, &lit), roi, &mut clock, &mut counts)
-            }
+            Method::Joint => self.joint(&part, (runs, &lit), roi, &mut clock, &mut counts),
             Method::Paper => Ok(self.paper(&part, runs, &mut clock, &mut counts)),
         };
-        let Resolved { absolute, open, marker, runs, windows, period, zone, planes } = match resolved {
+        let Resolved { absolute, orders, marker, runs, windows, period, zone, planes } = match resolved {
             Ok(resolved) => resolved,
-            Err(reason) => return Err(refused(clock, counts.of_sensor(pair.sensor_rows), reason)),
+            Err(reason) => return Err(refused(clock, counts, reason)),
         };
-        // Until all cameras are heard.
-        let (regions, orders) = (Regions::default(), Orders::Unasked);
         Ok(Prepared {
             roi,
             absolute,
-            open,
             table: Arc::clone(&self.table),
-            regions,
+            regions: Regions::default(),
             orders,
             marker,
-            lit,
             image: part,
-            sensor_rows: pair.sensor_rows,
-            singles: singles.unwrap_or_default(),
             counts,
             runs,
             windows,
@@ -334,7 +291,6 @@ impl Pipeline {
         let Prepared {
             roi,
             mut absolute,
-            open,
             regions,
             orders,
             mut counts,
@@ -346,11 +302,9 @@ impl Pipeline {
             mut planes,
             mut clock,
             marker,
-            singles,
             ..
         } = prepared;
         let pair = self.triangulator.pair();
-        unwrap::refuse(&mut absolute, &open);
         // What the edges find, where uncertainties are asked for.
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
@@ -369,14 +323,12 @@ impl Pipeline {
                     &period,
                     &windows,
                     pair.sign,
-                    &absolute::Settings::of_rows(pair.sensor_rows),
+                    &absolute::Settings::default(),
                 )
             });
             clock.time("curvature", || {
-                let sensor_rows = pair.sensor_rows;
-                let averaged = demodulate::averaged_rows(sensor_rows) as f32;
-                let rows = (averaged, pair.marker_period_px * sensor_rows as f32);
-                curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows, sensor_rows);
+                let rows = (demodulate::ROWS as f32, pair.marker_period_px);
+                curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows);
             });
             counts.dropped += clock.time("edges", || {
                 let (settings, expected) = (edges::Settings::default(), expected.as_mut());
@@ -389,16 +341,9 @@ impl Pipeline {
         });
         let frame = (pair.camera.width, pair.camera.height);
         let known = cloud::KnownPixels { absolute: &absolute, runs: &runs, light: &windows.light, roi };
-        let size = self.frame.map(|px| px as u16);
-        let (table, map) = match &self.all_rows {
-            None => {
-                let map = || cloud::phase_map(&known, doubts.as_ref(), size);
-                (&*self.table, clock.time("quantize", map))
-            }
-            Some(table) => (table, clock.time("all_rows", || row_pairs::unfold(&known, size, &singles))),
-        };
-        let counts = counts.of_sensor(pair.sensor_rows);
-        let cloud = clock.time("points", || cloud::make(table, &map));
+        let size = self.frame().map(|px| px as u16);
+        let map = clock.time("quantize", || cloud::phase_map(&known, doubts.as_ref(), size));
+        let cloud = clock.time("points", || cloud::make(&self.table, &map));
         if self.method != Method::Paper {
             let Windows { strength, light, misfit } = windows;
             [strength, light].into_iter().for_each(|plane| WORDS.give(plane));
@@ -422,7 +367,7 @@ impl Pipeline {
         }
     }
 
-    fn anchored(
+    fn joint(
         &self,
         image: &Plane<u8>,
         (runs, lit): (Runs, &Runs),
@@ -456,15 +401,9 @@ impl Pipeline {
         }
         let kept = object.map(|object| (object, wrapped.clone()));
         let mut absolute = wrapped;
-        let unwrapped = clock.time("unwrap", || {
-            let misfit = &windows.misfit;
-            let input = unwrap::Input { period: &period, misfit, anchor: &marker, runs: &runs };
-            let settings = unwrap::Settings::default();
-            unwrap::unwrap(&mut absolute, &input, pair, &settings, &mut buffers.unwrap)
-        });
+        let orders = clock.time("order", || Orders::cut(&mut absolute, &period, lit, pair));
         BUFFERS.give(buffers);
-        counts.refused = unwrapped.open_px;
-        counts.contradictions = unwrapped.contradictions;
+        counts.refused = known;
         let mut planes = Vec::new();
         if let Some((object, wrapped)) = kept {
             let amplitude = period::measure(image, &object, pair.period_px).amplitude;
@@ -474,8 +413,6 @@ impl Pipeline {
             let normalized = quality::normalized_amplitude(&amplitude, &runs);
             let quality = quality::quality([&border, &normalized, &vertical, &stability], &runs);
             let number = |plane: &Plane<u8>| convert(plane, f32::from);
-            let mut unwrapped_alone = absolute.clone();
-            unwrap::refuse(&mut unwrapped_alone, &unwrapped.open);
             planes = vec![
                 ("Om", number(&object)),
                 ("Pm", period.clone()),
@@ -487,11 +424,10 @@ impl Pipeline {
                 ("Qm", quality),
                 ("Em", energy.unwrap_or_default()),
                 ("Mm", number(&marker)),
-                ("Um", unwrapped_alone),
                 ("misfit", windows.misfit.clone()),
             ];
         }
-        Ok(Resolved { absolute, open: unwrapped.open, marker, runs, windows, period, zone, planes })
+        Ok(Resolved { absolute, orders, marker, runs, windows, period, zone, planes })
     }
 
     /// Section 4.1 of the paper as it stands.
@@ -540,9 +476,9 @@ impl Pipeline {
                 ("Mm", convert(&segment, f32::from)),
             ];
         }
-        let open = Vec::new();
+        let orders = Orders::default();
         let zone = Plane::filled(absolute.width(), absolute.height(), 0);
-        Resolved { absolute, open, marker: segment, runs, windows, period: periods.period, zone, planes }
+        Resolved { absolute, orders, marker: segment, runs, windows, period: periods.period, zone, planes }
     }
 }
 

@@ -40,6 +40,8 @@ const NEAREST_M: f64 = 0.2;
 #[derive(Debug)]
 pub struct RayTable {
     nodes: Vec<Node>,
+    /// First and last fringe in the volume at each node.
+    inside: Vec<[f32; 2]>,
     columns: usize,
     /// The camera's centre and its forward axis in the world.
     pub(super) centre: [f32; 3],
@@ -70,29 +72,6 @@ pub(super) struct Sightline {
     terms: [f32; TERMS],
 }
 
-/// Some lines of sight side by side.
-#[derive(Debug)]
-pub(super) struct Sightlines<const N: usize> {
-    direction: [[f32; N]; 3],
-    terms: [[f32; N]; TERMS],
-}
-
-impl<const N: usize> Sightlines<N> {
-    /// Lines on which there is nothing.
-    pub const NONE: Self = Self { direction: [[f32::NAN; N]; 3], terms: [[f32::NAN; N]; TERMS] };
-
-    /// Puts a line of sight into a lane.
-    #[inline(always)]
-    pub fn set(&mut self, lane: usize, line: &Sightline) {
-        for (to, from) in self.direction.iter_mut().zip(line.direction) {
-            to[lane] = from;
-        }
-        for (to, from) in self.terms.iter_mut().zip(line.terms) {
-            to[lane] = from;
-        }
-    }
-}
-
 /// Coordinates of points in a row of the table's blocks; NaN where there is none.
 #[derive(Debug)]
 pub(super) struct PointRow<'a> {
@@ -115,8 +94,10 @@ impl RayTable {
             sight.node(u, v).unwrap_or([f32::NAN; 3 + TERMS])
         };
         let half = pair.projector.width as f64 / 2.0;
+        let inside = |i: usize| fringes_in_volume(pair, i % columns * NODE_PX, i / columns * NODE_PX);
         Self {
             nodes: (0..columns * rows).map(node).collect(),
+            inside: (0..columns * rows).map(inside).collect(),
             columns,
             centre: pair.camera.centre().cast::<f32>().coords.into(),
             forward: (camera.rotation * Vector3::z()).cast::<f32>().into(),
@@ -142,27 +123,31 @@ impl RayTable {
         Sightline { direction: [x, y, z], terms }
     }
 
-    /// Inverse of the depth at which each of some lines of sight has an absolute phase, in fringes; no number outside of the volume.
+    /// The first and the last absolute phase, in fringes, at which the line of sight of pixel (u, v) is in the volume, to half a fringe;
+    /// the first is above the last where it misses it.
+    pub(super) fn fringes_in_volume(&self, u: usize, v: usize) -> [f32; 2] {
+        let (column, row) = ((u + NODE_PX / 2) / NODE_PX, (v + NODE_PX / 2) / NODE_PX);
+        self.inside.get(row * self.columns + column).copied().unwrap_or(NOWHERE)
+    }
+
+    /// Inverse of the depth at which a line of sight has the absolute phases `first`, `first + 1`, ..., in fringes; no number outside of
+    /// the volume.
     #[inline(always)]
-    pub(super) fn inverse_depths<const N: usize>(
-        &self,
-        lines: &Sightlines<N>,
-        fringes: &[f32; N],
-    ) -> [f32; N] {
+    pub(super) fn inverse_depths<const N: usize>(&self, line: &Sightline, first: f32) -> [f32; N] {
         let mut inverse = [0f32; N];
-        for i in 0..N {
-            let s = fringes[i] * self.per_fringe - 1.0;
-            let mut w = lines.terms[TERMS - 1][i];
-            for terms in lines.terms[..TERMS - 1].iter().rev() {
-                w = w * s + terms[i];
+        for (i, inverse) in inverse.iter_mut().enumerate() {
+            let s = (first + i as f32) * self.per_fringe - 1.0;
+            let mut w = line.terms[TERMS - 1];
+            for terms in line.terms[..TERMS - 1].iter().rev() {
+                w = w * s + terms;
             }
             let depth = 1.0 / w;
             let mut inside = (s.abs() < 1.0) & (w > 0.0);
-            for (axis, direction) in lines.direction.iter().enumerate() {
-                let x = self.centre[axis] + depth * direction[i];
+            for (axis, direction) in line.direction.iter().enumerate() {
+                let x = self.centre[axis] + depth * direction;
                 inside &= (self.volume[0][axis] <= x) & (x <= self.volume[1][axis]);
             }
-            inverse[i] = if inside { w } else { f32::NAN };
+            *inverse = if inside { w } else { f32::NAN };
         }
         inverse
     }
@@ -277,6 +262,22 @@ fn scale(c: &[Block; 3 + TERMS], (s, depth, per_rad): (&Block, &Block, f32), met
         let length = (c[0][i] * c[0][i] + c[1][i] * c[1][i] + c[2][i] * c[2][i]).sqrt();
         *out = (slope * per_rad).abs() * depth[i] * depth[i] * length;
     }
+}
+
+/// No fringes.
+const NOWHERE: [f32; 2] = [1.0, 0.0];
+
+/// The fringes between which the line of sight of a pixel is in the volume, and half a fringe more at either end.
+fn fringes_in_volume(pair: &Pair, u: usize, v: usize) -> [f32; 2] {
+    let Some((ray, ends)) = pair.distances_in_volume(u, v) else { return NOWHERE };
+    let all = (pair.projector.width as f64 / pair.pattern.period_px) as f32;
+    let [near, far] = ends.map(|distance| {
+        let column = pair.projector.project(&ray.at(distance)).map(|[column, _]| column);
+        column.map(|column| (pair.pattern.phase(column) / TAU) as f32)
+    });
+    // Behind the projector or beyond its lens there is no column: then no fringe is left out.
+    let (near, far) = near.zip(far).unwrap_or((0.0, all));
+    [(near.min(far) - 0.5).max(0.0), (near.max(far) + 0.5).min(all)]
 }
 
 /// The geometry of a pair while it is tabulated.

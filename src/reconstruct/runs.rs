@@ -88,15 +88,6 @@ impl Runs {
         self.runs.push(run);
     }
 
-    /// Adds a run to the row that is being built, or its pixels to the one before it, if it begins there or touches it.
-    pub(super) fn push_joined(&mut self, run: Run) {
-        let begun = self.ends.last().map_or(0, |end| *end);
-        match self.runs[begun..].last_mut() {
-            Some(before) if run.start <= before.end => before.end = run.end,
-            _ => self.runs.push(run),
-        }
-    }
-
     /// Ends the row that is being built.
     pub fn end_row(&mut self) {
         self.ends.push(self.runs.len());

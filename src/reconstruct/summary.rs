@@ -26,8 +26,6 @@ pub struct FrameSummary {
     pub points: usize,
     /// Object pixels left out because their fringe order is not certain.
     pub unresolved_px: usize,
-    /// Of these, pixels for whose order the evidence contradicts itself; the others have too little.
-    pub contradicted_px: usize,
     /// How far the marker's dashes lie from where the calibration has them, px of the panel
     /// ([`super::dashes::Dashes::offset_px`]): a fraction of one, unless a device has moved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -37,15 +35,7 @@ pub struct FrameSummary {
 impl FrameSummary {
     pub(super) fn missing(camera: &CameraId, outcome: &'static str, reason: String) -> Self {
         let (camera, outcome, reason) = (camera.clone(), outcome.into(), Some(reason));
-        Self {
-            camera,
-            outcome,
-            reason,
-            points: 0,
-            unresolved_px: 0,
-            contradicted_px: 0,
-            marker_offset_px: None,
-        }
+        Self { camera, outcome, reason, points: 0, unresolved_px: 0, marker_offset_px: None }
     }
 }
 
@@ -72,7 +62,7 @@ pub struct Summary {
     pub algorithm: u32,
     /// Hash of everything that the clouds depend on beside the frames.
     pub parameters: String,
-    /// `anchored`, `paired` or `paper`.
+    /// `joint` or `paper`.
     pub method: Cow<'static, str>,
     /// Cameras of the session or of the calibration that were left out, as was asked for; absent where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

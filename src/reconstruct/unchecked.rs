@@ -60,9 +60,8 @@ mod tests {
         let mut calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         calibration.heads.iter_mut().for_each(|head| head.rows = Some(PanelRows::exact()));
         let all: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
-        let of = |calibration: &Calibration, cameras: &[CameraId]| {
-            unchecked(calibration, cameras, Method::Anchored)
-        };
+        let of =
+            |calibration: &Calibration, cameras: &[CameraId]| unchecked(calibration, cameras, Method::Joint);
         assert_eq!(of(&calibration, &all), Vec::<String>::new());
         assert_eq!(unchecked(&calibration, &all, Method::Paper).len(), 1);
         // A whole head is missing: the others are checked by their own second cameras.

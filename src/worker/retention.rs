@@ -201,7 +201,7 @@ mod tests {
     fn summary(clouds: u64, refused: u64, dark: u64) -> Summary {
         let frame = |outcome: &str, reason: Option<&str>| {
             let mut frame = json!({
-                "camera": "h0_up", "outcome": outcome, "points": 0, "unresolved_px": 0, "contradicted_px": 0
+                "camera": "h0_up", "outcome": outcome, "points": 0, "unresolved_px": 0
             });
             reason.into_iter().for_each(|reason| frame["reason"] = reason.into());
             frame
@@ -210,7 +210,7 @@ mod tests {
         frames.extend(vec![frame("refused", Some("no marker was found")); refused as usize]);
         frames.extend(vec![frame("refused", Some("there is no object in the frame")); dark as usize]);
         let summary = json!({
-            "session": { "id": "s", "cameras": ["h0_up"] }, "algorithm": 1, "parameters": "p", "method": "anchored",
+            "session": { "id": "s", "cameras": ["h0_up"] }, "algorithm": 1, "parameters": "p", "method": "joint",
             "frames": clouds + refused + dark, "clouds": clouds, "refused": refused + dark, "gaps": 0, "damaged": 0,
             "triggers": [{ "trigger": 0, "frames": frames }]
         });

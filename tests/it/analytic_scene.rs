@@ -81,7 +81,7 @@ pub fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
 }
 
 fn reconstruct(pair: Pair, image: &Plane<u8>) -> Reconstruction {
-    Pipeline::new(Triangulator::new(pair), Method::Anchored, false).run(Mono8::from(image))
+    Pipeline::new(Triangulator::new(pair), Method::Joint, false).run(Mono8::from(image))
 }
 
 #[test]

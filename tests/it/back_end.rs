@@ -8,6 +8,7 @@ use fourdbody::ids::{CameraId, TriggerIndex};
 use fourdbody::image::{Mono8, Plane};
 use fourdbody::pattern::Pattern;
 use fourdbody::reconstruct::batch::{self, Format, Plan};
+use fourdbody::reconstruct::fringe_order;
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
 use fourdbody::reconstruct::triangulate::Triangulator;
@@ -68,7 +69,7 @@ fn the_uncertainty_is_that_of_the_points() {
     let pair = Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair");
     let image = photograph(&pair.camera, &pair.projector, &pair.pattern);
     let centre = pair.camera.centre();
-    let pipeline = Pipeline::new(Triangulator::new(pair), Method::Anchored, false).with_uncertainty(true);
+    let pipeline = Pipeline::new(Triangulator::new(pair), Method::Joint, false).with_uncertainty(true);
     let cloud = pipeline.run(Mono8::from(&image)).cloud;
     assert!(cloud.len() > 80_000 && cloud.sigma_m.len() == cloud.len(), "{} points", cloud.len());
     let mut ratios = PAINT.map(|_| Vec::new());
@@ -119,11 +120,8 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
     let frames = [Some(frame(0)), Some(frame(1)), Some(black), None];
     let source = Frames(cameras.iter().cloned().zip(frames).collect(), cameras.clone());
     let dir = tempfile::tempdir().expect("a temporary directory");
-    for (method, uncertainty) in
-        [(Method::Anchored, false), (Method::Anchored, true), (Method::Paired, false)]
-    {
-        let out =
-            |name: &str| dir.path().join(format!("{name}-{}-{uncertainty}", batch::method_name(method)));
+    for uncertainty in [false, true] {
+        let out = |name: &str| dir.path().join(format!("{name}-{uncertainty}"));
         let run = |name: &str, format| {
             let cameras = cameras.clone();
             let (shard, out) = ((0, 1), out(name));
@@ -132,7 +130,8 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
                 triggers: 0..1,
                 cameras,
                 shard,
-                method,
+                method: Method::Joint,
+                margin: fringe_order::MARGIN,
                 format,
                 uncertainty,
                 maps: None,
@@ -173,7 +172,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
         assert!(small * 10 < large);
     }
 
-    let stored = dir.path().join("stored-anchored-false");
+    let stored = dir.path().join("stored-false");
     let refused = |calibration: &Calibration, words: &str| {
         let error = stored::export(&stored, calibration, &dir.path().join("none"), 120.0, |_, _| ());
         let error = error.expect_err("must be refused").to_string();

@@ -11,6 +11,7 @@ use fourdbody::calibrate::{Calibration, PanelRows};
 use fourdbody::ids::CameraId;
 use fourdbody::image::{Mono8, Plane};
 use fourdbody::reconstruct::batch::{self, Format, Plan};
+use fourdbody::reconstruct::fringe_order;
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
 use fourdbody::reconstruct::triangulate::Triangulator;
@@ -44,7 +45,7 @@ fn good() -> &'static (Plane<u8>, usize) {
 }
 
 fn reconstruct(image: &Plane<u8>) -> Reconstruction {
-    Pipeline::new(Triangulator::new(pair()), Method::Anchored, false).run(Mono8::from(image))
+    Pipeline::new(Triangulator::new(pair()), Method::Joint, false).run(Mono8::from(image))
 }
 
 /// Points that are not on the ball.
@@ -234,8 +235,8 @@ fn numbers_that_are_none_in_a_calibration_are_refused() {
         match Pair::new(head, &head.cameras[0], &spoilt) {
             Err(reason) => println!("{name}: {reason}"),
             Ok(pair) => {
-                let run = Pipeline::new(Triangulator::new(pair), Method::Anchored, false)
-                    .run(Mono8::from(&good().0));
+                let run =
+                    Pipeline::new(Triangulator::new(pair), Method::Joint, false).run(Mono8::from(&good().0));
                 assert_refused(name, &run);
             }
         }
@@ -253,42 +254,11 @@ fn nominal() -> Calibration {
 fn the_calibration_of_another_camera_or_head_is_refused() {
     let image = &good().0;
     let by = |pair: Pair, image: &Plane<u8>| {
-        Pipeline::new(Triangulator::new(pair), Method::Anchored, false).run(Mono8::from(image))
+        Pipeline::new(Triangulator::new(pair), Method::Joint, false).run(Mono8::from(image))
     };
     assert_refused("the other camera of the head", &by(pair_of(0, 1, None), image));
     assert_refused("light of the neighbouring head", &by(pair(), &lit_by(1)));
     assert_refused("light of the head behind", &by(pair(), &lit_by(2)));
-}
-
-/// Pairs of rows refuse what all rows refuse, and keep as much of what these keep.
-#[test]
-fn pairs_of_rows_make_no_wrong_clouds_either() {
-    let by = |pair: Pair, image: &Plane<u8>| {
-        Pipeline::new(Triangulator::new(pair), Method::Paired, false).run(Mono8::from(image))
-    };
-    let whole = by(pair(), &good().0);
-    println!("{} points of {}, {} wrong", whole.cloud.len(), good().1, wrong(&whole));
-    assert!(whole.cloud.len() * 100 > good().1 * 97 && wrong(&whole) == 0);
-    let mut white = pair();
-    (white.pattern.low, white.pattern.high) = (1.0, 1.0);
-    white.pattern.marker = fourdbody::pattern::Marker::Darkened { depth: 0.0 };
-    let others = [
-        ("saturated on the ridges", changed(|_, _, x| x.saturating_mul(2))),
-        ("out of focus", blurred(3)),
-        ("white light", photograph(&white, sphere(centre(), RADIUS_M))),
-        ("light of the neighbouring head", lit_by(1)),
-        ("light of the head behind", lit_by(2)),
-        ("another size", Plane::filled(1200, 1920, 100)),
-        ("half the size", Plane::filled(1920, 600, 100)),
-    ];
-    for (name, image) in that_show_nothing().into_iter().chain(others) {
-        assert_refused(name, &by(pair(), &image));
-    }
-    assert_refused("the other camera of the head", &by(pair_of(0, 1, None), &good().0));
-    assert_fewer("a twelfth of the light", &by(pair(), &changed(|_, _, x| x / 12)), 0.3);
-    assert_fewer("a little out of focus", &by(pair(), &blurred(1)), 0.5);
-    let early = changed(|_, v, x| if v < 620 { x } else { 0 });
-    assert_fewer("the lower rows missing", &by(pair(), &early), 0.2);
 }
 
 /// What becomes of a pixel's light.
@@ -314,7 +284,8 @@ fn of_cameras(photographs: &[(Place, Place)]) -> Vec<(usize, Option<String>)> {
         triggers: 0..1,
         cameras,
         shard: (0, 1),
-        method: Method::Anchored,
+        method: Method::Joint,
+        margin: fringe_order::MARGIN,
         format: Format::Ply,
         uncertainty: false,
         maps: None,
@@ -388,22 +359,20 @@ fn a_frame_is_what_it_is_after_any_other() {
         _ if y / 20 % 2 == 0 && x.abs_diff(u) > 120 => 0,
         _ => light,
     });
-    for method in [Method::Anchored, Method::Paired] {
-        let all = || {
-            let places: [Place; 2] = [(0, 0), (0, 1)];
-            let photographs = places.map(|(head, camera)| {
-                let pair = pair_of(head, camera, None);
-                let image =
-                    if camera == 0 { holed.clone() } else { photograph(&pair, sphere(centre(), RADIUS_M)) };
-                Photograph { head, image, pair }
-            });
-            let found = frame_set::clouds_by(method, &photographs);
-            found.into_iter().map(|x| (x.phase, x.cloud.position_m, x.cloud.normal)).collect::<Vec<_>>()
-        };
-        let first = all();
-        assert!(first.iter().all(|(_, points, _)| points.len() > 10_000), "{method:?}");
-        let pipeline = Pipeline::new(Triangulator::new(pair()), method, false);
-        (0..4).for_each(|_| assert!(pipeline.run(Mono8::from(&everywhere)).cloud.is_empty()));
-        assert!(first == all(), "{method:?}");
-    }
+    let all = || {
+        let places: [Place; 2] = [(0, 0), (0, 1)];
+        let photographs = places.map(|(head, camera)| {
+            let pair = pair_of(head, camera, None);
+            let image =
+                if camera == 0 { holed.clone() } else { photograph(&pair, sphere(centre(), RADIUS_M)) };
+            Photograph { head, image, pair }
+        });
+        let found = frame_set::clouds(&photographs);
+        found.into_iter().map(|x| (x.phase, x.cloud.position_m, x.cloud.normal)).collect::<Vec<_>>()
+    };
+    let first = all();
+    assert!(first.iter().all(|(_, points, _)| points.len() > 10_000));
+    let pipeline = Pipeline::new(Triangulator::new(pair()), Method::Joint, false);
+    (0..4).for_each(|_| assert!(pipeline.run(Mono8::from(&everywhere)).cloud.is_empty()));
+    assert!(first == all());
 }

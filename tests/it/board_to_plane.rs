@@ -136,7 +136,7 @@ fn distances(
 ) -> Option<Vec<f64>> {
     const CLEAR_M: f64 = 0.045;
     let board_from_world = pose.world_from_board().inverse();
-    let made = Pipeline::new(Triangulator::new(pair), Method::Anchored, false).run(image);
+    let made = Pipeline::new(Triangulator::new(pair), Method::Joint, false).run(image);
     if let Outcome::Refused(reason) = &made.outcome {
         println!("refused: {reason}");
         return None;

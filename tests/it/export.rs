@@ -10,6 +10,7 @@ use fourdbody::export::{Cloud, ply};
 use fourdbody::ids::{CameraId, NodeId};
 use fourdbody::image::Plane;
 use fourdbody::reconstruct::batch::{self, Format, Plan};
+use fourdbody::reconstruct::fringe_order;
 use fourdbody::reconstruct::pipeline::Method;
 use fourdbody::record::node_dir;
 use nalgebra::{Point3, Vector3};
@@ -306,7 +307,8 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
         triggers: 0..1,
         cameras: cameras.clone(),
         shard: (0, 1),
-        method: Method::Anchored,
+        method: Method::Joint,
+        margin: fringe_order::MARGIN,
         format: Format::Phase,
         uncertainty: false,
         maps: None,

@@ -1,7 +1,7 @@
 //! Photographs of one instant reconstructed together, as `reconstruct` does it, but in memory.
 
 use fourdbody::image::{Mono8, Plane};
-use fourdbody::reconstruct::order::{self, View};
+use fourdbody::reconstruct::fringe_order::{self, View};
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Pipeline, Prepared, Reconstruction};
 use fourdbody::reconstruct::triangulate::Triangulator;
@@ -16,35 +16,33 @@ pub struct Photograph {
 }
 
 impl Photograph {
-    fn pipeline(&self, method: Method) -> Pipeline {
-        Pipeline::new(Triangulator::new(self.pair.clone()), method, false)
+    fn pipeline(&self) -> Pipeline {
+        Pipeline::new(Triangulator::new(self.pair.clone()), Method::Joint, false)
     }
 
     /// Its cloud by itself.
     pub fn cloud(&self) -> Reconstruction {
-        self.pipeline(Method::Anchored).run(Mono8::from(&self.image))
+        self.pipeline().run(Mono8::from(&self.image))
     }
 }
 
 /// The clouds of photographs of one instant, whose cameras confirm each other's fringe orders; one for each.
 pub fn clouds(photographs: &[Photograph]) -> Vec<Reconstruction> {
-    clouds_by(Method::Anchored, photographs)
-}
-
-/// The same by another method.
-pub fn clouds_by(method: Method, photographs: &[Photograph]) -> Vec<Reconstruction> {
-    let pipelines: Vec<Pipeline> = photographs.iter().map(|x| x.pipeline(method)).collect();
+    let pipelines: Vec<Pipeline> = photographs.iter().map(Photograph::pipeline).collect();
     let all = pipelines.iter().zip(photographs);
     let mut prepared: Vec<Result<Prepared, _>> =
         all.map(|(pipeline, x)| pipeline.prepare(Mono8::from(&x.image))).collect();
     let views =
         pipelines.iter().zip(photographs).zip(&mut prepared).filter_map(|((pipeline, x), prepared)| {
             let prepared = prepared.as_mut().ok()?;
-            Some(View { triangulator: pipeline.triangulator(), head: x.head, prepared })
+            Some(View { id: "", triangulator: pipeline.triangulator(), head: x.head, prepared })
         });
-    order::settle(&mut views.collect::<Vec<_>>());
+    let said = fringe_order::settle(&mut views.collect::<Vec<_>>(), fringe_order::MARGIN);
     let finished = pipelines.iter().zip(prepared).map(|(pipeline, prepared)| match prepared {
-        Ok(prepared) => pipeline.finish(prepared),
+        Ok(prepared) => match &said {
+            Ok(()) => pipeline.finish(prepared),
+            Err(reason) => *prepared.refuse(reason.clone()),
+        },
         Err(refused) => *refused,
     });
     finished.collect()

@@ -8,6 +8,7 @@ use fourdbody::export::merge::{self, Rule, View, Viewpoint};
 use fourdbody::export::{Cloud, ply};
 use fourdbody::ids::CameraId;
 use fourdbody::reconstruct::batch::{self, Format, Plan, Summary, Timings, cloud_path, merged_path};
+use fourdbody::reconstruct::fringe_order;
 use fourdbody::reconstruct::pipeline::Method;
 use fourdbody::reconstruct::png_source::PngSource;
 use fourdbody::reconstruct::stored;
@@ -46,7 +47,8 @@ impl Scene {
             triggers: 0..1,
             cameras: self.cameras.clone(),
             shard: (0, 1),
-            method: Method::Anchored,
+            method: Method::Joint,
+            margin: fringe_order::MARGIN,
             format,
             uncertainty: false,
             maps: None,
@@ -197,7 +199,7 @@ fn what_is_left_out_is_worse_than_what_is_kept() {
         assert!(out.robust_mm > 1.4 * kept.robust_mm && out.p95_mm > 1.15 * kept.p95_mm, "{out:?} {kept:?}");
         assert!(out.mean_right_order_mm > 1.15 * kept.mean_right_order_mm, "{out:?} {kept:?}");
         assert!(kept.p95_mm <= all.p95_mm && kept.robust_mm <= all.robust_mm, "{kept:?} {all:?}");
-        assert!(kept.wrong_order_share <= 1.02 * all.wrong_order_share, "{kept:?} {all:?}");
+        assert!(kept.wrong_order_share <= 1.05 * all.wrong_order_share, "{kept:?} {all:?}");
         // Of what is lit, no place further than the reach from where a point was.
         assert!(covered_before[1] - covered_after[1] < 0.0005, "{covered_before:?} {covered_after:?}");
     }

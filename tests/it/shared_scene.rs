@@ -9,6 +9,7 @@ use fourdbody::ids::{CameraId, HeadId};
 use fourdbody::image::{Mono8, read_png_grey};
 use fourdbody::pattern::{Marker, Pattern};
 use fourdbody::reconstruct::batch::{self, Plan};
+use fourdbody::reconstruct::fringe_order;
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
 use fourdbody::reconstruct::png_source::PngSource;
@@ -113,20 +114,15 @@ fn score(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Score) 
     (found, score)
 }
 
-/// A camera alone has no other evidence than its marker and its forest, of pixels or, of pairs, of blocks.
+/// A camera alone has no other evidence than its links to the marker.
 #[test]
 fn a_back_and_a_side_view_are_right_and_nearly_complete() {
     let Some(scene) = scene() else { return };
     // What was measured, and little room.
-    let cases = [
-        (Method::Anchored, "h3_low", 0.0001, 0.902, 0.2),
-        (Method::Anchored, "h0_low", 0.003, 0.871, 0.22),
-        (Method::Paired, "h3_low", 0.0002, 0.9, 0.235),
-        (Method::Paired, "h0_low", 0.002, 0.871, 0.26),
-    ];
-    for (method, camera, wrong, complete, p95_mm) in cases {
-        let (found, score) = score(&scene, camera, method);
-        println!("{method:?} {camera}: {}, p95 {:.3} mm", wrong_and_complete(&score), score.p95_mm);
+    let cases = [("h3_low", 0.0001, 0.91, 0.21), ("h0_low", 0.001, 0.84, 0.21)];
+    for (camera, wrong, complete, p95_mm) in cases {
+        let (found, score) = score(&scene, camera, Method::Joint);
+        println!("{camera}: {}, p95 {:.3} mm", wrong_and_complete(&score), score.p95_mm);
         assert_eq!(found.outcome, Outcome::Cloud);
         assert!(score.wrong_order_share < wrong, "{camera}: {score:?}");
         assert!(score.completeness_of_lit > complete, "{camera}: {score:?}");
@@ -156,25 +152,20 @@ impl Scored<'_> {
 }
 
 /// What these cameras, which give each other their fringe orders, make of the body.
-fn scored<'a>(
-    scene: &Path,
-    calibration: &'a Calibration,
-    method: Method,
-    is_there: IsThere,
-) -> Vec<Scored<'a>> {
+fn scored<'a>(scene: &Path, set: &str, calibration: &'a Calibration, is_there: IsThere) -> Vec<Scored<'a>> {
     let heads = calibration.heads.iter().enumerate();
     let cameras =
         heads.flat_map(|(number, head)| head.cameras.iter().map(move |camera| (number, head, camera)));
     let cameras = cameras.filter(|(_, _, camera)| is_there(camera.id.as_str()));
     let cameras: Vec<(usize, &CalibratedHead, &CalibratedCamera)> = cameras.collect();
     let photographs = cameras.iter().map(|&(number, head, camera)| {
-        let path = scene.join("body_arms_raised").join(camera.id.as_str()).join("000000.png");
+        let path = scene.join(set).join(camera.id.as_str()).join("000000.png");
         let pair = Pair::new(head, camera, calibration).expect("a usable pair");
         Photograph { head: number, pair, image: read_png_grey(&path).expect("an image") }
     });
-    let clouds = frame_set::clouds_by(method, &photographs.collect::<Vec<_>>());
+    let clouds = frame_set::clouds(&photographs.collect::<Vec<_>>());
     let scored = cameras.into_iter().zip(clouds).map(|((_, head, camera), found)| {
-        let path = scene.join(format!("body_arms_raised/truth/{}_000000.npz", camera.id));
+        let path = scene.join(set).join(format!("truth/{}_000000.npz", camera.id));
         let reference =
             Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
         Scored { camera, reference, found, truth: Truth::load(&path, &camera.device).expect("truth") }
@@ -188,7 +179,7 @@ fn wrong_and_complete(score: &Score) -> String {
     format!("{wrong:.4} % wrong, {complete:.2} % of lit")
 }
 
-/// All cameras give each other their fringe orders. Bounds: what was measured (0.0897 % wrong, 90.14 % of lit; see
+/// All cameras give each other their fringe orders. Bounds: what was measured (0.0847 % wrong, 89.79 % of lit; see
 /// docs/validation.md) and little room, so that a change for the worse shows. With the margin asked of a point, fewer are
 /// wrong and fewer are there.
 #[test]
@@ -196,7 +187,7 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     let Some(scene) = scene() else { return };
     let calibration = calibration(&scene);
     let mut curve = MARGINS.map(|margin| (margin, Tally::default()));
-    for view in scored(&scene, &calibration, Method::Anchored, |_| true) {
+    for view in scored(&scene, "body_arms_raised", &calibration, |_| true) {
         curve.iter_mut().for_each(|(margin, sum)| sum.join(&view.tally(*margin)));
         let score = view.tally(0.0).score();
         println!("{}: {}", view.camera.id, wrong_and_complete(&score));
@@ -207,8 +198,8 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
         println!("margin {margin}: {}", wrong_and_complete(score));
     }
     let (_, all) = &curve[0];
-    assert!(all.wrong_order_share < 0.00092, "{all:?}");
-    assert!(all.completeness_of_lit > 0.9005, "{all:?}");
+    assert!(all.wrong_order_share < 0.0009, "{all:?}");
+    assert!(all.completeness_of_lit > 0.897, "{all:?}");
     assert!(all.robust_mm < 0.055 && all.p95_mm < 0.303, "{all:?}");
     assert!(all.normal_median_deg < 0.55 && all.normal_p95_deg < 5.6, "{all:?}");
     for pair in curve.windows(2) {
@@ -216,48 +207,76 @@ fn eight_cameras_together_are_right_and_nearly_complete() {
     }
 }
 
-/// The same of pairs of rows, in three fifths of the time. Bounds: what was measured (0.0977 % wrong, 89.13 % of lit) and little
-/// room. Before forests were made of blocks there were 0.0756 % wrong and 88.99 % of lit: h1_low has 557 wrong points instead of 172. Before
-/// one row stood alone where the two of a pair see different surfaces, there were 0.1219 % wrong; before what is open in both cameras of a
-/// head was matched, 87.40 % of lit, without the hair of h1, which is known less exactly (p95 0.297 mm instead of 0.312; 0.328
-/// since small stretches may hang on a surface).
+/// Poses that nobody had in mind: a squat, a throw, dark lines over a whole body, and stripes. Bounds: what was measured, and little
+/// room. The first three may be chosen with, the last is only reported.
 #[test]
-fn pairs_of_rows_are_nearly_as_right_and_as_complete() {
+fn other_poses_and_skins_are_as_right() {
     let Some(scene) = scene() else { return };
     let calibration = calibration(&scene);
-    let mut sum = Tally::default();
-    for view in scored(&scene, &calibration, Method::Paired, |_| true) {
-        let tally = view.tally(0.0);
-        println!("{}: {}", view.camera.id, wrong_and_complete(&tally.score()));
-        sum.join(&tally);
-        // A margin is that of the region that a pixel of the frame lies in.
-        let certain = view.tally(f32::MIN_POSITIVE).score();
-        assert!(certain.points * 4 > tally.score().points * 3, "{}: {certain:?}", view.camera.id);
+    let cases = [
+        ("squat", 0.0008, 0.82),
+        ("throw", 0.0007, 0.89),
+        ("tattoo", 0.001, 0.67),
+        ("stripes", 0.0013, 0.75),
+    ];
+    for (set, wrong, complete) in cases {
+        let mut sum = Tally::default();
+        scored(&scene, set, &calibration, |_| true).iter().for_each(|view| sum.join(&view.tally(0.0)));
+        let score = sum.score();
+        println!("{set}: {}", wrong_and_complete(&score));
+        assert!(score.wrong_order_share < wrong, "{set}: {score:?}");
+        assert!(score.completeness_of_lit > complete, "{set}: {score:?}");
     }
-    let all = sum.score();
-    println!("all: {}", wrong_and_complete(&all));
-    assert!(all.wrong_order_share < 0.00099, "{all:?}");
-    assert!(all.completeness_of_lit > 0.891, "{all:?}");
-    assert!(all.robust_mm < 0.055 && all.p95_mm < 0.326, "{all:?}");
 }
 
-/// A lost camera takes points from the others, and makes none of theirs wrong. Bounds: what was measured and little room. Before whole
-/// pieces that other heads contradict, and stretches that are only enclosed, were refused to a head's only camera, there were 0.72 %
-/// wrong without `h0_low`, 0.91 % without `h1_low`, and 6.69 % with the upper cameras.
+/// Cameras that have turned are told from those that have not: orders are still found, or the frames are refused with the reason.
+#[test]
+fn turned_devices_are_told_and_make_no_wrong_orders() {
+    let Some(scene) = scene() else { return };
+    let truth = calibration(&scene);
+    let mut turned = truth.clone();
+    for (told, degrees) in [(false, 0.004), (true, 0.03)] {
+        for (i, (head, truth)) in turned.heads.iter_mut().zip(&truth.heads).enumerate() {
+            let pose = *truth.cameras[0].device.world_from_device.isometry();
+            let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+            let by = Vector3::new(0.0, sign * f64::to_radians(degrees), 0.0);
+            let rotation = pose.rotation * UnitQuaternion::from_scaled_axis(by);
+            head.cameras[0].device.world_from_device =
+                Pose::new(Isometry3::from_parts(pose.translation, rotation));
+        }
+        let views = scored(&scene, "throw", &turned, |_| true);
+        if !told {
+            let mut sum = Tally::default();
+            views.iter().for_each(|view| sum.join(&view.tally(0.0)));
+            let score = sum.score();
+            println!("turned by {degrees} degrees: {}", wrong_and_complete(&score));
+            assert!(score.wrong_order_share < 0.0015 && score.completeness_of_lit > 0.88, "{score:?}");
+        } else {
+            for view in views {
+                let Outcome::Refused(why) = view.found.outcome else {
+                    panic!("{} is believed", view.camera.id)
+                };
+                assert!(why.contains("calibrate again"), "{why}");
+            }
+        }
+    }
+}
+
+/// A lost camera takes points from the others, and makes none of theirs wrong. Bounds: what was measured and little room.
 #[test]
 fn fewer_cameras_make_fewer_points_and_not_more_wrong_ones() {
     let Some(scene) = scene() else { return };
     let calibration = calibration(&scene);
     let cases: [(&str, IsThere, f64, f64); 5] = [
-        ("without h0_low", |camera| camera != "h0_low", 0.00113, 0.868),
-        ("without h1_low", |camera| camera != "h1_low", 0.0016, 0.808),
-        ("without h3_up", |camera| camera != "h3_up", 0.0011, 0.807),
-        ("upper cameras", |camera| camera.ends_with("up"), 0.0003, 0.409),
-        ("lower cameras", |camera| camera.ends_with("low"), 0.0016, 0.555),
+        ("without h0_low", |camera| camera != "h0_low", 0.0008, 0.885),
+        ("without h1_low", |camera| camera != "h1_low", 0.0012, 0.884),
+        ("without h3_up", |camera| camera != "h3_up", 0.0011, 0.887),
+        ("upper cameras", |camera| camera.ends_with("up"), 0.0011, 0.728),
+        ("lower cameras", |camera| camera.ends_with("low"), 0.0013, 0.8),
     ];
     for (name, is_there, wrong, complete) in cases {
         let mut sum = Tally::default();
-        scored(&scene, &calibration, Method::Anchored, is_there)
+        scored(&scene, "body_arms_raised", &calibration, is_there)
             .iter()
             .for_each(|view| sum.join(&view.tally(0.0)));
         let score = sum.score();
@@ -282,7 +301,7 @@ fn the_papers_method_gives_a_cloud() {
 #[test]
 fn no_point_of_the_sphere_is_a_fringe_off() {
     let Some(scene) = scene() else { return };
-    let found = reconstruct(&scene, "sphere", "h1_low", Method::Anchored);
+    let found = reconstruct(&scene, "sphere", "h1_low", Method::Joint);
     let off = |p: &[f32; 3]| (p[0].hypot(p[1]).hypot(p[2] - 1.0) - 0.150).abs();
     assert!(found.cloud.len() > 35_000, "{} points", found.cloud.len());
     // One fringe is about 40 mm here.
@@ -306,7 +325,8 @@ fn a_batch_gives_the_same_bytes_for_any_threads_and_resumes() {
             triggers: 0..2,
             cameras: cameras.clone(),
             shard: (0, 1),
-            method: Method::Anchored,
+            method: Method::Joint,
+            margin: fringe_order::MARGIN,
             format: batch::Format::Ply,
             uncertainty: false,
             maps: None,

@@ -95,21 +95,8 @@ fn threads_shards_and_vectors_give_the_same_bytes() {
     let maps = run("phases", None, &phases);
     assert_eq!(maps.len(), 8, "{:?}", maps.keys());
     assert_same("phase maps, portable", &maps, &run("phases-portable", Some("portable"), &phases));
-    let paired: [&[&str]; 1] = [&["--jobs", "1", "--method", "paired"]];
-    let pairs = run("paired", None, &paired);
-    assert_eq!(pairs.len(), 10, "{:?}", pairs.keys());
-    let shards = shards.map(|shard| [shard, &["--method", "paired"]].concat());
-    let shards = shards.each_ref().map(Vec::as_slice);
-    assert_same("pairs of rows, two shards", &pairs, &run("paired-shards", Some("avx2"), &shards));
-    assert_same("pairs of rows, portable", &pairs, &run("paired-portable", Some("portable"), &paired));
     let plain = run("paper", None, &paper);
     assert_same("paper, portable", &plain, &run("paper-portable", Some("portable"), &paper));
-    // How certain points are is not made up where the model of noise does not hold.
-    let options = ["--method", "paired", "--uncertainty"];
-    let refused = command(dir.path(), "uncertain").args(options).output().expect("starts");
-    assert_eq!(refused.status.code(), Some(2));
-    let words = String::from_utf8_lossy(&refused.stderr);
-    assert!(options.iter().all(|option| words.contains(option)), "{words}");
 }
 
 fn assert_same(name: &str, expected: &Files, found: &Files) {

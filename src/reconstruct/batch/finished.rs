@@ -56,7 +56,6 @@ impl Job<'_> {
             reason,
             points: header.points,
             unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
-            contradicted_px: header.comment("contradicted_px").and_then(|x| x.parse().ok()).unwrap_or(0),
             marker_offset_px: header.comment("marker_offset_px").and_then(|x| x.parse().ok()),
         };
         Some((summary, Some(frames)))

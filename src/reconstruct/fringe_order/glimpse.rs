@@ -4,7 +4,7 @@
 //! in the cache, and so is one beside the object: a bit for each of its pixels. Only the others, on outlines and at steps, keep
 //! their pixels, side by side.
 
-use super::cells::CELL_PX;
+use super::patches::CELL_PX;
 use crate::reconstruct::bits::{self, WORD};
 use crate::reconstruct::runs::Runs;
 
@@ -37,6 +37,23 @@ pub struct Glimpse {
     bits: [u32; 2],
 }
 
+/// The phases of a cell that one patch fills.
+#[derive(Debug, Clone, Copy)]
+pub struct Plane {
+    /// Phase of the cell's first pixel, rad.
+    pub phase: f32,
+    /// Steps from column to column, and from row to row, rad.
+    pub steps: [f32; 2],
+}
+
+impl Plane {
+    /// The phase so far from the cell's first pixel, rad.
+    #[inline(always)]
+    pub fn at(&self, right: f32, down: f32) -> f32 {
+        self.phase + (right * self.steps[0] + down * self.steps[1])
+    }
+}
+
 /// What is seen in a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
@@ -62,8 +79,8 @@ impl Glimpse {
 
     /// A cell that a node fills, as a plane: its phase at the first pixel, its step from column to column, and from row to row, rad.
     #[inline(always)]
-    pub fn plane(node: u32, phase: f32, steps: [f32; 2]) -> Self {
-        Self { surface: [node, phase.to_bits()], bits: steps.map(f32::to_bits) }
+    pub fn of_plane(node: u32, plane: Plane) -> Self {
+        Self { surface: [node, plane.phase.to_bits()], bits: plane.steps.map(f32::to_bits) }
     }
 
     /// A cell beside the object, with its [`near`](Self::near).
@@ -73,6 +90,12 @@ impl Glimpse {
 
     const fn none(kind: u32) -> Self {
         Self { surface: [kind, f32::NAN.to_bits()], bits: [0; 2] }
+    }
+
+    /// The plane of a cell that a node fills; of any other, numbers that mean nothing.
+    #[inline(always)]
+    pub fn as_plane(&self) -> Plane {
+        Plane { phase: f32::from_bits(self.surface[1]), steps: self.bits.map(f32::from_bits) }
     }
 
     /// The node that fills it, or what else it is.
@@ -211,7 +234,7 @@ impl Rim {
 }
 
 /// All cells of a view, with [`PAD_CELLS`] around.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Glimpses {
     stride: usize,
     rows: usize,
@@ -241,6 +264,12 @@ impl Glimpses {
     #[inline(always)]
     pub fn at(&self, place: u32) -> &Glimpse {
         self.cells.get(place as usize).unwrap_or(&Glimpse::UNSEEN)
+    }
+
+    /// The plane of a cell that a node fills, by its column and row.
+    #[inline(always)]
+    pub fn plane(&self, column: usize, row: usize) -> Plane {
+        self.cells[self.place(column, row)].as_plane()
     }
 
     /// All cells of the padded grid.
@@ -352,7 +381,7 @@ impl Glimpses {
         let words = stride.div_ceil(WORD);
         let mut shown = vec![0u64; words * (self.rows + 2 * REACH)];
         for row in 0..runs.height().div_ceil(CELL_PX) {
-            for column in super::cells::band(runs, row) {
+            for column in super::patches::band(runs, row) {
                 let at = self.place(column, row);
                 match self.cells[at].kind() {
                     Kind::Far | Kind::Near => continue,
@@ -390,7 +419,7 @@ impl Glimpses {
 
 #[cfg(test)]
 mod tests {
-    use super::{Glimpse, Glimpses, Kind, Rim};
+    use super::{Glimpse, Glimpses, Kind, Plane as CellPlane, Rim};
     use crate::image::Plane;
     use crate::reconstruct::runs::Runs;
 
@@ -401,7 +430,7 @@ mod tests {
         let mut object = Plane::filled(w, h, 0u8);
         (0..8).for_each(|v| object.row_mut(v)[..12].fill(1));
         let mut glimpses = Glimpses::new(w, h);
-        glimpses.set(0, 0, Glimpse::plane(5, 0.0, [0.0; 2]));
+        glimpses.set(0, 0, Glimpse::of_plane(5, CellPlane { phase: 0.0, steps: [0.0; 2] }));
         let mut of = [0; 64];
         for (i, of) in of.iter_mut().enumerate().filter(|x| x.0 % 8 < 4) {
             *of = if i == 8 { 0 } else { 1 + u8::from(i >= 32) };

@@ -5,11 +5,11 @@
 //! quotient of the coordinates matters, so `w a + b` does as well and there is nothing to divide by `w`. The inverse
 //! depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in lanes.
 
-use super::cells::CELL_PX;
 use super::glimpse::{BACKGROUND_PX, PAD_PX, padded};
+use super::patches::CELL_PX;
 use crate::geometry::Device;
 use crate::reconstruct::pair::Pair;
-use crate::reconstruct::rays::{RayTable, Sightlines};
+use crate::reconstruct::rays::RayTable;
 use crate::reconstruct::roi::Roi;
 use crate::reconstruct::round::floor;
 use nalgebra::{Point3, Vector3};
@@ -168,7 +168,8 @@ impl Block {
 /// All other cameras as seen from one view.
 #[derive(Debug, Clone)]
 pub struct Lookout<'a> {
-    table: &'a RayTable,
+    /// The view's lines of sight.
+    pub table: &'a RayTable,
     blocks: Vec<Block>,
 }
 
@@ -196,12 +197,6 @@ impl<'a> Lookout<'a> {
             block.stride[lane] = cells[0] as u32;
         }
         Self { table, blocks }
-    }
-
-    /// Inverse depth of the place on each of some lines of sight at an absolute phase, in fringes; no number outside of the volume.
-    #[inline(always)]
-    pub fn inverse_depths<const N: usize>(&self, lines: &Sightlines<N>, fringes: &[f32; N]) -> [f32; N] {
-        self.table.inverse_depths(lines, fringes)
     }
 
     /// Where each camera of a block of eight sees places.
@@ -245,10 +240,10 @@ mod tests {
     use super::{LANES, Lookout, NOWHERE, Ray, Spots};
     use crate::calibrate::Calibration;
     use crate::config::Rig;
-    use crate::reconstruct::order::cells::CELL_PX;
-    use crate::reconstruct::order::glimpse::{BACKGROUND_PX, PAD_CELLS, PAD_PX, padded};
+    use crate::reconstruct::fringe_order::glimpse::{BACKGROUND_PX, PAD_CELLS, PAD_PX, padded};
+    use crate::reconstruct::fringe_order::patches::CELL_PX;
     use crate::reconstruct::pair::Pair;
-    use crate::reconstruct::rays::{RayTable, Sightlines};
+    use crate::reconstruct::rays::RayTable;
     use crate::reconstruct::roi::Roi;
     use crate::reconstruct::triangulate::Triangulator;
     use std::f64::consts::TAU;
@@ -281,9 +276,7 @@ mod tests {
             let (u, v) = (i * 37 % 1900, i * 53 % 1190);
             let Some((_, world)) = triangulator.point(u as usize, v as usize, fringe * TAU) else { continue };
             let line = table.sightline(u as usize, v as usize);
-            let mut lines = Sightlines::<1>::NONE;
-            lines.set(0, &line);
-            let [inverse_depth] = lookout.inverse_depths(&lines, &[fringe as f32]);
+            let [inverse_depth] = lookout.table.inverse_depths(&line, fringe as f32);
             if inverse_depth.is_nan() {
                 continue;
             }

@@ -1,0 +1,199 @@
+//! The labels of a view's patches that cost least together: tree-reweighted message passing, one sweep after the other (TRW-S;
+//! Kolmogorov, IEEE PAMI 28:1568, 2006).
+
+use super::Scene;
+use super::links::Link;
+use crate::reconstruct::simd;
+use std::f32::consts::TAU;
+
+/// Labels of a patch: fringes from the first in the volume on its line of sight.
+pub const LABELS: usize = 64;
+
+/// The cost of a label that is none.
+pub const NEVER: f32 = 1e3;
+
+/// Sweeps there and back.
+const SWEEPS: usize = 2;
+
+/// A number for each label.
+pub type Costs = [f32; LABELS];
+
+/// The patches of a view, their costs, and what is found of them.
+#[derive(Debug)]
+pub struct Field<'a> {
+    /// The view.
+    pub scene: &'a Scene<'a>,
+    /// Its place among all.
+    pub number: usize,
+    /// Where its patches begin among those of all views.
+    pub first: usize,
+    /// Whole turns that make a patch's phases absolute are its label less this.
+    pub base: Vec<i32>,
+    /// Labels of each patch.
+    pub count: Vec<u32>,
+    /// Costs of each label by itself.
+    pub unary: Vec<Costs>,
+    /// Least costs of all together with each label.
+    pub marginal: Vec<Costs>,
+    /// The label of each patch.
+    pub label: Vec<i32>,
+    /// How much more any other label would cost.
+    pub margin: Vec<f32>,
+    /// Links, with turns between labels.
+    pub links: Vec<Link>,
+    /// Links of patch `i`: `of[start[i]..start[i + 1]]`.
+    start: Vec<u32>,
+    of: Vec<u32>,
+    /// From `a` to `b`, from `b` to `a`.
+    messages: Vec<[Costs; 2]>,
+}
+
+impl<'a> Field<'a> {
+    /// A view's patches, of which nothing is known.
+    pub fn new(scenes: &'a [Scene<'a>], number: usize) -> Self {
+        let scene = &scenes[number];
+        let first = scenes[..number].iter().map(|scene| scene.patches.all.len()).sum();
+        let n = scene.patches.all.len();
+        let (mut base, mut count) = (vec![0; n], vec![0; n]);
+        for (i, patch) in scene.patches.all.iter().enumerate() {
+            let (u, v) = scene.pixel(patch);
+            let [first, last] = scene.lookout.table.fringes_in_volume(u, v).map(f32::floor);
+            base[i] = (patch.phase / TAU).floor() as i32 - first as i32;
+            count[i] = ((last - first) as i32 + 1).clamp(0, LABELS as i32) as u32;
+        }
+        let between =
+            |link: &Link| Link { turns: link.turns + base[link.b as usize] - base[link.a as usize], ..*link };
+        let links: Vec<Link> = scene.patches.links.iter().map(between).collect();
+        let mut start = vec![0u32; n + 1];
+        links.iter().flat_map(|x| [x.a, x.b]).for_each(|i| start[i as usize + 1] += 1);
+        (0..n).for_each(|i| start[i + 1] += start[i]);
+        let (mut place, mut of) = (start.clone(), vec![0; 2 * links.len()]);
+        for (k, link) in links.iter().enumerate() {
+            for i in [link.a, link.b] {
+                of[place[i as usize] as usize] = k as u32;
+                place[i as usize] += 1;
+            }
+        }
+        let (none, messages) = (vec![[0.0; LABELS]; n], vec![[[0.0; LABELS]; 2]; links.len()]);
+        Self {
+            scene,
+            number,
+            first,
+            base,
+            count,
+            unary: none.clone(),
+            marginal: none,
+            label: vec![0; n],
+            margin: vec![0.0; n],
+            links,
+            start,
+            of,
+            messages,
+        }
+    }
+
+    /// Whole turns that make a patch's phases absolute.
+    pub fn turns(&self, i: usize) -> i32 {
+        self.label[i] - self.base[i]
+    }
+
+    /// What the marker says: patch, label, and what that counts.
+    pub fn votes(&self) -> impl Iterator<Item = (u32, i32, f32)> {
+        let votes = self.scene.votes.iter();
+        votes.map(|&(patch, turns, px)| {
+            (patch, turns + self.base[patch as usize], super::evidence::marker(px))
+        })
+    }
+
+    /// The links of a patch.
+    pub fn links_of(&self, i: usize) -> &[u32] {
+        &self.of[self.start[i] as usize..self.start[i + 1] as usize]
+    }
+
+    /// Finds labels and margins.
+    pub fn infer(&mut self) {
+        let n = self.label.len();
+        for _ in 0..SWEEPS {
+            simd::dispatch(
+                #[inline(always)]
+                || {
+                    for i in 0..n {
+                        self.send(i, true);
+                    }
+                    for i in (0..n).rev() {
+                        self.send(i, false);
+                    }
+                },
+            );
+        }
+        for i in 0..n {
+            let (mut given, mut marginal) = (self.unary[i], self.unary[i]);
+            for &k in self.links_of(i) {
+                let link = &self.links[k as usize];
+                let is_a = link.a as usize == i;
+                let message = &self.messages[k as usize][usize::from(is_a)];
+                add(&mut marginal, message);
+                if is_a {
+                    add(&mut given, message);
+                    continue;
+                }
+                // The one before has its label.
+                let kept = self.label[link.a as usize] + link.turns;
+                given.iter_mut().zip(0..).filter(|x| x.1 != kept).for_each(|(cost, _)| *cost += link.weight);
+            }
+            let best = (0..LABELS).fold(0, |best, l| if given[l] < given[best] { l } else { best });
+            let others = (0..LABELS).filter(|&l| l != best);
+            let second = others.map(|l| marginal[l]).fold(f32::MAX, f32::min);
+            (self.label[i], self.margin[i], self.marginal[i]) =
+                (best as i32, second - marginal[best], marginal);
+        }
+    }
+
+    /// Sends a patch's messages to those after it, or before it.
+    #[inline(always)]
+    fn send(&mut self, i: usize, forward: bool) {
+        let of = &self.of[self.start[i] as usize..self.start[i + 1] as usize];
+        let (mut sum, mut later) = (self.unary[i], 0);
+        for &k in of {
+            let is_a = self.links[k as usize].a as usize == i;
+            later += usize::from(is_a);
+            add(&mut sum, &self.messages[k as usize][usize::from(is_a)]);
+        }
+        let gamma = 1.0 / later.max(of.len() - later).max(1) as f32;
+        for &k in of {
+            let link = &self.links[k as usize];
+            let is_a = link.a as usize == i;
+            if is_a != forward {
+                continue;
+            }
+            let back = &self.messages[k as usize][usize::from(is_a)];
+            // Room on both sides, for the turns.
+            let mut cost = [f32::MAX; 2 * LABELS];
+            let mut least = [f32::MAX; 16];
+            for l in 0..LABELS {
+                let x = gamma * sum[l] - back[l];
+                cost[LABELS / 2 + l] = x;
+                least[l % 16] = if x < least[l % 16] { x } else { least[l % 16] };
+            }
+            let mut lowest = least[0];
+            for x in least {
+                lowest = if x < lowest { x } else { lowest };
+            }
+            const HALF: i32 = LABELS as i32 / 2;
+            let turns = (if is_a { link.turns } else { -link.turns }).clamp(-HALF, HALF);
+            let from = &cost[(HALF - turns) as usize..][..LABELS];
+            let to = &mut self.messages[k as usize][usize::from(!is_a)];
+            for l in 0..LABELS {
+                let x = from[l] - lowest;
+                to[l] = if x < link.weight { x } else { link.weight };
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn add(to: &mut Costs, from: &Costs) {
+    for l in 0..LABELS {
+        to[l] += from[l];
+    }
+}

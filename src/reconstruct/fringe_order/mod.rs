@@ -1,0 +1,284 @@
+//! Fringe orders of all views of one instant, by minimizing one energy (`docs/design/fringe-order.md`).
+//!
+//! ```text
+//! patches    a view's phases in patches of 8 x 8 px: the nodes
+//! links      where patches touch, and how surely they are one surface
+//! glimpse    the patches as other cameras look at them
+//! lookout    where the other cameras would see a place
+//! sight      what they have there, eight cameras at once
+//! evidence   what they say of it
+//! drift      by how much two cameras differ where both surely see one surface
+//! alone      what a single view tells by itself
+//! inference  the labels that cost least together, and by how much
+//! ```
+//!
+//! A patch's label is the fringe that it lies on. What the other cameras and the marker say of a place is a cost of the label; that a
+//! patch does not continue its neighbour costs as much as it seems to. A patch whose label leads any other by too little is refused.
+
+mod alone;
+mod drift;
+mod evidence;
+mod glimpse;
+mod inference;
+mod links;
+mod lookout;
+mod patches;
+mod sight;
+
+use super::pair::Pair;
+use super::pipeline::Prepared;
+use super::roi::Roi;
+use super::runs::each_not_0;
+use super::simd;
+use super::triangulate::Triangulator;
+use crate::image::Plane;
+use drift::{Differences, Turned};
+use evidence::{BEYOND, Known, NONE};
+use inference::Field;
+use lookout::{LANES, Lookout};
+use nalgebra::{Point3, Vector3};
+use patches::{CELL_PX, Patch, Patches, Surface};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::f32::consts::TAU;
+use std::time::Instant;
+
+/// A patch whose label leads any other by less is refused, as a rule: half of it makes twice as many points wrong, twice as much refuses 1 %
+/// more.
+pub const MARGIN: f32 = 1.0;
+
+/// A patch whose label leads by so much tells the other cameras what hides what.
+const KNOWN: f32 = 1.0;
+
+/// One camera's frame and its geometry.
+#[derive(Debug)]
+pub struct View<'a> {
+    /// Its name, for messages.
+    pub id: &'a str,
+    /// Its geometry.
+    pub triangulator: &'a Triangulator,
+    /// Which head it belongs to: cameras of equal number see the same projector.
+    pub head: usize,
+    /// Its frame.
+    pub prepared: &'a mut Prepared,
+}
+
+/// How certain the fringe order of each pixel is.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Regions {
+    /// Column and row of the image at which the cells begin.
+    origin: (usize, usize),
+    /// Cells in a row.
+    columns: usize,
+    /// Patches that have an order: cell, pixels within it, by how much the order leads any other. Cell by cell.
+    patches: Vec<(u32, u64, f32)>,
+}
+
+impl Regions {
+    /// The margin of the order at a pixel of the frame, such as a cloud's `pixel`; 0 where there is none.
+    pub fn margin_at(&self, [u, v]: [u16; 2]) -> f32 {
+        let place = usize::from(u).checked_sub(self.origin.0).zip(usize::from(v).checked_sub(self.origin.1));
+        let Some((u, v)) = place.filter(|(u, _)| u / CELL_PX < self.columns) else { return 0.0 };
+        let cell = (v / CELL_PX * self.columns + u / CELL_PX) as u32;
+        let bit = 1u64 << (v % CELL_PX * CELL_PX + u % CELL_PX);
+        let first = self.patches.partition_point(|patch| patch.0 < cell);
+        let mut patches = self.patches[first..].iter().take_while(|patch| patch.0 == cell);
+        patches.find(|patch| patch.1 & bit != 0).map_or(0.0, |patch| patch.2)
+    }
+}
+
+/// What a frame's patches come to. They are cut while their phases are in the cache, and their orders are written when these are read
+/// again.
+#[derive(Debug, Default)]
+pub struct Orders {
+    patches: Patches,
+    /// What to add to the phases of each patch, rad; NaN where there is no order, and of all as long as nobody is asked.
+    shift: Vec<f32>,
+}
+
+impl Orders {
+    /// Cuts a frame's wrapped phases into patches: they become those unwrapped within each cell.
+    pub(super) fn cut(
+        phase: &mut Plane<f32>,
+        period: &Plane<f32>,
+        object: &super::runs::Runs,
+        pair: &Pair,
+    ) -> Self {
+        let patches = Patches::cut(&mut Surface { phase, period, object, sign: pair.sign });
+        let shift = vec![f32::NAN; patches.all.len()];
+        Self { patches, shift }
+    }
+
+    /// Keeps all phases as they are.
+    pub(super) fn forget(&mut self) {
+        self.shift.fill(0.0);
+    }
+
+    /// Adds the orders to the phases.
+    pub(super) fn apply(&self, phase: &mut Plane<f32>) {
+        simd::dispatch(
+            #[inline(always)]
+            || self.patches.shift(phase, &self.shift),
+        );
+    }
+}
+
+/// A view as all others see it.
+#[derive(Debug)]
+struct Scene<'a> {
+    /// Its head's number.
+    head: usize,
+    /// Sign of its projector's phase's change with the distance from it.
+    towards: f32,
+    /// Where its planes lie in the frame.
+    roi: Roi,
+    patches: Patches,
+    /// Where the other cameras see its places.
+    lookout: Lookout<'a>,
+    /// What its marker says: patch, whole turns that make its phases absolute, pixels.
+    votes: Vec<(u32, i32, u32)>,
+    /// Mean light of its patches, DN.
+    light_dn: f32,
+}
+
+impl Scene<'_> {
+    /// The pixel of the frame that stands for a patch.
+    fn pixel(&self, patch: &Patch) -> (usize, usize) {
+        let pixel = patch.pixel as usize;
+        (self.roi.u + pixel % self.roi.width, self.roi.v + pixel / self.roi.width)
+    }
+}
+
+/// Gives every patch of every view its fringe order, or refuses it: [`Pipeline::finish`] adds these to the phases, of which only what is
+/// certain is left: orders that lead any other by at least `margin`. All views must show the same instant. The result does not depend on
+/// threads.
+///
+/// # Errors
+///
+/// The cameras contradict each other so much that the calibration cannot be believed: then there are no orders.
+///
+/// [`Pipeline::finish`]: super::pipeline::Pipeline::finish
+pub fn settle(views: &mut [View<'_>], margin: f32) -> Result<(), String> {
+    let start = Instant::now();
+    let all: Vec<Patches> =
+        views.iter_mut().map(|view| std::mem::take(&mut view.prepared.orders.patches)).collect();
+    let (results, said) = {
+        let scenes = all.into_par_iter().enumerate();
+        let scenes: Vec<Scene<'_>> = scenes.map(|(view, patches)| scene(views, view, patches)).collect();
+        let (found, turned) = solve(&scenes);
+        let said = turned.map_or(Ok(()), |turned| Err(turned.message(views)));
+        let results: Vec<Found> =
+            scenes.into_iter().zip(found).map(|(scene, x)| (scene.patches, x.0, x.1)).collect();
+        (results, said)
+    };
+    let margin = if said.is_ok() { margin } else { f32::INFINITY };
+    views.par_iter_mut().zip(results).for_each(|(view, found)| keep(view.prepared, found, margin));
+    let share = start.elapsed() / views.len().max(1) as u32;
+    views.iter_mut().for_each(|view| view.prepared.add_time("order", share));
+    said
+}
+
+/// The whole turns that make the phases of each patch of a view absolute, and by how much these lead any other.
+type Turns = (Vec<i32>, Vec<f32>);
+
+/// The same with the patches.
+type Found = (Patches, Vec<i32>, Vec<f32>);
+
+/// The turns of each view, and the camera that contradicts the others, if there is one.
+fn solve(scenes: &[Scene<'_>]) -> (Vec<Turns>, Option<Turned>) {
+    let mut fields: Vec<Field<'_>> =
+        (0..scenes.len()).into_par_iter().map(|i| Field::new(scenes, i)).collect();
+    let mut turned = None;
+    if let [field] = &mut fields[..] {
+        alone::infer(field);
+    } else {
+        turned = infer_together(&mut fields, scenes);
+    }
+    let of = |field: Field<'_>| ((0..field.label.len()).map(|i| field.turns(i)).collect(), field.margin);
+    (fields.into_iter().map(of).collect(), turned)
+}
+
+/// At first nobody knows what hides what, and by how much the cameras differ; then they are asked again.
+fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>]) -> Option<Turned> {
+    let patches: usize = scenes.iter().map(|scene| scene.patches.all.len()).sum();
+    let none = vec![vec![Differences::NONE; scenes.len().div_ceil(LANES)]; scenes.len()];
+    let mut known = Known { turns: vec![NONE; patches + BEYOND], differences: none };
+    for first in [true, false] {
+        fields.par_iter_mut().for_each(|field| {
+            evidence::ask(field, scenes, &known, first);
+            field.infer();
+        });
+        if first {
+            let turns =
+                |field: &Field<'_>, i: usize| if field.margin[i] >= KNOWN { field.turns(i) } else { NONE };
+            let all = fields.iter().flat_map(|field| (0..field.label.len()).map(move |i| turns(field, i)));
+            known.turns = all.chain([NONE; BEYOND]).collect();
+            known.differences = fields.par_iter().map(|field| drift::of(field, scenes, &known)).collect();
+        }
+    }
+    Turned::most(&known.differences)
+}
+
+fn scene<'a>(views: &'a [View<'_>], number: usize, patches: Patches) -> Scene<'a> {
+    let view = &views[number];
+    let prepared = &*view.prepared;
+    let pair = view.triangulator.pair();
+    let light: f32 = patches.all.iter().map(|patch| prepared.light_dn(patch.pixel as usize)).sum();
+    Scene {
+        head: view.head,
+        towards: towards(pair),
+        roi: prepared.roi,
+        lookout: Lookout::new(
+            &prepared.table,
+            number,
+            views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)),
+        ),
+        votes: votes(&patches, prepared, pair),
+        light_dn: light / patches.all.len().max(1) as f32,
+        patches,
+    }
+}
+
+/// Sign of the projected phase's change with the distance from the camera.
+fn towards(pair: &Pair) -> f32 {
+    let middle = Point3::from((Vector3::from(pair.volume_min_m) + Vector3::from(pair.volume_max_m)) / 2.0);
+    let from = pair.camera.centre();
+    let cast = |distance: f64| {
+        let at = middle + (middle - from).normalize() * distance;
+        pair.projector.project(&at).map_or(0.0, |[column, _]| pair.pattern.phase(column))
+    };
+    (cast(0.01) - cast(-0.01)).signum() as f32
+}
+
+/// The orders that marker pixels give their patches: patch, order, pixels.
+fn votes(patches: &Patches, prepared: &Prepared, pair: &Pair) -> Vec<(u32, i32, u32)> {
+    let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
+    for v in 0..prepared.marker.height() {
+        for run in prepared.runs().row(v) {
+            let (marker, phase) =
+                (&prepared.marker.row(v)[run.columns()], &prepared.absolute.row(v)[run.columns()]);
+            each_not_0(marker, |i| {
+                let Some(patch) = patches.glimpses.node(run.start() + i, v) else { return };
+                // On the marker's core the wrapped phase is small: the nearest whole turn is the patch's own.
+                let order = pair.markers[usize::from(marker[i] - 1)] as i32 - (phase[i] / TAU).round() as i32;
+                *votes.entry((patch, order)).or_default() += 1;
+            });
+        }
+    }
+    votes.into_iter().map(|((patch, order), n)| (patch, order, n)).collect()
+}
+
+/// Keeps the orders of a view's patches.
+fn keep(prepared: &mut Prepared, (patches, turns, margin): Found, least: f32) {
+    let mut regions =
+        Regions { origin: (prepared.roi.u, prepared.roi.v), columns: patches.columns, patches: Vec::new() };
+    let (mut shift, mut known) = (vec![f32::NAN; turns.len()], 0);
+    for (i, patch) in patches.all.iter().enumerate().filter(|x| margin[x.0] >= least) {
+        shift[i] = TAU * turns[i] as f32;
+        known += patch.size as usize;
+        regions.patches.push((patch.cell, patch.mask, margin[i]));
+    }
+    prepared.counts.refused = prepared.counts.phase.saturating_sub(known);
+    prepared.regions = regions;
+    prepared.orders = Orders { patches, shift };
+}
