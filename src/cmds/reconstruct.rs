@@ -438,8 +438,8 @@ pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
 }
 
 fn parse_margin(text: &str) -> Result<f32, String> {
-    let margin = text.parse().ok().filter(|margin: &f32| (0.0..=100.0).contains(margin));
-    margin.ok_or_else(|| format!("expected a margin of 0 or more, for instance 1.5, found {text:?}"))
+    let margin = text.parse().ok().filter(|margin: &f32| (0.01..=100.0).contains(margin));
+    margin.ok_or_else(|| format!("expected a margin of 0.01 to 100, for instance 1.5, found {text:?}"))
 }
 
 pub(super) fn parse_range(text: &str) -> Result<Range<u64>, String> {

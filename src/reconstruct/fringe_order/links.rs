@@ -7,7 +7,7 @@ use super::glimpse::Plane;
 use super::patches::{ALL, CELL_PX, FIRST_COLUMN, FIRST_ROW, Patches, Spot, Surface};
 use std::f32::consts::TAU;
 
-/// What the likelihood of two planes counts in the energy: less than 1 would be that of independent borders.
+/// What the likelihood of two planes counts in the energy.
 const PLANES: f32 = 1.5;
 
 /// Scale of the step between two planes of one surface, rad.

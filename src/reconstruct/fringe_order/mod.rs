@@ -43,8 +43,7 @@ use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 use std::time::Instant;
 
-/// A patch whose label leads any other by less is refused, as a rule: half of it makes twice as many points wrong, twice as much refuses 1 %
-/// more.
+/// A patch whose label leads any other by less is refused, as a rule. Twice as much: docs/validation.md, *Other poses and skins*.
 pub const MARGIN: f32 = 1.0;
 
 /// A patch whose label leads by so much tells the other cameras what hides what.
