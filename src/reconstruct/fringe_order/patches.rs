@@ -542,8 +542,9 @@ mod tests {
             prop_assert_eq!(patches.all.len(), W.div_ceil(CELL_PX) * H.div_ceil(CELL_PX));
         }
 
+        // A step of 0.98 rad between two planes that do not bend is as likely on one surface as between two; nearer ones are links.
         #[test]
-        fn no_link_leads_over_a_depth_step(step in 0.9f32..5.3, tilt in -0.1f32..0.1, at in 40usize..60) {
+        fn no_link_leads_over_a_depth_step(step in 1.0f32..5.28, tilt in -0.1f32..0.1, at in 40usize..60) {
             let mut truth = surface(tilt, 0.0);
             for v in at..H {
                 truth.row_mut(v).iter_mut().for_each(|x| *x += step + 2.0 * TAU);
