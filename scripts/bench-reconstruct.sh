@@ -42,8 +42,7 @@ scored() {
         $bin/fourdbody reconstruct "$here/session" --calibration "$here/light/calibration.json" --out "$here/clouds" \
             --triggers "$trigger..$((trigger + 1))" "$@" >/dev/null || [ $? -eq 3 ]
     done
-    $bin/fourdbody validate truth --clouds "$here/clouds" --truth "$here/light/truth" \
-        --calibration "$here/light/calibration.json" --images "$here/session" --json >"$out/scores/$name.json"
+    $bin/fourdbody validate truth --clouds "$here/clouds" --truth "$here/light/truth" --images "$here/session" --json >"$out/scores/$name.json"
     rm -rf "$here/clouds"
 }
 

@@ -13,7 +13,7 @@ commit=$(git rev-parse HEAD) # what was built; a commit made during the run is n
 . scripts/laboratory.sh
 
 mkdir -p "$out"
-rm -rf "$out"/{lab,sessions,result,*.log}
+rm -rf "$out"/{lab,sessions,result,clouds,*.log}
 
 step "light: $scenario, ray cast into eight cameras (kept in $out/frames for the next run)"
 $bin/fourdbody-sim render --scenario "$scenario" --out "$out/frames"
@@ -27,27 +27,32 @@ record "$out/capture.json" --triggers "$triggers" --name demo --subject P001 --n
 $bin/fourdbody verify "$out/sessions/demo" || [ $? -eq 3 ]
 close_laboratory
 
-step "reconstruction: 8 x $triggers frames, one cloud each, merged by trigger"
+step "reconstruction: 8 x $triggers frames, a phase map each"
 $bin/fourdbody reconstruct "$out/sessions/demo" --calibration "$out/frames/calibration.json" --out "$out/result" \
     --timings "$out/timings.json" || [ $? -eq 3 ]
 
 step "score: every cloud whose truth was kept, against the true surface"
-score=(--clouds "$out/result" --truth "$out/frames/truth" --calibration "$out/frames/calibration.json")
+score=(--clouds "$out/result" --truth "$out/frames/truth")
 $bin/fourdbody validate truth "${score[@]}"
 $bin/fourdbody validate truth "${score[@]}" --json >"$out/score.json"
-middle=$(printf '%06d' $((triggers / 2)))
-$bin/fourdbody view "$out/result/merged/$middle.ply" --out "$out/merged.png" --sides 4
+middle=$((triggers / 2))
+$bin/fourdbody view "$out/result" --trigger "$middle" --out "$out/merged.png" --sides 4
+
+step "export: what is shown, as files of other programs: the sequence, and the clouds of trigger $middle"
+$bin/fourdbody export "$out/result" --to mcap --out "$out/clouds" --json >"$out/export.json"
+$bin/fourdbody export "$out/result" --to ply --clouds merged,directional --triggers "$middle..$((middle + 1))" --out "$out/clouds"
 
 step "figures (points are per merged cloud), kept in $out/summary.json"
 $bin/fourdbody-sim summarize --scenario "$scenario" --rate-hz "$rate_hz" --capture "$out/capture.json" \
-    --reconstruction "$out/result/summary.json" --score "$out/score.json" \
+    --export "$out/export.json" --score "$out/score.json" \
     --commit "$commit" --out "$out/summary.json"
 
 cat <<EOT
 
 recorded $triggers triggers at $rate_hz Hz; look at
-  $out/merged.png                 the merged body of trigger $((triggers / 2)) from four sides
-  $out/result/merged/*.ply        merged clouds        $out/result/clouds/*.ply   directional clouds
-  $out/result/sequence.mcap       the sequence, for viewers that play foxglove.PointCloud
+  $out/merged.png                 the merged body of trigger $middle from four sides
+  $out/clouds/sequence.mcap       the merged clouds of all triggers, for viewers that play foxglove.PointCloud
+  $out/clouds/merged/*.ply        the merged cloud of trigger $middle      $out/clouds/clouds/*.ply   those of its cameras
+  $out/result                     the phase maps, of which \`fourdbody view\` and \`export\` make all clouds
   $out/sessions/demo              the recordings of both nodes (MCAP)
 EOT

@@ -31,8 +31,7 @@ for marker in $markers; do
         # 3 and 4: some or all frames are refused. That is no failure here: they count as pixels without a point.
         $bin/fourdbody reconstruct "$here/images" --calibration "$here/light/calibration.json" --out "$here/clouds" \
             --method "$method" || { code=$?; [ $code -eq 3 ] || [ $code -eq 4 ]; }
-        score=(--clouds "$here/clouds" --truth "$here/light/truth" --calibration "$here/light/calibration.json"
-            --images "$here/images")
+        score=(--clouds "$here/clouds" --truth "$here/light/truth" --images "$here/images")
         [ -z "${KEEP:-}" ] || score+=(--pictures "$here/pictures")
         $bin/fourdbody validate truth "${score[@]}" --json >"$out/scores/$kind.$pose.json"
         [ -n "${KEEP:-}" ] || rm -rf "$here"/{images,clouds}

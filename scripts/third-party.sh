@@ -49,7 +49,7 @@ else
 fi
 
 sequences=()
-for file in target/demo/result/sequence.mcap; do
+for file in target/demo/clouds/sequence.mcap; do
     [ -e "$file" ] && sequences+=("$file") || echo "skipped: $file is not there (make demo)"
 done
 tests/.venv/bin/python - "$out" "$(git rev-parse HEAD)" "$(uname -m -r)" "$version" "${sequences[@]}" <<'P'

@@ -247,12 +247,17 @@ impl Calibration {
     /// Writes the file through a temporary neighbour, so that it is never half there.
     pub fn save(&self, path: &Path) -> Result<(), CalibrationError> {
         let io_error = |source| CalibrationError::Io { path: path.to_owned(), source };
-        let mut value = serde_json::to_value(self).map_err(|e| io_error(std::io::Error::other(e)))?;
-        value["sha256"] = sha256(&value).into();
-        let text = serde_json::to_string_pretty(&value).map_err(|e| io_error(std::io::Error::other(e)))?;
+        let text = self.text().map_err(|e| io_error(std::io::Error::other(e)))?;
         let partial = path.with_extension("json.partial");
-        std::fs::write(&partial, text + "\n").map_err(io_error)?;
+        std::fs::write(&partial, text).map_err(io_error)?;
         std::fs::rename(&partial, path).map_err(io_error)
+    }
+
+    /// What the file holds.
+    pub fn text(&self) -> Result<String, serde_json::Error> {
+        let mut value = serde_json::to_value(self)?;
+        value["sha256"] = sha256(&value).into();
+        Ok(serde_json::to_string_pretty(&value)? + "\n")
     }
 
     /// Values that would make every later step meaningless.
@@ -317,6 +322,9 @@ mod tests {
         let back = Calibration::load(&path).expect("readable");
         assert_eq!(back.cameras().count(), 8);
         assert_eq!(back.pattern, calibration.pattern);
+        // Results lie beside a copy of it, and are tied to its digest.
+        assert_eq!(back.text().expect("text"), calibration.text().expect("text"));
+        assert_eq!(back.geometry_sha256(), calibration.geometry_sha256());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::cluster::{self, Answer, Job, Measured, ShardStatus, Slurm, State, Sta
 use crate::export::write_whole;
 use crate::reconstruct::batch::{self, Format};
 use crate::reconstruct::collect::Shards;
-use crate::reconstruct::key::KEY_FILE;
+use crate::reconstruct::key::COMMON_FILES;
 use crate::s3::remote::Remote;
 use crate::s3::{Location, recordings, results};
 use std::collections::BTreeMap;
@@ -169,7 +169,7 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
         out,
         store: store.as_ref().map(ToString::to_string),
         options,
-        phase: plan.format == Format::Phase,
+        phase: !plan.formats.contains(&Format::Ply),
         parameters: finished.key().parameters(),
         triggers: [plan.triggers.start, plan.triggers.end],
     };
@@ -217,7 +217,8 @@ fn open(
 /// What is known of a result in a store, to where it is looked for.
 fn fetch_summaries(store: &Location, out: &Path) -> Result<(), Failure> {
     let remote = Remote::new(store.clone()).map_err(failed)?;
-    let named = |name: &str| name == KEY_FILE || (name.starts_with("summary") && name.ends_with(".json"));
+    let named =
+        |name: &str| COMMON_FILES.contains(&name) || (name.starts_with("summary") && name.ends_with(".json"));
     std::fs::create_dir_all(out).map_err(|e| failed(format!("{}: {e}", out.display())))?;
     results::fetch(&remote, out, &|_| false, &named).map(drop).map_err(failed)
 }

@@ -7,6 +7,7 @@ use crate::calibrate::Calibration;
 use crate::export::write_whole;
 use crate::ids::CameraId;
 use crate::reconstruct::batch::{self, Format, Plan, RunError, Summary, Timings};
+use crate::reconstruct::binned::{BinnedSource, MOST_ROWS};
 use crate::reconstruct::collect::{self, Lack, Shards};
 use crate::reconstruct::dashes::REMARKABLE_PX;
 use crate::reconstruct::fringe_order;
@@ -21,12 +22,14 @@ use std::io::{IsTerminal, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Turn every frame of a session into a point cloud.
+/// Turn every frame of a session into a point cloud, stored as a phase map.
+///
+/// The directory has all that `view`, `export`, `validate` and `report` need, the calibration with it.
 ///
 /// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and another one
 /// sees well within 2 mm; the clouds of the cameras have all of theirs.
 ///
-/// Finished clouds of the same session, calibration, method and algorithm are kept, so that an interrupted run goes on where it
+/// Finished frames of the same session, calibration, method and algorithm are kept, so that an interrupted run goes on where it
 /// was; an --out with anything else is refused. All cameras of the session are reconstructed, unless --cameras or --partial says
 /// otherwise. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
 /// `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in --scratch.
@@ -76,7 +79,8 @@ pub(super) struct What {
     /// The calibration, as `fourdbody calibrate` writes it.
     #[arg(long, value_name = "FILE")]
     pub(super) calibration: PathBuf,
-    /// Where clouds/, merged/, sequence.mcap and summary.json go: a directory, or s3://BUCKET/PREFIX.
+    /// Where phases/, calibration.json and summary.json go (clouds/, merged/ and sequence.mcap with --format ply): a directory, or
+    /// s3://BUCKET/PREFIX.
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
     /// Only triggers A to B - 1.
@@ -98,10 +102,13 @@ pub(super) struct What {
     /// Refuse points whose fringe order leads any other by less: more is refused, and less is wrong (docs/validation.md has the curve).
     #[arg(long, value_name = "T", default_value_t = fringe_order::MARGIN, value_parser = parse_margin)]
     margin: f32,
-    /// What to write: `ply` point clouds, or `phase` maps in phases/, a twentieth of the bytes, of which
-    /// `fourdbody export` makes the very same clouds.
-    #[arg(long, value_enum, default_value = "ply")]
-    format: FormatName,
+    /// Make one row of so many: half the time at half the rows with 2, and a quarter with 4.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_bin_rows)]
+    bin_rows: usize,
+    /// What to write, separated by commas: `phase` maps in phases/, which all other commands read; `ply` point clouds in clouds/ and
+    /// merged/, with sequence.mcap, twenty times the bytes. `fourdbody export` makes the very same clouds of phase maps.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "phase", value_name = "FORMAT,...")]
+    format: Vec<FormatName>,
     /// Give every point its standard uncertainty along the line of sight, `sigma` (float, metres) in PLY files.
     #[arg(long)]
     uncertainty: bool,
@@ -109,8 +116,8 @@ pub(super) struct What {
 
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum FormatName {
-    Ply,
     Phase,
+    Ply,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -207,6 +214,10 @@ impl What {
             let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
             return Err(usage(&message));
         }
+        let (source, calibration): (Box<dyn FrameSource>, _) = match self.bin_rows {
+            1 => (source, calibration),
+            rows => (Box::new(BinnedSource::new(source, rows)), calibration.with_binned_rows(rows)),
+        };
         let plan = Plan {
             out: self.out.clone(),
             triggers,
@@ -217,10 +228,8 @@ impl What {
                 MethodName::Paper => Method::Paper,
             },
             margin: self.margin,
-            format: match self.format {
-                FormatName::Ply => Format::Ply,
-                FormatName::Phase => Format::Phase,
-            },
+            bin_rows: self.bin_rows,
+            formats: self.formats(),
             uncertainty: self.uncertainty,
             maps: None,
             discard: false,
@@ -239,6 +248,18 @@ impl What {
         Ok(if wanted.is_empty() { known } else { wanted })
     }
 
+    /// What is written, each once, in order.
+    fn formats(&self) -> Vec<Format> {
+        let format = |name: &FormatName| match name {
+            FormatName::Phase => Format::Phase,
+            FormatName::Ply => Format::Ply,
+        };
+        let mut formats: Vec<Format> = self.format.iter().map(format).collect();
+        formats.sort_unstable();
+        formats.dedup();
+        formats
+    }
+
     /// The options beside session, calibration and out, as the command line takes them, for these triggers.
     pub(super) fn options(&self, triggers: &Range<u64>) -> Vec<String> {
         let mut options = Vec::new();
@@ -251,13 +272,12 @@ impl What {
             option("--cameras", self.cameras.join(","));
         }
         option("--rate-hz", self.rate_hz.to_string());
-        for (name, value) in
-            [("--method", self.method.to_possible_value()), ("--format", self.format.to_possible_value())]
-        {
-            if let Some(value) = value {
-                option(name, value.get_name().to_owned());
-            }
+        if let Some(value) = self.method.to_possible_value() {
+            option("--method", value.get_name().to_owned());
         }
+        option("--margin", self.margin.to_string());
+        option("--bin-rows", self.bin_rows.to_string());
+        option("--format", Format::names(&self.formats()));
         if self.uncertainty {
             options.push("--uncertainty".to_owned());
         }
@@ -435,6 +455,11 @@ fn report(args: &Args, summary: &Summary) {
 pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
     let rate = text.parse().ok().filter(|rate: &f64| (0.001..=1e6).contains(rate));
     rate.ok_or_else(|| format!("expected triggers per second, for instance 120, found {text:?}"))
+}
+
+fn parse_bin_rows(text: &str) -> Result<usize, String> {
+    let rows = text.parse().ok().filter(|rows| (1..=MOST_ROWS).contains(rows));
+    rows.ok_or_else(|| format!("expected a number of rows, 1 to {MOST_ROWS}, found {text:?}"))
 }
 
 fn parse_margin(text: &str) -> Result<f32, String> {

@@ -8,7 +8,11 @@ mod truth;
 
 use super::{Exit, Failure};
 use crate::calibrate::Calibration;
-use crate::validate::set::CloudSet;
+use crate::ids::CameraId;
+use crate::reconstruct::FrameSource;
+use crate::reconstruct::binned::BinnedSource;
+use crate::reconstruct::key::{Key, calibration_path};
+use crate::reconstruct::result::{Clouds, Place, calibration_of};
 use std::path::Path;
 
 /// Measure clouds against something known.
@@ -38,17 +42,48 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     }
 }
 
-fn open_clouds(directory: &Path) -> Result<CloudSet, Failure> {
-    CloudSet::open(directory).map_err(|e| Failure::new(Exit::Usage, e))
+fn open_clouds(directory: &Path) -> Result<Clouds, Failure> {
+    Clouds::open(directory).map_err(|e| Failure::new(Exit::Usage, e))
 }
 
-fn load_calibration(path: &Path) -> Result<Calibration, Failure> {
-    Calibration::load(path).map_err(|e| Failure::new(Exit::Usage, e))
+/// Rows of the photographs that make one row of these clouds.
+fn bin_rows(clouds: &Path) -> Result<usize, Failure> {
+    let key = Key::load(clouds).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    Ok(key.map_or(1, |key| key.bin_rows))
+}
+
+/// The calibration that is given, as it is for the rows of these clouds, or that beside the clouds.
+fn load_calibration(given: Option<&Path>, clouds: &Path) -> Result<Calibration, Failure> {
+    let Some(path) = given else {
+        return calibration_of(clouds).map_err(|e| Failure::new(Exit::Usage, e));
+    };
+    let calibration = Calibration::load(path).map_err(|e| Failure::new(Exit::Usage, e))?;
+    Ok(calibration.with_binned_rows(bin_rows(clouds)?))
+}
+
+/// The same where it is of use, but not needed.
+fn find_calibration(given: Option<&Path>, clouds: &Path) -> Result<Option<Calibration>, Failure> {
+    let there = given.is_some() || calibration_path(clouds).exists();
+    there.then(|| load_calibration(given, clouds)).transpose()
+}
+
+/// The photographs that the clouds were made of, with the rows that these have.
+fn open_photographs(
+    session: &Path,
+    cameras: &[CameraId],
+    clouds: &Path,
+) -> Result<Box<dyn FrameSource>, Failure> {
+    let source =
+        super::reconstruct::open_source(session, cameras).map_err(|e| Failure::new(Exit::Usage, e))?;
+    Ok(match bin_rows(clouds)? {
+        1 => source,
+        rows => Box::new(BinnedSource::new(source, rows)),
+    })
 }
 
 /// A cloud that is listed must be readable.
-fn load_cloud(path: &Path) -> Result<crate::export::Cloud, Failure> {
-    crate::validate::set::load(path).map_err(|e| Failure::new(Exit::Corrupt, e))
+fn load_cloud(clouds: &Clouds, place: &Place) -> Result<crate::export::Cloud, Failure> {
+    clouds.load(place).map(|(_, cloud)| cloud).map_err(|e| Failure::new(Exit::Corrupt, e))
 }
 
 /// Figures of nothing are no figures: an error where there is none.

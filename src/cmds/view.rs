@@ -1,17 +1,24 @@
 //! `fourdbody view`: a picture of a cloud.
 
 use super::{Exit, Failure};
-use crate::export::ply;
+use crate::export::Commented;
 use crate::export::view::{Style, draw_sides};
 use crate::image::write_png_rgb;
+use crate::reconstruct::result::{self, Clouds};
 use std::path::PathBuf;
 
 /// Draw a cloud as a PNG picture, from one side or several side by side.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody view out/merged/000000.ply --out body.png --sides 4")]
+#[command(
+    after_help = "Examples:\n  fourdbody view walk-01 --trigger 12 --out body.png --sides 4\n  fourdbody view walk-01/phases/h0_up_000012.phase --out h0_up.png"
+)]
 pub struct Args {
-    /// A directional or merged cloud (PLY).
+    /// What `fourdbody reconstruct` wrote: its directory, of which the merged cloud of a trigger is drawn, or one file of it (.ply,
+    /// .phase).
     cloud: PathBuf,
+    /// With a directory: which trigger [default: the one in the middle].
+    #[arg(long, value_name = "INDEX")]
+    trigger: Option<u64>,
     /// The picture.
     #[arg(long, value_name = "PNG")]
     out: PathBuf,
@@ -31,9 +38,10 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let (header, cloud) = ply::load(&args.cloud).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    let (comments, cloud) = load(args)?;
     if cloud.is_empty() {
-        let reason = header.comment("refused").map_or_else(String::new, |reason| format!(" ({reason})"));
+        let reason = comments.iter().find_map(|comment| comment.strip_prefix("refused "));
+        let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
         let path = args.cloud.display();
         return Err(Failure::new(Exit::Corrupt, format!("{path}: has no points{reason}; nothing is drawn")));
     }
@@ -44,4 +52,25 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
     println!("{}: {} points", args.out.display(), cloud.len());
     Ok(Exit::Done)
+}
+
+/// The cloud that is asked for, with its comments.
+fn load(args: &Args) -> Result<Commented, Failure> {
+    let usage = |message: String| Failure::new(Exit::Usage, message);
+    if !args.cloud.is_dir() {
+        if args.trigger.is_some() {
+            return Err(usage("--trigger: is for a directory; this is one file".to_owned()));
+        }
+        return result::load_file(&args.cloud).map_err(|e| Failure::new(Exit::Corrupt, e));
+    }
+    let clouds = Clouds::open(&args.cloud).map_err(usage)?;
+    let place = match args.trigger {
+        Some(trigger) => clouds.merged.get(&trigger),
+        None => clouds.merged.values().nth(clouds.merged.len() / 2),
+    };
+    let place = place.ok_or_else(|| {
+        let (first, last) = (clouds.merged.keys().next(), clouds.merged.keys().next_back());
+        usage(format!("--trigger: {} has merged clouds from {first:?} to {last:?}", args.cloud.display()))
+    })?;
+    clouds.load(place).map_err(|e| Failure::new(Exit::Corrupt, e))
 }

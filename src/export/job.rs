@@ -263,8 +263,13 @@ impl Job<'_> {
     }
 }
 
-/// The merged cloud, by the rule of [`merge`], and what it lacks.
-pub(super) fn join(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, LeftOut) {
+/// The merged cloud of directional ones, by the rule of [`merge`]; number and name of each camera.
+pub fn merged_cloud(clouds: &[Commented], cameras: &[(u8, String)]) -> Cloud {
+    join(clouds, cameras).0
+}
+
+/// The same, and what it lacks.
+fn join(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, LeftOut) {
     let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
     let views = clouds.iter().zip(&from).zip(cameras);
     let views =

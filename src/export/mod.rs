@@ -31,6 +31,7 @@ mod whole;
 
 pub use cloud::{Cloud, NO_CAMERA};
 pub use format::Format;
+pub use job::merged_cloud;
 pub use phase_map::{PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_of, doubt_rad};
 pub use shape::Shape;
 pub use source::{CloudSource, Commented, PlyDirectory};

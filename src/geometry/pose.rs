@@ -6,7 +6,12 @@ use serde::{Deserialize, Serialize};
 /// A rigid transform `a_from_b`. In files: `{"rotation": [[3], [3], [3]], "translation_m": [3]}`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "PoseFile", into = "PoseFile")]
-pub struct Pose(Isometry3<f64>);
+pub struct Pose {
+    isometry: Isometry3<f64>,
+    /// The rotation as the file has it, so that what is read and written again is the same to the last digit: results are tied to
+    /// the digest of their calibration.
+    rows: [[f64; 3]; 3],
+}
 
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -18,7 +23,9 @@ struct PoseFile {
 impl Pose {
     /// Wraps an isometry.
     pub fn new(isometry: Isometry3<f64>) -> Self {
-        Self(isometry)
+        let matrix = isometry.rotation.to_rotation_matrix();
+        let row = |r: usize| [matrix[(r, 0)], matrix[(r, 1)], matrix[(r, 2)]];
+        Self { isometry, rows: [row(0), row(1), row(2)] }
     }
 
     /// From the rows of a rotation matrix and a translation; an error when the matrix is not a rotation
@@ -32,13 +39,14 @@ impl Pose {
                 "expected a rotation matrix (rows orthonormal, determinant +1) and a finite translation, found {rotation:?}, {translation_m:?}"
             ));
         }
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-        Ok(Self(Isometry3::from_parts(Translation3::from(Vector3::from(translation_m)), rotation)))
+        let turned = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+        let isometry = Isometry3::from_parts(Translation3::from(Vector3::from(translation_m)), turned);
+        Ok(Self { isometry, rows: rotation })
     }
 
     /// The transform itself.
     pub fn isometry(&self) -> &Isometry3<f64> {
-        &self.0
+        &self.isometry
     }
 }
 
@@ -52,9 +60,7 @@ impl TryFrom<PoseFile> for Pose {
 
 impl From<Pose> for PoseFile {
     fn from(pose: Pose) -> Self {
-        let matrix = pose.0.rotation.to_rotation_matrix();
-        let row = |r: usize| [matrix[(r, 0)], matrix[(r, 1)], matrix[(r, 2)]];
-        Self { rotation: [row(0), row(1), row(2)], translation_m: pose.0.translation.vector.into() }
+        Self { rotation: pose.rows, translation_m: pose.isometry.translation.vector.into() }
     }
 }
 
@@ -71,7 +77,7 @@ pub fn look_at(position_m: [f64; 3], target_m: [f64; 3], roll_deg: f64) -> Optio
     let v = down * cos - right * sin;
     let rotation = Rotation3::from_basis_unchecked(&[u, v, forward]);
     let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
-    Some(Pose(Isometry3::from_parts(Translation3::from(position), rotation)))
+    Some(Pose::new(Isometry3::from_parts(Translation3::from(position), rotation)))
 }
 
 #[cfg(test)]
@@ -96,6 +102,7 @@ mod tests {
         let pose = super::look_at([2.4, 0.1, 1.8], [0.0, 0.0, 1.0], 90.0).expect("valid");
         let text = serde_json::to_string(&pose).expect("serializes");
         let back: Pose = serde_json::from_str(&text).expect("parses");
+        assert_eq!(serde_json::to_string(&back).expect("serializes"), text);
         assert!((pose.isometry().to_matrix() - back.isometry().to_matrix()).abs().max() < 1e-14);
     }
 }

@@ -5,9 +5,10 @@
 
 use crate::api::dto::{NodeStatus, Outcome};
 use crate::background;
-use crate::export::{Cloud, ply};
+use crate::export::Cloud;
 use crate::ids::NodeId;
 use crate::reconstruct::FrameSource;
+use crate::reconstruct::result::Clouds;
 use crate::record::{SessionReader, node_dir};
 use crate::session::state::Phase;
 use serde::Serialize;
@@ -288,8 +289,9 @@ impl Inner {
 }
 
 fn read_cloud(out: &Path, trigger: u64) -> Result<Cloud, String> {
-    let path = out.join("merged").join(format!("{trigger:06}.ply"));
-    ply::load(&path).map(|(_, cloud)| cloud).map_err(|e| e.to_string())
+    let clouds = Clouds::open(out)?;
+    let place = clouds.merged.get(&trigger).ok_or_else(|| format!("{}: no cloud", out.display()))?;
+    clouds.load(place).map(|(_, cloud)| cloud)
 }
 
 /// So many triggers in the middles of equal parts of the session.

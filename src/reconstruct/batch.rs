@@ -1,16 +1,19 @@
 //! A session's frames to clouds on disk: parallel, resumable, the same bytes whatever the number of threads.
 //!
 //! ```text
-//! OUT/clouds/CAMERA_INDEX.ply   one directional cloud (without points where the frame was refused)
-//! OUT/merged/INDEX.ply          all cameras of one trigger, less what another head sees better (`export::merge`)
-//! OUT/sequence.mcap             the merged clouds, for viewers
-//! OUT/phases/CAMERA_INDEX.phase   instead of all these, where it is asked for: what they follow from
-//! OUT/summary.json              what became of every frame
-//! OUT/reconstruct.json          of which session all this is, and how it is made ([`super::key`])
+//! OUT/phases/CAMERA_INDEX.phase   one phase map, of which the clouds are made when they are read ([`super::result`])
+//! OUT/calibration.json            the calibration that goes with them
+//! OUT/summary.json                what became of every frame
+//! OUT/reconstruct.json            of which session all this is, and how it is made ([`super::key`])
+//!
+//! where clouds are asked for:
+//! OUT/clouds/CAMERA_INDEX.ply     one directional cloud (without points where the frame was refused)
+//! OUT/merged/INDEX.ply            all cameras of one trigger, less what another head sees better (`export::merge`)
+//! OUT/sequence.mcap               the merged clouds, for viewers
 //! ```
 //!
-//! Every cloud states the parameters that it was made with, as a hash over algorithm, calibration and method, and the frames of
-//! its trigger, by the checksums of their pixels; a finished cloud that states the same is not made again. Where a trigger has
+//! Every file states the parameters that it was made with, as a hash over algorithm, calibration and method, and the frames of
+//! its trigger, by the checksums of their pixels; a finished one that states the same is not made again. Where a trigger has
 //! no point at all there is no merged cloud.
 
 use super::collect::remove_leftovers;
@@ -45,12 +48,34 @@ pub use super::summary::{FrameSummary, Summary, TriggerSummary};
 pub use super::timings::Timings;
 
 /// What is written of each frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Format {
-    /// Clouds, merged clouds and the sequence.
-    Ply,
     /// Phase maps, of which `stored::export` makes the same clouds.
     Phase,
+    /// Clouds, merged clouds and the sequence.
+    Ply,
+}
+
+impl Format {
+    /// As the command line calls it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Phase => "phase",
+            Self::Ply => "ply",
+        }
+    }
+
+    /// The names of some, with commas between them.
+    pub fn names(formats: &[Self]) -> String {
+        formats.iter().map(|format| format.name()).collect::<Vec<_>>().join(",")
+    }
+
+    fn folders(self) -> &'static [&'static str] {
+        match self {
+            Self::Phase => &["phases"],
+            Self::Ply => &["clouds", "merged"],
+        }
+    }
 }
 
 /// What to do.
@@ -68,14 +93,35 @@ pub struct Plan {
     pub method: Method,
     /// By how much a fringe order must lead any other.
     pub margin: f32,
-    /// What is written.
-    pub format: Format,
+    /// Rows of the photographs that make one row of the source's frames ([`super::binned`]).
+    pub bin_rows: usize,
+    /// What is written, each once, in order.
+    pub formats: Vec<Format>,
     /// Whether every point gets its standard uncertainty.
     pub uncertainty: bool,
     /// Where the maps of every frame go, if anywhere.
     pub maps: Option<PathBuf>,
     /// Makes the clouds and keeps none, and merges nothing: for measurements of the reconstruction itself.
     pub discard: bool,
+}
+
+impl Default for Plan {
+    /// What the command line does unless it is told otherwise, of no frames.
+    fn default() -> Self {
+        Self {
+            out: PathBuf::new(),
+            triggers: 0..0,
+            cameras: Vec::new(),
+            shard: (0, 1),
+            method: Method::Joint,
+            margin: fringe_order::MARGIN,
+            bin_rows: 1,
+            formats: vec![Format::Phase],
+            uncertainty: false,
+            maps: None,
+            discard: false,
+        }
+    }
 }
 
 impl Plan {
@@ -86,7 +132,7 @@ impl Plan {
 
     /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
     pub fn merges(&self) -> bool {
-        self.format == Format::Ply && !self.discard
+        self.formats.contains(&Format::Ply) && !self.discard
     }
 }
 
@@ -260,12 +306,9 @@ pub fn run(
     let key = Key::of(source.identity()?, calibration, plan)?;
     if !plan.discard {
         key.claim(&plan.out)?;
+        key.keep_calibration(&plan.out, calibration)?;
     }
-    let folders: &[&str] = match plan.format {
-        Format::Ply => &["clouds", "merged"],
-        Format::Phase => &["phases"],
-    };
-    for folder in folders {
+    for folder in plan.formats.iter().flat_map(|format| format.folders()) {
         let path = plan.out.join(folder);
         std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     }
@@ -382,8 +425,8 @@ impl Job<'_> {
             }
             Stage::Refused(result) => self.save(camera, trigger, *result, &frames),
             Stage::Missing(outcome, reason) => {
-                if !self.plan.discard {
-                    remove(&self.frame_path(camera, trigger))?;
+                for &format in self.plan.formats.iter().filter(|_| !self.plan.discard) {
+                    remove(&self.frame_path(camera, trigger, format))?;
                 }
                 Ok((FrameSummary::missing(&camera.id, outcome, reason), Cloud::default()))
             }
@@ -392,9 +435,9 @@ impl Job<'_> {
         Ok((made?, frames))
     }
 
-    /// What is written of a frame.
-    fn frame_path(&self, camera: &Camera, trigger: u64) -> PathBuf {
-        match self.plan.format {
+    /// Where a frame's cloud or map is.
+    fn frame_path(&self, camera: &Camera, trigger: u64, format: Format) -> PathBuf {
+        match format {
             Format::Ply => cloud_path(&self.plan.out, &camera.id, trigger),
             Format::Phase => phase_path(&self.plan.out, camera.id.as_str(), trigger),
         }
@@ -485,7 +528,15 @@ impl Job<'_> {
         };
         comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
         if !self.plan.discard {
-            self.write(camera, trigger, &result, [comments, self.merged_comments(trigger, frames)])?;
+            for &format in &self.plan.formats {
+                match format {
+                    Format::Ply => self.write_cloud(camera, trigger, &result.cloud, &comments)?,
+                    Format::Phase => {
+                        let comments = [comments.clone(), self.merged_comments(trigger, frames)];
+                        self.write_map(camera, trigger, &result, comments)?;
+                    }
+                }
+            }
         }
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         timings.add(&result.stages);
@@ -496,19 +547,25 @@ impl Job<'_> {
         Ok((summary, cloud))
     }
 
-    /// Writes what the plan asks for of a frame.
-    fn write(
+    fn write_cloud(
+        &self,
+        camera: &Camera,
+        trigger: u64,
+        cloud: &Cloud,
+        comments: &[String],
+    ) -> Result<(), String> {
+        let path = self.frame_path(camera, trigger, Format::Ply);
+        ply::save(&path, cloud, comments).map_err(|e| format!("{}: {e}", path.display()))
+    }
+
+    fn write_map(
         &self,
         camera: &Camera,
         trigger: u64,
         result: &Reconstruction,
         [comments, merged_comments]: [Vec<String>; 2],
     ) -> Result<(), String> {
-        let path = self.frame_path(camera, trigger);
-        if self.plan.format == Format::Ply {
-            return ply::save(&path, &result.cloud, &comments)
-                .map_err(|e| format!("{}: {e}", path.display()));
-        }
+        let path = self.frame_path(camera, trigger, Format::Phase);
         let mut map = Cow::Borrowed(&result.phase);
         if map.runs.is_empty() {
             // A frame refused before it was looked at closely.
@@ -531,7 +588,7 @@ impl Job<'_> {
     /// A trigger of which everything is there, which only headers are read for.
     fn finished_trigger(&self, trigger: u64) -> Option<TriggerSummary> {
         let (frames, stated) = self.finished_frames(trigger)?;
-        if self.plan.format != Format::Ply {
+        if !self.plan.formats.contains(&Format::Ply) {
             return Some(TriggerSummary { trigger, merged_points: None, frames });
         }
         let points = frames.iter().map(|frame| frame.points).sum();
@@ -551,8 +608,10 @@ impl Job<'_> {
     fn finished(&self, trigger: u64) -> Option<(Vec<(FrameSummary, Cloud)>, String)> {
         let (frames, stated) = self.finished_frames(trigger)?;
         let load = |(camera, summary): (&Camera, FrameSummary)| {
-            let cloud = match (self.plan.format, summary.outcome.as_ref()) {
-                (Format::Ply, "cloud" | "refused") => ply::load(&self.frame_path(camera, trigger)).ok()?.1,
+            let cloud = match summary.outcome.as_ref() {
+                "cloud" | "refused" if self.plan.merges() => {
+                    ply::load(&self.frame_path(camera, trigger, Format::Ply)).ok()?.1
+                }
                 _ => Cloud::default(),
             };
             Some((summary, cloud))

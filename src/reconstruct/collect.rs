@@ -178,7 +178,7 @@ impl<'a> Shards<'a> {
     /// The summary of a shard whose files are all there.
     fn complete(&self, shard: u64) -> Result<Summary, ShardProblem> {
         let summary = self.summary(shard)?;
-        let lacking = without_files(&self.plan.out, self.plan.format, &summary);
+        let lacking = without_files(&self.plan.out, &self.plan.formats, &summary);
         if !lacking.is_empty() {
             let found = format!("no whole files of {}", named(&lacking));
             return Err(ShardProblem { shard, lack: Lack::Work, found });
@@ -205,9 +205,11 @@ pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
 }
 
 /// Triggers of a summary of which a file is missing, cut, or of other parameters, on the current rayon pool.
-pub fn without_files(out: &Path, format: Format, summary: &Summary) -> Vec<u64> {
-    let stated = Stated { out, format, parameters: format!("parameters {}", summary.parameters) };
-    let lacking = summary.triggers.par_iter().filter(|trigger| !stated.has_files(trigger));
+pub fn without_files(out: &Path, formats: &[Format], summary: &Summary) -> Vec<u64> {
+    let stated = |&format| Stated { out, format, parameters: format!("parameters {}", summary.parameters) };
+    let stated: Vec<Stated<'_>> = formats.iter().map(stated).collect();
+    let has_all = |trigger: &TriggerSummary| stated.iter().all(|stated| stated.has_files(trigger));
+    let lacking = summary.triggers.par_iter().filter(|trigger| !has_all(trigger));
     lacking.map(|trigger| trigger.trigger).collect()
 }
 

@@ -33,7 +33,9 @@ pub struct Key {
     pub margin: f32,
     /// Whether points have their standard uncertainty.
     pub uncertainty: bool,
-    /// `ply` or `phase`.
+    /// Rows of the photographs that make one row of the frames.
+    pub bin_rows: usize,
+    /// `phase`, `ply` or both, with a comma between them.
     pub format: String,
     /// The cameras, in the calibration's order: each frame of a trigger may give the others their fringe orders.
     pub cameras: Vec<CameraId>,
@@ -55,6 +57,17 @@ pub fn key_path(out: &Path) -> PathBuf {
     out.join(KEY_FILE)
 }
 
+/// Where the calibration of a result is.
+pub fn calibration_path(out: &Path) -> PathBuf {
+    out.join(CALIBRATION_FILE)
+}
+
+/// The calibration's name in the directory of a result.
+pub const CALIBRATION_FILE: &str = "calibration.json";
+
+/// What all files of a result follow from beside their frames.
+pub const COMMON_FILES: [&str; 2] = [KEY_FILE, CALIBRATION_FILE];
+
 /// The key's name in the directory of a result.
 pub const KEY_FILE: &str = "reconstruct.json";
 
@@ -75,19 +88,16 @@ impl Key {
             method: method_name(plan.method).to_owned(),
             margin: plan.margin,
             uncertainty: plan.uncertainty,
-            format: match plan.format {
-                Format::Ply => "ply",
-                Format::Phase => "phase",
-            }
-            .to_owned(),
+            bin_rows: plan.bin_rows,
+            format: Format::names(&plan.formats),
             cameras: cameras.filter(|id| plan.cameras.contains(id)).cloned().collect(),
         })
     }
 
     /// As clouds state it: a hash over what they depend on beside the frames, whatever session these are of.
     pub fn parameters(&self) -> String {
-        let Self { algorithm, calibration_sha256, method, margin, uncertainty, .. } = self;
-        let value = serde_json::json!([algorithm, calibration_sha256, method, margin, uncertainty]);
+        let Self { algorithm, calibration_sha256, method, margin, bin_rows, uncertainty, .. } = self;
+        let value = serde_json::json!([algorithm, calibration_sha256, method, margin, bin_rows, uncertainty]);
         Sha256::digest(value.to_string()).iter().take(16).map(|byte| format!("{byte:02x}")).collect()
     }
 
@@ -139,6 +149,29 @@ impl Key {
         if written { Ok(()) } else { self.check(out) }
     }
 
+    /// Puts the calibration beside the results, which are read with it; refuses a directory that has another one.
+    pub fn keep_calibration(&self, out: &Path, calibration: &Calibration) -> Result<(), KeyError> {
+        let path = calibration_path(out);
+        let failed = |e: &dyn std::fmt::Display| KeyError::Write(format!("{}: {e}", path.display()));
+        let text = calibration.text().map_err(|e| failed(&e))?;
+        if !path.exists()
+            && write_new(&path, |file| file.write_all(text.as_bytes())).map_err(|e| failed(&e))?
+        {
+            return Ok(());
+        }
+        let there = Calibration::load(&path).map_err(|e| e.to_string());
+        match there.and_then(|there| calibration_sha256(&there)) {
+            Ok(there) if there == self.calibration_sha256 => Ok(()),
+            Ok(_) => Err(KeyError::Occupied(format!(
+                "{}: expected the calibration that is asked for, found another one. Choose another --out, or move it away",
+                path.display()
+            ))),
+            Err(reason) => Err(KeyError::Occupied(format!(
+                "{reason}. It would be read with the results: choose another --out, or move it away"
+            ))),
+        }
+    }
+
     /// What is there, and what was asked for.
     fn differences(&self, asked: &Self) -> Vec<String> {
         let cameras = |key: &Self| key.cameras.iter().map(CameraId::as_str).collect::<Vec<_>>().join(",");
@@ -149,6 +182,7 @@ impl Key {
                 ("calibration", key.calibration_sha256.chars().take(16).collect()),
                 ("method", key.method.clone()),
                 ("margin", key.margin.to_string()),
+                ("bin-rows", key.bin_rows.to_string()),
                 ("uncertainty", key.uncertainty.to_string()),
                 ("format", key.format.clone()),
                 ("cameras", cameras(key)),
@@ -192,6 +226,7 @@ mod tests {
             calibration_sha256: "c".repeat(64),
             method: "joint".to_owned(),
             margin: 1.0,
+            bin_rows: 1,
             uncertainty: false,
             format: "ply".to_owned(),
             cameras: vec!["h0_up".into(), "h0_low".into()],
@@ -217,6 +252,7 @@ mod tests {
         refused(&|key| key.calibration_sha256 = "d".repeat(64), &["calibration: there cccc", "dddd"]);
         refused(&|key| key.method = "paper".to_owned(), &["method: there joint, asked for paper"]);
         refused(&|key| key.margin = 2.0, &["margin: there 1, asked for 2"]);
+        refused(&|key| key.bin_rows = 2, &["bin-rows: there 1, asked for 2"]);
         refused(&|key| key.uncertainty = true, &["uncertainty: there false"]);
         refused(&|key| key.format = "phase".to_owned(), &["format: there ply"]);
         refused(&|key| key.cameras.truncate(1), &["cameras: there h0_up,h0_low, asked for h0_up"]);

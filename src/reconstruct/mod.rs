@@ -9,6 +9,8 @@ pub mod absolute;
 mod angle;
 /// A session to clouds on disk.
 pub mod batch;
+/// Frames of fewer rows, and their calibration.
+pub mod binned;
 mod bits;
 /// From absolute phase to the cloud.
 pub mod cloud;
@@ -69,6 +71,8 @@ mod prefetch;
 pub mod quality;
 /// What triangulation comes to along every line of sight.
 pub mod rays;
+/// What a reconstruction wrote, as clouds.
+pub mod result;
 /// The part of a frame that holds the object.
 pub mod roi;
 mod round;

@@ -1,7 +1,7 @@
 //! Stored phase maps to cloud files: the very bytes that `reconstruct` would have written itself.
 //!
 //! ```text
-//! IN/phases/CAMERA_INDEX.phase   one phase map, as `fourdbody reconstruct --format phase` writes it
+//! IN/phases/CAMERA_INDEX.phase   one phase map, as `fourdbody reconstruct` writes it
 //! ```
 
 use super::batch::{cloud_path, merged_path};
@@ -10,7 +10,7 @@ use super::collect::remove_leftovers;
 use super::key::{Key, KeyError};
 use super::pair::Pair;
 use super::rays::RayTable;
-use crate::calibrate::Calibration;
+use crate::calibrate::{CalibratedCamera, Calibration};
 use crate::export::merge::{self, Rule, View, Viewpoint};
 use crate::export::phase_file::{self, Statement};
 use crate::export::sequence::SequenceWriter;
@@ -155,8 +155,8 @@ fn tables(calibration: &Calibration) -> Result<Vec<RayTable>, String> {
 }
 
 /// Stored phase maps as a source of clouds.
-pub struct PhaseDirectory<'a> {
-    calibration: &'a Calibration,
+pub struct PhaseDirectory {
+    calibration: Calibration,
     tables: Vec<RayTable>,
     cameras: Vec<(u8, String)>,
     /// Places of the cameras in the calibration.
@@ -164,17 +164,17 @@ pub struct PhaseDirectory<'a> {
     files: BTreeMap<u64, Maps>,
 }
 
-impl<'a> PhaseDirectory<'a> {
-    /// Lists the phase maps in `from`.
-    pub fn open(from: &Path, calibration: &'a Calibration) -> Result<Self, String> {
-        let files = list(from, calibration)?;
+impl PhaseDirectory {
+    /// Lists the phase maps in `from`, which were made with this calibration.
+    pub fn open(from: &Path, calibration: Calibration) -> Result<Self, String> {
+        let files = list(from, &calibration)?;
         let names = calibration.cameras().map(|(_, camera)| camera.id.to_string());
         let number = |(number, name)| u8::try_from(number).map(|number: u8| (number, name));
         let cameras: Result<Vec<(u8, String)>, _> = names.enumerate().map(number).collect();
         let cameras = cameras.map_err(|_| "more than 255 cameras".to_owned())?;
         let places = |maps: &Maps| maps.iter().map(|(place, _)| *place).collect();
         let triggers = files.iter().map(|(trigger, maps)| (*trigger, places(maps))).collect();
-        Ok(Self { calibration, tables: tables(calibration)?, cameras, triggers, files })
+        Ok(Self { tables: tables(&calibration)?, calibration, cameras, triggers, files })
     }
 
     fn paths(&self, trigger: u64, cameras: &[usize]) -> impl Iterator<Item = &(usize, PathBuf)> {
@@ -183,7 +183,7 @@ impl<'a> PhaseDirectory<'a> {
     }
 }
 
-impl CloudSource for PhaseDirectory<'_> {
+impl CloudSource for PhaseDirectory {
     fn cameras(&self) -> &[(u8, String)] {
         &self.cameras
     }
@@ -194,7 +194,7 @@ impl CloudSource for PhaseDirectory<'_> {
 
     fn clouds(&self, trigger: u64, cameras: &[usize]) -> Result<Vec<Commented>, String> {
         let read = |(place, path): &(usize, PathBuf)| {
-            let (statement, cloud) = read_cloud(path, self.calibration, *place, &self.tables[*place])?;
+            let (statement, cloud) = read_cloud(path, &self.calibration, *place, &self.tables[*place])?;
             Ok((statement.comments, cloud))
         };
         self.paths(trigger, cameras).map(read).collect()
@@ -230,10 +230,7 @@ pub fn write_sequence(clouds: impl Iterator<Item = (u64, PathBuf)>, path: &Path)
 fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, String> {
     let folder = from.join("phases");
     let fail = |e: std::io::Error| {
-        format!(
-            "{}: {e}; expected phases/ as `fourdbody reconstruct --format phase` writes it",
-            folder.display()
-        )
+        format!("{}: {e}; expected phases/ as `fourdbody reconstruct` writes it", folder.display())
     };
     let mut triggers: BTreeMap<u64, Maps> = BTreeMap::new();
     for entry in std::fs::read_dir(&folder).map_err(fail)? {
@@ -312,6 +309,18 @@ fn export_trigger(
     let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
     let points = merge::save(&path, &views, &left_out, comments).map_err(failed)?;
     Ok(Made { trigger, time_ns, points, kept: false })
+}
+
+/// The cloud of the stored map at `path`, with the comments of its file.
+pub fn load_cloud(path: &Path, calibration: &Calibration) -> Result<Commented, String> {
+    let statement = phase_file::load_statement(path).map_err(|e| e.to_string())?;
+    let is_it = |(_, camera): &(&_, &CalibratedCamera)| camera.id.as_str() == statement.camera;
+    let (number, (head, camera)) =
+        calibration.cameras().enumerate().find(|(_, found)| is_it(found)).ok_or_else(|| {
+            format!("{}: the calibration has no camera {}", path.display(), statement.camera)
+        })?;
+    let table = RayTable::new(&Pair::new(head, camera, calibration)?);
+    read_cloud(path, calibration, number, &table).map(|(statement, cloud)| (statement.comments, cloud))
 }
 
 /// The cloud of a stored map; `number`: the place of its camera in the calibration.

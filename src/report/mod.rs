@@ -7,13 +7,13 @@ mod page;
 pub use page::render;
 
 use crate::acquire::preview::Sample;
-use crate::export::ply;
 use crate::ids::TriggerIndex;
 use crate::preview::quick_look::encode;
 use crate::preview::{Light, measure, upright_png};
 use crate::reconstruct::FrameSource;
 use crate::reconstruct::batch::TriggerSummary;
 use crate::reconstruct::collect;
+use crate::reconstruct::result::Clouds;
 use crate::record::describe::{self, CameraDescription, EventKind};
 use crate::record::{GapRun, RecordingReader, SessionReader, Verdict, WriteStatistics};
 use std::path::{Path, PathBuf};
@@ -163,16 +163,13 @@ fn points_of(result: &Path, session: &SessionReader) -> Result<Vec<Points>, Stri
     Ok(frames.collect())
 }
 
-/// The merged cloud in the middle of what was reconstructed.
+/// The merged cloud in the middle of what was reconstructed; none where there are no clouds.
 fn cloud_of(result: &Path) -> Result<Option<(u64, Vec<u8>)>, String> {
-    let dir = result.join("merged");
-    let Ok(entries) = std::fs::read_dir(&dir) else { return Ok(None) };
-    let number = |path: &Path| path.file_stem()?.to_str()?.parse::<u64>().ok();
-    let paths = entries.flatten().map(|entry| entry.path());
-    let mut clouds: Vec<(u64, PathBuf)> =
-        paths.filter_map(|path| number(&path).map(|number| (number, path))).collect();
-    clouds.sort();
-    let Some((trigger, path)) = clouds.get(clouds.len() / 2) else { return Ok(None) };
-    let (_, cloud) = ply::load(path).map_err(|e| e.to_string())?;
+    if !["phases", "clouds", "merged"].iter().any(|folder| result.join(folder).is_dir()) {
+        return Ok(None);
+    }
+    let clouds = Clouds::open(result)?;
+    let Some((trigger, place)) = clouds.merged.iter().nth(clouds.merged.len() / 2) else { return Ok(None) };
+    let (_, cloud) = clouds.load(place)?;
     Ok(Some((*trigger, encode(&cloud))))
 }

@@ -12,7 +12,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 /// What a result is made of: it is in the store before any other file (`reconstruct::key`).
-const KEY_FILE: &str = crate::reconstruct::key::KEY_FILE;
+use crate::reconstruct::key::COMMON_FILES;
 
 /// Folders of files that belong to a trigger each, and how their names end.
 const FOLDERS: [(&str, &str); 3] = [("clouds", ".ply"), ("merged", ".ply"), ("phases", ".phase")];
@@ -101,8 +101,11 @@ impl Drop for Uploader {
 impl Files {
     /// Names of all finished files: what is being written has another ending.
     fn finished(&self) -> Vec<(String, (u64, i64, i64))> {
-        let key = self.out.join(KEY_FILE).metadata().ok();
-        let mut found: Vec<_> = key.iter().map(|key| (KEY_FILE.to_owned(), identity(key))).collect();
+        let common = COMMON_FILES.into_iter().filter_map(|name| {
+            let metadata = self.out.join(name).metadata().ok()?;
+            Some((name.to_owned(), identity(&metadata)))
+        });
+        let mut found: Vec<_> = common.collect();
         for (folder, end) in FOLDERS {
             for entry in std::fs::read_dir(self.out.join(folder)).into_iter().flatten().flatten() {
                 let name = entry.file_name().into_string().ok().filter(|name| name.ends_with(end));

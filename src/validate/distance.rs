@@ -136,8 +136,8 @@ fn outermost(
 
 #[cfg(test)]
 mod tests {
+    use super::super::deviations::Draws;
     use super::super::ring::{Organized, place};
-    use super::super::set::Draws;
     use super::{Light, Sight, diagonals};
     use crate::calibrate::Board;
     use crate::export::Cloud;

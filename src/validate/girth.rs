@@ -336,7 +336,7 @@ pub fn names(name: &str, loops: &[Loop]) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::set::Draws;
+    use super::super::deviations::Draws;
     use super::{Loop, SurfacePoint, loops, names};
     use std::f64::consts::TAU;
 

@@ -1,5 +1,7 @@
 //! Figures of merit of clouds (paper, section 5).
 
+/// Signed deviations as figures.
+pub mod deviations;
 /// Distances between the outermost circles on the board's diagonals.
 pub mod distance;
 /// The edges of one circle, in a cloud's intensities or in the photograph.
@@ -14,8 +16,6 @@ pub mod light;
 pub mod plane;
 /// The circles of the board in a directional cloud.
 pub mod ring;
-/// The clouds of a reconstruction by trigger, camera and head.
-pub mod set;
 /// Clouds against a sphere or a mesh.
 pub mod solid;
 /// Distances between points.

@@ -10,7 +10,7 @@
 //!   some 40 mm of depth): `left_out`. They do not enter the RMS, but they are reported beside it.
 //! * Points further than [`DEPTH_M`] from the plane, or beside the outline, are of something else: `elsewhere`.
 
-use super::set::{Deviations, Draws};
+use super::deviations::{Deviations, Draws};
 use nalgebra::{Isometry3, Matrix3, Point3, SymmetricEigen, Vector3};
 use serde::Serialize;
 
@@ -228,7 +228,7 @@ fn area(outline: &[[f64; 2]]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::set::Draws;
+    use super::super::deviations::Draws;
     use super::{Placed, convex_hull, flatness};
     use nalgebra::{Isometry3, Point3, Vector3};
 

@@ -3,8 +3,8 @@
 //! Distances are signed, positive outside. Points further than [`GROSS_M`] from the surface have a wrong fringe order
 //! or are of something else: they are counted, and do not enter the other figures.
 
+use super::deviations::Deviations;
 use super::plane::GROSS_M as PLANE_GROSS_M;
-use super::set::Deviations;
 use nalgebra::{Matrix4, Point3, Vector3, Vector4};
 use serde::Serialize;
 use std::collections::HashMap;
@@ -219,7 +219,7 @@ impl Mesh {
 
 #[cfg(test)]
 mod tests {
-    use super::super::set::Draws;
+    use super::super::deviations::Draws;
     use super::{Mesh, Sphere, score_mesh, score_sphere};
     use nalgebra::{Point3, Vector3};
 

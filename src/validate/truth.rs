@@ -44,8 +44,8 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Reads a truth file for a camera.
-    pub fn load(path: &Path, camera: &Device) -> Result<Self, String> {
+    /// Reads a truth file for a camera of whose rows each is so many of the file, by the middle one of these.
+    pub fn load(path: &Path, camera: &Device, bin_rows: usize) -> Result<Self, String> {
         let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
         let mut archive = NpzArchive::open(path).map_err(|e| fail(&e))?;
         let crop: Vec<i64> = array(&mut archive, "crop").map_err(|e| fail(&e))?;
@@ -57,7 +57,7 @@ impl Truth {
             .unwrap_or_default()
             .as_array()
             .ok_or_else(|| fail(&"crop is not [v0, v1, u0, u1]"))?;
-        if v0 >= v1 || u0 >= u1 || v1 > camera.height || u1 > camera.width {
+        if v0 >= v1 || u0 >= u1 || v1 >= (camera.height + 1) * bin_rows || u1 > camera.width {
             return Err(fail(&format!("crop [{v0}, {v1}, {u0}, {u1}] does not fit the camera's sensor")));
         }
         let (width, height) = (u1 - u0, v1 - v0);
@@ -66,19 +66,26 @@ impl Truth {
         let (Some(lit), Some(depth)) = (lit, depth) else {
             return Err(fail(&format!("expected depth and lit of {width} x {height} pixels")));
         };
-        let mut points = Plane::filled(width, height, [f64::NAN; 3]);
-        for v in 0..height {
+        // Rows that the file has the middle of.
+        let (first, middle) = ((v0 + bin_rows - 1 - bin_rows / 2) / bin_rows, bin_rows / 2);
+        let rows = (first..camera.height).take_while(|row| row * bin_rows + middle < v1);
+        let rows: Vec<usize> = rows.map(|row| row * bin_rows + middle - v0).collect();
+        let mut points = Plane::filled(width, rows.len(), [f64::NAN; 3]);
+        let mut is_lit = Plane::filled(width, rows.len(), 0);
+        for (v, &from) in rows.iter().enumerate() {
+            is_lit.row_mut(v).copy_from_slice(lit.row(from));
+            let row = ((v0 + from) as f64 - (bin_rows - 1) as f64 / 2.0) / bin_rows as f64;
             for u in 0..width {
-                let z = f64::from(depth.at(u, v));
+                let z = f64::from(depth.at(u, from));
                 if z.is_nan() {
                     continue;
                 }
-                if let Some([x, y]) = camera.lens.undistort((u0 + u) as f64, (v0 + v) as f64) {
+                if let Some([x, y]) = camera.lens.undistort((u0 + u) as f64, row) {
                     points.set(u, v, [x * z, y * z, z]);
                 }
             }
         }
-        Ok(Self { origin: [u0, v0], points, lit, focal_px: camera.lens.fx })
+        Ok(Self { origin: [u0, first], points, lit: is_lit, focal_px: camera.lens.fx })
     }
 
     /// First column and row of the crop.

@@ -113,7 +113,8 @@ fn not_reconstructed(config: &WorkerConfig, found: &Found) -> Option<String> {
         return Some(format!("{} frame sets were recorded, {there} are in {}", job.of, dir.display()));
     }
     // Whatever is configured for sessions to come.
-    let lacking = [Format::Phase, Format::Ply].map(|format| collect::without_files(&dir, format, &summary));
+    let lacking =
+        [Format::Phase, Format::Ply].map(|format| collect::without_files(&dir, &[format], &summary));
     let fewest = lacking.iter().min_by_key(|lacking| lacking.len()).filter(|lacking| !lacking.is_empty())?;
     Some(format!("{} has no whole results of {}", dir.display(), collect::named(fewest)))
 }

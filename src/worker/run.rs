@@ -9,7 +9,7 @@ use crate::cmds::Exit;
 use crate::config::{Output, WorkerConfig};
 use crate::export::write_whole;
 use crate::reconstruct::collect;
-use crate::reconstruct::key::{ALGORITHM, KEY_FILE, Key, calibration_sha256};
+use crate::reconstruct::key::{ALGORITHM, CALIBRATION_FILE, KEY_FILE, Key, calibration_sha256};
 use crate::record::{free_bytes, node_dir};
 use crate::session::state::Fault;
 use std::collections::BTreeSet;
@@ -291,7 +291,7 @@ impl Worker {
 
     fn reconstruct(&mut self, job: &mut Job) -> Outcome {
         let dir = self.config.results.join(&job.session);
-        let calibration = dir.join("calibration.json");
+        let calibration = dir.join(CALIBRATION_FILE);
         if !calibration.exists()
             && let Err(reason) = keep_calibration(&self.config.calibration, &calibration)
         {
@@ -417,6 +417,8 @@ fn earlier_apart(dir: &Path, calibration: &Path, output: Output) -> Result<(), S
     let apart = apart.ok_or("no name is left for earlier results")?;
     std::fs::create_dir(&apart).map_err(|e| failed(&apart, e))?;
     tracing::warn!("results of another calibration, algorithm or output are put aside: {}", apart.display());
+    let there = dir.join(CALIBRATION_FILE);
+    std::fs::copy(&there, apart.join(CALIBRATION_FILE)).map_err(|e| failed(&there, e))?;
     // The key comes last: while it is there, the rest is found again.
     for name in ["clouds", "merged", "phases", "sequence.mcap", "summary.json", KEY_FILE] {
         let from = dir.join(name);

@@ -8,7 +8,6 @@ use fourdbody::ids::{CameraId, TriggerIndex};
 use fourdbody::image::{Mono8, Plane};
 use fourdbody::pattern::Pattern;
 use fourdbody::reconstruct::batch::{self, Format, Plan};
-use fourdbody::reconstruct::fringe_order;
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
 use fourdbody::reconstruct::triangulate::Triangulator;
@@ -124,19 +123,8 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
         let out = |name: &str| dir.path().join(format!("{name}-{uncertainty}"));
         let run = |name: &str, format| {
             let cameras = cameras.clone();
-            let (shard, out) = ((0, 1), out(name));
-            let plan = Plan {
-                out,
-                triggers: 0..1,
-                cameras,
-                shard,
-                method: Method::Joint,
-                margin: fringe_order::MARGIN,
-                format,
-                uncertainty,
-                maps: None,
-                discard: false,
-            };
+            let (out, formats) = (out(name), vec![format]);
+            let plan = Plan { out, triggers: 0..1, cameras, formats, uncertainty, ..Plan::default() };
             let (summary, _) = batch::run(&source, &calibration, &plan, |_| ()).expect("runs");
             if format == Format::Ply {
                 batch::write_sequence(&source, &plan, &summary, 120.0).expect("writable");

@@ -11,7 +11,6 @@ use fourdbody::calibrate::{Calibration, PanelRows};
 use fourdbody::ids::CameraId;
 use fourdbody::image::{Mono8, Plane};
 use fourdbody::reconstruct::batch::{self, Format, Plan};
-use fourdbody::reconstruct::fringe_order;
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
 use fourdbody::reconstruct::triangulate::Triangulator;
@@ -283,13 +282,9 @@ fn of_cameras(photographs: &[(Place, Place)]) -> Vec<(usize, Option<String>)> {
         out: dir.path().to_owned(),
         triggers: 0..1,
         cameras,
-        shard: (0, 1),
-        method: Method::Joint,
-        margin: fringe_order::MARGIN,
-        format: Format::Ply,
-        uncertainty: false,
-        maps: None,
+        formats: vec![Format::Ply],
         discard: true,
+        ..Plan::default()
     };
     let (summary, _) = batch::run(&source, &calibration, &plan, |_| ()).expect("runs");
     let frames = &summary.triggers[0].frames;

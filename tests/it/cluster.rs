@@ -44,7 +44,7 @@ impl Fixture {
         let done = fixture.run("one", &["--jobs", "1"]);
         assert_eq!(done.status.code(), Some(3), "{}", text(&done));
         let expected = fixture.files("one");
-        assert_eq!(expected.len() as u64, (2 * triggers - 1) + triggers + 3, "{:?}", expected.keys());
+        assert_eq!(expected.len() as u64, (2 * triggers - 1) + triggers + 4, "{:?}", expected.keys());
         assert!(expected.values().map(Vec::len).sum::<usize>() > 5_000_000, "there is something to compare");
         Self { expected, ..fixture }
     }
@@ -57,7 +57,11 @@ impl Fixture {
     fn command(&self, name: &str, options: &[&str]) -> Command {
         let mut command = Command::new(FOURDBODY);
         command.arg("reconstruct").arg(self.path("images")).arg("--out").arg(self.path(name));
-        command.arg("--calibration").arg(self.path("calibration.json")).args(options);
+        command
+            .arg("--calibration")
+            .arg(self.path("calibration.json"))
+            .args(["--format", "ply"])
+            .args(options);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
@@ -210,7 +214,7 @@ impl Fixture {
         let mut command = slurm.command(FOURDBODY);
         command.args(["cluster", "submit"]).arg(self.path("images")).arg("--out").arg(self.path(name));
         command.arg("--calibration").arg(self.path("calibration.json")).args(options);
-        command.args(["--cpus", "1", "--json"]).output().expect("starts")
+        command.args(["--format", "ply", "--cpus", "1", "--json"]).output().expect("starts")
     }
 
     /// What was submitted.

@@ -10,8 +10,6 @@ use fourdbody::export::{Cloud, ply};
 use fourdbody::ids::{CameraId, NodeId};
 use fourdbody::image::Plane;
 use fourdbody::reconstruct::batch::{self, Format, Plan};
-use fourdbody::reconstruct::fringe_order;
-use fourdbody::reconstruct::pipeline::Method;
 use fourdbody::record::node_dir;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -306,24 +304,19 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
         out: dir.path().join("in"),
         triggers: 0..1,
         cameras: cameras.clone(),
-        shard: (0, 1),
-        method: Method::Joint,
-        margin: fringe_order::MARGIN,
-        format: Format::Phase,
-        uncertainty: false,
-        maps: None,
-        discard: false,
+        formats: vec![Format::Phase],
+        ..Plan::default()
     };
     let (summary, _) = batch::run(&Frames(frames, cameras), &calibration, &plan, |_| ()).expect("runs");
     assert_eq!(summary.clouds, 8, "{summary:?}");
-    // From stored phase maps, with the calibration.
-    let out = dir.path().join("out");
+    // From stored phase maps, with the calibration beside them, or with the one that is given.
+    let (out, beside) = (dir.path().join("out"), plan.out.join("calibration.json"));
+    exported(&plan.out, &out, &["--to", "ply", "--mesh", "grid"]);
+    std::fs::remove_file(beside).expect("there");
     let needed = export(&plan.out, &out, &["--to", "ply", "--mesh", "watertight"]);
-    assert!(needed.status.code() == Some(2) && text_of(&needed).contains("--calibration"));
+    assert!(needed.status.code() == Some(2) && text_of(&needed).contains("calibration.json"));
     let file = file.display().to_string();
-    for mesh in ["grid", "watertight"] {
-        exported(&plan.out, &out, &["--to", "ply", "--mesh", mesh, "--calibration", &file]);
-    }
+    exported(&plan.out, &out, &["--to", "ply", "--mesh", "watertight", "--calibration", &file]);
     let mesh = |folder: &str| out.join(folder).join("000000.ply").display().to_string();
     let arguments = ["ball", &mesh("watertight"), &mesh("meshes"), "0.05", "-0.03", "1.02", "0.2"];
     let Some(found) = read_by_others(&arguments) else { return };

@@ -8,8 +8,6 @@ use fourdbody::export::merge::{self, Rule, View, Viewpoint};
 use fourdbody::export::{Cloud, ply};
 use fourdbody::ids::CameraId;
 use fourdbody::reconstruct::batch::{self, Format, Plan, Summary, Timings, cloud_path, merged_path};
-use fourdbody::reconstruct::fringe_order;
-use fourdbody::reconstruct::pipeline::Method;
 use fourdbody::reconstruct::png_source::PngSource;
 use fourdbody::reconstruct::stored;
 use fourdbody::validate::truth::{Reference, Score, Tally, Truth};
@@ -46,13 +44,8 @@ impl Scene {
             out: self.dir.path().join(name),
             triggers: 0..1,
             cameras: self.cameras.clone(),
-            shard: (0, 1),
-            method: Method::Joint,
-            margin: fringe_order::MARGIN,
-            format,
-            uncertainty: false,
-            maps: None,
-            discard: false,
+            formats: vec![format],
+            ..Plan::default()
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         pool.install(|| batch::run(&self.source, &self.calibration, &plan, |_| ())).expect("runs")
@@ -74,7 +67,7 @@ impl Scene {
         let mut all = Tally::default();
         for (number, (head, camera)) in self.calibration.cameras().enumerate() {
             let path = self.scene.join(format!("body_arms_raised/truth/{}_000000.npz", camera.id));
-            let truth = Truth::load(&path, &camera.device).expect("truth");
+            let truth = Truth::load(&path, &camera.device, 1).expect("truth");
             let (projector, pattern) = (&head.projector, &self.calibration.pattern);
             let reference = Reference { camera: &camera.device, projector, pattern };
             all.add(&clouds[number], |i| select(number, i), &truth, reference);
@@ -245,10 +238,9 @@ fn every_way_to_a_merged_cloud_gives_the_same_bytes() {
         assert!(scene.merged("made") == expected);
     }
 
-    let calibration = dir("calibration.json").display().to_string();
     let merged = ["--to", "ply,xyz", "--clouds", "merged"];
     scene.export("direct", "from-clouds", &merged);
-    scene.export("stored", "from-phases", &[&merged[..], &["--calibration", &calibration]].concat());
+    scene.export("stored", "from-phases", &merged);
     for name in ["from-clouds", "from-phases"] {
         assert!(scene.merged(name) == expected, "{name}");
     }
@@ -265,7 +257,7 @@ fn every_way_to_a_merged_cloud_gives_the_same_bytes() {
     assert_eq!(merge::split_removed(&load("some").0.comments), None);
     // The sequences hold the same points.
     scene.export("direct", "sequence", &["--to", "mcap"]);
-    scene.export("stored", "sequence-of-phases", &["--to", "mcap", "--calibration", &calibration]);
+    scene.export("stored", "sequence-of-phases", &["--to", "mcap"]);
     let clouds = |path: &Path| {
         let bytes = std::fs::read(path).expect("was written");
         let messages = mcap::MessageStream::new(&bytes).expect("intact");

@@ -82,7 +82,7 @@ impl Store {
         let mut command = Command::new(FOURDBODY);
         command.args(["reconstruct", "s3://lab/sessions/walk", "--out", "s3://lab/results/walk"]);
         command.arg("--calibration").arg(self.fixture.path("calibration.json"));
-        command.arg("--scratch").arg(scratch).args(["--jobs", "1"]).args(options);
+        command.arg("--scratch").arg(scratch).args(["--jobs", "1", "--format", "ply"]).args(options);
         self.tell(&mut command);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
@@ -203,6 +203,8 @@ pub fn by_tasks_of(slurm: &PrivateSlurm) {
         &calibration,
         "--scratch",
         &scratch,
+        "--format",
+        "ply",
         "--tasks",
         "2",
         "--cpus",

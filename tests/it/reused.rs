@@ -26,13 +26,16 @@ const LIGHT: &str = "930ceb2a184e08c75a495d1570d038ea";
 const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
 const SIZE: (usize, usize) = (1920, 1200);
 
+/// Centre and radius of the ball, m.
+const BALL: ([f64; 3], f64) = ([0.05, -0.02, 1.03], 0.2);
+
 /// A ball with the marker on it, as both cameras of the first head see it.
 fn light() -> &'static [Plane<u8>; 2] {
     static LIGHT: OnceLock<[Plane<u8>; 2]> = OnceLock::new();
     LIGHT.get_or_init(|| {
         [0, 1].map(|camera| {
             let pair = pair_of(0, camera, None);
-            photograph(&pair, sphere(Point3::new(0.05, -0.02, 1.03), 0.2))
+            photograph(&pair, sphere(Point3::from(BALL.0), BALL.1))
         })
     })
 }
@@ -95,7 +98,8 @@ fn refused(output: &Output, code: i32, words: &[&str]) {
 
 fn reconstruct(place: &Place, from: &Path, out: &Path, options: &[&str]) -> Output {
     let calibration = place.path("calibration.json");
-    let words: Vec<&str> = ["reconstruct"].iter().chain(options).copied().collect();
+    let format: &[&str] = if options.contains(&"--format") { &[] } else { &["--format", "ply"] };
+    let words: Vec<&str> = ["reconstruct"].iter().chain(format).chain(options).copied().collect();
     run(&words, &[("", from), ("--calibration", &calibration), ("--out", out)])
 }
 
@@ -113,15 +117,20 @@ fn hex(digest: impl AsRef<[u8]>) -> String {
     digest.as_ref().iter().take(16).map(|byte| format!("{byte:02x}")).collect()
 }
 
+/// What a PLY file has behind its comments.
+fn points_of(path: &Path) -> Vec<u8> {
+    let mut bytes = std::fs::read(path).expect("readable");
+    let head = b"end_header\n";
+    let end = bytes.windows(head.len()).position(|window| window == head).expect("a PLY file");
+    bytes.split_off(end)
+}
+
 /// Of all points of a result, without the comments.
 fn points_digest(out: &Path) -> String {
     let mut digest = Sha256::new();
     for path in inodes(out).keys() {
-        let bytes = std::fs::read(path).expect("readable");
-        let head = b"end_header\n";
-        let end = bytes.windows(head.len()).position(|window| window == head).expect("a PLY file");
         digest.update(path.file_name().expect("a name").as_encoded_bytes());
-        digest.update(&bytes[end..]);
+        digest.update(points_of(path));
     }
     hex(digest.finalize())
 }
@@ -157,7 +166,9 @@ fn a_result_is_of_one_session_and_of_one_algorithm() {
     other(&place.path("images"), &[], &["session: there first", "images "]);
     other(&first, &["--method", "paper"], &["method: there joint"]);
     other(&first, &["--margin", "2"], &["margin: there 1, asked for 2"]);
-    other(&first, &["--format", "phase"], &["format: there ply"]);
+    other(&first, &["--bin-rows", "2"], &["calibration: there", "bin-rows: there 1, asked for 2"]);
+    other(&first, &["--format", "phase"], &["format: there ply, asked for phase"]);
+    other(&first, &["--format", "ply,phase"], &["format: there ply, asked for phase,ply"]);
     other(&first, &["--cameras", "h0_up"], &["cameras: there h0_up,h0_low"]);
     std::fs::remove_dir_all(&first).expect("ours");
     place.session("first");
@@ -171,6 +182,76 @@ fn a_result_is_of_one_session_and_of_one_algorithm() {
     // Clouds that do not say of what they are.
     std::fs::remove_file(out.join("reconstruct.json")).expect("there");
     other(&first, &[], &["no reconstruct.json"]);
+}
+
+/// Robust deviation of the directional clouds from the ball, mm, and how many points they have.
+fn score(out: &Path) -> (f64, f64) {
+    let ([x, y, z], radius) = BALL;
+    let ball = format!("{x},{y},{z},{radius}");
+    let scored = run(&["validate", "truth", "--json", "--sphere", &ball], &[("--clouds", out)]);
+    assert_eq!(scored.status.code(), Some(0), "{}", text_of(&scored));
+    let scored: Value = serde_json::from_slice(&scored.stdout).expect("JSON");
+    let of = |key: &str| {
+        CAMERAS.map(|camera| scored["cameras"][camera]["deviations"][key].as_f64().expect("a number"))
+    };
+    (of("robust_mm").into_iter().fold(0.0, f64::max), of("points").iter().sum())
+}
+
+#[test]
+fn a_result_is_read_as_it_is_whatever_is_stored_of_it() {
+    let place = Place::new();
+    let session = place.session("ball");
+    let (phases, both) = (place.path("phases"), place.path("both"));
+    let picture = place.path("picture.png");
+    for (out, format) in [(&phases, "phase"), (&both, "phase,ply")] {
+        for _ in 0..2 {
+            let made = reconstruct(&place, &session, out, &["--format", format]);
+            assert_eq!(made.status.code(), Some(0), "{}", text_of(&made));
+        }
+        for what in [out, &out.join("phases/h0_up_000000.phase")] {
+            let drawn = run(&["view"], &[("", what), ("--out", &picture)]);
+            assert_eq!(drawn.status.code(), Some(0), "{}", text_of(&drawn));
+            std::fs::remove_file(&picture).expect("was drawn");
+        }
+        refused(&run(&["view", "--trigger", "9"], &[("", out), ("--out", &picture)]), 2, &["--trigger", "0"]);
+        let page = place.path("page.html");
+        let report = run(&["report"], &[("", &session), ("--clouds", out), ("--out", &page)]);
+        assert_eq!(report.status.code(), Some(0), "{}", text_of(&report));
+    }
+    assert!(!phases.join("clouds").exists() && !phases.join("sequence.mcap").exists());
+    assert_eq!(score(&phases), score(&both));
+    // What is exported of maps are the bytes that are written directly.
+    let exported = place.path("exported");
+    let made = run(&["export"], &[("", &phases), ("--out", &exported)]);
+    assert_eq!(made.status.code(), Some(0), "{}", text_of(&made));
+    for path in inodes(&exported).into_keys() {
+        let other = both.join(path.strip_prefix(&exported).expect("below"));
+        assert_eq!(points_of(&path), points_of(&other), "{}", path.display());
+    }
+    // A calibration that is not the one of the maps is not read with them, and not written over.
+    let text = std::fs::read_to_string(phases.join("calibration.json")).expect("beside the maps");
+    std::fs::write(phases.join("calibration.json"), text.replace('1', "2")).expect("writable");
+    refused(&run(&["view"], &[("", &phases), ("--out", &picture)]), 2, &["sha256"]);
+    refused(&reconstruct(&place, &session, &phases, &["--format", "phase"]), 2, &["sha256", "--out"]);
+}
+
+#[test]
+fn rows_that_are_binned_give_less_points_of_the_same_surface() {
+    let place = Place::new();
+    let images = place.path("images");
+    let of = |rows: &str| {
+        let out = place.path(rows);
+        let made = reconstruct(&place, &images, &out, &["--format", "phase", "--bin-rows", rows]);
+        assert_eq!(made.status.code(), Some(0), "{}", text_of(&made));
+        score(&out)
+    };
+    let (whole_mm, whole) = of("1");
+    for (rows, times) in [("2", 2.0), ("4", 4.0)] {
+        let (robust_mm, points) = of(rows);
+        assert!(robust_mm < 1.2 * whole_mm, "{rows}: {robust_mm} mm, {whole_mm} mm of all rows");
+        assert!((times * points / whole - 1.0).abs() < 0.1, "{rows}: {points} points of {whole}");
+    }
+    refused(&reconstruct(&place, &images, &place.path("many"), &["--bin-rows", "5"]), 2, &["1 to 4"]);
 }
 
 #[test]

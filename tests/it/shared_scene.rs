@@ -9,7 +9,6 @@ use fourdbody::ids::{CameraId, HeadId};
 use fourdbody::image::{Mono8, read_png_grey};
 use fourdbody::pattern::{Marker, Pattern};
 use fourdbody::reconstruct::batch::{self, Plan};
-use fourdbody::reconstruct::fringe_order;
 use fourdbody::reconstruct::pair::Pair;
 use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
 use fourdbody::reconstruct::png_source::PngSource;
@@ -105,7 +104,7 @@ fn score(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Score) 
     let (head, calibrated) = calibration.camera(&CameraId::from(camera)).expect("in the rig");
     let found = reconstruct(scene, "body_arms_raised", camera, method);
     let path = scene.join(format!("body_arms_raised/truth/{camera}_000000.npz"));
-    let truth = Truth::load(&path, &calibrated.device).expect("truth");
+    let truth = Truth::load(&path, &calibrated.device, 1).expect("truth");
     let reference =
         Reference { camera: &calibrated.device, projector: &head.projector, pattern: &calibration.pattern };
     let mut tally = Tally::default();
@@ -168,7 +167,7 @@ fn scored<'a>(scene: &Path, set: &str, calibration: &'a Calibration, is_there: I
         let path = scene.join(set).join(format!("truth/{}_000000.npz", camera.id));
         let reference =
             Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
-        Scored { camera, reference, found, truth: Truth::load(&path, &camera.device).expect("truth") }
+        Scored { camera, reference, found, truth: Truth::load(&path, &camera.device, 1).expect("truth") }
     });
     scored.collect()
 }
@@ -324,13 +323,8 @@ fn a_batch_gives_the_same_bytes_for_any_threads_and_resumes() {
             out: dir.path().join(name),
             triggers: 0..2,
             cameras: cameras.clone(),
-            shard: (0, 1),
-            method: Method::Joint,
-            margin: fringe_order::MARGIN,
-            format: batch::Format::Ply,
-            uncertainty: false,
-            maps: None,
-            discard: false,
+            formats: vec![batch::Format::Ply],
+            ..Plan::default()
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let done = pool.install(|| batch::run(&source, &calibration, &plan, |_| ())).expect("runs");

@@ -54,6 +54,9 @@ fn reconstruct(dir: &Path, name: &str, simd: Option<&str>, options: &[&[&str]]) 
     for options in options {
         let mut command = command(dir, name);
         command.args(*options);
+        if !options.contains(&"--format") {
+            command.args(["--format", "ply"]);
+        }
         if let Some(simd) = simd {
             command.env("FOURDBODY_SIMD", simd);
         }

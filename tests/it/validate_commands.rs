@@ -280,6 +280,21 @@ fn truth_scores_what_reconstruct_makes_of_rendered_frames() {
     let solid = json(0, &["validate", "truth", "--clouds", out, "--sphere", "0,0,1,0.15"]);
     assert!(number(&solid, "/merged/rms_mm") < 1.0, "{solid:#}");
 
+    // Of half the rows, with the calibration beside the clouds, and with the one that is given, which is of all rows.
+    let half = dir.path().join("half");
+    let half = text(&half);
+    let binned = ["--calibration", calibration, "--out", half, "--bin-rows", "2"];
+    let made = fourdbody(&[&["reconstruct", text(&images)], &binned[..]].concat());
+    assert_eq!(made.status.code(), Some(0), "{}", String::from_utf8_lossy(&made.stderr));
+    let args_of_half = ["validate", "truth", "--clouds", half, "--truth", truth, "--images", text(&images)];
+    let of_half = json(0, &args_of_half);
+    assert_eq!(of_half, json(0, &[&args_of_half[..], &["--calibration", calibration]].concat()));
+    let of = |score: &Value, key: &str| number(score, &format!("/directional/{key}"));
+    for key in ["robust_mm", "completeness_of_lit"] {
+        assert!((of(&of_half, key) / of(&score, key) - 1.0).abs() < 0.2, "{key}: {of_half:#} {score:#}");
+    }
+    assert!((2.0 * of(&of_half, "points") / of(&score, "points") - 1.0).abs() < 0.2, "{of_half:#}");
+
     // Truth that is not one.
     std::fs::write(Path::new(truth).join("h0_up_000000.npz"), b"not an archive").expect("writable");
     assert!(fails(4, &args).contains("h0_up_000000.npz"));

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// Write the figures of a demonstration to one flat JSON object and print them.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody-sim summarize --scenario config/scenarios/demo.toml --rate-hz 20 --capture capture.json --reconstruction result/summary.json --score score.json --commit HASH --out summary.json"
+    after_help = "Example:\n  fourdbody-sim summarize --scenario config/scenarios/demo.toml --rate-hz 20 --capture capture.json --export export.json --score score.json --commit HASH --out summary.json"
 )]
 pub struct Args {
     /// The scenario, for its seed.
@@ -19,9 +19,9 @@ pub struct Args {
     /// What `fourdbody capture --json` printed.
     #[arg(long)]
     capture: PathBuf,
-    /// What `fourdbody reconstruct` left in `summary.json`.
+    /// What `fourdbody export --to mcap --json` printed of the merged clouds.
     #[arg(long)]
-    reconstruction: PathBuf,
+    export: PathBuf,
     /// What `fourdbody validate truth --json` printed.
     #[arg(long)]
     score: PathBuf,
@@ -37,15 +37,15 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let scenario = crate::scenario::Scenario::load(&args.scenario)?;
     let capture = read(&args.capture)?;
-    let reconstruction = read(&args.reconstruction)?;
+    let export = read(&args.export)?;
     let score = read(&args.score)?;
     let nodes = capture["nodes"].as_array().map_or(&[][..], Vec::as_slice);
     let cameras: Vec<&Value> =
         nodes.iter().filter_map(|node| node["session"]["cameras"].as_array()).flatten().collect();
     let sum = |key: &str| cameras.iter().filter_map(|camera| camera[key].as_u64()).sum::<u64>();
     let triggers = nodes.iter().filter_map(|node| node["session"]["triggers"].as_u64()).max().unwrap_or(0);
-    let clouds = reconstruction["triggers"].as_array().map_or(0, Vec::len) as u64;
-    let points = reconstruction["merged_points"].as_u64().unwrap_or(0);
+    let number = |key: &str| export[key].as_u64().unwrap_or(0);
+    let (clouds, points) = (number("triggers").saturating_sub(number("empty")), number("points"));
     let summary = json!({
         "cameras": cameras.len(),
         "triggers": triggers,

@@ -18,7 +18,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     let folder = |name: &str| args.directory.join(name).is_dir();
     if folder("phases") && !folder("clouds") && !folder("merged") {
         let calibration = calibration(args)?;
-        let source = PhaseDirectory::open(&args.directory, &calibration);
+        let source = PhaseDirectory::open(&args.directory, calibration);
         return export(args, &source.map_err(|e| Failure::new(Exit::Corrupt, e))?);
     }
     let source = PlyDirectory::open(&args.directory).map_err(|e| Failure::new(Exit::Usage, e))?;

@@ -10,6 +10,7 @@ use crate::export::Format;
 use crate::export::frames::Picture;
 use crate::export::job::ExportError;
 use crate::export::sequence::quantized::STEPS_M;
+use crate::reconstruct::result::calibration_of;
 use crate::reconstruct::stored::{self, StoredError};
 use std::ops::Range;
 use std::path::PathBuf;
@@ -33,12 +34,11 @@ Examples:
   fourdbody export walk-01 --to glb --mesh grid --triggers 0..120 --out walk-01-meshes
   fourdbody export walk-01 --to mcap --clouds directional --quantize 0.02 --out walk-01-small
   fourdbody export sessions/walk-01 --to png,csv --cameras h0_up,h0_low --out walk-01-frames
-  fourdbody reconstruct sessions/walk-01 --calibration calibration.json --out walk-01 --format phase
-  fourdbody export walk-01 --calibration calibration.json --out walk-01")]
+  fourdbody export walk-01 --out walk-01")]
 pub struct Args {
     /// What `fourdbody reconstruct` wrote (clouds/, merged/ or phases/ in it); for png, tiff and csv a session.
     directory: PathBuf,
-    /// The calibration that it was reconstructed with: needed where only phase maps are stored.
+    /// The calibration that it was reconstructed with [default: that in DIRECTORY].
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// Where the files go.
@@ -204,14 +204,10 @@ fn everything(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn calibration(args: &Args) -> Result<Calibration, Failure> {
-    let path = args.calibration.as_ref().ok_or_else(|| {
-        let message = format!(
-            "{}: has stored phase maps, of which clouds are made with the calibration: give it with --calibration",
-            args.directory.display()
-        );
-        Failure::new(Exit::Usage, message)
-    })?;
-    Calibration::load(path).map_err(|e| Failure::new(Exit::Usage, e))
+    match &args.calibration {
+        Some(path) => Calibration::load(path).map_err(|e| Failure::new(Exit::Usage, e)),
+        None => calibration_of(&args.directory).map_err(|e| Failure::new(Exit::Usage, e)),
+    }
 }
 
 /// The failure of an export that stopped.

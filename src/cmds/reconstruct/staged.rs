@@ -4,7 +4,7 @@ use super::{Args, What};
 use crate::cmds::{Exit, Failure};
 use crate::ids::CameraId;
 use crate::reconstruct::collect::summary_path;
-use crate::reconstruct::key::KEY_FILE;
+use crate::reconstruct::key::COMMON_FILES;
 use crate::s3::remote::Remote;
 use crate::s3::results::Uploader;
 use crate::s3::{Location, recordings, results};
@@ -113,7 +113,7 @@ impl Staged {
         let wanted = |trigger: u64| trigger % n.max(1) == i;
         let shards = args.collect.into_iter().flat_map(|n| (0..n).map(move |i| (i, n)));
         let summaries: Vec<PathBuf> = shards.map(|shard| summary_path(out, Some(shard))).collect();
-        let named = |name: &str| name == KEY_FILE || summaries.contains(&out.join(name));
+        let named = |name: &str| COMMON_FILES.contains(&name) || summaries.contains(&out.join(name));
         results::fetch(remote, out, &wanted, &named).map_err(failed)
     }
 

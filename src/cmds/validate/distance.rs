@@ -1,15 +1,15 @@
 //! `fourdbody validate distance`: distances between the outermost circles of the board.
 
-use super::{load_calibration, load_cloud, mean, open_clouds};
+use super::{find_calibration, load_cloud, mean, open_clouds, open_photographs};
 use crate::calibrate::{Board, Calibration};
-use crate::cmds::reconstruct::open_source;
 use crate::cmds::{Exit, Failure};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
+use crate::reconstruct::result::{Clouds, Placed};
 use crate::reconstruct::{Frame, FrameSource};
 use crate::validate::distance::{Diagonals, Light, Sight, diagonals};
 use crate::validate::ring::Organized;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Measure the distances between the outermost circles on both diagonals of the board, from edge to edge, per head.
 ///
@@ -58,15 +58,15 @@ struct Missing {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let board = Board::load(&args.board)?;
-    let calibration = args.calibration.as_ref().map(|path| load_calibration(path)).transpose()?;
+    let calibration = find_calibration(args.calibration.as_deref(), &args.clouds)?;
     let cameras: Vec<CameraId> =
         calibration.iter().flat_map(|c| c.cameras().map(|(_, camera)| camera.id.clone())).collect();
-    let source = args.session.as_ref().map(|path| open_source(path, &cameras)).transpose();
-    let source = source.map_err(|e| Failure::new(Exit::Usage, e))?;
+    let source = args.session.as_ref().map(|path| open_photographs(path, &cameras, &args.clouds));
+    let source = source.transpose()?;
     let set = open_clouds(&args.clouds)?;
     let (mut rows, mut missing) = (Vec::new(), Vec::new());
     for ((trigger, head), files) in set.heads(calibration.as_ref()) {
-        match measure(&board, calibration.as_ref(), source.as_deref(), trigger, &files)? {
+        match measure(&board, calibration.as_ref(), source.as_deref(), trigger, (&set, &files))? {
             Ok(diagonals) => {
                 let cameras = files.iter().map(|(camera, _)| (*camera).to_owned()).collect();
                 rows.push(Row { head, trigger, cameras, diagonals });
@@ -84,11 +84,11 @@ fn measure(
     calibration: Option<&Calibration>,
     source: Option<&dyn FrameSource>,
     trigger: u64,
-    files: &[(&str, &Path)],
+    (set, files): (&Clouds, &[Placed<'_>]),
 ) -> Result<Result<Diagonals, String>, Failure> {
     let (mut clouds, mut frames) = (Vec::new(), Vec::new());
-    for (camera, path) in files {
-        clouds.push(load_cloud(path)?);
+    for (camera, place) in files {
+        clouds.push(load_cloud(set, place)?);
         let frame = source.map(|s| s.frame(&CameraId::from(*camera), TriggerIndex(trigger))).transpose();
         match frame.map_err(|e| Failure::new(Exit::Corrupt, e))? {
             Some(Frame::Gap(reason)) => {

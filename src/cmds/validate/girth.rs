@@ -51,8 +51,8 @@ struct Row {
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let set = open_clouds(&args.clouds)?;
     let mut rows = Vec::new();
-    for (&trigger, path) in set.merged.iter().filter(|(t, _)| args.trigger.is_none_or(|only| only == **t)) {
-        let cloud = load_cloud(path)?;
+    for (&trigger, place) in set.merged.iter().filter(|(t, _)| args.trigger.is_none_or(|only| only == **t)) {
+        let cloud = load_cloud(&set, place)?;
         for (name, height_m) in &args.at {
             let points = cloud.position_m.iter().zip(&cloud.normal);
             let points = points.map(|(&position_m, &normal)| SurfacePoint { position_m, normal });

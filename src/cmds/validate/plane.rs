@@ -15,16 +15,14 @@ use std::path::PathBuf;
 /// tell where the board is. Points near the outline (--margin-mm) are left out; points of the board that are more than
 /// 10 mm off the plane have a wrong fringe order: they are counted (left_out), not averaged.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody validate plane --clouds out --calibration calibration.json --board config/board.toml"
-)]
+#[command(after_help = "Example:\n  fourdbody validate plane --clouds out --board config/board.toml")]
 pub struct Args {
     /// What `fourdbody reconstruct` wrote (with clouds/ in it).
     #[arg(long, value_name = "DIR")]
     clouds: PathBuf,
-    /// The calibration: which cameras make a head.
+    /// The calibration, which tells the cameras that make a head [default: that beside the clouds].
     #[arg(long, value_name = "FILE")]
-    calibration: PathBuf,
+    calibration: Option<PathBuf>,
     /// The board file, to find the board by its circles.
     #[arg(long, value_name = "FILE")]
     board: Option<PathBuf>,
@@ -50,14 +48,14 @@ struct Row {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let calibration = load_calibration(&args.calibration)?;
+    let calibration = load_calibration(args.calibration.as_deref(), &args.clouds)?;
     let board = args.board.as_ref().map(|path| Board::load(path)).transpose()?;
     let set = open_clouds(&args.clouds)?;
     let (mut per_camera, mut per_head, mut failed) = (Vec::new(), Vec::new(), Vec::new());
     for ((trigger, head), files) in set.heads(Some(&calibration)) {
         let mut clouds = Vec::new();
-        for (camera, path) in &files {
-            clouds.push((*camera, load_cloud(path)?));
+        for (camera, place) in &files {
+            clouds.push((*camera, load_cloud(&set, place)?));
         }
         let grids: Vec<Organized<'_>> = clouds.iter().filter_map(|(_, c)| Organized::new(c)).collect();
         let (placed, found_by) = match board.as_ref().map(|board| place(&grids, board)) {

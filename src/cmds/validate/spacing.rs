@@ -37,12 +37,12 @@ struct MergedRow {
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let set = open_clouds(&args.clouds)?;
     let (mut clouds, mut all) = (Vec::new(), Vec::new());
-    for ((trigger, camera), path) in &set.directional {
-        let found = directional(&load_cloud(path)?);
+    for ((trigger, camera), place) in &set.directional {
+        let found = directional(&load_cloud(&set, place)?);
         clouds.extend(found.map(|spacing| CloudRow { camera: camera.clone(), trigger: *trigger, spacing }));
     }
-    for (&trigger, path) in &set.merged {
-        all.extend(merged(&load_cloud(path)?).map(|spacing| MergedRow { trigger, spacing }));
+    for (&trigger, place) in &set.merged {
+        all.extend(merged(&load_cloud(&set, place)?).map(|spacing| MergedRow { trigger, spacing }));
     }
     of_something(clouds.len() + all.len(), &args.clouds, "clouds with points")?;
     // Every point counts the same.

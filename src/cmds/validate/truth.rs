@@ -1,8 +1,7 @@
 //! `fourdbody validate truth`: clouds against rendered ground truth, a sphere or a mesh.
 
-use super::{load_calibration, load_cloud, of_something, open_clouds};
+use super::{bin_rows, load_calibration, load_cloud, of_something, open_clouds, open_photographs};
 use crate::calibrate::Calibration;
-use crate::cmds::reconstruct::open_source;
 use crate::cmds::{Exit, Failure};
 use crate::export::Cloud;
 use crate::ids::{CameraId, TriggerIndex};
@@ -27,16 +26,16 @@ use std::path::{Path, PathBuf};
 /// more than 10 mm away are counted (gross) and do not enter the other figures.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  fourdbody validate truth --clouds out --truth scene/truth --calibration calibration.json\n  fourdbody validate truth --clouds out --sphere 0,0,1,0.15"
+    after_help = "Examples:\n  fourdbody validate truth --clouds out --truth scene/truth\n  fourdbody validate truth --clouds out --sphere 0,0,1,0.15"
 )]
 pub struct Args {
     /// What `fourdbody reconstruct` wrote (with clouds/ and merged/ in it).
     #[arg(long, value_name = "DIR")]
     clouds: PathBuf,
     /// Directory of CAMERA_INDEX.npz files.
-    #[arg(long, value_name = "DIR", requires = "calibration", conflicts_with_all = ["sphere", "mesh"])]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["sphere", "mesh"])]
     truth: Option<PathBuf>,
-    /// The calibration that the scene was rendered with.
+    /// The calibration that the scene was rendered with [default: that beside the clouds].
     #[arg(long, value_name = "FILE", requires = "truth")]
     calibration: Option<PathBuf>,
     /// Score against a sphere instead: centre and radius, world, m.
@@ -65,16 +64,13 @@ type Key = (u64, usize);
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match (&args.truth, &args.calibration, args.sphere, &args.mesh) {
-        (None, None, Some(sphere), None) => solid(args, |points| score_sphere(points, &sphere)),
-        (None, None, None, Some(mesh)) => {
+        (None, _, Some(sphere), None) => solid(args, |points| score_sphere(points, &sphere)),
+        (None, _, None, Some(mesh)) => {
             let mesh = Mesh::load(mesh).map_err(|e| Failure::new(Exit::Usage, e))?;
             solid(args, |points| score_mesh(points, &mesh))
         }
-        (Some(directory), Some(calibration), None, None) => rendered(args, directory, calibration),
-        _ => Err(Failure::new(
-            Exit::Usage,
-            "expected one of: --truth DIR with --calibration FILE; --sphere X,Y,Z,R; --mesh FILE",
-        )),
+        (Some(directory), given, None, None) => rendered(args, directory, given.as_deref()),
+        _ => Err(Failure::new(Exit::Usage, "expected one of: --truth DIR; --sphere X,Y,Z,R; --mesh FILE")),
     }
 }
 
@@ -82,12 +78,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 fn solid(args: &Args, score: impl Fn(&[Point3<f64>]) -> SolidScore) -> Result<Exit, Failure> {
     let set = open_clouds(&args.clouds)?;
     let mut sets: BTreeMap<String, Vec<Point3<f64>>> = BTreeMap::new();
-    for ((_, camera), path) in &set.directional {
-        points_of(&load_cloud(path)?, sets.entry(camera.clone()).or_default());
+    for ((_, camera), place) in &set.directional {
+        points_of(&load_cloud(&set, place)?, sets.entry(camera.clone()).or_default());
     }
     let mut merged = Vec::new();
-    for path in set.merged.values() {
-        points_of(&load_cloud(path)?, &mut merged);
+    for place in set.merged.values() {
+        points_of(&load_cloud(&set, place)?, &mut merged);
     }
     let points = merged.len() + sets.values().map(Vec::len).sum::<usize>();
     of_something(points, &args.clouds, "clouds with points")?;
@@ -137,26 +133,26 @@ fn parse_sphere(text: &str) -> Result<Sphere, String> {
 }
 
 /// Scores against rendered truth.
-fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, Failure> {
-    let calibration = load_calibration(calibration)?;
+fn rendered(args: &Args, directory: &Path, calibration: Option<&Path>) -> Result<Exit, Failure> {
+    let calibration = load_calibration(calibration, &args.clouds)?;
+    let rows = bin_rows(&args.clouds)?;
     let cameras: Vec<_> = calibration.cameras().collect();
     let files = truth_files(directory, &calibration)?;
     let set = open_clouds(&args.clouds)?;
     let ids: Vec<CameraId> = cameras.iter().map(|(_, camera)| camera.id.clone()).collect();
-    let images = args.images.as_deref().map(|path| open_source(path, &ids)).transpose();
-    let images = images.map_err(|e| Failure::new(Exit::Usage, e))?;
+    let images = args.images.as_deref().map(|path| open_photographs(path, &ids, &args.clouds)).transpose()?;
     let mut per_camera: BTreeMap<usize, Tally> = BTreeMap::new();
     let (mut merged, mut merged_clouds, mut directional_clouds) = (Tally::default(), 0, 0);
     let mut predicted = Points::default();
     let mut loaded: Option<(u64, Option<Cloud>)> = None;
     for (&(trigger, number), path) in &files {
         let (head, camera) = cameras[number];
-        let truth = Truth::load(path, &camera.device).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+        let truth = Truth::load(path, &camera.device, rows).map_err(|e| Failure::new(Exit::Corrupt, e))?;
         let reference =
             Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
-        let path = set.directional.get(&(trigger, camera.id.to_string()));
-        directional_clouds += usize::from(path.is_some());
-        let cloud = path.map(|path| load_cloud(path)).transpose()?.unwrap_or_default();
+        let place = set.directional.get(&(trigger, camera.id.to_string()));
+        directional_clouds += usize::from(place.is_some());
+        let cloud = place.map(|place| load_cloud(&set, place)).transpose()?.unwrap_or_default();
         let light = images.as_deref().map(|images| light_of(images, &camera.id, trigger, &truth, reference));
         let light = light.transpose()?;
         let tally = per_camera.entry(number).or_default();
@@ -172,7 +168,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
                 .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))?;
         }
         if loaded.as_ref().is_none_or(|(index, _)| *index != trigger) {
-            let cloud = set.merged.get(&trigger).map(|path| load_cloud(path)).transpose()?;
+            let cloud = set.merged.get(&trigger).map(|place| load_cloud(&set, place)).transpose()?;
             merged_clouds += usize::from(cloud.is_some());
             loaded = Some((trigger, cloud));
         }

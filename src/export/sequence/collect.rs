@@ -2,7 +2,7 @@
 
 use super::{Options, SequenceWriter};
 use crate::export::cloud::Cloud;
-use crate::export::job::{Summary, join};
+use crate::export::job::{Summary, merged_cloud};
 use crate::export::source::CloudSource;
 use crate::export::whole::write_whole;
 use rayon::prelude::*;
@@ -112,7 +112,7 @@ fn messages(
     };
     let mut made = Vec::new();
     if contents.merged {
-        made.push(ready(None, &join(&clouds, &numbered).0));
+        made.push(ready(None, &merged_cloud(&clouds, &numbered)));
     }
     if contents.directional {
         made.extend(clouds.iter().zip(numbered).map(|((_, cloud), (_, name))| ready(Some(name), cloud)));

@@ -27,18 +27,28 @@ impl Job<'_> {
         if self.plan.maps.is_some() || self.plan.discard {
             return None;
         }
-        let path = self.frame_path(camera, trigger);
-        let camera = &camera.id;
-        let stated = match self.plan.format {
-            Format::Ply => ply::load_whole_header(&path).ok(),
-            Format::Phase => phase_file::load_statement(&path).ok().map(|stored| ply::Header {
-                points: stored.points,
-                merged: false,
-                sigma: false,
-                comments: stored.comments,
-            }),
+        let stated = |format: &Format| {
+            let path = self.frame_path(camera, trigger, *format);
+            match format {
+                Format::Ply => ply::load_whole_header(&path).ok(),
+                Format::Phase => phase_file::load_statement(&path).ok().map(|stored| ply::Header {
+                    points: stored.points,
+                    merged: false,
+                    sigma: false,
+                    comments: stored.comments,
+                }),
+            }
         };
-        let Some(header) = stated else {
+        let headers: Option<Vec<ply::Header>> = self.plan.formats.iter().map(stated).collect();
+        // Cloud and map of a frame say the same.
+        let same = |headers: &Vec<ply::Header>| {
+            headers
+                .windows(2)
+                .all(|pair| (pair[0].points, &pair[0].comments) == (pair[1].points, &pair[1].comments))
+        };
+        let header = headers.filter(same).and_then(|headers| headers.into_iter().next());
+        let camera = &camera.id;
+        let Some(header) = header else {
             return match self.source.frame(camera, TriggerIndex(trigger)) {
                 Ok(Frame::Gap(cause)) => Some((FrameSummary::missing(camera, "gap", cause), None)),
                 _ => None,

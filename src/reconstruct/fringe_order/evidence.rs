@@ -6,7 +6,7 @@
 
 use super::Scene;
 use super::drift::{Differences, TERMS};
-use super::inference::{Costs, Field, LABELS, NEVER};
+use super::inference::{Costs, Field, LABELS, NEVER, STEP};
 use super::lookout::{LANES, Ray};
 use super::patches::Patches;
 use super::sight::{Looks, PLACES, SightLanes};
@@ -143,10 +143,9 @@ fn ln(x: f32) -> f32 {
 /// Whether a patch is one of the few whole ones that are asked at first.
 pub fn is_sample(patches: &Patches, i: usize) -> bool {
     let (patch, columns) = (&patches.all[i], patches.columns as u32);
-    let sample = SAMPLE;
     patch.size >= WHOLE_PX
-        && (patch.cell % columns).is_multiple_of(sample)
-        && (patch.cell / columns).is_multiple_of(sample)
+        && (patch.cell % columns).is_multiple_of(SAMPLE)
+        && (patch.cell / columns).is_multiple_of(SAMPLE)
 }
 
 /// Sets the costs of all labels of a view's patches. At first some whole cells are asked at all labels; then, with what is known, every
@@ -159,6 +158,8 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &Known, first: bo
     let words: Vec<Words> =
         words.map(|(block, x)| Words::new(scenes, view, block * LANES, x, wide)).collect();
     let patches = &own.patches;
+    // By patch.
+    let votes: Vec<(u32, i32, f32)> = field.votes().collect();
     let mut asked =
         Asked { looks: &mut looks, own, view, words: &words, known, sights: [SightLanes::NONE; PLACES] };
     for (i, patch) in patches.all.iter().enumerate() {
@@ -167,16 +168,16 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &Known, first: bo
             continue;
         }
         let count = field.count[i] as usize;
-        let mut costs = [NEVER; LABELS];
+        let mut costs = [f32::INFINITY; LABELS];
         costs[..count].fill(0.0);
         if first && is_sample(patches, i) {
             let each = (SAMPLE * SAMPLE) as f32;
             asked.look(field, i, count, |_| true, EVIDENCE * each, &mut costs);
         } else if !first && patch.size >= LEAST_PX {
-            let most = field.marginal[i].iter().copied().fold(f32::MAX, f32::min) + KEEP;
-            for (l, cost) in costs[..count].iter_mut().enumerate() {
-                if field.marginal[i][l] > most {
-                    *cost = field.unary[i][l].max(KEEP);
+            let most = field.marginal[i].iter().fold(NEVER, |a, &b| a.min(b)) + (KEEP / STEP) as i16;
+            for (cost, marginal) in costs[..count].iter_mut().zip(&field.marginal[i]) {
+                if *marginal > most {
+                    *cost = KEEP;
                 }
             }
             asked.look(
@@ -190,16 +191,20 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &Known, first: bo
         } else if !first {
             continue;
         }
-        field.unary[i] = costs;
-    }
-    let votes: Vec<(u32, i32, f32)> = field.votes().collect();
-    for (patch, l, counts) in votes {
-        let i = patch as usize;
-        let unchanged = !first && patches.all[i].size >= WHOLE_PX && field.margin[i] >= SURE;
-        if (0..LABELS as i32).contains(&l) && !unchanged {
-            field.unary[i][l as usize] -= counts;
+        let own_votes = &votes[votes.partition_point(|x| (x.0 as usize) < i)..];
+        for (_, l, counts) in own_votes.iter().take_while(|x| x.0 as usize == i) {
+            if let Some(cost) = usize::try_from(*l).ok().and_then(|l| costs[..count].get_mut(l)) {
+                *cost -= counts;
+            }
         }
+        field.unary[i] = in_steps(&costs);
     }
+}
+
+/// Costs in steps, of which the least is 0.
+fn in_steps(costs: &[f32; LABELS]) -> Costs {
+    let least = costs.iter().copied().fold(f32::MAX, f32::min);
+    costs.map(|cost| ((cost - least) * (1.0 / STEP)).min(f32::from(NEVER)) as i16)
 }
 
 /// What so many marker pixels count.
@@ -226,7 +231,7 @@ impl Asked<'_> {
         count: usize,
         is_asked: impl Fn(usize) -> bool,
         weight: f32,
-        costs: &mut Costs,
+        costs: &mut [f32; LABELS],
     ) {
         let patch = &self.own.patches.all[i];
         let (u, v) = self.own.pixel(patch);
@@ -243,7 +248,7 @@ impl Asked<'_> {
             );
             for (l, inverse) in (first..count).zip(inverse) {
                 if inverse.is_nan() {
-                    costs[l] = NEVER;
+                    costs[l] = f32::INFINITY;
                 } else if is_asked(l) {
                     (rays[len].inverse_depth, labels[len]) = (inverse, l);
                     len += 1;
@@ -261,7 +266,7 @@ impl Asked<'_> {
 
     /// Adds what the cameras say of some places.
     #[inline(always)]
-    fn said(&mut self, rays: &[Ray], labels: &[usize; PLACES], place: &Place, costs: &mut Costs) {
+    fn said(&mut self, rays: &[Ray], labels: &[usize; PLACES], place: &Place, costs: &mut [f32; LABELS]) {
         let Self { looks, view, words, known, sights, .. } = self;
         for (block, words) in words.iter().enumerate() {
             let nothing = looks.at(*view, block, rays, sights);

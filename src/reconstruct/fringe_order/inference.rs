@@ -9,14 +9,17 @@ use std::f32::consts::TAU;
 /// Labels of a patch: fringes from the first in the volume on its line of sight.
 pub const LABELS: usize = 64;
 
-/// The cost of a label that is none.
-pub const NEVER: f32 = 1e3;
+/// Costs are whole numbers of these steps, and least ones are 0: what is moved decides the time, and sums do not depend on their order.
+pub const STEP: f32 = 1.0 / 128.0;
+
+/// The cost of a label that is none, in steps.
+pub const NEVER: i16 = 12_800;
 
 /// Sweeps there and back.
 const SWEEPS: usize = 2;
 
-/// A number for each label.
-pub type Costs = [f32; LABELS];
+/// A cost for each label, in steps.
+pub type Costs = [i16; LABELS];
 
 /// The patches of a view, their costs, and what is found of them.
 #[derive(Debug)]
@@ -74,7 +77,7 @@ impl<'a> Field<'a> {
                 place[i as usize] += 1;
             }
         }
-        let (none, messages) = (vec![[0.0; LABELS]; n], vec![[[0.0; LABELS]; 2]; links.len()]);
+        let (none, messages) = (vec![[0; LABELS]; n], vec![[[0; LABELS]; 2]; links.len()]);
         Self {
             scene,
             number,
@@ -112,41 +115,51 @@ impl<'a> Field<'a> {
 
     /// Finds labels and margins.
     pub fn infer(&mut self) {
-        let n = self.label.len();
-        for _ in 0..SWEEPS {
-            simd::dispatch(
-                #[inline(always)]
-                || {
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                let n = self.label.len();
+                for _ in 0..SWEEPS {
                     for i in 0..n {
                         self.send(i, true);
                     }
                     for i in (0..n).rev() {
                         self.send(i, false);
                     }
-                },
-            );
-        }
-        for i in 0..n {
-            let (mut given, mut marginal) = (self.unary[i], self.unary[i]);
-            for &k in self.links_of(i) {
-                let link = &self.links[k as usize];
-                let is_a = link.a as usize == i;
-                let message = &self.messages[k as usize][usize::from(is_a)];
-                add(&mut marginal, message);
-                if is_a {
-                    add(&mut given, message);
-                    continue;
                 }
-                // The one before has its label.
-                let kept = self.label[link.a as usize] + link.turns;
-                given.iter_mut().zip(0..).filter(|x| x.1 != kept).for_each(|(cost, _)| *cost += link.weight);
+                for i in 0..n {
+                    self.decide(i);
+                }
+            },
+        );
+    }
+
+    /// The label of a patch, where those before have theirs.
+    #[inline(always)]
+    fn decide(&mut self, i: usize) {
+        let (mut given, mut marginal) = (self.unary[i], self.unary[i]);
+        for &k in self.links_of(i) {
+            let link = &self.links[k as usize];
+            let is_a = link.a as usize == i;
+            let message = &self.messages[k as usize][usize::from(is_a)];
+            add(&mut marginal, message);
+            if is_a {
+                add(&mut given, message);
+                continue;
             }
-            let best = (0..LABELS).fold(0, |best, l| if given[l] < given[best] { l } else { best });
-            let others = (0..LABELS).filter(|&l| l != best);
-            let second = others.map(|l| marginal[l]).fold(f32::MAX, f32::min);
-            (self.label[i], self.margin[i], self.marginal[i]) =
-                (best as i32, second - marginal[best], marginal);
+            // Any other label than that of the one before costs what the link does.
+            let kept = self.label[link.a as usize] + link.turns;
+            if let Some(kept) = usize::try_from(kept).ok().and_then(|kept| given.get_mut(kept)) {
+                *kept -= in_steps(link.weight);
+            }
         }
+        let lowest = least(&given);
+        let best = given.iter().position(|cost| *cost == lowest).unwrap_or(0);
+        let mut others = marginal;
+        others[best] = i16::MAX;
+        self.label[i] = best as i32;
+        self.margin[i] = STEP * (f32::from(least(&others)) - f32::from(marginal[best]));
+        self.marginal[i] = marginal;
     }
 
     /// Sends a patch's messages to those after it, or before it.
@@ -159,7 +172,8 @@ impl<'a> Field<'a> {
             later += usize::from(is_a);
             add(&mut sum, &self.messages[k as usize][usize::from(is_a)]);
         }
-        let gamma = 1.0 / later.max(of.len() - later).max(1) as f32;
+        // Of 65536.
+        let gamma = u32::from(u16::MAX) / later.max(of.len() - later).max(1) as u32;
         for &k in of {
             let link = &self.links[k as usize];
             let is_a = link.a as usize == i;
@@ -168,32 +182,50 @@ impl<'a> Field<'a> {
             }
             let back = &self.messages[k as usize][usize::from(is_a)];
             // Room on both sides, for the turns.
-            let mut cost = [f32::MAX; 2 * LABELS];
-            let mut least = [f32::MAX; 16];
+            let mut cost = [i16::MAX; 2 * LABELS];
+            let mut own = [0; LABELS];
             for l in 0..LABELS {
-                let x = gamma * sum[l] - back[l];
-                cost[LABELS / 2 + l] = x;
-                least[l % 16] = if x < least[l % 16] { x } else { least[l % 16] };
+                // Sums are not negative.
+                let share = (u32::from(sum[l] as u16) * gamma) >> u16::BITS;
+                own[l] = share as u16 as i16 - back[l];
             }
-            let mut lowest = least[0];
-            for x in least {
-                lowest = if x < lowest { x } else { lowest };
-            }
+            let lowest = least(&own);
+            cost[LABELS / 2..LABELS / 2 + LABELS].copy_from_slice(&own);
             const HALF: i32 = LABELS as i32 / 2;
             let turns = (if is_a { link.turns } else { -link.turns }).clamp(-HALF, HALF);
             let from = &cost[(HALF - turns) as usize..][..LABELS];
+            let weight = in_steps(link.weight);
             let to = &mut self.messages[k as usize][usize::from(!is_a)];
             for l in 0..LABELS {
-                let x = from[l] - lowest;
-                to[l] = if x < link.weight { x } else { link.weight };
+                let x = from[l].saturating_sub(lowest);
+                to[l] = if x < weight { x } else { weight };
             }
         }
     }
 }
 
+/// A cost in steps.
+#[inline(always)]
+fn in_steps(cost: f32) -> i16 {
+    (cost * (1.0 / STEP)) as i16
+}
+
 #[inline(always)]
 fn add(to: &mut Costs, from: &Costs) {
     for l in 0..LABELS {
-        to[l] += from[l];
+        to[l] = to[l].saturating_add(from[l]);
     }
+}
+
+/// The least of all costs.
+#[inline(always)]
+fn least(costs: &Costs) -> i16 {
+    const LANES: usize = 16;
+    let mut lanes = [i16::MAX; LANES];
+    for costs in costs.as_chunks::<LANES>().0 {
+        for (least, &cost) in lanes.iter_mut().zip(costs) {
+            *least = if cost < *least { cost } else { *least };
+        }
+    }
+    lanes.into_iter().fold(i16::MAX, |a, b| if b < a { b } else { a })
 }
