@@ -207,6 +207,11 @@ impl What {
             let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
             return Err(usage(&message));
         }
+        if matches!(self.method, MethodName::Paper) && self.uncertainty {
+            let message =
+                "--method paper: it has no uncertainties; leave out --uncertainty, or use the default method";
+            return Err(usage(&message));
+        }
         let plan = Plan {
             out: self.out.clone(),
             triggers,
