@@ -76,7 +76,6 @@ for run in $(seq "$repeat"); do
     timed "two.$first.$run" "$first" --jobs 2
     timed "first_1_thread.$first.$run" "$first" --jobs 1 --triggers 0..1
     timed "first_2_threads.$first.$run" "$first" --jobs 2 --triggers 0..1
-    timed "paper.$first.$run" "$first" --jobs 1 --method paper
     for path in portable avx2 avx512; do
         FOURDBODY_SIMD=$path timed "$path.$first.$run" "$first" --jobs 1
     done

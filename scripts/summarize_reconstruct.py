@@ -72,7 +72,7 @@ def add_body(summary, args):
     # From nothing: what a preview of one instant waits for.
     for kind in ("first_1_thread", "first_2_threads"):
         median_and_least(summary, f"frame_set_{kind}_ms", [run["timings"]["wall_ms"] for run in runs_of(args.runs, kind, body)])
-    for kind in ("paper", "portable", "avx2", "avx512"):
+    for kind in ("portable", "avx2", "avx512"):
         values = [per_frame(run) for run in runs_of(args.runs, kind, body)]
         if values:
             median_and_least(summary, f"pipeline_{kind}_ms_per_frame_1_thread", values)

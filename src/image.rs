@@ -33,6 +33,18 @@ impl<T: Copy> Plane<T> {
         Self { width, height, data: vec![value; width * height] }
     }
 
+    /// A plane whose value at column u, row v is `value(u, v)`, asked for row after row.
+    pub fn from_fn(width: usize, height: usize, mut value: impl FnMut(usize, usize) -> T) -> Self {
+        let rows = (0..height).flat_map(|v| (0..width).map(move |u| (u, v)));
+        Self { width, height, data: rows.map(|(u, v)| value(u, v)).collect() }
+    }
+
+    /// The plane of what `to` makes of each value.
+    pub fn map<U: Copy>(&self, to: impl Fn(T) -> U) -> Plane<U> {
+        let data = self.as_slice().iter().map(|&x| to(x)).collect();
+        Plane { width: self.width, height: self.height, data }
+    }
+
     /// Wraps `data`; `None` when its length is not `width * height`.
     pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Option<Self> {
         (data.len() == width * height).then_some(Self { width, height, data })

@@ -214,6 +214,11 @@ impl What {
             let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
             return Err(usage(&message));
         }
+        if matches!(self.method, MethodName::Paper) && self.uncertainty {
+            let message =
+                "--method paper: it has no uncertainties; leave out --uncertainty, or use the default method";
+            return Err(usage(&message));
+        }
         let (source, calibration): (Box<dyn FrameSource>, _) = match self.bin_rows {
             1 => (source, calibration),
             rows => (Box::new(BinnedSource::new(source, rows)), calibration.with_binned_rows(rows)),

@@ -177,24 +177,3 @@ fn drop_from(
     }
     dropped as usize
 }
-
-/// Equation 5: the whole turns, in rad, that bring the marker's median phase to fringe `marker_index`.
-pub fn shift_of_median(median: f32, marker_index: u32) -> f32 {
-    TAU * (marker_index as f32 - ((median + TAU / 2.0) / TAU).floor())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::shift_of_median;
-    use proptest::prelude::{prop_assert, proptest};
-    use std::f32::consts::{FRAC_PI_2, PI, TAU};
-
-    proptest! {
-        #[test]
-        fn equation_5_puts_the_marker_where_it_belongs(order in -40i32..40, core in -FRAC_PI_2..FRAC_PI_2) {
-            let median = TAU * order as f32 + core;
-            let absolute = median + shift_of_median(median, 80);
-            prop_assert!((absolute - TAU * 80.0).abs() < PI, "{absolute}");
-        }
-    }
-}

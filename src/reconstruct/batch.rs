@@ -203,8 +203,10 @@ impl From<KeyError> for RunError {
 
 /// A frame on its way.
 enum Stage {
+    /// The other cameras have a part in its fringe orders.
     Prepared(Box<Prepared>),
-    Refused(Box<Reconstruction>),
+    /// They have none: it is refused, or what has become of it is known already.
+    Made(Box<Reconstruction>),
     /// No frame: outcome and reason.
     Missing(&'static str, String),
 }
@@ -216,7 +218,7 @@ type Pixels = Result<Option<u32>, ()>;
 fn heed_dashes(stages: Vec<Stage>) -> Vec<Stage> {
     let dashes = stages.iter().filter_map(|stage| match stage {
         Stage::Prepared(prepared) => Some(&prepared.counts.dashes),
-        Stage::Refused(result) => Some(&result.counts.dashes),
+        Stage::Made(result) => Some(&result.counts.dashes),
         Stage::Missing(..) => None,
     });
     if !Dashes::most_contradict(dashes) {
@@ -231,7 +233,7 @@ fn heed_dashes(stages: Vec<Stage>) -> Vec<Stage> {
 /// No clouds are made of any frame of a trigger, for this reason.
 fn refuse(stages: Vec<Stage>, reason: &str) -> Vec<Stage> {
     let refuse = |stage| match stage {
-        Stage::Prepared(prepared) => Stage::Refused(prepared.refuse(reason.to_owned())),
+        Stage::Prepared(prepared) => Stage::Made(prepared.refuse(reason.to_owned())),
         other => other,
     };
     stages.into_iter().map(refuse).collect()
@@ -415,15 +417,13 @@ impl Job<'_> {
         let prepared: Vec<(Stage, Pixels)> = cameras.par_iter().with_max_len(1).map(prepare).collect();
         let (mut stages, pixels): (Vec<Stage>, Vec<Pixels>) = prepared.into_iter().unzip();
         let frames = frames_comment(cameras.iter().map(|(_, camera)| &camera.id).zip(pixels));
-        if self.plan.method != Method::Paper {
-            stages = heed_dashes(stages);
-            stages = self.timed(|| help_each_other(&cameras, stages, self.plan.margin));
-        }
+        stages = heed_dashes(stages);
+        stages = self.timed(|| help_each_other(&cameras, stages, self.plan.margin));
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
             Stage::Prepared(prepared) => {
                 self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)), &frames)
             }
-            Stage::Refused(result) => self.save(camera, trigger, *result, &frames),
+            Stage::Made(result) => self.save(camera, trigger, *result, &frames),
             Stage::Missing(outcome, reason) => {
                 for &format in self.plan.formats.iter().filter(|_| !self.plan.discard) {
                     remove(&self.frame_path(camera, trigger, format))?;
@@ -494,9 +494,9 @@ impl Job<'_> {
                 prepared.add_time("map", mapping);
                 Stage::Prepared(Box::new(prepared))
             }
-            Err(mut refused) => {
-                refused.stages.push(("map", mapping));
-                Stage::Refused(refused)
+            Err(mut made) => {
+                made.stages.push(("map", mapping));
+                Stage::Made(made)
             }
         };
         (stage, Ok(frame.pixels_crc()))

@@ -383,7 +383,7 @@ mod tests {
     use crate::reconstruct::demodulate::Gains;
     use crate::reconstruct::phasors::{self, Phasors, demodulate, wrapped};
     use crate::reconstruct::runs::Runs;
-    use crate::reconstruct::{curvature, period};
+    use crate::reconstruct::{curvature, paper};
     use std::f32::consts::TAU;
 
     const W: usize = 240;
@@ -434,7 +434,7 @@ mod tests {
             }
         }
         let none = Plane::filled(W, H, 0u8);
-        let period = period::measure(image, &object, PERIOD).period;
+        let (period, _) = paper::period::measure(image, &object.map(f32::from), PERIOD);
         let absolute = |phasors: &Phasors| {
             let mut phase = wrapped(phasors);
             for v in 0..H {

@@ -4,6 +4,8 @@
 //! The files say by themselves what else they depend on: the frames of their trigger ([`super::batch`]).
 
 use super::batch::{Format, Plan, method_name};
+use super::paper;
+use super::pipeline::Method;
 use super::source::SessionIdentity;
 use crate::calibrate::Calibration;
 use crate::export::write_new;
@@ -23,7 +25,7 @@ pub const ALGORITHM: u32 = 29;
 pub struct Key {
     /// Whose frames.
     pub session: SessionIdentity,
-    /// [`ALGORITHM`].
+    /// [`ALGORITHM`], or [`paper::ALGORITHM`].
     pub algorithm: u32,
     /// SHA-256 of the calibration, all of it.
     pub calibration_sha256: String,
@@ -83,7 +85,10 @@ impl Key {
         let cameras = calibration.cameras().map(|(_, camera)| &camera.id);
         Ok(Self {
             session,
-            algorithm: ALGORITHM,
+            algorithm: match plan.method {
+                Method::Joint => ALGORITHM,
+                Method::Paper => paper::ALGORITHM,
+            },
             calibration_sha256: calibration_sha256(calibration)?,
             method: method_name(plan.method).to_owned(),
             margin: plan.margin,

@@ -1,8 +1,7 @@
 //! Object mask Om: which pixels show the lit object (paper, 4.1, Figure 6).
 //!
-//! Two forms. [`envelope`] (default) thresholds the logarithm of the fringes' upper envelope and keeps every
-//! component, so that dark hair and detached hands survive; [`otsu`] is the paper's: Otsu on the raw image,
-//! dilation and erosion, largest segment.
+//! [`envelope`] thresholds the logarithm of the fringes' upper envelope and keeps every component, so that dark hair
+//! and detached hands survive. The paper's own is [`super::paper::mask`].
 
 use super::above::Above;
 use super::opening::Opening;
@@ -27,8 +26,6 @@ const MAX_ABOVE_BLACK_DN: u8 = 8;
 #[derive(Debug, Default)]
 pub struct Buffers {
     smooth: Plane<u8>,
-    rows: Plane<u8>,
-    widened: Plane<u8>,
     closed: [Vec<u8>; 3],
     sorted: [Vec<u8>; 3],
     row: Vec<u8>,
@@ -117,35 +114,6 @@ fn median3x3([above, own, below]: [&[u8]; 3], [low, middle, high]: &mut [Vec<u8>
     }
 }
 
-/// The paper's mask: Otsu on the raw image without over-exposed pixels, dilation and erosion by one fringe
-/// period, largest segment.
-pub fn otsu(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
-    let mut counts = histogram(image.as_slice());
-    counts[usize::from(SATURATED)..].fill(0);
-    let level = otsu_level(&counts) as u8;
-    let (w, h) = (image.width(), image.height());
-    let Buffers { smooth: raw, rows, widened, runs, row, lit, .. } = buffers;
-    for plane in [&mut *raw, rows, widened] {
-        plane.reshape(w, h, 0);
-    }
-    let width = (1.2 * period_px).ceil() as usize | 1;
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            for (raw, &x) in raw.as_mut_slice().iter_mut().zip(image.as_slice()) {
-                *raw = u8::from(x > level);
-            }
-            square(raw, width, rows, widened, u8::max);
-            square(widened, width, rows, raw, u8::min);
-        },
-    );
-    runs.find(raw);
-    let (piece, pieces) = components::connect(runs);
-    let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
-    keep(runs, |place| Some(piece[place] as usize) == largest, lit);
-    part(lit, image, row, object);
-}
-
 /// Threshold on the envelope: Otsu on its logarithm, but never within the noise of the black level.
 #[inline(always)]
 fn log_threshold(envelope: &Plane<u8>) -> u8 {
@@ -163,7 +131,7 @@ fn log_threshold(envelope: &Plane<u8>) -> u8 {
 }
 
 /// Otsu's threshold (1979): the last bin of the darker class.
-fn otsu_level(histogram: &[u32; 256]) -> usize {
+pub(super) fn otsu_level(histogram: &[u32; 256]) -> usize {
     let total: f64 = histogram.iter().map(|&n| f64::from(n)).sum();
     let sum: f64 = histogram.iter().enumerate().map(|(i, &n)| i as f64 * f64::from(n)).sum();
     let (mut below, mut sum_below) = (0.0, 0.0);
@@ -190,7 +158,7 @@ const LEVELS: u8 = 8;
 
 /// How often each value occurs. Most of a photograph is dark and even: there every level is counted in all pixels at once.
 #[inline(always)]
-fn histogram(values: &[u8]) -> [u32; 256] {
+pub(super) fn histogram(values: &[u8]) -> [u32; 256] {
     // Four counts for neighbouring pixels: they are often equal, and a count that has just been written is slow to read.
     let mut counts = [[0u32; 256]; 4];
     let (parts, rest) = values.as_chunks::<ALIKE>();
@@ -268,40 +236,6 @@ fn part_saturated(run: Run, pixels: &[u8], row: &mut Vec<u8>, object: &mut Runs)
     );
 }
 
-/// Sliding extreme of zeros and ones over a square of `width` (odd, below 256) pixels, which ends at the image's borders.
-/// `rows` is memory to use.
-#[inline(always)]
-fn square(
-    image: &Plane<u8>,
-    width: usize,
-    rows: &mut Plane<u8>,
-    out: &mut Plane<u8>,
-    extreme: impl Fn(u8, u8) -> u8 + Copy,
-) {
-    let (h, half) = (image.height(), width / 2);
-    let mut scratch = Scratch::default();
-    for v in 0..h {
-        scratch.sliding(image.row(v), rows.row_mut(v), width, extreme);
-    }
-    // The largest is 1 where there is a one in the column, the smallest where there are only ones.
-    let any = extreme(0, 1) == 1;
-    let mut ones = vec![0u8; image.width()];
-    for next in 0..h + half {
-        if next < h {
-            ones.iter_mut().zip(rows.row(next)).for_each(|(sum, x)| *sum += x);
-        }
-        if let Some(gone) = next.checked_sub(width) {
-            ones.iter_mut().zip(rows.row(gone)).for_each(|(sum, x)| *sum -= x);
-        }
-        if let Some(v) = next.checked_sub(half) {
-            let least = if any { 1 } else { (next.min(h - 1) + 1 - v.saturating_sub(half)) as u8 };
-            for (out, &ones) in out.row_mut(v).iter_mut().zip(&ones) {
-                *out = u8::from(ones >= least);
-            }
-        }
-    }
-}
-
 /// Buffers of the sliding extremes: the passes go from one to the other, so that nothing overlaps.
 #[derive(Debug, Default)]
 struct Scratch([Vec<u8>; 2]);
@@ -335,15 +269,15 @@ impl Scratch {
 
 #[cfg(test)]
 mod tests {
-    use super::{Buffers, Scratch, envelope, histogram, median3x3, otsu};
+    use super::{Buffers, Scratch, envelope, histogram, median3x3};
     use crate::image::{Mono8, Plane};
     use crate::reconstruct::runs::Runs;
     use proptest::prelude::{any, prop_assert_eq, proptest};
 
-    /// The mask that one of the two methods makes, as a plane.
-    fn mask(image: &Plane<u8>, method: impl Fn(Mono8<'_>, f32, &mut Buffers, &mut Runs)) -> Plane<u8> {
+    /// The mask as a plane.
+    fn mask(image: &Plane<u8>) -> Plane<u8> {
         let (mut object, mut plane) = (Runs::default(), Plane::filled(image.width(), image.height(), 7));
-        method(Mono8::from(image), 10.0, &mut Buffers::default(), &mut object);
+        envelope(Mono8::from(image), 10.0, &mut Buffers::default(), &mut object);
         object.paint(&mut plane);
         plane
     }
@@ -362,21 +296,17 @@ mod tests {
     }
 
     #[test]
-    fn dark_and_detached_parts_stay_in_the_envelope_mask_only() {
-        let image = two_parts();
-        let both = mask(&image, envelope);
+    fn dark_and_detached_parts_stay() {
+        let both = mask(&two_parts());
         assert!(both.at(70, 60) == 1 && both.at(230, 60) == 1 && both.at(150, 60) == 0);
-        let largest = mask(&image, otsu);
-        assert!(largest.at(70, 60) == 1 && largest.at(230, 60) == 0);
     }
 
     #[test]
     fn over_exposed_pixels_leave() {
         let mut image = two_parts();
         image.set(70, 60, 255);
-        for found in [mask(&image, envelope), mask(&image, otsu)] {
-            assert_eq!([69, 70, 71].map(|u| found.at(u, 60)), [1, 0, 1]);
-        }
+        let found = mask(&image);
+        assert_eq!([69, 70, 71].map(|u| found.at(u, 60)), [1, 0, 1]);
     }
 
     proptest! {

@@ -4,7 +4,7 @@
 //! functions over planes; [`pipeline`] composes them for one frame.
 
 mod above;
-/// Absolute phase: selection of the pixels that become points, Equation 5.
+/// Absolute phase: selection of the pixels that become points.
 pub mod absolute;
 mod angle;
 /// A session to clouds on disk.
@@ -40,8 +40,6 @@ pub mod key;
 pub mod marker;
 /// Which of several markers it is.
 pub mod marker_number;
-/// The paper's marker and shift.
-pub mod marker_paper;
 /// Phase under the marker.
 pub mod marker_phase;
 /// Pieces of the marker's cores.
@@ -54,11 +52,10 @@ mod opening;
 mod outcome;
 /// What the pipeline must know of a camera and its projector.
 pub mod pair;
-/// Fringe period Pm, amplitude Am, stability Sm.
-pub mod period;
+/// The paper's method, plain.
+pub mod paper;
 /// Fringe period Pm of the default method.
 pub mod period_fast;
-mod period_windows;
 #[cfg(test)]
 mod phasors;
 /// One frame to one directional cloud.
@@ -67,8 +64,6 @@ pub mod pipeline;
 pub mod png_source;
 mod pool;
 mod prefetch;
-/// Verticality Vm, border distance Bm, quality Qm.
-pub mod quality;
 /// What triangulation comes to along every line of sight.
 pub mod rays;
 /// What a reconstruction wrote, as clouds.
@@ -95,8 +90,6 @@ pub mod triangulate;
 /// Standard uncertainty of every phase.
 pub mod uncertainty;
 mod unchecked;
-/// The paper's spanning tree.
-pub mod unwrap_paper;
 /// What later stages need of the demodulation's windows.
 pub mod windows;
 

@@ -1,17 +1,26 @@
 //! The fringe period Pm of the default method: the paper's count of crossings, found once for a run.
 //!
 //! The paper's window has a median of its own for each pixel, so that crossings are sought anew in each
-//! ([`super::period`]). Here the threshold is a sliding mean: a sine less its sliding mean is a sine of
+//! ([`super::paper::period`]). Here the threshold is a sliding mean: a sine less its sliding mean is a sine of
 //! the same period, so that the distance of crossings of equal direction is unbiased where the period does not change,
 //! and one list of crossings serves all windows of a run. Which of them lie in a window changes a few times in a
 //! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
 
 use super::bits::{WORD, bits_of};
-use super::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
 use super::round;
 use super::runs::{Run, Runs, Surroundings, fill_around};
 use super::simd;
 use crate::image::{Mono8, Plane};
+
+/// Periods outside this range are not measured, px.
+pub(super) const PERIOD_RANGE_PX: std::ops::RangeInclusive<f32> = 5.0..=24.0;
+
+/// A crossing counts once the light has left the threshold by this share of the window's range.
+pub(super) const HYSTERESIS: f32 = 0.12;
+
+/// Half sides of the box over which the period is smoothed, px.
+pub(super) const SMOOTH_COLUMNS: usize = 6;
+pub(super) const SMOOTH_ROWS: usize = 1;
 
 /// The threshold is the mean over this many nominal periods to each side. Shorter means find more crossings where the
 /// light falls off towards an outline, and more wrong ones.
@@ -62,7 +71,8 @@ struct Crossing {
     certain: u32,
 }
 
-/// Period of each pixel of the runs, px; 0 where it is unknown and in what is around the runs. Windows never leave these.
+/// Period of each pixel of the runs, px, the mean of those around it; 0 where it is unknown and in what is around the runs.
+/// Windows never leave these.
 pub(super) fn measure(
     image: Mono8<'_>,
     (runs, around): (&Runs, &Surroundings),
@@ -72,24 +82,7 @@ pub(super) fn measure(
 ) {
     let half = (1.3 * nominal_px).round() as usize;
     let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
-    measure_with(
-        (runs, around),
-        (image.width(), image.height()),
-        buffers,
-        period,
-        #[inline(always)]
-        |v, run, buffers, raw| measure_run(&image.row(v)[run.columns()], half, reach, buffers, raw),
-    );
-}
-
-/// The mean of the periods around each pixel of the runs, where `each` gives those of a run of a row: see [`packed`].
-pub(super) fn measure_with(
-    (runs, around): (&Runs, &Surroundings),
-    (w, h): (usize, usize),
-    buffers: &mut Buffers,
-    period: &mut Plane<f32>,
-    mut each: impl FnMut(usize, &Run, &mut Buffers, &mut [u32]),
-) {
+    let (w, h) = (image.width(), image.height());
     period.reshape(w, h, 0.0);
     const RING: usize = 2 * SMOOTH_ROWS + 1;
     buffers.raw.resize(RING, Vec::new());
@@ -110,7 +103,8 @@ pub(super) fn measure_with(
                     let before = v.checked_sub(RING).map(|v| runs.row(v)).unwrap_or_default();
                     before.iter().for_each(|run| row[run.columns()].fill(0));
                     for run in runs.row(v) {
-                        each(v, run, buffers, &mut row[run.columns()]);
+                        let light = &image.row(v)[run.columns()];
+                        measure_run(light, half, reach, buffers, &mut row[run.columns()]);
                     }
                 }
                 buffers.raw[v % RING] = raw;
@@ -216,7 +210,7 @@ fn mean_distances(after: &Beside, before: &Beside, length: usize, raw: &mut [u32
 
 /// A period, px: in [`STEPS`], with a count of one; 0 where it is none.
 #[inline(always)]
-pub(super) fn packed(distance: f32) -> u32 {
+fn packed(distance: f32) -> u32 {
     let packed = (round::floor(distance * STEPS) as u32) << COUNT_BITS | 1;
     let known = (distance >= *PERIOD_RANGE_PX.start()) & (distance <= *PERIOD_RANGE_PX.end());
     if known { packed } else { 0 }
@@ -389,8 +383,7 @@ fn mean_of(sum: u32) -> f32 {
 mod tests {
     use super::{Buffers, LIGHT_PERIODS, measure};
     use crate::image::{Mono8, Plane};
-    use crate::reconstruct::period;
-    use crate::reconstruct::runs::{Runs, Surroundings};
+    use crate::reconstruct::runs::{Run, Runs, Surroundings};
     use proptest::prelude::{ProptestConfig, any, prop_assert, proptest};
 
     fn measured(image: &Plane<u8>, mask: &Plane<u8>, nominal: f32) -> Plane<f32> {
@@ -477,7 +470,7 @@ mod tests {
             let mut mask = Plane::filled(120, 1, 1u8);
             mask.set(gap, 0, 0);
             let mut raw = vec![0.0; 120];
-            for run in period::runs(mask.row(0)) {
+            for run in Runs::of(&mask).all().iter().map(Run::columns) {
                 raw[run.clone()].copy_from_slice(&plain_row(&row[run], nominal));
             }
             let found = measured(&Plane::from_vec(120, 1, row).expect("120 pixels"), &mask, nominal);

@@ -1,11 +1,11 @@
 //! Stages of the front end by themselves, on whole frames: what tests ask of each. What is run goes row by row
-//! ([`super::front`], [`super::windows::demodulate`]).
+//! ([`super::front`]).
 
 use super::demodulate::{Gains, average_block, demodulate_row, phase, row_reach, units};
 use super::runs::{Run, Runs};
 use super::sample::{self, LANES, Light};
 use super::shading;
-use super::windows::Windows;
+use super::windows::{Windows, light_steps, strength_steps};
 use crate::image::{Mono8, Plane};
 
 /// The phasor of each pixel: `c + i s = 6 B exp(i W)`; both zero where it is unknown.
@@ -102,15 +102,12 @@ pub fn correct_shading(phasors: &mut Phasors, period: &Plane<f32>, skip: &Plane<
 /// What is left of the windows of phasors, of the pixels of `runs`.
 pub fn windows(phasors: Phasors, runs: &Runs) -> Windows {
     let Phasors { c, s, mean, misfit } = phasors;
-    let (width, height) = (misfit.width(), misfit.height());
-    let [strength, light] = [(); 2].map(|()| Plane::filled(width, height, 0u16));
+    let [strength, light] = [(); 2].map(|()| misfit.map(|_| 0));
     let mut windows = Windows { strength, light, misfit };
-    for v in 0..height {
-        for run in runs.row(v) {
-            for first in run.columns().step_by(LANES) {
-                let block = [&c, &s, &mean].map(|plane| sample::load(plane.row(v), first));
-                windows.keep_block(v, first..run.end().min(first + LANES), block.each_ref());
-            }
+    for v in 0..c.height() {
+        for u in runs.row(v).iter().flat_map(Run::columns) {
+            windows.strength.set(u, v, strength_steps(c.at(u, v), s.at(u, v)));
+            windows.light.set(u, v, light_steps(mean.at(u, v)));
         }
     }
     windows

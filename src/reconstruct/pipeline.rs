@@ -13,10 +13,9 @@ use super::roi::Roi;
 use super::runs::Runs;
 use super::timings::Clock;
 use super::triangulate::Triangulator;
-use super::windows::{self, Windows};
+use super::windows::Windows;
 use super::{
-    absolute, cloud, curvature, demodulate, edges, marker_number, marker_paper, mask, period, quality,
-    run_ends, simd, uncertainty, unwrap_paper,
+    absolute, cloud, curvature, demodulate, edges, marker_number, mask, paper, run_ends, uncertainty,
 };
 use crate::export::{Cloud, PhaseMap, STEPS_PER_LEVEL};
 use crate::image::{Mono8, Plane};
@@ -30,7 +29,7 @@ pub use super::outcome::{Counts, Outcome};
 pub enum Method {
     /// The fringe orders of all cameras of a trigger together ([`super::fringe_order`]).
     Joint,
-    /// The paper's section 4.1: one spanning tree guided by Qm, one shift by the marker's median.
+    /// The paper's section 4.1, each frame by itself ([`super::paper`]).
     Paper,
 }
 
@@ -157,20 +156,6 @@ impl Prepared {
     }
 }
 
-/// The absolute phase with what the points need beside it.
-struct Resolved {
-    absolute: Plane<f32>,
-    orders: Orders,
-    marker: Plane<u8>,
-    /// Runs of the object: nothing is known outside of them.
-    runs: Runs,
-    windows: Windows,
-    period: Plane<f32>,
-    /// Around the marker: not 0.
-    zone: Plane<u8>,
-    planes: Vec<(&'static str, Plane<f32>)>,
-}
-
 impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
@@ -183,7 +168,7 @@ impl Pipeline {
         Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
     }
 
-    /// Also gives every point its standard uncertainty.
+    /// Also gives every point its standard uncertainty, which the paper's method has none of.
     #[must_use]
     pub fn with_uncertainty(self, uncertainty: bool) -> Self {
         Self { uncertainty, ..self }
@@ -204,11 +189,12 @@ impl Pipeline {
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
         match self.settled(image) {
             Ok(prepared) => self.finish(prepared),
-            Err(refused) => *refused,
+            Err(made) => *made,
         }
     }
 
-    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs.
+    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs. The error is that
+    /// of [`Pipeline::prepare`], or the refusal of a frame whose orders contradict each other.
     pub fn absolute(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
         let mut prepared = self.settled(image)?;
         std::mem::take(&mut prepared.orders).apply(&mut prepared.absolute);
@@ -218,16 +204,15 @@ impl Pipeline {
     /// One frame whose orders no other camera has been asked for.
     fn settled(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
         let mut prepared = self.prepare(image)?;
-        if self.method == Method::Joint {
-            let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
-            if let Err(reason) = fringe_order::settle(&mut [view], fringe_order::MARGIN) {
-                return Err(prepared.refuse(reason));
-            }
+        let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
+        match fringe_order::settle(&mut [view], fringe_order::MARGIN) {
+            Ok(()) => Ok(prepared),
+            Err(reason) => Err(prepared.refuse(reason)),
         }
-        Ok(prepared)
     }
 
-    /// Finds the phases of one frame; the error is the refusal of a frame that shows nothing.
+    /// Finds the phases of one frame. The error is what no other camera has a part in: the refusal of a frame that shows
+    /// nothing, and all that the paper's method makes of any frame.
     pub fn prepare(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
@@ -238,13 +223,13 @@ impl Pipeline {
                 format!("expected a frame of {expected:?} pixels, as the calibration has, found {found:?}");
             return Err(refused(clock, counts, reason));
         }
+        if self.method == Method::Paper {
+            return Err(Box::new(paper::reconstruct(image, pair, &self.table, self.keep_maps)));
+        }
         let mut buffers = BUFFERS.take();
         let roi = clock.time("mask", || {
             let Buffers { mask, object, .. } = &mut buffers;
-            match self.method {
-                Method::Joint => mask::envelope(image, pair.period_px, mask, object),
-                Method::Paper => mask::otsu(image, pair.period_px, mask, object),
-            }
+            mask::envelope(image, pair.period_px, mask, object);
             // What is over-exposed hides the background from the other cameras: it belongs to the region, too.
             Roi::of(&mask.lit).filter(|_| !object.all().is_empty())
         });
@@ -260,22 +245,69 @@ impl Pipeline {
         });
         BUFFERS.give(buffers);
         counts.object = runs.area();
-        let resolved = match self.method {
-            Method::Joint => self.joint(&part, (runs, &lit), roi, &mut clock, &mut counts),
-            Method::Paper => Ok(self.paper(&part, runs, &mut clock, &mut counts)),
-        };
-        let Resolved { absolute, orders, marker, runs, windows, period, zone, planes } = match resolved {
-            Ok(resolved) => resolved,
-            Err(reason) => return Err(refused(clock, counts, reason)),
-        };
+        self.phases(part, (runs, &lit), roi, clock, counts)
+    }
+
+    /// The phases of the part of a frame that holds the object, whose runs these are: without and with what is over-exposed.
+    fn phases(
+        &self,
+        image: Plane<u8>,
+        (runs, lit): (Runs, &Runs),
+        roi: Roi,
+        mut clock: Clock,
+        mut counts: Counts,
+    ) -> Result<Prepared, Box<Reconstruction>> {
+        let pair = self.triangulator.pair();
+        let object = self.keep_maps.then(|| painted(&runs, &image));
+        let part = Mono8::from(&image);
+        let mut buffers = BUFFERS.take();
+        let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
+        let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
+        let front = front::run(part, (runs, lit), pair, &self.gains, keep, memory, &mut clock);
+        let Front { runs, period, windows, wrapped, zone, cores, energy, known } = front;
+        counts.phase = known;
+        counts.refused = known;
+        let mut marker = BYTES.take(roi.width, roi.height);
+        clock.time("anchors", || {
+            let mut pieces = MarkerPieces::new(cores);
+            marker_number::assign(&mut pieces, roi, pair);
+            counts.dashes = dashes::check(&mut pieces, &wrapped, &windows.light, roi, &self.triangulator);
+            counts.marker = pieces.paint(&mut marker);
+        });
+        if counts.dashes.contradict() {
+            BUFFERS.give(buffers);
+            let Dashes { stretches, elsewhere, .. } = counts.dashes;
+            let reason = format!(
+                "expected the marker's dashes where the calibration has them, found {elsewhere} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
+            );
+            return Err(refused(clock, counts, reason));
+        }
+        let mut planes = Vec::new();
+        if let Some(object) = object {
+            // Of the maps by which the paper unwraps this method needs none: they are for people to look at.
+            let om = object.map(f32::from);
+            let (_, am) = paper::period::measure(part, &om, pair.period_px);
+            let sm = paper::period::stability(&period, pair.period_px);
+            let (vm, bm) = (paper::quality::verticality(part, &period), paper::quality::border(&om));
+            let qm = paper::quality::quality(&om, [&bm, &am, &vm, &sm]);
+            let (pm, wm, mm) = (period.clone(), wrapped.clone(), marker.map(f32::from));
+            let names = ["Om", "Pm", "Am", "Sm", "Wm", "Vm", "Bm", "Qm", "Em", "Mm", "misfit"];
+            let maps =
+                [om, pm, am, sm, wm, vm, bm, qm, energy.unwrap_or_default(), mm, windows.misfit.clone()];
+            planes = names.into_iter().zip(maps).collect();
+        }
+        let mut absolute = wrapped;
+        let orders = clock.time("order", || Orders::cut(&mut absolute, &period, lit, pair));
+        BUFFERS.give(buffers);
+        let (table, regions) = (Arc::clone(&self.table), Regions::default());
         Ok(Prepared {
             roi,
             absolute,
-            table: Arc::clone(&self.table),
-            regions: Regions::default(),
+            table,
+            regions,
             orders,
             marker,
-            image: part,
+            image,
             counts,
             runs,
             windows,
@@ -308,33 +340,31 @@ impl Pipeline {
         // What the edges find, where uncertainties are asked for.
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
-        if self.method != Method::Paper {
-            clock.time("order", || orders.apply(&mut absolute));
-            counts.phase += clock.time("run_ends", || {
-                let (runs, zone, gains) = (&runs, &zone, &self.gains);
-                let input = run_ends::Input { image: &image, runs, zone, gains, sign: pair.sign };
-                run_ends::complete(&input, &mut absolute, &mut windows, &mut period)
-            });
-            counts.dropped = clock.time("select", || {
-                self.bias.correct(&mut absolute);
-                absolute::select(
-                    &mut absolute,
-                    &runs,
-                    &period,
-                    &windows,
-                    pair.sign,
-                    &absolute::Settings::default(),
-                )
-            });
-            clock.time("curvature", || {
-                let rows = (demodulate::ROWS as f32, pair.marker_period_px);
-                curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows);
-            });
-            counts.dropped += clock.time("edges", || {
-                let (settings, expected) = (edges::Settings::default(), expected.as_mut());
-                edges::refine(&mut absolute, &runs, &windows, &period, &zone, pair.sign, &settings, expected)
-            });
-        }
+        clock.time("order", || orders.apply(&mut absolute));
+        counts.phase += clock.time("run_ends", || {
+            let (runs, zone, gains) = (&runs, &zone, &self.gains);
+            let input = run_ends::Input { image: &image, runs, zone, gains, sign: pair.sign };
+            run_ends::complete(&input, &mut absolute, &mut windows, &mut period)
+        });
+        counts.dropped = clock.time("select", || {
+            self.bias.correct(&mut absolute);
+            absolute::select(
+                &mut absolute,
+                &runs,
+                &period,
+                &windows,
+                pair.sign,
+                &absolute::Settings::default(),
+            )
+        });
+        clock.time("curvature", || {
+            let rows = (demodulate::ROWS as f32, pair.marker_period_px);
+            curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows);
+        });
+        counts.dropped += clock.time("edges", || {
+            let (settings, expected) = (edges::Settings::default(), expected.as_mut());
+            edges::refine(&mut absolute, &runs, &windows, &period, &zone, pair.sign, &settings, expected)
+        });
         let doubts = expected.map(|expected| {
             let rows = pair.marker_period_px;
             clock.time("uncertainty", || uncertainty::doubts(&absolute, &windows, &expected, &zone, rows))
@@ -344,16 +374,13 @@ impl Pipeline {
         let size = self.frame().map(|px| px as u16);
         let map = clock.time("quantize", || cloud::phase_map(&known, doubts.as_ref(), size));
         let cloud = clock.time("points", || cloud::make(&self.table, &map));
-        if self.method != Method::Paper {
-            let Windows { strength, light, misfit } = windows;
-            [strength, light].into_iter().for_each(|plane| WORDS.give(plane));
-            [misfit, period].into_iter().for_each(|plane| PLANES.give(plane));
-            [marker, zone].into_iter().for_each(|plane| BYTES.give(plane));
-        }
-        BYTES.give(image);
+        let Windows { strength, light, misfit } = windows;
+        [strength, light].into_iter().for_each(|plane| WORDS.give(plane));
+        [misfit, period].into_iter().for_each(|plane| PLANES.give(plane));
+        [marker, zone, image].into_iter().for_each(|plane| BYTES.give(plane));
         if self.keep_maps {
             planes.push(("Fm", absolute));
-        } else if self.method != Method::Paper {
+        } else {
             PLANES.give(absolute);
         }
         Reconstruction {
@@ -366,140 +393,6 @@ impl Pipeline {
             maps: self.keep_maps.then_some(Maps { roi, frame, planes }),
         }
     }
-
-    fn joint(
-        &self,
-        image: &Plane<u8>,
-        (runs, lit): (Runs, &Runs),
-        roi: Roi,
-        clock: &mut Clock,
-        counts: &mut Counts,
-    ) -> Result<Resolved, String> {
-        let pair = self.triangulator.pair();
-        let object = self.keep_maps.then(|| painted(&runs, image));
-        let image = Mono8::from(image);
-        let mut buffers = BUFFERS.take();
-        let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
-        let keep = front::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
-        let front = front::run(image, (runs, lit), pair, &self.gains, keep, memory, clock);
-        let Front { runs, period, windows, wrapped, zone, cores, energy, known } = front;
-        counts.phase = known;
-        let mut marker = BYTES.take(image.width(), image.height());
-        clock.time("anchors", || {
-            let mut pieces = MarkerPieces::new(cores);
-            marker_number::assign(&mut pieces, roi, pair);
-            counts.dashes = dashes::check(&mut pieces, &wrapped, &windows.light, roi, &self.triangulator);
-            counts.marker = pieces.paint(&mut marker);
-        });
-        if counts.dashes.contradict() {
-            BUFFERS.give(buffers);
-            counts.refused = known;
-            let Dashes { stretches, elsewhere, .. } = counts.dashes;
-            return Err(format!(
-                "expected the marker's dashes where the calibration has them, found {elsewhere} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
-            ));
-        }
-        let kept = object.map(|object| (object, wrapped.clone()));
-        let mut absolute = wrapped;
-        let orders = clock.time("order", || Orders::cut(&mut absolute, &period, lit, pair));
-        BUFFERS.give(buffers);
-        counts.refused = known;
-        let mut planes = Vec::new();
-        if let Some((object, wrapped)) = kept {
-            let amplitude = period::measure(image, &object, pair.period_px).amplitude;
-            let stability = period::stability(&period, &runs, pair.period_px);
-            let vertical = quality::verticality(image, &runs, &period);
-            let border = quality::border(&object, &runs);
-            let normalized = quality::normalized_amplitude(&amplitude, &runs);
-            let quality = quality::quality([&border, &normalized, &vertical, &stability], &runs);
-            let number = |plane: &Plane<u8>| convert(plane, f32::from);
-            planes = vec![
-                ("Om", number(&object)),
-                ("Pm", period.clone()),
-                ("Am", number(&amplitude)),
-                ("Sm", stability),
-                ("Wm", wrapped),
-                ("Vm", vertical),
-                ("Bm", border),
-                ("Qm", quality),
-                ("Em", energy.unwrap_or_default()),
-                ("Mm", number(&marker)),
-                ("misfit", windows.misfit.clone()),
-            ];
-        }
-        Ok(Resolved { absolute, orders, marker, runs, windows, period, zone, planes })
-    }
-
-    /// Section 4.1 of the paper as it stands.
-    fn paper(&self, image: &Plane<u8>, runs: Runs, clock: &mut Clock, counts: &mut Counts) -> Resolved {
-        let pair = self.triangulator.pair();
-        let object = &painted(&runs, image);
-        let image = Mono8::from(image);
-        let periods = clock.time("period", || period::measure(image, object, pair.period_px));
-        let (period, amplitude) = (&periods.period, &periods.amplitude);
-        let stability = clock.time("stability", || period::stability(period, &runs, pair.period_px));
-        let (wrapped, windows) =
-            clock.time("phase", || windows::demodulate(image, &runs, period, &self.gains, pair.sign));
-        counts.phase = known(&wrapped, &runs);
-        let vertical = clock.time("verticality", || quality::verticality(image, &runs, period));
-        let border = clock.time("border", || quality::border(object, &runs));
-        let quality = clock.time("quality", || {
-            let amplitude = quality::normalized_amplitude(amplitude, &runs);
-            quality::quality([&border, &amplitude, &vertical, &stability], &runs)
-        });
-        let unwrapped = clock.time("unwrap", || unwrap_paper::unwrap(&wrapped, &quality, &runs));
-        let (energy, segment) = clock.time("marker", || marker_paper::marker(image, object, &runs, pair));
-        counts.marker = segment.as_slice().iter().filter(|&&x| x != 0).count();
-        let shift = marker_paper::shift(&unwrapped, &wrapped, &segment, pair);
-        let relative = self.keep_maps.then(|| unwrapped.clone());
-        let mut absolute = unwrapped;
-        for v in 0..runs.height() {
-            for run in runs.row(v) {
-                let phases = absolute.row_mut(v)[run.columns()].iter_mut();
-                phases.for_each(|phase| *phase += shift.unwrap_or(f32::NAN));
-            }
-        }
-        counts.refused = counts.phase - known(&absolute, &runs);
-        let mut planes = Vec::new();
-        if self.keep_maps {
-            planes = vec![
-                ("Om", convert(object, f32::from)),
-                ("Pm", period.clone()),
-                ("Am", convert(amplitude, f32::from)),
-                ("Sm", stability),
-                ("Wm", wrapped),
-                ("Vm", vertical),
-                ("Bm", border),
-                ("Qm", quality),
-                ("Um", relative.unwrap_or_default()),
-                ("Em", energy),
-                ("Mm", convert(&segment, f32::from)),
-            ];
-        }
-        let orders = Orders::default();
-        let zone = Plane::filled(absolute.width(), absolute.height(), 0);
-        Resolved { absolute, orders, marker: segment, runs, windows, period: periods.period, zone, planes }
-    }
-}
-
-/// Pixels of the runs whose phase is known.
-fn known(phase: &Plane<f32>, runs: &Runs) -> usize {
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            let mut known = 0;
-            for v in 0..runs.height() {
-                for run in runs.row(v) {
-                    let mut here = 0u32;
-                    for x in &phase.row(v)[run.columns()] {
-                        here += u32::from(!x.is_nan());
-                    }
-                    known += here as usize;
-                }
-            }
-            known
-        },
-    )
 }
 
 fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> {
@@ -519,10 +412,4 @@ fn painted(runs: &Runs, image: &Plane<u8>) -> Plane<u8> {
     let mut mask = Plane::filled(image.width(), image.height(), 0);
     runs.paint(&mut mask);
     mask
-}
-
-/// A plane of numbers for the map dump.
-pub(super) fn convert<T: Copy>(plane: &Plane<T>, number: impl Fn(T) -> f32) -> Plane<f32> {
-    let data = plane.as_slice().iter().map(|&x| number(x)).collect();
-    Plane::from_vec(plane.width(), plane.height(), data).unwrap_or_else(|| Plane::filled(0, 0, 0.0))
 }

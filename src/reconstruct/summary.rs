@@ -3,6 +3,8 @@
 use super::batch::Plan;
 use super::key::Key;
 use super::outcome::NO_OBJECT;
+use super::paper;
+use super::pipeline::Method;
 use super::source::SessionIdentity;
 use super::unchecked::unchecked;
 use crate::calibrate::Calibration;
@@ -106,7 +108,10 @@ impl Summary {
             parameters: key.parameters(),
             method: key.method.clone().into(),
             left_out: known.chain(beyond).filter(|id| !key.cameras.contains(id)).cloned().collect(),
-            unchecked: unchecked(calibration, &plan.cameras, plan.method),
+            unchecked: match plan.method {
+                Method::Joint => unchecked(calibration, &plan.cameras),
+                Method::Paper => vec![paper::UNCHECKED.to_owned()],
+            },
             frames: triggers.iter().map(|t| t.frames.len()).sum(),
             clouds: count("cloud"),
             refused: count("refused"),

@@ -3,16 +3,11 @@
 //! A frame set of all cameras, with a calibration that knows the panel's rows, has every check that there is. A run with
 //! less is no error: a laboratory may have lost a camera. But whoever reads its figures must know.
 
-use super::pipeline::Method;
 use crate::calibrate::Calibration;
 use crate::ids::CameraId;
 
 /// A sentence for each check that a run of these cameras lacks.
-pub(super) fn unchecked(calibration: &Calibration, cameras: &[CameraId], method: Method) -> Vec<String> {
-    if method == Method::Paper {
-        let lack = "the paper's method: each camera's fringe orders follow from its own marker alone";
-        return vec![lack.to_owned()];
-    }
+pub(super) fn unchecked(calibration: &Calibration, cameras: &[CameraId]) -> Vec<String> {
     let used = |id: &CameraId| cameras.contains(id);
     let mut lacks = Vec::new();
     let missing: Vec<&str> =
@@ -52,7 +47,6 @@ mod tests {
     use crate::calibrate::{Calibration, PanelRows};
     use crate::config::Rig;
     use crate::ids::CameraId;
-    use crate::reconstruct::pipeline::Method;
 
     #[test]
     fn what_a_run_lacks_is_said_and_nothing_else() {
@@ -60,18 +54,15 @@ mod tests {
         let mut calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         calibration.heads.iter_mut().for_each(|head| head.rows = Some(PanelRows::exact()));
         let all: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
-        let of =
-            |calibration: &Calibration, cameras: &[CameraId]| unchecked(calibration, cameras, Method::Joint);
-        assert_eq!(of(&calibration, &all), Vec::<String>::new());
-        assert_eq!(unchecked(&calibration, &all, Method::Paper).len(), 1);
+        assert_eq!(unchecked(&calibration, &all), Vec::<String>::new());
         // A whole head is missing: the others are checked by their own second cameras.
-        let three_heads = of(&calibration, &all[..6]);
+        let three_heads = unchecked(&calibration, &all[..6]);
         assert_eq!(three_heads.len(), 1);
         assert!(three_heads[0].contains("h3_up, h3_low"), "{three_heads:?}");
-        let one = of(&calibration, &all[..1]);
+        let one = unchecked(&calibration, &all[..1]);
         assert!(one.len() == 2 && one[1].starts_with("h0: "), "{one:?}");
         calibration.heads[2].rows = None;
-        let rowless = of(&calibration, &all);
+        let rowless = unchecked(&calibration, &all);
         assert!(rowless.len() == 1 && rowless[0].starts_with("h2: "), "{rowless:?}");
     }
 }

@@ -1,14 +1,9 @@
 //! What the stages behind the wrapped phase need of its windows: their phasors have given the phase, and what is left of
 //! them and of the light fits 16 bits. Eight frames wait for each other, and memory is what they wait in.
 
-use super::demodulate::{Gains, demodulate_row, phase};
 use super::round::whole;
-use super::runs::Runs;
-use super::sample::{self, LANES, Lanes, Light};
-use super::simd;
 use crate::export::STEPS_PER_LEVEL;
-use crate::image::{Mono8, Plane};
-use std::ops::Range;
+use crate::image::Plane;
 
 /// Steps of a phasor's length in a DN.
 pub const STEPS_PER_DN: f32 = 64.0;
@@ -22,64 +17,6 @@ pub struct Windows {
     pub light: Plane<u16>,
     /// What the samples have beside offset, slope and fringe: RMS relative to B.
     pub misfit: Plane<f32>,
-}
-
-impl Windows {
-    /// Strength and light of some columns of row `v`, a block at most, from their C, S and means.
-    #[inline(always)]
-    pub(super) fn keep_block(&mut self, v: usize, at: Range<usize>, [c, s, mean]: [&Lanes; 3]) {
-        let [mut strength, mut light] = [[0; LANES]; 2];
-        for i in 0..LANES {
-            strength[i] = strength_steps(c[i], s[i]);
-        }
-        for i in 0..LANES {
-            light[i] = light_steps(mean[i]);
-        }
-        sample::store(self.strength.row_mut(v), at.start, at.len(), &strength);
-        sample::store(self.light.row_mut(v), at.start, at.len(), &light);
-    }
-}
-
-/// Wm, rad, and the windows of a frame whose rows are not averaged; the phase is NaN where it is unknown. Each row is
-/// demodulated and at once what it is wanted for: phasors of a whole frame would not stay in the cache.
-pub fn demodulate(
-    image: Mono8<'_>,
-    runs: &Runs,
-    period: &Plane<f32>,
-    gains: &Gains,
-    sign: f32,
-) -> (Plane<f32>, Windows) {
-    let (w, h) = (image.width(), image.height());
-    let mut wrapped = Plane::filled(w, h, f32::NAN);
-    let [strength, light] = [(); 2].map(|()| Plane::filled(w, h, 0u16));
-    let mut windows = Windows { strength, light, misfit: Plane::filled(w, h, 0f32) };
-    let mut samples = Light::default();
-    simd::dispatch(
-        #[inline(always)]
-        || {
-            for v in 0..h {
-                demodulate_row(
-                    image.row(v),
-                    runs.row(v),
-                    period.row(v),
-                    gains,
-                    sign,
-                    &mut samples,
-                    #[inline(always)]
-                    |at, [c, s, mean, misfit]| {
-                        let mut phases = [0f32; LANES];
-                        for i in 0..LANES {
-                            phases[i] = phase(c[i], s[i]);
-                        }
-                        sample::store(wrapped.row_mut(v), at.start, at.len(), &phases);
-                        sample::store(windows.misfit.row_mut(v), at.start, at.len(), misfit);
-                        windows.keep_block(v, at, [c, s, mean]);
-                    },
-                );
-            }
-        },
-    );
-    (wrapped, windows)
 }
 
 /// The length of a phasor in whole steps.

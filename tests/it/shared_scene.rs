@@ -99,7 +99,7 @@ fn reconstruct(scene: &Path, set: &str, camera: &str, method: Method) -> Reconst
     Pipeline::new(Triangulator::new(pair), method, false).run(Mono8::from(&image))
 }
 
-fn score(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Score) {
+fn tally(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Tally) {
     let calibration = calibration(scene);
     let (head, calibrated) = calibration.camera(&CameraId::from(camera)).expect("in the rig");
     let found = reconstruct(scene, "body_arms_raised", camera, method);
@@ -109,8 +109,7 @@ fn score(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Score) 
         Reference { camera: &calibrated.device, projector: &head.projector, pattern: &calibration.pattern };
     let mut tally = Tally::default();
     tally.add(&found.cloud, |_| true, &truth, reference);
-    let score = tally.score();
-    (found, score)
+    (found, tally)
 }
 
 /// A camera alone has no other evidence than its links to the marker.
@@ -120,7 +119,8 @@ fn a_back_and_a_side_view_are_right_and_nearly_complete() {
     // What was measured, and little room.
     let cases = [("h3_low", 0.0001, 0.91, 0.21), ("h0_low", 0.001, 0.84, 0.21)];
     for (camera, wrong, complete, p95_mm) in cases {
-        let (found, score) = score(&scene, camera, Method::Joint);
+        let (found, tally) = tally(&scene, camera, Method::Joint);
+        let score = tally.score();
         println!("{camera}: {}, p95 {:.3} mm", wrong_and_complete(&score), score.p95_mm);
         assert_eq!(found.outcome, Outcome::Cloud);
         assert!(score.wrong_order_share < wrong, "{camera}: {score:?}");
@@ -288,13 +288,26 @@ fn fewer_cameras_make_fewer_points_and_not_more_wrong_ones() {
 /// Margins that are asked of a point: any, that of a region, and those of more and more certain regions.
 const MARGINS: [f32; 4] = [0.0, f32::MIN_POSITIVE, 1.0, 2.0];
 
-/// The paper's method gives a cloud whose right points are as near; it promises no right orders.
+/// The paper's method gives clouds whose right points are as near; it promises no right orders. Bounds: what was measured, and little
+/// room, so that the comparison stays one with the method that is printed.
 #[test]
-fn the_papers_method_gives_a_cloud() {
+fn the_papers_method_gives_clouds() {
     let Some(scene) = scene() else { return };
-    let (found, score) = score(&scene, "h3_low", Method::Paper);
-    assert_eq!(found.outcome, Outcome::Cloud);
-    assert!(score.robust_mm < 0.12 && score.wrong_order_share < 0.03, "{score:?}");
+    let calibration = calibration(&scene);
+    let mut sum = Tally::default();
+    for (_, CalibratedCamera { id, .. }) in calibration.cameras() {
+        let (found, tally) = tally(&scene, id.as_str(), Method::Paper);
+        let score = tally.score();
+        println!("{id}: {}, robust {:.3} mm", wrong_and_complete(&score), score.robust_mm);
+        if id.as_str() == "h3_low" {
+            assert_eq!(found.outcome, Outcome::Cloud);
+            assert!(score.robust_mm < 0.12 && score.wrong_order_share < 0.03, "{score:?}");
+        }
+        sum.join(&tally);
+    }
+    let score = sum.score();
+    println!("all: {}", wrong_and_complete(&score));
+    assert!(score.wrong_order_share < 0.075 && score.completeness_of_lit > 0.67, "{score:?}");
 }
 
 #[test]

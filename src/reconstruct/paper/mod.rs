@@ -1,0 +1,110 @@
+//! Section 4.1 of the paper as it stands: one photograph to absolute phase, the boxes of its Figure 5 in their order.
+//!
+//! It is there to compare the default method with, and to be read beside the paper's text. So its maps are whole
+//! planes that bear the paper's names, its stages are loops over pixels, and time is no concern. What the paper leaves
+//! open is settled where it comes up, and listed in `docs/design/reconstruction.md`.
+
+/// Marker map Mm and absolute phase Fm.
+pub mod marker;
+/// Object mask Om.
+pub mod mask;
+/// Fringe period Pm, amplitude Am, stability Sm.
+pub mod period;
+/// Wrapped phase Wm.
+pub mod phase;
+/// Verticality Vm, border map Bm, quality Qm.
+pub mod quality;
+/// Unwrapped phase Um.
+pub mod unwrap;
+
+use super::cloud::{self, KnownPixels};
+use super::fringe_order::Regions;
+use super::outcome::{Counts, NO_OBJECT, Outcome, outcome_of};
+use super::pair::Pair;
+use super::pipeline::{Maps, Reconstruction};
+use super::rays::RayTable;
+use super::roi::Roi;
+use super::runs::Runs;
+use super::timings::Clock;
+use super::windows::light_steps;
+use crate::image::{Mono8, Plane};
+
+/// Counterpart of [`super::key::ALGORITHM`] for this method: raised whenever the same frames may give other points.
+pub const ALGORITHM: u32 = 30;
+
+/// What fringe orders by this method are not checked against.
+pub(super) const UNCHECKED: &str =
+    "the paper's method: each camera's fringe orders follow from its own marker alone";
+
+/// What Section 4.1 makes of a photograph; all planes are as large as that.
+#[derive(Debug)]
+pub struct AbsolutePhase {
+    /// Fm, rad; NaN where it is unknown, and everywhere without a marker.
+    pub fm: Plane<f32>,
+    /// Mean light over one fringe, DN: the intensity of the cloud's points.
+    pub light: Plane<f32>,
+    /// How it went. What has a wrapped phase and no absolute one is refused.
+    pub counts: Counts,
+    /// Om to Mm by name; Em is what Mm is cut from. Their units stand where they are made.
+    pub maps: Vec<(&'static str, Plane<f32>)>,
+}
+
+/// Section 4.1 for a photograph by the camera of `pair`.
+pub fn absolute_phase(image: Mono8<'_>, pair: &Pair) -> AbsolutePhase {
+    let om = mask::object(image, pair.period_px);
+    let (pm, am) = period::measure(image, &om, pair.period_px);
+    let sm = period::stability(&pm, pair.period_px);
+    let (wm, light) = phase::demodulate(image, &om, &pm, pair.sign);
+    let (vm, bm) = (quality::verticality(image, &pm), quality::border(&om));
+    let qm = quality::quality(&om, [&bm, &am, &vm, &sm]);
+    let um = unwrap::unwrap(&wm, &qm);
+    let (em, mm) = marker::find(image, &om, pair.marker_period_px, pair.marker_contrast);
+    let shift = marker::shift(&um, &wm, &mm, pair.pattern.marker_index);
+    let fm = um.map(|phase| phase + shift.unwrap_or(f32::NAN));
+    let set = |plane: &Plane<f32>| plane.as_slice().iter().filter(|&&x| x > 0.0).count();
+    let known = |plane: &Plane<f32>| plane.as_slice().iter().filter(|x| !x.is_nan()).count();
+    let (object, marker, phase) = (set(&om), set(&mm), known(&wm));
+    let counts = Counts { object, marker, phase, refused: phase - known(&fm), ..Counts::default() };
+    let names = ["Om", "Pm", "Am", "Sm", "Wm", "Vm", "Bm", "Qm", "Um", "Em", "Mm"];
+    let maps = names.into_iter().zip([om, pm, am, sm, wm, vm, bm, qm, um, em, mm]).collect();
+    AbsolutePhase { fm, light, counts, maps }
+}
+
+/// The cloud of one photograph, made from Fm as every method's is; `table` is the camera's. With the maps on request.
+pub(super) fn reconstruct(
+    image: Mono8<'_>,
+    pair: &Pair,
+    table: &RayTable,
+    keep_maps: bool,
+) -> Reconstruction {
+    let mut clock = Clock::default();
+    let AbsolutePhase { fm, light, counts, maps: mut planes } =
+        clock.time("paper", || absolute_phase(image, pair));
+    let (width, height) = (image.width(), image.height());
+    let roi = Roi { u: 0, v: 0, width, height };
+    let runs = Runs::of(&fm.map(|phase| u8::from(!phase.is_nan())));
+    let known = KnownPixels { absolute: &fm, runs: &runs, light: &light.map(light_steps), roi };
+    let size = [width as u16, height as u16];
+    let phase = clock.time("quantize", || cloud::phase_map(&known, None, size));
+    let cloud = clock.time("points", || cloud::make(table, &phase));
+    let outcome = match counts.object {
+        0 => Outcome::Refused(NO_OBJECT.to_owned()),
+        _ => outcome_of(&cloud, &counts),
+    };
+    planes.push(("Fm", fm));
+    let maps = keep_maps.then_some(Maps { roi, frame: (width, height), planes });
+    Reconstruction { cloud, phase, outcome, counts, regions: Regions::default(), stages: clock.0, maps }
+}
+
+/// 1 where it is so, else 0.
+fn one_if(is: bool) -> f32 {
+    f32::from(u8::from(is))
+}
+
+/// Sum over the box of `columns` and `rows` to each side of every pixel, as far as the plane goes.
+fn box_sum(plane: &Plane<f32>, columns: usize, rows: usize) -> Plane<f32> {
+    let (w, h) = (plane.width(), plane.height());
+    let around = |x: usize, reach: usize, end: usize| x.saturating_sub(reach)..(x + reach + 1).min(end);
+    let along = Plane::from_fn(w, h, |u, v| plane.row(v)[around(u, columns, w)].iter().sum::<f32>());
+    Plane::from_fn(w, h, |u, v| around(v, rows, h).map(|v| along.at(u, v)).sum::<f32>())
+}
