@@ -6,7 +6,7 @@ mod plane;
 mod spacing;
 mod truth;
 
-use super::{Exit, Failure};
+use super::{Exit, Failure, unusable_clouds};
 use crate::calibrate::Calibration;
 use crate::validate::set::CloudSet;
 use std::path::Path;
@@ -39,7 +39,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn open_clouds(directory: &Path) -> Result<CloudSet, Failure> {
-    CloudSet::open(directory).map_err(|e| Failure::new(Exit::Usage, e))
+    CloudSet::open(directory).map_err(|e| unusable_clouds(directory, e))
 }
 
 fn load_calibration(path: &Path) -> Result<Calibration, Failure> {

@@ -1,6 +1,6 @@
 //! `fourdbody view`: a picture of a cloud.
 
-use super::{Exit, Failure};
+use super::{Exit, Failure, unreadable};
 use crate::export::ply;
 use crate::export::view::{Style, draw_sides};
 use crate::image::write_png_rgb;
@@ -31,7 +31,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let (header, cloud) = ply::load(&args.cloud).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    let (header, cloud) = ply::load(&args.cloud).map_err(|e| unreadable(&args.cloud, e))?;
     if cloud.is_empty() {
         let reason = header.comment("refused").map_or_else(String::new, |reason| format!(" ({reason})"));
         let path = args.cloud.display();

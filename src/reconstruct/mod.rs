@@ -96,4 +96,4 @@ pub mod unwrap_paper;
 /// What later stages need of the demodulation's windows.
 pub mod windows;
 
-pub use source::{Frame, FrameSource, SessionIdentity, SourceStatement, StatedCamera};
+pub use source::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement, StatedCamera};

@@ -61,8 +61,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let calibration = args.calibration.as_ref().map(|path| load_calibration(path)).transpose()?;
     let cameras: Vec<CameraId> =
         calibration.iter().flat_map(|c| c.cameras().map(|(_, camera)| camera.id.clone())).collect();
-    let source = args.session.as_ref().map(|path| open_source(path, &cameras)).transpose();
-    let source = source.map_err(|e| Failure::new(Exit::Usage, e))?;
+    let source = args.session.as_ref().map(|path| open_source(path, &cameras)).transpose()?;
     let set = open_clouds(&args.clouds)?;
     let (mut rows, mut missing) = (Vec::new(), Vec::new());
     for ((trigger, head), files) in set.heads(calibration.as_ref()) {

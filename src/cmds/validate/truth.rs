@@ -143,8 +143,7 @@ fn rendered(args: &Args, directory: &Path, calibration: &Path) -> Result<Exit, F
     let files = truth_files(directory, &calibration)?;
     let set = open_clouds(&args.clouds)?;
     let ids: Vec<CameraId> = cameras.iter().map(|(_, camera)| camera.id.clone()).collect();
-    let images = args.images.as_deref().map(|path| open_source(path, &ids)).transpose();
-    let images = images.map_err(|e| Failure::new(Exit::Usage, e))?;
+    let images = args.images.as_deref().map(|path| open_source(path, &ids)).transpose()?;
     let mut per_camera: BTreeMap<usize, Tally> = BTreeMap::new();
     let (mut merged, mut merged_clouds, mut directional_clouds) = (Tally::default(), 0, 0);
     let mut predicted = Points::default();
@@ -209,7 +208,8 @@ fn light_of(
     reference: Reference<'_>,
 ) -> Result<Light, Failure> {
     let fail = |why: String| Failure::new(Exit::Usage, format!("photograph {trigger} of {camera}: {why}"));
-    let light = match images.frame(camera, TriggerIndex(trigger)).map_err(fail)? {
+    let damaged = |why: String| Failure { exit: Exit::Corrupt, ..fail(why) };
+    let light = match images.frame(camera, TriggerIndex(trigger)).map_err(damaged)? {
         Frame::Image(image) => Light::measure(truth, image, reference),
         Frame::Owned(image) => Light::measure(truth, Mono8::from(&image), reference),
         Frame::Gap(cause) => Err(format!("there is none ({cause})")),
