@@ -1,7 +1,7 @@
 //! Photographs that were taken in several sessions, as one source: triggers run on from session to session.
 
 use crate::ids::{CameraId, TriggerIndex};
-use crate::reconstruct::{Frame, FrameSource, SourceStatement};
+use crate::reconstruct::{Frame, FrameSource, LostPart, SourceStatement};
 use std::ops::Range;
 
 /// Sources one after the other; each of them may be in several parts, one per node.
@@ -9,6 +9,7 @@ use std::ops::Range;
 pub struct Joined {
     sessions: Vec<Session>,
     cameras: Vec<CameraId>,
+    lost: Vec<LostPart>,
 }
 
 struct Session {
@@ -27,6 +28,7 @@ impl Joined {
                 self.cameras.push(camera.clone());
             }
         }
+        self.lost.extend(parts.iter().flat_map(|part| part.lost()).cloned());
         let own_start = parts.iter().map(|part| part.triggers().start).min().unwrap_or(0);
         let own_end = parts.iter().map(|part| part.triggers().end).max().unwrap_or(0).max(own_start);
         let start = self.triggers().end;
@@ -36,7 +38,10 @@ impl Joined {
 
     /// Takes the last session away again.
     pub fn pop(&mut self) {
-        self.sessions.pop();
+        if let Some(session) = self.sessions.pop() {
+            let gone = session.parts.iter().map(|part| part.lost().len()).sum::<usize>();
+            self.lost.truncate(self.lost.len().saturating_sub(gone));
+        }
     }
 
     /// The parts of all sessions, to be pushed to another.
@@ -68,12 +73,19 @@ impl FrameSource for Joined {
         let session = self.sessions.iter().find(|session| session.triggers.contains(&trigger.0));
         let session = session.ok_or_else(|| format!("trigger {trigger} lies in none of the sessions"))?;
         let part = session.parts.iter().find(|part| part.cameras().contains(camera));
+        let lost = part.and_then(|part| part.lost().iter().find(|lost| lost.cameras.contains(camera)));
         match part {
+            // A position less for this camera: the others have theirs.
+            Some(_) if let Some(lost) = lost => Ok(Frame::Gap(lost.to_string())),
             Some(part) => {
                 part.frame(camera, TriggerIndex(trigger.0 - session.triggers.start + session.own_start))
             }
             None => Ok(Frame::Gap("the session does not have this camera".to_owned())),
         }
+    }
+
+    fn lost(&self) -> &[LostPart] {
+        &self.lost
     }
 
     /// Of the first session; cameras do not change between positions.
@@ -90,10 +102,46 @@ mod tests {
     use super::Joined;
     use crate::ids::{CameraId, TriggerIndex};
     use crate::image::Plane;
-    use crate::reconstruct::{Frame, FrameSource};
+    use crate::reconstruct::{Frame, FrameSource, LostPart};
     use std::ops::Range;
 
     struct One(CameraId, Range<u64>);
+
+    /// Of a node whose recording cannot be read.
+    struct Lost(Vec<CameraId>, LostPart);
+
+    impl FrameSource for Lost {
+        fn cameras(&self) -> &[CameraId] {
+            &self.0
+        }
+        fn triggers(&self) -> Range<u64> {
+            0..2
+        }
+        fn frame(&self, _: &CameraId, _: TriggerIndex) -> Result<Frame<'_>, String> {
+            Err("cannot be read".to_owned())
+        }
+        fn lost(&self) -> &[LostPart] {
+            std::slice::from_ref(&self.1)
+        }
+    }
+
+    #[test]
+    fn a_position_whose_recording_cannot_be_read_is_one_less() {
+        let camera = CameraId::from("b");
+        let part = LostPart {
+            told: "node b: its recording cannot be read".to_owned(),
+            cameras: vec![camera.clone()],
+        };
+        let mut joined = Joined::default();
+        joined.push(vec![Box::new(One(camera.clone(), 0..2))]);
+        joined.push(vec![Box::new(Lost(vec![camera.clone()], part.clone()))]);
+        assert_eq!(joined.lost(), [part]);
+        assert!(matches!(joined.frame(&camera, TriggerIndex(1)), Ok(Frame::Owned(_))));
+        let gap = joined.frame(&camera, TriggerIndex(2));
+        assert!(matches!(&gap, Ok(Frame::Gap(reason)) if reason.contains("node b")), "{gap:?}");
+        joined.pop();
+        assert!(joined.lost().is_empty());
+    }
 
     impl FrameSource for One {
         fn cameras(&self) -> &[CameraId] {

@@ -2,12 +2,13 @@
 
 use super::calibrate_live::Live;
 use super::reconstruct::open_source;
-use super::{Exit, Failure, calibrate_live};
+use super::{Exit, Failure, calibrate_live, tell_lost};
 use crate::calibrate::joined::Joined;
 use crate::calibrate::stages::{Rigging, StageError};
 use crate::calibrate::{Board, Calibration, Vertical, advice, compare, report, run as stages};
 use crate::config::Rig;
 use crate::ids::CameraId;
+use crate::reconstruct::FrameSource;
 use std::path::PathBuf;
 
 /// Calibrate all heads from photographs of the board: at each position one frame lit white, then one with fringes.
@@ -72,10 +73,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     } else {
         let mut joined = Joined::default();
         for session in &args.session {
-            joined.push(vec![open_source(session, &cameras).map_err(|e| Failure::new(Exit::Usage, e))?]);
+            joined.push(vec![open_source(session, &cameras)?]);
         }
         joined
     };
+    let lost = tell_lost(source.lost());
     let upright = args.upright.iter().map(|&position| Vertical::Upright(position));
     let level = args.level.iter().map(|&position| Vertical::Level(position));
     let options = stages::Options {
@@ -100,6 +102,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             serde_json::json!({
                 "calibration": args.out, "quality": outcome.calibration.quality, "findings": outcome.findings,
                 "advice": advice::advice(&outcome), "report": page, "models": models,
+                "unreadable": source.lost().iter().map(ToString::to_string).collect::<Vec<_>>(),
             })
         );
     } else {
@@ -107,7 +110,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         models.iter().for_each(|model| println!("{}", model.line()));
         page.iter().chain([&args.out]).for_each(|path| println!("{}", path.display()));
     }
-    Ok(Exit::Done)
+    Ok(if lost { Exit::Corrupt } else { Exit::Done })
 }
 
 /// A wrong number after `--upright` is the command line's fault, not the photographs'.

@@ -111,7 +111,8 @@ fn one_session(
     let open = |directory: std::path::PathBuf| {
         open_source(&directory, cameras).map_err(|e| {
             let message = format!(
-                "{e}\nThe node's recording must be readable here under the same path: mount its disk, or capture the positions with `fourdbody capture --triggers 2`, copy them, and give each to `calibrate --session`"
+                "{}\nThe node's recording must be readable here under the same path: mount its disk, or capture the positions with `fourdbody capture --triggers 2`, copy them, and give each to `calibrate --session`",
+                e.message
             );
             Failure::new(Exit::Failure, message)
         })

@@ -17,7 +17,7 @@ Works on interrupted and damaged recordings too, and says what is missing. Check
 host's, skew how much faster it runs, residual the median distance of the last exchanges from the fit, and
 open what round trips leave uncertain.
 
-Exit code 0: described; 4: a recording, or all of it, cannot be read.
+Exit code 0: described; 2: there is no recording; 4: a recording, or all of it, cannot be read.
 
 Examples:
   fourdbody info /var/lib/fourdbody/sessions/walk-01
@@ -32,8 +32,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let missing = if args.path.exists() { Exit::Corrupt } else { Exit::Usage };
-    let (recordings, unreadable) = open_each(&args.path).map_err(|error| Failure::new(missing, error))?;
+    let (recordings, unreadable) = open_each(&args.path)?;
     if recordings.is_empty() {
         let reasons: Vec<&str> = unreadable.iter().map(|one| one.reason.as_str()).collect();
         return Err(Failure::new(Exit::Corrupt, reasons.join("\n")));
@@ -86,7 +85,7 @@ fn recording_json(recording: &RecordingReader) -> serde_json::Value {
 }
 
 fn bytes(recording: &RecordingReader) -> u64 {
-    describe::segments(recording).iter().map(|segment| segment.bytes).sum()
+    recording.segments.iter().map(|segment| segment.length() as u64).sum()
 }
 
 fn mib(bytes: u64) -> f64 {

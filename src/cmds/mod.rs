@@ -4,8 +4,12 @@
 //! library's other modules; here is only the talking.
 
 use crate::config::ConfigError;
+use crate::reconstruct::LostPart;
+use crate::record::ReadError;
 use crate::session::state::Fault;
 use std::fmt;
+use std::io::ErrorKind;
+use std::path::Path;
 use std::process::ExitCode;
 
 pub mod board;
@@ -89,6 +93,36 @@ impl From<Fault> for Failure {
     fn from(fault: Fault) -> Self {
         Self::new(Exit::from_code(fault.exit), fault.message)
     }
+}
+
+/// Whatever opens a session: a path without one is a mistake of usage, one that cannot be read is corrupt data.
+impl From<ReadError> for Failure {
+    fn from(error: ReadError) -> Self {
+        let exit = match error {
+            ReadError::Absent(_) => Exit::Usage,
+            ReadError::Unreadable(_) => Exit::Corrupt,
+        };
+        Self::new(exit, error)
+    }
+}
+
+/// A file that a command reads, likewise.
+fn unreadable(path: &Path, error: impl fmt::Display) -> Failure {
+    let there = std::fs::metadata(path).map_err(|e| e.kind());
+    let absent = matches!(there, Err(ErrorKind::NotFound | ErrorKind::NotADirectory));
+    Failure::new(if absent { Exit::Usage } else { Exit::Corrupt }, error)
+}
+
+/// The directory of a reconstruction, likewise: one that has clouds and is not as `reconstruct` leaves it is damaged.
+fn unusable_clouds(directory: &Path, error: impl fmt::Display) -> Failure {
+    let some = ["phases", "clouds", "merged"].iter().any(|folder| directory.join(folder).is_dir());
+    Failure::new(if some { Exit::Corrupt } else { Exit::Usage }, error)
+}
+
+/// Says which parts of a session cannot be read; returns whether there are any.
+fn tell_lost(lost: &[LostPart]) -> bool {
+    lost.iter().for_each(|part| eprintln!("NOT READABLE  {part}"));
+    !lost.is_empty()
 }
 
 impl From<ConfigError> for Failure {

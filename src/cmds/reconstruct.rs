@@ -2,7 +2,7 @@
 
 mod staged;
 
-use super::{Exit, Failure};
+use super::{Exit, Failure, tell_lost};
 use crate::calibrate::Calibration;
 use crate::export::write_whole;
 use crate::ids::CameraId;
@@ -14,7 +14,7 @@ use crate::reconstruct::fringe_order;
 use crate::reconstruct::image_tree::ImageTree;
 use crate::reconstruct::pipeline::Method;
 use crate::reconstruct::png_source::PngSource;
-use crate::reconstruct::{FrameSource, SessionIdentity};
+use crate::reconstruct::{FrameSource, LostPart, SessionIdentity};
 use crate::record::SessionReader;
 use clap::ValueEnum;
 use staged::Staged;
@@ -127,11 +127,11 @@ enum MethodName {
 }
 
 /// Opens a session: a directory of recordings, or of images.
-pub(super) fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn FrameSource>, String> {
+pub(super) fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn FrameSource>, Failure> {
     if cameras.iter().any(|camera| path.join(camera.as_str()).is_dir()) {
-        return Ok(Box::new(PngSource::open(path, cameras)?));
+        return Ok(Box::new(PngSource::open(path, cameras).map_err(|e| Failure::new(Exit::Usage, e))?));
     }
-    Ok(Box::new(SessionReader::open_frames(path).map_err(|e| e.to_string())?))
+    Ok(Box::new(SessionReader::open_frames(path)?))
 }
 
 /// Half a rig is never taken for a whole one: the calibration's cameras are those of the session.
@@ -183,24 +183,29 @@ impl What {
         let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
         let calibration = Calibration::load(&self.calibration).map_err(|e| usage(&e))?;
         let mut cameras = self.chosen_cameras(&calibration)?;
-        let source = open_source(&self.session, &cameras).map_err(|e| usage(&e))?;
+        let source = open_source(&self.session, &cameras)?;
         if let Some(left_out) = ImageTree::told(source.left_out()) {
             eprintln!("{left_out}");
         }
+        tell_lost(source.lost());
         let session = source
             .identity()
             .map_err(|e| Failure::new(Exit::Corrupt, format!("{}: {e}", self.session.display())))?;
         if self.partial {
             cameras.retain(|camera| session.cameras.contains(camera));
         } else if self.cameras.is_empty() {
-            same_cameras(&cameras, &session).map_err(|e| usage(&e))?;
+            // Where nothing says which cameras an unreadable recording has, those are what is lacking.
+            let exit = if source.lost().is_empty() { Exit::Usage } else { Exit::Corrupt };
+            same_cameras(&cameras, &session).map_err(|e| Failure::new(exit, e))?;
         }
         if let Some(none) = cameras.is_empty().then_some("the calibration has none of the session's cameras")
         {
             return Err(usage(&none));
         }
         if let Some(stated) = source.statement() {
-            calibration.fits(&cameras, &stated).map_err(|e| usage(&e))?;
+            let is_lost = |id: &CameraId| source.lost().iter().any(|part| part.cameras.contains(id));
+            let readable: Vec<CameraId> = cameras.iter().filter(|id| !is_lost(id)).cloned().collect();
+            calibration.fits(&readable, &stated).map_err(|e| usage(&e))?;
         }
         let all = source.triggers();
         let triggers = match &self.triggers {
@@ -240,6 +245,12 @@ impl What {
             discard: false,
         };
         Ok(Opened { session, source, calibration, plan })
+    }
+
+    /// Whether a part that cannot be read is one of what was asked for.
+    fn asks_for(&self, part: &LostPart) -> bool {
+        let named = |name: &String| part.cameras.iter().any(|id| id.as_str() == name);
+        self.cameras.is_empty() || self.cameras.iter().any(named)
     }
 
     fn chosen_cameras(&self, calibration: &Calibration) -> Result<Vec<CameraId>, Failure> {
@@ -310,7 +321,7 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         .thread_name(|i| format!("reconstruct-{i}"))
         .build()
         .map_err(|e| Failure::new(Exit::Failure, e))?;
-    let summary = match args.collect {
+    let mut summary = match args.collect {
         None => reconstruct(args, &pool, source.as_ref(), &calibration, &plan)?,
         Some(count) => collected(&pool, Shards::new(session, &plan, &calibration, count))?,
     };
@@ -319,6 +330,8 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         batch::write_sequence(source.as_ref(), &plan, &summary, what.rate_hz)
             .map_err(|e| Failure::new(Exit::Failure, e))?;
     }
+    summary.unreadable =
+        source.lost().iter().filter(|part| what.asks_for(part)).map(LostPart::to_string).collect();
     write_json(&collect::summary_path(&plan.out, args.shard), &summary)?;
     report(args, &summary);
     // Of few frame sets a shard may have none.
@@ -335,6 +348,7 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
 pub(super) fn exit_of(summary: &Summary) -> Exit {
     match summary {
         Summary { clouds: 0, .. } => Exit::Corrupt,
+        Summary { unreadable, .. } if !unreadable.is_empty() => Exit::Corrupt,
         Summary { damaged: 0, gaps: 0, refused: 0, .. } => Exit::Done,
         Summary { damaged: 0, .. } => Exit::DataLoss,
         _ => Exit::Corrupt,
@@ -437,6 +451,9 @@ fn report(args: &Args, summary: &Summary) {
     if !summary.left_out.is_empty() {
         let names: Vec<&str> = summary.left_out.iter().map(CameraId::as_str).collect();
         println!("  partial, as asked: without {}", names.join(", "));
+    }
+    for part in &summary.unreadable {
+        println!("  NOT WHOLE: {part}");
     }
     for lack in &summary.unchecked {
         println!("  not checked: {lack}");

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// The page is one HTML file that needs no network. Checksums are not computed: see `fourdbody verify`.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html"
+    after_help = "Exit code 0: the page tells all of it; 2: there is no recording; 4: a recording, or all of it, cannot be read, and the page says so.\n\nExample:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html"
 )]
 pub struct Args {
     /// A session, a recording of one node, or a single segment.
@@ -24,12 +24,11 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let missing = if args.session.exists() { Exit::Corrupt } else { Exit::Usage };
-    let report =
-        gather(&args.session, args.clouds.as_deref()).map_err(|error| Failure::new(missing, error))?;
+    let report = gather(&args.session, args.clouds.as_deref())?;
     let page = render(&report);
     std::fs::write(&args.out, &page)
         .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
     println!("{}: {} KiB, opens in any browser", args.out.display(), page.len() / 1024);
-    Ok(Exit::Done)
+    report.unreadable.iter().for_each(|one| eprintln!("NOT READABLE  {one}"));
+    Ok(if report.unreadable.is_empty() { Exit::Done } else { Exit::Corrupt })
 }

@@ -6,7 +6,7 @@ mod plane;
 mod spacing;
 mod truth;
 
-use super::{Exit, Failure};
+use super::{Exit, Failure, unusable_clouds};
 use crate::calibrate::Calibration;
 use crate::ids::CameraId;
 use crate::reconstruct::FrameSource;
@@ -43,7 +43,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn open_clouds(directory: &Path) -> Result<Clouds, Failure> {
-    Clouds::open(directory).map_err(|e| Failure::new(Exit::Usage, e))
+    Clouds::open(directory).map_err(|e| unusable_clouds(directory, e))
 }
 
 /// Rows of the photographs that make one row of these clouds.
@@ -73,8 +73,7 @@ fn open_photographs(
     cameras: &[CameraId],
     clouds: &Path,
 ) -> Result<Box<dyn FrameSource>, Failure> {
-    let source =
-        super::reconstruct::open_source(session, cameras).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let source = super::reconstruct::open_source(session, cameras)?;
     Ok(match bin_rows(clouds)? {
         1 => source,
         rows => Box::new(BinnedSource::new(source, rows)),

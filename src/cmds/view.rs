@@ -1,6 +1,6 @@
 //! `fourdbody view`: a picture of a cloud.
 
-use super::{Exit, Failure};
+use super::{Exit, Failure, unreadable, unusable_clouds};
 use crate::export::Commented;
 use crate::export::view::{Style, draw_sides};
 use crate::image::write_png_rgb;
@@ -61,9 +61,9 @@ fn load(args: &Args) -> Result<Commented, Failure> {
         if args.trigger.is_some() {
             return Err(usage("--trigger: is for a directory; this is one file".to_owned()));
         }
-        return result::load_file(&args.cloud).map_err(|e| Failure::new(Exit::Corrupt, e));
+        return result::load_file(&args.cloud).map_err(|e| unreadable(&args.cloud, e));
     }
-    let clouds = Clouds::open(&args.cloud).map_err(usage)?;
+    let clouds = Clouds::open(&args.cloud).map_err(|e| unusable_clouds(&args.cloud, e))?;
     let place = match args.trigger {
         Some(trigger) => clouds.merged.get(&trigger),
         None => clouds.merged.values().nth(clouds.merged.len() / 2),

@@ -3,7 +3,7 @@
 //! | column | is |
 //! |---|---|
 //! | `trigger` | trigger index |
-//! | `camera`, `node` | names in the rig |
+//! | `camera`, `node` | names in the rig; no node where its recording cannot be read |
 //! | `outcome` | `frame`, the cause of a gap, or `damaged` |
 //! | `block_id` | as the camera sent it |
 //! | `camera_time_ns` | begin of the exposure, the camera's clock |
@@ -48,7 +48,12 @@ pub fn write(
                 let place = recording.header.cameras.iter().position(|known| known.id == *camera)?;
                 Some((recording, recording.frame_meta(place, trigger)))
             });
-            let Some((recording, outcome)) = found else { continue };
+            // Of a recording that cannot be read nothing is known.
+            let Some((recording, outcome)) = found else {
+                rows.damaged += 1;
+                writeln!(out, "{trigger},{camera},,damaged,,,,,")?;
+                continue;
+            };
             let word = match &outcome {
                 Ok(Ok(_)) => "frame".to_owned(),
                 Ok(Err(cause)) => GapCause::to_string(cause),

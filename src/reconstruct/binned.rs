@@ -1,7 +1,7 @@
 //! Rows of a frame added up, so that a frame takes a part of the time: the image before the first stage, and the calibration that goes
 //! with it. Fringes run along the rows of the scene and across the columns of the image, so that sums of few rows lose little of them.
 
-use super::source::{Frame, FrameSource, SessionIdentity, SourceStatement};
+use super::source::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement};
 use crate::calibrate::Calibration;
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::{Mono8, Plane};
@@ -45,6 +45,10 @@ impl FrameSource for BinnedSource {
 
     fn left_out(&self) -> &[PathBuf] {
         self.source.left_out()
+    }
+
+    fn lost(&self) -> &[LostPart] {
+        self.source.lost()
     }
 
     fn statement(&self) -> Option<SourceStatement> {

@@ -93,4 +93,4 @@ mod unchecked;
 /// What later stages need of the demodulation's windows.
 pub mod windows;
 
-pub use source::{Frame, FrameSource, SessionIdentity, SourceStatement, StatedCamera};
+pub use source::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement, StatedCamera};

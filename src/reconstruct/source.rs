@@ -91,6 +91,21 @@ impl fmt::Display for SessionIdentity {
     }
 }
 
+/// A part of a session that cannot be read at all, though there is one: the recording of a node.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LostPart {
+    /// Which, and why, in a sentence.
+    pub told: String,
+    /// Its cameras; none where nothing says which they are.
+    pub cameras: Vec<CameraId>,
+}
+
+impl fmt::Display for LostPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.told)
+    }
+}
+
 /// A session's frames by camera and trigger: a recording, or images of another origin.
 pub trait FrameSource: Sync {
     /// The cameras, in the rig's order.
@@ -113,6 +128,11 @@ pub trait FrameSource: Sync {
     /// The CRC-32 of a frame's pixels, row by row; `None` for a gap. Errors as in [`Self::frame`].
     fn pixels_crc(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Option<u32>, String> {
         Ok(self.frame(camera, trigger)?.pixels_crc())
+    }
+
+    /// Parts of the session that cannot be read. [`Self::frame`] has an error for every frame of their cameras.
+    fn lost(&self) -> &[LostPart] {
+        &[]
     }
 
     /// Files beside the frames that are none, and are left out.

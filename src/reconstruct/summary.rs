@@ -69,6 +69,9 @@ pub struct Summary {
     /// Cameras of the session or of the calibration that were left out, as was asked for; absent where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<CameraId>,
+    /// Parts of the session that cannot be read, a sentence each; absent where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unreadable: Vec<String>,
     /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unchecked: Vec<String>,
@@ -108,6 +111,7 @@ impl Summary {
             parameters: key.parameters(),
             method: key.method.clone().into(),
             left_out: known.chain(beyond).filter(|id| !key.cameras.contains(id)).cloned().collect(),
+            unreadable: Vec::new(),
             unchecked: match plan.method {
                 Method::Joint => unchecked(calibration, &plan.cameras),
                 Method::Paper => vec![paper::UNCHECKED.to_owned()],

@@ -1,6 +1,6 @@
-//! The sessions on a node's disk, newest first: what an operator chooses from.
+//! A session on a node's disk, at a glance: what an operator chooses from, and the worker waits for.
 //!
-//! Of each recording only the header of its first segment and the summary of its last are looked at.
+//! Of a recording only the header of its first segment and the summary of its last are looked at.
 
 use super::layout::{KEY_JSON, VERDICT_METADATA};
 use super::metadata::read_header;
@@ -41,20 +41,6 @@ pub struct CatalogueEntry {
     pub problem: Option<String>,
 }
 
-/// The newest `limit` recordings of a node below `sessions_dir`, newest first.
-pub fn catalogue(sessions_dir: &Path, node: &NodeId, limit: usize) -> Vec<CatalogueEntry> {
-    let entries = std::fs::read_dir(sessions_dir).into_iter().flatten().flatten();
-    let recordings = entries.map(|entry| node_dir(&entry.path(), node)).filter(|path| path.is_dir());
-    let mut dated: Vec<(SystemTime, PathBuf)> =
-        recordings.map(|path| (modified(&path).unwrap_or(UNIX_EPOCH), path)).collect();
-    dated.sort_by(|a, b| b.cmp(a));
-    dated.truncate(limit);
-    let mut entries: Vec<CatalogueEntry> =
-        dated.into_iter().map(|(made, path)| describe(path, made)).collect();
-    entries.sort_by_key(|entry| std::cmp::Reverse(entry.created_ns));
-    entries
-}
-
 /// One recording of a node; `None` when there is none of this name.
 pub fn entry(sessions_dir: &Path, node: &NodeId, name: &str) -> Option<CatalogueEntry> {
     // A session's name is one component of a path: nothing else is looked up.
@@ -86,7 +72,7 @@ fn describe(path: PathBuf, made: SystemTime) -> CatalogueEntry {
     };
     match find(&entry.path) {
         Ok(found) => found.iter().for_each(|files| read(&mut entry, files)),
-        Err(reason) => entry.problem = Some(reason),
+        Err(error) => entry.problem = Some(error.to_string()),
     }
     entry
 }
@@ -125,25 +111,19 @@ fn read(entry: &mut CatalogueEntry, files: &RecordingFiles) {
 
 #[cfg(test)]
 mod tests {
-    use super::{catalogue, entry};
+    use super::entry;
     use crate::ids::NodeId;
 
     #[test]
-    fn what_is_not_a_session_of_this_node_is_not_listed() {
+    fn what_is_not_a_session_of_this_node_is_not_described() {
         let dir = tempfile::tempdir().expect("a directory");
         for path in ["walk/node-a", "other/node-b", "empty"] {
             std::fs::create_dir_all(dir.path().join(path)).expect("made");
         }
         std::fs::write(dir.path().join("walk/node-a/segment-000000.mcap"), b"").expect("written");
-        let listed = catalogue(dir.path(), &NodeId::from("a"), 10);
-        assert_eq!(listed.len(), 1);
-        assert_eq!((listed[0].name.as_str(), &listed[0].verdict), ("walk", &None));
-        assert!(
-            listed[0].problem.as_deref().is_some_and(|problem| problem.contains("not closed")),
-            "{listed:?}"
-        );
-        assert_eq!(catalogue(dir.path(), &NodeId::from("a"), 0), []);
-        assert!(entry(dir.path(), &NodeId::from("a"), "walk").is_some());
+        let walk = entry(dir.path(), &NodeId::from("a"), "walk").expect("a recording");
+        assert_eq!((walk.name.as_str(), &walk.verdict), ("walk", &None));
+        assert!(walk.problem.as_deref().is_some_and(|problem| problem.contains("not closed")), "{walk:?}");
         for name in ["other", "../walk", "", "walk/node-a"] {
             assert_eq!(entry(dir.path(), &NodeId::from("a"), name), None, "{name:?}");
         }

@@ -200,6 +200,7 @@ fn clock(device: Option<&CameraId>, samples: &[ClockSample]) -> Option<ClockDesc
 
 /// The segments, in order.
 pub fn segments(recording: &RecordingReader) -> Vec<SegmentDescription> {
+    let ends = frames_ends(recording);
     let describe = |(place, segment): (usize, &SegmentReader)| {
         let broken = match &segment.end {
             End::Closed => None,
@@ -212,7 +213,7 @@ pub fn segments(recording: &RecordingReader) -> Vec<SegmentDescription> {
             bytes: segment.length() as u64,
             first_trigger: segment.first_trigger,
             end_trigger: segment.end_trigger,
-            frames_end: frames_end(recording, place),
+            frames_end: ends.get(place).copied().flatten(),
             closed: segment.is_closed(),
             broken,
         }
@@ -220,13 +221,18 @@ pub fn segments(recording: &RecordingReader) -> Vec<SegmentDescription> {
     recording.segments.iter().enumerate().map(describe).collect()
 }
 
-fn frames_end(recording: &RecordingReader, place: usize) -> Option<u64> {
-    let of_segment =
-        |outcome: &Outcome| matches!(outcome, Outcome::Frame { segment, .. } if *segment == place);
-    let last = |outcomes: &BTreeMap<u64, Outcome>| {
-        outcomes.iter().rev().find(|(_, outcome)| of_segment(outcome)).map(|(trigger, _)| trigger + 1)
-    };
-    recording.outcomes.iter().filter_map(last).max()
+/// One more than the highest trigger of which each segment has a frame: a single way through the outcomes, however many
+/// segments there are.
+fn frames_ends(recording: &RecordingReader) -> Vec<Option<u64>> {
+    let mut ends = vec![None; recording.segments.len()];
+    for (trigger, outcome) in recording.outcomes.iter().flatten() {
+        if let Outcome::Frame { segment, .. } = outcome
+            && let Some(end) = ends.get_mut(*segment)
+        {
+            *end = (*end).max(Some(trigger + 1));
+        }
+    }
+    ends
 }
 
 /// Triggers per second by the HSU's clock, over the whole trigger table.

@@ -26,9 +26,15 @@ use std::path::PathBuf;
 const MAX_PROBLEMS: usize = 1000;
 
 /// Why a recording could not be opened at all.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct ReadError(pub String);
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ReadError {
+    /// There is none where one was named: a mistake of whoever named it.
+    #[error("{0}")]
+    Absent(String),
+    /// It is there and cannot be read, or is none of ours any more.
+    #[error("{0}")]
+    Unreadable(String),
+}
 
 /// Something about a segment's records that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -161,9 +167,9 @@ impl RecordingReader {
 
     /// Opens the segments and reads their small records. A segment that cannot be opened costs what is in it.
     pub(super) fn open(files: &RecordingFiles, what: Extent) -> Result<Self, ReadError> {
-        let error = |message: String| ReadError(format!("{}: {message}", files.path.display()));
+        let error = |message: String| ReadError::Unreadable(format!("{}: {message}", files.path.display()));
         if let Some(reason) = &files.unlisted {
-            return Err(ReadError(reason.clone()));
+            return Err(ReadError::Unreadable(reason.clone()));
         }
         let mut segments = Vec::new();
         for (number, path) in &files.segments {

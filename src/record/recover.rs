@@ -156,7 +156,7 @@ pub fn recover(
     out: &Path,
     progress: &(dyn Fn(u64, u64) + Sync),
 ) -> Result<Recovery, RecoverError> {
-    let files = find(path).map_err(RecoverError::NotFound)?;
+    let files = find(path).map_err(|e| RecoverError::NotFound(e.to_string()))?;
     if out.symlink_metadata().is_ok() {
         return Err(RecoverError::Exists { path: out.to_owned() });
     }

@@ -19,6 +19,8 @@ pub use find::{Found, budget, find, is_json};
 const MAX_SMALL_RECORD: usize = 16 << 20;
 /// Messages larger than this are refused: it bounds what is read into memory at once. No camera has as many pixels.
 pub const MAX_MESSAGE: usize = 512 << 20;
+/// Metadata records of a segment, at most: ours has four. What a summary names beyond is no summary of ours.
+const MAX_METADATA: usize = 16;
 /// Opcode and length.
 const PREAMBLE: usize = 9;
 /// A chunk's fields before its records: two times, size, checksum, the name of a compression, size.
@@ -411,6 +413,10 @@ pub fn metadata_places(file: &SegmentFile) -> Option<Vec<Range<u64>>> {
             op::METADATA_INDEX => {
                 let mut fields = Fields { bytes: small_body(&mut pieces, body)?, position: 0 };
                 let (offset, length) = (fields.u64()?, fields.u64()?);
+                // Entries may all lead to one record, which would be read and held for each of them.
+                if found.len() == MAX_METADATA {
+                    return None;
+                }
                 found.push(offset..offset.checked_add(length)?);
             }
             op::FOOTER => return Some(found),
@@ -424,11 +430,14 @@ pub fn metadata_places(file: &SegmentFile) -> Option<Vec<Range<u64>>> {
 pub fn metadata_by_index(file: &SegmentFile) -> Option<Vec<(String, Entries)>> {
     let mut pieces = Pieces::new(file);
     let mut found = Vec::new();
+    // Records lie apart from each other: together they are no longer than the file.
+    let mut left = file.len();
     for place in metadata_places(file)? {
         let (opcode, body) = record_at(&mut pieces, usize::try_from(place.start).ok()?)?;
         if opcode != op::METADATA {
             return None;
         }
+        left = left.checked_sub(body.len())?;
         let mut fields = Fields { bytes: small_body(&mut pieces, body)?, position: 0 };
         found.push((fields.text()?.to_owned(), fields.text_map()?));
     }
@@ -505,10 +514,38 @@ impl<'a> Fields<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::{End, Walker};
+    use super::{End, Walker, metadata_by_index};
     use crate::record::segment_file::of_bytes;
     use mcap::MAGIC;
+    use mcap::records::op;
     use proptest::prelude::*;
+
+    /// A metadata record of `bytes`, and a summary with `entries` entries that all lead to it.
+    fn all_to_one_place(bytes: usize, entries: usize) -> Vec<u8> {
+        let record =
+            |opcode: u8, body: &[u8]| [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat();
+        let text = |text: &[u8]| [&(text.len() as u32).to_le_bytes()[..], text].concat();
+        let map = text(&[text(b"key"), text(&vec![b'x'; bytes])].concat());
+        let metadata = record(op::METADATA, &[text(b"name"), map].concat());
+        let (at, length) = (MAGIC.len() as u64, metadata.len() as u64);
+        let entry = [&at.to_le_bytes()[..], &length.to_le_bytes(), &text(b"name")].concat();
+        let summary = (MAGIC.len() + metadata.len()) as u64;
+        let footer = [&summary.to_le_bytes()[..], &[0; 12]].concat();
+        let entries = record(op::METADATA_INDEX, &entry).repeat(entries);
+        [MAGIC, &metadata, &entries, &record(op::FOOTER, &footer), MAGIC].concat()
+    }
+
+    #[test]
+    fn entries_that_lead_to_one_record_cost_no_more_than_the_file() {
+        let one = of_bytes(&all_to_one_place(1000, 1));
+        assert_eq!(metadata_by_index(&one).map(|found| found.len()), Some(1));
+        for (bytes, entries) in [(100_000, 10), (100_000, 10_000), (1_000_000, 100_000)] {
+            let file = of_bytes(&all_to_one_place(bytes, entries));
+            assert_eq!(metadata_by_index(&file), None, "{entries} entries");
+            let read = file.read.load(std::sync::atomic::Ordering::Relaxed);
+            assert!(read < 3 * file.len(), "{read} bytes were read of a file of {}", file.len());
+        }
+    }
 
     proptest! {
         #[test]

@@ -45,6 +45,9 @@ pub struct SegmentFile {
     length: usize,
     /// In order, apart from each other.
     bad: Mutex<Vec<BadRange>>,
+    /// Bytes that were read: how much a file costs is counted, not timed.
+    #[cfg(test)]
+    pub read: std::sync::atomic::AtomicUsize,
 }
 
 impl SegmentFile {
@@ -60,7 +63,13 @@ impl SegmentFile {
         let metadata = file.metadata()?;
         expect_regular(metadata.file_type())?;
         let length = usize::try_from(metadata.len()).map_err(io::Error::other)?;
-        Ok(Self { file, length, bad: Mutex::new(Vec::new()) })
+        Ok(Self {
+            file,
+            length,
+            bad: Mutex::new(Vec::new()),
+            #[cfg(test)]
+            read: Default::default(),
+        })
     }
 
     /// Bytes that it had when it was opened.
@@ -107,7 +116,11 @@ impl SegmentFile {
                     );
                     return Err(self.give_up(BadRange { from: offset, to: self.length, reason }));
                 }
-                Ok(read) => (done, at_most) = (done + read, into.len()),
+                Ok(read) => {
+                    #[cfg(test)]
+                    self.read.fetch_add(read, std::sync::atomic::Ordering::Relaxed);
+                    (done, at_most) = (done + read, into.len());
+                }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => {
                     let block = offset - offset % BLOCK;
@@ -272,7 +285,7 @@ impl<'a> Pieces<'a> {
 pub fn of_bytes(bytes: &[u8]) -> SegmentFile {
     let file = tempfile::tempfile().expect("a temporary file");
     file.write_all_at(bytes, 0).expect("written");
-    SegmentFile { file, length: bytes.len(), bad: Mutex::new(Vec::new()) }
+    SegmentFile { file, length: bytes.len(), bad: Mutex::new(Vec::new()), read: Default::default() }
 }
 
 #[cfg(test)]

@@ -1,13 +1,16 @@
 //! A session: a directory with the recordings of all its nodes, read as one source of frames.
 
-use super::layout::{GapCause, VERDICT_METADATA, segment_number};
+use super::layout::{GapCause, MAX_CAMERAS, VERDICT_METADATA, segment_number};
 use super::reader::{Extent, ReadError, RecordedFrame, RecordingReader};
 use super::scan::metadata_by_index;
 use super::segment_file::SegmentFile;
 use crate::config::Rig;
 use crate::ids::{CameraId, NodeId, TriggerIndex};
-use crate::reconstruct::{Frame, FrameSource, SessionIdentity, SourceStatement, StatedCamera};
+use crate::reconstruct::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement, StatedCamera};
 use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -34,33 +37,45 @@ impl RecordingFiles {
 }
 
 /// Finds the recordings at `path`: a session's directory, a recording's, or a single segment.
-pub(super) fn find(path: &Path) -> Result<Vec<RecordingFiles>, String> {
+pub(super) fn find(path: &Path) -> Result<Vec<RecordingFiles>, ReadError> {
     let shown = path.display();
     let expected =
         "expected a session (node-*/segment-*.mcap), a recording (segment-*.mcap) or an .mcap file";
-    let kind = std::fs::metadata(path).map_err(|e| format!("{shown}: {e}; {expected}"))?;
+    let kind = std::fs::metadata(path).map_err(|e| {
+        let message = format!("{shown}: {e}; {expected}");
+        match e.kind() {
+            ErrorKind::NotFound | ErrorKind::NotADirectory => ReadError::Absent(message),
+            _ => ReadError::Unreadable(message),
+        }
+    })?;
     if kind.is_file() {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         let segments = vec![(segment_number(name).unwrap_or(0), path.to_owned())];
         return Ok(vec![RecordingFiles::of(path, segments)]);
     }
-    let own = segments(path)?;
+    let own = segments(path).map_err(ReadError::Unreadable)?;
     if !own.is_empty() {
         return Ok(vec![RecordingFiles::of(path, own)]);
     }
     let mut recordings = Vec::new();
-    for (name, entry) in entries(path)? {
-        if name.starts_with("node-") && entry.is_dir() {
-            // One that cannot be listed does not hide the others.
-            let (segments, unlisted) = match segments(&entry) {
-                Ok(segments) => (segments, None),
-                Err(reason) => (Vec::new(), Some(reason)),
-            };
-            recordings.push(RecordingFiles { path: entry, segments, unlisted });
+    for (name, entry) in entries(path).map_err(ReadError::Unreadable)? {
+        if !name.starts_with("node-") {
+            continue;
         }
+        // One that cannot be listed does not hide the others; a link whose disk is away is not nothing.
+        let listed = match std::fs::metadata(&entry) {
+            Ok(kind) if !kind.is_dir() => continue,
+            Ok(_) => segments(&entry),
+            Err(error) => Err(format!("{}: {error}", entry.display())),
+        };
+        let (segments, unlisted) = match listed {
+            Ok(segments) => (segments, None),
+            Err(reason) => (Vec::new(), Some(reason)),
+        };
+        recordings.push(RecordingFiles { path: entry, segments, unlisted });
     }
     if recordings.is_empty() {
-        return Err(format!("{shown}: nothing recorded here; {expected}"));
+        return Err(ReadError::Absent(format!("{shown}: nothing recorded here; {expected}")));
     }
     Ok(recordings)
 }
@@ -115,16 +130,33 @@ pub struct Unreadable {
     pub reason: String,
 }
 
+impl Unreadable {
+    /// What to call it: its node, or its path where that says nothing.
+    pub fn name(&self) -> String {
+        if self.node.is_empty() { self.path.display().to_string() } else { format!("node {}", self.node) }
+    }
+}
+
+impl fmt::Display for Unreadable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: its recording cannot be read: {}", self.name(), self.reason)
+    }
+}
+
 /// The recordings at `path` (a session, a recording or a segment) that can be read, with all small records; and those that
 /// cannot, which do not hide the others.
 pub fn open_each(path: &Path) -> Result<(Vec<RecordingReader>, Vec<Unreadable>), ReadError> {
+    open_extent(path, Extent::Everything)
+}
+
+fn open_extent(path: &Path, what: Extent) -> Result<(Vec<RecordingReader>, Vec<Unreadable>), ReadError> {
     let (mut readable, mut unreadable) = (Vec::new(), Vec::new());
-    for files in find(path).map_err(ReadError)? {
-        match RecordingReader::open(&files, Extent::Everything) {
+    for files in find(path)? {
+        match RecordingReader::open(&files, what) {
             Ok(recording) => readable.push(recording),
-            Err(ReadError(reason)) => {
+            Err(error) => {
                 let node = node_of_dir(&files.path).unwrap_or_default();
-                unreadable.push(Unreadable { path: files.path, node, reason });
+                unreadable.push(Unreadable { path: files.path, node, reason: error.to_string() });
             }
         }
     }
@@ -139,43 +171,73 @@ pub(super) fn node_of_dir(path: &Path) -> Option<String> {
 /// A session: the recordings of all its nodes.
 pub struct SessionReader {
     recordings: Vec<RecordingReader>,
+    /// Recordings that cannot be read, in the order of `lost`.
+    unreadable: Vec<Unreadable>,
+    /// What the session lacks for that.
+    lost: Vec<LostPart>,
+    /// Those of recordings that cannot be read included, as far as the rig names them.
     cameras: Vec<CameraId>,
-    /// Recording and place in its header, for each of `cameras`.
-    places: Vec<(usize, usize)>,
+    /// Where the frames of each of `cameras` are.
+    places: Vec<Place>,
     triggers: Range<u64>,
 }
 
+/// Where a camera's frames are.
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    /// Recording, and place in its header.
+    Recorded(usize, usize),
+    /// In the recording with this number among those that cannot be read.
+    Lost(usize),
+}
+
 impl SessionReader {
-    /// Opens a session's directory, one recording's directory, or one segment, and reads all small records.
+    /// Opens a session's directory, one recording's directory, or one segment, and reads all small records. A recording that
+    /// cannot be read does not hide the others, see [`Self::unreadable`]; an error where there is none that can.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        Self::open_extent(path, Extent::Everything)
+        Self::of(path, open_extent(path, Extent::Everything)?)
     }
 
     /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Trigger
     /// tables, clock samples and events stay empty.
     pub fn open_frames(path: &Path) -> Result<Self, ReadError> {
-        Self::open_extent(path, Extent::Outcomes)
+        Self::of(path, open_extent(path, Extent::Outcomes)?)
     }
 
-    fn open_extent(path: &Path, what: Extent) -> Result<Self, ReadError> {
-        let files = find(path).map_err(ReadError)?;
-        let recordings: Vec<RecordingReader> =
-            files.iter().map(|files| RecordingReader::open(files, what)).collect::<Result<_, _>>()?;
-        let mut places: Vec<(usize, usize)> = Vec::new();
+    fn of(
+        path: &Path,
+        (recordings, unreadable): (Vec<RecordingReader>, Vec<Unreadable>),
+    ) -> Result<Self, ReadError> {
+        if recordings.is_empty() {
+            let reasons: Vec<&str> = unreadable.iter().map(|one| one.reason.as_str()).collect();
+            let nothing = || format!("{}: nothing recorded here", path.display());
+            let told = if reasons.is_empty() { nothing() } else { reasons.join("\n") };
+            return Err(ReadError::Unreadable(told));
+        }
+        let mut placed: Vec<(CameraId, Place)> = Vec::new();
         for (r, recording) in recordings.iter().enumerate() {
-            places.extend((0..recording.header.cameras.len()).map(|c| (r, c)));
+            let own = recording.header.cameras.iter().enumerate();
+            placed.extend(own.map(|(c, camera)| (camera.id.clone(), Place::Recorded(r, c))));
         }
-        let id = |&(r, c): &(usize, usize)| recordings[r].header.cameras[c].id.clone();
-        if let Some(rig) = recordings.first().and_then(|r| parse_rig(&r.header.rig_text).ok()) {
-            let order: Vec<&CameraId> = rig.cameras().map(|(_, camera)| &camera.id).collect();
-            places.sort_by_key(|place| order.iter().position(|o| **o == id(place)).unwrap_or(usize::MAX));
+        let rig = recordings.iter().find_map(|recording| parse_rig(&recording.header.rig_text).ok());
+        let mut lost: Vec<LostPart> = unreadable.iter().map(LostPart::of).collect();
+        if let Some(rig) = rig {
+            for (number, (part, one)) in lost.iter_mut().zip(&unreadable).enumerate() {
+                let own = rig.cameras().filter(|(_, camera)| camera.node.as_str() == one.node);
+                let own = own.take(MAX_CAMERAS).map(|(_, camera)| camera.id.clone());
+                part.cameras = own.filter(|id| placed.iter().all(|(known, _)| known != id)).collect();
+                placed.extend(part.cameras.iter().map(|id| (id.clone(), Place::Lost(number))));
+            }
+            let order: BTreeMap<&CameraId, usize> =
+                rig.cameras().enumerate().map(|(place, (_, camera))| (&camera.id, place)).collect();
+            placed.sort_by_key(|(id, _)| order.get(id).copied().unwrap_or(usize::MAX));
         }
-        let cameras: Vec<CameraId> = places.iter().map(id).collect();
         let start =
             recordings.iter().filter_map(|r| r.segments.first()).map(|segment| segment.first_trigger).min();
         let end = recordings.iter().map(RecordingReader::triggers_end).max().unwrap_or(0);
         let triggers = start.unwrap_or(0).min(end)..end;
-        Ok(Self { recordings, cameras, places, triggers })
+        let (cameras, places) = placed.into_iter().unzip();
+        Ok(Self { recordings, unreadable, lost, cameras, places, triggers })
     }
 
     /// The recordings, by node.
@@ -183,12 +245,31 @@ impl SessionReader {
         &self.recordings
     }
 
+    /// Recordings of the session of which nothing can be read: it is not whole.
+    pub fn unreadable(&self) -> &[Unreadable] {
+        &self.unreadable
+    }
+
     /// The rig as it was when the session was recorded.
     pub fn rig(&self) -> Result<Rig, ReadError> {
-        let recording =
-            self.recordings.first().ok_or_else(|| ReadError("the session has no recording".to_owned()))?;
-        parse_rig(&recording.header.rig_text)
-            .map_err(|e| ReadError(format!("{}: the recorded rig file: {e}", recording.path.display())))
+        let none = || ReadError::Unreadable("the session has no recording".to_owned());
+        let recording = self.recordings.first().ok_or_else(none)?;
+        parse_rig(&recording.header.rig_text).map_err(|e| {
+            ReadError::Unreadable(format!("{}: the recorded rig file: {e}", recording.path.display()))
+        })
+    }
+
+    /// Recording of a camera's frames, and its place in the header.
+    fn place(&self, camera: &CameraId) -> Result<(&RecordingReader, usize), String> {
+        let known = self.cameras.iter().position(|id| id == camera);
+        match known.and_then(|known| self.places.get(known)) {
+            Some(&Place::Recorded(r, c)) => Ok((&self.recordings[r], c)),
+            Some(&Place::Lost(number)) => Err(format!("camera {camera}: {}", self.lost[number])),
+            None => {
+                let known: Vec<&str> = self.cameras.iter().map(CameraId::as_str).collect();
+                Err(format!("camera {camera} is not in the session; it has {}", known.join(", ")))
+            }
+        }
     }
 
     /// The frame of a camera at a trigger, with its identity; `Ok(Err(cause))` for a gap.
@@ -197,12 +278,8 @@ impl SessionReader {
         camera: &CameraId,
         trigger: TriggerIndex,
     ) -> Result<Result<RecordedFrame, GapCause>, String> {
-        let place = self.cameras.iter().position(|id| id == camera);
-        let (r, c) = place.and_then(|place| self.places.get(place).copied()).ok_or_else(|| {
-            let known: Vec<&str> = self.cameras.iter().map(CameraId::as_str).collect();
-            format!("camera {camera} is not in the session; it has {}", known.join(", "))
-        })?;
-        self.recordings[r].frame(c, trigger)
+        let (recording, place) = self.place(camera)?;
+        recording.frame(place, trigger)
     }
 }
 
@@ -212,19 +289,27 @@ pub(crate) fn parse_rig(text: &str) -> Result<Rig, String> {
         .map_err(|problems| problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
 }
 
+impl LostPart {
+    /// A recording that cannot be read; its cameras are not known yet.
+    fn of(one: &Unreadable) -> Self {
+        Self { told: one.to_string(), cameras: Vec::new() }
+    }
+}
+
 impl FrameSource for SessionReader {
     fn statement(&self) -> Option<SourceStatement> {
-        let camera = |&(r, c): &(usize, usize)| {
+        let camera = |place: &Place| {
+            let Place::Recorded(r, c) = *place else { return None };
             let header = &self.recordings[r].header.cameras[c];
-            StatedCamera {
+            Some(StatedCamera {
                 id: header.id.clone(),
                 width: header.width as usize,
                 height: header.height as usize,
                 device: header.device.clone(),
-            }
+            })
         };
         let pattern = self.rig().ok().map(|rig| rig.pattern);
-        Some(SourceStatement { cameras: self.places.iter().map(camera).collect(), pattern })
+        Some(SourceStatement { cameras: self.places.iter().filter_map(camera).collect(), pattern })
     }
 
     fn identity(&self) -> Result<SessionIdentity, String> {
@@ -247,11 +332,12 @@ impl FrameSource for SessionReader {
     }
 
     fn pixels_crc(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Option<u32>, String> {
-        let place = self.cameras.iter().position(|id| id == camera);
-        let place = place.and_then(|place| self.places.get(place));
-        // What is not there is told where it is read.
-        let Some(&(r, c)) = place else { return Ok(self.frame(camera, trigger)?.pixels_crc()) };
-        Ok(self.recordings[r].frame_meta(c, trigger)?.ok().map(|meta| meta.pixels_crc))
+        let (recording, place) = self.place(camera)?;
+        Ok(recording.frame_meta(place, trigger)?.ok().map(|meta| meta.pixels_crc))
+    }
+
+    fn lost(&self) -> &[LostPart] {
+        &self.lost
     }
 
     fn cameras(&self) -> &[CameraId] {

@@ -153,7 +153,9 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
     let (readers, unreadable) = open_each(path)?;
     if readers.is_empty() {
         let nothing = || format!("{}: nothing recorded here", path.display());
-        return Err(ReadError(unreadable.into_iter().next().map_or_else(nothing, |one| one.reason)));
+        return Err(ReadError::Unreadable(
+            unreadable.into_iter().next().map_or_else(nothing, |one| one.reason),
+        ));
     }
     let single_segment = path.is_file();
     let length = |recording: &RecordingReader| -> u64 {

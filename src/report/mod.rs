@@ -15,7 +15,9 @@ use crate::reconstruct::batch::TriggerSummary;
 use crate::reconstruct::collect;
 use crate::reconstruct::result::Clouds;
 use crate::record::describe::{self, CameraDescription, EventKind};
-use crate::record::{GapRun, RecordingReader, SessionReader, Verdict, WriteStatistics};
+use crate::record::{
+    GapRun, ReadError, RecordingReader, SessionReader, Unreadable, Verdict, WriteStatistics,
+};
 use std::path::{Path, PathBuf};
 
 /// Frames of each camera that are looked at.
@@ -74,16 +76,23 @@ pub struct Report {
     pub triggers: u64,
     /// The nodes that recorded it.
     pub nodes: Vec<NodeReport>,
+    /// Recordings of the session of which nothing can be read.
+    pub unreadable: Vec<Unreadable>,
     /// Points for the page's cloud (see [`encode`]), and of which trigger.
     pub cloud: Option<(u64, Vec<u8>)>,
 }
 
 /// Looks at a session, and at what was reconstructed of it in `result` (the directory of `fourdbody reconstruct`).
-pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, String> {
-    let reader = SessionReader::open(session).map_err(|e| e.to_string())?;
-    let points = result.map(|result| points_of(result, &reader)).transpose()?.unwrap_or_default();
-    let first = reader.recordings().first().ok_or_else(|| format!("{}: no recording", session.display()))?;
-    let header = &first.header;
+pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, ReadError> {
+    let reader = SessionReader::open(session)?;
+    let of_result = |error: String| match result {
+        Some(result) if !result.exists() => ReadError::Absent(error),
+        _ => ReadError::Unreadable(error),
+    };
+    let points =
+        result.map(|result| points_of(result, &reader)).transpose().map_err(of_result)?.unwrap_or_default();
+    let none = || ReadError::Unreadable(format!("{}: no recording", session.display()));
+    let header = &reader.recordings().first().ok_or_else(none)?.header;
     let nodes = reader.recordings().iter().map(|recording| node(recording, &points)).collect();
     Ok(Report {
         session: header.session.to_string(),
@@ -93,7 +102,8 @@ pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, String> {
         trigger_rate_hz: header.trigger_rate_hz,
         triggers: reader.recordings().iter().map(RecordingReader::triggers_end).max().unwrap_or(0),
         nodes,
-        cloud: result.map(cloud_of).transpose()?.flatten(),
+        unreadable: reader.unreadable().to_vec(),
+        cloud: result.map(cloud_of).transpose().map_err(of_result)?.flatten(),
     })
 }
 

@@ -49,6 +49,14 @@ pub fn render(report: &Report) -> String {
         );
     }
     report.nodes.iter().for_each(|node| node_section(&mut page, report, node));
+    for one in &report.unreadable {
+        let _ = write!(
+            page,
+            "<section><h2>{} cannot be read</h2><pre class=\"bad\">{}</pre></section>",
+            escape(&one.name()),
+            escape(&one.to_string())
+        );
+    }
     let _ = write!(
         page,
         "<script type=\"module\">\n{}\n{SHOW}</script>\n</body></html>\n",
@@ -71,7 +79,9 @@ if (points) {
 fn verdict(report: &Report) -> (&'static str, &'static str) {
     let words: Vec<Option<Status>> =
         report.nodes.iter().map(|node| node.verdict.as_ref().map(|verdict| verdict.status)).collect();
-    if words.contains(&None) {
+    if !report.unreadable.is_empty() {
+        ("not whole", "bad")
+    } else if words.contains(&None) {
         ("unfinished", "bad")
     } else if words.contains(&Some(Status::Aborted)) {
         ("aborted", "bad")
@@ -250,6 +260,7 @@ mod tests {
             trigger_rate_hz: 120.0,
             triggers: 24,
             nodes: Vec::new(),
+            unreadable: Vec::new(),
             cloud: None,
         };
         let page = render(&report);

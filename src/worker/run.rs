@@ -339,6 +339,9 @@ impl Worker {
         use crate::reconstruct::FrameSource;
         let known = Calibration::load(calibration).map_err(|e| e.to_string())?;
         let recorded = crate::record::SessionReader::open_frames(session).map_err(|e| e.to_string())?;
+        if let Some(one) = recorded.unreadable().first() {
+            return Err(format!("{one}; worker --retry after `fourdbody recover`, or when its disk is back"));
+        }
         let both = known.cameras().map(|(_, camera)| camera.id.as_str());
         let both: Vec<&str> =
             both.filter(|id| recorded.cameras().iter().any(|c| c.as_str() == *id)).collect();

@@ -30,6 +30,7 @@ mod chain;
 mod cluster;
 #[cfg(feature = "aravis")]
 mod console;
+mod crafted_files;
 mod crash;
 mod crossing_limbs;
 #[cfg(feature = "aravis")]
@@ -92,5 +93,6 @@ mod third_party_session;
 mod two_nodes;
 mod unread_output;
 mod unreadable_disk;
+mod unreadable_sessions;
 mod validate_commands;
 mod worker;

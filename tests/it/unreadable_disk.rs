@@ -132,9 +132,8 @@ fn every_command_says_what_it_could_not_read() {
     run(&["report", &session, "--out", &path("page.html")], 0);
     let page = std::fs::read_to_string(path("page.html")).expect("a page");
     assert_contains(&page, &["cannot be read"]);
-    let listed = catalogue::catalogue(disk.mount_point(), &"a".into(), 10);
-    assert_eq!(listed.len(), 1);
-    assert_eq!(listed[0].session_id.as_deref(), Some("5f0c"), "{listed:?}");
+    let listed = catalogue::entry(disk.mount_point(), &"a".into(), "walk").expect("a recording");
+    assert_eq!(listed.session_id.as_deref(), Some("5f0c"), "{listed:?}");
 }
 
 /// Somebody cuts a file that is being read: at every region, frames before the cut are read, those behind it are named.
@@ -196,8 +195,8 @@ fn what_is_no_file_costs_that_segment() {
         let said = |message: &str| message.contains("cannot be opened") && message.contains(kind);
         assert!(report.findings.iter().any(|f| said(&f.message)), "{kind}: {:#?}", report.findings);
         assert_eq!(report.worst, Some(Severity::Corrupt));
-        let listed = catalogue::catalogue(dir.path(), &"a".into(), 10);
-        assert_eq!(listed[0].session_id.as_deref(), Some("5f0c"), "{kind}: {listed:?}");
+        let listed = catalogue::entry(dir.path(), &"a".into(), "walk").expect("a recording");
+        assert_eq!(listed.session_id.as_deref(), Some("5f0c"), "{kind}: {listed:?}");
         fourdbody::record::interrupted(dir.path());
         let out = dir.path().join("out");
         let recovery = recover(&session, &out, &|_, _| ()).unwrap_or_else(|e| panic!("{kind}: {e}"));

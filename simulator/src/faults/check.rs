@@ -96,6 +96,9 @@ pub fn check_with_disks(
     let mut accounting = Accounting::default();
     for (train, path) in (1u64..).zip(sessions) {
         let session = SessionReader::open(path.as_ref()).map_err(|e| e.to_string())?;
+        for one in session.unreadable() {
+            accounting.mismatch(one.to_string());
+        }
         let mut first_stamp = 1;
         for recording in session.recordings() {
             let excuse = Excuse::of(disks, recording);

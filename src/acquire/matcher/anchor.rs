@@ -119,7 +119,8 @@ impl Anchoring {
         // A trigger without a report may have been fired all the same, if it is not too early for it.
         let latest = i128::from(table.latest_ns()?);
         let fired = |frame: &Early| {
-            let ahead = frame.count.saturating_add(offset) - table.end() + 1;
+            // Of a file's block ids anything may come.
+            let ahead = frame.count.saturating_add(offset).saturating_sub(table.end()).saturating_add(1);
             let earliest = latest + i128::from(ahead) * i128::from(period_ns) * 7 / 8;
             ahead <= 0
                 || frame.arrived_ns.is_none_or(|arrived| arrived + i128::from(period_ns / 8) >= earliest)

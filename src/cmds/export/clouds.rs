@@ -1,7 +1,7 @@
 //! `fourdbody export` of a reconstruction.
 
 use super::super::progress::Progress;
-use super::super::{Exit, Failure};
+use super::super::{Exit, Failure, tell_lost, unusable_clouds};
 use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers, stopped};
 use crate::export::job::{self, Plan, Summary};
 use crate::export::mesh::{GridLimits, MeshKind};
@@ -21,7 +21,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
         let source = PhaseDirectory::open(&args.directory, calibration);
         return export(args, &source.map_err(|e| Failure::new(Exit::Corrupt, e))?);
     }
-    let source = PlyDirectory::open(&args.directory).map_err(|e| Failure::new(Exit::Usage, e))?;
+    let source = PlyDirectory::open(&args.directory).map_err(|e| unusable_clouds(&args.directory, e))?;
     export(args, &source)
 }
 
@@ -121,8 +121,12 @@ fn write_sequence(
 ) -> Result<Summary, Failure> {
     let session = match &args.session {
         None => None,
-        Some(path) => Some(SessionReader::open(path).map_err(|e| Failure::new(Exit::Usage, e))?),
+        Some(path) => Some(SessionReader::open(path)?),
     };
+    // Times are there as long as one node's recording is.
+    if let Some(session) = &session {
+        tell_lost(session.lost());
+    }
     let time_ns = |trigger: u64| {
         let told = session.as_ref().and_then(|session| host_time_ns(session, trigger));
         let by_index = (trigger as f64 * 1e9 / args.rate_hz).round() as u64;

@@ -1,7 +1,7 @@
 //! `fourdbody export` of a session: frames and times.
 
 use super::super::progress::Progress;
-use super::super::{Exit, Failure};
+use super::super::{Exit, Failure, tell_lost};
 use super::{Args, Target, chosen_cameras, chosen_triggers, stopped};
 use crate::export::frames::{self, FramePlan, FrameSummary, Picture};
 use crate::export::timing::{self, Rows};
@@ -17,7 +17,8 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     if args.mesh.is_some() || !args.clouds.is_empty() || args.quantize.is_some() {
         return Err(usage(&"--mesh, --clouds and --quantize are for clouds; a session has frames"));
     }
-    let session = SessionReader::open(&args.directory).map_err(|e| usage(&e))?;
+    let session = SessionReader::open(&args.directory)?;
+    let lost = tell_lost(session.lost());
     let triggers = chosen_triggers(args.triggers.as_ref(), session.triggers())?;
     let names: Vec<&str> = session.cameras().iter().map(CameraId::as_str).collect();
     let places = chosen_cameras(&args.cameras, &names)?;
@@ -43,8 +44,10 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     } else {
         None
     };
-    report(args, frames.as_ref(), rows);
-    let damaged = frames.as_ref().is_some_and(|frames| !frames.problems.is_empty())
+    report(args, &session, frames.as_ref(), rows);
+    // Whoever chose among the cameras asked for nothing else.
+    let damaged = (lost && args.cameras.is_empty())
+        || frames.as_ref().is_some_and(|frames| !frames.problems.is_empty())
         || rows.is_some_and(|rows| rows.damaged > 0);
     let missing =
         frames.as_ref().is_some_and(|frames| frames.gaps > 0) || rows.is_some_and(|rows| rows.gaps > 0);
@@ -74,12 +77,15 @@ fn write_timing(
     Ok(rows)
 }
 
-fn report(args: &Args, frames: Option<&FrameSummary>, rows: Option<Rows>) {
+fn report(args: &Args, session: &SessionReader, frames: Option<&FrameSummary>, rows: Option<Rows>) {
     for problem in frames.iter().flat_map(|frames| &frames.problems) {
         eprintln!("{problem}");
     }
     if args.json {
-        println!("{}", serde_json::json!({"frames": frames, "timing": rows}));
+        println!(
+            "{}",
+            serde_json::json!({"frames": frames, "timing": rows, "unreadable": session.unreadable()})
+        );
         return;
     }
     if let Some(frames) = frames {

@@ -8,8 +8,8 @@ use super::Damage;
 use crate::record::belonging::{Label, SessionMark};
 use crate::record::envelope::{Envelope, FRONT, parse_envelope, parse_envelope_of, pixels_crc};
 use crate::record::layout::{
-    ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_JSON, KEY_RECORDS,
-    NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
+    ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_LENGTH, KEY_JSON,
+    KEY_RECORDS, NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
 };
 use crate::record::metadata::{StatedHeader, is_sound, parse_header, parse_index};
 use crate::record::scan::{
@@ -22,6 +22,11 @@ use crc32fast::Hasher;
 use serde::Deserialize;
 use std::ops::Range;
 
+/// What it costs to look at something found once more, in bytes of the budget.
+const FOUND_BYTES: usize = 64;
+/// Why an index is not followed any further.
+const INDEXED_OVER_AND_OVER: &str =
+    "its indexes name the same bytes over and over: they are not followed any further";
 /// Damaged places beyond this many are counted as the last one.
 const MAX_DAMAGE: usize = 1000;
 
@@ -400,6 +405,13 @@ impl<'a> Scanner<'a> {
 
     /// The index knows the gap records, and frames whose way from record to record is damaged.
     fn index(&mut self, entries: &Entries) {
+        // A segment has one index. A file may name one over and over, and frames in it that lie over each other.
+        let length = entries.get(KEY_INDEX_LENGTH).and_then(|text| text.parse().ok()).unwrap_or(0);
+        self.look_at(self.file.len().min(length));
+        self.look_at(FOUND_BYTES * (self.found.frames.len() + self.found.gaps.len()));
+        if self.budget == 0 {
+            return self.damage(0..0, INDEXED_OVER_AND_OVER.to_owned());
+        }
         let Some(index) = parse_index(self.file, entries) else { return };
         let known: std::collections::BTreeSet<usize> =
             self.found.frames.iter().map(|frame| frame.message.start).collect();
@@ -413,6 +425,10 @@ impl<'a> Scanner<'a> {
                 continue;
             };
             if !known.contains(&offset) {
+                self.look_at(length.max(FOUND_BYTES));
+                if self.budget == 0 {
+                    return self.damage(0..0, INDEXED_OVER_AND_OVER.to_owned());
+                }
                 // What is wrong with it has been noted on the way, if it is not whole.
                 self.checked = false;
                 let _ = self.frame(offset..end);

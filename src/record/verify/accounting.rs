@@ -128,7 +128,7 @@ fn check_table(recording: &RecordingReader, triggers: u64, notes: &mut Notes) {
             let message = "no row in the HSU's trigger table";
             notes.add(Severity::Loss, None, None, Some((next, index - 1)), message);
         }
-        next = index + 1;
+        next = index.saturating_add(1);
     }
     for ((before, row), (index, next)) in table.iter().zip(table.iter().skip(1)) {
         if next.hsu_time_ns <= row.hsu_time_ns {

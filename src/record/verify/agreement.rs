@@ -124,12 +124,12 @@ pub fn note_absent(recordings: &[&RecordingReader], unreadable: &[&str], notes: 
         recordings.iter().any(|recording| recording.header.node.as_str() == node)
             || unreadable.contains(&node)
     };
+    let events = recordings.iter().flat_map(|recording| &recording.events);
+    let not_asked: BTreeSet<&str> =
+        events.filter(|event| event.kind == NOT_ASKED).map(|event| event.message.as_str()).collect();
     for node in rig.nodes().iter().filter(|node| !here(node.as_str())) {
         notes.node = node.to_string();
-        let not_asked = recordings.iter().any(|recording| {
-            recording.events.iter().any(|event| event.kind == NOT_ASKED && event.message == node.as_str())
-        });
-        let message = if not_asked {
+        let message = if not_asked.contains(node.as_str()) {
             "was not asked to take part: the session is of a part of the rig"
         } else {
             "its recording is not here; agreement was not checked"

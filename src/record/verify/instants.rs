@@ -35,6 +35,10 @@ pub type Times = BTreeMap<u64, Seen>;
 const NEAR: i64 = 100;
 /// A run is judged by parts of so many frames.
 const PART: usize = 64;
+/// A clock that was set more often than this is none: what it says behind that is not heard.
+const PIECES: usize = 1000;
+/// So many of them may be in force at a frame: more are no clock either, and would all be asked at each frame.
+const PIECES_IN_FORCE: usize = 16;
 /// So few frames in a row may have a wrong timestamp, if the ids on both sides say which triggers they are of.
 const PASSING: usize = 8;
 
@@ -56,7 +60,7 @@ struct Run {
 struct Camera<'a> {
     id: &'a CameraId,
     period_ns: i128,
-    of_hsu: Option<ClockFit>,
+    of_hsu: Option<&'a ClockFit>,
     /// The camera's clock, piece by piece where it was set, each with the host's time of its first and last exchange.
     of_camera: Vec<(ClockFit, u64, u64)>,
 }
@@ -64,7 +68,7 @@ struct Camera<'a> {
 impl Camera<'_> {
     /// When a trigger was fired, host clock, ns.
     fn fired_ns(&self, frame: &Frame) -> Option<i128> {
-        self.of_hsu.as_ref()?.host_from_device(frame.hsu_ns)
+        self.of_hsu?.host_from_device(frame.hsu_ns)
     }
 
     /// From the trigger to the arrival, ns.
@@ -79,8 +83,7 @@ impl Camera<'_> {
         let (Some(fired), camera_ns) = (self.fired_ns(frame), i128::from(frame.seen.camera_ns)) else {
             return Vec::new();
         };
-        let hsu_open =
-            self.of_hsu.as_ref().and_then(|fit| fit.uncertainty_ns(frame.hsu_ns)).unwrap_or(u64::MAX);
+        let hsu_open = self.of_hsu.and_then(|fit| fit.uncertainty_ns(frame.hsu_ns)).unwrap_or(u64::MAX);
         let in_force = self.of_camera.iter().filter(|(_, first, last)| {
             let host_ns = frame.seen.host_ns;
             if self.of_camera.len() == 1 {
@@ -94,6 +97,7 @@ impl Camera<'_> {
             (i128::from(open) < self.period_ns / 2)
                 .then_some((fit.host_from_device(camera_ns)? - fired, i128::from(open)))
         };
+        let in_force = in_force.take(PIECES_IN_FORCE);
         in_force.filter(|_| frame.seen.camera_ns != 0).filter_map(|(fit, ..)| delay(fit)).collect()
     }
 
@@ -143,20 +147,32 @@ fn middle(mut all: Vec<i128>) -> Option<i128> {
     all.get(all.len() / 2).copied()
 }
 
-/// The second witnesses of all frames of a camera.
-pub fn check(recording: &RecordingReader, camera: usize, times: &Times, notes: &mut Notes) {
-    let Some(id) = recording.header.cameras.get(camera).map(|camera| &camera.id) else { return };
+/// The second witnesses of all frames, by camera of the header.
+pub fn check(recording: &RecordingReader, times: &[Times], notes: &mut Notes) {
     if recording.header.hsu.is_none() {
         return;
     }
     let samples = |of: Option<&CameraId>| {
-        let of = of.cloned();
-        recording.clock_samples.iter().filter(move |sample| sample.camera == of).cloned().collect::<Vec<_>>()
+        recording.clock_samples.iter().filter(|sample| sample.camera.as_ref() == of).collect::<Vec<_>>()
     };
     let period_ns = (1e9 / recording.header.trigger_rate_hz) as i128;
     let of_hsu = pieces(&samples(None)).into_iter().next().map(|(fit, ..)| fit);
-    let witness = Camera { id, period_ns, of_hsu, of_camera: pieces(&samples(Some(id))) };
-    let warm_up = warm_up(recording, &witness);
+    let begin = Begin::of(recording);
+    for (camera, times) in recording.header.cameras.iter().zip(times) {
+        let of_camera = pieces(&samples(Some(&camera.id)));
+        let witness = Camera { id: &camera.id, period_ns, of_hsu: of_hsu.as_ref(), of_camera };
+        check_camera(recording, &witness, &begin, times, notes);
+    }
+}
+
+fn check_camera(
+    recording: &RecordingReader,
+    witness: &Camera<'_>,
+    begin: &Begin<'_>,
+    times: &Times,
+    notes: &mut Notes,
+) {
+    let warm_up = begin.warm_up(witness);
     let began = warm_up.len();
     let fired = |trigger: u64| Some(i128::from(recording.triggers.get(&TriggerIndex(trigger))?.hsu_time_ns));
     let recorded = times.iter().filter_map(|(&trigger, &seen)| {
@@ -165,7 +181,7 @@ pub fn check(recording: &RecordingReader, camera: usize, times: &Times, notes: &
     let frames: Vec<Frame> = warm_up.into_iter().chain(recorded).collect();
     let reference = &frames[..if began > 0 { began } else { frames.len().min(PART) }];
     if began == 0 {
-        check_assumed(&witness, &frames, notes);
+        check_assumed(witness, &frames, notes);
     }
     let delays = reference.iter().filter_map(|frame| witness.delays_ns(frame).first().map(|(ns, _)| *ns));
     let usual = Usual { delay: middle(delays.collect()), arrival: witness.usual_arrival(reference) };
@@ -173,11 +189,11 @@ pub fn check(recording: &RecordingReader, camera: usize, times: &Times, notes: &
     for (place, run) in runs.iter().enumerate() {
         let before = place.checked_sub(1).and_then(|place| runs[place].frames.last());
         let after = runs.get(place + 1).and_then(|run| run.frames.first());
-        if run.frames.len() <= PASSING && passes(&run.frames, before, after, &witness) {
+        if run.frames.len() <= PASSING && passes(&run.frames, before, after, witness) {
             continue;
         }
         for part in run.frames.chunks(PART) {
-            check_part(&witness, part, &usual, place == 0, notes);
+            check_part(witness, part, &usual, place == 0, notes);
         }
     }
 }
@@ -242,49 +258,72 @@ fn check_assumed(camera: &Camera<'_>, frames: &[Frame], notes: &mut Notes) {
     notes.add(Severity::Corrupt, None, Some(camera.id), range, message);
 }
 
-/// The frames of the warm-up, at the triggers that they are found to be of.
-fn warm_up(recording: &RecordingReader, camera: &Camera<'_>) -> Vec<Frame> {
-    let mut table = TriggerTable::default();
-    let mut seen = Vec::new();
-    for event in &recording.events {
-        match WarmUp::of(event) {
-            Some(WarmUp::Trigger { number, hsu_time_ns }) => table.insert(number, hsu_time_ns),
-            Some(WarmUp::Frame { block, camera_time_ns, host_time_ns })
-                if event.camera.as_ref() == Some(camera.id) =>
-            {
-                seen.push(Seen { block, camera_ns: camera_time_ns, host_ns: host_time_ns });
+/// What was seen in the warm-up, by any camera, and the triggers of it and behind it.
+struct Begin<'a> {
+    table: TriggerTable,
+    first: i64,
+    seen: BTreeMap<&'a CameraId, Vec<Seen>>,
+}
+
+impl<'a> Begin<'a> {
+    fn of(recording: &'a RecordingReader) -> Self {
+        let mut begin = Self { table: TriggerTable::default(), first: 0, seen: BTreeMap::new() };
+        for event in &recording.events {
+            match (WarmUp::of(event), &event.camera) {
+                (Some(WarmUp::Trigger { number, hsu_time_ns }), _) => begin.trigger(number, hsu_time_ns),
+                (Some(WarmUp::Frame { block, camera_time_ns, host_time_ns }), Some(camera)) => {
+                    let seen = Seen { block, camera_ns: camera_time_ns, host_ns: host_time_ns };
+                    begin.seen.entry(camera).or_default().push(seen);
+                }
+                _ => {}
             }
-            _ => {}
+        }
+        begin.first = begin.table.first();
+        for (index, row) in recording.triggers.iter().take(PART) {
+            if let Ok(number) = i64::try_from(index.0) {
+                begin.trigger(number, row.hsu_time_ns);
+            }
+        }
+        begin
+    }
+
+    /// The table fills holes with rows of its own: one that is far from all others is none, or each would cost a million.
+    fn trigger(&mut self, number: i64, hsu_ns: u64) {
+        let near = self.table.first().saturating_sub(NEAR)..=self.table.end().saturating_add(NEAR);
+        if self.table.is_empty() || near.contains(&number) {
+            self.table.insert(number, hsu_ns);
         }
     }
-    let first = table.first();
-    recording
-        .triggers
-        .iter()
-        .take(PART)
-        .for_each(|(index, row)| table.insert(index.0 as i64, row.hsu_time_ns));
-    let (Some(begin), Ok(period_ns)) = (seen.first().map(|seen| seen.block), u64::try_from(camera.period_ns))
-    else {
-        return Vec::new();
-    };
-    let (mut anchoring, ids) = (Anchoring::default(), BlockIds::default());
-    let count = |seen: &Seen| ids.between(begin, seen.block);
-    for seen in &seen {
-        let camera_ns = Some(seen.camera_ns).filter(|ns| *ns != 0);
-        let arrived_ns = camera.of_hsu.as_ref().and_then(|fit| fit.device_from_host(seen.host_ns.into()));
-        anchoring.add(Early { count: count(seen), camera_ns, arrived_ns });
+
+    /// The frames of a camera in the warm-up, at the triggers that they are found to be of.
+    fn warm_up(&self, camera: &Camera<'_>) -> Vec<Frame> {
+        let none = Vec::new();
+        let seen = self.seen.get(camera.id).unwrap_or(&none);
+        let (table, first) = (&self.table, self.first);
+        let (Some(begin), Ok(period_ns)) =
+            (seen.first().map(|seen| seen.block), u64::try_from(camera.period_ns))
+        else {
+            return Vec::new();
+        };
+        let (mut anchoring, ids) = (Anchoring::default(), BlockIds::default());
+        let count = |seen: &Seen| ids.between(begin, seen.block);
+        for seen in seen {
+            let camera_ns = Some(seen.camera_ns).filter(|ns| *ns != 0);
+            let arrived_ns = camera.of_hsu.and_then(|fit| fit.device_from_host(seen.host_ns.into()));
+            anchoring.add(Early { count: count(seen), camera_ns, arrived_ns });
+        }
+        let Some(place) = anchoring.place(first, table, period_ns) else { return Vec::new() };
+        let frame = |seen: &Seen| {
+            let number = count(seen).checked_add(place.offset)?;
+            Some(Frame { number, hsu_ns: table.time_ns(number)?.into(), seen: *seen })
+        };
+        seen.iter().filter_map(frame).collect()
     }
-    let Some(place) = anchoring.place(first, &table, period_ns) else { return Vec::new() };
-    let frame = |seen: &Seen| {
-        let number = count(seen).checked_add(place.offset)?;
-        Some(Frame { number, hsu_ns: table.time_ns(number)?.into(), seen: *seen })
-    };
-    seen.iter().filter_map(frame).collect()
 }
 
 /// A device's clock against the host's, from the recorded exchanges with it: in pieces, where it was set between two
 /// of them.
-fn pieces(samples: &[ClockSample]) -> Vec<(ClockFit, u64, u64)> {
+fn pieces(samples: &[&ClockSample]) -> Vec<(ClockFit, u64, u64)> {
     /// Rates differ by no more; and what an exchange may be wrong by beyond its round trip, ns.
     const DRIFT: i128 = 1_000;
     const SLACK_NS: i128 = 100_000;
@@ -301,6 +340,9 @@ fn pieces(samples: &[ClockSample]) -> Vec<(ClockFit, u64, u64)> {
             (device - host).abs() > open_ns(sample) + open_ns(last) + SLACK_NS + host.abs() / DRIFT
         });
         if set {
+            if pieces.len() == PIECES {
+                break;
+            }
             pieces.push((ClockFit::new(), sample.host_send_ns, sample.host_receive_ns));
         }
         if let Some((fit, _, end)) = pieces.last_mut() {
@@ -308,7 +350,7 @@ fn pieces(samples: &[ClockSample]) -> Vec<(ClockFit, u64, u64)> {
             fit.exchange(&Exchange { host_send_ns, host_receive_ns, device_ns: sample.device_time_ns });
             *end = sample.host_receive_ns;
         }
-        last = Some(sample);
+        last = Some(*sample);
     }
     pieces.retain(|(fit, ..)| fit.is_ready());
     pieces

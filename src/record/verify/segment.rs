@@ -32,9 +32,7 @@ pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u
             all.extend(some);
         }
     }
-    for (camera, times) in times.iter().enumerate() {
-        instants::check(recording, camera, times, notes);
-    }
+    instants::check(recording, &times, notes);
 }
 
 fn check_segment(
