@@ -2,6 +2,7 @@
 //!
 //! Strict like the product's own files: unknown keys are refused, all problems are reported at once.
 
+use crate::scene::mannequin;
 use crate::scene::motion::Motion;
 use crate::scene::torso::{Section as BodySection, Torso};
 use fourdbody::config::{ConfigError, Problem, Section};
@@ -76,6 +77,8 @@ pub enum Subject {
         position_m: [f64; 2],
         /// Which way it faces from world +x (head h0), towards +y.
         heading_deg: f64,
+        /// How tall it stands, m: all of it is larger or smaller.
+        height_m: f64,
         /// Resolution of its surface.
         cell_mm: f64,
         /// Relative amplitude of the skin's texture.
@@ -328,6 +331,7 @@ fn read_subject(section: Section<'_>, directory: &Path) -> Subject {
             start: section.number_or("start", 0.0..=1.0, 0.0),
             position_m: section.vector_or("position_m", [0.0; 2]),
             heading_deg: section.number_or("heading_deg", -360.0..=360.0, 0.0),
+            height_m: section.number_or("height_m", 0.5..=2.3, mannequin::HEIGHT_M),
             cell_mm: section.number_or("cell_mm", 1.0..=50.0, 6.0),
             texture: section.number_or("texture", 0.0..=0.5, 0.04),
         },
@@ -466,7 +470,7 @@ mod tests {
             let scenario = Scenario::load(&shipped(name)).unwrap_or_else(|e| panic!("{e}"));
             assert!(scenario.rig.exists(), "{name}: {}", scenario.rig.display());
         }
-        for battery in ["poses", "held_out"] {
+        for battery in ["poses", "held_out", "bodies"] {
             let poses =
                 shipped(battery).read_dir().expect("a directory").map(|pose| pose.expect("an entry").path());
             let poses: Vec<Scenario> =

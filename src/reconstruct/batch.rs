@@ -18,24 +18,21 @@
 
 use super::collect::remove_leftovers;
 use super::dashes::Dashes;
-use super::dump;
 use super::fringe_order::{self, View};
 use super::key::{Key, KeyError};
 use super::outcome::WHY_ELSEWHERE;
 use super::pair::Pair;
-use super::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
+use super::pipeline::{Method, Pipeline, Prepared, Reconstruction};
 use super::source::{Frame, FrameSource};
 use super::stored::{self, phase_path};
 use super::triangulate::Triangulator;
 use crate::calibrate::Calibration;
 use crate::export::merge::{self, Viewpoint};
-use crate::export::phase_file::{self, Statement};
 use crate::export::{Cloud, ply};
 use crate::ids::{CameraId, TriggerIndex};
 use crate::image::Mono8;
 use crate::time::process_cpu_time;
 use rayon::prelude::*;
-use std::borrow::Cow;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -43,6 +40,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 mod finished;
+mod written;
 
 pub use super::summary::{FrameSummary, Summary, TriggerSummary};
 pub use super::timings::Timings;
@@ -458,23 +456,6 @@ impl Job<'_> {
         self.heads.iter().flatten().map(|camera| &camera.id)
     }
 
-    fn comments(&self, trigger: u64, frames: &str) -> Vec<String> {
-        vec![
-            format!("fourdbody {}", env!("CARGO_PKG_VERSION")),
-            format!("parameters {}", self.parameters),
-            format!("calibration {}: {}", self.calibration.rig, self.calibration.origin),
-            format!("trigger {trigger}"),
-            frames.to_owned(),
-        ]
-    }
-
-    fn merged_comments(&self, trigger: u64, frames: &str) -> Vec<String> {
-        let mut comments = self.comments(trigger, frames);
-        let names = self.heads.iter().flatten().map(|c| format!("{}={}", c.number, c.id));
-        comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
-        comments
-    }
-
     /// The frame on its way, and the checksum of its pixels.
     fn prepare(&self, camera: &Camera, trigger: u64) -> (Stage, Pixels) {
         let began = Instant::now();
@@ -500,89 +481,6 @@ impl Job<'_> {
             }
         };
         (stage, Ok(frame.pixels_crc()))
-    }
-
-    /// Writes a cloud, and the maps where they are asked for.
-    fn save(
-        &self,
-        camera: &Camera,
-        trigger: u64,
-        result: Reconstruction,
-        frames: &str,
-    ) -> Result<(FrameSummary, Cloud), String> {
-        let id = &camera.id;
-        if let (Some(folder), Some(maps)) = (&self.plan.maps, &result.maps) {
-            dump::write(folder, &format!("{id}_{trigger:06}"), maps)
-                .map_err(|e| format!("{}: {e}", folder.display()))?;
-        }
-        let mut comments = self.comments(trigger, frames);
-        comments.push(format!("camera {id}"));
-        comments.push(camera.viewpoint.comment());
-        comments.push(together(self.cameras()));
-        comments.push(format!("unresolved_px {}", result.counts.refused));
-        let marker_offset_px = result.counts.dashes.offset_px;
-        comments.extend(marker_offset_px.map(|offset| format!("marker_offset_px {offset}")));
-        let (outcome, reason) = match &result.outcome {
-            Outcome::Cloud => ("cloud", None),
-            Outcome::Refused(reason) => ("refused", Some(reason.clone())),
-        };
-        comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
-        if !self.plan.discard {
-            for &format in &self.plan.formats {
-                match format {
-                    Format::Ply => self.write_cloud(camera, trigger, &result.cloud, &comments)?,
-                    Format::Phase => {
-                        let comments = [comments.clone(), self.merged_comments(trigger, frames)];
-                        self.write_map(camera, trigger, &result, comments)?;
-                    }
-                }
-            }
-        }
-        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        timings.add(&result.stages);
-        let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
-        let (camera, outcome) = (id.clone(), outcome.into());
-        let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, marker_offset_px };
-        let cloud = if self.plan.merges() { result.cloud } else { Cloud::default() };
-        Ok((summary, cloud))
-    }
-
-    fn write_cloud(
-        &self,
-        camera: &Camera,
-        trigger: u64,
-        cloud: &Cloud,
-        comments: &[String],
-    ) -> Result<(), String> {
-        let path = self.frame_path(camera, trigger, Format::Ply);
-        ply::save(&path, cloud, comments).map_err(|e| format!("{}: {e}", path.display()))
-    }
-
-    fn write_map(
-        &self,
-        camera: &Camera,
-        trigger: u64,
-        result: &Reconstruction,
-        [comments, merged_comments]: [Vec<String>; 2],
-    ) -> Result<(), String> {
-        let path = self.frame_path(camera, trigger, Format::Phase);
-        let mut map = Cow::Borrowed(&result.phase);
-        if map.runs.is_empty() {
-            // A frame refused before it was looked at closely.
-            map.to_mut().frame = camera.pipeline.frame().map(|x| x as u16);
-        }
-        let (geometry_sha256, volume_m) = self.calibration_statement.clone();
-        let statement = Statement {
-            camera: camera.id.to_string(),
-            trigger,
-            time_ns: self.source.trigger_time_ns(TriggerIndex(trigger)),
-            geometry_sha256,
-            volume_m,
-            points: result.cloud.len(),
-            comments,
-            merged_comments,
-        };
-        phase_file::save(&path, &statement, &map).map_err(|e| format!("{}: {e}", path.display()))
     }
 
     /// A trigger of which everything is there, which only headers are read for.

@@ -46,7 +46,7 @@ impl Store {
         command.args(["cluster", "submit", "s3://lab/sessions/walk", "--store", "s3://lab/results/walk"]);
         command.arg("--out").arg(&out).arg("--calibration").arg(&calibration);
         self.tell(&mut command);
-        let done = command.args(["--tasks", "3", "--dry-run"]).output().expect("starts");
+        let done = command.args(["--format", "ply", "--tasks", "3", "--dry-run"]).output().expect("starts");
         assert_eq!(done.status.code(), Some(0), "{}", text(&done));
         assert!(!out.exists(), "a dry run wrote {}", out.display());
     }

@@ -21,6 +21,14 @@ impl Mesh {
         self.triangles[t].map(|vertex| self.positions[vertex as usize])
     }
 
+    /// Makes it so many times as large, about a point of the floor, m.
+    pub fn scale(&mut self, [x, y]: [f64; 2], times: f64) {
+        let about = [x as f32, y as f32, 0.0];
+        for position in &mut self.positions {
+            *position = std::array::from_fn(|i| about[i] + times as f32 * (position[i] - about[i]));
+        }
+    }
+
     /// Enclosed volume, m3 (divergence theorem); meaningful for closed meshes only.
     pub fn volume(&self) -> f64 {
         let tetrahedron = |t: usize| {

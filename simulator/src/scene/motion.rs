@@ -22,11 +22,15 @@ pub enum Motion {
     HandsOnHips,
     /// Bends forwards from the hips, arms hanging, and straightens up again.
     Bend,
+    /// Squats until the thighs are level, arms to the front, and rises again.
+    Squat,
+    /// Both hands a little before the face, elbows in front of the chest.
+    HandsAtFace,
 }
 
 impl Motion {
     /// All motions by their names in scenarios.
-    pub const NAMES: [(&'static str, Self); 7] = [
+    pub const NAMES: [(&'static str, Self); 9] = [
         ("stand", Self::Stand),
         ("arm_raise", Self::ArmRaise),
         ("walk_in_place", Self::WalkInPlace),
@@ -34,6 +38,8 @@ impl Motion {
         ("arms_crossed", Self::ArmsCrossed),
         ("hands_on_hips", Self::HandsOnHips),
         ("bend", Self::Bend),
+        ("squat", Self::Squat),
+        ("hands_at_face", Self::HandsAtFace),
     ];
 
     /// The posture at `cycles` repetitions (0: the beginning, 1: the same again).
@@ -66,6 +72,8 @@ impl Motion {
             Self::ArmsCrossed => cross_arms(&mut posture, swing),
             Self::HandsOnHips => rest_hands(&mut posture, swing),
             Self::Bend => bend(&mut posture, rise),
+            Self::Squat => squat(&mut posture, rise),
+            Self::HandsAtFace => lift_hands(&mut posture, swing),
         }
         posture
     }
@@ -151,4 +159,35 @@ fn bend(posture: &mut Posture, rise: f64) {
     forward(posture, Bone::UpperArmL, 1.1 * total);
     forward(posture, Bone::UpperArmR, 1.1 * total);
     bend_elbows(posture, 12.0);
+}
+
+fn squat(posture: &mut Posture, rise: f64) {
+    // The trunk leans to the front, the knees lie before the feet, and the feet stay level.
+    let (lean, hips, knees) = (25.0 * rise, 120.0 * rise, 115.0 * rise);
+    forward(posture, Bone::Pelvis, -lean);
+    for (side, thigh, shank, foot) in
+        [(1.0, Bone::ThighL, Bone::ShankL, Bone::FootL), (-1.0, Bone::ThighR, Bone::ShankR, Bone::FootR)]
+    {
+        posture.turn(thigh, Vector3::z(), side * (12.0 * rise).to_radians());
+        forward(posture, thigh, hips);
+        forward(posture, shank, -knees);
+        forward(posture, foot, lean - hips + knees);
+    }
+    forward(posture, Bone::Spine, -8.0 * rise);
+    forward(posture, Bone::Head, 14.0 * rise);
+    spread_arms(posture, 12.0);
+    forward(posture, Bone::UpperArmL, 15.0 + 65.0 * rise);
+    forward(posture, Bone::UpperArmR, 15.0 + 65.0 * rise);
+    bend_elbows(posture, 15.0 + 15.0 * rise);
+}
+
+fn lift_hands(posture: &mut Posture, swing: f64) {
+    for (side, arm, forearm) in
+        [(1.0, Bone::UpperArmL, Bone::ForearmL), (-1.0, Bone::UpperArmR, Bone::ForearmR)]
+    {
+        posture.turn(arm, Vector3::z(), -side * 25f64.to_radians());
+        forward(posture, arm, 62.0 + 2.0 * swing);
+        forward(posture, forearm, 124.0 + 3.0 * swing);
+    }
+    forward(posture, Bone::Head, -3.0);
 }

@@ -1,6 +1,6 @@
 //! The scenario's subject as a scene at any time.
 
-use super::mannequin::Mannequin;
+use super::mannequin::{HEIGHT_M, Mannequin};
 use super::torso::Girth;
 use super::{Cylinder, MeshSolid, Rectangle, Scene, Solid, Sphere, mesh_file};
 use crate::scenario::{FlatPose, Subject};
@@ -36,10 +36,21 @@ impl Stage {
     pub fn scene(&self, instant: usize, offset_s: f64) -> Result<Scene, mesh_file::MeshError> {
         let time_s = instant as f64 / self.rate_hz + offset_s;
         Ok(Scene::of(match &self.subject {
-            Subject::Mannequin { motion, period_s, start, position_m, heading_deg, cell_mm, texture } => {
+            Subject::Mannequin {
+                motion,
+                period_s,
+                start,
+                position_m,
+                heading_deg,
+                height_m,
+                cell_mm,
+                texture,
+            } => {
                 let cycles = start + time_s / period_s;
                 let body = Mannequin::new(*motion, cycles, *position_m, heading_deg.to_radians());
-                Solid::Mesh(MeshSolid::new(body.mesh(cell_mm / 1000.0, *texture)))
+                let mut mesh = body.mesh(cell_mm / 1000.0, *texture);
+                mesh.scale(*position_m, height_m / HEIGHT_M);
+                Solid::Mesh(MeshSolid::new(mesh))
             }
             Subject::Flat { plate_m, black, back, .. } => {
                 let world_from_board = self.flat_pose(instant, offset_s).unwrap_or_else(Isometry3::identity);
