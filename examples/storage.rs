@@ -2,7 +2,7 @@
 //! cache. Least of many runs on one thread.
 //!
 //! ```text
-//! fourdbody reconstruct SESSION --calibration FILE --out DIR --format phase
+//! fourdbody reconstruct SESSION --calibration FILE --out DIR
 //! cargo run --release --example storage -- DIR FILE
 //! ```
 

@@ -102,11 +102,12 @@ pub(super) struct What {
     /// Refuse points whose fringe order leads any other by less: more is refused, and less is wrong (docs/validation.md has the curve).
     #[arg(long, value_name = "T", default_value_t = fringe_order::MARGIN, value_parser = parse_margin)]
     margin: f32,
-    /// Make one row of so many: half the time at half the rows with 2, and a quarter with 4.
+    /// Make one row of so many, for a part of the time: 2 keeps the surface, 4 loses much of it (docs/design/reconstruction.md, Fewer
+    /// rows).
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_bin_rows)]
     bin_rows: usize,
     /// What to write, separated by commas: `phase` maps in phases/, which all other commands read; `ply` point clouds in clouds/ and
-    /// merged/, with sequence.mcap, twenty times the bytes. `fourdbody export` makes the very same clouds of phase maps.
+    /// merged/, with sequence.mcap, sixty times the bytes. `fourdbody export` makes the very same clouds of phase maps.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "phase", value_name = "FORMAT,...")]
     format: Vec<FormatName>,
     /// Give every point its standard uncertainty along the line of sight, `sigma` (float, metres) in PLY files.

@@ -78,9 +78,7 @@ pub enum PhaseFileError {
         source: io::Error,
     },
     /// The file is not a phase map of this version, or is damaged.
-    #[error(
-        "{path}: {reason}; expected a phase map as `fourdbody reconstruct --format phase` writes it: make it again"
-    )]
+    #[error("{path}: {reason}; expected a phase map as `fourdbody reconstruct` writes it: make it again")]
     Format {
         /// The file.
         path: PathBuf,

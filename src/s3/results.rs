@@ -1,6 +1,7 @@
 //! Results in the store: what is finished comes first, what is made goes back while the work goes on.
 
 use super::remote::{Object, Remote};
+use crate::reconstruct::key::COMMON_FILES;
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
 use std::fs::Metadata;
@@ -10,9 +11,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
-
-/// What a result is made of: it is in the store before any other file (`reconstruct::key`).
-use crate::reconstruct::key::COMMON_FILES;
 
 /// Folders of files that belong to a trigger each, and how their names end.
 const FOLDERS: [(&str, &str); 3] = [("clouds", ".ply"), ("merged", ".ply"), ("phases", ".phase")];
@@ -101,6 +99,7 @@ impl Drop for Uploader {
 impl Files {
     /// Names of all finished files: what is being written has another ending.
     fn finished(&self) -> Vec<(String, (u64, i64, i64))> {
+        // First: they are in the store before any other file.
         let common = COMMON_FILES.into_iter().filter_map(|name| {
             let metadata = self.out.join(name).metadata().ok()?;
             Some((name.to_owned(), identity(&metadata)))

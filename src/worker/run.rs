@@ -410,9 +410,9 @@ fn keep_calibration(from: &Path, to: &Path) -> Result<(), String> {
 /// deleted.
 fn earlier_apart(dir: &Path, calibration: &Path, output: Output) -> Result<(), String> {
     let Some(key) = Key::load(dir)? else { return Ok(()) };
-    let calibration = Calibration::load(calibration).map_err(|e| e.to_string())?;
-    let wanted = (ALGORITHM, calibration_sha256(&calibration)?, output.as_str());
-    if (key.algorithm, key.calibration_sha256, key.format.as_str()) == wanted {
+    let wanted = Calibration::load(calibration).map_err(|e| e.to_string())?;
+    let is_theirs = key.calibration_sha256 == calibration_sha256(&wanted)?;
+    if is_theirs && (key.algorithm, key.format.as_str()) == (ALGORITHM, output.as_str()) {
         return Ok(());
     }
     let failed = |path: &Path, e: std::io::Error| format!("{}: {e}", path.display());
@@ -420,8 +420,10 @@ fn earlier_apart(dir: &Path, calibration: &Path, output: Output) -> Result<(), S
     let apart = apart.ok_or("no name is left for earlier results")?;
     std::fs::create_dir(&apart).map_err(|e| failed(&apart, e))?;
     tracing::warn!("results of another calibration, algorithm or output are put aside: {}", apart.display());
-    let there = dir.join(CALIBRATION_FILE);
-    std::fs::copy(&there, apart.join(CALIBRATION_FILE)).map_err(|e| failed(&there, e))?;
+    // They are read with what lies beside them, which must be theirs.
+    if is_theirs {
+        std::fs::copy(calibration, apart.join(CALIBRATION_FILE)).map_err(|e| failed(calibration, e))?;
+    }
     // The key comes last: while it is there, the rest is found again.
     for name in ["clouds", "merged", "phases", "sequence.mcap", "summary.json", KEY_FILE] {
         let from = dir.join(name);

@@ -228,9 +228,14 @@ fn a_result_is_read_as_it_is_whatever_is_stored_of_it() {
     }
     // A calibration that is not the one of the maps is not read with them, and not written over.
     let text = std::fs::read_to_string(phases.join("calibration.json")).expect("beside the maps");
-    std::fs::write(phases.join("calibration.json"), text.replace('1', "2")).expect("writable");
-    refused(&run(&["view"], &[("", &phases), ("--out", &picture)]), 4, &["calibration.json"]);
-    refused(&reconstruct(&place, &session, &phases, &["--format", "phase"]), 2, &["calibration.json", "--out"]);
+    std::fs::write(phases.join("calibration.json"), text.replace("\"origin\": \"", "\"origin\": \"not "))
+        .expect("writable");
+    refused(&run(&["view"], &[("", &phases), ("--out", &picture)]), 4, &["calibration.json", "sha256"]);
+    refused(
+        &reconstruct(&place, &session, &phases, &["--format", "phase"]),
+        2,
+        &["calibration.json", "sha256", "--out"],
+    );
 }
 
 #[test]
@@ -244,9 +249,10 @@ fn rows_that_are_binned_give_less_points_of_the_same_surface() {
         score(&out)
     };
     let (whole_mm, whole) = of("1");
-    for (rows, times) in [("2", 2.0), ("4", 4.0)] {
+    // Twenty rows of the photograph are averaged with 4.
+    for (rows, times, coarser) in [("2", 2.0, 1.2), ("4", 4.0, 1.5)] {
         let (robust_mm, points) = of(rows);
-        assert!(robust_mm < 1.5 * whole_mm, "{rows}: {robust_mm} mm, {whole_mm} mm of all rows");
+        assert!(robust_mm < coarser * whole_mm, "{rows}: {robust_mm} mm, {whole_mm} mm of all rows");
         assert!((times * points / whole - 1.0).abs() < 0.1, "{rows}: {points} points of {whole}");
     }
     refused(&reconstruct(&place, &images, &place.path("many"), &["--bin-rows", "5"]), 2, &["1 to 4"]);
