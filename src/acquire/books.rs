@@ -42,6 +42,8 @@ struct Lane {
     /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
     given_up: u64,
     given_up_now: u64,
+    /// When its clock was last asked for, at this point of [`Books::awake`].
+    asked: Option<Duration>,
     breaches: Breaches,
 }
 
@@ -84,6 +86,8 @@ pub(super) struct Books {
 
 /// A turn that took longer did not work for all of it.
 const LONGEST_TURN: Duration = TICK.saturating_mul(2);
+/// So long readings of a camera's clock that were asked for may take.
+const CLOCK_PATIENCE: Duration = Duration::from_millis(10);
 /// So long a frame waits for its report even if there are more waiting than should be: they may have come at once.
 const BURST_PATIENCE: Duration = Duration::from_millis(25);
 
@@ -110,6 +114,7 @@ impl Books {
             unconfirmed: 0,
             given_up: 0,
             given_up_now: 0,
+            asked: None,
             breaches: Breaches::default(),
         };
         Self {
@@ -272,7 +277,10 @@ impl Books {
                 self.infer_trigger(camera, &seen);
             }
             let lane = &mut self.lanes[camera];
-            match lane.matcher.assign(&seen, &followers[..count], &self.table, &self.hsu, last_call) {
+            let answer = lane.matcher.assign(&seen, &followers[..count], &self.table, &self.hsu, last_call);
+            self.ask_clock(camera);
+            let lane = &mut self.lanes[camera];
+            match answer {
                 Match::Wait => return lane.pending.push_front(Pending { arrival, since }),
                 Match::Undecided => self.give_up(&arrival),
                 Match::Trigger(matched) => self.settle(matched, arrival),
@@ -286,6 +294,16 @@ impl Books {
                     self.note(camera, "repeated_frame", None, text);
                 }
             }
+        }
+    }
+
+    /// Asks for readings of a camera's clock where a frame waits for them, and once more where they do not come.
+    fn ask_clock(&mut self, camera: usize) {
+        let lane = &mut self.lanes[camera];
+        let again = lane.asked.is_none_or(|asked| self.awake > asked + CLOCK_PATIENCE);
+        if again && lane.matcher.takes_clock_wish() {
+            lane.asked = Some(self.awake);
+            drop(self.events.send(FromRecorder::Doubtful { camera }));
         }
     }
 

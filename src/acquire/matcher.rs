@@ -6,8 +6,9 @@
 //!   after a trigger a camera stamps is measured in the warm-up.
 //! * The **arrival** on the host errs towards late only; how late it usually is, is measured likewise.
 //!
-//! A frame is filed where two of them agree. Where id and timestamp disagree, the frames behind it say what happened
-//! ([`contradiction`]); where nothing says so, the frame is given up, never guessed.
+//! A frame is filed where two of them agree. Where id and timestamp disagree, the frames behind it and a reading of the
+//! camera's clock ([`reading`]) say what happened ([`contradiction`]); where nothing says so, the frame is given up,
+//! never guessed.
 
 use super::block_ids::BlockIds;
 use super::clock::{ClockFit, Exchange, Judged};
@@ -15,9 +16,11 @@ use super::relation::{Latency, Tracker};
 use super::trigger_table::{Schedule, TriggerTable};
 use crate::ids::BlockId;
 use anchor::{Anchoring, Early};
+use reading::{CameraClock, LATE_PERIODS};
 
 pub mod anchor;
 mod contradiction;
+mod reading;
 mod rejoin;
 mod sighting;
 
@@ -64,10 +67,8 @@ enum Stage {
 pub struct Matcher {
     start: Start,
     stage: Stage,
-    camera: ClockFit,
+    clock: CameraClock,
     tracker: Option<Tracker>,
-    /// From a trigger to its frame's timestamp, ns, by the clock's fit: measured once.
-    stamp_delay_ns: Option<i128>,
     latency: Latency,
     ids: BlockIds,
     /// The trigger that the last id taken stands for.
@@ -80,6 +81,8 @@ pub struct Matcher {
     doubt: u32,
     /// The trigger that a given-up frame's arrival named.
     arrived: Option<(BlockId, i64)>,
+    /// What happened to ids and clock could not be told: that they agree with each other proves nothing.
+    unsettled: bool,
 }
 
 /// A frame, and all there is to judge it by.
@@ -103,12 +106,12 @@ impl Matcher {
 
     /// Before the session.
     pub fn new(start: Start) -> Self {
+        let period_ns = start.period_ns.max(16);
         Self {
-            start: Start { period_ns: start.period_ns.max(16), ..start },
+            start: Start { period_ns, ..start },
             stage: Stage::Beginning(Anchoring::default(), None),
-            camera: ClockFit::new(),
+            clock: CameraClock::new(period_ns),
             tracker: None,
-            stamp_delay_ns: None,
             latency: Latency::default(),
             ids: BlockIds::default(),
             base: 0,
@@ -117,26 +120,33 @@ impl Matcher {
             given_up: 0,
             doubt: 0,
             arrived: None,
+            unsettled: false,
         }
     }
 
     /// Takes an exchange with the camera's clock into account. What it says of a clock that was set anew is believed
-    /// of a stream that is looked for; otherwise the frames themselves must show it.
+    /// of frames that are in doubt.
     pub fn clock_sample(&mut self, exchange: &Exchange) -> Judged {
-        self.camera.exchange(exchange)
+        self.clock.exchange(exchange)
+    }
+
+    /// Whether a frame waits for a reading of the camera's clock, since it was asked last.
+    pub fn takes_clock_wish(&mut self) -> bool {
+        self.clock.takes_wish()
     }
 
     /// The camera's clock against the host's.
     pub fn clock(&self) -> &ClockFit {
-        &self.camera
+        &self.clock.fit
     }
 
     /// The camera is back with a fresh stream: ids begin anew, its clock may have been set. How long it takes to stamp
     /// a frame and to send it stays.
     pub fn restart(&mut self, train_began: bool) {
-        self.camera = ClockFit::new();
+        self.clock.restart();
         self.ids = BlockIds::default();
         self.lost_before = 0;
+        self.unsettled = false;
         self.stage = match train_began {
             true => Stage::Lost(rejoin::Rejoin { before: self.tracker.take() }),
             false => Stage::Beginning(Anchoring::default(), None),
@@ -165,6 +175,7 @@ impl Matcher {
         hsu: &ClockFit,
         last_call: bool,
     ) -> Match {
+        self.clock.measure(hsu);
         let step = self.ids.step(frame.id);
         if self.is_repeated(frame, step) {
             return Match::Repeated;
@@ -221,7 +232,7 @@ impl Matcher {
         let settled = place.filter(|place| place.confirmed || number >= 0);
         if let Some(place) = settled {
             let anchoring = std::mem::take(anchoring);
-            self.settle(&anchoring, place, table, hsu);
+            self.settle(&anchoring, place, table);
             let witness = if place.confirmed { Witness::Two } else { Witness::One };
             (self.base, self.stage) = (number, Stage::Known);
             self.last = Some(Last { number, camera_ns: frame.camera_ns });
@@ -237,20 +248,17 @@ impl Matcher {
         Match::Trigger(Matched { number, witness: Witness::Two, lost: 0, ignored: 0, finding: None })
     }
 
-    /// Learns from the warm-up how the camera's clock runs, and how long its stamps and its frames take.
-    fn settle(&mut self, anchoring: &Anchoring, place: anchor::Place, table: &TriggerTable, hsu: &ClockFit) {
-        let mut delays = Vec::new();
+    /// Learns from the warm-up how the camera's clock runs, and how long its frames take to arrive.
+    fn settle(&mut self, anchoring: &Anchoring, place: anchor::Place, table: &TriggerTable) {
         for (_, due, frame) in anchoring.explained(place, table, self.start.period_ns) {
             if let Some(camera_ns) = frame.camera_ns.filter(|_| anchoring.has_stamps()) {
                 Tracker::learn(&mut self.tracker, due, camera_ns);
-                delays.extend(self.by_fits(camera_ns, hsu).map(|ns| ns - i128::from(due)));
             }
             if let Some(arrived) = frame.arrived_ns {
                 self.latency.follow(arrived - i128::from(due));
             }
         }
-        delays.sort_unstable();
-        self.stamp_delay_ns = delays.get(delays.len() / 2).copied();
+        self.clock.ask();
     }
 
     /// A frame that arrived whole, of a stream whose ids count from a known trigger.
@@ -260,20 +268,39 @@ impl Matcher {
             return Match::Wait;
         }
         let Some(tracker) = self.tracker else { return self.by_arrivals(case) };
-        let exposed = case.frame.camera_ns.map(|camera_ns| self.triggered_ns(&tracker, camera_ns, case.hsu));
+        let exposed = self.triggered_ns(&tracker, case.frame, case.hsu);
         let agrees = |(exposed, due): (i128, u64)| (exposed - i128::from(due)).abs() <= self.near_ns();
-        let refuted = |due: u64| {
-            let half = i128::from(self.start.period_ns / 2);
-            let untimely =
-                self.doubt > 0 && self.late_ns(case.frame, due, case.hsu).is_some_and(|ns| ns.abs() > half);
-            untimely || self.precedes(case.frame, due, case.hsu)
-        };
-        if exposed.zip(due).is_some_and(agrees) && !due.is_some_and(refuted) && self.is_fresh(case.by_id) {
+        let agree = exposed.zip(due).is_some_and(agrees);
+        if agree && self.unsettled && self.awaits_reading(case) {
+            return Match::Wait;
+        }
+        if agree && self.is_fresh(case.by_id) && !self.is_refuted(case, due) && self.is_settled(case) {
             self.doubt = self.doubt.saturating_sub(1);
             return self.accept(case, case.by_id, Witness::Two, None);
         }
         self.doubt = DOUBT;
         self.contradiction(case, exposed)
+    }
+
+    /// Whether the arrival speaks against a frame's id and clock: in a doubtful time it must be in time.
+    fn is_refuted(&self, case: &Case<'_>, due: Option<u64>) -> bool {
+        let Some(due) = due else { return false };
+        let half = i128::from(self.start.period_ns / 2);
+        let late = || self.late_ns(case.frame, due, case.hsu);
+        (self.doubt > 0 && late().is_some_and(|ns| ns.abs() > half))
+            || self.precedes(case.frame, due, case.hsu)
+    }
+
+    /// Whether id and clock may be believed where they agree: nothing unexplained has happened to them since the last
+    /// frame, or else the clock's readings or the arrival confirm them.
+    fn is_settled(&self, case: &Case<'_>) -> bool {
+        let half = i128::from(self.start.period_ns / 2);
+        let late = || self.late_ns(case.frame, case.table.time_ns(case.by_id)?, case.hsu);
+        !self.unsettled
+            || match self.clock.read_fired_ns(case.frame, case.hsu) {
+                Some(_) => self.read_trigger(case, case.frame) == Some(case.by_id),
+                None => late().is_some_and(|ns| ns.abs() <= half),
+            }
     }
 
     /// Parts of a frame: no pixels are recorded of it, and its id says which frame is missing.
@@ -311,22 +338,27 @@ impl Matcher {
 
     /// When a frame's trigger was fired by its timestamp, HSU time: by the frames before it, or where these are long
     /// ago, by the clock's fit.
-    fn triggered_ns(&self, tracker: &Tracker, camera_ns: u64, hsu: &ClockFit) -> i128 {
-        let tracked = tracker.hsu_ns(camera_ns);
+    fn triggered_ns(&self, tracker: &Tracker, frame: &Sighting, hsu: &ClockFit) -> Option<i128> {
+        let tracked = tracker.hsu_ns(frame.camera_ns?);
         if (tracked - tracker.last_hsu_ns()).abs() <= TRACKER_REACH_NS {
-            return tracked;
+            return Some(tracked);
         }
-        let fitted = self.by_fits(camera_ns, hsu).zip(self.stamp_delay_ns).map(|(ns, delay)| ns - delay);
-        fitted.unwrap_or(tracked)
+        self.clock.fired_ns(frame, hsu).or(Some(tracked))
     }
 
-    /// HSU time of a timestamp by the clock exchanges alone, where they are sure enough.
-    fn by_fits(&self, camera_ns: u64, hsu: &ClockFit) -> Option<i128> {
-        let host_ns = self.camera.host_from_device(camera_ns.into())?;
-        let hsu_ns = hsu.device_from_host(host_ns)?;
-        let unsure =
-            self.camera.uncertainty_ns(camera_ns.into())?.saturating_add(hsu.uncertainty_ns(hsu_ns)?);
-        (unsure < self.start.period_ns / 4).then_some(hsu_ns)
+    /// Whether a reading of the camera's clock is still to be had for this frame; if so it is asked for.
+    fn awaits_reading(&mut self, case: &Case<'_>) -> bool {
+        !case.last_call && self.clock.awaits(case.frame, case.hsu)
+    }
+
+    /// The reported trigger of a timestamp by readings of the camera's clock, if the frame can have come from there.
+    fn read_trigger(&self, case: &Case<'_>, frame: &Sighting) -> Option<i64> {
+        let period_ns = i128::from(self.start.period_ns);
+        let (number, residual) = case.table.nearest(self.clock.fired_ns(frame, case.hsu)?)?;
+        let due = case.table.time_ns(number).filter(|_| case.table.is_reported(number))?;
+        let late = self.arrived_ns(frame.host_ns, case.hsu)? - i128::from(due);
+        let possible = (-period_ns / 8..=i128::from(LATE_PERIODS) * period_ns).contains(&late);
+        (possible && residual.abs() <= period_ns / 4).then_some(number)
     }
 
     /// When a frame arrived, HSU time.
@@ -356,17 +388,23 @@ impl Matcher {
         }
     }
 
+    fn learn_latency(&mut self, case: &Case<'_>, number: i64) {
+        let due = case.table.time_ns(number).filter(|_| case.table.is_reported(number));
+        if let Some((due, arrived)) = due.zip(self.arrived_ns(case.frame.host_ns, case.hsu)) {
+            self.latency.follow(arrived - i128::from(due));
+        }
+    }
+
     fn accept(&mut self, case: &Case<'_>, number: i64, witness: Witness, finding: Option<Finding>) -> Match {
-        let Case { frame, table, hsu, .. } = *case;
+        let Case { frame, table, .. } = *case;
         // From times that are expected or inferred nothing is learned: they come from what was learned before.
         if let Some(due) = table.time_ns(number).filter(|_| table.is_reported(number)) {
             let stamp = frame.camera_ns.filter(|_| !matches!(finding, Some(Finding::StampWrong(_))));
             if let Some(camera_ns) = stamp {
                 Tracker::learn(&mut self.tracker, due, camera_ns);
+                self.clock.learn(due, frame);
             }
-            if let Some(arrived) = self.arrived_ns(frame.host_ns, hsu) {
-                self.latency.follow(arrived - i128::from(due));
-            }
+            self.learn_latency(case, number);
         }
         Match::Trigger(self.place(frame, number, witness, finding))
     }
@@ -395,7 +433,7 @@ impl Matcher {
             }
         }
         self.ids.take(frame.id);
-        (self.base, self.lost_before, self.given_up) = (number, 0, 0);
+        (self.base, self.lost_before, self.given_up, self.unsettled) = (number, 0, 0, false);
         self.stage = Stage::Known;
         self.last = Some(Last { number, camera_ns: frame.camera_ns });
         Matched { number, witness, lost, ignored, finding }

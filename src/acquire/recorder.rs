@@ -74,6 +74,11 @@ pub enum FromRecorder {
     Drained,
     /// The ring was full for the first time, and the configuration says to stop then.
     RingFull,
+    /// What a camera's frames are of is in doubt: its clock should be read now.
+    Doubtful {
+        /// Its place in the node's list.
+        camera: usize,
+    },
     /// Writing failed: nothing more can be recorded.
     Failed(Fault),
     /// The recording is closed.

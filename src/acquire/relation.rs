@@ -85,6 +85,11 @@ impl Latency {
         self.frames += 1;
     }
 
+    /// Whether enough frames are known to choose between two explanations by it.
+    pub(super) fn is_known(&self) -> bool {
+        self.frames >= Self::KEPT / 2
+    }
+
     /// The usual latency: that of the quickest frames, which have stood in no queue. `None` where they are not regular
     /// enough to tell triggers a period apart.
     pub(super) fn usual_ns(&self, period_ns: u64) -> Option<i128> {
@@ -95,6 +100,13 @@ impl Latency {
         let reach = (period_ns / 8) as i64;
         let quickest =
             known.windows(alike).find(|alike| alike[alike.len() - 1].saturating_sub(alike[0]) <= reach)?;
+        // Where many come half a period later than they (Aravis takes packets off its socket every 5 ms where few come),
+        // arrivals do not tell triggers apart.
+        let in_time =
+            known.iter().filter(|ns| **ns <= quickest[0].saturating_add((period_ns / 2) as i64)).count();
+        if in_time * 3 < known.len() * 2 {
+            return None;
+        }
         // The middle of all that are like them.
         let alike = known.iter().filter(|ns| (quickest[0]..=quickest[0].saturating_add(reach)).contains(*ns));
         let count = alike.clone().count();

@@ -2,6 +2,7 @@
 //! back when it was lost. So nothing that a camera does or does not do makes the node's own thread wait.
 
 use super::devices::{OpenCamera, SharedBackend};
+use crate::acquire::clock::RESET_RUN;
 use crate::acquire::pool::Pool;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::ToRecorder;
@@ -41,6 +42,8 @@ pub enum Report {
 enum Order {
     /// Nothing was heard of the camera: does it answer?
     Probe,
+    /// Its frames are in doubt: what does its clock say?
+    ReadClock,
     /// The session is over.
     Stop,
 }
@@ -84,6 +87,8 @@ const CLOCK_INTERVAL: Duration = Duration::from_secs(1);
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// Readings of a clock at once, before a session and when a camera is back.
 pub const CLOCK_BURST: usize = 16;
+/// Readings where frames are in doubt: one more than it takes to believe that a clock was set.
+const READINGS: usize = RESET_RUN + 1;
 /// Before a stream that came back is started, whatever its socket caught of other cameras must have passed.
 const SETTLE: Duration = Duration::from_millis(300);
 
@@ -105,6 +110,11 @@ impl Attendant {
     pub fn probe(&self) {
         // One that is busy looking already needs no telling.
         drop(self.orders.try_send(Order::Probe));
+    }
+
+    /// Asks it to read the camera's clock now, often enough to tell one that was set.
+    pub fn read_clock(&self) {
+        drop(self.orders.try_send(Order::ReadClock));
     }
 
     /// Tells it to stop; [`Self::join`] waits for it.
@@ -137,6 +147,7 @@ impl Work {
             match inbox.recv_timeout(patience) {
                 Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return self.stop_camera(),
                 Ok(Order::Probe) => self.probe(),
+                Ok(Order::ReadClock) => (0..READINGS).for_each(|_| self.probe()),
                 Err(RecvTimeoutError::Timeout) => {}
             }
             let alive = self.setup.camera.camera.as_ref().is_some_and(|camera| camera.is_alive());

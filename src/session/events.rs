@@ -182,6 +182,12 @@ impl Node {
                 self.note("ring_full", None, message);
                 self.take(Event::Failed(Fault::new(Exit::DataLoss, message)));
             }
+            FromRecorder::Doubtful { camera } => {
+                let session = self.session.as_ref();
+                if let Some(attendant) = session.and_then(|session| session.attendants.get(camera)) {
+                    attendant.read_clock();
+                }
+            }
             FromRecorder::Failed(fault) => self.take(Event::Failed(fault)),
             FromRecorder::Closed(verdict) => {
                 self.in_session(|session| {

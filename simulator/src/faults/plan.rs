@@ -60,8 +60,10 @@ pub enum Kind {
     ClockReset,
     /// Several frames in a row are exposed and never sent.
     Stall,
-    /// The frame's timestamp is wrong, by little or by far.
+    /// The frame's timestamp is wrong by 60 ms or more.
     StampGlitch,
+    /// The timestamp is 3 ms late: it may lie where a frame without a trigger would.
+    StampNear,
     /// The frame has no timestamp: it is 0.
     StampAbsent,
     /// The frame is of another pixel format, or its leader says so.
@@ -108,6 +110,7 @@ impl Kind {
             Kind::ClockReset,
             Kind::Stall,
             Kind::StampGlitch,
+            Kind::StampNear,
             Kind::StampAbsent,
             Kind::WrongFormat,
             Kind::PaddedRows,
@@ -174,6 +177,7 @@ impl fmt::Display for Kind {
             Kind::ClockReset => "clock_reset",
             Kind::Stall => "stall",
             Kind::StampGlitch => "stamp_glitch",
+            Kind::StampNear => "stamp_near",
             Kind::StampAbsent => "stamp_absent",
             Kind::WrongFormat => "wrong_format",
             Kind::PaddedRows => "padded_rows",

@@ -68,6 +68,8 @@ pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
         Kind::IdJump => (vec![FRAME.to_owned()], Some("id_jump")),
         Kind::ClockReset => (vec![FRAME.to_owned()], Some("camera_clock_reset")),
         Kind::StampGlitch | Kind::StampAbsent => (vec![FRAME.to_owned()], Some("stamp_wrong")),
+        // Between two triggers, a trigger ignored and a frame without one would look the same.
+        Kind::StampNear => (vec![FRAME.to_owned(), GapCause::IdentityMismatch.to_string()], None),
         // Aravis takes some for packets; then the marks in the block say that a part was not written.
         Kind::Malformed => (vec![FRAME.to_owned(), missing], None),
         Kind::Reordered | Kind::Duplicated | Kind::RepeatedFrame | Kind::RogueClient => {

@@ -100,13 +100,13 @@ pub fn layout(layout: Layout, fault: Fault) -> Layout {
 pub fn stamp(ns: u64, fault: Fault) -> u64 {
     match fault.kind {
         Kind::StampAbsent => 0,
-        Kind::StampGlitch => match fault.chance % 5 {
+        Kind::StampGlitch => match fault.chance % 4 {
             0 => ns.wrapping_add(60_000_000),
             1 => ns.saturating_sub(60_000_000).max(1),
             2 => ns.wrapping_add(1 << 45),
-            3 => ns.wrapping_add(3_000_000),
             _ => u64::MAX,
         },
+        Kind::StampNear => ns.wrapping_add(3_000_000),
         _ => ns,
     }
 }
@@ -152,7 +152,7 @@ pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<
             }
         }
         Kind::TriggerIgnored | Kind::ExtraFrame | Kind::IdJump | Kind::ClockReset => {}
-        Kind::StampGlitch | Kind::StampAbsent => {}
+        Kind::StampGlitch | Kind::StampNear | Kind::StampAbsent => {}
         Kind::Unplugged | Kind::ControlTaken => packets.clear(),
         Kind::RogueClient => {}
         Kind::ForeignFar | Kind::ForeignAhead | Kind::ForeignPixels | Kind::ForeignSmall => {}

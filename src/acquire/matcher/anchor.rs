@@ -16,7 +16,7 @@ const SHIFTS: std::ops::RangeInclusive<i64> = -4..=16;
 const MARGIN: usize = 2;
 /// Frames before a place can be confirmed.
 const ENOUGH: usize = 5;
-/// Unconfirmed, a frame may come so many periods after its trigger and no later.
+/// A frame may come so many periods after its trigger and no later.
 const DELAY_PERIODS: i128 = 4;
 
 /// A frame of the warm-up.
@@ -97,12 +97,14 @@ impl Anchoring {
         }
         let (shift, fit) = best?;
         let most = fit.frames * 4 >= self.frames.len() * 3;
-        let confirmed = most && fit.frames >= ENOUGH && fit.frames >= second + MARGIN;
+        // Arrivals alone may be regular by chance.
+        let margin = if self.has_stamps() { MARGIN } else { 2 * MARGIN };
+        let confirmed = most && fit.frames >= ENOUGH && fit.frames >= second + margin;
         if fit.unknown > 0 {
             return None;
         }
         let in_time = fit.arrival_ns.is_none_or(|ns| ns <= DELAY_PERIODS * i128::from(period_ns));
-        (confirmed || (shift == 0 && in_time)).then_some(Place { offset: first + shift, confirmed })
+        (in_time && (confirmed || shift == 0)).then_some(Place { offset: first + shift, confirmed })
     }
 
     /// How well the frames fit a place; `None` where it cannot be, or where the last frames speak against it.

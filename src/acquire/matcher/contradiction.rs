@@ -27,28 +27,37 @@ impl Matcher {
     pub(super) fn contradiction(&mut self, case: &Case<'_>, triggered: Option<i128>) -> Match {
         let Some(tracker) = self.tracker else { return self.give_up(case.frame) };
         let followers = self.followers(case, &tracker);
-        let agree =
-            |ahead: i64| self.agree(case, followers.iter().map(|f| f.ahead.map(|found| found == ahead)));
+        let period_ns = i128::from(self.start.period_ns);
         let own = triggered.and_then(|ns| self.at_trigger(case, ns));
         let residual = triggered.zip(case.table.time_ns(case.by_id)).map(|(ns, due)| ns - i128::from(due));
         // The frames behind it stand where ids and clock said before.
-        if agree(0) {
+        if self.stand(case, &followers, 0) && !self.unsettled {
             return self.passing(case, own, residual, &followers);
+        }
+        if self.awaits_reading(case) {
+            return Match::Wait;
+        }
+        if let Some(read) = self.clock.read_fired_ns(case.frame, case.hsu) {
+            let unchanged = triggered.is_some_and(|ns| (ns - read).abs() <= period_ns / 4);
+            let answer = match unchanged {
+                true => self.as_stamped(case, own, residual, &followers),
+                false => self.as_read(case, residual, &followers),
+            };
+            return answer.unwrap_or_else(|| self.undecided(case, &followers));
         }
         let taken = own.is_none_or(|number| !self.is_fresh(number));
         let Some(off) = residual else { return self.undecided(case, &followers) };
         // How many whole periods it is off, if it is.
-        let period_ns = i128::from(self.start.period_ns);
         let periods = (off + off.signum() * period_ns / 2) / period_ns;
         let whole = own.map(|number| number.saturating_sub(case.by_id));
         let whole =
             whole.or_else(|| ((off - periods * period_ns).abs() <= self.near_ns()).then_some(periods as i64));
         let by_clock = self.clock_agrees(case, triggered, &followers);
         // The frames behind stand one id too far: this one has no trigger.
-        let one_less = taken && agree(-1);
+        let one_less = taken && self.stand(case, &followers, -1);
         let ahead = if one_less { Some(-1) } else { whole.filter(|periods| *periods != 0) };
         // An arrival may be late, never early: where frames come on time for the one, they are not those of the other.
-        let punctual = |ahead: i64| self.are_punctual(case, &followers, ahead);
+        let punctual = |ahead: i64| self.latency.is_known() && self.are_punctual(case, &followers, ahead);
         let clock_set = match (punctual(0), ahead.is_some_and(punctual)) {
             (true, false) => Some(true),
             (false, true) => Some(false),
@@ -58,7 +67,7 @@ impl Matcher {
             (Some(true), _) if by_clock => self.reset(case, residual),
             (Some(false), _) if one_less => self.spurious(case.frame, off),
             (Some(false), Some(number))
-                if agree(number.saturating_sub(case.by_id))
+                if self.stand(case, &followers, number.saturating_sub(case.by_id))
                     && self.is_fresh(number)
                     && case.table.is_reported(number) =>
             {
@@ -66,6 +75,55 @@ impl Matcher {
             }
             _ => self.undecided(case, &followers),
         }
+    }
+
+    /// The camera's clock was read, and runs as it did: its stamps are right, and what changed are its ids.
+    fn as_stamped(
+        &mut self,
+        case: &Case<'_>,
+        own: Option<i64>,
+        residual: Option<i128>,
+        followers: &[Follower<'_>],
+    ) -> Option<Match> {
+        let half = i128::from(self.start.period_ns / 2);
+        let late = |number: i64| self.late_ns(case.frame, case.table.time_ns(number)?, case.hsu);
+        let own = own.filter(|number| self.is_fresh(*number));
+        match own {
+            // It would have come too early: its stamp is wrong by just that much.
+            Some(number) if late(number).is_some_and(|ns| ns < -half) => None,
+            Some(number) if self.stand(case, followers, number.saturating_sub(case.by_id)) => {
+                self.doubt = 0;
+                Some(self.accept(case, number, Witness::Two, None))
+            }
+            // The frames behind stand one id too far: this one has no trigger.
+            None if self.stand(case, followers, -1) => {
+                self.doubt = 0;
+                Some(self.spurious(case.frame, residual.unwrap_or(0)))
+            }
+            _ => None,
+        }
+    }
+
+    /// The camera's clock was read, and does not run as it did: it was set, and the readings say which trigger this is.
+    fn as_read(
+        &mut self,
+        case: &Case<'_>,
+        residual: Option<i128>,
+        followers: &[Follower<'_>],
+    ) -> Option<Match> {
+        let number = self.read_trigger(case, case.frame).filter(|number| self.is_fresh(*number))?;
+        let ahead = number.saturating_sub(case.by_id);
+        let says = |f: &Follower<'_>| {
+            self.read_trigger(case, f.frame).map(|read| read.saturating_sub(f.by_id) == ahead)
+        };
+        if !self.agree(case, followers.iter().map(says)) {
+            return None;
+        }
+        let (camera_ns, due) = (case.frame.camera_ns?, case.table.time_ns(number)?);
+        self.tracker = Some(Tracker::new(due, camera_ns));
+        self.doubt = 0;
+        let finding = Finding::ClockReset(residual.unwrap_or(0));
+        Some(Match::Trigger(self.place(case.frame, number, Witness::Two, Some(finding))))
     }
 
     /// The frames behind, as far as their ids go on from this one's.
@@ -94,15 +152,12 @@ impl Matcher {
         residual: Option<i128>,
         followers: &[Follower<'_>],
     ) -> Match {
+        // However late it is and whatever becomes of it: how regular arrivals are is learned of all.
+        self.learn_latency(case, case.by_id);
         let late =
             |number: i64| case.table.time_ns(number).and_then(|due| self.late_ns(case.frame, due, case.hsu));
         let half = i128::from(self.start.period_ns / 2);
         let punctual = |number: i64| late(number).is_some_and(|ns| ns.abs() <= half);
-        // Exposed between two triggers: then it arrives when its stamp says, and not when its id does.
-        let quarter = i128::from(self.start.period_ns / 4);
-        let between = late(case.by_id)
-            .zip(residual)
-            .is_some_and(|(ns, residual)| residual.abs() > quarter && (ns - residual).abs() < ns.abs());
         // Nor are they early: ids and a clock that both stand a trigger too far agree with each other.
         let early = |f: &Follower<'_>| {
             let due = case.table.time_ns(f.by_id);
@@ -123,15 +178,40 @@ impl Matcher {
         if possible && agrees && followers.iter().any(in_time) {
             return self.accept(case, case.by_id, Witness::Two, None);
         }
-        if possible && punctual(case.by_id) && !between {
-            return self.accept(case, case.by_id, Witness::Two, Some(Finding::StampWrong(residual)));
+        // No exposure between those before and behind it: its stamp is wrong for certain, and ids go on through it.
+        let behind = followers.iter().find(|f| f.ahead == Some(0));
+        let bounds = self.last.zip(behind).and_then(|(last, next)| {
+            Some((case.table.time_ns(last.number)?.into(), case.table.time_ns(next.by_id)?.into()))
+        });
+        let apart = i128::from(self.start.period_ns / 16);
+        let own_ns = residual.zip(case.table.time_ns(case.by_id)).map(|(ns, due)| ns + i128::from(due));
+        let impossible = bounds.is_some_and(|(before, after): (i128, i128)| {
+            own_ns.is_none_or(|ns| ns < before + apart || ns > after - apart)
+        });
+        let preceded =
+            case.table.time_ns(case.by_id).is_some_and(|due| self.precedes(case.frame, due, case.hsu));
+        // Packets are taken off the socket every 5 ms; a trigger later it would be a whole period.
+        let in_time = late(case.by_id).is_none_or(|ns| (-half..=half * 3 / 2).contains(&ns));
+        if possible && impossible && in_time && !preceded {
+            let answer = self.accept(case, case.by_id, Witness::Two, Some(Finding::StampWrong(residual)));
+            // A clock that was set just before a trigger was ignored looks the same.
+            self.unsettled = self.clock.answers();
+            return answer;
         }
         // Its id stood still: what its stamp and its arrival agree on.
         let own = own.filter(|_| !self.is_fresh(case.by_id));
         match own.filter(|number| self.is_fresh(*number) && punctual(*number)) {
             Some(number) => self.accept(case, number, Witness::Two, None),
-            None => self.give_up(case.frame),
+            None => {
+                self.unsettled = self.clock.answers();
+                self.give_up(case.frame)
+            }
         }
+    }
+
+    /// Whether the frames behind stand so many triggers further on than their ids.
+    fn stand(&self, case: &Case<'_>, followers: &[Follower<'_>], ahead: i64) -> bool {
+        self.agree(case, followers.iter().map(|f| f.ahead.map(|found| found == ahead)))
     }
 
     /// Whether the frames behind say so, from the first on: `Some(false)` is one that says otherwise.
@@ -178,7 +258,7 @@ impl Matcher {
         if !self.is_fresh(case.by_id) || !case.table.is_reported(case.by_id) || !in_time {
             return self.give_up(case.frame);
         }
-        self.camera = super::ClockFit::new();
+        self.clock.was_set();
         self.tracker = Some(Tracker::new(due, camera_ns));
         let finding = Finding::ClockReset(residual.unwrap_or(0));
         Match::Trigger(self.place(case.frame, case.by_id, Witness::Two, Some(finding)))
@@ -197,13 +277,14 @@ impl Matcher {
                 let usual = self.latency.usual_ns(self.start.period_ns).unwrap_or(0);
                 (arrived - usual - own).abs() <= 4 * quarter
             });
-        let alone = followers.is_empty() && !credible && self.is_fresh(case.by_id);
+        let alone = followers.is_empty() && !credible && !self.unsettled && self.is_fresh(case.by_id);
         if alone && case.table.is_reported(case.by_id) && late.is_some_and(|ns| ns.abs() <= quarter) {
             let finding = Finding::StampWrong(
                 own.zip(case.table.time_ns(case.by_id)).map(|(own, due)| own - i128::from(due)),
             );
             return self.accept(case, case.by_id, Witness::Two, Some(finding));
         }
+        self.unsettled = true;
         self.give_up(case.frame)
     }
 

@@ -36,6 +36,9 @@ impl Matcher {
             Stage::Lost(lost) => lost.before,
             _ => None,
         };
+        if case.frame.complete && case.frame.camera_ns.is_some() && self.awaits_reading(case) {
+            return Match::Wait;
+        }
         let Some(named) = self.named(case, case.frame, before.as_ref()).filter(|_| case.frame.complete)
         else {
             let arrived = self.arrived_ns(case.frame.host_ns, case.hsu);
@@ -84,22 +87,25 @@ impl Matcher {
             let (number, residual) = case.table.nearest(ns)?;
             (residual.abs() <= slack && case.table.is_reported(number)).then_some(number)
         };
+        let tracked = frame.camera_ns.zip(before).map(|(ns, tracker)| tracker.hsu_ns(ns));
+        if self.clock.read_fired_ns(case.frame, case.hsu).is_some() {
+            let read = self.clock.fired_ns(frame, case.hsu)?;
+            let number = self.read_trigger(case, frame)?;
+            let unchanged = tracked.is_some_and(|ns| (ns - read).abs() <= period_ns / 4);
+            return Some(Named { number, unchanged, alone: false });
+        }
+        // Where readings are to be had, nothing else is believed.
+        if frame.camera_ns.is_some() && self.clock.tells() {
+            return None;
+        }
         let arrived =
             self.arrived_ns(frame.host_ns, case.hsu)? - self.latency.usual_ns(self.start.period_ns)?;
-        let tracked = frame.camera_ns.zip(before).map(|(ns, tracker)| tracker.hsu_ns(ns));
         if let Some(number) = tracked.and_then(|ns| at(ns, period_ns / 8))
             && at(arrived, period_ns / 4) == Some(number)
         {
             return Some(Named { number, unchanged: true, alone: false });
         }
-        let fitted = frame.camera_ns.and_then(|ns| Some(self.by_fits(ns, case.hsu)? - self.stamp_delay_ns?));
-        if let Some(fitted) = fitted {
-            let number = at(fitted, period_ns / 4)?;
-            let agrees = at(arrived, period_ns / 4) == Some(number);
-            return agrees.then_some(Named { number, unchanged: false, alone: false });
-        }
-        let alone = frame.camera_ns.is_none() || self.stamp_delay_ns.is_none();
-        let number = at(arrived, period_ns / 8).filter(|_| alone)?;
+        let number = at(arrived, period_ns / 8)?;
         Some(Named { number, unchanged: false, alone: true })
     }
 }

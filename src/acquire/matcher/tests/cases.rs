@@ -18,7 +18,16 @@ fn changed(seed: u64, traits: Traits, mut change: impl FnMut(&mut Sighting, i64)
 }
 
 fn habits(stamp_delay: u64, arrival_delay: u64) -> Traits {
-    Traits { wide: false, stamps: true, clock: true, stamp_delay, arrival_delay, jitter: 5, faults: false }
+    Traits {
+        wide: false,
+        stamps: true,
+        clock: true,
+        stamp_delay,
+        arrival_delay,
+        jitter: 5,
+        batch_ns: 0,
+        faults: false,
+    }
 }
 
 fn all_right(outcome: Outcome) {

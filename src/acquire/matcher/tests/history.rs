@@ -45,6 +45,8 @@ pub struct Traits {
     pub arrival_delay: u64,
     /// Of the timestamps, in thousandths of a period.
     pub jitter: u64,
+    /// The host takes packets off the socket so far apart, ns; 0: at once.
+    pub batch_ns: u64,
     /// Whether anything goes wrong.
     pub faults: bool,
 }
@@ -59,6 +61,7 @@ impl Traits {
             stamp_delay: random.below(250),
             arrival_delay: 5 + random.below(295),
             jitter: random.below(20),
+            batch_ns: if random.one_in(3) { 5_000_000 } else { 0 },
             faults: true,
         }
     }
@@ -84,6 +87,9 @@ pub struct History {
     pub warm_up: u32,
     /// Whether the warm-up went well.
     pub calm_start: bool,
+    /// The camera's clock minus the HSU's, ns, from these HSU times on, and its drift, ppm.
+    pub clocks: Vec<(u64, i128)>,
+    pub ppm: f64,
     /// In the order in which it arrives, with when, HSU clock, ns.
     pub arrivals: Vec<(u64, Arrives)>,
 }
@@ -99,6 +105,7 @@ struct Camera {
     /// No frame arrives before this, HSU clock, ns: the host stands still.
     stalled_ns: u64,
     last_ns: u64,
+    clocks: Vec<(u64, i128)>,
     arrivals: Vec<(u64, Arrives)>,
 }
 
@@ -109,8 +116,7 @@ impl Camera {
     }
 
     fn shows(&self, hsu_ns: u64) -> u64 {
-        let drift = (hsu_ns - HSU_NS) as f64 * self.ppm * 1e-6;
-        (i128::from(hsu_ns) + self.clock_ns + drift as i128).max(1) as u64
+        shows(hsu_ns, self.clock_ns, self.ppm)
     }
 
     fn percent(&self, hundredths: u64) -> u64 {
@@ -131,7 +137,8 @@ impl Camera {
             0
         };
         let at = fired_ns + self.percent(self.traits.arrival_delay) + jitter + straggler;
-        self.last_ns = at.max(self.last_ns + 1_000).max(self.stalled_ns);
+        let at = at.max(self.stalled_ns).next_multiple_of(self.traits.batch_ns.max(1));
+        self.last_ns = at.max(self.last_ns + 1_000);
         let host_ns = (i128::from(self.last_ns) + HOST_MINUS_HSU_NS) as u64;
         Sighting { id: self.next_id(), camera_ns, host_ns, complete }
     }
@@ -192,6 +199,7 @@ impl Camera {
                     _ => self.random.below(1 << 40) as i128,
                 };
                 self.clock_ns += if self.random.one_in(2) { by } else { -by };
+                self.clocks.push((fired_ns, self.clock_ns));
                 self.send(fired_ns, number);
             }
             // Ids jump without a loss, or stand still.
@@ -239,7 +247,7 @@ impl Camera {
 impl History {
     pub fn of(seed: u64, traits: Traits) -> Self {
         let mut random = Random::new(seed);
-        let period_ns = [8_333_333, 20_000_000, 6_134_969][random.below(3) as usize];
+        let period_ns = [8_333_333, 20_000_000, 6_134_969, 2_500_000][random.below(4) as usize];
         let (warm_up, triggers) = (8i64, 100 + random.below(150) as i64);
         let ppm = random.below(200) as f64 - 100.0;
         let id = if random.one_in(2) { 0 } else { random.below(70_000) };
@@ -251,6 +259,7 @@ impl History {
             ppm,
             stalled_ns: 0,
             last_ns: 0,
+            clocks: vec![(0, 77_000_000_000_000)],
             arrivals: Vec::new(),
             random,
         };
@@ -315,8 +324,22 @@ impl History {
             arrivals.push((at + 90_000, Arrives::Hsu(exchange)));
         }
         arrivals.sort_by_key(|(at, _)| *at);
-        Self { traits, period_ns, warm_up: warm_up as u32, calm_start, arrivals }
+        let clocks = camera.clocks;
+        Self { traits, period_ns, warm_up: warm_up as u32, calm_start, clocks, ppm, arrivals }
     }
+
+    /// A reading of the camera's clock at an HSU time, taking so long there and back.
+    pub fn read(&self, hsu_ns: u64, there_ns: u64, back_ns: u64) -> Exchange {
+        let host = |ns: u64| (i128::from(ns) + HOST_MINUS_HSU_NS) as u64;
+        let clock_ns = self.clocks.iter().rev().find(|(from, _)| *from <= hsu_ns).map_or(0, |(_, ns)| *ns);
+        let device_ns = shows(hsu_ns, clock_ns, self.ppm);
+        Exchange { host_send_ns: host(hsu_ns - there_ns), host_receive_ns: host(hsu_ns + back_ns), device_ns }
+    }
+}
+
+fn shows(hsu_ns: u64, clock_ns: i128, ppm: f64) -> u64 {
+    let drift = (hsu_ns - HSU_NS) as f64 * ppm * 1e-6;
+    (i128::from(hsu_ns) + clock_ns + drift as i128).max(1) as u64
 }
 
 impl Camera {
@@ -325,6 +348,7 @@ impl Camera {
         self.id = 0;
         if self.random.one_in(2) {
             self.clock_ns = -i128::from(now_ns) + self.random.below(1 << 32) as i128;
+            self.clocks.push((now_ns, self.clock_ns));
         }
         // What was sent before has arrived or never does.
         let at = now_ns.max(self.last_ns) + 1_000;
