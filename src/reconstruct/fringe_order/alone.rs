@@ -34,8 +34,8 @@ impl PartialOrd for Reached {
 
 /// Labels and margins: how much stronger the best path to a marker is than any to another label.
 pub fn infer(field: &mut Field<'_>) {
-    let n = field.label.len();
-    let strength: Vec<f32> = field.links.iter().map(|link| supported(field, link)).collect();
+    let n = field.graph.label.len();
+    let strength: Vec<f32> = field.graph.links.iter().map(|link| supported(field, link)).collect();
     // The best label of each patch, and the strength of the second.
     let mut best: Vec<Option<(i32, f32)>> = vec![None; n];
     let mut second: Vec<Option<f32>> = vec![None; n];
@@ -48,8 +48,8 @@ pub fn infer(field: &mut Field<'_>) {
             Some((known, _)) if known != label && second[i].is_none() => second[i] = Some(reached),
             Some(_) => continue,
         }
-        for &k in field.links_of(i) {
-            let Link { a, b, turns, .. } = field.links[k as usize];
+        for &k in field.graph.links_of(i) {
+            let Link { a, b, turns, .. } = field.graph.links[k as usize];
             let (other, label) = if a == patch { (b, label + turns) } else { (a, label - turns) };
             let strength = reached.min(strength[k as usize]);
             if strength > 0.0 && second[other as usize].is_none() {
@@ -58,7 +58,7 @@ pub fn infer(field: &mut Field<'_>) {
         }
     }
     for i in 0..n {
-        (field.label[i], field.margin[i]) = match best[i] {
+        (field.graph.label[i], field.graph.margin[i]) = match best[i] {
             Some((label, strength)) => (label, strength - second[i].unwrap_or(0.0)),
             None => (0, 0.0),
         };
@@ -68,8 +68,8 @@ pub fn infer(field: &mut Field<'_>) {
 /// The strength of a link as far as a way around it says the same.
 fn supported(field: &Field<'_>, link: &Link) -> f32 {
     let from = |patch: u32| {
-        field.links_of(patch as usize).iter().map(move |&k| {
-            let Link { a, b, turns, weight } = field.links[k as usize];
+        field.graph.links_of(patch as usize).iter().map(move |&k| {
+            let Link { a, b, turns, weight } = field.graph.links[k as usize];
             if a == patch { (b, turns, weight) } else { (a, -turns, weight) }
         })
     };

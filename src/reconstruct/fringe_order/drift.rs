@@ -102,7 +102,7 @@ impl Turned {
 /// The differences of all cameras from a view, block by block.
 pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &Known) -> Vec<Differences> {
     let own = field.scene;
-    let certain: Vec<usize> = (0..field.label.len())
+    let certain: Vec<usize> = (0..field.graph.label.len())
         .filter(|&i| known.turns[field.first + i] != NONE && super::evidence::is_sample(&own.patches, i))
         .collect();
     let mut looks = Looks::new(scenes);

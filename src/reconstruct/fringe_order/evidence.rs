@@ -164,7 +164,7 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &Known, first: bo
         Asked { looks: &mut looks, own, view, words: &words, known, sights: [SightLanes::NONE; PLACES] };
     for (i, patch) in patches.all.iter().enumerate() {
         let whole = patch.size >= WHOLE_PX;
-        if !first && whole && field.margin[i] >= SURE {
+        if !first && whole && field.graph.margin[i] >= SURE {
             continue;
         }
         let count = field.count[i] as usize;
@@ -174,8 +174,8 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &Known, first: bo
             let each = (SAMPLE * SAMPLE) as f32;
             asked.look(field, i, count, |_| true, EVIDENCE * each, &mut costs);
         } else if !first && patch.size >= LEAST_PX {
-            let most = field.marginal[i].iter().fold(NEVER, |a, &b| a.min(b)) + (KEEP / STEP) as i16;
-            for (cost, marginal) in costs[..count].iter_mut().zip(&field.marginal[i]) {
+            let most = field.graph.marginal[i].iter().fold(NEVER, |a, &b| a.min(b)) + (KEEP / STEP) as i16;
+            for (cost, marginal) in costs[..count].iter_mut().zip(&field.graph.marginal[i]) {
                 if *marginal > most {
                     *cost = KEEP;
                 }
@@ -184,7 +184,7 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &Known, first: bo
                 field,
                 i,
                 count,
-                |l| field.marginal[i][l] <= most,
+                |l| field.graph.marginal[i][l] <= most,
                 EVIDENCE * patch.size as f32 / 64.0,
                 &mut costs,
             );
@@ -197,7 +197,7 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &Known, first: bo
                 *cost -= counts;
             }
         }
-        field.unary[i] = in_steps(&costs);
+        field.graph.unary[i] = in_steps(&costs);
     }
 }
 

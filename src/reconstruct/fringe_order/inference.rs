@@ -21,19 +21,9 @@ const SWEEPS: usize = 2;
 /// A cost for each label, in steps.
 pub type Costs = [i16; LABELS];
 
-/// The patches of a view, their costs, and what is found of them.
+/// Patches with the costs of their labels, how they hang together, and what is found of them.
 #[derive(Debug)]
-pub struct Field<'a> {
-    /// The view.
-    pub scene: &'a Scene<'a>,
-    /// Its place among all.
-    pub number: usize,
-    /// Where its patches begin among those of all views.
-    pub first: usize,
-    /// Whole turns that make a patch's phases absolute are its label less this.
-    pub base: Vec<i32>,
-    /// Labels of each patch.
-    pub count: Vec<u32>,
+pub struct Graph {
     /// Costs of each label by itself.
     pub unary: Vec<Costs>,
     /// Least costs of all together with each label.
@@ -51,6 +41,23 @@ pub struct Field<'a> {
     messages: Vec<[Costs; 2]>,
 }
 
+/// The patches of a view among those of all.
+#[derive(Debug)]
+pub struct Field<'a> {
+    /// The view.
+    pub scene: &'a Scene<'a>,
+    /// Its place among all.
+    pub number: usize,
+    /// Where its patches begin among those of all views.
+    pub first: usize,
+    /// Whole turns that make a patch's phases absolute are its label less this.
+    pub base: Vec<i32>,
+    /// Labels of each patch.
+    pub count: Vec<u32>,
+    /// What its labels cost.
+    pub graph: Graph,
+}
+
 impl<'a> Field<'a> {
     /// A view's patches, of which nothing is known.
     pub fn new(scenes: &'a [Scene<'a>], number: usize) -> Self {
@@ -66,7 +73,27 @@ impl<'a> Field<'a> {
         }
         let between =
             |link: &Link| Link { turns: link.turns + base[link.b as usize] - base[link.a as usize], ..*link };
-        let links: Vec<Link> = scene.patches.links.iter().map(between).collect();
+        let graph = Graph::new(n, scene.patches.links.iter().map(between).collect());
+        Self { scene, number, first, base, count, graph }
+    }
+
+    /// Whole turns that make a patch's phases absolute.
+    pub fn turns(&self, i: usize) -> i32 {
+        self.graph.label[i] - self.base[i]
+    }
+
+    /// What the marker says: patch, label, and what that counts.
+    pub fn votes(&self) -> impl Iterator<Item = (u32, i32, f32)> {
+        let votes = self.scene.votes.iter();
+        votes.map(|&(patch, turns, px)| {
+            (patch, turns + self.base[patch as usize], super::evidence::marker(px))
+        })
+    }
+}
+
+impl Graph {
+    /// So many patches, of which nothing is known.
+    pub fn new(n: usize, links: Vec<Link>) -> Self {
         let mut start = vec![0u32; n + 1];
         links.iter().flat_map(|x| [x.a, x.b]).for_each(|i| start[i as usize + 1] += 1);
         (0..n).for_each(|i| start[i + 1] += start[i]);
@@ -78,34 +105,8 @@ impl<'a> Field<'a> {
             }
         }
         let (none, messages) = (vec![[0; LABELS]; n], vec![[[0; LABELS]; 2]; links.len()]);
-        Self {
-            scene,
-            number,
-            first,
-            base,
-            count,
-            unary: none.clone(),
-            marginal: none,
-            label: vec![0; n],
-            margin: vec![0.0; n],
-            links,
-            start,
-            of,
-            messages,
-        }
-    }
-
-    /// Whole turns that make a patch's phases absolute.
-    pub fn turns(&self, i: usize) -> i32 {
-        self.label[i] - self.base[i]
-    }
-
-    /// What the marker says: patch, label, and what that counts.
-    pub fn votes(&self) -> impl Iterator<Item = (u32, i32, f32)> {
-        let votes = self.scene.votes.iter();
-        votes.map(|&(patch, turns, px)| {
-            (patch, turns + self.base[patch as usize], super::evidence::marker(px))
-        })
+        let (label, margin) = (vec![0; n], vec![0.0; n]);
+        Self { unary: none.clone(), marginal: none, label, margin, links, start, of, messages }
     }
 
     /// The links of a patch.
@@ -229,3 +230,6 @@ fn least(costs: &Costs) -> i16 {
     }
     lanes.into_iter().fold(i16::MAX, |a, b| if b < a { b } else { a })
 }
+
+#[cfg(test)]
+mod tests;

@@ -193,7 +193,9 @@ fn solve(scenes: &[Scene<'_>]) -> (Vec<Turns>, Option<Turned>) {
     } else {
         turned = infer_together(&mut fields, scenes);
     }
-    let of = |field: Field<'_>| ((0..field.label.len()).map(|i| field.turns(i)).collect(), field.margin);
+    let of = |field: Field<'_>| {
+        ((0..field.graph.label.len()).map(|i| field.turns(i)).collect(), field.graph.margin)
+    };
     (fields.into_iter().map(of).collect(), turned)
 }
 
@@ -205,12 +207,14 @@ fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>]) -> Option<Turn
     for first in [true, false] {
         fields.par_iter_mut().for_each(|field| {
             evidence::ask(field, scenes, &known, first);
-            field.infer();
+            field.graph.infer();
         });
         if first {
-            let turns =
-                |field: &Field<'_>, i: usize| if field.margin[i] >= KNOWN { field.turns(i) } else { NONE };
-            let all = fields.iter().flat_map(|field| (0..field.label.len()).map(move |i| turns(field, i)));
+            let turns = |field: &Field<'_>, i: usize| {
+                if field.graph.margin[i] >= KNOWN { field.turns(i) } else { NONE }
+            };
+            let all =
+                fields.iter().flat_map(|field| (0..field.graph.label.len()).map(move |i| turns(field, i)));
             known.turns = all.chain([NONE; BEYOND]).collect();
             known.differences = fields.par_iter().map(|field| drift::of(field, scenes, &known)).collect();
         }
