@@ -85,6 +85,25 @@ impl Desk {
         self.books.take(arrival, 0);
     }
 
+    /// The clocks of the HSU and of the first camera are read.
+    fn read_clocks(&mut self, device_time_ns: u64) {
+        for camera in [None, Some(CameraId("c0".to_owned()))] {
+            let host = HOST_NS + device_time_ns;
+            let (host_send_ns, host_receive_ns) = (host - 50_000, host + 50_000);
+            self.books.obey(ToRecorder::Clock(ClockSample {
+                camera,
+                host_send_ns,
+                host_receive_ns,
+                device_time_ns,
+            }));
+        }
+    }
+
+    /// Whether the camera's clock was asked for.
+    fn was_asked(&self) -> bool {
+        self.closed.try_iter().any(|event| matches!(event, FromRecorder::Doubtful { camera: 0 }))
+    }
+
     /// What every frame that waits has is all that will come.
     fn last_call(&mut self) {
         (0..self.books.lanes.len()).for_each(|camera| self.books.advance(camera, true));
@@ -201,4 +220,31 @@ fn cameras_that_agree_on_a_trigger_before_its_time_are_not_believed() {
         assert!(outcome.is_err() || outcome == Ok(block(trigger)), "camera {camera}, {trigger}: {outcome:?}");
         assert!((42..60).contains(&trigger) || outcome.is_ok(), "camera {camera}, {trigger}: {outcome:?}");
     }
+}
+
+/// Ids jump, and arrivals would say so; but a clock that can be read is asked first, and the frames wait for it.
+#[test]
+fn a_frame_in_doubt_waits_until_its_cameras_clock_has_been_read() {
+    let mut desk = Desk::new(1);
+    (0..8).for_each(|k| desk.read_clocks(900_000_000 + k * 1_000_000));
+    let block = |trigger: u64| trigger + 1 + 3 * u64::from(trigger >= 30);
+    for trigger in 0..40 {
+        desk.report(trigger, due(trigger));
+        desk.frame(0, 0, block(trigger), due(trigger));
+        if trigger == 20 {
+            assert!(desk.was_asked(), "how long it takes to stamp a frame is measured by readings");
+            desk.read_clocks(due(20) + 4_000_000);
+        }
+        if trigger == 29 {
+            // Long after it was asked last.
+            desk.books.awake += Duration::from_secs(1);
+        }
+    }
+    assert!(desk.was_asked(), "something happened that nobody knows");
+    assert_eq!(desk.books.lanes[0].next, 30, "and nobody guesses");
+    (0..4).for_each(|k| desk.read_clocks(due(40) + k * 1_000_000));
+    desk.books.advance_all();
+    assert_eq!(desk.books.lanes[0].next, 40);
+    let outcomes = desk.outcomes();
+    assert!(outcomes.iter().all(|((trigger, _), outcome)| *outcome == Ok(block(*trigger))), "{outcomes:?}");
 }
