@@ -21,7 +21,7 @@ if [ "$free_gb" -lt "$need_gb" ]; then
 fi
 
 # Where loopback cuts long UDP sends before its receivers, the simulated cameras send seven packets at a time,
-# which costs a third less (docs/benchmarks.md). Only for the time of the bench, and only as root.
+# which costs a third less (docs/design/experiments.md). Only for the time of the bench, and only as root.
 if [ "$(id -u)" -eq 0 ] && ethtool -k lo | grep -q '^tx-udp-segmentation: on'; then
     segmentation=on
     ethtool -K lo tx-udp-segmentation off

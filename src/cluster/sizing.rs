@@ -9,8 +9,7 @@
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What a second processor of a task adds, beside the first: 1.70 times the frames with two threads were measured
-/// (docs/benchmarks.md).
+/// What a second processor of a task adds, beside the first: 1.70 times the frames with two threads were measured.
 const EFFICIENCY: f64 = 0.8;
 
 /// The limit of time over what is expected: nodes differ, and a shared disk has busy hours.
