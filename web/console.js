@@ -98,8 +98,8 @@ function ended(capture) {
   if (capture.fault) return { kind: "bad", word: "FAILED", detail: capture.fault.message };
   if (preview(capture)) return { kind: "good", word: "READY", detail: "the preview has ended; nothing was recorded" };
   const words = capture.takes.map((take) => take.verdict);
-  const worst = ["aborted", "incomplete", "unconfirmed", "complete"].find((word) => words.includes(word)) ?? "aborted";
-  const kind = { complete: "good", unconfirmed: "warn", incomplete: "warn", aborted: "bad" }[worst];
+  const worst = ["aborted", "incomplete", "unconfirmed", "partial", "complete"].find((word) => words.includes(word)) ?? "aborted";
+  const kind = { complete: "good", partial: "warn", unconfirmed: "warn", incomplete: "warn", aborted: "bad" }[worst];
   const last = capture.takes.at(-1);
   const name = capture.takes.map((take) => take.name).join(", ");
   const dry = capture.series.wish.dry_run ? "dry run, nothing was recorded\n" : "";

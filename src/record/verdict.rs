@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::Range;
 
-/// What a session amounts to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+/// What a session amounts to, from the best to the worst.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     /// Every camera has a frame for every trigger that was asked for.
@@ -19,6 +19,18 @@ pub enum Status {
     Incomplete,
     /// The session was aborted; what was recorded until then is accounted for.
     Aborted,
+}
+
+impl Status {
+    /// As people and scripts read it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Complete => "complete",
+            Self::Unconfirmed => "unconfirmed",
+            Self::Incomplete => "incomplete",
+            Self::Aborted => "aborted",
+        }
+    }
 }
 
 /// One camera's outcomes.
@@ -121,12 +133,7 @@ impl Verdict {
 
 impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = match self.status {
-            Status::Complete => "complete",
-            Status::Unconfirmed => "unconfirmed",
-            Status::Incomplete => "incomplete",
-            Status::Aborted => "aborted",
-        };
+        let word = self.status.word();
         let (triggers, frames, gaps) = (self.triggers, self.frames(), self.gaps());
         write!(f, "{word}: {triggers} triggers, {frames} frames, {gaps} gaps")?;
         match (self.triggers_expected, self.triggers_emitted) {

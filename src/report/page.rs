@@ -76,19 +76,21 @@ if (points) {
 }
 "#;
 
+/// The session in a word, and how good that is.
 fn verdict(report: &Report) -> (&'static str, &'static str) {
-    let words: Vec<Option<Status>> =
-        report.nodes.iter().map(|node| node.verdict.as_ref().map(|verdict| verdict.status)).collect();
-    if !report.unreadable.is_empty() {
-        ("not whole", "bad")
-    } else if words.contains(&None) {
-        ("unfinished", "bad")
-    } else if words.contains(&Some(Status::Aborted)) {
-        ("aborted", "bad")
-    } else if words.contains(&Some(Status::Incomplete)) {
-        ("incomplete", "fair")
-    } else {
-        ("complete", "good")
+    let of_node = |node: &NodeReport| Some(node.verdict.as_ref()?.status);
+    let statuses: Option<Vec<Status>> = report.nodes.iter().map(of_node).collect();
+    match statuses.and_then(|statuses| statuses.into_iter().max()) {
+        _ if !report.unreadable.is_empty() => ("not whole", "bad"),
+        None => ("unfinished", "bad"),
+        Some(worst) => {
+            let kind = match worst {
+                Status::Complete => "good",
+                Status::Unconfirmed | Status::Incomplete => "fair",
+                Status::Aborted => "bad",
+            };
+            (worst.word(), kind)
+        }
     }
 }
 
@@ -248,20 +250,69 @@ fn escape(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{Report, render};
+    use super::{NodeReport, Report, Status, render};
+    use crate::record::Verdict;
+
+    fn report(nodes: Vec<NodeReport>) -> Report {
+        Report {
+            session: "walk".to_owned(),
+            created_ns: 0,
+            subject: None,
+            note: None,
+            trigger_rate_hz: 120.0,
+            triggers: 24,
+            nodes,
+            unreadable: Vec::new(),
+            cloud: None,
+        }
+    }
+
+    /// A node whose recording has this status; `None`: it was not finished.
+    fn node(status: Option<Status>) -> NodeReport {
+        let verdict = |status| Verdict {
+            status,
+            triggers: 24,
+            triggers_expected: Some(24),
+            triggers_emitted: Some(24),
+            cameras: Vec::new(),
+            refused: 0,
+            unconfirmed: 0,
+            aborted: None,
+        };
+        NodeReport {
+            node: "a".to_owned(),
+            path: "/walk/node-a".into(),
+            verdict: status.map(verdict),
+            statistics: None,
+            latencies: None,
+            events: Vec::new(),
+            missing: Vec::new(),
+            cameras: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_session_is_as_good_as_its_worst_node() {
+        use Status::{Aborted, Complete, Incomplete, Unconfirmed};
+        for (nodes, heading) in [
+            (vec![Some(Complete), Some(Complete)], "\"good\">complete"),
+            (vec![Some(Complete), Some(Unconfirmed)], "\"fair\">unconfirmed"),
+            (vec![Some(Incomplete), Some(Unconfirmed)], "\"fair\">incomplete"),
+            (vec![Some(Aborted), Some(Complete)], "\"bad\">aborted"),
+            (vec![None, Some(Complete)], "\"bad\">unfinished"),
+            (vec![], "\"bad\">unfinished"),
+        ] {
+            let page = render(&report(nodes.iter().copied().map(node).collect()));
+            assert!(page.contains(&format!("<span class={heading}</span></h1>")), "{nodes:?}");
+        }
+    }
 
     #[test]
     fn what_people_wrote_is_text_and_never_a_script() {
         let report = Report {
-            session: "walk".to_owned(),
-            created_ns: 0,
             subject: Some("<script>alert(1)</script>".to_owned()),
             note: Some("\"><img src=x onerror='alert(2)'>".to_owned()),
-            trigger_rate_hz: 120.0,
-            triggers: 24,
-            nodes: Vec::new(),
-            unreadable: Vec::new(),
-            cloud: None,
+            ..report(Vec::new())
         };
         let page = render(&report);
         assert!(!page.contains("<script>alert") && !page.contains("<img src=x"), "{page}");

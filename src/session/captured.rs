@@ -3,6 +3,8 @@
 use super::state::Fault;
 use crate::api::dto::{CameraProgress, Outcome, SessionStatus};
 use crate::cmds::Exit;
+use crate::record::Status;
+use serde::Deserialize;
 use std::path::PathBuf;
 
 /// A session that ended on every node.
@@ -37,11 +39,7 @@ impl Captured {
 
     /// 0 when every frame of every camera that was asked is there, 3 otherwise.
     pub fn exit(&self) -> Exit {
-        if self.nodes.iter().all(|(_, session)| status_word(session) == "complete") {
-            Exit::Done
-        } else {
-            Exit::DataLoss
-        }
+        if self.worst() == Status::Complete { Exit::Done } else { Exit::DataLoss }
     }
 
     /// The recordings; none of a dry run.
@@ -56,7 +54,11 @@ impl Captured {
         let mut lines = vec![format!("{kind} {}: {}", self.name, self.verdict())];
         lines.extend(self.absent.iter().map(|node| format!("  partial: node {node} not asked")));
         for (node, session) in &self.nodes {
-            lines.push(format!("  node {node}: {}, {} triggers", status_word(session), session.triggers));
+            lines.push(format!(
+                "  node {node}: {}, {} triggers",
+                status(session).map_or("failed", Status::word),
+                session.triggers
+            ));
             match &session.outcome {
                 Some(Outcome::Recorded(verdict)) => lines.extend(camera_lines(verdict)),
                 _ => lines.extend(last_heard(session, self.dry_run)),
@@ -84,19 +86,18 @@ impl Captured {
         })
     }
 
-    /// `complete`, `incomplete` or `aborted`; `partial` where all is there that was asked of a part of the rig.
+    /// The worst of the nodes' words; `partial` where all is there that was asked of a part of the rig.
     pub fn verdict(&self) -> &'static str {
-        let words: Vec<&str> = self.nodes.iter().map(|(_, session)| status_word(session)).collect();
-        let is = |word| words.contains(&word);
-        if is("failed") || is("aborted") {
-            "aborted"
-        } else if is("incomplete") {
-            "incomplete"
-        } else if !self.absent.is_empty() {
-            "partial"
-        } else {
-            "complete"
+        match self.worst() {
+            Status::Complete if !self.absent.is_empty() => "partial",
+            worst => worst.word(),
         }
+    }
+
+    /// What the worst of the nodes has; a node without a recording has what an aborted one has.
+    fn worst(&self) -> Status {
+        let statuses = self.nodes.iter().map(|(_, session)| status(session).unwrap_or(Status::Aborted));
+        statuses.max().unwrap_or(Status::Aborted)
     }
 }
 
@@ -129,10 +130,14 @@ fn last_heard(session: &SessionStatus, dry_run: bool) -> Vec<String> {
     lines
 }
 
-fn status_word(session: &SessionStatus) -> &str {
+/// What a node's recording amounts to; `None` where there is none.
+fn status(session: &SessionStatus) -> Option<Status> {
     match &session.outcome {
-        Some(Outcome::Recorded(verdict)) => verdict["status"].as_str().unwrap_or("incomplete"),
-        Some(Outcome::Failed(_)) | None => "failed",
+        // A word that this version does not know promises nothing.
+        Some(Outcome::Recorded(verdict)) => {
+            Some(Status::deserialize(&verdict["status"]).unwrap_or(Status::Incomplete))
+        }
+        Some(Outcome::Failed(_)) | None => None,
     }
 }
 
@@ -158,4 +163,52 @@ pub(super) fn failure_of_all(nodes: &[(String, SessionStatus)]) -> Option<Fault>
     let first = exits.first().copied()?;
     let exit = exits.into_iter().find(|exit| *exit != device).unwrap_or(first);
     Some(Fault { exit, message: messages.join("; ") })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Captured, Exit, Outcome, SessionStatus};
+
+    /// A session of which each node says this (`failed`: it has no recording), and of a rig with these nodes more.
+    fn captured(words: &[&str], absent: &[&str]) -> Captured {
+        let node = |word: &&str| {
+            let recorded = || Outcome::Recorded(serde_json::json!({ "status": word }));
+            let session = serde_json::json!({
+                "session_id": 1, "name": "walk", "directory": "/walk", "triggers_asked": 0, "triggers": 0,
+                "cameras": [], "ring_high_water_frames": 0, "outcome": (*word != "failed").then(recorded),
+            });
+            ("a".to_owned(), serde_json::from_value::<SessionStatus>(session).expect("a status"))
+        };
+        let absent = absent.iter().map(|node| (*node).to_owned()).collect();
+        Captured::new("walk".to_owned(), false, absent, words.iter().map(node).collect())
+    }
+
+    #[test]
+    fn a_session_is_what_its_worst_node_is() {
+        for (words, verdict) in [
+            (["complete", "complete"], "complete"),
+            (["complete", "unconfirmed"], "unconfirmed"),
+            (["unconfirmed", "incomplete"], "incomplete"),
+            (["incomplete", "a word of a later version"], "incomplete"),
+            (["complete", "a word of a later version"], "incomplete"),
+            (["aborted", "unconfirmed"], "aborted"),
+            (["complete", "failed"], "aborted"),
+        ] {
+            let session = captured(&words, &[]);
+            assert_eq!(session.verdict(), verdict, "{words:?}");
+            assert_eq!(session.exit() == Exit::Done, verdict == "complete", "{words:?}");
+            assert_eq!(session.lines()[0], format!("session walk: {verdict}"));
+            assert_eq!(session.to_json()["verdict"], verdict);
+        }
+    }
+
+    #[test]
+    fn a_part_of_a_rig_is_partial_only_where_all_of_it_is_witnessed() {
+        for (word, verdict) in
+            [("complete", "partial"), ("unconfirmed", "unconfirmed"), ("incomplete", "incomplete")]
+        {
+            assert_eq!(captured(&[word], &["b"]).verdict(), verdict);
+        }
+        assert_eq!(captured(&[], &[]).verdict(), "aborted", "nothing is not success");
+    }
 }
