@@ -3,7 +3,7 @@
 //! * The **block id** counts what the camera sent: one that ignored a trigger does not skip an id. Its beginning is
 //!   known, because an armed stream is silent until the train starts ([`anchor`]).
 //! * The **timestamp**, brought to the HSU's clock by the frames before it, names the trigger by its time. How long
-//!   after a trigger a camera stamps is measured in the warm-up.
+//!   after a trigger a camera stamps is measured with the first frames.
 //! * The **arrival** on the host errs towards late only; how late it usually is, is measured likewise.
 //!
 //! A frame is filed where two of them agree. Where id and timestamp disagree, the frames behind it and a reading of the
@@ -355,7 +355,7 @@ impl Matcher {
     fn read_trigger(&self, case: &Case<'_>, frame: &Sighting) -> Option<i64> {
         let period_ns = i128::from(self.start.period_ns);
         let (number, residual) = case.table.nearest(self.clock.fired_ns(frame, case.hsu)?)?;
-        let due = case.table.time_ns(number).filter(|_| case.table.is_reported(number))?;
+        let due = case.table.reported_ns(number)?;
         let late = self.arrived_ns(frame.host_ns, case.hsu)? - i128::from(due);
         let possible = (-period_ns / 8..=i128::from(LATE_PERIODS) * period_ns).contains(&late);
         (possible && residual.abs() <= period_ns / 4).then_some(number)
@@ -388,9 +388,9 @@ impl Matcher {
         }
     }
 
-    fn learn_latency(&mut self, case: &Case<'_>, number: i64) {
-        let due = case.table.time_ns(number).filter(|_| case.table.is_reported(number));
-        if let Some((due, arrived)) = due.zip(self.arrived_ns(case.frame.host_ns, case.hsu)) {
+    /// How late a frame of the trigger at `due`, HSU time, arrived.
+    fn learn_latency(&mut self, case: &Case<'_>, due: u64) {
+        if let Some(arrived) = self.arrived_ns(case.frame.host_ns, case.hsu) {
             self.latency.follow(arrived - i128::from(due));
         }
     }
@@ -398,13 +398,13 @@ impl Matcher {
     fn accept(&mut self, case: &Case<'_>, number: i64, witness: Witness, finding: Option<Finding>) -> Match {
         let Case { frame, table, .. } = *case;
         // From times that are expected or inferred nothing is learned: they come from what was learned before.
-        if let Some(due) = table.time_ns(number).filter(|_| table.is_reported(number)) {
+        if let Some(due) = table.reported_ns(number) {
             let stamp = frame.camera_ns.filter(|_| !matches!(finding, Some(Finding::StampWrong(_))));
             if let Some(camera_ns) = stamp {
                 Tracker::learn(&mut self.tracker, due, camera_ns);
                 self.clock.learn(due, frame);
             }
-            self.learn_latency(case, number);
+            self.learn_latency(case, due);
         }
         Match::Trigger(self.place(frame, number, witness, finding))
     }

@@ -183,9 +183,14 @@ impl Schedule<'_> {
         number >= self.table.end()
     }
 
+    /// The time of a trigger, where the HSU itself said so.
+    pub fn reported_ns(&self, number: i64) -> Option<u64> {
+        self.table.reported_ns(number)
+    }
+
     /// Whether the HSU itself gave a trigger's time.
     pub fn is_reported(&self, number: i64) -> bool {
-        self.table.row(number).is_some_and(|row| row.reported)
+        self.reported_ns(number).is_some()
     }
 
     /// One more than the number of the latest trigger.

@@ -2,8 +2,8 @@
 //!
 //! What happened once (a wrong stamp, a frame without a trigger) is gone with the next frame; what happened to the
 //! camera (a trigger ignored, ids that jumped, a clock set anew) stays. So nothing is believed of one frame alone:
-//! two frames behind it must agree on the explanation, and where two explanations fit (a clock set by whole periods
-//! looks like triggers ignored), arrivals decide between them.
+//! two frames behind it must agree on the explanation. Where two explanations fit (a clock set by whole periods looks
+//! like triggers ignored), a reading of the camera's clock decides; where that cannot be read, arrivals do.
 
 use super::{Case, Finding, Match, Matcher, Sighting, Witness};
 use crate::acquire::relation::Tracker;
@@ -153,7 +153,9 @@ impl Matcher {
         followers: &[Follower<'_>],
     ) -> Match {
         // However late it is and whatever becomes of it: how regular arrivals are is learned of all.
-        self.learn_latency(case, case.by_id);
+        if let Some(due) = case.table.reported_ns(case.by_id) {
+            self.learn_latency(case, due);
+        }
         let late =
             |number: i64| case.table.time_ns(number).and_then(|due| self.late_ns(case.frame, due, case.hsu));
         let half = i128::from(self.start.period_ns / 2);

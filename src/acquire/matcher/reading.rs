@@ -1,7 +1,7 @@
 //! A camera's clock, read when its frames are in doubt: the witness that knows what was done to it.
 //!
-//! Ids and timestamps show that something changed, not what; arrivals tell triggers apart only where the host takes
-//! packets up at once (Aravis does so every 5 ms where few come). A reading that is asked for after a frame has come
+//! Ids and timestamps show that something changed, not what. Arrivals tell triggers apart only where the host takes
+//! packets up at once, and Aravis does so every 5 ms where few come. A reading that is asked for after a frame has come
 //! tells whether the camera's clock runs as before: then its timestamp is right, and if not, the reading says how it
 //! runs now.
 

@@ -1,8 +1,8 @@
 //! The trigger of the first frame of a stream that begins while the train runs: a camera that is back.
 //!
-//! Its ids say nothing yet. What its stamps and arrivals take from a trigger was measured in the warm-up; its clock is
-//! the one from before (the cable was out), or has been read since (it was switched off). The frames behind it must
-//! agree: their triggers follow as their ids do.
+//! Its ids say nothing yet. What its stamps and arrivals take from a trigger was measured when the train began. Its
+//! clock is read; of one that cannot be read, its relation from before (the cable was out) or arrivals alone must do.
+//! The frames behind it must agree: their triggers follow as their ids do.
 
 use super::{Case, Match, Matcher, Sighting, Stage, Witness};
 use crate::acquire::relation::Tracker;
