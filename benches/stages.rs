@@ -4,12 +4,12 @@
 //! tells each stage's time to criterion. The light is rendered once and kept in `target/bench-stages`.
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::reconstruct::pair::Pair;
+use fourdbody::data::Calibration;
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use fourdbody_simulator::cache::{CachedImages, Manifest};
 use fourdbody_simulator::scenario::Scenario;
 use fourdbody_simulator::sequence::{Changes, Run};

@@ -11,14 +11,15 @@
 //! become a point if its fringe order were known, which without a marker is none. Prints one JSON object: the stages, ms, median and
 //! least of seven runs after one.
 
-use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::base::ids::CameraId;
+use fourdbody::base::image::{Mono8, Plane, read_png_grey};
+use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::geometry::pattern::{Marker, Pattern};
 use fourdbody::geometry::{Device, Lens, Pose};
-use fourdbody::ids::CameraId;
-use fourdbody::image::{Mono8, Plane, read_png_grey};
-use fourdbody::pattern::{Marker, Pattern};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Maps, Method, Pipeline};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::outcome::Maps;
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use npyz::WriterBuilder;
 use std::collections::BTreeMap;

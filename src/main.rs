@@ -1,7 +1,8 @@
 //! The `fourdbody` command line: parse, run the command, turn its outcome into the exit code.
 
 use clap::Parser;
-use fourdbody::cmds::{Cli, Failure};
+use fourdbody::cmds::Cli;
+use fourdbody::cmds::Failure;
 use std::io::Write;
 use std::process::ExitCode;
 use tracing_subscriber::layer::SubscriberExt;

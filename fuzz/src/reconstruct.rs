@@ -1,15 +1,18 @@
 //! The reconstruction of photographs, one alone and three of one instant, by a calibration of which numbers have been changed.
 
 use super::Script;
-use fourdbody::calibrate::{Calibration, PanelRows};
+use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
+use fourdbody::data::Calibration;
+use fourdbody::data::PanelRows;
 use fourdbody::geometry::Device;
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::pattern::Pattern;
+use fourdbody::geometry::pattern::Pattern;
+use fourdbody::reconstruct::fringe_order::prepared::Prepared;
 use fourdbody::reconstruct::fringe_order::{self, View};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
+use fourdbody::reconstruct::pipeline::{self, Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use tempfile::TempDir;
@@ -199,7 +202,7 @@ fn together(pipelines: &[Pipeline], images: &[Plane<u8>]) -> Vec<Reconstruction>
     let finished = pipelines.iter().zip(prepared).map(|(x, prepared)| match prepared {
         Ok(prepared) => match &said {
             Ok(()) => x.finish(prepared),
-            Err(reason) => *prepared.refuse(reason.clone()),
+            Err(reason) => *pipeline::refuse(prepared, reason.clone()),
         },
         Err(refused) => *refused,
     });

@@ -5,11 +5,11 @@
 //! the points are compared after the rigid motion that fits them best: head by head (the heads' own errors), and
 //! all together (how the heads stand to each other, too).
 
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::ids::HeadId;
+use fourdbody::data::Calibration;
 use fourdbody::geometry::{Device, Pose, best_motion};
-use fourdbody::ids::HeadId;
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 /// Pixels between rays, and metres between the points along one.
@@ -136,8 +136,8 @@ fn distances(points: &[Both], motion: &Isometry3<f64>) -> Distances {
 #[cfg(test)]
 mod tests {
     use super::{compare, moved};
-    use fourdbody::calibrate::Calibration;
     use fourdbody::config::Rig;
+    use fourdbody::data::Calibration;
     use nalgebra::{Isometry3, Vector3};
     use std::path::Path;
 

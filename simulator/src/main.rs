@@ -1,7 +1,8 @@
 //! `fourdbody-sim`: the simulator's command line.
 
 use clap::{Parser, Subcommand};
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 use fourdbody_simulator::cmds;
 use std::process::ExitCode;
 

@@ -3,17 +3,17 @@
 //! One thread matches frames to triggers and accounts for them, and never waits for the disk; behind a bounded ring
 //! a second one owns the recording.
 
-use super::books::Books;
+use super::accounting::Books;
 use super::dry_run::DryRun;
-use super::latency::Latencies;
-use super::matcher::Matcher;
+use super::latencies::Latencies;
 use super::preview::{Tapped, Taps};
 use super::receiver::Arrival;
-use super::ring::{Ring, Sink};
+use super::writer_queue::{Ring, Sink};
+use crate::base::Fault;
+use crate::base::ids::CameraId;
 pub use crate::config::WhenFull;
-use crate::ids::CameraId;
+use crate::matcher::Matcher;
 use crate::record::{ClockSample, GapCause, NodeEvent, Recording, TriggerRecord, Verdict};
-use crate::session::state::Fault;
 use crossbeam_channel::{Receiver, Sender, after, select};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -273,7 +273,7 @@ impl Recorder {
         let books = Books::new(lanes, options, Arc::clone(&progress), ring, events);
         let recorder = Self { books, progress, arrivals, commands };
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
-            super::realtime::enter_configured("recorder");
+            crate::host::realtime::enter_configured("recorder");
             recorder.run()
         })
     }

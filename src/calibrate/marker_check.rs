@@ -3,8 +3,8 @@
 
 use super::ellipse::least_squares;
 use super::views::View;
-use crate::image::Plane;
-use crate::reconstruct::pair::Pair;
+use crate::base::image::Plane;
+use crate::reconstruct::triangulate::camera_projector::Pair;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 

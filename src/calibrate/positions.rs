@@ -2,18 +2,19 @@
 //! same circles at the same places. Which white frame that is, is decided by the circles, not by the order alone.
 
 use super::board::Board;
-use super::findings::Kind;
+use super::findings::{Finding, Kind};
 use super::gamma::light_samples;
+use super::lattice::Sighting;
 use super::marker_check::marker_is_there;
 use super::rows::ridge;
 use super::start::board_pose;
 use super::views::{DARK, Looked, Refusal, View};
-use super::{Calibration, Finding, Sighting};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::image::Plane;
+use crate::data::Calibration;
 use crate::geometry::Device;
-use crate::ids::{CameraId, TriggerIndex};
-use crate::image::Plane;
-use crate::pattern::Pattern;
-use crate::reconstruct::pair::Pair;
+use crate::geometry::pattern::Pattern;
+use crate::reconstruct::triangulate::camera_projector::Pair;
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

@@ -4,22 +4,22 @@
 //! [`look_at_frame`] judges a frame by itself, [`super::positions::arrange`] brings the frames of a position together.
 
 use super::board::Board;
+use super::bundle::Observation;
 use super::ellipse::least_squares;
-use super::findings::Kind;
+use super::findings::{Finding, Kind};
 use super::gamma::LightSample;
 use super::lattice::{Sighting, identify};
 use super::positions::{Position, arrange};
 use super::rows::RidgePixel;
 use super::spots::find_spots;
 use super::start::board_pose;
-use super::{Calibration, Finding, Observation};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::image::{Mono8, Plane};
+use crate::data::{Calibration, Frame, FrameSource};
 use crate::geometry::Device;
-use crate::ids::{CameraId, TriggerIndex};
-use crate::image::{Mono8, Plane};
-use crate::reconstruct::pair::Pair;
 use crate::reconstruct::pipeline::{Method, Pipeline};
-use crate::reconstruct::triangulate::Triangulator;
-use crate::reconstruct::{Frame, FrameSource};
+use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, Point3, SVector, Vector3};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::f64::consts::TAU;

@@ -10,18 +10,19 @@
 //! * Without a tick frequency it stamps frames with the host's clock: such a stamp is none.
 
 use super::canary::Canaries;
+use super::contract::{Breach, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
 use super::features::{Failed, Features};
+use super::settings::{AppliedSetting, matches};
 use super::verify::verify;
 use super::{
-    AppliedSetting, Breach, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity,
-    CameraListing, FrameContract, FrameForm, FrameStream, Payload, Received, StreamOptions, Transfer, Wanted,
-    matches,
+    Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, FrameStream,
+    Received, StreamOptions, Transfer, Wanted,
 };
-use crate::acquire::pool::{Block, ROOM_BYTES};
-use crate::acquire::realtime;
+use crate::base::ids::BlockId;
 use crate::config::{FeatureSetting, FeatureValue, SocketMode};
-use crate::ids::BlockId;
+use crate::host::frame_memory::{Block, ROOM_BYTES};
+use crate::host::realtime;
 use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};

@@ -1,8 +1,9 @@
 //! `fourdbody board`: the calibration board's artwork and its list of circles.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
+use crate::base::image::{Mono8, write_png_grey};
 use crate::calibrate::{Board, artwork};
-use crate::image::{Mono8, write_png_grey};
 use std::path::PathBuf;
 
 /// Write the board's artwork (board.svg to print at scale 1, board.png to look at) and its list of circles (circles.csv).

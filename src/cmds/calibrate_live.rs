@@ -2,16 +2,16 @@
 
 use super::capture::stop_on_ctrl_c;
 use super::connect::by_environment;
+use super::failure::Failure;
 use super::reconstruct::open_source;
-use super::{Exit, Failure};
+use crate::base::ids::CameraId;
+use crate::base::{Exit, Fault};
 use crate::calibrate::guide::Guide;
 use crate::calibrate::joined::Joined;
-use crate::calibrate::{Board, Calibration, Finding, Position, views};
-use crate::ids::CameraId;
-use crate::reconstruct::FrameSource;
-use crate::session::capture::{Control, Wish, capture};
-use crate::session::participant::Participant;
-use crate::session::state::Fault;
+use crate::calibrate::{Board, Finding, Position, views};
+use crate::capture::participant::Participant;
+use crate::capture::run::{Control, Wish, capture};
+use crate::data::{Calibration, FrameSource};
 use std::io::BufRead;
 use std::sync::Arc;
 

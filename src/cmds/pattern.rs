@@ -1,8 +1,9 @@
 //! `fourdbody pattern`: the images to project.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
+use crate::base::image::{Mono8, write_png_grey};
 use crate::config::Rig;
-use crate::image::{Mono8, write_png_grey};
 use std::path::PathBuf;
 
 /// Write the image that each head projects, as PNG: OUT/HEAD.png.

@@ -1,6 +1,7 @@
 //! `fourdbody report`: a session on one page.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
 use crate::report::{gather, render};
 use std::path::PathBuf;
 

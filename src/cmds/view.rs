@@ -1,10 +1,11 @@
 //! `fourdbody view`: a picture of a cloud.
 
-use super::{Exit, Failure, unreadable, unusable_clouds};
-use crate::export::Commented;
+use super::failure::{Failure, unreadable, unusable_clouds};
+use crate::base::Exit;
+use crate::base::image::write_png_rgb;
+use crate::batch::result::{self, Clouds};
 use crate::export::view::{Style, draw_sides};
-use crate::image::write_png_rgb;
-use crate::reconstruct::result::{self, Clouds};
+use crate::formats::Commented;
 use std::path::PathBuf;
 
 /// Draw a cloud as a PNG picture, from one side or several side by side.

@@ -1,7 +1,7 @@
 //! What a node asks of its host.
 
-use crate::acquire::pool::ROOM_BYTES;
 use crate::config::{NodeConfig, SocketMode};
+use crate::host::frame_memory::ROOM_BYTES;
 
 /// IP, UDP and GVSP headers of a payload packet with 16-bit block ids, bytes.
 const HEADERS: u64 = 36;

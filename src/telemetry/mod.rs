@@ -8,9 +8,9 @@ pub use exposition::{Family, Kind, Sample};
 pub use thresholds::{Grade, Judgement, Threshold};
 
 use crate::acquire::recorder::Progress;
+use crate::base::histogram::Histogram;
+use crate::base::ids::CameraId;
 use crate::camera::AppliedSetting;
-use crate::histogram::Histogram;
-use crate::ids::CameraId;
 use crate::record::{DiskProgress, GapCause};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};

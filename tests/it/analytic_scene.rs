@@ -1,13 +1,15 @@
 //! The pipeline on a sphere and a wall that are rendered here by direct formula, through the shipped rig.
 
-use fourdbody::calibrate::{Calibration, PanelRows};
+use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
+use fourdbody::data::Calibration;
+use fourdbody::data::PanelRows;
 use fourdbody::geometry::Ray;
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::pattern::{Marker, Pattern};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::geometry::pattern::{Marker, Pattern};
+use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
@@ -126,7 +128,7 @@ fn normals_of_a_wall_are_those_of_the_wall() {
 }
 
 /// A board of black discs, as the calibration uses it: the discs' edges must not bend the plane. Without
-/// [`fourdbody::reconstruct::edges`] and its companions the RMS here is seven times as much.
+/// [`fourdbody::reconstruct::refine::albedo_edges`] and its companions the RMS here is seven times as much.
 #[test]
 fn a_board_with_black_discs_is_flat_up_to_their_edges() {
     let pair = pair(None);

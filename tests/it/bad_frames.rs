@@ -7,13 +7,15 @@
 use crate::analytic_scene::{pair_of, photograph, sphere};
 use crate::back_end::Frames;
 use crate::frame_set::{self, Photograph};
-use fourdbody::calibrate::{Calibration, PanelRows};
-use fourdbody::ids::CameraId;
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::reconstruct::batch::{self, Format, Plan};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::base::ids::CameraId;
+use fourdbody::base::image::{Mono8, Plane};
+use fourdbody::batch::run::{self, Format, Plan};
+use fourdbody::data::Calibration;
+use fourdbody::data::PanelRows;
+use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::Point3;
 use std::sync::OnceLock;
 
@@ -183,7 +185,7 @@ fn marker_column() -> usize {
 fn light_without_pattern_is_refused() {
     let mut white = pair();
     (white.pattern.low, white.pattern.high) = (1.0, 1.0);
-    white.pattern.marker = fourdbody::pattern::Marker::Darkened { depth: 0.0 };
+    white.pattern.marker = fourdbody::geometry::pattern::Marker::Darkened { depth: 0.0 };
     assert_refused("white light", &reconstruct(&photograph(&white, sphere(centre(), RADIUS_M))));
     let mut unmarked = pair();
     unmarked.pattern.marker_index = 100_000;
@@ -286,7 +288,7 @@ fn of_cameras(photographs: &[(Place, Place)]) -> Vec<(usize, Option<String>)> {
         discard: true,
         ..Plan::default()
     };
-    let (summary, _) = batch::run(&source, &calibration, &plan, |_| ()).expect("runs");
+    let (summary, _) = run::run(&source, &calibration, &plan, |_| ()).expect("runs");
     let frames = &summary.triggers[0].frames;
     frames.iter().for_each(|x| println!("{}: {} points, {:?}", x.camera, x.points, x.reason));
     frames.iter().map(|x| (x.points, x.reason.clone())).collect()

@@ -1,14 +1,15 @@
 //! Rendered photographs of the board -> calibration -> clouds of the board elsewhere, against the true rig and the true
 //! plane. One head at half size, so that it takes seconds; `make validate` does it in full.
 
-use fourdbody::calibrate::{Board, Calibration, run};
+use fourdbody::base::ids::{CameraId, TriggerIndex};
+use fourdbody::base::image::Mono8;
+use fourdbody::calibrate::{Board, run};
 use fourdbody::config::Rig;
-use fourdbody::ids::{CameraId, TriggerIndex};
-use fourdbody::image::Mono8;
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline};
-use fourdbody::reconstruct::triangulate::Triangulator;
-use fourdbody::reconstruct::{Frame, FrameSource};
+use fourdbody::data::{Calibration, Frame, FrameSource};
+use fourdbody::reconstruct::outcome::Outcome;
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use fourdbody_simulator::cache::{CachedImages, Manifest};
 use fourdbody_simulator::compare::compare;
 use fourdbody_simulator::scenario::{FlatPose, Scenario, Subject};

@@ -3,13 +3,13 @@
 //! other.
 
 use crate::frame_set::{self, Photograph};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::Plane;
 use fourdbody::config::Rig;
+use fourdbody::data::Calibration;
 use fourdbody::geometry::Ray;
-use fourdbody::image::Plane;
-use fourdbody::pattern::Marker;
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::Reconstruction;
+use fourdbody::geometry::pattern::Marker;
+use fourdbody::reconstruct::outcome::Reconstruction;
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
 use nalgebra::{Point3, Unit, Vector3};
 use std::path::Path;
 

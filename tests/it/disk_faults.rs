@@ -93,7 +93,7 @@ fn gaps(session: &Path, node: &str) -> Vec<(u64, GapCause)> {
         .flat_map(|camera| {
             let recording = &reader.recordings()[0];
             (0..recording.triggers_end()).filter_map(move |trigger| {
-                match recording.frame(camera, fourdbody::ids::TriggerIndex(trigger)) {
+                match recording.frame(camera, fourdbody::base::ids::TriggerIndex(trigger)) {
                     Ok(Err(cause)) => Some((trigger, cause)),
                     _ => None,
                 }

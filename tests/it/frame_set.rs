@@ -1,10 +1,12 @@
 //! Photographs of one instant reconstructed together, as `reconstruct` does it, but in memory.
 
-use fourdbody::image::{Mono8, Plane};
+use fourdbody::base::image::{Mono8, Plane};
+use fourdbody::reconstruct::fringe_order::prepared::Prepared;
 use fourdbody::reconstruct::fringe_order::{self, View};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Pipeline, Prepared, Reconstruction};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::outcome::Reconstruction;
+use fourdbody::reconstruct::pipeline::{self, Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 
 /// A camera's photograph, and its geometry.
 #[derive(Clone)]
@@ -41,7 +43,7 @@ pub fn clouds(photographs: &[Photograph]) -> Vec<Reconstruction> {
     let finished = pipelines.iter().zip(prepared).map(|(pipeline, prepared)| match prepared {
         Ok(prepared) => match &said {
             Ok(()) => pipeline.finish(prepared),
-            Err(reason) => *prepared.refuse(reason.clone()),
+            Err(reason) => *pipeline::refuse(prepared, reason.clone()),
         },
         Err(refused) => *refused,
     });

@@ -1,8 +1,9 @@
 //! `fourdbody-sim export-png`: rendered frames as PNG files that `fourdbody import` reads.
 
 use crate::cache::{CacheError, CachedImages, Manifest};
-use fourdbody::cmds::{Exit, Failure};
-use fourdbody::image::write_png_grey;
+use fourdbody::base::Exit;
+use fourdbody::base::image::write_png_grey;
+use fourdbody::cmds::Failure;
 use rayon::prelude::{IntoParallelIterator, ParallelIterator};
 use std::path::{Path, PathBuf};
 

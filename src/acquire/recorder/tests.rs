@@ -1,12 +1,13 @@
 //! The recorder behind a disk that is too slow: whole sets go, all are accounted for, the rest is intact.
 
-use super::{FromRecorder, LaneSetup, Progress, Recorder, RecorderOptions, ToRecorder, WhenFull};
-use crate::acquire::matcher::{Matcher, Start};
-use crate::acquire::pool::Block;
+use super::{FromRecorder, LaneSetup, Progress, Recorder, RecorderOptions, ToRecorder};
 use crate::acquire::receiver::Arrival;
-use crate::acquire::ring::{Sink, ToWriter};
+use crate::acquire::writer_queue::{Sink, ToWriter};
+use crate::base::ids::{BlockId, CameraId, TriggerIndex};
 use crate::camera::Transfer;
-use crate::ids::{BlockId, CameraId, TriggerIndex};
+use crate::config::WhenFull;
+use crate::host::frame_memory::Block;
+use crate::matcher::{Matcher, Start};
 use crate::record::{GapCause, RecordError, SessionEnd, TriggerRecord, Verdict};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use std::collections::BTreeMap;
@@ -70,7 +71,7 @@ fn due(trigger: u64) -> u64 {
 
 fn arrival(camera: usize, trigger: u64) -> Arrival {
     let mut block = Block::allocate(16);
-    block.bytes_mut()[crate::acquire::pool::ROOM_BYTES] = (trigger % 251) as u8;
+    block.bytes_mut()[crate::host::frame_memory::ROOM_BYTES] = (trigger % 251) as u8;
     Arrival {
         camera,
         stream: 0,

@@ -6,8 +6,8 @@
 
 use super::evidence::{Known, NONE};
 use super::inference::Field;
-use super::lookout::{LANES, Ray};
-use super::sight::{Looks, PLACES, SightLanes};
+use super::observation::{Looks, PLACES, SightLanes};
+use super::projection::{LANES, Ray};
 use super::{Scene, View};
 use nalgebra::{Matrix3, Vector3};
 use std::f32::consts::{PI, TAU};

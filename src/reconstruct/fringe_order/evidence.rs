@@ -7,11 +7,11 @@
 use super::Scene;
 use super::drift::{Differences, TERMS};
 use super::inference::{Costs, Field, LABELS, NEVER, STEP};
-use super::lookout::{LANES, Ray};
+use super::observation::{Looks, PLACES, SightLanes};
 use super::patches::Patches;
-use super::sight::{Looks, PLACES, SightLanes};
-use crate::reconstruct::round::nearest;
-use crate::reconstruct::simd;
+use super::projection::{LANES, Ray};
+use crate::reconstruct::kernels::fast_round::nearest;
+use crate::reconstruct::kernels::simd;
 use std::f32::consts::{PI, TAU};
 
 /// What a camera's words count.
@@ -58,7 +58,7 @@ const SURE: f32 = 10.0;
 /// No turns.
 pub const NONE: i32 = i32::MIN;
 
-/// What is known of all views' patches, and of [nothing and a look past](super::sight::Numbers).
+/// What is known of all views' patches, and of [nothing and a look past](super::observation::Numbers).
 #[derive(Debug)]
 pub struct Known {
     /// Whole turns that make a patch's phases absolute, or [`NONE`].

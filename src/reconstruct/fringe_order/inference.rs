@@ -3,7 +3,7 @@
 
 use super::Scene;
 use super::links::Link;
-use crate::reconstruct::simd;
+use crate::reconstruct::kernels::simd;
 use std::f32::consts::TAU;
 
 /// Labels of a patch: fringes from the first in the volume on its line of sight.

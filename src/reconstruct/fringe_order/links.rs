@@ -3,7 +3,7 @@
 //! Two whole cells are planes: how these meet at their border tells one surface from two that touch by chance. Other patches are
 //! asked pixel by pixel.
 
-use super::glimpse::Plane;
+use super::lookup::Plane;
 use super::patches::{ALL, CELL_PX, FIRST_COLUMN, FIRST_ROW, Patches, Spot, Surface};
 use std::f32::consts::TAU;
 

@@ -15,29 +15,30 @@
 //! A patch's label is the fringe that it lies on. What the other cameras and the marker say of a place is a cost of the label; that a
 //! patch does not continue its neighbour costs as much as it seems to. A patch whose label leads any other by too little is refused.
 
-mod alone;
 mod drift;
 mod evidence;
-mod glimpse;
 mod inference;
 mod links;
-mod lookout;
+mod lookup;
+mod observation;
+mod one_view;
 mod patches;
-mod sight;
+pub mod prepared;
+mod projection;
 
-use super::pair::Pair;
-use super::pipeline::Prepared;
-use super::roi::Roi;
-use super::runs::each_not_0;
-use super::simd;
-use super::triangulate::Triangulator;
-use crate::image::Plane;
+use super::kernels::pixel_runs::each_not_0;
+use super::kernels::region_of_interest::Roi;
+use super::kernels::simd;
+use super::triangulate::camera_projector::Pair;
+use super::triangulate::triangulator::Triangulator;
+use crate::base::image::Plane;
 use drift::{Differences, Turned};
 use evidence::{BEYOND, Known, NONE};
 use inference::Field;
-use lookout::{LANES, Lookout};
 use nalgebra::{Point3, Vector3};
 use patches::{CELL_PX, Patch, Patches, Surface};
+use prepared::Prepared;
+use projection::{LANES, Lookout};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
@@ -100,7 +101,7 @@ impl Orders {
     pub(super) fn cut(
         phase: &mut Plane<f32>,
         period: &Plane<f32>,
-        object: &super::runs::Runs,
+        object: &super::kernels::pixel_runs::Runs,
         pair: &Pair,
     ) -> Self {
         let patches = Patches::cut(&mut Surface { phase, period, object, sign: pair.sign });
@@ -189,7 +190,7 @@ fn solve(scenes: &[Scene<'_>]) -> (Vec<Turns>, Option<Turned>) {
         (0..scenes.len()).into_par_iter().map(|i| Field::new(scenes, i)).collect();
     let mut turned = None;
     if let [field] = &mut fields[..] {
-        alone::infer(field);
+        one_view::infer(field);
     } else {
         turned = infer_together(&mut fields, scenes);
     }

@@ -3,14 +3,14 @@
 //! The image is cut into cells of 8 x 8 px. The phases of a cell are unwrapped along its carrier, and pixels that continue each
 //! other are one patch. Most cells are filled by one smooth patch, a plane of phases.
 
-use super::glimpse::{self, Glimpse, Glimpses, Rim};
 use super::links::Link;
-use crate::image::Plane;
-use crate::reconstruct::bits::{self, WORD, bits_where};
-use crate::reconstruct::round::nearest;
-use crate::reconstruct::runs::Runs;
-use crate::reconstruct::sample::part;
-use crate::reconstruct::simd;
+use super::lookup::{self, Glimpse, Glimpses, Rim};
+use crate::base::image::Plane;
+use crate::reconstruct::kernels::bit_rows::{self, WORD, bits_where};
+use crate::reconstruct::kernels::fast_round::nearest;
+use crate::reconstruct::kernels::pixel_runs::Runs;
+use crate::reconstruct::kernels::simd;
+use crate::reconstruct::kernels::subpixel::part;
 use std::f32::consts::TAU;
 
 /// Side of a cell, px.
@@ -335,7 +335,7 @@ impl Object {
     fn mark(&mut self, runs: &Runs, row: usize) {
         self.bits.fill(0);
         for (v, bits) in (row * CELL_PX..runs.height()).zip(self.bits.chunks_exact_mut(self.words)) {
-            runs.row(v).iter().for_each(|run| bits::set(bits, run.columns()));
+            runs.row(v).iter().for_each(|run| bit_rows::set(bits, run.columns()));
         }
     }
 
@@ -437,7 +437,7 @@ fn mean(mask: u64, values: &Block) -> f32 {
 
 /// The plane of a cell that one patch fills.
 #[inline(always)]
-fn plane(phase: &Block) -> glimpse::Plane {
+fn plane(phase: &Block) -> lookup::Plane {
     const HALF: usize = CELL_PX / 2;
     let mut halves = [[0f32; CELL_PX]; 2];
     for (v, row) in phase.iter().enumerate() {
@@ -455,7 +455,7 @@ fn plane(phase: &Block) -> glimpse::Plane {
     let steps = [((b + d) - (a + c)) * per, ((c + d) - (a + b)) * per];
     let middle = ((a + b) + (c + d)) / (CELL_PX * CELL_PX) as f32;
     let corner = middle - (steps[0] + steps[1]) * (CELL_PX - 1) as f32 / 2.0;
-    glimpse::Plane { phase: corner, steps }
+    lookup::Plane { phase: corner, steps }
 }
 
 /// The sum of a row's values.
@@ -468,8 +468,8 @@ fn sum(row: &[f32; CELL_PX]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::{CELL_PX, Patches, Surface};
-    use crate::image::Plane;
-    use crate::reconstruct::runs::Runs;
+    use crate::base::image::Plane;
+    use crate::reconstruct::kernels::pixel_runs::Runs;
     use proptest::prelude::{ProptestConfig, prop_assert, prop_assert_eq, proptest};
     use std::f32::consts::TAU;
 

@@ -1,7 +1,7 @@
 //! The books: outcomes counted again, and the trigger table.
 
 use super::{Notes, Severity};
-use crate::ids::TriggerIndex;
+use crate::base::ids::TriggerIndex;
 use crate::record::layout::{GapCause, MAX_TRIGGERS};
 use crate::record::reader::{Outcome, RecordingReader};
 use crate::record::verdict::{Noted, REFUSED, Status, UNCONFIRMED, Verdict};

@@ -2,12 +2,13 @@
 
 use super::instants::{self, Seen, Times};
 use super::{Notes, Severity};
-use crate::ids::TriggerIndex;
+use crate::base::ids::TriggerIndex;
 use crate::record::layout::{GapRecord, SegmentIndex, image_topic};
 use crate::record::metadata::stated_index;
-use crate::record::reader::{RecordingReader, SegmentReader, Topic, check_frame};
+use crate::record::reader::{RecordingReader, SegmentReader, check_frame};
 use crate::record::scan::{End, Event, Walker, metadata_by_index};
 use crate::record::segment_file::SegmentFile;
+use crate::record::topic::Topic;
 use crc32fast::Hasher;
 use rayon::prelude::*;
 use std::collections::BTreeMap;

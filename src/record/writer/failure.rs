@@ -1,8 +1,9 @@
 //! When the disk fails: what is in the file stays readable, what is not becomes gaps, and the books go on in a
 //! segment of their own.
 
+use super::Recording;
+use super::error::RecordError;
 use super::segments::{ClosingSegment, OpenSegment, Unwritten};
-use super::{RecordError, Recording};
 use crate::record::layout::{GapCause, GapRecord, NodeEvent};
 use crate::record::segment::JsonChannel;
 use std::io;
