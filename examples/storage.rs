@@ -9,7 +9,7 @@
 use fourdbody::data::Calibration;
 use fourdbody::formats::sequence::SequenceWriter;
 use fourdbody::formats::{phase_file, ply};
-use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody::reconstruct::triangulate::points;
 use fourdbody::reconstruct::triangulate::ray_table::RayTable;
 use std::hint::black_box;
@@ -43,7 +43,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (statement, map) = phase_file::decode(&stored)?;
         let known = calibration.cameras().find(|(_, camera)| camera.id.as_str() == statement.camera);
         let (head, camera) = known.ok_or("the calibration has no such camera")?;
-        let table = RayTable::new(&Pair::new(head, camera, &calibration)?);
+        let table = RayTable::new(&CameraProjector::new(head, camera, &calibration)?);
         let cloud = points::make(&table, &map);
         frames += 1.0;
         points += cloud.len() as f64;

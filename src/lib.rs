@@ -9,7 +9,7 @@
 //! operator -> [cmds] CLI -> [api] HTTP -> [node] state machine -> [hsu] serial link + [camera]
 //! ```
 //!
-//! The modules below stand in the order of `ARCHITECTURE.md`, from the ground up: each names only those before it.
+//! `ARCHITECTURE.md` has the folders in their order, from the ground up: each names only those before it.
 
 // First: what follows prints by its macros.
 /// Identifiers, images, clocks, files written whole, and how a command ends.

@@ -8,7 +8,7 @@
 use fourdbody::base::ids::HeadId;
 use fourdbody::data::Calibration;
 use fourdbody::geometry::{Device, Pose, best_motion};
-use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, Point3, Vector3};
 
@@ -93,7 +93,7 @@ fn head_points(head: &str, found: &Calibration, truth: &Calibration) -> Result<V
         let Some(same) = found_head.cameras.iter().find(|c| c.id == camera.id) else {
             return Err(format!("camera {} is not in both calibrations", camera.id));
         };
-        let triangulator = Triangulator::new(Pair::new(found_head, same, found)?);
+        let triangulator = Triangulator::new(CameraProjector::new(found_head, same, found)?);
         let device = &camera.device;
         let pixels = (0..device.height)
             .step_by(STEP_PX.min(device.height / 8 + 1))

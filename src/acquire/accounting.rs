@@ -4,7 +4,7 @@ use super::assembler::Assembler;
 use super::breaches::{Breaches, gap_cause};
 use super::pause::Pauses;
 use super::receiver::Arrival;
-use super::recorder::{FromRecorder, LaneSetup, Progress, RecorderOptions, TICK, ToRecorder};
+use super::recorder::{LaneSetup, Progress, RecorderCommand, RecorderEvent, RecorderOptions, TICK};
 use super::writer_queue::{ReadyFrame, Ring, ToWriter};
 use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 use crate::base::ids::{BlockId, CameraId, TriggerIndex};
@@ -44,12 +44,12 @@ struct Lane {
     /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
     given_up: u64,
     given_up_now: u64,
-    /// When its clock was last asked for, at this point of [`Books::awake`].
+    /// When its clock was last asked for, at this point of [`Accounting::awake`].
     asked: Option<Duration>,
     breaches: Breaches,
 }
 
-/// A frame that waits for its trigger, since this point of [`Books::awake`].
+/// A frame that waits for its trigger, since this point of [`Accounting::awake`].
 struct Pending {
     arrival: Arrival,
     since: Duration,
@@ -63,7 +63,7 @@ struct Full {
 }
 
 /// The matching thread's state.
-pub(super) struct Books {
+pub(super) struct Accounting {
     lanes: Vec<Lane>,
     table: TriggerTable,
     hsu: ClockFit,
@@ -73,7 +73,7 @@ pub(super) struct Books {
     full_reported: bool,
     options: RecorderOptions,
     progress: Arc<Progress>,
-    events: Sender<FromRecorder>,
+    events: Sender<RecorderEvent>,
     draining: bool,
     /// How many triggers there were, once the HSU said so.
     emitted: Option<u64>,
@@ -93,13 +93,13 @@ const CLOCK_PATIENCE: Duration = Duration::from_millis(10);
 /// So long a frame waits for its report even if there are more waiting than should be: they may have come at once.
 const BURST_PATIENCE: Duration = Duration::from_millis(25);
 
-impl Books {
+impl Accounting {
     pub(super) fn new(
         lanes: Vec<LaneSetup>,
         options: RecorderOptions,
         progress: Arc<Progress>,
         ring: Ring,
-        events: Sender<FromRecorder>,
+        events: Sender<RecorderEvent>,
     ) -> Self {
         let lane = |setup: LaneSetup| Lane {
             id: setup.id,
@@ -189,9 +189,9 @@ impl Books {
         self.pass_sets_on(false);
     }
 
-    pub(super) fn obey(&mut self, command: ToRecorder) {
+    pub(super) fn obey(&mut self, command: RecorderCommand) {
         match command {
-            ToRecorder::Trigger(record) => {
+            RecorderCommand::Trigger(record) => {
                 if let Ok(number) = i64::try_from(record.index.0) {
                     self.table.insert(number, record.hsu_time_ns);
                     self.hsu.heard(record.hsu_time_ns, record.host_time_ns);
@@ -200,32 +200,32 @@ impl Books {
                 self.ring.small(ToWriter::Trigger(record));
                 self.advance_all();
             }
-            ToRecorder::WarmUp { number, hsu_time_ns } if number < 0 => {
+            RecorderCommand::WarmUp { number, hsu_time_ns } if number < 0 => {
                 self.table.insert(number, hsu_time_ns);
                 let sample = WarmUp::Trigger { number, hsu_time_ns };
                 self.ring.small(ToWriter::Event(sample.event(None, host_time_ns())));
                 self.advance_all();
             }
-            ToRecorder::WarmUp { .. } => {}
-            ToRecorder::Clock(sample) => self.clock_sample(sample),
-            ToRecorder::Event(event) => self.ring.small(ToWriter::Event(event)),
-            ToRecorder::CameraLost(camera, cause) if camera < self.lanes.len() => {
+            RecorderCommand::WarmUp { .. } => {}
+            RecorderCommand::Clock(sample) => self.clock_sample(sample),
+            RecorderCommand::Event(event) => self.ring.small(ToWriter::Event(event)),
+            RecorderCommand::CameraLost(camera, cause) if camera < self.lanes.len() => {
                 self.advance(camera, true);
                 let lane = &mut self.lanes[camera];
                 (lane.lost, lane.absence) = (true, cause);
                 self.sets.expect(camera, false);
             }
-            ToRecorder::CameraAway(camera, cause) if camera < self.lanes.len() => {
+            RecorderCommand::CameraAway(camera, cause) if camera < self.lanes.len() => {
                 self.lanes[camera].absence = cause;
             }
-            ToRecorder::CameraBack { camera, stream } if camera < self.lanes.len() => {
+            RecorderCommand::CameraBack { camera, stream } if camera < self.lanes.len() => {
                 self.advance(camera, true);
                 let lane = &mut self.lanes[camera];
                 (lane.lost, lane.back, lane.stream) = (false, true, stream);
                 lane.matcher.restart(!self.table.is_empty());
                 self.sets.expect(camera, true);
             }
-            ToRecorder::Drain { emitted } => {
+            RecorderCommand::Drain { emitted } => {
                 self.draining = true;
                 self.emitted = emitted.or(self.emitted);
                 self.last_settled = self.awake;
@@ -305,7 +305,7 @@ impl Books {
         let again = lane.asked.is_none_or(|asked| self.awake > asked + CLOCK_PATIENCE);
         if again && lane.matcher.takes_clock_wish() {
             lane.asked = Some(self.awake);
-            drop(self.events.send(FromRecorder::Doubtful { camera }));
+            drop(self.events.send(RecorderEvent::Doubtful { camera }));
         }
     }
 
@@ -433,7 +433,7 @@ impl Books {
         let full = self.full.get_or_insert(Full { first: trigger, last: trigger, frames: 0 });
         (full.last, full.frames) = (full.last.max(trigger), full.frames + count);
         if self.options.when_full == WhenFull::Stop && !std::mem::replace(&mut self.full_reported, true) {
-            drop(self.events.send(FromRecorder::RingFull));
+            drop(self.events.send(RecorderEvent::RingFull));
         }
     }
 
@@ -517,7 +517,7 @@ impl Books {
         self.ring.small(ToWriter::Event(NodeEvent { host_time_ns, kind, camera, trigger, message }));
     }
 
-    pub(super) fn look_whether_drained(&mut self, all_taken: bool) {
+    pub(super) fn check_drained(&mut self, all_taken: bool) {
         if !self.draining {
             return;
         }
@@ -525,7 +525,7 @@ impl Books {
         let quiet = self.awake - self.last_settled > self.options.drain_patience && all_taken;
         if all_in || quiet {
             self.draining = false;
-            drop(self.events.send(FromRecorder::Drained));
+            drop(self.events.send(RecorderEvent::Drained));
         }
     }
 

@@ -3,7 +3,7 @@
 //! One thread matches frames to triggers and accounts for them, and never waits for the disk; behind a bounded ring
 //! a second one owns the recording.
 
-use super::accounting::Books;
+use super::accounting::Accounting;
 use super::dry_run::DryRun;
 use super::latencies::Latencies;
 use super::preview::{Tapped, Taps};
@@ -22,7 +22,7 @@ use std::time::Duration;
 
 /// What the node tells the recorder.
 #[derive(Debug)]
-pub enum ToRecorder {
+pub enum RecorderCommand {
     /// The HSU reported a trigger.
     Trigger(TriggerRecord),
     /// The HSU reported a warm-up trigger: its frames are recognized and not recorded.
@@ -61,7 +61,7 @@ pub enum ToRecorder {
     Discard,
 }
 
-impl ToRecorder {
+impl RecorderCommand {
     fn is_last(&self) -> bool {
         matches!(self, Self::Close { .. } | Self::Discard)
     }
@@ -69,7 +69,7 @@ impl ToRecorder {
 
 /// What the recorder tells the node.
 #[derive(Debug)]
-pub enum FromRecorder {
+pub enum RecorderEvent {
     /// The frames of all triggers are in, or will not come any more.
     Drained,
     /// The ring was full for the first time, and the configuration says to stop then.
@@ -222,10 +222,10 @@ pub enum Destination {
 
 /// The recorder's side of a session.
 pub struct Recorder {
-    books: Books,
+    books: Accounting,
     progress: Arc<Progress>,
     arrivals: Receiver<Arrival>,
-    commands: Receiver<ToRecorder>,
+    commands: Receiver<RecorderCommand>,
 }
 
 /// Without news the thread looks at what waits this often.
@@ -241,8 +241,8 @@ impl Recorder {
         options: RecorderOptions,
         progress: Arc<Progress>,
         arrivals: Receiver<Arrival>,
-        commands: Receiver<ToRecorder>,
-        events: Sender<FromRecorder>,
+        commands: Receiver<RecorderCommand>,
+        events: Sender<RecorderEvent>,
     ) -> std::io::Result<JoinHandle<()>> {
         let sink: Box<dyn Sink> = match destination {
             Destination::Recording(recording) => recording,
@@ -265,12 +265,12 @@ impl Recorder {
         options: RecorderOptions,
         progress: Arc<Progress>,
         arrivals: Receiver<Arrival>,
-        commands: Receiver<ToRecorder>,
-        events: Sender<FromRecorder>,
+        commands: Receiver<RecorderCommand>,
+        events: Sender<RecorderEvent>,
     ) -> std::io::Result<JoinHandle<()>> {
         let capacity = options.ring_sets() * lanes.len().max(1);
         let ring = Ring::start(sink, capacity, Arc::clone(&progress), events.clone())?;
-        let books = Books::new(lanes, options, Arc::clone(&progress), ring, events);
+        let books = Accounting::new(lanes, options, Arc::clone(&progress), ring, events);
         let recorder = Self { books, progress, arrivals, commands };
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
             crate::host::realtime::enter_configured("recorder");
@@ -303,12 +303,12 @@ impl Recorder {
                 },
                 recv(after(TICK)) -> _ => self.books.advance_all(),
             }
-            self.books.look_whether_drained(self.arrivals.is_empty());
+            self.books.check_drained(self.arrivals.is_empty());
         }
     }
 
     /// Obeys what has been said so far; a last word is returned.
-    fn obey_all(&mut self) -> Option<ToRecorder> {
+    fn obey_all(&mut self) -> Option<RecorderCommand> {
         while let Ok(command) = self.commands.try_recv() {
             if command.is_last() {
                 return Some(command);
@@ -318,8 +318,8 @@ impl Recorder {
         None
     }
 
-    fn end(mut self, last: ToRecorder) {
-        let ToRecorder::Close { aborted } = last else { return self.books.discard() };
+    fn end(mut self, last: RecorderCommand) {
+        let RecorderCommand::Close { aborted } = last else { return self.books.discard() };
         while let Ok(arrival) = self.arrivals.try_recv() {
             self.books.take(arrival, 0);
         }

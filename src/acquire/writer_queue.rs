@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::recorder::FromRecorder;
+use super::recorder::RecorderEvent;
 
 /// Room for small records beside the frames: minutes of them.
 const SMALL_RECORDS: usize = 65_536;
@@ -90,7 +90,7 @@ impl Ring {
         sink: Box<dyn Sink>,
         capacity: usize,
         progress: Arc<Progress>,
-        events: Sender<FromRecorder>,
+        events: Sender<RecorderEvent>,
     ) -> std::io::Result<Self> {
         let (items, inbox) = bounded(capacity + SMALL_RECORDS);
         let frames = Arc::new(AtomicUsize::new(0));
@@ -148,7 +148,7 @@ struct Writer {
     inbox: Receiver<ToWriter>,
     frames: Arc<AtomicUsize>,
     progress: Arc<Progress>,
-    events: Sender<FromRecorder>,
+    events: Sender<RecorderEvent>,
     failed: bool,
 }
 
@@ -159,7 +159,7 @@ impl Writer {
             match self.inbox.recv_timeout(TICK) {
                 Ok(ToWriter::End(end)) => {
                     let verdict = self.sink.finish(end).map_err(|e| Fault::new(Exit::DataLoss, e));
-                    drop(self.events.send(FromRecorder::Closed(verdict)));
+                    drop(self.events.send(RecorderEvent::Closed(verdict)));
                     return;
                 }
                 Ok(ToWriter::Frame(frame)) => self.frame(frame),
@@ -197,7 +197,7 @@ impl Writer {
         let Err(error) = written else { return };
         if !std::mem::replace(&mut self.failed, true) {
             tracing::error!("recording failed: {error}");
-            drop(self.events.send(FromRecorder::Failed(Fault::new(Exit::Failure, error))));
+            drop(self.events.send(RecorderEvent::Failed(Fault::new(Exit::Failure, error))));
         }
     }
 }

@@ -4,8 +4,8 @@ use super::listing::Listing;
 use crate::acquire::preview::Taps;
 use crate::base::Fault;
 use crate::base::ids::NodeId;
-use crate::capture::coordinator::{Cast, Coordinator};
-use crate::capture::participant::{Here, Participant};
+use crate::capture::coordinator::{Coordinator, Participants};
+use crate::capture::participant::{LocalNode, Participant};
 use crate::capture::peer_watch::PeerWatch;
 use crate::config::NodeConfig;
 use crate::control::client::{Credentials, NodeClient};
@@ -58,8 +58,8 @@ impl Services {
             Ok(Peer { name: NodeId(peer.name.clone()), client })
         };
         let peers = Arc::new(config.api.peers.iter().map(peer).collect::<Result<Vec<Peer>, Fault>>()?);
-        let here = Here::new(commands, Arc::clone(&status));
-        let cast: Cast = {
+        let here = LocalNode::new(commands, Arc::clone(&status));
+        let cast: Participants = {
             let (here, peers) = (here.clone(), Arc::clone(&peers));
             Arc::new(move || {
                 let others = peers.iter().map(|peer| Box::new(peer.client.clone()) as Box<dyn Participant>);

@@ -224,7 +224,7 @@ struct Stated<'a> {
 
 impl Stated<'_> {
     fn has_files(&self, trigger: &TriggerSummary) -> bool {
-        let together = run::together(trigger.frames.iter().map(|frame| &frame.camera));
+        let together = run::cameras_comment(trigger.frames.iter().map(|frame| &frame.camera));
         let directional =
             trigger.frames.iter().all(|frame| self.has_frame(trigger.trigger, frame, &together));
         directional && (self.format == Format::Phase || self.has_merged(trigger))

@@ -13,7 +13,7 @@ use crate::formats::phase_file::{self, Statement};
 use crate::formats::sequence::SequenceWriter;
 use crate::formats::{CloudSource, Commented, ply};
 use crate::merge::{self, Rule, View, Viewpoint};
-use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::points;
 use crate::reconstruct::triangulate::ray_table::RayTable;
 use rayon::prelude::*;
@@ -151,7 +151,9 @@ fn tables(calibration: &Calibration) -> Result<Vec<RayTable>, String> {
     let heads_and_cameras: Vec<_> = calibration.cameras().collect();
     heads_and_cameras
         .par_iter()
-        .map(|(head, camera)| Pair::new(head, camera, calibration).map(|pair| RayTable::new(&pair)))
+        .map(|(head, camera)| {
+            CameraProjector::new(head, camera, calibration).map(|pair| RayTable::new(&pair))
+        })
         .collect()
 }
 
@@ -320,7 +322,7 @@ pub fn load_cloud(path: &Path, calibration: &Calibration) -> Result<Commented, S
         calibration.cameras().enumerate().find(|(_, found)| is_it(found)).ok_or_else(|| {
             format!("{}: the calibration has no camera {}", path.display(), statement.camera)
         })?;
-    let table = RayTable::new(&Pair::new(head, camera, calibration)?);
+    let table = RayTable::new(&CameraProjector::new(head, camera, calibration)?);
     read_cloud(path, calibration, number, &table).map(|(statement, cloud)| (statement.comments, cloud))
 }
 

@@ -28,13 +28,13 @@ use crate::base::time::process_cpu_time;
 use crate::data::{Calibration, Cloud, Frame, FrameSource};
 use crate::formats::ply;
 use crate::merge::{self, Viewpoint};
-use crate::reconstruct::fringe_order::prepared::Prepared;
+use crate::reconstruct::fringe_order::unwrapped_frame::UnwrappedFrame;
 use crate::reconstruct::fringe_order::{self, View};
 use crate::reconstruct::marker::epipolar_check::Dashes;
 use crate::reconstruct::outcome::{Reconstruction, WHY_ELSEWHERE};
 use crate::reconstruct::pipeline;
 use crate::reconstruct::pipeline::{Method, Pipeline};
-use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -203,7 +203,7 @@ impl From<KeyError> for RunError {
 /// A frame on its way.
 enum Stage {
     /// The other cameras have a part in its fringe orders.
-    Prepared(Box<Prepared>),
+    Unwrapped(Box<UnwrappedFrame>),
     /// They have none: it is refused, or what has become of it is known already.
     Made(Box<Reconstruction>),
     /// No frame: outcome and reason.
@@ -214,9 +214,9 @@ enum Stage {
 type Pixels = Result<Option<u32>, ()>;
 
 /// Where the markers of most cameras contradict the calibration, those of the others agree by chance.
-fn heed_dashes(stages: Vec<Stage>) -> Vec<Stage> {
+fn refuse_displaced_markers(stages: Vec<Stage>) -> Vec<Stage> {
     let dashes = stages.iter().filter_map(|stage| match stage {
-        Stage::Prepared(prepared) => Some(&prepared.counts.dashes),
+        Stage::Unwrapped(prepared) => Some(&prepared.counts.dashes),
         Stage::Made(result) => Some(&result.counts.dashes),
         Stage::Missing(..) => None,
     });
@@ -232,16 +232,16 @@ fn heed_dashes(stages: Vec<Stage>) -> Vec<Stage> {
 /// No clouds are made of any frame of a trigger, for this reason.
 fn refuse(stages: Vec<Stage>, reason: &str) -> Vec<Stage> {
     let refuse = |stage| match stage {
-        Stage::Prepared(prepared) => Stage::Made(pipeline::refuse(*prepared, reason.to_owned())),
+        Stage::Unwrapped(prepared) => Stage::Made(pipeline::refuse(*prepared, reason.to_owned())),
         other => other,
     };
     stages.into_iter().map(refuse).collect()
 }
 
 /// The frames of all cameras of one trigger give each other their fringe orders.
-fn help_each_other(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, margin: f32) -> Vec<Stage> {
+fn solve_fringe_orders(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, margin: f32) -> Vec<Stage> {
     let views = cameras.iter().zip(&mut stages).filter_map(|((head, camera), stage)| match stage {
-        Stage::Prepared(prepared) => Some(View {
+        Stage::Unwrapped(prepared) => Some(View {
             id: camera.id.as_str(),
             triangulator: camera.pipeline.triangulator(),
             head: *head,
@@ -249,7 +249,7 @@ fn help_each_other(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, margin:
         }),
         _ => None,
     });
-    match fringe_order::settle(&mut views.collect::<Vec<_>>(), margin) {
+    match fringe_order::solve(&mut views.collect::<Vec<_>>(), margin) {
         Ok(()) => stages,
         Err(reason) => refuse(stages, &reason),
     }
@@ -278,7 +278,7 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
     let asked: Vec<_> = asked.collect();
     let made = asked.par_iter().map(|(number, (head, camera))| {
         let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
-        let pair = Pair::new(head, camera, calibration)?;
+        let pair = CameraProjector::new(head, camera, calibration)?;
         let triangulator = Triangulator::new(pair);
         let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
         let pipeline = pipeline.with_uncertainty(plan.uncertainty);
@@ -340,7 +340,7 @@ pub fn run(
 }
 
 /// The comment that names the cameras that a directional cloud depends on.
-pub(crate) fn together<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> String {
+pub(crate) fn cameras_comment<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> String {
     format!("together {}", cameras.map(CameraId::as_str).collect::<Vec<_>>().join(" "))
 }
 
@@ -416,10 +416,10 @@ impl Job<'_> {
         let prepared: Vec<(Stage, Pixels)> = cameras.par_iter().with_max_len(1).map(prepare).collect();
         let (mut stages, pixels): (Vec<Stage>, Vec<Pixels>) = prepared.into_iter().unzip();
         let frames = frames_comment(cameras.iter().map(|(_, camera)| &camera.id).zip(pixels));
-        stages = heed_dashes(stages);
-        stages = self.timed(|| help_each_other(&cameras, stages, self.plan.margin));
+        stages = refuse_displaced_markers(stages);
+        stages = self.timed(|| solve_fringe_orders(&cameras, stages, self.plan.margin));
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
-            Stage::Prepared(prepared) => {
+            Stage::Unwrapped(prepared) => {
                 self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)), &frames)
             }
             Stage::Made(result) => self.save(camera, trigger, *result, &frames),
@@ -474,7 +474,7 @@ impl Job<'_> {
         let stage = match camera.pipeline.prepare(image) {
             Ok(mut prepared) => {
                 prepared.add_time("map", mapping);
-                Stage::Prepared(Box::new(prepared))
+                Stage::Unwrapped(Box::new(prepared))
             }
             Err(mut made) => {
                 made.stages.push(("map", mapping));

@@ -14,7 +14,7 @@ use crate::base::image::Plane;
 use crate::data::Calibration;
 use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
-use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -74,8 +74,8 @@ pub fn arrange(
         }
     }
     findings.extend(hidden(&positions, nominal, board));
-    let pairs: Vec<Option<Pair>> =
-        nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).ok()).collect();
+    let pairs: Vec<Option<CameraProjector>> =
+        nominal.cameras().map(|(head, camera)| CameraProjector::new(head, camera, nominal).ok()).collect();
     for (trigger, camera, image, phase) in fringes {
         let of = Owner { id: &ids[camera], camera, trigger, pair: pairs[camera].as_ref() };
         findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
@@ -178,7 +178,7 @@ struct Owner<'a> {
     id: &'a CameraId,
     camera: usize,
     trigger: TriggerIndex,
-    pair: Option<&'a Pair>,
+    pair: Option<&'a CameraProjector>,
 }
 
 /// Gives a frame with fringes to the white frame that shows the board at the same place.

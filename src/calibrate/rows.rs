@@ -19,7 +19,7 @@ use crate::base::image::Plane;
 use crate::data::Calibration;
 use crate::data::PanelRows;
 use crate::reconstruct::marker::epipolar_check::{Crossing, Stretch, stretches_of};
-use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::TAU;
@@ -48,7 +48,12 @@ pub struct RidgePixel {
 }
 
 /// The ridges of the markers on the board, between its circles, from row to row.
-pub(super) fn ridge(view: &View, image: &Plane<u8>, phase: &Plane<f32>, pair: &Pair) -> Vec<RidgePixel> {
+pub(super) fn ridge(
+    view: &View,
+    image: &Plane<u8>,
+    phase: &Plane<f32>,
+    pair: &CameraProjector,
+) -> Vec<RidgePixel> {
     let half = (pair.period_px / 2.0).round() as usize;
     let mut ridge = Vec::new();
     for columns in ridges(view, phase, pair) {
@@ -86,7 +91,7 @@ pub(super) fn find_rows(
             let head = result.heads.get(kept)?;
             let mut seen = Vec::new();
             for (camera, view) in head.cameras.iter().zip(nominal.cameras_of(place)) {
-                let triangulator = Triangulator::new(Pair::new(head, camera, result).ok()?);
+                let triangulator = Triangulator::new(CameraProjector::new(head, camera, result).ok()?);
                 let views = positions.iter().filter_map(|position| position.views.get(view)?.as_ref());
                 views.for_each(|view| see(view, &triangulator, &mut seen));
             }

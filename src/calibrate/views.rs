@@ -18,7 +18,7 @@ use crate::base::image::{Mono8, Plane};
 use crate::data::{Calibration, Frame, FrameSource};
 use crate::geometry::Device;
 use crate::reconstruct::pipeline::{Method, Pipeline};
-use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, Point3, SVector, Vector3};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
@@ -131,8 +131,12 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
 
 /// One pipeline for every camera, in the calibration's order. Nominal geometry has no rows to hold dashes against.
 pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
-    let pipeline = |pair| Pipeline::new(Triangulator::new(Pair { rows: None, ..pair }), Method::Joint, false);
-    nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).map(pipeline)).collect()
+    let pipeline =
+        |pair| Pipeline::new(Triangulator::new(CameraProjector { rows: None, ..pair }), Method::Joint, false);
+    nominal
+        .cameras()
+        .map(|(head, camera)| CameraProjector::new(head, camera, nominal).map(pipeline))
+        .collect()
 }
 
 /// Looks through a session. `nominal` is the rig's geometry, good to a few per cent. An error means that the source
@@ -328,7 +332,7 @@ const FILLED: f64 = 0.7;
 const MARKER_PERIODS: f64 = 1.5;
 
 /// The panel column that lights the board at pixel (u, v), and its standard deviation, panel px.
-pub fn column_at(phase: &Plane<f32>, [u, v]: [f64; 2], pair: &Pair) -> Option<(f64, f64)> {
+pub fn column_at(phase: &Plane<f32>, [u, v]: [f64; 2], pair: &CameraProjector) -> Option<(f64, f64)> {
     let (column, row) = (u.round() as i64, v.round() as i64);
     let inside = |at: i64, size: usize| at >= WINDOW && at + WINDOW < size as i64;
     if !(inside(column, phase.width()) && inside(row, phase.height())) {

@@ -12,7 +12,7 @@ use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// The nodes that captures are run on; made anew for each.
-pub type Cast = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>;
+pub type Participants = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>;
 
 /// The capture under way, or the last one.
 #[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
@@ -38,7 +38,7 @@ pub struct CaptureState {
 /// Runs captures.
 #[derive(Clone)]
 pub struct Coordinator {
-    cast: Cast,
+    cast: Participants,
     shared: Arc<Mutex<Shared>>,
 }
 
@@ -50,7 +50,7 @@ struct Shared {
 
 impl Coordinator {
     /// On these nodes. The first of them should be this one: it starts the train.
-    pub fn new(cast: Cast) -> Self {
+    pub fn new(cast: Participants) -> Self {
         Self { cast, shared: Arc::default() }
     }
 
@@ -145,7 +145,7 @@ impl Coordinator {
 #[cfg(test)]
 mod tests {
     use super::Coordinator;
-    use crate::capture::run::Wish;
+    use crate::capture::run::CaptureRequest;
     use crate::capture::series::Series;
     use std::sync::Arc;
     use std::time::{Duration, Instant};
@@ -156,7 +156,7 @@ mod tests {
         assert!(coordinator.state().is_none());
         assert!(coordinator.stop().is_err());
         for number in 1..3 {
-            let wish = Wish { triggers: Some(3), ..Wish::default() };
+            let wish = CaptureRequest { triggers: Some(3), ..CaptureRequest::default() };
             let begun = coordinator.begin(Series::single(wish), "test".to_owned());
             assert_eq!(begun.expect("free"), number);
             let deadline = Instant::now() + Duration::from_secs(30);

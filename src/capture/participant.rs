@@ -59,12 +59,12 @@ impl Participant for NodeClient {
 
 /// The node that this process is.
 #[derive(Debug, Clone)]
-pub struct Here {
+pub struct LocalNode {
     commands: Sender<Command>,
     status: SharedStatus,
 }
 
-impl Here {
+impl LocalNode {
     /// By what the API's server also uses.
     pub fn new(commands: Sender<Command>, status: SharedStatus) -> Self {
         Self { commands, status }
@@ -79,7 +79,7 @@ impl Here {
     }
 }
 
-impl Participant for Here {
+impl Participant for LocalNode {
     fn place(&self) -> String {
         "this node".to_owned()
     }

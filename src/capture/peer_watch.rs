@@ -4,7 +4,7 @@
 //! was restarted, or broke off) ends it at once; one that does not answer is waited for, because the network may be all that
 //! failed. What was recorded is kept, and says why it ended.
 
-use super::participant::{Here, Participant};
+use super::participant::{LocalNode, Participant};
 use crate::base::ids::NodeId;
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome, SessionStatus};
@@ -31,7 +31,7 @@ pub struct PeerWatch {
 
 impl PeerWatch {
     /// Looks after these nodes while the node `here` is in a session with them.
-    pub fn start(peers: Vec<(NodeId, Box<dyn Participant>)>, here: Here) -> std::io::Result<Self> {
+    pub fn start(peers: Vec<(NodeId, Box<dyn Participant>)>, here: LocalNode) -> std::io::Result<Self> {
         let ended = Arc::new(AtomicBool::new(false));
         let seen = Arc::clone(&ended);
         let run = move || {
@@ -56,7 +56,7 @@ impl Drop for PeerWatch {
 
 struct Watch {
     peers: Vec<(NodeId, Box<dyn Participant>)>,
-    here: Here,
+    here: LocalNode,
     /// The session that is watched, and since when each peer was not seen in it.
     session: Option<(u64, Vec<Instant>)>,
 }

@@ -20,7 +20,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 /// What to capture: one take.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Wish {
+pub struct CaptureRequest {
     /// Seconds; or `triggers`; or neither: until stopped.
     pub duration_s: Option<f64>,
     /// Triggers, 0 until stopped; or `duration_s`.
@@ -138,7 +138,7 @@ pub type Nodes<'a> = &'a [Box<dyn Participant>];
 /// Runs a session; `progress` is told now and then.
 pub fn capture(
     nodes: Nodes<'_>,
-    wish: &Wish,
+    wish: &CaptureRequest,
     control: &Control,
     mut progress: impl FnMut(&Stage),
 ) -> Result<Captured, Fault> {
@@ -179,7 +179,7 @@ pub fn capture(
     }
 }
 
-fn request(wish: &Wish, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault> {
+fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault> {
     let usage = |message: String| Fault::new(Exit::Usage, message);
     for (i, status) in statuses.iter().enumerate() {
         if status.phase != Phase::Idle {
@@ -247,7 +247,7 @@ fn absent(statuses: &[NodeStatus]) -> Vec<String> {
 }
 
 /// Triggers asked for, 0: until stopped.
-fn triggers(wish: &Wish, rate_hz: f64) -> Result<u64, String> {
+fn triggers(wish: &CaptureRequest, rate_hz: f64) -> Result<u64, String> {
     match (wish.triggers, wish.duration_s) {
         (Some(_), Some(_)) => Err("both triggers and a duration; expected one of them".to_owned()),
         (Some(triggers), None) => Ok(triggers),
@@ -381,11 +381,12 @@ fn follow(
 
 #[cfg(test)]
 mod tests {
-    use super::{Wish, triggers};
+    use super::{CaptureRequest, triggers};
 
     #[test]
     fn a_wish_without_an_end_runs_until_it_is_stopped() {
-        let wish = |triggers, duration_s| Wish { triggers, duration_s, ..Wish::default() };
+        let wish =
+            |triggers, duration_s| CaptureRequest { triggers, duration_s, ..CaptureRequest::default() };
         assert_eq!(triggers(&wish(None, None), 120.0), Ok(0));
         assert_eq!(triggers(&wish(None, Some(0.5)), 120.0), Ok(60));
         assert_eq!(triggers(&wish(None, Some(1e-9)), 120.0), Ok(1));

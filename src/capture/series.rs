@@ -1,7 +1,7 @@
 //! Several takes of the same: named in a row, with pauses, ended together.
 
 use super::report::Captured;
-use super::run::{Control, Nodes, Stage, Wish, capture};
+use super::run::{CaptureRequest, Control, Nodes, Stage, capture};
 use crate::base::{Exit, Fault};
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 pub struct Series {
     /// Each take; with several of them its name gets `-01`, `-02`, ...
     #[serde(default)]
-    pub wish: Wish,
+    pub wish: CaptureRequest,
     /// How many, at least one.
     #[serde(default = "one")]
     pub takes: u32,
@@ -32,7 +32,7 @@ pub const PAUSE_MAX_S: u32 = 3600;
 
 impl Series {
     /// A single take.
-    pub fn single(wish: Wish) -> Self {
+    pub fn single(wish: CaptureRequest) -> Self {
         Self { wish, takes: 1, pause_s: 0 }
     }
 
@@ -53,7 +53,7 @@ impl Series {
     }
 
     /// The wish of take 1, 2, ...
-    fn take(&self, number: u32) -> Wish {
+    fn take(&self, number: u32) -> CaptureRequest {
         let mut wish = self.wish.clone();
         if let Some(name) = wish.name.as_mut().filter(|_| self.takes > 1) {
             *name = format!("{name}-{number:02}");
@@ -112,20 +112,21 @@ fn rest(pause: Duration, control: &Control) -> bool {
 #[cfg(test)]
 mod tests {
     use super::{Series, TAKES_MAX};
-    use crate::capture::run::Wish;
+    use crate::capture::run::CaptureRequest;
 
     #[test]
     fn takes_are_numbered_only_where_there_are_several() {
-        let wish = Wish { name: Some("walk".to_owned()), triggers: Some(5), ..Wish::default() };
+        let wish =
+            CaptureRequest { name: Some("walk".to_owned()), triggers: Some(5), ..CaptureRequest::default() };
         let name = |takes, number| Series { wish: wish.clone(), takes, pause_s: 0 }.take(number).name;
         assert_eq!(name(1, 1).as_deref(), Some("walk"));
         assert_eq!(name(3, 2).as_deref(), Some("walk-02"));
-        assert_eq!(Series { wish: Wish::default(), takes: 3, pause_s: 0 }.take(2).name, None);
+        assert_eq!(Series { wish: CaptureRequest::default(), takes: 3, pause_s: 0 }.take(2).name, None);
     }
 
     #[test]
     fn a_series_without_an_end_is_refused() {
-        let wish = |triggers| Wish { triggers, ..Wish::default() };
+        let wish = |triggers| CaptureRequest { triggers, ..CaptureRequest::default() };
         assert!(Series { wish: wish(None), takes: 2, pause_s: 0 }.check().is_err());
         assert!(Series { wish: wish(Some(0)), takes: 2, pause_s: 0 }.check().is_err());
         assert!(Series { wish: wish(Some(3)), takes: TAKES_MAX + 1, pause_s: 0 }.check().is_err());

@@ -10,7 +10,7 @@ use crate::calibrate::guide::Guide;
 use crate::calibrate::joined::Joined;
 use crate::calibrate::{Board, Finding, Position, views};
 use crate::capture::participant::Participant;
-use crate::capture::run::{Control, Wish, capture};
+use crate::capture::run::{CaptureRequest, Control, capture};
 use crate::data::{Calibration, FrameSource};
 use std::io::BufRead;
 use std::sync::Arc;
@@ -101,11 +101,11 @@ fn one_session(
 ) -> Result<Vec<Box<dyn FrameSource>>, Failure> {
     let client = |url: &String| by_environment(url).map(|client| Box::new(client) as Box<dyn Participant>);
     let nodes = live.nodes.iter().map(client).collect::<Result<Vec<_>, Fault>>()?;
-    let wish = Wish {
+    let wish = CaptureRequest {
         triggers: Some(live.triggers),
         name: Some(format!("{}-p{number:03}", live.base)),
         note: Some("calibration, one position of the board".to_owned()),
-        ..Wish::default()
+        ..CaptureRequest::default()
     };
     let captured = capture(&nodes, &wish, control, |_| ())?;
     let open = |directory: std::path::PathBuf| {

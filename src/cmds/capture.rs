@@ -5,7 +5,7 @@ use super::failure::Failure;
 use crate::base::{Exit, Fault};
 use crate::capture::participant::Participant;
 use crate::capture::report::Captured;
-use crate::capture::run::{Control, Wish};
+use crate::capture::run::{CaptureRequest, Control};
 use crate::capture::series::{self, Series};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -58,7 +58,7 @@ pub struct Args {
 
 impl Args {
     fn series(&self) -> Series {
-        let wish = Wish {
+        let wish = CaptureRequest {
             duration_s: self.duration,
             triggers: self.triggers,
             name: self.name.clone(),

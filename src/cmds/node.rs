@@ -4,7 +4,7 @@ use super::failure::Failure;
 use crate::api::{self, Auth, Listeners, NodeHandle, Services, Shared};
 use crate::base::Exit;
 use crate::config::NodeConfig;
-use crate::node::node_thread::Driver;
+use crate::node::node_thread::NodeThread;
 use crate::record::{Interrupted, interrupted};
 use crate::systemd::Notifier;
 use std::path::PathBuf;
@@ -54,7 +54,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut signals = runtime
         .block_on(async { StopSignals::watch() })
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
-    let driver = Driver::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let driver = NodeThread::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
     driver.status().write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
     let read = api::OutcomeRead::default();
     let handle = NodeHandle {
@@ -108,7 +108,7 @@ enum Ended {
 async fn serve(
     listeners: Listeners,
     shared: Shared,
-    driver: &Driver,
+    driver: &NodeThread,
     notifier: Option<Notifier>,
     read: &api::OutcomeRead,
     signals: &mut StopSignals,
@@ -138,7 +138,7 @@ async fn serve(
 }
 
 /// Waits until the driver has ended and the outcome of its last session was fetched, or nobody seems to want it.
-async fn until_fetched(driver: &Driver, read: &api::OutcomeRead) {
+async fn until_fetched(driver: &NodeThread, read: &api::OutcomeRead) {
     const POLL: Duration = Duration::from_millis(20);
     while !driver.has_ended() {
         tokio::time::sleep(POLL).await;

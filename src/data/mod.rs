@@ -12,4 +12,4 @@ pub use calibration::{
 };
 pub use cloud::{Cloud, NO_CAMERA};
 pub use frame_source::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement, StatedCamera};
-pub use phase_map::{PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_of, doubt_rad};
+pub use phase_map::{PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, decode_sigma, encode_sigma};

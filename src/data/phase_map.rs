@@ -41,43 +41,43 @@ pub struct PhaseMap {
     pub phase: Vec<i32>,
     /// Light over one fringe, DN times [`STEPS_PER_LEVEL`].
     pub light: Vec<u16>,
-    /// Standard uncertainty of the phase ([`doubt_of`]); empty where it was not asked for.
-    pub doubt: Vec<u8>,
+    /// Standard uncertainty of the phase ([`encode_sigma`]); empty where it was not asked for.
+    pub sigma_code: Vec<u8>,
 }
 
-/// Bits of the least standard uncertainty that a byte of doubt tells: 0.0001 rad.
-const LEAST_DOUBT: u32 = 0x38d1_b717;
+/// Bits of the least standard uncertainty that its code tells: 0.0001 rad.
+const LEAST_SIGMA: u32 = 0x38d1_b717;
 
-/// Bits of a float below those that a byte of doubt keeps: 16 steps in an octave.
-const DOUBT_SHIFT: u32 = 19;
+/// Bits of a float below those that its code keeps: 16 steps in an octave.
+const SIGMA_SHIFT: u32 = 19;
 
 /// A standard uncertainty of phase, rad, as a byte: 16 steps in every factor of two from 0.0001 to 6 rad.
 #[inline(always)]
-pub fn doubt_of(rad: f32) -> u8 {
+pub fn encode_sigma(rad: f32) -> u8 {
     // The bits of a positive float grow with it, nearly as its logarithm.
-    let above = rad.to_bits().saturating_sub(LEAST_DOUBT) + (1 << (DOUBT_SHIFT - 1));
-    (above >> DOUBT_SHIFT).min(255) as u8
+    let above = rad.to_bits().saturating_sub(LEAST_SIGMA) + (1 << (SIGMA_SHIFT - 1));
+    (above >> SIGMA_SHIFT).min(255) as u8
 }
 
 /// The standard uncertainty that a byte stands for, rad.
 #[inline(always)]
-pub fn doubt_rad(doubt: u8) -> f32 {
-    f32::from_bits(LEAST_DOUBT + (u32::from(doubt) << DOUBT_SHIFT))
+pub fn decode_sigma(sigma_code: u8) -> f32 {
+    f32::from_bits(LEAST_SIGMA + (u32::from(sigma_code) << SIGMA_SHIFT))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{doubt_of, doubt_rad};
+    use super::{decode_sigma, encode_sigma};
 
     #[test]
     fn a_byte_of_doubt_is_within_three_per_cent() {
         for i in 0..1000 {
             let rad = 1.1e-4 * 1.01f32.powi(i);
             if rad < 6.0 {
-                assert!((doubt_rad(doubt_of(rad)) / rad - 1.0).abs() < 0.032, "{rad}");
+                assert!((decode_sigma(encode_sigma(rad)) / rad - 1.0).abs() < 0.032, "{rad}");
             }
         }
-        assert_eq!((doubt_of(0.0), doubt_of(f32::INFINITY)), (0, 255));
-        assert!((0..=255).all(|x| doubt_of(doubt_rad(x)) == x));
+        assert_eq!((encode_sigma(0.0), encode_sigma(f32::INFINITY)), (0, 255));
+        assert!((0..=255).all(|x| encode_sigma(decode_sigma(x)) == x));
     }
 }

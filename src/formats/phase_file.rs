@@ -12,7 +12,7 @@
 //! Numbers are little endian. The body holds, one after the other: the runs (LEB128: rows to the run before; columns to
 //! its end, or in a new row the column itself; length); for each run its first phase less that of the run before and, if
 //! it has two pixels, its first step less that of the run before (LEB128 of zigzag); the second differences of the
-//! phase along the runs; the differences of the light, and of the doubt where there is one, from pixel to pixel. The
+//! phase along the runs; the differences of the light, and of the uncertainty where there is one, from pixel to pixel. The
 //! differences are zigzag numbers in blocks of 64: a byte says how many bits each has, then come 64 times as many bits,
 //! the first number in the lowest. The last block is filled up with zeros.
 //!
@@ -63,7 +63,8 @@ struct Header {
     frame: [u16; 2],
     runs: usize,
     pixels: usize,
-    doubt: bool,
+    #[serde(rename = "doubt")]
+    sigma_code: bool,
 }
 
 /// Why a file could not be read.
@@ -94,7 +95,7 @@ pub fn encode(statement: &Statement, map: &PhaseMap) -> Result<Vec<u8>, String> 
         frame: map.frame,
         runs: map.runs.len(),
         pixels: map.phase.len(),
-        doubt: !map.doubt.is_empty(),
+        sigma_code: !map.sigma_code.is_empty(),
     };
     let header = serde_json::to_vec(&header).map_err(|e| e.to_string())?;
     let mut out = Vec::with_capacity(HEAD_BYTES + header.len() + 2 * map.phase.len() + 8 * map.runs.len());
@@ -112,7 +113,7 @@ pub fn encode(statement: &Statement, map: &PhaseMap) -> Result<Vec<u8>, String> 
     );
     let mut last = 0;
     pack(
-        map.doubt.iter().map(|&x| zigzag(i32::from(x) - std::mem::replace(&mut last, i32::from(x)))),
+        map.sigma_code.iter().map(|&x| zigzag(i32::from(x) - std::mem::replace(&mut last, i32::from(x)))),
         &mut out,
     );
     let length = u32::try_from(out.len() - body).map_err(|e| e.to_string())?;
@@ -140,9 +141,9 @@ pub fn decode(bytes: &[u8]) -> Result<(Statement, PhaseMap), String> {
         map.light.push(last as u16);
     })?;
     let mut last = 0i32;
-    unpack(body, if header.doubt { header.pixels } else { 0 }, |x| {
+    unpack(body, if header.sigma_code { header.pixels } else { 0 }, |x| {
         last = last.wrapping_add(unzigzag(x));
-        map.doubt.push(last as u8);
+        map.sigma_code.push(last as u8);
     })?;
     if !body.is_empty() {
         return Err(format!("{} bytes are left over", body.len()));
@@ -402,7 +403,7 @@ mod tests {
     /// Maps of random masks; smooth phases with some that are anything.
     fn maps() -> impl Strategy<Value = PhaseMap> {
         let row = vec((0u16..40, 1u16..90), 0..5);
-        (vec(row, 0..12), any::<bool>(), any::<u64>()).prop_map(|(rows, doubt, seed)| {
+        (vec(row, 0..12), any::<bool>(), any::<u64>()).prop_map(|(rows, sigma_code, seed)| {
             let mut map = PhaseMap { frame: [1920, 1200], ..PhaseMap::default() };
             let mut state = seed | 1;
             let mut next = move || {
@@ -418,8 +419,8 @@ mod tests {
                         let smooth = 400_000 + 700 * i32::from(u) + (next() % 64) as i32;
                         map.phase.push(if next() % 50 == 0 { next().wrapping_mul(3) as i32 } else { smooth });
                         map.light.push((next() % 1021) as u16);
-                        if doubt {
-                            map.doubt.push(next() as u8);
+                        if sigma_code {
+                            map.sigma_code.push(next() as u8);
                         }
                     }
                     end = first + length;
@@ -476,7 +477,7 @@ mod tests {
             runs: vec![Run { row: 2, first: 3, length: 3 }, Run { row: 2, first: 9, length: 1 }],
             phase: vec![100, 110, 121, 90],
             light: vec![4, 5, 5, 3],
-            doubt: Vec::new(),
+            sigma_code: Vec::new(),
         };
         let bytes = encode(&statement(), &map).expect("encodes");
         let header = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]) as usize;

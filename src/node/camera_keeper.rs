@@ -3,7 +3,7 @@
 
 use super::devices::{OpenCamera, SharedBackend};
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
-use crate::acquire::recorder::ToRecorder;
+use crate::acquire::recorder::RecorderCommand;
 use crate::base::clock_fit::RESET_RUN;
 use crate::base::time::HostClock;
 use crate::camera::{CameraError, StreamOptions, Wanted, quiet_stream};
@@ -67,13 +67,13 @@ pub struct AttendantSetup {
     /// Pixels of a frame, bytes.
     pub pixel_bytes: usize,
     /// The recorder.
-    pub to_recorder: Sender<ToRecorder>,
+    pub to_recorder: Sender<RecorderCommand>,
     /// The node.
     pub reports: Sender<Report>,
 }
 
 /// A running attendant.
-pub struct Attendant {
+pub struct CameraKeeper {
     orders: Sender<Order>,
     thread: JoinHandle<Returned>,
 }
@@ -92,7 +92,7 @@ const READINGS: usize = RESET_RUN + 1;
 /// Before a stream that came back is started, whatever its socket caught of other cameras must have passed.
 const SETTLE: Duration = Duration::from_millis(300);
 
-impl Attendant {
+impl CameraKeeper {
     /// Starts the thread.
     pub fn start(setup: AttendantSetup, receiver: Receiver) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(8);
@@ -173,7 +173,7 @@ impl Work {
             Ok(Some(sample)) => {
                 let (id, clock) = (self.setup.camera.config.id.clone(), &self.setup.receiver.clock);
                 let sample = camera_sample(id, sample, clock);
-                drop(self.setup.to_recorder.send(ToRecorder::Clock(sample)));
+                drop(self.setup.to_recorder.send(RecorderCommand::Clock(sample)));
             }
             // Without a clock the image size is as good a question.
             Ok(None) => {
@@ -204,7 +204,7 @@ impl Work {
         };
         self.holder = None;
         let reason = error.to_string();
-        drop(self.setup.to_recorder.send(ToRecorder::CameraLost(camera, cause)));
+        drop(self.setup.to_recorder.send(RecorderCommand::CameraLost(camera, cause)));
         drop(self.setup.reports.send(Report::Lost { camera, reason }));
         let counters = receiver.stop();
         self.note("stream_counters", counters_text(&counters));
@@ -241,7 +241,7 @@ impl Work {
         }
         let camera = self.setup.receiver.camera;
         self.holder = Some(holder);
-        drop(self.setup.to_recorder.send(ToRecorder::CameraAway(camera, GapCause::ControlLost)));
+        drop(self.setup.to_recorder.send(RecorderCommand::CameraAway(camera, GapCause::ControlLost)));
         self.note("camera_owned", reason.to_owned());
         drop(self.setup.reports.send(Report::Owned { camera, reason: reason.to_owned() }));
     }
@@ -281,18 +281,18 @@ impl Work {
         }
         let place = self.setup.receiver.camera;
         self.setup.receiver.stream += 1;
-        let back = ToRecorder::CameraBack { camera: place, stream: self.setup.receiver.stream };
+        let back = RecorderCommand::CameraBack { camera: place, stream: self.setup.receiver.stream };
         drop(self.setup.to_recorder.send(back));
         for _ in 0..CLOCK_BURST {
             if let Some(sample) = camera.sample_clock().map_err(text)? {
                 let sample = camera_sample(config.id.clone(), sample, &self.setup.receiver.clock);
-                drop(self.setup.to_recorder.send(ToRecorder::Clock(sample)));
+                drop(self.setup.to_recorder.send(RecorderCommand::Clock(sample)));
             }
         }
         let receiver = Receiver::start(stream, self.setup.receiver.clone()).map_err(|e| e.to_string())?;
         if let Err(error) = camera.start() {
             receiver.stop();
-            drop(self.setup.to_recorder.send(ToRecorder::CameraLost(place, GapCause::Unplugged)));
+            drop(self.setup.to_recorder.send(RecorderCommand::CameraLost(place, GapCause::Unplugged)));
             return Err(error.to_string());
         }
         self.setup.camera.camera = Some(camera);
@@ -317,7 +317,7 @@ impl Work {
             trigger: None,
             message,
         };
-        drop(self.setup.to_recorder.send(ToRecorder::Event(event)));
+        drop(self.setup.to_recorder.send(RecorderCommand::Event(event)));
     }
 }
 

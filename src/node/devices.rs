@@ -1,9 +1,9 @@
 //! The node's devices: its cameras and its link to the HSU, kept open between sessions.
 
-use super::camera_keeper::{Attendant, AttendantSetup, CLOCK_BURST, Report, camera_sample};
+use super::camera_keeper::{AttendantSetup, CLOCK_BURST, CameraKeeper, Report, camera_sample};
 use super::hsu_keeper::hsu_sample;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
-use crate::acquire::recorder::ToRecorder;
+use crate::acquire::recorder::RecorderCommand;
 use crate::base::ids::CameraId;
 use crate::base::time::HostClock;
 use crate::base::{Exit, Fault};
@@ -313,9 +313,9 @@ impl Devices {
     pub fn start_streams(
         &mut self,
         receivers: &[ReceiverSetup],
-        to_recorder: &Sender<ToRecorder>,
+        to_recorder: &Sender<RecorderCommand>,
         reports: &Sender<Report>,
-    ) -> Result<Vec<Attendant>, Fault> {
+    ) -> Result<Vec<CameraKeeper>, Fault> {
         let mut running = Vec::new();
         let created = receivers.iter().try_for_each(|setup| {
             running.push(self.create_stream(setup)?);
@@ -345,7 +345,7 @@ impl Devices {
                 to_recorder: to_recorder.clone(),
                 reports: reports.clone(),
             };
-            match Attendant::start(setup, receiver) {
+            match CameraKeeper::start(setup, receiver) {
                 Ok(attendant) => attendants.push(attendant),
                 Err(error) => {
                     self.stop_streams(attendants);
@@ -379,8 +379,8 @@ impl Devices {
     }
 
     /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters, in their order.
-    pub fn stop_streams(&mut self, attendants: Vec<Attendant>) -> Vec<Vec<(String, u64)>> {
-        attendants.iter().for_each(Attendant::stop);
+    pub fn stop_streams(&mut self, attendants: Vec<CameraKeeper>) -> Vec<Vec<(String, u64)>> {
+        attendants.iter().for_each(CameraKeeper::stop);
         let mut counters = Vec::new();
         for (slot, attendant) in self.slots.iter_mut().zip(attendants) {
             let Some((camera, counted)) = attendant.join() else {

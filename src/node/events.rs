@@ -4,7 +4,7 @@ use super::camera_keeper::Report;
 use super::node_thread::{Node, hsu_session};
 use super::silence::{Notice, SILENT_TRIGGERS};
 use super::state_machine::Event;
-use crate::acquire::recorder::{FromRecorder, ToRecorder};
+use crate::acquire::recorder::{RecorderCommand, RecorderEvent};
 use crate::base::ids::TriggerIndex;
 use crate::base::{Exit, Fault};
 use crate::config::OnLoss;
@@ -26,7 +26,7 @@ impl Node {
                 let Some(index) = trigger_index(&trigger) else {
                     let (number, hsu_time_ns) = (trigger.number, trigger.time_ns);
                     return self
-                        .in_session(|session| session.tell(ToRecorder::WarmUp { number, hsu_time_ns }));
+                        .in_session(|session| session.tell(RecorderCommand::WarmUp { number, hsu_time_ns }));
                 };
                 let Some(host_time_ns) = self.session.as_ref().map(|session| session.clock.now()) else {
                     return;
@@ -37,7 +37,7 @@ impl Node {
                     flags: u32::from(trigger.flags.0),
                     host_time_ns,
                 };
-                self.in_session(|session| session.tell(ToRecorder::Trigger(record)));
+                self.in_session(|session| session.tell(RecorderCommand::Trigger(record)));
                 self.take(Event::Trigger);
                 self.listen(index.0);
             }
@@ -138,7 +138,7 @@ impl Node {
                 trigger: Some(TriggerIndex(at)),
                 message,
             };
-            session.tell(ToRecorder::Event(event));
+            session.tell(RecorderCommand::Event(event));
         }
     }
 
@@ -174,23 +174,23 @@ impl Node {
         }
     }
 
-    pub(crate) fn recorder_event(&mut self, event: FromRecorder) {
+    pub(crate) fn recorder_event(&mut self, event: RecorderEvent) {
         match event {
-            FromRecorder::Drained => self.take(Event::Drained),
-            FromRecorder::RingFull => {
+            RecorderEvent::Drained => self.take(Event::Drained),
+            RecorderEvent::RingFull => {
                 let message =
                     "the disk could not keep up and the ring is full; the session was stopped, as configured";
                 self.note("ring_full", None, message);
                 self.take(Event::Failed(Fault::new(Exit::DataLoss, message)));
             }
-            FromRecorder::Doubtful { camera } => {
+            RecorderEvent::Doubtful { camera } => {
                 let session = self.session.as_ref();
                 if let Some(attendant) = session.and_then(|session| session.attendants.get(camera)) {
                     attendant.read_clock();
                 }
             }
-            FromRecorder::Failed(fault) => self.take(Event::Failed(fault)),
-            FromRecorder::Closed(verdict) => {
+            RecorderEvent::Failed(fault) => self.take(Event::Failed(fault)),
+            RecorderEvent::Closed(verdict) => {
                 self.in_session(|session| {
                     session.outcome = Some(match verdict {
                         Ok(verdict) => {

@@ -1,7 +1,7 @@
 //! The thread that keeps the link to the HSU during a session: reads its clock, and connects anew when the link was
 //! lost, so that the train's triggers go on being reported from where they broke off.
 
-use crate::acquire::recorder::ToRecorder;
+use crate::acquire::recorder::RecorderCommand;
 use crate::base::ids::NodeId;
 use crate::base::time::HostClock;
 use crate::hsu::{Hsu, HsuTimeouts, SessionId};
@@ -25,7 +25,7 @@ pub struct LinkSetup {
     /// The session's clock.
     pub clock: HostClock,
     /// The recorder.
-    pub to_recorder: Sender<ToRecorder>,
+    pub to_recorder: Sender<RecorderCommand>,
     /// Where a new link goes.
     pub back: Sender<Arc<Hsu>>,
 }
@@ -40,7 +40,7 @@ enum Order {
 }
 
 /// A running keeper.
-pub struct LinkKeeper {
+pub struct HsuKeeper {
     orders: Sender<Order>,
     thread: JoinHandle<()>,
 }
@@ -51,7 +51,7 @@ const CLOCK_INTERVAL: Duration = Duration::from_millis(200);
 /// Between two attempts to connect.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
-impl LinkKeeper {
+impl HsuKeeper {
     /// Starts the thread.
     pub fn start(setup: LinkSetup) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(8);
@@ -97,7 +97,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
             (Some(link), _) if Instant::now() >= next_clock => {
                 next_clock = Instant::now() + CLOCK_INTERVAL;
                 if let Ok(sample) = link.query_clock() {
-                    drop(to_recorder.send(ToRecorder::Clock(hsu_sample(&sample, &clock))));
+                    drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
                 }
             }
             (None, Some(next)) => match Hsu::connect(&device, &node, &HsuTimeouts::default()) {

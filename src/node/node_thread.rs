@@ -4,7 +4,7 @@ use super::devices::Devices;
 use super::session::Session;
 use super::state_machine::{Action, Event, Machine};
 use crate::acquire::preview::Taps;
-use crate::acquire::recorder::{RecorderOptions, ToRecorder};
+use crate::acquire::recorder::{RecorderCommand, RecorderOptions};
 use crate::base::ids::CameraId;
 use crate::base::{Exit, Fault};
 use crate::camera::CameraBackend;
@@ -24,7 +24,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// The running node.
-pub struct Driver {
+pub struct NodeThread {
     commands: Sender<Command>,
     status: SharedStatus,
     taps: Arc<Taps>,
@@ -38,7 +38,7 @@ const TICK: Duration = Duration::from_millis(100);
 /// A thread that has not looked around for so long did not run, or was kept waiting by a device.
 const ASLEEP: Duration = Duration::from_secs(1);
 
-impl Driver {
+impl NodeThread {
     /// Starts the node's thread.
     pub fn start(config: NodeConfig, backend: Box<dyn CameraBackend>) -> std::io::Result<Self> {
         heap::give_large_blocks_back();
@@ -337,11 +337,11 @@ impl Node {
             }
             Action::DiscardRecording => self.discard_recording(),
             Action::Drain { emitted } => {
-                self.in_session(|session| session.tell(ToRecorder::Drain { emitted }));
+                self.in_session(|session| session.tell(RecorderCommand::Drain { emitted }));
                 Ok(())
             }
             Action::CloseRecording { aborted } => {
-                self.in_session(|session| session.tell(ToRecorder::Close { aborted }));
+                self.in_session(|session| session.tell(RecorderCommand::Close { aborted }));
                 Ok(())
             }
         }
@@ -375,7 +375,7 @@ impl Node {
             trigger: None,
             message: message.to_owned(),
         };
-        session.tell(ToRecorder::Event(event));
+        session.tell(RecorderCommand::Event(event));
     }
 
     fn publish(&mut self) {

@@ -2,11 +2,11 @@
 
 use super::camera_keeper::{Report, counters_text};
 use super::devices::{PreparedCamera, unique_id};
-use super::hsu_keeper::{LinkKeeper, LinkSetup};
+use super::hsu_keeper::{HsuKeeper, LinkSetup};
 use super::node_thread::{Node, hsu_session};
 use crate::acquire::dry_run::DryRun;
 use crate::acquire::receiver::{Arrival, ReceiverSetup};
-use crate::acquire::recorder::{Destination, LaneSetup, Recorder, RecorderOptions, ToRecorder};
+use crate::acquire::recorder::{Destination, LaneSetup, Recorder, RecorderCommand, RecorderOptions};
 use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
 use crate::camera::AppliedSetting;
@@ -126,7 +126,7 @@ impl Node {
                 .map_err(thread_error)?;
         session.recorder = Some(recorder);
         session.from_recorder = from_recorder;
-        samples.into_iter().for_each(|sample| drop(to_recorder.send(ToRecorder::Clock(sample))));
+        samples.into_iter().for_each(|sample| drop(to_recorder.send(RecorderCommand::Clock(sample))));
         for (camera, reason) in self.devices.without_clock() {
             tracing::warn!(%camera, kind = "no_camera_clock", "{reason}");
             let event = NodeEvent {
@@ -136,7 +136,7 @@ impl Node {
                 trigger: None,
                 message: format!("its clock cannot be read, and its stamps have no witness: {reason}"),
             };
-            drop(to_recorder.send(ToRecorder::Event(event)));
+            drop(to_recorder.send(RecorderCommand::Event(event)));
         }
         session.to_recorder = Some(to_recorder.clone());
         let receivers: Vec<ReceiverSetup> = (0..cameras)
@@ -161,7 +161,7 @@ impl Node {
                 to_recorder,
                 back: session.links_in.clone(),
             };
-            session.link_keeper = LinkKeeper::start(setup).map(Some).map_err(thread_error)?;
+            session.link_keeper = HsuKeeper::start(setup).map(Some).map_err(thread_error)?;
         }
         Ok(())
     }
@@ -206,7 +206,7 @@ impl Node {
                 trigger: None,
                 message: counters_text(&counters),
             };
-            session.tell(ToRecorder::Event(event));
+            session.tell(RecorderCommand::Event(event));
         }
         // A camera that was asked whether it still answers is found lost 2.5 s later, while this thread waited for its
         // attendant: the recording must say so before it is closed.

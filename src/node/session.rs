@@ -1,10 +1,10 @@
 //! What a node holds while it is in a session: the request, the threads that record it, and its outcome.
 
-use super::camera_keeper::{Attendant, Report};
+use super::camera_keeper::{CameraKeeper, Report};
 use super::devices::PreparedCamera;
-use super::hsu_keeper::LinkKeeper;
+use super::hsu_keeper::HsuKeeper;
 use super::silence::SilenceWatch;
-use crate::acquire::recorder::{Destination, FromRecorder, Progress, ToRecorder};
+use crate::acquire::recorder::{Destination, Progress, RecorderCommand, RecorderEvent};
 use crate::base::time::HostClock;
 use crate::control::request::SessionRequest;
 use crate::control::status::{CameraProgress, Outcome, SessionStatus};
@@ -25,16 +25,16 @@ pub(crate) struct Session {
     pub(crate) cameras: Vec<PreparedCamera>,
     pub(crate) destination: Option<Destination>,
     pub(crate) progress: Arc<Progress>,
-    pub(crate) to_recorder: Option<Sender<ToRecorder>>,
-    pub(crate) from_recorder: Receiver<FromRecorder>,
+    pub(crate) to_recorder: Option<Sender<RecorderCommand>>,
+    pub(crate) from_recorder: Receiver<RecorderEvent>,
     pub(crate) recorder: Option<JoinHandle<()>>,
     /// The host's clock of this session.
     pub(crate) clock: HostClock,
     /// One per camera while streams run.
-    pub(crate) attendants: Vec<Attendant>,
+    pub(crate) attendants: Vec<CameraKeeper>,
     pub(crate) reports: Receiver<Report>,
     pub(crate) reports_in: Sender<Report>,
-    pub(crate) link_keeper: Option<LinkKeeper>,
+    pub(crate) link_keeper: Option<HsuKeeper>,
     pub(crate) links: Receiver<Arc<Hsu>>,
     pub(crate) links_in: Sender<Arc<Hsu>>,
     /// Number of the next trigger that the HSU will report.
@@ -81,7 +81,7 @@ impl Session {
         self.cameras = cameras;
     }
 
-    pub(crate) fn tell(&self, message: ToRecorder) {
+    pub(crate) fn tell(&self, message: RecorderCommand) {
         if let Some(recorder) = &self.to_recorder {
             // A recorder that is gone is noticed by its event channel.
             drop(recorder.send(message));
@@ -95,7 +95,7 @@ impl Session {
         }
         let warnings = realtime::warnings();
         for warning in warnings.iter().skip(self.warnings_told) {
-            self.tell(ToRecorder::Event(NodeEvent {
+            self.tell(RecorderCommand::Event(NodeEvent {
                 host_time_ns: self.clock.now(),
                 kind: warning.kind.to_owned(),
                 camera: None,
@@ -108,7 +108,7 @@ impl Session {
 
     /// Ends the recorder's thread, if it has not ended by itself.
     pub(crate) fn end_recorder(&mut self) {
-        self.tell(ToRecorder::Discard);
+        self.tell(RecorderCommand::Discard);
         self.to_recorder = None;
         self.from_recorder = never();
         if let Some(thread) = self.recorder.take()

@@ -1,7 +1,7 @@
 //! One frame to one directional cloud: the stages in their order, each timed.
 
 use super::counts::Counts;
-use super::fringe_order::prepared::Prepared;
+use super::fringe_order::unwrapped_frame::UnwrappedFrame;
 use super::fringe_order::{self, Orders, Regions, View};
 use super::kernels::buffer_pool::{Planes, Pool};
 use super::kernels::pixel_runs::Runs;
@@ -90,7 +90,7 @@ impl Pipeline {
 
     /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
-        match self.settled(image) {
+        match self.ordered(image) {
             Ok(prepared) => self.finish(prepared),
             Err(made) => *made,
         }
@@ -98,17 +98,17 @@ impl Pipeline {
 
     /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs. The error is that
     /// of [`Pipeline::prepare`], or the refusal of a frame whose orders contradict each other.
-    pub fn absolute(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
-        let mut prepared = self.settled(image)?;
+    pub fn absolute(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
+        let mut prepared = self.ordered(image)?;
         std::mem::take(&mut prepared.orders).apply(&mut prepared.absolute);
         Ok(prepared)
     }
 
     /// One frame whose orders no other camera has been asked for.
-    fn settled(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
+    fn ordered(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let mut prepared = self.prepare(image)?;
         let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
-        match fringe_order::settle(&mut [view], fringe_order::MARGIN) {
+        match fringe_order::solve(&mut [view], fringe_order::MARGIN) {
             Ok(()) => Ok(prepared),
             Err(reason) => Err(refuse(prepared, reason)),
         }
@@ -116,7 +116,7 @@ impl Pipeline {
 
     /// Finds the phases of one frame. The error is what no other camera has a part in: the refusal of a frame that shows
     /// nothing, and all that the paper's method makes of any frame.
-    pub fn prepare(&self, image: Mono8<'_>) -> Result<Prepared, Box<Reconstruction>> {
+    pub fn prepare(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
         let pair = self.triangulator.pair();
@@ -159,13 +159,16 @@ impl Pipeline {
         roi: Roi,
         mut clock: Clock,
         mut counts: Counts,
-    ) -> Result<Prepared, Box<Reconstruction>> {
+    ) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let pair = self.triangulator.pair();
         let object = self.keep_maps.then(|| painted(&runs, &image));
         let part = Mono8::from(&image);
         let mut buffers = BUFFERS.take();
         let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
-        let keep = wrapped_phase::Keep { energy: self.keep_maps, beside: self.keep_maps || self.uncertainty };
+        let keep = wrapped_phase::Keep {
+            energy: self.keep_maps,
+            define_outside_runs: self.keep_maps || self.uncertainty,
+        };
         let front = wrapped_phase::run(part, (runs, lit), pair, &self.gains, keep, memory, &mut clock);
         let Front { runs, period, windows, wrapped, zone, cores, energy, known } = front;
         counts.phase = known;
@@ -180,9 +183,9 @@ impl Pipeline {
         });
         if counts.dashes.contradict() {
             BUFFERS.give(buffers);
-            let Dashes { stretches, elsewhere, .. } = counts.dashes;
+            let Dashes { stretches, displaced, .. } = counts.dashes;
             let reason = format!(
-                "expected the marker's dashes where the calibration has them, found {elsewhere} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
+                "expected the marker's dashes where the calibration has them, found {displaced} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
             );
             return Err(refused(clock, counts, reason));
         }
@@ -204,7 +207,7 @@ impl Pipeline {
         let orders = clock.time("order", || Orders::cut(&mut absolute, &period, lit, pair));
         BUFFERS.give(buffers);
         let (table, regions) = (Arc::clone(&self.table), Regions::default());
-        Ok(Prepared {
+        Ok(UnwrappedFrame {
             roi,
             absolute,
             table,
@@ -223,8 +226,8 @@ impl Pipeline {
     }
 
     /// Makes the cloud of an unwrapped frame.
-    pub fn finish(&self, prepared: Prepared) -> Reconstruction {
-        let Prepared {
+    pub fn finish(&self, prepared: UnwrappedFrame) -> Reconstruction {
+        let UnwrappedFrame {
             roi,
             mut absolute,
             regions,
@@ -271,14 +274,15 @@ impl Pipeline {
                 expected,
             )
         });
-        let doubts = expected.map(|expected| {
+        let sigma_codes = expected.map(|expected| {
             let rows = pair.marker_period_px;
-            clock.time("uncertainty", || uncertainty::doubts(&absolute, &windows, &expected, &zone, rows))
+            clock
+                .time("uncertainty", || uncertainty::sigma_codes(&absolute, &windows, &expected, &zone, rows))
         });
         let frame = (pair.camera.width, pair.camera.height);
         let known = points::KnownPixels { absolute: &absolute, runs: &runs, light: &windows.light, roi };
         let size = self.frame().map(|px| px as u16);
-        let map = clock.time("quantize", || points::phase_map(&known, doubts.as_ref(), size));
+        let map = clock.time("quantize", || points::phase_map(&known, sigma_codes.as_ref(), size));
         let cloud = clock.time("points", || points::make(&self.table, &map));
         let Windows { strength, light, misfit } = windows;
         [strength, light].into_iter().for_each(|plane| WORDS.give(plane));
@@ -302,7 +306,7 @@ impl Pipeline {
 }
 
 /// No cloud is made of this frame, for this reason.
-pub fn refuse(prepared: Prepared, reason: String) -> Box<Reconstruction> {
+pub fn refuse(prepared: UnwrappedFrame, reason: String) -> Box<Reconstruction> {
     let mut counts = prepared.counts;
     counts.refused = counts.phase;
     refused(prepared.clock, counts, reason)

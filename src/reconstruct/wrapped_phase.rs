@@ -15,7 +15,7 @@ use super::marker::bias::{self, Ring};
 use super::phase::demodulate::{self, Gains};
 use super::phase::window_quality::{self, Windows};
 use super::phase::{period, shading};
-use super::triangulate::camera_projector::Pair;
+use super::triangulate::camera_projector::CameraProjector;
 use crate::base::image::{Mono8, Plane};
 
 /// What the front end gives, on the region of interest.
@@ -73,14 +73,14 @@ pub(super) struct Keep {
     /// The marker's energy.
     pub energy: bool,
     /// Light and misfit of 0 beside the runs, where they are any otherwise; periods and phases that are none far beside them, too.
-    pub beside: bool,
+    pub define_outside_runs: bool,
 }
 
 /// Runs the front end on the part of a frame that holds the object, whose runs these are: without and with what is over-exposed.
 pub(super) fn run(
     image: Mono8<'_>,
     (runs, lit): (Runs, &Runs),
-    pair: &Pair,
+    pair: &CameraProjector,
     gains: &Gains,
     keep: Keep,
     (buffers, planes, words, bytes): (&mut Buffers, &Planes<f32>, &Planes<u16>, &Planes<u8>),
@@ -90,7 +90,7 @@ pub(super) fn run(
     let mut period = planes.take(w, h);
     clock.time("period", || {
         let Buffers { surroundings, period: rows, .. } = &mut *buffers;
-        surroundings.find(lit, w, keep.beside);
+        surroundings.find(lit, w, keep.define_outside_runs);
         period::measure(image, (&runs, surroundings), pair.period_px, rows, &mut period);
     });
     let mut energy = keep.energy.then(Plane::default);
@@ -104,7 +104,7 @@ pub(super) fn run(
     });
     let (strength, light) = (words.take(w, h), words.take(w, h));
     let mut windows = Windows { strength, light, misfit: planes.take(w, h) };
-    if keep.beside {
+    if keep.define_outside_runs {
         windows.light.as_mut_slice().fill(0);
         windows.misfit.as_mut_slice().fill(0.0);
     }
@@ -129,7 +129,7 @@ struct Input<'a> {
     period: &'a Plane<f32>,
     zone: &'a Plane<u8>,
     zone_runs: &'a Runs,
-    pair: &'a Pair,
+    pair: &'a CameraProjector,
     gains: &'a Gains,
 }
 

@@ -8,7 +8,7 @@ use fourdbody::geometry::Ray;
 use fourdbody::geometry::pattern::{Marker, Pattern};
 use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
-use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Point3, Vector3};
 use std::path::Path;
@@ -16,16 +16,16 @@ use std::path::Path;
 /// First hit of a ray: the point and its outward normal.
 pub type Hit = Option<(Point3<f64>, Vector3<f64>)>;
 
-fn pair(marker: Option<Marker>) -> Pair {
+fn pair(marker: Option<Marker>) -> CameraProjector {
     pair_of(0, 0, marker)
 }
 
 /// A camera of the shipped rig, distortion added to the projectors.
-pub fn pair_of(head: usize, camera: usize, marker: Option<Marker>) -> Pair {
+pub fn pair_of(head: usize, camera: usize, marker: Option<Marker>) -> CameraProjector {
     pair_with((head, camera), |pattern| pattern.marker = marker.unwrap_or(pattern.marker))
 }
 
-fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) -> Pair {
+fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) -> CameraProjector {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let mut rig = Rig::load(&path).expect("the shipped rig");
     change(&mut rig.pattern);
@@ -33,19 +33,19 @@ fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) 
     calibration.heads[head].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
     calibration.heads[head].rows = Some(PanelRows::exact());
     let head = &calibration.heads[head];
-    Pair::new(head, &head.cameras[camera], &calibration).expect("a usable pair")
+    CameraProjector::new(head, &head.cameras[camera], &calibration).expect("a usable pair")
 }
 
 /// Photographs a convex surface; every second of the projector's pixels is not modelled, its light is a
 /// continuous function of place.
-pub fn photograph(pair: &Pair, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
+pub fn photograph(pair: &CameraProjector, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
     photograph_painted(pair, surface, |_| 1.0, &[0.0])
 }
 
 /// The same of a surface whose reflectance depends on the place; the light of a pixel is the mean at `offsets`
 /// from its centre, both ways.
 fn photograph_painted(
-    pair: &Pair,
+    pair: &CameraProjector,
     surface: impl Fn(&Ray) -> Hit,
     paint: impl Fn(&Point3<f64>) -> f64,
     offsets: &[f64],
@@ -82,7 +82,7 @@ pub fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
     }
 }
 
-fn reconstruct(pair: Pair, image: &Plane<u8>) -> Reconstruction {
+fn reconstruct(pair: CameraProjector, image: &Plane<u8>) -> Reconstruction {
     Pipeline::new(Triangulator::new(pair), Method::Joint, false).run(Mono8::from(image))
 }
 

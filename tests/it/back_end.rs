@@ -10,7 +10,7 @@ use fourdbody::data::{Calibration, Frame, FrameSource};
 use fourdbody::geometry::Device;
 use fourdbody::geometry::pattern::Pattern;
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
-use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Point3, Vector3};
 use std::ops::Range;
@@ -65,7 +65,7 @@ fn photograph(camera: &Device, projector: &Device, pattern: &Pattern) -> Plane<u
 fn the_uncertainty_is_that_of_the_points() {
     let calibration = calibration();
     let head = &calibration.heads[0];
-    let pair = Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair");
+    let pair = CameraProjector::new(head, &head.cameras[0], &calibration).expect("a usable pair");
     let image = photograph(&pair.camera, &pair.projector, &pair.pattern);
     let centre = pair.camera.centre();
     let pipeline = Pipeline::new(Triangulator::new(pair), Method::Joint, false).with_uncertainty(true);

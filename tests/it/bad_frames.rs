@@ -14,7 +14,7 @@ use fourdbody::data::Calibration;
 use fourdbody::data::PanelRows;
 use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
-use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::Point3;
 use std::sync::OnceLock;
@@ -30,7 +30,7 @@ fn centre() -> Point3<f64> {
     Point3::new(0.05, -0.02, 1.03)
 }
 
-fn pair() -> Pair {
+fn pair() -> CameraProjector {
     pair_of(0, 0, None)
 }
 
@@ -233,7 +233,7 @@ fn numbers_that_are_none_in_a_calibration_are_refused() {
         assert!(refused_by_file, "{name}: the file is accepted");
         // In memory, too, nothing comes of it.
         let head = &spoilt.heads[0];
-        match Pair::new(head, &head.cameras[0], &spoilt) {
+        match CameraProjector::new(head, &head.cameras[0], &spoilt) {
             Err(reason) => println!("{name}: {reason}"),
             Ok(pair) => {
                 let run =
@@ -254,7 +254,7 @@ fn nominal() -> Calibration {
 #[test]
 fn the_calibration_of_another_camera_or_head_is_refused() {
     let image = &good().0;
-    let by = |pair: Pair, image: &Plane<u8>| {
+    let by = |pair: CameraProjector, image: &Plane<u8>| {
         Pipeline::new(Triangulator::new(pair), Method::Joint, false).run(Mono8::from(image))
     };
     assert_refused("the other camera of the head", &by(pair_of(0, 1, None), image));

@@ -7,7 +7,7 @@ use crate::lab::{NodeProcess, options, rig_of};
 use fourdbody::base::image::Plane;
 use fourdbody::control::client::{Credentials, NodeClient};
 use fourdbody::data::Calibration;
-use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use nalgebra::Point3;
@@ -39,7 +39,7 @@ fn laboratory(dir: &Path) -> Laboratory {
     let options = LaboratoryOptions { socket: fourdbody::config::SocketMode::Standard, ..options };
     let laboratory = Laboratory::start(&options, |_| {
         let (head, camera) = cameras.next().expect("eight cameras");
-        let pair = Pair::new(head, camera, &calibration).expect("a usable pair");
+        let pair = CameraProjector::new(head, camera, &calibration).expect("a usable pair");
         Arc::new(Still(photograph(&pair, sphere(Point3::new(0.0, 0.0, 1.03), 0.25)))) as _
     });
     let laboratory = laboratory.expect("the laboratory starts");

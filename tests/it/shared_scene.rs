@@ -13,7 +13,7 @@ use fourdbody::geometry::pattern::{Marker, Pattern};
 use fourdbody::geometry::{Device, Lens, Pose};
 use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
-use fourdbody::reconstruct::triangulate::camera_projector::Pair;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use fourdbody::validate::truth::{Reference, Score, Tally, Truth};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -96,7 +96,7 @@ pub fn calibration(scene: &Path) -> Calibration {
 fn reconstruct(scene: &Path, set: &str, camera: &str, method: Method) -> Reconstruction {
     let calibration = calibration(scene);
     let (head, calibrated) = calibration.camera(&CameraId::from(camera)).expect("in the rig");
-    let pair = Pair::new(head, calibrated, &calibration).expect("a usable pair");
+    let pair = CameraProjector::new(head, calibrated, &calibration).expect("a usable pair");
     let image = read_png_grey(&scene.join(set).join(camera).join("000000.png")).expect("an image");
     Pipeline::new(Triangulator::new(pair), method, false).run(Mono8::from(&image))
 }
@@ -161,7 +161,7 @@ fn scored<'a>(scene: &Path, set: &str, calibration: &'a Calibration, is_there: I
     let cameras: Vec<(usize, &CalibratedHead, &CalibratedCamera)> = cameras.collect();
     let photographs = cameras.iter().map(|&(number, head, camera)| {
         let path = scene.join(set).join(camera.id.as_str()).join("000000.png");
-        let pair = Pair::new(head, camera, calibration).expect("a usable pair");
+        let pair = CameraProjector::new(head, camera, calibration).expect("a usable pair");
         Photograph { head: number, pair, image: read_png_grey(&path).expect("an image") }
     });
     let clouds = frame_set::clouds(&photographs.collect::<Vec<_>>());

@@ -1,11 +1,11 @@
 //! What the books say in words: what happened before a frame and with it, and how a session went in all.
 
-use super::{Books, Lane};
+use super::{Accounting, Lane};
 use crate::acquire::receiver::Arrival;
 use crate::matcher::{Finding, Matched};
 use crate::record::UNCONFIRMED;
 
-impl Books {
+impl Accounting {
     /// Says what happened before a frame, and with it.
     pub(crate) fn report(&mut self, camera: usize, matched: &Matched, arrival: &Arrival) {
         let (number, block) = (matched.number, arrival.block_id);

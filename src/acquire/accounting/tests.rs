@@ -40,9 +40,9 @@ impl Sink for Kept {
 }
 
 struct Desk {
-    books: Books,
+    books: Accounting,
     outcomes: Arc<Mutex<Outcomes>>,
-    closed: crossbeam_channel::Receiver<FromRecorder>,
+    closed: crossbeam_channel::Receiver<RecorderEvent>,
 }
 
 impl Desk {
@@ -62,12 +62,17 @@ impl Desk {
             matcher: Matcher::new(start),
         };
         let lanes = (0..cameras).map(lane).collect();
-        Self { books: Books::new(lanes, options, progress, ring, events), outcomes, closed }
+        Self { books: Accounting::new(lanes, options, progress, ring, events), outcomes, closed }
     }
 
     fn report(&mut self, trigger: u64, hsu_time_ns: u64) {
         let index = TriggerIndex(trigger);
-        self.books.obey(ToRecorder::Trigger(TriggerRecord { index, hsu_time_ns, flags: 0, host_time_ns: 0 }));
+        self.books.obey(RecorderCommand::Trigger(TriggerRecord {
+            index,
+            hsu_time_ns,
+            flags: 0,
+            host_time_ns: 0,
+        }));
     }
 
     fn frame(&mut self, camera: usize, stream: u32, block: u64, exposed_ns: u64) {
@@ -90,7 +95,7 @@ impl Desk {
         for camera in [None, Some(CameraId("c0".to_owned()))] {
             let host = HOST_NS + device_time_ns;
             let (host_send_ns, host_receive_ns) = (host - 50_000, host + 50_000);
-            self.books.obey(ToRecorder::Clock(ClockSample {
+            self.books.obey(RecorderCommand::Clock(ClockSample {
                 camera,
                 host_send_ns,
                 host_receive_ns,
@@ -101,7 +106,7 @@ impl Desk {
 
     /// Whether the camera's clock was asked for.
     fn was_asked(&self) -> bool {
-        self.closed.try_iter().any(|event| matches!(event, FromRecorder::Doubtful { camera: 0 }))
+        self.closed.try_iter().any(|event| matches!(event, RecorderEvent::Doubtful { camera: 0 }))
     }
 
     /// What every frame that waits has is all that will come.
@@ -111,7 +116,7 @@ impl Desk {
 
     fn outcomes(self) -> Outcomes {
         self.books.close(None);
-        let closed = |event| matches!(event, FromRecorder::Closed(_));
+        let closed = |event| matches!(event, RecorderEvent::Closed(_));
         assert!(self.closed.iter().any(closed), "it closes");
         self.outcomes.lock().expect("not poisoned").clone()
     }
@@ -131,9 +136,9 @@ fn frames_of_a_stream_that_has_ended_are_not_taken_for_later_ones() {
         desk.frame(1, 0, trigger + 1, due(trigger));
         match trigger {
             0..40 => desk.frame(0, 0, trigger + 1, due(trigger)),
-            40 => desk.books.obey(ToRecorder::CameraLost(0, GapCause::ControlLost)),
+            40 => desk.books.obey(RecorderCommand::CameraLost(0, GapCause::ControlLost)),
             45 => desk.frame(0, 0, 41, due(40)),
-            50 => desk.books.obey(ToRecorder::CameraBack { camera: 0, stream: 1 }),
+            50 => desk.books.obey(RecorderCommand::CameraBack { camera: 0, stream: 1 }),
             55 => desk.frame(0, 0, 42, due(41)),
             60.. => desk.frame(0, 1, trigger - 59, due(trigger)),
             _ => {}

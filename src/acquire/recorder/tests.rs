@@ -1,6 +1,6 @@
 //! The recorder behind a disk that is too slow: whole sets go, all are accounted for, the rest is intact.
 
-use super::{FromRecorder, LaneSetup, Progress, Recorder, RecorderOptions, ToRecorder};
+use super::{LaneSetup, Progress, Recorder, RecorderCommand, RecorderEvent, RecorderOptions};
 use crate::acquire::receiver::Arrival;
 use crate::acquire::writer_queue::{Sink, ToWriter};
 use crate::base::ids::{BlockId, CameraId, TriggerIndex};
@@ -123,7 +123,7 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
             flags: 0,
             host_time_ns: 0,
         };
-        commands_in.send(ToRecorder::Trigger(record)).expect("it runs");
+        commands_in.send(RecorderCommand::Trigger(record)).expect("it runs");
         wait(|| progress.triggers.load(Ordering::Relaxed) > trigger);
         for camera in 0..CAMERAS {
             arrivals_in.send(arrival(camera, trigger)).expect("it runs");
@@ -136,10 +136,10 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
         }
     }
     drop(token);
-    commands_in.send(ToRecorder::Drain { emitted: Some(triggers) }).expect("it runs");
-    commands_in.send(ToRecorder::Close { aborted: None }).expect("it runs");
+    commands_in.send(RecorderCommand::Drain { emitted: Some(triggers) }).expect("it runs");
+    commands_in.send(RecorderCommand::Close { aborted: None }).expect("it runs");
     thread.join().expect("no panic");
-    let ring_full = events.try_iter().filter(|event| matches!(event, FromRecorder::RingFull)).count();
+    let ring_full = events.try_iter().filter(|event| matches!(event, RecorderEvent::RingFull)).count();
     let outcomes = outcomes.lock().expect("not poisoned").clone();
     Run { outcomes, kinds: kinds.try_iter().collect(), progress, ring_full }
 }

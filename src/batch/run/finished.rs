@@ -1,6 +1,6 @@
 //! What of a session's frames is finished already: made of the same frames, with the same parameters.
 
-use super::{Camera, Format, Job, together};
+use super::{Camera, Format, Job, cameras_comment};
 use crate::base::ids::TriggerIndex;
 use crate::batch::summary::FrameSummary;
 use crate::data::Frame;
@@ -55,7 +55,7 @@ impl Job<'_> {
             };
         };
         let same = header.comment("parameters") == Some(&self.parameters);
-        if !same || !header.comments.contains(&together(self.cameras())) {
+        if !same || !header.comments.contains(&cameras_comment(self.cameras())) {
             return None;
         }
         let frames = header.comments.iter().find(|comment| comment.starts_with("frames "))?.clone();

@@ -1,6 +1,6 @@
 //! What is written of a frame: its cloud, its phase map, and what both say of where they come from.
 
-use super::{Camera, Format, Job, together};
+use super::{Camera, Format, Job, cameras_comment};
 use crate::base::ids::TriggerIndex;
 use crate::batch::dump_maps;
 use crate::batch::summary::FrameSummary;
@@ -44,7 +44,7 @@ impl Job<'_> {
         let mut comments = self.comments(trigger, frames);
         comments.push(format!("camera {id}"));
         comments.push(camera.viewpoint.comment());
-        comments.push(together(self.cameras()));
+        comments.push(cameras_comment(self.cameras()));
         comments.push(format!("unresolved_px {}", result.counts.refused));
         let marker_offset_px = result.counts.dashes.offset_px;
         comments.extend(marker_offset_px.map(|offset| format!("marker_offset_px {offset}")));

@@ -1,6 +1,6 @@
-//! A view's cells as other cameras look at them.
+//! What a view has in each cell of 8 x 8 px, laid out for the other cameras, which look it up at any place.
 //!
-//! Looks come from anywhere in the image and wait for memory. A cell that one node fills is a plane of 16 bytes, of which all stay
+//! Other cameras look up cells all over the image, and each look waits for memory. A cell that one node fills is a plane of 16 bytes, of which all stay
 //! in the cache, and so is one beside the object: a bit for each of its pixels. Only the others, on outlines and at steps, keep
 //! their pixels, side by side.
 
@@ -22,14 +22,14 @@ pub fn padded(px: usize) -> usize {
     px.div_ceil(CELL_PX) + 2 * PAD_CELLS
 }
 
-/// Words of a row of so many cells.
+/// Machine words of a row of so many cells.
 fn words(cells: usize) -> usize {
     (cells * CELL_PX).div_ceil(WORD)
 }
 
 /// What a cell is for those who look at it from elsewhere.
 #[derive(Debug, Clone, Copy)]
-pub struct Glimpse {
+pub struct CellContent {
     /// The node that fills it, or one of the following; then the phase of the node's plane at the cell's first pixel,
     /// rad; NaN where there is none.
     surface: [u32; 2],
@@ -61,18 +61,18 @@ enum Kind {
     Far,
     /// Beside the object.
     Near,
-    /// Pixels of several kinds: the place in [`Glimpses::rims`].
+    /// Pixels of several kinds: the place in [`CellLookup::rims`].
     Rim(usize),
     /// Nothing but this node.
     Node(u32),
 }
 
-impl Glimpse {
+impl CellContent {
     /// Beside the object, and so is all within [`BACKGROUND_PX`].
     pub const FAR: u32 = u32::MAX;
     /// Beside the object.
     pub const NEAR: u32 = u32::MAX - 1;
-    /// From here on: places in [`Glimpses::rims`].
+    /// From here on: places in [`CellLookup::rims`].
     pub const RIM: u32 = 1 << 31;
     /// What is not seen: a plane without a phase.
     pub const UNSEEN: Self = Self::none(0);
@@ -125,22 +125,23 @@ impl Glimpse {
 
 /// What some cells have, each in its lane.
 #[derive(Debug, Clone, Copy)]
-pub struct GlimpseLanes<const N: usize> {
+pub struct CellLanes<const N: usize> {
     surface: [[u32; 2]; N],
     bits: [[u32; 2]; N],
 }
 
-impl<const N: usize> GlimpseLanes<N> {
+impl<const N: usize> CellLanes<N> {
     /// Cells that are not seen.
-    pub const UNSEEN: Self = Self { surface: [Glimpse::UNSEEN.surface; N], bits: [Glimpse::UNSEEN.bits; N] };
+    pub const UNSEEN: Self =
+        Self { surface: [CellContent::UNSEEN.surface; N], bits: [CellContent::UNSEEN.bits; N] };
 
     /// Puts a cell into a lane.
     #[inline(always)]
-    pub fn set(&mut self, lane: usize, cell: &Glimpse) {
+    pub fn set(&mut self, lane: usize, cell: &CellContent) {
         (self.surface[lane], self.bits[lane]) = (cell.surface, cell.bits);
     }
 
-    /// The node that fills each cell, or [`Glimpse::FAR`], [`Glimpse::NEAR`], or a rim from [`Glimpse::RIM`] on.
+    /// The node that fills each cell, or [`CellContent::FAR`], [`CellContent::NEAR`], or a rim from [`CellContent::RIM`] on.
     #[inline(always)]
     pub fn node(&self, lane: usize) -> u32 {
         self.surface[lane][0]
@@ -235,20 +236,20 @@ impl Rim {
 
 /// All cells of a view, with [`PAD_CELLS`] around.
 #[derive(Debug, Default)]
-pub struct Glimpses {
+pub struct CellLookup {
     stride: usize,
     rows: usize,
     /// Row by row.
-    cells: Vec<Glimpse>,
+    cells: Vec<CellContent>,
     /// Cells that no node fills, though they show the object.
     rims: Vec<RimRows>,
 }
 
-impl Glimpses {
+impl CellLookup {
     /// Nothing but background, `width` times `height` pixels.
     pub fn new(width: usize, height: usize) -> Self {
         let (stride, rows) = (padded(width), padded(height));
-        let cells = vec![Glimpse::none(Glimpse::FAR); stride * rows];
+        let cells = vec![CellContent::none(CellContent::FAR); stride * rows];
         // Rows of rims are large: to move them to more room, again and again, takes longer than to take it.
         let rims = Vec::with_capacity(cells.len() / 8);
         Self { stride, rows, cells, rims }
@@ -262,8 +263,8 @@ impl Glimpses {
 
     /// The cell at a place in the padded grid; beyond it nothing is seen.
     #[inline(always)]
-    pub fn at(&self, place: u32) -> &Glimpse {
-        self.cells.get(place as usize).unwrap_or(&Glimpse::UNSEEN)
+    pub fn at(&self, place: u32) -> &CellContent {
+        self.cells.get(place as usize).unwrap_or(&CellContent::UNSEEN)
     }
 
     /// The plane of a cell that a node fills, by its column and row.
@@ -273,7 +274,7 @@ impl Glimpses {
     }
 
     /// All cells of the padded grid.
-    pub fn cells(&self) -> &[Glimpse] {
+    pub fn cells(&self) -> &[CellContent] {
         &self.cells
     }
 
@@ -289,22 +290,22 @@ impl Glimpses {
         }
     }
 
-    /// A row of the rim that a cell is, by [`GlimpseLanes::node`].
+    /// A row of the rim that a cell is, by [`CellLanes::node`].
     #[inline(always)]
     pub fn rim(&self, kind: u32, v: usize) -> Option<&RimRow> {
-        self.rims.get(kind.wrapping_sub(Glimpse::RIM) as usize).map(|rim| &rim[v.min(CELL_PX - 1)])
+        self.rims.get(kind.wrapping_sub(CellContent::RIM) as usize).map(|rim| &rim[v.min(CELL_PX - 1)])
     }
 
     /// Sets a cell that a node fills.
     #[inline(always)]
-    pub fn set(&mut self, column: usize, row: usize, cell: Glimpse) {
+    pub fn set(&mut self, column: usize, row: usize, cell: CellContent) {
         let place = self.place(column, row);
         self.cells[place] = cell;
     }
 
     /// Sets a cell whose pixels have to be asked.
     pub fn set_rim(&mut self, column: usize, row: usize, rim: Rim) {
-        self.set(column, row, Glimpse::none(Glimpse::RIM + self.rims.len() as u32));
+        self.set(column, row, CellContent::none(CellContent::RIM + self.rims.len() as u32));
         self.rims.push(rim.rows());
     }
 
@@ -409,7 +410,7 @@ impl Glimpses {
                 beside &= !own;
                 while beside != 0 {
                     let other = row * stride + k * WORD + beside.trailing_zeros() as usize;
-                    self.cells[other] = Glimpse::beside(near_of(other));
+                    self.cells[other] = CellContent::beside(near_of(other));
                     beside &= beside - 1;
                 }
             }
@@ -419,7 +420,7 @@ impl Glimpses {
 
 #[cfg(test)]
 mod tests {
-    use super::{Glimpse, Glimpses, Kind, Plane as CellPlane, Rim};
+    use super::{CellContent, CellLookup, Kind, Plane as CellPlane, Rim};
     use crate::base::image::Plane;
     use crate::reconstruct::kernels::pixel_runs::Runs;
 
@@ -429,14 +430,14 @@ mod tests {
         let (w, h) = (20, 14);
         let mut object = Plane::filled(w, h, 0u8);
         (0..8).for_each(|v| object.row_mut(v)[..12].fill(1));
-        let mut glimpses = Glimpses::new(w, h);
-        glimpses.set(0, 0, Glimpse::of_plane(5, CellPlane { phase: 0.0, steps: [0.0; 2] }));
+        let mut lookup = CellLookup::new(w, h);
+        lookup.set(0, 0, CellContent::of_plane(5, CellPlane { phase: 0.0, steps: [0.0; 2] }));
         let mut of = [0; 64];
         for (i, of) in of.iter_mut().enumerate().filter(|x| x.0 % 8 < 4) {
             *of = if i == 8 { 0 } else { 1 + u8::from(i >= 32) };
         }
-        glimpses.set_rim(1, 0, Rim { object: 0x0f0f_0f0f_0f0f_0f0f, first: 6, of, phase: [[0.0; 9]; 8] });
-        glimpses.mark_outlines(&Runs::of(&object));
+        lookup.set_rim(1, 0, Rim { object: 0x0f0f_0f0f_0f0f_0f0f, first: 6, of, phase: [[0.0; 9]; 8] });
+        lookup.mark_outlines(&Runs::of(&object));
         for v in 0..40 {
             for u in 0..40 {
                 let expected = match (u, v) {
@@ -445,7 +446,7 @@ mod tests {
                     (8..12, ..8) => Some(6 + u32::from(v >= 4)),
                     _ => None,
                 };
-                assert_eq!(glimpses.node(u, v), expected, "({u}, {v})");
+                assert_eq!(lookup.node(u, v), expected, "({u}, {v})");
             }
         }
         // The object with the places beside it; nothing is anywhere else. The padded grid has 9 x 8 cells.
@@ -457,13 +458,13 @@ mod tests {
                     .into_iter()
                     .any(|(a, b)| is_object((u + a).wrapping_sub(10), (v + b).wrapping_sub(10)));
                 let place = (v / 8 * 9 + u / 8) as u32;
-                assert_eq!(glimpses.is_near(place, u % 8, v % 8), is_near, "({u}, {v})");
+                assert_eq!(lookup.is_near(place, u % 8, v % 8), is_near, "({u}, {v})");
                 if u % 8 == 0 && u > 0 {
-                    assert_eq!(glimpses.is_near(place - 1, 8, v % 8), is_near, "({u}, {v})");
+                    assert_eq!(lookup.is_near(place - 1, 8, v % 8), is_near, "({u}, {v})");
                 }
             }
         }
-        let kind = |column: usize, row: usize| glimpses.of(8 * column, 8 * row);
+        let kind = |column: usize, row: usize| lookup.of(8 * column, 8 * row);
         assert_eq!([kind(0, 0), kind(1, 0)], [Kind::Node(5), Kind::Rim(0)]);
         assert_eq!([kind(2, 0), kind(0, 1), kind(2, 1)], [Kind::Near, Kind::Near, Kind::Far]);
     }

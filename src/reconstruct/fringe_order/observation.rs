@@ -1,4 +1,5 @@
-//! What the other cameras have at places of a view: eight places with eight cameras at once.
+//! What the other cameras see at places of a view, and how its phase differs from the one expected: eight places with eight
+//! cameras at once.
 //!
 //! All cameras photograph the same instant. A surface that one of them claims must look right to each of the others: at the pixel where
 //! it would be seen there is the same surface, or something before it. Places are compared by the phase of the other camera's own
@@ -8,9 +9,9 @@
 //! then the pixels of those that need it: while the processor waits for one it fetches the others.
 
 use super::Scene;
-use super::lookup::{Glimpse, GlimpseLanes, Glimpses};
+use super::lookup::{CellContent, CellLanes, CellLookup};
 use super::patches::CELL_PX;
-use super::projection::{LANES, Ray, Spots};
+use super::projection::{LANES, Projected, Ray};
 use crate::reconstruct::kernels::fast_round::floor;
 use crate::reconstruct::kernels::{prefetch, simd};
 use std::f32::consts::TAU;
@@ -44,14 +45,14 @@ impl Numbers {
 
 /// What the cameras of a block have at the pixels where they would see a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SightLanes {
+pub struct Observed {
     /// The node of each there, or what stands for none, by [`Numbers`].
     pub node: [u32; LANES],
     /// The node's phase there less the one that is cast on the place, rad; any number where there is no node.
     pub ahead: [f32; LANES],
 }
 
-impl SightLanes {
+impl Observed {
     /// Of a place that was not looked at.
     pub const NONE: Self = Self { node: [u32::MAX; LANES], ahead: [0.0; LANES] };
 }
@@ -59,7 +60,7 @@ impl SightLanes {
 /// Which pixels of their cells the cameras of a block have to be asked for, where they have to be asked closely.
 #[derive(Debug, Clone, Copy)]
 pub struct Pixels {
-    /// What each cell is: [`GlimpseLanes::node`].
+    /// What each cell is: [`CellLanes::node`].
     kind: [u32; LANES],
     /// The column that the place is in or behind.
     column: [u32; LANES],
@@ -82,58 +83,58 @@ impl Pixels {
 }
 
 /// Some views, how their patches are numbered, and their cells.
-type Block<'a> = (&'a [Scene<'a>], Numbers, [&'a [Glimpse]; LANES]);
+type Block<'a> = (&'a [Scene<'a>], Numbers, [&'a [CellContent]; LANES]);
 
 /// Looks at places of one view after the other.
 #[derive(Debug)]
-pub struct Looks<'a> {
+pub struct Observations<'a> {
     scenes: &'a [Scene<'a>],
     /// The views by blocks, and how their nodes are numbered.
     blocks: Vec<Block<'a>>,
-    spots: [Spots; PLACES],
-    cells: [GlimpseLanes<LANES>; PLACES],
+    spots: [Projected; PLACES],
+    cells: [CellLanes<LANES>; PLACES],
     pixels: [Pixels; PLACES],
 }
 
-impl<'a> Looks<'a> {
+impl<'a> Observations<'a> {
     /// At what these views have.
     pub fn new(scenes: &'a [Scene<'a>]) -> Self {
         let all = scenes.iter().map(|scene| scene.patches.all.len() as u32).sum();
         let mut next = 0;
         let blocks = scenes.chunks(LANES).map(|scenes| {
             let mut numbers = Numbers { first: [0; LANES], all };
-            let mut grids: [&[Glimpse]; LANES] = [&[]; LANES];
+            let mut grids: [&[CellContent]; LANES] = [&[]; LANES];
             for ((first, grid), scene) in numbers.first.iter_mut().zip(&mut grids).zip(scenes) {
                 *first = next;
                 next += scene.patches.all.len() as u32;
-                *grid = scene.patches.glimpses.cells();
+                *grid = scene.patches.lookup.cells();
             }
             (scenes, numbers, grids)
         });
         Self {
             scenes,
             blocks: blocks.collect(),
-            spots: [Spots::NONE; PLACES],
-            cells: [GlimpseLanes::UNSEEN; PLACES],
+            spots: [Projected::NONE; PLACES],
+            cells: [CellLanes::UNSEEN; PLACES],
             pixels: [Pixels::NONE; PLACES],
         }
     }
 
     /// What the cameras of a block have at up to [`PLACES`] places of a view. Returns the number that stands for [nothing](Numbers::nothing).
     #[inline(never)]
-    pub fn at(&mut self, view: usize, block: usize, rays: &[Ray], sights: &mut [SightLanes; PLACES]) -> u32 {
+    pub fn at(&mut self, view: usize, block: usize, rays: &[Ray], sights: &mut [Observed; PLACES]) -> u32 {
         let Self { scenes, blocks, spots, cells, pixels } = self;
-        let lookout = &scenes[view].lookout;
+        let projection = &scenes[view].projection;
         let (scenes, numbers, grids) = &blocks[block];
         // A bit for each camera of each place.
         let mut vague = 0u64;
         simd::dispatch(
             #[inline(always)]
             || {
-                lookout.spots(block, rays, spots);
+                projection.spots(block, rays, spots);
                 for (cells, spots) in cells.iter_mut().zip(&*spots).take(rays.len()) {
                     for (i, (grid, &cell)) in grids.iter().zip(&spots.cell).enumerate() {
-                        cells.set(i, grid.get(cell as usize).unwrap_or(&Glimpse::UNSEEN));
+                        cells.set(i, grid.get(cell as usize).unwrap_or(&CellContent::UNSEEN));
                     }
                 }
                 let places = cells.iter().zip(&*spots).zip(&mut *pixels).zip(&mut *sights).enumerate();
@@ -148,15 +149,15 @@ impl<'a> Looks<'a> {
         while soon != 0 {
             let bit = soon.trailing_zeros() as usize;
             let (k, i) = (bit / LANES, bit % LANES);
-            expect(&scenes[i].patches.glimpses, &pixels[k], i);
+            expect(&scenes[i].patches.lookup, &pixels[k], i);
             soon &= soon - 1;
         }
         while vague != 0 {
             let bit = vague.trailing_zeros() as usize;
             let (k, i) = (bit / LANES, bit % LANES);
-            let (glimpses, pixels, spots) = (&scenes[i].patches.glimpses, &pixels[k], &spots[k]);
-            let beyond = || (past(glimpses, spots.cell[i], pixels, i, numbers), 0.0);
-            let seen = see_closely(glimpses, pixels, i, spots.cast[i], numbers).unwrap_or_else(beyond);
+            let (lookup, pixels, spots) = (&scenes[i].patches.lookup, &pixels[k], &spots[k]);
+            let beyond = || (past(lookup, spots.cell[i], pixels, i, numbers), 0.0);
+            let seen = see_closely(lookup, pixels, i, spots.cast[i], numbers).unwrap_or_else(beyond);
             (sights[k].node[i], sights[k].ahead[i]) = seen;
             vague &= vague - 1;
         }
@@ -167,11 +168,11 @@ impl<'a> Looks<'a> {
 /// What the cameras of a block have at a place, which each sees in one of `cells`; which pixels these are; a bit for each that has to
 /// be asked [`see_closely`] for them. Nothing here depends on a branch: what the next camera has is as good as chance.
 #[inline(always)]
-fn glance(cells: &GlimpseLanes<LANES>, spots: &Spots, numbers: &Numbers) -> (SightLanes, Pixels, u32) {
+fn glance(cells: &CellLanes<LANES>, spots: &Projected, numbers: &Numbers) -> (Observed, Pixels, u32) {
     // Values that may be written meanwhile would be loaded where they are chosen, by a branch.
-    let (Numbers { first, .. }, Spots { right, down, cast, .. }) = (*numbers, *spots);
+    let (Numbers { first, .. }, Projected { right, down, cast, .. }) = (*numbers, *spots);
     let (nothing, past) = (numbers.nothing(), numbers.past());
-    let (mut sights, mut pixels, mut ask) = (SightLanes::NONE, Pixels::NONE, [0u32; LANES]);
+    let (mut sights, mut pixels, mut ask) = (Observed::NONE, Pixels::NONE, [0u32; LANES]);
     for i in 0..LANES {
         let kind = cells.node(i);
         let ahead = cells.phase(i, right[i], down[i]) - cast[i];
@@ -180,13 +181,13 @@ fn glance(cells: &GlimpseLanes<LANES>, spots: &Spots, numbers: &Numbers) -> (Sig
         let column = floor(right[i]);
         let nearest = floor(right[i] + 0.5) as u32;
         let row = floor(down[i] + 0.5).max(0) as u32;
-        let is_near = kind == Glimpse::NEAR;
-        let is_past = is_near & !cells.is_near(i, nearest, row) | (kind == Glimpse::FAR);
+        let is_near = kind == CellContent::NEAR;
+        let is_past = is_near & !cells.is_near(i, nearest, row) | (kind == CellContent::FAR);
         // Cells of no node have no phase. What has to be asked is any number.
         let node = if ahead.is_nan() { nothing } else { first[i].wrapping_add(kind) };
         sights.node[i] = if is_past { past } else { node };
         sights.ahead[i] = ahead;
-        let is_rim = (Glimpse::RIM..Glimpse::NEAR).contains(&kind);
+        let is_rim = (CellContent::RIM..CellContent::NEAR).contains(&kind);
         ask[i] = u32::from(is_rim | is_near & (nearest >= CELL_PX as u32)) << i;
         pixels.kind[i] = kind;
         pixels.column[i] = column as u32;
@@ -199,8 +200,8 @@ fn glance(cells: &GlimpseLanes<LANES>, spots: &Spots, numbers: &Numbers) -> (Sig
 
 /// Asks for the memory that [`see_closely`] will look at.
 #[inline(always)]
-fn expect(glimpses: &Glimpses, pixels: &Pixels, i: usize) {
-    if let Some(row) = glimpses.rim(pixels.kind[i], pixels.row[i] as usize) {
+fn expect(lookup: &CellLookup, pixels: &Pixels, i: usize) {
+    if let Some(row) = lookup.rim(pixels.kind[i], pixels.row[i] as usize) {
         prefetch::line(row);
     }
 }
@@ -209,14 +210,14 @@ fn expect(glimpses: &Glimpses, pixels: &Pixels, i: usize) {
 /// there is as good as chance, too: no place may hold up the next while it waits for memory.
 #[inline(always)]
 fn see_closely(
-    glimpses: &Glimpses,
+    lookup: &CellLookup,
     pixels: &Pixels,
     i: usize,
     cast: f32,
     numbers: &Numbers,
 ) -> Option<(u32, f32)> {
     let [column, row] = [pixels.column[i] as usize % CELL_PX, pixels.row[i] as usize];
-    let rim = glimpses.rim(pixels.kind[i], row)?;
+    let rim = lookup.rim(pixels.kind[i], row)?;
     let (of, here, next) = (rim.of[column], rim.phase[column], rim.phase[column + 1]);
     let (near, named) = (rim.is_near(pixels.nearest[i]), numbers.first[i].wrapping_add(rim.node(of)));
     let is_beside = (of == 0) & !rim.is_object(column);
@@ -234,19 +235,19 @@ fn see_closely(
 
 /// What it has at a place in a cell's last column, none of the object's, where the next cell has to be asked whether there is
 /// background.
-fn past(glimpses: &Glimpses, cell: u32, pixels: &Pixels, i: usize, numbers: &Numbers) -> u32 {
+fn past(lookup: &CellLookup, cell: u32, pixels: &Pixels, i: usize, numbers: &Numbers) -> u32 {
     let [u, v] = [pixels.nearest[i], pixels.row[i]].map(|x| x as usize);
-    let near = glimpses.is_near(cell, u, v);
+    let near = lookup.is_near(cell, u, v);
     if near { numbers.nothing() } else { numbers.past() }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Numbers, SightLanes, glance, past, see_closely};
+    use super::{Numbers, Observed, glance, past, see_closely};
     use crate::base::image::Plane;
-    use crate::reconstruct::fringe_order::lookup::{GlimpseLanes, PAD_PX, padded};
+    use crate::reconstruct::fringe_order::lookup::{CellLanes, PAD_PX, padded};
     use crate::reconstruct::fringe_order::patches::{CELL_PX, Patches, Surface};
-    use crate::reconstruct::fringe_order::projection::{LANES, Spots};
+    use crate::reconstruct::fringe_order::projection::{LANES, Projected};
     use crate::reconstruct::kernels::pixel_runs::Runs;
     use std::f32::consts::TAU;
 
@@ -272,19 +273,19 @@ mod tests {
     /// What it has at a place on which a phase of 3 rad is cast.
     fn sight(view: &Patches, x: f32, y: f32) -> (u32, f32) {
         let [column, row] = [x, y + 0.5].map(|x| (x + PAD_PX as f32) as usize / CELL_PX);
-        let mut spots = Spots::NONE;
+        let mut spots = Projected::NONE;
         spots.cell[5] = (row * padded(view.width) + column) as u32;
         spots.right[5] = x + PAD_PX as f32 - (column * CELL_PX) as f32;
         spots.down[5] = y + PAD_PX as f32 - (row * CELL_PX) as f32;
         spots.cast[5] = 3.0;
-        let mut cells = GlimpseLanes::UNSEEN;
-        cells.set(5, view.glimpses.at(spots.cell[5]));
-        let (SightLanes { node, ahead }, pixels, ask) = glance(&cells, &spots, &OWN);
+        let mut cells = CellLanes::UNSEEN;
+        cells.set(5, view.lookup.at(spots.cell[5]));
+        let (Observed { node, ahead }, pixels, ask) = glance(&cells, &spots, &OWN);
         if ask >> 5 & 1 == 0 {
             return (node[5], ahead[5]);
         }
-        let past = || (past(&view.glimpses, spots.cell[5], &pixels, 5, &OWN), 0.0);
-        see_closely(&view.glimpses, &pixels, 5, spots.cast[5], &OWN).unwrap_or_else(past)
+        let past = || (past(&view.lookup, spots.cell[5], &pixels, 5, &OWN), 0.0);
+        see_closely(&view.lookup, &pixels, 5, spots.cast[5], &OWN).unwrap_or_else(past)
     }
 
     #[test]
@@ -311,10 +312,10 @@ mod tests {
     fn nothing_is_seen_beyond_the_frame() {
         let view = view();
         for place in [0.0, 3e38, -3e38, f32::INFINITY, f32::NAN] {
-            let mut spots = Spots::NONE;
+            let mut spots = Projected::NONE;
             (spots.right[2], spots.down[2], spots.cast[2]) = (place, place, place);
-            let mut cells = GlimpseLanes::UNSEEN;
-            cells.set(2, view.glimpses.at(spots.cell[2]));
+            let mut cells = CellLanes::UNSEEN;
+            cells.set(2, view.lookup.at(spots.cell[2]));
             let (sights, _, ask) = glance(&cells, &spots, &OWN);
             assert_eq!((sights.node[2], ask), (OWN.nothing(), 0), "{place}");
         }

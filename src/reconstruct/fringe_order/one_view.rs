@@ -1,4 +1,4 @@
-//! The labels of a view that no other camera can help: the best path of links from each patch to a marker.
+//! The fringe orders of a camera alone, which no other camera can confirm: the best path of links from each patch to a marker.
 //!
 //! Margins of all costs together dilute with the distance from the marker; the weakest link of the best path does not. On a seam where two
 //! surfaces touch, single links look strong by chance: a link counts as far as a way around it, through the patches beside it,

@@ -4,7 +4,7 @@
 //! other are one patch. Most cells are filled by one smooth patch, a plane of phases.
 
 use super::links::Link;
-use super::lookup::{self, Glimpse, Glimpses, Rim};
+use super::lookup::{self, CellContent, CellLookup, Rim};
 use crate::base::image::Plane;
 use crate::reconstruct::kernels::bit_rows::{self, WORD, bits_where};
 use crate::reconstruct::kernels::fast_round::nearest;
@@ -76,7 +76,7 @@ pub struct Patches {
     /// What each cell has.
     pub(super) grid: Vec<Spot>,
     /// The cells at a glance.
-    pub glimpses: Glimpses,
+    pub lookup: CellLookup,
 }
 
 /// A cell: the first of its patches, and how many there are.
@@ -96,7 +96,7 @@ impl Patches {
         let (columns, rows) = (w.div_ceil(CELL_PX), h.div_ceil(CELL_PX));
         let (all, links) = (Vec::with_capacity(columns * rows), Vec::with_capacity(2 * columns * rows));
         let grid = vec![Spot::default(); columns * rows];
-        let mut patches = Self { width: w, columns, all, links, grid, glimpses: Glimpses::new(w, h) };
+        let mut patches = Self { width: w, columns, all, links, grid, lookup: CellLookup::new(w, h) };
         simd::dispatch(
             #[inline(always)]
             || {
@@ -115,7 +115,7 @@ impl Patches {
                         }
                     }
                 }
-                patches.glimpses.mark_outlines(surface.object);
+                patches.lookup.mark_outlines(surface.object);
             },
         );
         patches
@@ -144,7 +144,7 @@ impl Patches {
             let (u, v) = (MIDDLE % CELL_PX, MIDDLE / CELL_PX);
             self.all[first].phase = plane.at(u as f32, v as f32);
             self.grid[row * self.columns + column] = Spot { first: first as u32, count: 1 };
-            self.glimpses.set(column, row, Glimpse::of_plane(first as u32, plane));
+            self.lookup.set(column, row, CellContent::of_plane(first as u32, plane));
         } else {
             self.cut_up(surface, (column, row), &phase, &period, &right, &down, object);
         }
@@ -192,7 +192,7 @@ impl Patches {
                 rest &= rest - 1;
             }
         }
-        self.glimpses.set_rim(column, row, rim);
+        self.lookup.set_rim(column, row, rim);
     }
 
     /// Adds a patch: these pixels of a cell.

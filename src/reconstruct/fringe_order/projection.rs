@@ -1,4 +1,5 @@
-//! Where all other cameras would see a place of one view, and what their projectors cast on it: eight cameras at once.
+//! Where all other cameras would see a place on a line of sight of one view, and which phase their projectors cast on it: eight
+//! cameras at once.
 //!
 //! A line of sight of the view runs from its centre `c` along `d`, at inverse depth `w` through `c + d / w`. In the axes of
 //! another device that is `a + b / w`, where `a` is the same for all lines of the view and `b` is `d` turned. Only the
@@ -10,7 +11,7 @@ use super::patches::CELL_PX;
 use crate::geometry::Device;
 use crate::reconstruct::kernels::fast_round::floor;
 use crate::reconstruct::kernels::region_of_interest::Roi;
-use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::ray_table::RayTable;
 use nalgebra::{Point3, Vector3};
 
@@ -21,7 +22,7 @@ type Lanes = [f32; LANES];
 
 /// Where each camera of some would see a place.
 #[derive(Debug, Clone, Copy)]
-pub struct Spots {
+pub struct Projected {
     /// Cell of the padded grid; [`NOWHERE`] where the camera does not see it.
     pub cell: [u32; LANES],
     /// Columns from the cell's first.
@@ -44,7 +45,7 @@ pub struct Ray {
     pub inverse_depth: f32,
 }
 
-impl Spots {
+impl Projected {
     /// None.
     pub const NONE: Self =
         Self { cell: [NOWHERE; LANES], right: [0.0; LANES], down: [0.0; LANES], cast: [f32::NAN; LANES] };
@@ -167,18 +168,18 @@ impl Block {
 
 /// All other cameras as seen from one view.
 #[derive(Debug, Clone)]
-pub struct Lookout<'a> {
+pub struct Projection<'a> {
     /// The view's lines of sight.
     pub table: &'a RayTable,
     blocks: Vec<Block>,
 }
 
-impl<'a> Lookout<'a> {
+impl<'a> Projection<'a> {
     /// From camera `view` of some, given with their regions of interest. `table` has its lines of sight.
     pub fn new<'b>(
         table: &'a RayTable,
         view: usize,
-        cameras: impl ExactSizeIterator<Item = (&'b Pair, Roi)> + Clone,
+        cameras: impl ExactSizeIterator<Item = (&'b CameraProjector, Roi)> + Clone,
     ) -> Self {
         let centre = cameras.clone().nth(view).map_or_else(Point3::origin, |(pair, _)| pair.camera.centre());
         let mut blocks = vec![Block::new(); cameras.len().div_ceil(LANES)];
@@ -201,7 +202,7 @@ impl<'a> Lookout<'a> {
 
     /// Where each camera of a block of eight sees places.
     #[inline(always)]
-    pub fn spots(&self, block: usize, places: &[Ray], out: &mut [Spots]) {
+    pub fn spots(&self, block: usize, places: &[Ray], out: &mut [Projected]) {
         let block = &self.blocks[block];
         for (out, place) in out.iter_mut().zip(places) {
             block.spots(place, out);
@@ -211,7 +212,7 @@ impl<'a> Lookout<'a> {
 
 impl Block {
     #[inline(always)]
-    fn spots(&self, place: &Ray, out: &mut Spots) {
+    fn spots(&self, place: &Ray, out: &mut Projected) {
         const PAD: f32 = PAD_PX as f32;
         let [u, v] = self.cameras.project(place.direction, place.inverse_depth);
         let [column, _] = self.projectors.project(place.direction, place.inverse_depth);
@@ -237,20 +238,20 @@ impl Block {
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, Lookout, NOWHERE, Ray, Spots};
+    use super::{LANES, NOWHERE, Projected, Projection, Ray};
     use crate::config::Rig;
     use crate::data::Calibration;
     use crate::reconstruct::fringe_order::lookup::{BACKGROUND_PX, PAD_CELLS, PAD_PX, padded};
     use crate::reconstruct::fringe_order::patches::CELL_PX;
     use crate::reconstruct::kernels::region_of_interest::Roi;
-    use crate::reconstruct::triangulate::camera_projector::Pair;
+    use crate::reconstruct::triangulate::camera_projector::CameraProjector;
     use crate::reconstruct::triangulate::ray_table::RayTable;
     use crate::reconstruct::triangulate::triangulator::Triangulator;
     use std::f64::consts::TAU;
     use std::path::Path;
 
     /// The shipped rig with strong lenses.
-    fn pairs() -> Vec<Pair> {
+    fn pairs() -> Vec<CameraProjector> {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
         let mut calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         for head in &mut calibration.heads {
@@ -259,7 +260,8 @@ mod tests {
                 camera.device.lens.distortion = [-0.11, 0.09, -3e-4, 2e-4, -0.01];
             }
         }
-        let pairs = calibration.cameras().map(|(head, camera)| Pair::new(head, camera, &calibration));
+        let pairs =
+            calibration.cameras().map(|(head, camera)| CameraProjector::new(head, camera, &calibration));
         pairs.collect::<Result<_, _>>().expect("usable pairs")
     }
 
@@ -269,22 +271,22 @@ mod tests {
         let roi = Roi { u: 300, v: 200, width: 1100, height: 700 };
         let (view, table) = (1, RayTable::new(&pairs[1]));
         let triangulator = Triangulator::new(pairs[view].clone());
-        let lookout = Lookout::new(&table, view, pairs.iter().map(|pair| (pair, roi)));
+        let projection = Projection::new(&table, view, pairs.iter().map(|pair| (pair, roi)));
         let stride = padded(roi.width);
         let (mut seen, mut looks) = (0, 0);
         for (i, fringe) in (0..2000u32).map(|i| (i, f64::from(i) * 0.618 % 128.0)) {
             let (u, v) = (i * 37 % 1900, i * 53 % 1190);
             let Some((_, world)) = triangulator.point(u as usize, v as usize, fringe * TAU) else { continue };
             let line = table.sightline(u as usize, v as usize);
-            let [inverse_depth] = lookout.table.inverse_depths(&line, fringe as f32);
+            let [inverse_depth] = projection.table.inverse_depths(&line, fringe as f32);
             if inverse_depth.is_nan() {
                 continue;
             }
             let ray = Ray { direction: line.direction, inverse_depth };
             looks += 1;
             for first in (0..pairs.len()).step_by(LANES) {
-                let mut spots = [Spots::NONE; 1];
-                lookout.spots(first / LANES, &[ray], &mut spots);
+                let mut spots = [Projected::NONE; 1];
+                projection.spots(first / LANES, &[ray], &mut spots);
                 let [spots] = spots;
                 for (pair, i) in pairs[first..].iter().zip(0..LANES).filter(|x| first + x.1 != view) {
                     let Some(place) = pair.camera.project(&world) else { continue };

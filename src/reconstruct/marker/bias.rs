@@ -11,7 +11,7 @@ use crate::geometry::pattern::{Marker, Pattern};
 use crate::reconstruct::kernels::pixel_runs::Runs;
 use crate::reconstruct::kernels::subpixel::{self, LANES, Lanes};
 use crate::reconstruct::phase::demodulate::sums;
-use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use std::f32::consts::{PI, TAU};
 
 /// The zone around a ridge in which the marker disturbs the phase, in periods to each side.
@@ -82,7 +82,7 @@ impl Ring<'_> {
 }
 
 impl Average {
-    pub(crate) fn new(pair: &Pair) -> Self {
+    pub(crate) fn new(pair: &CameraProjector) -> Self {
         Self { taps: taps(pair.marker_period_px) }
     }
 

@@ -54,7 +54,7 @@ pub struct Dashes {
     /// Those that lie where the calibration has them.
     pub agreeing: u32,
     /// Those that look like dashes and lie elsewhere; the others are too faint to tell, or no dashes.
-    pub elsewhere: u32,
+    pub displaced: u32,
     /// How much further along the panel's rows than there most of these lie, px of the panel, in thousandths.
     pub offset_px: Option<f32>,
 }
@@ -62,12 +62,12 @@ pub struct Dashes {
 impl Dashes {
     /// Whether enough of the marker is seen to judge by.
     fn is_enough(&self) -> bool {
-        self.agreeing + self.elsewhere >= LEAST_STRETCHES
+        self.agreeing + self.displaced >= LEAST_STRETCHES
     }
 
     /// Whether most of the marker lies elsewhere.
     pub fn contradict(&self) -> bool {
-        self.is_enough() && self.agreeing < self.elsewhere
+        self.is_enough() && self.agreeing < self.displaced
     }
 
     /// Whether the dashes of most cameras contradict a calibration, and not by a single one of them: then those that agree do
@@ -141,7 +141,7 @@ pub(crate) fn check(
         }
         all.stretches += stretches.len() as u32;
         all.agreeing += agreeing as u32;
-        all.elsewhere += stretches.iter().filter(|x| x.is_clear() && !agrees(x)).count() as u32;
+        all.displaced += stretches.iter().filter(|x| x.is_clear() && !agrees(x)).count() as u32;
     }
     all.offset_px = usual.map(|usual| ((usual / TAU * period * 1e3).round() / 1e3) as f32);
     all
@@ -223,7 +223,7 @@ mod tests {
     use crate::reconstruct::kernels::pixel_runs::Runs;
     use crate::reconstruct::kernels::region_of_interest::Roi;
     use crate::reconstruct::marker::pieces::MarkerPieces;
-    use crate::reconstruct::triangulate::camera_projector::Pair;
+    use crate::reconstruct::triangulate::camera_projector::CameraProjector;
     use crate::reconstruct::triangulate::triangulator::Triangulator;
     use std::f64::consts::TAU;
     use std::ops::Range;
@@ -231,17 +231,21 @@ mod tests {
 
     const ROI: Roi = Roi { u: 700, v: 400, width: 500, height: 300 };
 
-    fn pair(camera: usize) -> Pair {
+    fn pair(camera: usize) -> CameraProjector {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
         let calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         let head = &calibration.heads[0];
-        let pair = Pair::new(head, &head.cameras[camera], &calibration).expect("a usable pair");
-        Pair { rows: Some(PanelRows::exact()), ..pair }
+        let pair = CameraProjector::new(head, &head.cameras[camera], &calibration).expect("a usable pair");
+        CameraProjector { rows: Some(PanelRows::exact()), ..pair }
     }
 
     /// The marker on a plane through the middle of the volume, as a camera sees it: its pixels, wrapped phases and light. `shift` of
     /// the panel's rows the dashes lie further than they should; rows for which `still` holds have none.
-    fn marker(pair: &Pair, shift: f64, still: impl Fn(usize) -> bool) -> (Plane<u8>, Plane<f32>, Plane<u16>) {
+    fn marker(
+        pair: &CameraProjector,
+        shift: f64,
+        still: impl Fn(usize) -> bool,
+    ) -> (Plane<u8>, Plane<f32>, Plane<u16>) {
         let (w, h) = (ROI.width, ROI.height);
         let mut anchor = Plane::filled(w, h, 0u8);
         let mut wrapped = Plane::filled(w, h, 0f32);
@@ -269,7 +273,7 @@ mod tests {
     }
 
     /// What the dashes of a photograph say, which holds these anchors, and the anchors that are left.
-    fn left(photograph: &(Plane<u8>, Plane<f32>, Plane<u16>), pair: Pair) -> (Dashes, Plane<u8>) {
+    fn left(photograph: &(Plane<u8>, Plane<f32>, Plane<u16>), pair: CameraProjector) -> (Dashes, Plane<u8>) {
         let (anchor, wrapped, light) = photograph;
         let mut pieces = MarkerPieces::new(Runs::of(anchor));
         pieces.number.fill(1);
@@ -335,13 +339,13 @@ mod tests {
     #[test]
     fn without_the_panels_rows_nothing_is_checked() {
         let photograph = marker(&pair(0), 0.0, |_| false);
-        let found = left(&photograph, Pair { rows: None, ..pair(1) });
+        let found = left(&photograph, CameraProjector { rows: None, ..pair(1) });
         assert_eq!(found, (Dashes::default(), photograph.0));
     }
 
     #[test]
     fn most_cameras_decide_and_one_alone_does_not() {
-        let of = |agreeing, elsewhere| Dashes { stretches: 10, agreeing, elsewhere, offset_px: None };
+        let of = |agreeing, displaced| Dashes { stretches: 10, agreeing, displaced, offset_px: None };
         // Of faint ones most are neither.
         let (good, bad, unseen) = (of(10, 0), of(1, 9), of(0, 2));
         for (cameras, most) in [

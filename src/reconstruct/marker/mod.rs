@@ -20,7 +20,7 @@ use super::kernels::connected_components::{self, Piece};
 use super::kernels::pixel_runs::{Run, Runs};
 use super::kernels::simd;
 use super::kernels::subpixel::{self, LANES, Lanes, PAD, Periods};
-use super::triangulate::camera_projector::Pair;
+use super::triangulate::camera_projector::CameraProjector;
 use crate::base::image::{Mono8, Plane};
 use std::f32::consts::{FRAC_PI_2, TAU};
 use std::ops::Range;
@@ -56,7 +56,7 @@ pub fn ridges(
     image: Mono8<'_>,
     runs: &Runs,
     period: &Plane<f32>,
-    pair: &Pair,
+    pair: &CameraProjector,
     buffers: &mut Buffers,
     mut energy: Option<&mut Plane<f32>>,
 ) -> Runs {
@@ -103,7 +103,7 @@ pub fn ridges(
 
 /// The ridges' pixels on the core of one fringe. `wrapped` must already be that of the marker's mean light
 /// (see [`self::bias`]): between its dashes a darkened marker has no core of its own.
-pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &Pair) -> Runs {
+pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &CameraProjector) -> Runs {
     let mut core = Runs::default();
     for v in 0..ridges.height() {
         let wrapped = wrapped.row(v);

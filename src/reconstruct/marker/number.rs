@@ -6,7 +6,7 @@
 
 use super::pieces::MarkerPieces;
 use crate::reconstruct::kernels::region_of_interest::Roi;
-use crate::reconstruct::triangulate::camera_projector::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 
 /// Pixels of a piece that are tried.
 const SAMPLES: usize = 64;
@@ -18,7 +18,7 @@ const LEAST_SHARE: f32 = 0.9;
 const MOST_OF_ANOTHER: f32 = 0.1;
 
 /// Gives each piece the number of the marker that it is; 0 where that is not certain. `roi` is where they lie in the frame.
-pub fn assign(marker: &mut MarkerPieces, roi: Roi, pair: &Pair) {
+pub fn assign(marker: &mut MarkerPieces, roi: Roi, pair: &CameraProjector) {
     let MarkerPieces { cores, of, pieces, number: numbers } = marker;
     let mut samples = vec![Vec::new(); pieces.len()];
     let mut seen = vec![0u32; pieces.len()];
@@ -39,7 +39,7 @@ pub fn assign(marker: &mut MarkerPieces, roi: Roi, pair: &Pair) {
 }
 
 /// The marker that lies in the volume for these pixels, 1 for the first; 0 where there is none or more than one.
-fn number(samples: &[(usize, usize)], pair: &Pair) -> u8 {
+fn number(samples: &[(usize, usize)], pair: &CameraProjector) -> u8 {
     let mut allowed = vec![0u32; pair.markers.len()];
     for &(u, v) in samples {
         let Some([low, high]) = pair.columns_in_volume(u, v) else { continue };

@@ -13,7 +13,7 @@ pub struct MarkerPieces {
     pub of: Vec<u32>,
     /// The pieces.
     pub pieces: Vec<Piece>,
-    /// The marker that each piece is, 1 for the first of [`crate::reconstruct::triangulate::camera_projector::Pair::markers`]; 0: it is none, or not known.
+    /// The marker that each piece is, 1 for the first of [`crate::reconstruct::triangulate::camera_projector::CameraProjector::markers`]; 0: it is none, or not known.
     pub number: Vec<u8>,
 }
 

@@ -24,7 +24,7 @@ use super::kernels::region_of_interest::Roi;
 use super::kernels::stage_times::Clock;
 use super::outcome::{Maps, NO_OBJECT, Outcome, Reconstruction, outcome_of};
 use super::phase::window_quality::light_steps;
-use super::triangulate::camera_projector::Pair;
+use super::triangulate::camera_projector::CameraProjector;
 use super::triangulate::points::{self, KnownPixels};
 use super::triangulate::ray_table::RayTable;
 use crate::base::image::{Mono8, Plane};
@@ -50,7 +50,7 @@ pub struct AbsolutePhase {
 }
 
 /// Section 4.1 for a photograph by the camera of `pair`.
-pub fn absolute_phase(image: Mono8<'_>, pair: &Pair) -> AbsolutePhase {
+pub fn absolute_phase(image: Mono8<'_>, pair: &CameraProjector) -> AbsolutePhase {
     let om = mask::object(image, pair.period_px);
     let (pm, am) = period::measure(image, &om, pair.period_px);
     let sm = period::stability(&pm, pair.period_px);
@@ -73,7 +73,7 @@ pub fn absolute_phase(image: Mono8<'_>, pair: &Pair) -> AbsolutePhase {
 /// The cloud of one photograph, made from Fm as every method's is; `table` is the camera's. With the maps on request.
 pub(super) fn reconstruct(
     image: Mono8<'_>,
-    pair: &Pair,
+    pair: &CameraProjector,
     table: &RayTable,
     keep_maps: bool,
 ) -> Reconstruction {

@@ -14,7 +14,7 @@
 //! rendered truth.
 
 use crate::base::image::Plane;
-use crate::data::doubt_of;
+use crate::data::encode_sigma;
 use crate::reconstruct::kernels::simd;
 use crate::reconstruct::phase::window_quality::{self, Windows};
 
@@ -58,9 +58,9 @@ const CORE_SHARE: f32 = 0.55;
 const ROWS_EACH_SIDE: usize = 2;
 const MORE_MISFIT: f32 = 0.03;
 
-/// The standard uncertainty of every known phase, as a byte ([`doubt_of`]). `expected`: the error that `edges` found
+/// The standard uncertainty of every known phase, as a byte ([`encode_sigma`]). `expected`: the error that `edges` found
 /// for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0.
-pub fn doubts(
+pub fn sigma_codes(
     absolute: &Plane<f32>,
     windows: &Windows,
     expected: &Plane<f32>,
@@ -69,7 +69,7 @@ pub fn doubts(
 ) -> Plane<u8> {
     let (width, height) = (absolute.width(), absolute.height());
     let noise = Noise::of(absolute, windows);
-    let mut doubts = Plane::filled(width, height, 0u8);
+    let mut sigma_codes = Plane::filled(width, height, 0u8);
     simd::dispatch(
         #[inline(always)]
         || {
@@ -79,7 +79,7 @@ pub fn doubts(
                 let (phase, misfit) = (absolute.row(v), windows.misfit.row(v));
                 let (strength, light) = (windows.strength.row(v), windows.light.row(v));
                 let (zone, expected) = (zone.row(v), expected.row(v));
-                for (u, doubt) in doubts.row_mut(v).iter_mut().enumerate() {
+                for (u, sigma_code) in sigma_codes.row_mut(v).iter_mut().enumerate() {
                     if phase[u].is_nan() {
                         continue;
                     }
@@ -94,12 +94,13 @@ pub fn doubts(
                     } else {
                         CORE_SHARE * expected[u]
                     };
-                    *doubt = doubt_of((random * random + shape * shape + FLOOR_RAD * FLOOR_RAD).sqrt());
+                    *sigma_code =
+                        encode_sigma((random * random + shape * shape + FLOOR_RAD * FLOOR_RAD).sqrt());
                 }
             }
         },
     );
-    doubts
+    sigma_codes
 }
 
 /// How many rows went into each phasor of row `v`.

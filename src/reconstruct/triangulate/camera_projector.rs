@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 
 /// A triangulation pair with the figures that the stages derive from it.
 #[derive(Debug, Clone)]
-pub struct Pair {
+pub struct CameraProjector {
     /// The camera.
     pub camera: Device,
     /// The projector as an inverse camera.
@@ -39,7 +39,7 @@ const NEAREST_M: f64 = 0.05;
 /// Points this far outside the calibrated volume are still accepted, m: a hand may reach out of it.
 const VOLUME_MARGIN_M: f64 = 0.10;
 
-impl Pair {
+impl CameraProjector {
     /// Derives the pair's figures; an error when the pattern is not visible, or runs along the image columns.
     pub fn new(
         head: &CalibratedHead,

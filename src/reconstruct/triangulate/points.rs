@@ -6,7 +6,7 @@
 use super::normals::{LANES, Oriented, Points, REACH, Row, orient};
 use super::ray_table::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
 use crate::base::image::Plane;
-use crate::data::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, doubt_rad};
+use crate::data::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, decode_sigma};
 use crate::reconstruct::kernels::fast_round::whole;
 use crate::reconstruct::kernels::pixel_runs::{self, Runs};
 use crate::reconstruct::kernels::region_of_interest::Roi;
@@ -78,9 +78,9 @@ impl KnownPixels<'_> {
     }
 }
 
-/// Puts the known pixels of a frame of so many columns and rows together, in whole steps. `doubt` holds the standard uncertainty of the
+/// Puts the known pixels of a frame of so many columns and rows together, in whole steps. `sigma_code` holds the standard uncertainty of the
 /// phase, as a byte, where it is asked for.
-pub fn phase_map(known: &KnownPixels<'_>, doubt: Option<&Plane<u8>>, frame: [u16; 2]) -> PhaseMap {
+pub fn phase_map(known: &KnownPixels<'_>, sigma_code: Option<&Plane<u8>>, frame: [u16; 2]) -> PhaseMap {
     let mut map = PhaseMap { frame, ..PhaseMap::default() };
     let Roi { v: first, width, height, .. } = known.roi;
     let mut room = vec![0u8; width];
@@ -93,7 +93,7 @@ pub fn phase_map(known: &KnownPixels<'_>, doubt: Option<&Plane<u8>>, frame: [u16
             let pixels = map.runs.iter().map(|run| usize::from(run.length)).sum();
             map.phase = vec![0; pixels];
             map.light = vec![0; pixels];
-            map.doubt.reserve_exact(if doubt.is_some() { pixels } else { 0 });
+            map.sigma_code.reserve_exact(if sigma_code.is_some() { pixels } else { 0 });
             let (mut phases, mut lights) = (&mut map.phase[..], &mut map.light[..]);
             for run in &map.runs {
                 let (phase, light);
@@ -101,8 +101,8 @@ pub fn phase_map(known: &KnownPixels<'_>, doubt: Option<&Plane<u8>>, frame: [u16
                 (light, lights) = lights.split_at_mut(usize::from(run.length));
                 known.write_phases(run, phase);
                 light.copy_from_slice(known.light(run));
-                if let Some(doubt) = doubt {
-                    map.doubt.extend_from_slice(known.part(doubt, run));
+                if let Some(sigma_code) = sigma_code {
+                    map.sigma_code.extend_from_slice(known.part(sigma_code, run));
                 }
             }
         },
@@ -166,7 +166,7 @@ thread_local! {
 /// ([`RayTable::fits`]).
 pub fn make(table: &RayTable, map: &PhaseMap) -> Cloud {
     SCRATCH.with_borrow_mut(|scratch| {
-        if map.doubt.is_empty() {
+        if map.sigma_code.is_empty() {
             simd::dispatch(
                 #[inline(always)]
                 || make_with::<false>(table, map, scratch),
@@ -368,11 +368,14 @@ fn emit<const SIGMA: bool>(
                 let first = run.first + start as u16;
                 cloud.pixel.extend((first..first + (end - start) as u16).map(|column| [column, run.row]));
                 if SIGMA {
-                    let doubt = &map.doubt[pixel + done..][start..end];
+                    let sigma_code = &map.sigma_code[pixel + done..][start..end];
                     let scale = &c.metres_per_rad[place..place + count][start..end];
-                    cloud
-                        .sigma_m
-                        .extend(doubt.iter().zip(scale).map(|(&doubt, scale)| doubt_rad(doubt) * scale));
+                    cloud.sigma_m.extend(
+                        sigma_code
+                            .iter()
+                            .zip(scale)
+                            .map(|(&sigma_code, scale)| decode_sigma(sigma_code) * scale),
+                    );
                 }
             },
         );

@@ -6,7 +6,7 @@
 //! depth to column, needs no iteration. Between nodes its coefficients, and the direction of sight, are interpolated
 //! linearly. Against the exact solution the points are off by less than 0.01 mm over the whole volume (test).
 
-use super::camera_projector::Pair;
+use super::camera_projector::CameraProjector;
 use crate::reconstruct::kernels::prefetch;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
@@ -84,7 +84,7 @@ pub(crate) struct PointRow<'a> {
 
 impl RayTable {
     /// Tabulates a pair of camera and projector.
-    pub fn new(pair: &Pair) -> Self {
+    pub fn new(pair: &CameraProjector) -> Self {
         let camera = pair.camera.world_from_device.isometry();
         let columns = pair.camera.width.div_ceil(NODE_PX) + 1;
         let rows = pair.camera.height.div_ceil(NODE_PX) + 1;
@@ -268,7 +268,7 @@ fn scale(c: &[Block; 3 + TERMS], (s, depth, per_rad): (&Block, &Block, f32), met
 const NOWHERE: [f32; 2] = [1.0, 0.0];
 
 /// The fringes between which the line of sight of a pixel is in the volume, and half a fringe more at either end.
-fn fringes_in_volume(pair: &Pair, u: usize, v: usize) -> [f32; 2] {
+fn fringes_in_volume(pair: &CameraProjector, u: usize, v: usize) -> [f32; 2] {
     let Some((ray, ends)) = pair.distances_in_volume(u, v) else { return NOWHERE };
     let all = (pair.projector.width as f64 / pair.pattern.period_px) as f32;
     let [near, far] = ends.map(|distance| {
@@ -282,13 +282,13 @@ fn fringes_in_volume(pair: &Pair, u: usize, v: usize) -> [f32; 2] {
 
 /// The geometry of a pair while it is tabulated.
 struct Sight<'a> {
-    pair: &'a Pair,
+    pair: &'a CameraProjector,
     /// Inverse depths between which the volume lies.
     inverse: [f64; 2],
 }
 
 impl<'a> Sight<'a> {
-    fn new(pair: &'a Pair) -> Self {
+    fn new(pair: &'a CameraProjector) -> Self {
         let (min, max) = (pair.volume_min_m, pair.volume_max_m);
         let mut depths = [f64::INFINITY, 0f64];
         for corner in 0..8 {

@@ -7,7 +7,7 @@
 //! column depends on where along it the point lies, so `p` is iterated to a fixed point; each step gains
 //! about two digits.
 
-use super::camera_projector::Pair;
+use super::camera_projector::CameraProjector;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 /// Pixels between the nodes of the ray table. Bilinear interpolation is then exact to about 1e-6 of the
@@ -20,7 +20,7 @@ const CONVERGED: f64 = 1e-10;
 /// Triangulates the pixels of one camera.
 #[derive(Debug)]
 pub struct Triangulator {
-    pair: Pair,
+    pair: CameraProjector,
     rotation: Matrix3<f64>,
     translation: Vector3<f64>,
     world_from_camera: Isometry3<f64>,
@@ -31,7 +31,7 @@ pub struct Triangulator {
 
 impl Triangulator {
     /// Prepares the ray table.
-    pub fn new(pair: Pair) -> Self {
+    pub fn new(pair: CameraProjector) -> Self {
         let world_from_camera = *pair.camera.world_from_device.isometry();
         let projector_from_camera = pair.projector.world_from_device.isometry().inverse() * world_from_camera;
         let columns = pair.camera.width / GRID_PX + 2;
@@ -52,7 +52,7 @@ impl Triangulator {
     }
 
     /// The pair it triangulates for.
-    pub fn pair(&self) -> &Pair {
+    pub fn pair(&self) -> &CameraProjector {
         &self.pair
     }
 
@@ -128,19 +128,19 @@ pub(crate) mod tests {
     use super::Triangulator;
     use crate::config::Rig;
     use crate::data::Calibration;
-    use crate::reconstruct::triangulate::camera_projector::Pair;
+    use crate::reconstruct::triangulate::camera_projector::CameraProjector;
     use proptest::prelude::{ProptestConfig, prop_assert, prop_assume, proptest};
     use std::path::Path;
 
     /// The first pair of the shipped rig, with strong lenses.
-    pub(crate) fn strong_lenses() -> Pair {
+    pub(crate) fn strong_lenses() -> CameraProjector {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
         let mut calibration = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         let head = &mut calibration.heads[0];
         head.projector.lens.distortion = [-0.12, 0.08, 4e-4, -3e-4, 0.01];
         head.cameras[0].device.lens.distortion = [-0.11, 0.09, -3e-4, 2e-4, -0.01];
         let head = &calibration.heads[0];
-        Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair")
+        CameraProjector::new(head, &head.cameras[0], &calibration).expect("a usable pair")
     }
 
     fn triangulator() -> Triangulator {

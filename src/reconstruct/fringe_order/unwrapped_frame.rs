@@ -12,13 +12,13 @@ use crate::reconstruct::triangulate::ray_table::RayTable;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A frame whose phase is known but for its fringe orders: [`super::settle`] finds these before `Pipeline::finish` makes the
+/// A frame whose phase is known but for its fringe orders: [`super::solve`] finds these before `Pipeline::finish` makes the
 /// cloud.
 #[derive(Debug)]
-pub struct Prepared {
+pub struct UnwrappedFrame {
     /// Where the object is; all planes cover this part of the frame.
     pub roi: Roi,
-    /// Phase, rad, absolute but for [`Prepared::orders`]; NaN where it is not known. Far beside the runs it is any number.
+    /// Phase, rad, absolute but for [`UnwrappedFrame::orders`]; NaN where it is not known. Far beside the runs it is any number.
     pub absolute: Plane<f32>,
     /// Lines of sight of the camera.
     pub(in crate::reconstruct) table: Arc<RayTable>,
@@ -42,7 +42,7 @@ pub struct Prepared {
     pub(in crate::reconstruct) clock: Clock,
 }
 
-impl Prepared {
+impl UnwrappedFrame {
     /// Phases as they are within each patch, whatever their fringe orders: for comparisons of phases alone.
     #[must_use]
     pub fn without_orders(mut self) -> Self {
