@@ -1,4 +1,4 @@
-//! Keeps the books of a session: gives every frame its trigger and every trigger of every camera its outcome.
+//! Keeps the accounting of a session: gives every frame its trigger and every trigger of every camera its outcome.
 
 use super::assembler::Assembler;
 use super::breaches::{Breaches, gap_cause};
@@ -140,7 +140,7 @@ impl Accounting {
     }
 
     /// A turn of the thread begins.
-    pub(super) fn turn(&mut self) {
+    pub(super) fn begin_turn(&mut self) {
         let now = Instant::now();
         let took = now.saturating_duration_since(self.last_turn);
         self.awake += took.min(LONGEST_TURN);
@@ -175,7 +175,7 @@ impl Accounting {
     }
 
     /// A frame arrived; `behind` more are on their way to this thread.
-    pub(super) fn take(&mut self, arrival: Arrival, behind: usize) {
+    pub(super) fn frame_arrived(&mut self, arrival: Arrival, behind: usize) {
         let camera = arrival.camera;
         let Some(lane) = self.lanes.get_mut(camera) else { return };
         if arrival.stream != lane.stream {
@@ -189,7 +189,7 @@ impl Accounting {
         self.pass_sets_on(false);
     }
 
-    pub(super) fn obey(&mut self, command: RecorderCommand) {
+    pub(super) fn handle(&mut self, command: RecorderCommand) {
         match command {
             RecorderCommand::Trigger(record) => {
                 if let Ok(number) = i64::try_from(record.index.0) {

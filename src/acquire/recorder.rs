@@ -1,4 +1,4 @@
-//! The recorder: what the node tells it, what it says, and the thread that keeps the books.
+//! The recorder: what the node tells it, what it says, and the thread that keeps the accounting.
 //!
 //! One thread matches frames to triggers and accounts for them, and never waits for the disk; behind a bounded ring
 //! a second one owns the recording.
@@ -100,7 +100,7 @@ pub struct Progress {
     pub gaps: Vec<AtomicU64>,
     /// The same by cause, per camera: in the order of [`GapCause::ALL`].
     pub causes: Vec<[AtomicU64; GapCause::ALL.len()]>,
-    /// Times that the thread which keeps the books went round: grows as long as it lives.
+    /// Times that the thread which keeps the accounting went round: grows as long as it lives.
     pub recorder_turns: AtomicU64,
     /// Times that the writer's thread went round.
     pub writer_turns: AtomicU64,
@@ -222,7 +222,7 @@ pub enum Destination {
 
 /// The recorder's side of a session.
 pub struct Recorder {
-    books: Accounting,
+    accounting: Accounting,
     progress: Arc<Progress>,
     arrivals: Receiver<Arrival>,
     commands: Receiver<RecorderCommand>,
@@ -230,6 +230,17 @@ pub struct Recorder {
 
 /// Without news the thread looks at what waits this often.
 pub(super) const TICK: Duration = Duration::from_millis(10);
+
+/// What a recorder hears and says.
+#[derive(Debug)]
+pub struct Channels {
+    /// Frames, from the cameras' receivers.
+    pub arrivals: Receiver<Arrival>,
+    /// From the node.
+    pub commands: Receiver<RecorderCommand>,
+    /// To the node.
+    pub events: Sender<RecorderEvent>,
+}
 
 impl Recorder {
     /// Starts the threads. The handle is that of the first one, which waits for the second. Previews may look at the frames
@@ -240,23 +251,13 @@ impl Recorder {
         lanes: Vec<LaneSetup>,
         options: RecorderOptions,
         progress: Arc<Progress>,
-        arrivals: Receiver<Arrival>,
-        commands: Receiver<RecorderCommand>,
-        events: Sender<RecorderEvent>,
+        channels: Channels,
     ) -> std::io::Result<JoinHandle<()>> {
         let sink: Box<dyn Sink> = match destination {
             Destination::Recording(recording) => recording,
             Destination::DryRun(run) => run,
         };
-        Self::start_with(
-            Box::new(Tapped { sink, taps }),
-            lanes,
-            options,
-            progress,
-            arrivals,
-            commands,
-            events,
-        )
+        Self::start_with(Box::new(Tapped { sink, taps }), lanes, options, progress, channels)
     }
 
     pub(super) fn start_with(
@@ -264,14 +265,12 @@ impl Recorder {
         lanes: Vec<LaneSetup>,
         options: RecorderOptions,
         progress: Arc<Progress>,
-        arrivals: Receiver<Arrival>,
-        commands: Receiver<RecorderCommand>,
-        events: Sender<RecorderEvent>,
+        Channels { arrivals, commands, events }: Channels,
     ) -> std::io::Result<JoinHandle<()>> {
         let capacity = options.ring_sets() * lanes.len().max(1);
         let ring = Ring::start(sink, capacity, Arc::clone(&progress), events.clone())?;
-        let books = Accounting::new(lanes, options, Arc::clone(&progress), ring, events);
-        let recorder = Self { books, progress, arrivals, commands };
+        let accounting = Accounting::new(lanes, options, Arc::clone(&progress), ring, events);
+        let recorder = Self { accounting, progress, arrivals, commands };
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
             crate::host::realtime::enter_configured("recorder");
             recorder.run()
@@ -281,29 +280,29 @@ impl Recorder {
     fn run(mut self) {
         loop {
             let waiting = self.arrivals.len();
-            self.books.turn();
+            self.accounting.begin_turn();
             self.progress.recorder_turns.fetch_add(1, Ordering::Relaxed);
             select! {
                 recv(self.arrivals) -> arrival => match arrival {
                     Ok(arrival) => {
                         // What was said before a frame arrived comes first: reports, clocks, a fresh stream.
                         if let Some(last) = self.obey_all() {
-                            self.books.take(arrival, waiting);
+                            self.accounting.frame_arrived(arrival, waiting);
                             return self.end(last);
                         }
-                        self.books.take(arrival, waiting);
+                        self.accounting.frame_arrived(arrival, waiting);
                     }
                     // The receivers are gone; their last words are commands.
                     Err(_) => self.arrivals = crossbeam_channel::never(),
                 },
                 recv(self.commands) -> command => match command {
                     Ok(command) if command.is_last() => return self.end(command),
-                    Ok(command) => self.books.obey(command),
-                    Err(_) => return self.books.discard(),
+                    Ok(command) => self.accounting.handle(command),
+                    Err(_) => return self.accounting.discard(),
                 },
-                recv(after(TICK)) -> _ => self.books.advance_all(),
+                recv(after(TICK)) -> _ => self.accounting.advance_all(),
             }
-            self.books.check_drained(self.arrivals.is_empty());
+            self.accounting.check_drained(self.arrivals.is_empty());
         }
     }
 
@@ -313,17 +312,17 @@ impl Recorder {
             if command.is_last() {
                 return Some(command);
             }
-            self.books.obey(command);
+            self.accounting.handle(command);
         }
         None
     }
 
     fn end(mut self, last: RecorderCommand) {
-        let RecorderCommand::Close { aborted } = last else { return self.books.discard() };
+        let RecorderCommand::Close { aborted } = last else { return self.accounting.discard() };
         while let Ok(arrival) = self.arrivals.try_recv() {
-            self.books.take(arrival, 0);
+            self.accounting.frame_arrived(arrival, 0);
         }
-        self.books.close(aborted);
+        self.accounting.close(aborted);
     }
 }
 

@@ -32,15 +32,14 @@ use crate::reconstruct::fringe_order::unwrapped_frame::UnwrappedFrame;
 use crate::reconstruct::fringe_order::{self, View};
 use crate::reconstruct::marker::epipolar_check::Dashes;
 use crate::reconstruct::outcome::{Reconstruction, WHY_ELSEWHERE};
-use crate::reconstruct::pipeline;
-use crate::reconstruct::pipeline::{Method, Pipeline};
+use crate::reconstruct::pipeline::{self, Method, Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 pub use super::summary::{FrameSummary, Summary, TriggerSummary};
@@ -276,12 +275,13 @@ pub fn write_sequence(
 fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Camera>>, String> {
     let asked = (0_usize..).zip(calibration.cameras()).filter(|(_, (_, c))| plan.cameras.contains(&c.id));
     let asked: Vec<_> = asked.collect();
+    let workspace = Arc::new(Workspace::default());
     let made = asked.par_iter().map(|(number, (head, camera))| {
         let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
         let pair = CameraProjector::new(head, camera, calibration)?;
         let triangulator = Triangulator::new(pair);
         let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
-        let pipeline = pipeline.with_uncertainty(plan.uncertainty);
+        let pipeline = pipeline.with_uncertainty(plan.uncertainty).with_workspace(Arc::clone(&workspace));
         let viewpoint = Viewpoint::new(head.id.as_str(), &camera.device, &head.projector);
         Ok((&head.id, Camera { id: camera.id.clone(), number, viewpoint, pipeline }))
     });

@@ -17,12 +17,13 @@ use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::{Mono8, Plane};
 use crate::data::{Calibration, Frame, FrameSource};
 use crate::geometry::Device;
-use crate::reconstruct::pipeline::{Method, Pipeline};
+use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, Point3, SVector, Vector3};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 /// What lights the board in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -131,8 +132,11 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
 
 /// One pipeline for every camera, in the calibration's order. Nominal geometry has no rows to hold dashes against.
 pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
-    let pipeline =
-        |pair| Pipeline::new(Triangulator::new(CameraProjector { rows: None, ..pair }), Method::Joint, false);
+    let workspace = Arc::new(Workspace::default());
+    let pipeline = |pair| {
+        let triangulator = Triangulator::new(CameraProjector { rows: None, ..pair });
+        Pipeline::new(triangulator, Method::Joint, false).with_workspace(Arc::clone(&workspace))
+    };
     nominal
         .cameras()
         .map(|(head, camera)| CameraProjector::new(head, camera, nominal).map(pipeline))

@@ -31,7 +31,7 @@ impl Outcome {
     }
 }
 
-/// As the books do it: frames wait in a queue, and are asked for again at every news.
+/// As the accounting does it: frames wait in a queue, and are asked for again at every news.
 struct Player {
     matcher: Matcher,
     table: TriggerTable,

@@ -6,7 +6,9 @@ use super::hsu_keeper::{HsuKeeper, LinkSetup};
 use super::node_thread::{Node, hsu_session};
 use crate::acquire::dry_run::DryRun;
 use crate::acquire::receiver::{Arrival, ReceiverSetup};
-use crate::acquire::recorder::{Destination, LaneSetup, Recorder, RecorderCommand, RecorderOptions};
+use crate::acquire::recorder::{
+    Channels, Destination, LaneSetup, Recorder, RecorderCommand, RecorderOptions,
+};
 use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
 use crate::camera::AppliedSetting;
@@ -121,9 +123,15 @@ impl Node {
         let progress = Arc::clone(&session.progress);
         let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
         let taps = Arc::clone(&self.taps);
-        let recorder =
-            Recorder::start(destination, taps, lanes, options, progress, arrivals, commands, events)
-                .map_err(thread_error)?;
+        let recorder = Recorder::start(
+            destination,
+            taps,
+            lanes,
+            options,
+            progress,
+            Channels { arrivals, commands, events },
+        )
+        .map_err(thread_error)?;
         session.recorder = Some(recorder);
         session.from_recorder = from_recorder;
         samples.into_iter().for_each(|sample| drop(to_recorder.send(RecorderCommand::Clock(sample))));

@@ -3,7 +3,7 @@
 use super::counts::Counts;
 use super::fringe_order::unwrapped_frame::UnwrappedFrame;
 use super::fringe_order::{self, Orders, Regions, View};
-use super::kernels::buffer_pool::{Planes, Pool};
+use super::kernels::buffer_pool::{PlanePools, Pool};
 use super::kernels::pixel_runs::Runs;
 use super::kernels::region_of_interest::Roi;
 use super::kernels::stage_times::Clock;
@@ -14,7 +14,7 @@ use super::marker::pieces::MarkerPieces;
 use super::outcome::{Maps, NO_OBJECT, Outcome, Reconstruction, WHY_ELSEWHERE, outcome_of};
 use super::phase::demodulate::{self, Gains};
 use super::phase::window_quality::Windows;
-use super::refine::{albedo_edges, curvature, extend_runs, select, uncertainty};
+use super::refine::{FrameMaps, albedo_edges, curvature, extend_runs, select, uncertainty};
 use super::triangulate::points;
 use super::triangulate::ray_table::RayTable;
 use super::triangulate::triangulator::Triangulator;
@@ -43,9 +43,17 @@ pub struct Pipeline {
     method: Method,
     keep_maps: bool,
     uncertainty: bool,
+    workspace: Arc<Workspace>,
 }
 
-/// What the stages of one frame use again for the next.
+/// Memory that the stages of one frame leave to the next, of whichever camera and on whichever thread. Who runs several
+/// pipelines gives them one ([`Pipeline::with_workspace`]).
+#[derive(Debug, Default)]
+pub struct Workspace {
+    buffers: Pool<Buffers>,
+    planes: PlanePools,
+}
+
 #[derive(Debug, Default)]
 struct Buffers {
     object: Runs,
@@ -53,22 +61,23 @@ struct Buffers {
     front: wrapped_phase::Buffers,
 }
 
-/// Of all cameras: a thread that goes from one to the next finds its memory there.
-static BUFFERS: Pool<Buffers> = Pool::new();
-static PLANES: Planes<f32> = Planes::new();
-static WORDS: Planes<u16> = Planes::new();
-static BYTES: Planes<u8> = Planes::new();
-
 impl Pipeline {
     /// A pipeline for one camera.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let pair = triangulator.pair();
         let (bias, table) = (Bias::new(&pair.pattern), Arc::new(RayTable::new(pair)));
-        let pixels = pair.camera.width * pair.camera.height;
-        PLANES.make_room(pixels);
-        WORDS.make_room(pixels);
-        BYTES.make_room(pixels);
-        Self { triangulator, table, gains: Gains::new(), bias, method, keep_maps, uncertainty: false }
+        let (gains, workspace) = (Gains::new(), Arc::new(Workspace::default()));
+        let own = Arc::clone(&workspace);
+        Self { triangulator, table, gains, bias, method, keep_maps, uncertainty: false, workspace }
+            .with_workspace(own)
+    }
+
+    /// Uses this memory, instead of its own.
+    #[must_use]
+    pub fn with_workspace(self, workspace: Arc<Workspace>) -> Self {
+        let [width, height] = self.frame();
+        workspace.planes.make_room(width * height);
+        Self { workspace, ..self }
     }
 
     /// Also gives every point its standard uncertainty, which the paper's method has none of.
@@ -129,7 +138,7 @@ impl Pipeline {
         if self.method == Method::Paper {
             return Err(Box::new(paper::reconstruct(image, pair, &self.table, self.keep_maps)));
         }
-        let mut buffers = BUFFERS.take();
+        let mut buffers = self.workspace.buffers.take();
         let roi = clock.time("mask", || {
             let Buffers { mask, object, .. } = &mut buffers;
             mask::envelope(image, pair.period_px, mask, object);
@@ -137,16 +146,16 @@ impl Pipeline {
             Roi::of(&mask.lit).filter(|_| !object.all().is_empty())
         });
         let Some(roi) = roi else {
-            BUFFERS.give(buffers);
+            self.workspace.buffers.give(buffers);
             return Err(refused(clock, counts, NO_OBJECT.to_owned()));
         };
         let (runs, lit, part) = clock.time("cut", || {
             let (runs, lit) = (roi.cut_runs(&buffers.object), roi.cut_runs(&buffers.mask.lit));
-            let mut part = BYTES.take(roi.width, roi.height);
+            let mut part = self.workspace.planes.bytes.take(roi.width, roi.height);
             roi.cut(image, &mut part);
             (runs, lit, part)
         });
-        BUFFERS.give(buffers);
+        self.workspace.buffers.give(buffers);
         counts.object = runs.area();
         self.phases(part, (runs, &lit), roi, clock, counts)
     }
@@ -163,8 +172,8 @@ impl Pipeline {
         let pair = self.triangulator.pair();
         let object = self.keep_maps.then(|| painted(&runs, &image));
         let part = Mono8::from(&image);
-        let mut buffers = BUFFERS.take();
-        let memory = (&mut buffers.front, &PLANES, &WORDS, &BYTES);
+        let mut buffers = self.workspace.buffers.take();
+        let memory = (&mut buffers.front, &self.workspace.planes);
         let keep = wrapped_phase::Keep {
             energy: self.keep_maps,
             define_outside_runs: self.keep_maps || self.uncertainty,
@@ -173,7 +182,7 @@ impl Pipeline {
         let Front { runs, period, windows, wrapped, zone, cores, energy, known } = front;
         counts.phase = known;
         counts.refused = known;
-        let mut marker = BYTES.take(roi.width, roi.height);
+        let mut marker = self.workspace.planes.bytes.take(roi.width, roi.height);
         clock.time("anchors", || {
             let mut pieces = MarkerPieces::new(cores);
             number::assign(&mut pieces, roi, pair);
@@ -182,7 +191,7 @@ impl Pipeline {
             counts.marker = pieces.paint(&mut marker);
         });
         if counts.dashes.contradict() {
-            BUFFERS.give(buffers);
+            self.workspace.buffers.give(buffers);
             let Dashes { stretches, displaced, .. } = counts.dashes;
             let reason = format!(
                 "expected the marker's dashes where the calibration has them, found {displaced} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
@@ -205,7 +214,7 @@ impl Pipeline {
         }
         let mut absolute = wrapped;
         let orders = clock.time("order", || Orders::cut(&mut absolute, &period, lit, pair));
-        BUFFERS.give(buffers);
+        self.workspace.buffers.give(buffers);
         let (table, regions) = (Arc::clone(&self.table), Regions::default());
         Ok(UnwrappedFrame {
             roi,
@@ -253,31 +262,23 @@ impl Pipeline {
             let input = extend_runs::Input { image: &image, runs, zone, gains, sign: pair.sign };
             extend_runs::complete(&input, &mut absolute, &mut windows, &mut period)
         });
+        let maps =
+            FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &zone, sign: pair.sign };
         counts.dropped = clock.time("select", || {
             self.bias.correct(&mut absolute);
-            select::select(&mut absolute, &runs, &period, &windows, pair.sign, &select::Settings::default())
+            select::select(&mut absolute, maps, &select::Settings::default())
         });
         clock.time("curvature", || {
             let rows = (demodulate::ROWS as f32, pair.marker_period_px);
-            curvature::correct(&mut absolute, &runs, &windows, &period, &zone, rows);
+            curvature::correct(&mut absolute, maps, rows);
         });
         counts.dropped += clock.time("edges", || {
             let (settings, expected) = (albedo_edges::Settings::default(), expected.as_mut());
-            albedo_edges::refine(
-                &mut absolute,
-                &runs,
-                &windows,
-                &period,
-                &zone,
-                pair.sign,
-                &settings,
-                expected,
-            )
+            albedo_edges::refine(&mut absolute, maps, &settings, expected)
         });
         let sigma_codes = expected.map(|expected| {
             let rows = pair.marker_period_px;
-            clock
-                .time("uncertainty", || uncertainty::sigma_codes(&absolute, &windows, &expected, &zone, rows))
+            clock.time("uncertainty", || uncertainty::sigma_codes(&absolute, maps, &expected, rows))
         });
         let frame = (pair.camera.width, pair.camera.height);
         let known = points::KnownPixels { absolute: &absolute, runs: &runs, light: &windows.light, roi };
@@ -285,13 +286,13 @@ impl Pipeline {
         let map = clock.time("quantize", || points::phase_map(&known, sigma_codes.as_ref(), size));
         let cloud = clock.time("points", || points::make(&self.table, &map));
         let Windows { strength, light, misfit } = windows;
-        [strength, light].into_iter().for_each(|plane| WORDS.give(plane));
-        [misfit, period].into_iter().for_each(|plane| PLANES.give(plane));
-        [marker, zone, image].into_iter().for_each(|plane| BYTES.give(plane));
+        [strength, light].into_iter().for_each(|plane| self.workspace.planes.words.give(plane));
+        [misfit, period].into_iter().for_each(|plane| self.workspace.planes.floats.give(plane));
+        [marker, zone, image].into_iter().for_each(|plane| self.workspace.planes.bytes.give(plane));
         if self.keep_maps {
             planes.push(("Fm", absolute));
         } else {
-            PLANES.give(absolute);
+            self.workspace.planes.floats.give(absolute);
         }
         Reconstruction {
             outcome: outcome_of(&cloud, &counts),

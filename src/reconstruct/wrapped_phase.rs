@@ -4,7 +4,7 @@
 //! takes its means. That one demodulates row after row and keeps what the following stages look back at in rings of
 //! rows, which stay in the cache: only finished rows go to the planes.
 
-use super::kernels::buffer_pool::Planes;
+use super::kernels::buffer_pool::PlanePools;
 use super::kernels::pixel_runs::{Runs, Surroundings, fill_around};
 use super::kernels::prefetch::{self, AHEAD};
 use super::kernels::simd;
@@ -83,11 +83,11 @@ pub(super) fn run(
     pair: &CameraProjector,
     gains: &Gains,
     keep: Keep,
-    (buffers, planes, words, bytes): (&mut Buffers, &Planes<f32>, &Planes<u16>, &Planes<u8>),
+    (buffers, planes): (&mut Buffers, &PlanePools),
     clock: &mut Clock,
 ) -> Front {
     let (w, h) = (image.width(), image.height());
-    let mut period = planes.take(w, h);
+    let mut period = planes.floats.take(w, h);
     clock.time("period", || {
         let Buffers { surroundings, period: rows, .. } = &mut *buffers;
         surroundings.find(lit, w, keep.define_outside_runs);
@@ -96,19 +96,19 @@ pub(super) fn run(
     let mut energy = keep.energy.then(Plane::default);
     let (ridges, zone, zone_runs) = clock.time("marker", || {
         let ridges = marker::ridges(image, &runs, &period, pair, &mut buffers.marker, energy.as_mut());
-        let mut zone = bytes.take(w, h);
+        let mut zone = planes.bytes.take(w, h);
         bias::zone(&ridges, &period, &mut zone);
         let zone_runs = Runs::of(&zone);
         bias::bridge_period(&mut period, &zone_runs, pair.period_px);
         (ridges, zone, zone_runs)
     });
-    let (strength, light) = (words.take(w, h), words.take(w, h));
-    let mut windows = Windows { strength, light, misfit: planes.take(w, h) };
+    let (strength, light) = (planes.words.take(w, h), planes.words.take(w, h));
+    let mut windows = Windows { strength, light, misfit: planes.floats.take(w, h) };
     if keep.define_outside_runs {
         windows.light.as_mut_slice().fill(0);
         windows.misfit.as_mut_slice().fill(0.0);
     }
-    let mut wrapped = planes.take(w, h);
+    let mut wrapped = planes.floats.take(w, h);
     clock.time("phase", || {
         let (zone, zone_runs) = (&zone, &zone_runs);
         let input = Input { image, runs: &runs, period: &period, zone, zone_runs, pair, gains };

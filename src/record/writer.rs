@@ -393,7 +393,7 @@ impl Recording {
         TriggerIndex(self.tallies.iter().map(|tally| tally.seen().end()).max().unwrap_or(0))
     }
 
-    /// Enters an outcome into the books, or refuses it and notes that.
+    /// Enters an outcome into the accounting, or refuses it and notes that.
     fn accept(
         &mut self,
         camera: usize,

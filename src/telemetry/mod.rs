@@ -207,7 +207,7 @@ fn session_metrics(current: &Current, cameras: &[&str]) -> Vec<Family> {
         ),
         one(
             "fourdbody_recorder_turns_total",
-            "Turns of the thread that keeps the books.",
+            "Turns of the thread that keeps the accounting.",
             Kind::Counter,
             load(&progress.recorder_turns),
         ),

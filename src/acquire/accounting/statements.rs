@@ -1,4 +1,4 @@
-//! What the books say in words: what happened before a frame and with it, and how a session went in all.
+//! What the accounting says in words: what happened before a frame and with it, and how a session went in all.
 
 use super::{Accounting, Lane};
 use crate::acquire::receiver::Arrival;

@@ -1,4 +1,4 @@
-//! The books by themselves, turn by turn: whose frames count, and what stands in for reports that are held up.
+//! The accounting by itself, turn by turn: whose frames count, and what stands in for reports that are held up.
 
 use super::*;
 use crate::acquire::writer_queue::Sink;
@@ -40,7 +40,7 @@ impl Sink for Kept {
 }
 
 struct Desk {
-    books: Accounting,
+    accounting: Accounting,
     outcomes: Arc<Mutex<Outcomes>>,
     closed: crossbeam_channel::Receiver<RecorderEvent>,
 }
@@ -62,12 +62,12 @@ impl Desk {
             matcher: Matcher::new(start),
         };
         let lanes = (0..cameras).map(lane).collect();
-        Self { books: Accounting::new(lanes, options, progress, ring, events), outcomes, closed }
+        Self { accounting: Accounting::new(lanes, options, progress, ring, events), outcomes, closed }
     }
 
     fn report(&mut self, trigger: u64, hsu_time_ns: u64) {
         let index = TriggerIndex(trigger);
-        self.books.obey(RecorderCommand::Trigger(TriggerRecord {
+        self.accounting.handle(RecorderCommand::Trigger(TriggerRecord {
             index,
             hsu_time_ns,
             flags: 0,
@@ -87,7 +87,7 @@ impl Desk {
             taken: Instant::now(),
             block: Block::allocate(16),
         };
-        self.books.take(arrival, 0);
+        self.accounting.frame_arrived(arrival, 0);
     }
 
     /// The clocks of the HSU and of the first camera are read.
@@ -95,7 +95,7 @@ impl Desk {
         for camera in [None, Some(CameraId("c0".to_owned()))] {
             let host = HOST_NS + device_time_ns;
             let (host_send_ns, host_receive_ns) = (host - 50_000, host + 50_000);
-            self.books.obey(RecorderCommand::Clock(ClockSample {
+            self.accounting.handle(RecorderCommand::Clock(ClockSample {
                 camera,
                 host_send_ns,
                 host_receive_ns,
@@ -111,11 +111,11 @@ impl Desk {
 
     /// What every frame that waits has is all that will come.
     fn last_call(&mut self) {
-        (0..self.books.lanes.len()).for_each(|camera| self.books.advance(camera, true));
+        (0..self.accounting.lanes.len()).for_each(|camera| self.accounting.advance(camera, true));
     }
 
     fn outcomes(self) -> Outcomes {
-        self.books.close(None);
+        self.accounting.close(None);
         let closed = |event| matches!(event, RecorderEvent::Closed(_));
         assert!(self.closed.iter().any(closed), "it closes");
         self.outcomes.lock().expect("not poisoned").clone()
@@ -136,9 +136,9 @@ fn frames_of_a_stream_that_has_ended_are_not_taken_for_later_ones() {
         desk.frame(1, 0, trigger + 1, due(trigger));
         match trigger {
             0..40 => desk.frame(0, 0, trigger + 1, due(trigger)),
-            40 => desk.books.obey(RecorderCommand::CameraLost(0, GapCause::ControlLost)),
+            40 => desk.accounting.handle(RecorderCommand::CameraLost(0, GapCause::ControlLost)),
             45 => desk.frame(0, 0, 41, due(40)),
-            50 => desk.books.obey(RecorderCommand::CameraBack { camera: 0, stream: 1 }),
+            50 => desk.accounting.handle(RecorderCommand::CameraBack { camera: 0, stream: 1 }),
             55 => desk.frame(0, 0, 42, due(41)),
             60.. => desk.frame(0, 1, trigger - 59, due(trigger)),
             _ => {}
@@ -242,14 +242,14 @@ fn a_frame_in_doubt_waits_until_its_cameras_clock_has_been_read() {
         }
         if trigger == 29 {
             // Long after it was asked last.
-            desk.books.awake += Duration::from_secs(1);
+            desk.accounting.awake += Duration::from_secs(1);
         }
     }
     assert!(desk.was_asked(), "something happened that nobody knows");
-    assert_eq!(desk.books.lanes[0].next, 30, "and nobody guesses");
+    assert_eq!(desk.accounting.lanes[0].next, 30, "and nobody guesses");
     (0..4).for_each(|k| desk.read_clocks(due(40) + k * 1_000_000));
-    desk.books.advance_all();
-    assert_eq!(desk.books.lanes[0].next, 40);
+    desk.accounting.advance_all();
+    assert_eq!(desk.accounting.lanes[0].next, 40);
     let outcomes = desk.outcomes();
     assert!(outcomes.iter().all(|((trigger, _), outcome)| *outcome == Ok(block(*trigger))), "{outcomes:?}");
 }

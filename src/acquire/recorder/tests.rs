@@ -1,6 +1,6 @@
 //! The recorder behind a disk that is too slow: whole sets go, all are accounted for, the rest is intact.
 
-use super::{LaneSetup, Progress, Recorder, RecorderCommand, RecorderEvent, RecorderOptions};
+use super::{Channels, LaneSetup, Progress, Recorder, RecorderCommand, RecorderEvent, RecorderOptions};
 use crate::acquire::receiver::Arrival;
 use crate::acquire::writer_queue::{Sink, ToWriter};
 use crate::base::ids::{BlockId, CameraId, TriggerIndex};
@@ -20,7 +20,7 @@ const CAMERAS: usize = 4;
 
 type Outcomes = Arc<Mutex<BTreeMap<(u64, usize), Option<GapCause>>>>;
 
-/// Takes a frame only with a token; keeps the books as a recording does.
+/// Takes a frame only with a token; keeps the accounting as a recording does.
 struct SlowSink {
     tokens: Receiver<()>,
     outcomes: Outcomes,
@@ -109,8 +109,9 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
     };
     let lanes = (0..CAMERAS).map(lane).collect();
     let shared = Arc::clone(&progress);
-    let thread = Recorder::start_with(Box::new(sink), lanes, options, shared, arrivals, commands, events_in)
-        .expect("threads start");
+    let channels = Channels { arrivals, commands, events: events_in };
+    let thread =
+        Recorder::start_with(Box::new(sink), lanes, options, shared, channels).expect("threads start");
     let mut token = Some(token);
     for trigger in 0..triggers {
         if trigger == stalled {

@@ -89,6 +89,16 @@ pub(super) struct Spot {
 /// Values of a cell's pixels.
 pub(super) type Block = [[f32; CELL_PX]; CELL_PX];
 
+/// A cell's phases, unwrapped along its carrier, rad; its periods, px; its steps to the right and down, rad.
+struct Cell {
+    phase: Block,
+    period: Block,
+    right: Block,
+    down: Block,
+    /// A bit for each pixel that is the object's.
+    object: u64,
+}
+
 impl Patches {
     /// Cuts a surface into patches, and links them.
     pub fn cut(surface: &mut Surface<'_>) -> Self {
@@ -146,29 +156,21 @@ impl Patches {
             self.grid[row * self.columns + column] = Spot { first: first as u32, count: 1 };
             self.lookup.set(column, row, CellContent::of_plane(first as u32, plane));
         } else {
-            self.cut_up(surface, (column, row), &phase, &period, &right, &down, object);
+            self.cut_up(surface, (column, row), &Cell { phase, period, right, down, object });
         }
     }
 
-    /// The patches of a cell that no smooth surface fills. `object`: a bit for each pixel that is the object's.
+    /// The patches of a cell that no smooth surface fills.
     #[inline(never)]
-    fn cut_up(
-        &mut self,
-        surface: &mut Surface<'_>,
-        (column, row): (usize, usize),
-        phase: &Block,
-        period: &Block,
-        right: &Block,
-        down: &Block,
-        object: u64,
-    ) {
+    fn cut_up(&mut self, surface: &mut Surface<'_>, (column, row): (usize, usize), cell: &Cell) {
+        let Cell { phase, period, right, down, object } = cell;
         let first = self.all.len();
         write(surface.phase, column * CELL_PX, row * CELL_PX, phase);
         each_patch(phase, right, down, |mask| self.add(mask, (column, row), phase, right, down));
         let count = self.all.len() - first;
         self.grid[row * self.columns + column] = Spot { first: first as u32, count: count as u32 };
         let mut rim = Rim {
-            object,
+            object: *object,
             first: first as u32,
             of: [0; CELL_PX * CELL_PX],
             phase: [[f32::NAN; CELL_PX + 1]; CELL_PX],

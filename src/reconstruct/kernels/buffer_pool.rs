@@ -5,15 +5,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Values that are lent out one at a time. There are as many as were ever lent at once.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Pool<T>(Mutex<Vec<T>>);
-
-impl<T> Pool<T> {
-    /// An empty pool.
-    pub(crate) const fn new() -> Self {
-        Self(Mutex::new(Vec::new()))
-    }
-}
 
 impl<T: Default> Pool<T> {
     /// One that was given back, or a new one.
@@ -27,8 +20,26 @@ impl<T: Default> Pool<T> {
     }
 }
 
+/// Planes of all types that stages need.
+#[derive(Debug, Default)]
+pub(crate) struct PlanePools {
+    pub(crate) floats: Planes<f32>,
+    pub(crate) words: Planes<u16>,
+    pub(crate) bytes: Planes<u8>,
+}
+
+impl PlanePools {
+    /// From now on planes have room for so many pixels at least, of which memory is taken only as they are used: a
+    /// plane that had to grow with each larger object would be copied to new pages.
+    pub(crate) fn make_room(&self, pixels: usize) {
+        for room in [&self.floats.room, &self.words.room, &self.bytes.room] {
+            room.fetch_max(pixels, Ordering::Relaxed);
+        }
+    }
+}
+
 /// Planes that are used again from frame to frame, by whichever stage comes next.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Planes<T> {
     pool: Pool<Plane<T>>,
     /// Pixels that every plane has room for.
@@ -36,17 +47,6 @@ pub(crate) struct Planes<T> {
 }
 
 impl<T: Copy + Default> Planes<T> {
-    /// None yet.
-    pub(crate) const fn new() -> Self {
-        Self { pool: Pool::new(), room: AtomicUsize::new(0) }
-    }
-
-    /// From now on planes have room for so many pixels at least, of which memory is taken only as they are used: a
-    /// plane that had to grow with each larger object would be copied to new pages.
-    pub(crate) fn make_room(&self, pixels: usize) {
-        self.room.fetch_max(pixels, Ordering::Relaxed);
-    }
-
     /// A plane for a stage that writes every value: those that it holds are any.
     pub(crate) fn take(&self, width: usize, height: usize) -> Plane<T> {
         let mut plane = self.pool.take();

@@ -8,13 +8,13 @@
 //! than the pixel's own phase, it is taken instead; on the strongly curved skin beside an outline, where the
 //! misfit grows too, they do not, and the pixel keeps its own. What remains uncertain beyond a bound is dropped.
 
+use super::FrameMaps;
 use crate::base::image::Plane;
 use crate::reconstruct::kernels::fast_round::whole;
-use crate::reconstruct::kernels::pixel_runs::{Runs, each_not_0};
+use crate::reconstruct::kernels::pixel_runs::each_not_0;
 use crate::reconstruct::kernels::row_support::Support;
 use crate::reconstruct::kernels::{simd, subpixel};
-use crate::reconstruct::phase::window_quality::{self, Windows};
-use std::cell::RefCell;
+use crate::reconstruct::phase::window_quality;
 use std::f32::consts::TAU;
 use std::ops::Range;
 
@@ -62,106 +62,95 @@ const MIN_RESIDUAL: f32 = 0.003;
 /// Pixels this far from the carrier are on another surface, rad.
 const SAME_SURFACE: f32 = 1.5;
 
-thread_local! {
-    static SUPPORT: RefCell<(Support, Known, Vec<usize>)> = RefCell::default();
-}
-
 /// Gives pixels of doubtful misfit the phase of the good ones around where that is more certain, and drops those
 /// (NaN) of which a larger error than the bound is to be expected. Pixels of `zone`, around the marker, stay.
 /// The error to expect of the doubtful ones goes to `expected`, where it is given, rad. Returns how many were
 /// dropped. `absolute` is known within `runs` only.
 pub fn refine(
     absolute: &mut Plane<f32>,
-    runs: &Runs,
-    windows: &Windows,
-    period: &Plane<f32>,
-    zone: &Plane<u8>,
-    sign: f32,
+    FrameMaps { runs, windows, period, zone: outside, sign }: FrameMaps<'_>,
     settings: &Settings,
     mut expected: Option<&mut Plane<f32>>,
 ) -> usize {
-    let outside = zone;
-    SUPPORT.with_borrow_mut(|(support, known, doubtful)| {
-        simd::dispatch(
-            #[inline(always)]
-            || {
-                support.begin(absolute, REACH.1, PAD);
-                known.begin(absolute.width());
-                let mut dropped = 0;
-                for v in 0..absolute.height() {
-                    let (misfit, zone) = (windows.misfit.row(v), zone.row(v));
-                    if let Some(leaves) = v.checked_sub(ROWS - REACH.1) {
-                        known.take_off(support.row(v - 1, 0), runs.span(leaves));
-                    }
-                    support.advance(
-                        v,
-                        absolute,
-                        runs,
-                        #[inline(always)]
-                        |v, run, phase, to| {
-                            let columns = run.columns();
-                            let (misfit, zone) =
-                                (&windows.misfit.row(v)[columns.clone()], &outside.row(v)[columns]);
-                            for (((to, &phase), &misfit), &zone) in
-                                to.iter_mut().zip(phase).zip(misfit).zip(zone)
-                            {
-                                let good = (misfit <= settings.good_misfit) & (zone == 0);
-                                *to = if good { phase } else { f32::NAN };
-                            }
-                        },
-                    );
-                    let enter = if v == 0 { 0 } else { v + REACH.1 }..=v + REACH.1;
-                    for row in enter.filter(|&row| row < absolute.height()) {
-                        known.add(support.row(v, row + REACH.1 - v), runs.span(row));
-                    }
-                    doubtful.clear();
-                    for run in runs.row(v) {
-                        let part = run.columns();
-                        let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
-                        list_doubtful(stretch, settings.doubtful_misfit, run.start(), doubtful);
-                    }
-                    let mut good: [&[f32]; ROWS] = [&[]; ROWS];
-                    for (row, good) in good.iter_mut().enumerate() {
-                        *good = support.row(v, row);
-                    }
-                    let mut left = &doubtful[..];
-                    while let Some(&first) = left.first() {
-                        let count = left.iter().take_while(|&&u| u < first + LANES).count();
-                        let block;
-                        (block, left) = left.split_at(count);
-                        let laid = if known.support(first, block) {
-                            let around = around(&good, first);
-                            let phase = subpixel::part(absolute.row(v), first, f32::NAN);
-                            let mut carrier: Lanes = subpixel::part(period.row(v), first, f32::NAN);
-                            for carrier in &mut carrier {
-                                *carrier = sign * TAU / *carrier;
-                            }
-                            lay_planes(&around, &phase, &carrier)
-                        } else {
-                            Laid { phase: [0.0; LANES], error: [f32::INFINITY; LANES] }
-                        };
-                        for &u in block {
-                            let amplitude = window_quality::amplitude(windows.strength.at(u, v));
-                            let mut error = own_error(misfit[u], amplitude);
-                            let i = u - first;
-                            if laid.error[i] < error {
-                                absolute.set(u, v, laid.phase[i]);
-                                error = laid.error[i];
-                            }
-                            if let Some(expected) = expected.as_deref_mut() {
-                                expected.set(u, v, error);
-                            }
-                            if error > settings.max_error {
-                                absolute.set(u, v, f32::NAN);
-                                dropped += 1;
-                            }
+    let (mut support, mut known, mut doubtful) = (Support::default(), Known::default(), Vec::new());
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            support.begin(absolute, REACH.1, PAD);
+            known.begin(absolute.width());
+            let mut dropped = 0;
+            for v in 0..absolute.height() {
+                let (misfit, zone) = (windows.misfit.row(v), outside.row(v));
+                if let Some(leaves) = v.checked_sub(ROWS - REACH.1) {
+                    known.take_off(support.row(v - 1, 0), runs.span(leaves));
+                }
+                support.advance(
+                    v,
+                    absolute,
+                    runs,
+                    #[inline(always)]
+                    |v, run, phase, to| {
+                        let columns = run.columns();
+                        let (misfit, zone) =
+                            (&windows.misfit.row(v)[columns.clone()], &outside.row(v)[columns]);
+                        for (((to, &phase), &misfit), &zone) in to.iter_mut().zip(phase).zip(misfit).zip(zone)
+                        {
+                            let good = (misfit <= settings.good_misfit) & (zone == 0);
+                            *to = if good { phase } else { f32::NAN };
+                        }
+                    },
+                );
+                let enter = if v == 0 { 0 } else { v + REACH.1 }..=v + REACH.1;
+                for row in enter.filter(|&row| row < absolute.height()) {
+                    known.add(support.row(v, row + REACH.1 - v), runs.span(row));
+                }
+                doubtful.clear();
+                for run in runs.row(v) {
+                    let part = run.columns();
+                    let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
+                    list_doubtful(stretch, settings.doubtful_misfit, run.start(), &mut doubtful);
+                }
+                let mut good: [&[f32]; ROWS] = [&[]; ROWS];
+                for (row, good) in good.iter_mut().enumerate() {
+                    *good = support.row(v, row);
+                }
+                let mut left = &doubtful[..];
+                while let Some(&first) = left.first() {
+                    let count = left.iter().take_while(|&&u| u < first + LANES).count();
+                    let block;
+                    (block, left) = left.split_at(count);
+                    let laid = if known.support(first, block) {
+                        let around = around(&good, first);
+                        let phase = subpixel::part(absolute.row(v), first, f32::NAN);
+                        let mut carrier: Lanes = subpixel::part(period.row(v), first, f32::NAN);
+                        for carrier in &mut carrier {
+                            *carrier = sign * TAU / *carrier;
+                        }
+                        lay_planes(&around, &phase, &carrier)
+                    } else {
+                        Laid { phase: [0.0; LANES], error: [f32::INFINITY; LANES] }
+                    };
+                    for &u in block {
+                        let amplitude = window_quality::amplitude(windows.strength.at(u, v));
+                        let mut error = own_error(misfit[u], amplitude);
+                        let i = u - first;
+                        if laid.error[i] < error {
+                            absolute.set(u, v, laid.phase[i]);
+                            error = laid.error[i];
+                        }
+                        if let Some(expected) = expected.as_deref_mut() {
+                            expected.set(u, v, error);
+                        }
+                        if error > settings.max_error {
+                            absolute.set(u, v, f32::NAN);
+                            dropped += 1;
                         }
                     }
                 }
-                dropped
-            },
-        )
-    })
+            }
+            dropped
+        },
+    )
 }
 
 /// Adds the columns of a run, which begins at `start`, whose phase is known and doubtful.
@@ -378,6 +367,7 @@ fn lay_planes(around: &Around<'_>, phase: &Lanes, carrier: &Lanes) -> Laid {
 
 #[cfg(test)]
 mod tests {
+    use super::FrameMaps;
     use super::{Settings, refine};
     use crate::base::image::{Mono8, Plane};
     use crate::reconstruct::kernels::pixel_runs::Runs;
@@ -459,8 +449,9 @@ mod tests {
         phasors::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
         let windows = phasors::windows(phasors, &runs);
-        curvature::correct(&mut phase, &runs, &windows, &period, &none, (5.0, 12.0));
-        refine(&mut phase, &runs, &windows, &period, &none, 1.0, &Settings::default(), None);
+        let maps = FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &none, sign: 1.0 };
+        curvature::correct(&mut phase, maps, (5.0, 12.0));
+        refine(&mut phase, maps, &Settings::default(), None);
         [before, score(&phase)]
     }
 
@@ -491,7 +482,8 @@ mod tests {
         let mut phase = wrapped(&phasors);
         let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
         let windows = phasors::windows(phasors, &runs);
-        let dropped = refine(&mut phase, &runs, &windows, &period, &none, 1.0, &Settings::default(), None);
+        let maps = FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &none, sign: 1.0 };
+        let dropped = refine(&mut phase, maps, &Settings::default(), None);
         assert_eq!(dropped, known - 10);
         assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));
     }

@@ -6,14 +6,14 @@
 //! by `phi_vv (n^2 - 1) / 24`: on a fore-arm 0.1 mm, the larger part of the error that is left there. Both second
 //! derivatives are taken from the absolute phase itself over a wider base and the bias is taken off.
 
+use super::FrameMaps;
 use crate::base::image::Plane;
 use crate::reconstruct::kernels::fast_round::whole;
-use crate::reconstruct::kernels::pixel_runs::{Run, Runs};
+use crate::reconstruct::kernels::pixel_runs::Run;
 use crate::reconstruct::kernels::row_support::Support;
 use crate::reconstruct::kernels::subpixel::{self, LANES, Lanes};
 use crate::reconstruct::kernels::{fast_atan2, simd};
-use crate::reconstruct::phase::window_quality::{self, Windows};
-use std::cell::RefCell;
+use crate::reconstruct::phase::window_quality;
 
 /// Mean and ripple of the formula's bias, per second difference over half a period to each side.
 const MEAN: f32 = 0.176;
@@ -36,51 +36,43 @@ const MAX_BEND_ROWS: f32 = 1.0;
 /// Columns beyond the ends of a row that may be asked for; no period is longer.
 const PAD: usize = 64;
 
-thread_local! {
-    static SUPPORT: RefCell<Support> = RefCell::default();
-}
-
 /// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phases are means of `rows` rows, of
 /// `marker_rows` where `zone` is not zero.
 pub fn correct(
     absolute: &mut Plane<f32>,
-    runs: &Runs,
-    windows: &Windows,
-    period: &Plane<f32>,
-    zone: &Plane<u8>,
+    FrameMaps { runs, windows, period, zone, .. }: FrameMaps<'_>,
     (rows, marker_rows): (f32, f32),
 ) {
     let per_bend = |rows: f32| (rows * rows - 1.0) / 24.0 / (REACH_ROWS * REACH_ROWS) as f32;
     let weight = [per_bend(rows), per_bend(marker_rows)];
     let reach = REACH_ROWS;
-    SUPPORT.with_borrow_mut(|support| {
-        simd::dispatch(
-            #[inline(always)]
-            || {
-                support.begin(absolute, reach, PAD);
-                for v in 0..absolute.height() {
-                    // What may support: the phase where it is known and looks like a fringe.
-                    support.advance(
-                        v,
-                        absolute,
-                        runs,
-                        #[inline(always)]
-                        |v, run, phase, to| {
-                            let misfit = &windows.misfit.row(v)[run.columns()];
-                            for ((to, &phase), &misfit) in to.iter_mut().zip(phase).zip(misfit) {
-                                *to = if misfit > MAX_MISFIT { f32::NAN } else { phase };
-                            }
-                        },
-                    );
-                    let rows = (windows.strength.row(v), period.row(v));
-                    let support = [0, reach, 2 * reach].map(|below| support.row(v, below));
-                    for run in runs.row(v) {
-                        correct_run(absolute.row_mut(v), run, support, rows, zone.row(v), weight);
-                    }
+    let mut support = Support::default();
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            support.begin(absolute, reach, PAD);
+            for v in 0..absolute.height() {
+                // What may support: the phase where it is known and looks like a fringe.
+                support.advance(
+                    v,
+                    absolute,
+                    runs,
+                    #[inline(always)]
+                    |v, run, phase, to| {
+                        let misfit = &windows.misfit.row(v)[run.columns()];
+                        for ((to, &phase), &misfit) in to.iter_mut().zip(phase).zip(misfit) {
+                            *to = if misfit > MAX_MISFIT { f32::NAN } else { phase };
+                        }
+                    },
+                );
+                let rows = (windows.strength.row(v), period.row(v));
+                let support = [0, reach, 2 * reach].map(|below| support.row(v, below));
+                for run in runs.row(v) {
+                    correct_run(absolute.row_mut(v), run, support, rows, zone.row(v), weight);
                 }
-            },
-        );
-    });
+            }
+        },
+    );
 }
 
 /// Takes the bias off a run. `support`: that of the rows above, here and below, with [`PAD`] columns before them.
@@ -232,6 +224,7 @@ fn shrunk(x: f32, noise: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use super::FrameMaps;
     use super::correct;
     use crate::base::image::{Mono8, Plane};
     use crate::reconstruct::kernels::pixel_runs::Runs;
@@ -270,7 +263,9 @@ mod tests {
         };
         let before = rms(&absolute);
         let runs = Runs::of(&mask);
-        correct(&mut absolute, &runs, &windows(phasors, &runs), &period, &none, (ROWS as f32, 12.0));
+        let windows = windows(phasors, &runs);
+        let maps = FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &none, sign: 1.0 };
+        correct(&mut absolute, maps, (ROWS as f32, 12.0));
         [before, rms(&absolute)]
     }
 

@@ -3,11 +3,11 @@
 //! A demodulation window that crosses a depth step mixes two surfaces; its phase is neither's. Such pixels are
 //! dropped with a margin, unless it is certain that their own has not: completeness may suffer, truth may not.
 
+use super::FrameMaps;
 use crate::base::image::Plane;
-use crate::reconstruct::kernels::pixel_runs::{Run, Runs, each_not_0};
+use crate::reconstruct::kernels::pixel_runs::{Run, each_not_0};
 use crate::reconstruct::kernels::{prefetch, simd};
-use crate::reconstruct::phase::window_quality::{STEPS_PER_DN, Windows};
-use std::cell::RefCell;
+use crate::reconstruct::phase::window_quality::STEPS_PER_DN;
 use std::f32::consts::TAU;
 
 /// Settings of the selection.
@@ -29,7 +29,7 @@ impl Default for Settings {
     }
 }
 
-/// Rows that [`select`] uses again from frame to frame.
+/// Rows of marks around the row that is worked on.
 #[derive(Debug, Default)]
 struct Buffers {
     /// 1 near a step, of three rows.
@@ -41,59 +41,50 @@ struct Buffers {
     right: Vec<u8>,
 }
 
-thread_local! {
-    static BUFFERS: RefCell<Buffers> = RefCell::default();
-}
-
 /// Drops pixels that are faint, do not look like a fringe, or lie near a depth step; `absolute`, which is known within
 /// `runs` only, becomes NaN there. Returns how many were dropped.
 pub fn select(
     absolute: &mut Plane<f32>,
-    runs: &Runs,
-    period: &Plane<f32>,
-    windows: &Windows,
-    sign: f32,
+    FrameMaps { runs, period, windows, sign, .. }: FrameMaps<'_>,
     settings: &Settings,
 ) -> usize {
     let (w, h) = (absolute.width(), absolute.height());
-    BUFFERS.with_borrow_mut(|buffers| {
-        for row in buffers.near.iter_mut().chain([&mut buffers.down, &mut buffers.beside, &mut buffers.right])
-        {
-            row.clear();
-            row.resize(w, 0);
-        }
-        let mut dropped = 0;
-        simd::dispatch(
-            #[inline(always)]
-            || {
-                for next in 0..h + 1 {
-                    let soon = next + prefetch::AHEAD;
-                    prefetch::row(absolute, runs, soon);
-                    prefetch::row(period, runs, soon);
-                    prefetch::row(&windows.strength, runs, soon);
-                    prefetch::row(&windows.misfit, runs, soon);
-                    if next < h {
-                        buffers.near[(next + 1) % 3].fill(0);
-                        let below = (next + 1 < h).then(|| absolute.row(next + 1));
-                        for run in runs.row(next) {
-                            let rows = (absolute.row(next), below, period.row(next));
-                            buffers.mark(run, rows, sign, settings);
-                        }
-                    }
-                    let Some(v) = next.checked_sub(1) else { continue };
-                    for run in runs.row(v) {
-                        let columns = run.columns();
-                        let strength = &windows.strength.row(v)[columns.clone()];
-                        let misfit = &windows.misfit.row(v)[columns.clone()];
-                        let near = &buffers.near[v % 3][columns.clone()];
-                        let phase = &mut absolute.row_mut(v)[columns];
-                        dropped += drop_from(phase, (strength, misfit, near), settings);
+    let mut buffers = Buffers::default();
+    for row in buffers.near.iter_mut().chain([&mut buffers.down, &mut buffers.beside, &mut buffers.right]) {
+        row.clear();
+        row.resize(w, 0);
+    }
+    let mut dropped = 0;
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for next in 0..h + 1 {
+                let soon = next + prefetch::AHEAD;
+                prefetch::row(absolute, runs, soon);
+                prefetch::row(period, runs, soon);
+                prefetch::row(&windows.strength, runs, soon);
+                prefetch::row(&windows.misfit, runs, soon);
+                if next < h {
+                    buffers.near[(next + 1) % 3].fill(0);
+                    let below = (next + 1 < h).then(|| absolute.row(next + 1));
+                    for run in runs.row(next) {
+                        let rows = (absolute.row(next), below, period.row(next));
+                        buffers.mark(run, rows, sign, settings);
                     }
                 }
-            },
-        );
-        dropped
-    })
+                let Some(v) = next.checked_sub(1) else { continue };
+                for run in runs.row(v) {
+                    let columns = run.columns();
+                    let strength = &windows.strength.row(v)[columns.clone()];
+                    let misfit = &windows.misfit.row(v)[columns.clone()];
+                    let near = &buffers.near[v % 3][columns.clone()];
+                    let phase = &mut absolute.row_mut(v)[columns];
+                    dropped += drop_from(phase, (strength, misfit, near), settings);
+                }
+            }
+        },
+    );
+    dropped
 }
 
 impl Buffers {

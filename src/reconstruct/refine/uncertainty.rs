@@ -13,6 +13,7 @@
 //! orders, which are refused and have no distribution. `fourdbody validate truth --uncertainty` holds it against
 //! rendered truth.
 
+use super::FrameMaps;
 use crate::base::image::Plane;
 use crate::data::encode_sigma;
 use crate::reconstruct::kernels::simd;
@@ -62,9 +63,8 @@ const MORE_MISFIT: f32 = 0.03;
 /// for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0.
 pub fn sigma_codes(
     absolute: &Plane<f32>,
-    windows: &Windows,
+    FrameMaps { windows, zone, .. }: FrameMaps<'_>,
     expected: &Plane<f32>,
-    zone: &Plane<u8>,
     marker_rows: f32,
 ) -> Plane<u8> {
     let (width, height) = (absolute.width(), absolute.height());

@@ -11,7 +11,6 @@ use crate::reconstruct::kernels::fast_round::whole;
 use crate::reconstruct::kernels::pixel_runs::{self, Runs};
 use crate::reconstruct::kernels::region_of_interest::Roi;
 use crate::reconstruct::kernels::{prefetch, simd};
-use std::cell::RefCell;
 use std::f32::consts::TAU;
 use std::hint::black_box;
 use std::ops::Range;
@@ -116,7 +115,7 @@ fn steps(phase: f32) -> i32 {
     whole((phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS))
 }
 
-/// Memory that a thread keeps from cloud to cloud.
+/// Rows that a cloud is made with.
 #[derive(Default)]
 struct Scratch {
     line: Line,
@@ -157,27 +156,22 @@ impl RingRow {
     }
 }
 
-thread_local! {
-    static SCRATCH: RefCell<Scratch> = RefCell::default();
-}
-
 /// The cloud of a frame, in the world. Pixels whose point lies outside the volume, has no normal or faces away from
 /// the projector that is supposed to light it, give none. The map must be of the table's camera
 /// ([`RayTable::fits`]).
 pub fn make(table: &RayTable, map: &PhaseMap) -> Cloud {
-    SCRATCH.with_borrow_mut(|scratch| {
-        if map.sigma_code.is_empty() {
-            simd::dispatch(
-                #[inline(always)]
-                || make_with::<false>(table, map, scratch),
-            )
-        } else {
-            simd::dispatch(
-                #[inline(always)]
-                || make_with::<true>(table, map, scratch),
-            )
-        }
-    })
+    let scratch = &mut Scratch::default();
+    if map.sigma_code.is_empty() {
+        simd::dispatch(
+            #[inline(always)]
+            || make_with::<false>(table, map, scratch),
+        )
+    } else {
+        simd::dispatch(
+            #[inline(always)]
+            || make_with::<true>(table, map, scratch),
+        )
+    }
 }
 
 #[inline(always)]
@@ -188,6 +182,7 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
     let left = map.runs.iter().map(|run| usize::from(run.first)).min().unwrap_or(0) / NODE_PX;
     let right = map.runs.iter().map(Run::end).max().unwrap_or(0).div_ceil(NODE_PX);
     let width = (right - left) * NODE_PX + 2 * PAD;
+    let frame = Frame { table, map, left };
     scratch.fringes.clear();
     scratch.fringes.resize(width, f32::NAN);
     scratch.ring.iter_mut().for_each(|row| row.resize(width));
@@ -201,8 +196,7 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
             ring.begin(0..0);
         } else {
             let phase = &map.phase[pixel_in..];
-            pixel_in +=
-                points::<SIGMA>(table, v, runs, phase, left, &mut scratch.fringes, &mut scratch.line, ring);
+            pixel_in += frame.points::<SIGMA>(v, runs, phase, &mut scratch.fringes, &mut scratch.line, ring);
         }
         let Some(v) = v.checked_sub(REACH) else { continue };
         let runs = runs_of_row(map, &mut run_out, v);
@@ -210,7 +204,7 @@ fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut 
             // Row v - 3 is where v + 4 will be.
             let row = |dv: usize| &scratch.ring[(v + RING + dv - REACH) % RING];
             let rows = [row(0), row(2), row(3), row(4), row(6)];
-            pixel_out += emit::<SIGMA>(table, map, rows, runs, pixel_out, left, &mut scratch.run, &mut cloud);
+            pixel_out += frame.emit::<SIGMA>(rows, runs, pixel_out, &mut scratch.run, &mut cloud);
         }
     }
     cloud
@@ -234,44 +228,116 @@ fn runs_of_row<'a>(map: &'a PhaseMap, next: &mut usize, v: usize) -> &'a [Run] {
     &map.runs[from..*next]
 }
 
-/// The points of a row. `phase` begins with its pixels; returns how many these are.
-#[inline(always)]
-fn points<const SCALE: bool>(
-    table: &RayTable,
-    v: usize,
-    runs: &[Run],
-    phase: &[i32],
+/// The frame whose points are made.
+#[derive(Clone, Copy)]
+struct Frame<'a> {
+    table: &'a RayTable,
+    map: &'a PhaseMap,
+    /// The table's column at which rows of points begin.
     left: usize,
-    fringes: &mut [f32],
-    line: &mut Line,
-    ring: &mut RingRow,
-) -> usize {
-    let place = |u: usize| u - left * NODE_PX + PAD;
-    let mut pixel = 0;
-    for run in runs {
-        let to = &mut fringes[place(usize::from(run.first))..place(run.end())];
-        for (to, &steps) in to.iter_mut().zip(&phase[pixel..]) {
-            *to = steps as f32 * (1.0 / STEPS_PER_FRINGE);
+}
+
+impl Frame<'_> {
+    /// The points of a row. `phase` begins with its pixels; returns how many these are.
+    #[inline(always)]
+    fn points<const SCALE: bool>(
+        &self,
+        v: usize,
+        runs: &[Run],
+        phase: &[i32],
+        fringes: &mut [f32],
+        line: &mut Line,
+        ring: &mut RingRow,
+    ) -> usize {
+        let Self { table, left, .. } = *self;
+        let place = |u: usize| u - left * NODE_PX + PAD;
+        let mut pixel = 0;
+        for run in runs {
+            let to = &mut fringes[place(usize::from(run.first))..place(run.end())];
+            for (to, &steps) in to.iter_mut().zip(&phase[pixel..]) {
+                *to = steps as f32 * (1.0 / STEPS_PER_FRINGE);
+            }
+            pixel += usize::from(run.length);
         }
-        pixel += usize::from(run.length);
+        let start = runs.first().map_or(0, |run| usize::from(run.first) / NODE_PX);
+        let end = runs.last().map_or(0, |run| run.end().div_ceil(NODE_PX));
+        table.line(v, start, end - start, line);
+        // Whole blocks: there is room behind the last one.
+        let first = place(start * NODE_PX);
+        let written = first..first + ((end - start) * NODE_PX).next_multiple_of(BLOCK_PX);
+        ring.begin(written.clone());
+        let scale = if SCALE { written.clone() } else { 0..0 };
+        let mut out = PointRow {
+            x: &mut ring.points.x[written.clone()],
+            y: &mut ring.points.y[written.clone()],
+            z: &mut ring.points.z[written.clone()],
+            metres_per_rad: &mut ring.metres_per_rad[scale],
+        };
+        table.points::<SCALE>(line, &fringes[written.clone()], &mut out);
+        fringes[written].fill(f32::NAN);
+        pixel
     }
-    let start = runs.first().map_or(0, |run| usize::from(run.first) / NODE_PX);
-    let end = runs.last().map_or(0, |run| run.end().div_ceil(NODE_PX));
-    table.line(v, start, end - start, line);
-    // Whole blocks: there is room behind the last one.
-    let first = place(start * NODE_PX);
-    let written = first..first + ((end - start) * NODE_PX).next_multiple_of(BLOCK_PX);
-    ring.begin(written.clone());
-    let scale = if SCALE { written.clone() } else { 0..0 };
-    let mut out = PointRow {
-        x: &mut ring.points.x[written.clone()],
-        y: &mut ring.points.y[written.clone()],
-        z: &mut ring.points.z[written.clone()],
-        metres_per_rad: &mut ring.metres_per_rad[scale],
-    };
-    table.points::<SCALE>(line, &fringes[written.clone()], &mut out);
-    fringes[written].fill(f32::NAN);
-    pixel
+
+    /// Appends the points of a row, whose pixels begin with `pixel`; returns how many pixels these are.
+    #[inline(always)]
+    fn emit<const SIGMA: bool>(
+        &self,
+        rows: [&RingRow; 5],
+        runs: &[Run],
+        pixel: usize,
+        own: &mut RunNormals,
+        cloud: &mut Cloud,
+    ) -> usize {
+        let Self { table, map, left } = *self;
+        let width = rows[2].points.x.len();
+        let [a, b, c, d, e] = rows;
+        let points = [
+            a.points.row(width),
+            b.points.row(width),
+            c.points.row(width),
+            d.points.row(width),
+            e.points.row(width),
+        ];
+        let mut done = 0;
+        for run in runs {
+            let count = usize::from(run.length);
+            let place = usize::from(run.first) - left * NODE_PX + PAD;
+            own.orient(
+                &points,
+                place,
+                count,
+                table,
+                #[inline(always)]
+                |offset| expect(cloud, offset),
+            );
+            let positions = points[2].map(|axis| &axis[place..place + count]);
+            let normals = own.normals.row(count);
+            let light = &map.light[pixel + done..][..count];
+            pixel_runs::runs_of(
+                &own.good[..count],
+                #[inline(always)]
+                |start, end| {
+                    append(&mut cloud.position_m, positions.map(|axis| &axis[start..end]));
+                    append(&mut cloud.normal, normals.map(|axis| &axis[start..end]));
+                    cloud.intensity.extend(light[start..end].iter().map(|&light| intensity(light)));
+                    let first = run.first + start as u16;
+                    cloud.pixel.extend((first..first + (end - start) as u16).map(|column| [column, run.row]));
+                    if SIGMA {
+                        let sigma_code = &map.sigma_code[pixel + done..][start..end];
+                        let scale = &c.metres_per_rad[place..place + count][start..end];
+                        cloud.sigma_m.extend(
+                            sigma_code
+                                .iter()
+                                .zip(scale)
+                                .map(|(&sigma_code, scale)| decode_sigma(sigma_code) * scale),
+                        );
+                    }
+                },
+            );
+            done += count;
+        }
+        done
+    }
 }
 
 /// The normals of a run's points, good or not: points are appended by stretches of good ones.
@@ -320,68 +386,6 @@ impl RunNormals {
         }
         self.good[offset..offset + LANES].copy_from_slice(&oriented.good);
     }
-}
-
-/// Appends the points of a row, whose pixels begin with `pixel`; returns how many pixels these are.
-#[inline(always)]
-fn emit<const SIGMA: bool>(
-    table: &RayTable,
-    map: &PhaseMap,
-    rows: [&RingRow; 5],
-    runs: &[Run],
-    pixel: usize,
-    left: usize,
-    own: &mut RunNormals,
-    cloud: &mut Cloud,
-) -> usize {
-    let width = rows[2].points.x.len();
-    let [a, b, c, d, e] = rows;
-    let points = [
-        a.points.row(width),
-        b.points.row(width),
-        c.points.row(width),
-        d.points.row(width),
-        e.points.row(width),
-    ];
-    let mut done = 0;
-    for run in runs {
-        let count = usize::from(run.length);
-        let place = usize::from(run.first) - left * NODE_PX + PAD;
-        own.orient(
-            &points,
-            place,
-            count,
-            table,
-            #[inline(always)]
-            |offset| expect(cloud, offset),
-        );
-        let positions = points[2].map(|axis| &axis[place..place + count]);
-        let normals = own.normals.row(count);
-        let light = &map.light[pixel + done..][..count];
-        pixel_runs::runs_of(
-            &own.good[..count],
-            #[inline(always)]
-            |start, end| {
-                append(&mut cloud.position_m, positions.map(|axis| &axis[start..end]));
-                append(&mut cloud.normal, normals.map(|axis| &axis[start..end]));
-                cloud.intensity.extend(light[start..end].iter().map(|&light| intensity(light)));
-                let first = run.first + start as u16;
-                cloud.pixel.extend((first..first + (end - start) as u16).map(|column| [column, run.row]));
-                if SIGMA {
-                    let sigma_code = &map.sigma_code[pixel + done..][start..end];
-                    let scale = &c.metres_per_rad[place..place + count][start..end];
-                    cloud.sigma_m.extend(
-                        sigma_code
-                            .iter()
-                            .zip(scale)
-                            .map(|(&sigma_code, scale)| decode_sigma(sigma_code) * scale),
-                    );
-                }
-            },
-        );
-        done += count;
-    }
-    done
 }
 
 /// Asks for the memory of [`LANES`] points that are appended soon, behind so many others: a cloud is larger than the cache, and to

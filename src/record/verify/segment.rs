@@ -259,7 +259,7 @@ fn note_end(
             notes.add(Severity::Corrupt, number, None, None, "closed without an end of its data section");
         }
         End::Cut { at } => {
-            // A segment that the disk refused stays open, and the books went on in a later one, which says so. Any
+            // A segment that the disk refused stays open, and the accounting went on in a later one, which says so. Any
             // other one was cut, or has a length field that points beyond its end.
             let excused = recording.events.iter().any(|event| event.gives_up(segment.number));
             let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);

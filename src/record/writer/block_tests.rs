@@ -272,7 +272,7 @@ impl Store for FaultyStore {
 }
 
 /// Records 40 triggers on a disk that fails at the byte after `bytes` and at the `syncs`-th sync: all frames that the
-/// books count are readable, no other frame is, and the books are complete.
+/// accounting counts are readable, no other frame is, and the accounting is complete.
 fn keeps_the_books(bytes: i64, syncs: i64, segment_bytes: u64) {
     let triggers = 40;
     let dir = tempfile::tempdir().expect("a temporary directory");

@@ -185,7 +185,7 @@ proptest! {
         let verdict = match recording.finish(end(triggers)) {
             Ok(verdict) => verdict,
             // The disk was full just while a split segment got its index, behind its last frame: the caller is
-            // told, and all frames that the books count are readable.
+            // told, and all frames that the accounting counts are readable.
             Err(RecordError::Unfinished { verdict, .. }) => {
                 prop_assert_eq!(readable_frames(&path, triggers), verdict.frames());
                 return Ok(());
