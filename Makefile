@@ -83,7 +83,7 @@ deb: packages
 	@scripts/install-packages.sh dpkg-dev
 	@test -x target/tools/bin/cargo-deb || $(CARGO) install cargo-deb --version 3.6.2 --locked --root target/tools
 	$(CARGO) build --release --workspace
-	$(CARGO) run --example manual -- target/manual
+	$(CARGO) run --release --example manual -- target/manual
 	target/tools/bin/cargo-deb --no-build -o target/debian/
 
 FUZZ_SECONDS ?= 180

@@ -33,3 +33,14 @@ pub mod worker;
 
 pub use cli::{Cli, Command};
 pub use failure::Failure;
+
+use std::path::PathBuf;
+
+/// Says which files a command has written: a line each, or JSON.
+fn tell_files(files: &[PathBuf], json: bool) {
+    if json {
+        println!("{}", serde_json::json!({ "files": files }));
+    } else {
+        files.iter().for_each(|path| println!("{}", path.display()));
+    }
+}
