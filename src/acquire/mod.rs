@@ -1,4 +1,4 @@
-//! Frames from cameras to the writer: clocks, trigger matching, frame sets, bounded hand-offs.
+//! Frames from cameras to the writer: receivers, accounting by trigger, frame sets, bounded hand-offs.
 
 mod accounting;
 pub mod assembler;

@@ -1,4 +1,4 @@
-//! Calibrations: the versioned file, and its computation from photographs of a board (paper, section 4.2).
+//! Computes a calibration from photographs of the board (paper, section 4.2). Its file is [`crate::data::Calibration`].
 //!
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
 //! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not

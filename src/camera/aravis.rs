@@ -512,8 +512,7 @@ fn form_of(buffer: &aravis::Buffer) -> Result<FrameForm, Payload> {
     }
     let (x, y, width, height) = buffer.image_region();
     let mut bytes = 0;
-    // SAFETY: the buffer lives during the call and is ours; it has one part, and the size goes to a variable of the
-    // type that is asked for. The pointer that comes back is not used.
+    // SAFETY: the buffer is ours during the call and has one part; `bytes` has the type asked for.
     unsafe { aravis_sys::arv_buffer_get_image_data(buffer.to_glib_none().0, &mut bytes) };
     Ok(FrameForm {
         pixel_format: buffer_format(buffer),

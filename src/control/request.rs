@@ -1,4 +1,4 @@
-//! What an operator asks of a node, and how far a session there has come.
+//! What an operator asks of a node, and how far the session there has come.
 
 use crate::base::ids::{NodeId, SessionName, check_text};
 use serde::{Deserialize, Serialize};

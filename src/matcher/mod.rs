@@ -10,9 +10,16 @@
 //! camera's clock ([`reading`]) say what happened ([`contradiction`]); where nothing says so, the frame is given up,
 //! never guessed.
 
+pub mod anchor;
 pub mod block_ids;
-pub(super) mod clock_relation;
+mod clock_relation;
+mod contradiction;
+mod reading;
+mod rejoin;
+mod sighting;
 pub mod trigger_table;
+
+pub use sighting::{Finding, Match, Matched, Sighting, Witness};
 
 use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 use crate::base::ids::BlockId;
@@ -21,14 +28,6 @@ use block_ids::BlockIds;
 use clock_relation::{Latency, Tracker};
 use reading::{CameraClock, LATE_PERIODS};
 use trigger_table::{Schedule, TriggerTable};
-
-pub mod anchor;
-mod contradiction;
-mod reading;
-mod rejoin;
-mod sighting;
-
-pub use sighting::{Finding, Match, Matched, Sighting, Witness};
 
 /// So long a tracker is believed without a frame before the clock's fit is asked, ns.
 const TRACKER_REACH_NS: i128 = 2_000_000_000;

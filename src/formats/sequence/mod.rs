@@ -16,7 +16,6 @@ mod schema;
 
 use super::ply;
 use crate::data::Cloud;
-
 use mcap::records::MessageHeader;
 use schema::Message;
 use std::collections::BTreeMap;
