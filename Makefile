@@ -2,6 +2,7 @@
 #
 #   make demo      simulator, two nodes, one session, verified, reconstructed and scored
 #   make test      everything that can be tested on this machine
+#   make check     after a change: does everything compile, and do the tests beside the code pass
 #   make lint      formatting and lints, all fatal
 #   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
@@ -17,7 +18,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test lint deb bench-ingest bench-reconstruct bench-worker poses validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deb bench-ingest bench-reconstruct bench-worker poses validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -48,6 +49,11 @@ test: test-packages
 	$(CARGO) test --no-default-features --lib
 	@echo "-- what a compute node runs: the program without Aravis, as tasks of a Slurm"
 	$(CARGO) test --no-default-features --test it -- cluster:: object_store::
+
+check: packages
+	$(CARGO) fmt --all -- --check
+	$(CARGO) test -p fourdbody --lib
+	$(CARGO) check --workspace --all-targets
 
 lint: packages
 	$(CARGO) fmt --all -- --check
@@ -83,7 +89,7 @@ deb: packages
 	@scripts/install-packages.sh dpkg-dev
 	@test -x target/tools/bin/cargo-deb || $(CARGO) install cargo-deb --version 3.6.2 --locked --root target/tools
 	$(CARGO) build --release --workspace
-	$(CARGO) run --example manual -- target/manual
+	$(CARGO) run --release --example manual -- target/manual
 	target/tools/bin/cargo-deb --no-build -o target/debian/
 
 FUZZ_SECONDS ?= 180

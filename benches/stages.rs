@@ -4,12 +4,12 @@
 //! tells each stage's time to criterion. The light is rendered once and kept in `target/bench-stages`.
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::reconstruct::pair::Pair;
+use fourdbody::data::Calibration;
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use fourdbody_simulator::cache::{CachedImages, Manifest};
 use fourdbody_simulator::scenario::Scenario;
 use fourdbody_simulator::sequence::{Changes, Run};
@@ -22,7 +22,7 @@ const SCENES: [(&str, &str); 3] =
     [("body", "poses/arms_crossed.toml"), ("board", "turntable.toml"), ("ball", "sphere.toml")];
 
 /// The first photograph of the first head's lower camera.
-fn photograph(name: &str, scenario: &str) -> (Pair, Plane<u8>) {
+fn photograph(name: &str, scenario: &str) -> (CameraProjector, Plane<u8>) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let scenario = Scenario::load(&root.join("config/scenarios").join(scenario)).expect("a valid scenario");
     let mut rig = Rig::load(&scenario.rig).expect("a valid rig");
@@ -36,7 +36,7 @@ fn photograph(name: &str, scenario: &str) -> (Pair, Plane<u8>) {
     let images = CachedImages::open(&dir, &manifest, &camera.id).expect("complete");
     let image = images.image(0).expect("an image");
     let image = Plane::from_vec(image.width(), image.height(), image.as_slice().to_vec()).expect("its size");
-    (Pair::new(head, camera, &calibration).expect("a usable pair"), image)
+    (CameraProjector::new(head, camera, &calibration).expect("a usable pair"), image)
 }
 
 /// Time of one stage, or of all, over `count` runs.

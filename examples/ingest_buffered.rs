@@ -7,13 +7,12 @@
 //! gap records, no checksums of its own, no matching of frames to triggers: only what writing costs.
 
 use crossbeam_channel::{Receiver, bounded};
-use fourdbody::acquire::pool::Block;
-use fourdbody::camera::{
-    AravisCameras, Camera, CameraBackend, FrameContract, Received, StreamOptions, Transfer,
-};
+use fourdbody::base::ids::SessionName;
+use fourdbody::camera::AravisCameras;
+use fourdbody::camera::{Camera, CameraBackend, FrameContract, Received, StreamOptions, Transfer};
 use fourdbody::config::NodeConfig;
+use fourdbody::host::frame_memory::Block;
 use fourdbody::hsu::{ArmRequest, Hsu, HsuTimeouts, HsuTiming, session_id};
-use fourdbody::ids::SessionName;
 use mcap::records::MessageHeader;
 use std::collections::BTreeMap;
 use std::error::Error;

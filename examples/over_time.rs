@@ -7,7 +7,7 @@
 //! whose points before and after lie within 10 mm of each other, so that what moves tells nothing else; and pixels that
 //! only one of the neighbours has, which may also be what an outline has left or reached.
 
-use fourdbody::export::ply;
+use fourdbody::formats::ply;
 use std::collections::{BTreeSet, HashMap};
 use std::error::Error;
 use std::path::Path;

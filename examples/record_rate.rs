@@ -9,8 +9,8 @@
 //! pool on huge pages. The files are deleted at the end.
 
 use crossbeam_channel::{Receiver, unbounded};
-use fourdbody::acquire::pool::{Block, Pool, ROOM_BYTES, block_bytes};
-use fourdbody::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
+use fourdbody::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
+use fourdbody::host::frame_memory::{Block, Pool, ROOM_BYTES, block_bytes};
 use fourdbody::record::envelope::{pixels_crc, schema};
 use fourdbody::record::{
     BLOCKS_HELD, CameraHeader, FrameMeta, GapCause, Recording, RecordingHeader, SessionEnd, WriteStatistics,

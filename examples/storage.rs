@@ -6,12 +6,12 @@
 //! cargo run --release --example storage -- DIR FILE
 //! ```
 
-use fourdbody::calibrate::Calibration;
-use fourdbody::export::sequence::SequenceWriter;
-use fourdbody::export::{phase_file, ply};
-use fourdbody::reconstruct::cloud;
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::rays::RayTable;
+use fourdbody::data::Calibration;
+use fourdbody::formats::sequence::SequenceWriter;
+use fourdbody::formats::{phase_file, ply};
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::points;
+use fourdbody::reconstruct::triangulate::ray_table::RayTable;
 use std::hint::black_box;
 use std::path::Path;
 use std::time::Instant;
@@ -43,15 +43,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (statement, map) = phase_file::decode(&stored)?;
         let known = calibration.cameras().find(|(_, camera)| camera.id.as_str() == statement.camera);
         let (head, camera) = known.ok_or("the calibration has no such camera")?;
-        let table = RayTable::new(&Pair::new(head, camera, &calibration)?);
-        let cloud = cloud::make(&table, &map);
+        let table = RayTable::new(&CameraProjector::new(head, camera, &calibration)?);
+        let cloud = points::make(&table, &map);
         frames += 1.0;
         points += cloud.len() as f64;
-        made += least(|| cloud::make(&table, &map));
+        made += least(|| points::make(&table, &map));
         // A phase map.
         bytes[0] += stored.len() as f64;
         write[0] += least(|| phase_file::save(&scratch, &statement, &map));
-        read[0] += least(|| phase_file::load(&scratch).map(|(_, map)| cloud::make(&table, &map)));
+        read[0] += least(|| phase_file::load(&scratch).map(|(_, map)| points::make(&table, &map)));
         // A PLY file.
         write[1] += least(|| ply::save(&scratch, &cloud, &statement.comments));
         bytes[1] += std::fs::metadata(&scratch)?.len() as f64;

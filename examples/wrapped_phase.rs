@@ -11,14 +11,15 @@
 //! become a point if its fringe order were known, which without a marker is none. Prints one JSON object: the stages, ms, median and
 //! least of seven runs after one.
 
-use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::base::ids::CameraId;
+use fourdbody::base::image::{Mono8, Plane, read_png_grey};
+use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::geometry::pattern::{Marker, Pattern};
 use fourdbody::geometry::{Device, Lens, Pose};
-use fourdbody::ids::CameraId;
-use fourdbody::image::{Mono8, Plane, read_png_grey};
-use fourdbody::pattern::{Marker, Pattern};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Maps, Method, Pipeline};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::outcome::Maps;
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use npyz::WriterBuilder;
 use std::collections::BTreeMap;
@@ -45,7 +46,7 @@ fn main() -> Result<(), Failure> {
             let camera = CameraId::from(camera);
             let found = calibration.cameras().find(|(_, c)| c.id == camera);
             let (head, camera) = found.ok_or_else(|| format!("{file}: there is no camera {camera}"))?;
-            (read_png_grey(Path::new(image))?, out, Pair::new(head, camera, &calibration)?)
+            (read_png_grey(Path::new(image))?, out, CameraProjector::new(head, camera, &calibration)?)
         }
         _ => return Err(USAGE.into()),
     };
@@ -78,7 +79,7 @@ fn main() -> Result<(), Failure> {
 }
 
 /// A camera and a projector 0.3 m apart that look the same way, 2 m from the volume's middle.
-fn side_by_side(width: usize, height: usize, period_px: f64) -> Result<Pair, Failure> {
+fn side_by_side(width: usize, height: usize, period_px: f64) -> Result<CameraProjector, Failure> {
     let device = |x: f64| {
         let lens = Lens {
             fx: 1000.0,
@@ -106,7 +107,7 @@ fn side_by_side(width: usize, height: usize, period_px: f64) -> Result<Pair, Fai
         gamma: 1.0,
     };
     (calibration.volume_min_m, calibration.volume_max_m) = ([-1.0, -1.0, 0.5], [1.0, 1.0, 1.5]);
-    Ok(Pair::new(&head, &camera, &calibration)?)
+    Ok(CameraProjector::new(&head, &camera, &calibration)?)
 }
 
 /// Any calibration to change: that of the rig as it should be.

@@ -24,8 +24,8 @@ if [ ! -e "$root/.made" ]; then
     touch "$root/.made"
 fi
 inside() { chroot "$root" env DEBIAN_FRONTEND=noninteractive LC_ALL=C.UTF-8 "$@"; }
+exec_inside() { exec chroot "$root" env LC_ALL=C.UTF-8 "$@"; }
 end() {
-    pkill -f 'fourdbody node --config /etc/fourdbody/node-[ab].toml' || true
     jobs -p | xargs -r kill 2>/dev/null || true
     wait 2>/dev/null || true
     for at in dev/pts dev sys proc lab; do mountpoint -q "$root/$at" && umount -l "$root/$at"; done
@@ -72,7 +72,8 @@ done
 cp "$lab/rig.toml" "$root/etc/fourdbody/rig.toml"
 inside fourdbody check-config /etc/fourdbody/node-a.toml /etc/fourdbody/node-b.toml
 for node in a b; do
-    inside setpriv --reuid fourdbody --regid fourdbody --init-groups \
+    # `exec`: what is killed at the end is the node itself, not a shell that waits for it.
+    exec_inside setpriv --reuid fourdbody --regid fourdbody --init-groups \
         fourdbody node --config "/etc/fourdbody/node-$node.toml" 2>"$lab/node-$node.log" &
 done
 for _ in $(seq 300); do inside fourdbody status --nodes "$nodes" >/dev/null 2>&1 && break; sleep 0.1; done

@@ -1,71 +1,75 @@
 //! `fourdbody`: an open-source 4D human-body scanner.
 //!
 //! Eight cameras photograph fringes projected on a moving person; every photograph becomes a metric point
-//! cloud. The flow of data, and the module that owns each step:
+//! cloud. The flow of data, and the folder that owns each step:
 //!
 //! ```text
-//! trigger -> camera -> [camera] Aravis buffer -> [acquire] matcher -> ring -> [record] writer -> MCAP
-//! MCAP -> [record] reader (pread) -> [reconstruct] phase pipeline -> clouds -> [export] PLY, MCAP, PNG
-//! operator -> [cmds] CLI -> [api] HTTP -> [session] state machine -> [hsu] serial link + [camera]
+//! trigger -> camera -> [camera] Aravis buffer -> [acquire] receiver -> [matcher] trigger -> [record] writer -> MCAP
+//! MCAP -> [record] reader (pread) -> [reconstruct] phase maps, clouds -> [batch] files -> [export] other formats
+//! operator -> [cmds] CLI -> [api] HTTP -> [node] state machine -> [hsu] serial link + [camera]
 //! ```
 //!
-//! `ARCHITECTURE.md` is the code map, with what each part may not know.
+//! `ARCHITECTURE.md` has the folders in their order, from the ground up: each names only those before it.
 
 // First: what follows prints by its macros.
+/// Identifiers, images, clocks, files written whole, and how a command ends.
 #[macro_use]
-mod print;
-
-/// Frames from cameras to the writer: buffer pool, trigger matching, bounded hand-offs.
+pub mod base;
+/// Frames from cameras to the writer: receivers, accounting, bounded hand-offs.
 pub mod acquire;
-/// The node's HTTP control API: data transfer objects, server, client.
+/// The node's HTTP server.
 pub mod api;
-/// Work that nothing waits for, in processes of its own.
-pub mod background;
-/// Calibrations: the versioned file, and (later) its computation from images.
+/// A session reconstructed to a directory of results.
+pub mod batch;
+/// Photographs of the board to a calibration (paper, section 4.2).
 pub mod calibrate;
 /// Cameras: settings, and streams through Aravis.
 pub mod camera;
+/// A capture over all nodes, from whichever of them it is run.
+pub mod capture;
 /// A reconstruction spread over a cluster.
 pub mod cluster;
 /// One file per command of the command line.
 pub mod cmds;
 /// Configuration files, read and validated with all problems at once.
 pub mod config;
+/// What both sides of the API speak: requests, status, tokens, and the client.
+pub mod control;
+/// What flows between the parts: frames, phase maps, clouds, calibrations.
+pub mod data;
 /// Is this host fit for its cameras' rate?
 pub mod doctor;
-/// Point clouds and pictures on their way out: PLY, MCAP, PNG.
+/// Clouds, meshes, pictures and tables in the formats of other programs.
 pub mod export;
-/// Lens models, rigid transforms and the triangulating devices.
+/// File formats of clouds and phase maps.
+pub mod formats;
+/// Lenses, poses and the projected pattern.
 pub mod geometry;
-/// Histograms of durations.
-pub mod histogram;
+/// What is asked of Linux: real-time threads, locked memory, idle processes.
+pub mod host;
 /// The serial link to the hardware synchronization unit.
 pub mod hsu;
-/// Identifiers that must not be mixed up.
-pub mod ids;
-/// Row-major image planes and grey PNG files.
-pub mod image;
-/// The projected pattern: sine fringes and the marker.
-pub mod pattern;
+/// Which trigger a frame belongs to, by two witnesses.
+pub mod matcher;
+/// Directional clouds to merged clouds.
+pub mod merge;
+/// One session on one node: the state machine and the threads that carry it out.
+pub mod node;
 /// Pictures of the cameras while they run, and quick looks at what was recorded.
 pub mod preview;
-/// One frame to one point cloud: the phase pipeline.
+/// One frame to one point cloud: the phase pipeline (paper, section 4.1).
 pub mod reconstruct;
-/// Recordings: layout, writer, reader, verification.
+/// Recordings: layout, writer, reader, verification, recovery.
 pub mod record;
 /// A session on one page.
 pub mod report;
 /// Recordings and results in an object store.
 pub mod s3;
 /// What the service manager is told.
-pub mod service;
-/// One capture on one node: the state machine and its driver.
-pub mod session;
+pub mod systemd;
 /// What a running node counts: metrics, and thresholds that judge them.
 pub mod telemetry;
-/// The host's clocks.
-pub mod time;
-/// Figures of merit: clouds against the truth.
+/// Figures of merit: clouds against the truth (paper, section 5).
 pub mod validate;
 /// Reconstructs what was recorded, by itself, when nothing else is to be done.
 pub mod worker;

@@ -1,7 +1,9 @@
 //! The `fourdbody` command line: parse, run the command, turn its outcome into the exit code.
 
 use clap::Parser;
-use fourdbody::cmds::{Cli, Failure};
+use fourdbody::cmds::Cli;
+use fourdbody::cmds::Failure;
+use std::io::IsTerminal;
 use std::io::Write;
 use std::process::ExitCode;
 use tracing_subscriber::layer::SubscriberExt;
@@ -27,5 +29,7 @@ fn log() {
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,object_store=error"));
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let text = journal.is_none().then(|| tracing_subscriber::fmt::layer().with_writer(std::io::stderr));
+    // A file holds no colours.
+    let text = text.map(|layer| layer.with_ansi(std::io::stderr().is_terminal()));
     tracing_subscriber::registry().with(filter).with(journal).with(text).init();
 }

@@ -2,10 +2,10 @@
 //! conversation, and the fit. The truth is the instant at which the simulator raised each camera edge.
 
 use crossbeam_channel::unbounded;
-use fourdbody::acquire::clock::{ClockFit, Exchange};
+use fourdbody::base::clock_fit::{ClockFit, Exchange};
+use fourdbody::base::ids::NodeId;
+use fourdbody::base::time::monotonic_ns;
 use fourdbody::hsu::{ArmRequest, Hsu, HsuEvent, HsuTimeouts, HsuTiming, SessionId};
-use fourdbody::ids::NodeId;
-use fourdbody::time::monotonic_ns;
 use fourdbody_simulator::hsu::{HsuClock, HsuOptions, LineFaults, SimulatedHsu};
 use hsu_firmware_proto::{HeadTiming, Sync};
 use std::collections::HashMap;

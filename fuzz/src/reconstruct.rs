@@ -1,15 +1,18 @@
 //! The reconstruction of photographs, one alone and three of one instant, by a calibration of which numbers have been changed.
 
 use super::Script;
-use fourdbody::calibrate::{Calibration, PanelRows};
+use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
+use fourdbody::data::Calibration;
+use fourdbody::data::PanelRows;
 use fourdbody::geometry::Device;
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::pattern::Pattern;
+use fourdbody::geometry::pattern::Pattern;
+use fourdbody::reconstruct::fringe_order::unwrapped_frame::UnwrappedFrame;
 use fourdbody::reconstruct::fringe_order::{self, View};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Prepared, Reconstruction};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
+use fourdbody::reconstruct::pipeline::{self, Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use tempfile::TempDir;
@@ -170,7 +173,7 @@ fn reconstruct(
 ) {
     let mut pipelines = Vec::new();
     for (head, camera) in calibration.cameras() {
-        match Pair::new(head, camera, calibration) {
+        match CameraProjector::new(head, camera, calibration) {
             Ok(pair) => pipelines.push(Pipeline::new(Triangulator::new(pair), method, keep_maps)),
             Err(why) => return assert!(!why.is_empty()),
         }
@@ -190,16 +193,16 @@ fn reconstruct(
 /// The clouds of photographs of one instant.
 fn together(pipelines: &[Pipeline], images: &[Plane<u8>]) -> Vec<Reconstruction> {
     let all = pipelines.iter().zip(images);
-    let mut prepared: Vec<Result<Prepared, _>> =
+    let mut prepared: Vec<Result<UnwrappedFrame, _>> =
         all.map(|(x, image)| x.prepare(Mono8::from(image))).collect();
     let views = pipelines.iter().zip([0, 0, 1]).zip(&mut prepared).filter_map(|((x, head), prepared)| {
         Some(View { id: "", triangulator: x.triangulator(), head, prepared: prepared.as_mut().ok()? })
     });
-    let said = fringe_order::settle(&mut views.collect::<Vec<_>>(), fringe_order::MARGIN);
+    let said = fringe_order::solve(&mut views.collect::<Vec<_>>(), fringe_order::MARGIN);
     let finished = pipelines.iter().zip(prepared).map(|(x, prepared)| match prepared {
         Ok(prepared) => match &said {
             Ok(()) => x.finish(prepared),
-            Err(reason) => *prepared.refuse(reason.clone()),
+            Err(reason) => *pipeline::refuse(prepared, reason.clone()),
         },
         Err(refused) => *refused,
     });

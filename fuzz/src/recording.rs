@@ -1,7 +1,7 @@
 //! The recording reader, on files that nobody vouches for.
 
-use fourdbody::ids::TriggerIndex;
-use fourdbody::reconstruct::FrameSource;
+use fourdbody::base::ids::TriggerIndex;
+use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
 use fourdbody::record::verify::{Severity, verify};
 use std::path::PathBuf;

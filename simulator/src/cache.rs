@@ -5,8 +5,8 @@
 
 use crate::images::ImageSource;
 use crate::scenario::AfterEnd;
-use fourdbody::ids::CameraId;
-use fourdbody::image::Mono8;
+use fourdbody::base::ids::CameraId;
+use fourdbody::base::image::Mono8;
 use memmap2::{Mmap, MmapOptions};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -203,7 +203,7 @@ mod tests {
     use super::{CachedCamera, CachedImages, Manifest, image_number};
     use crate::images::ImageSource;
     use crate::scenario::AfterEnd;
-    use fourdbody::ids::CameraId;
+    use fourdbody::base::ids::CameraId;
 
     #[test]
     fn sequences_go_on_as_the_scenario_says() {

@@ -5,11 +5,11 @@
 //! the points are compared after the rigid motion that fits them best: head by head (the heads' own errors), and
 //! all together (how the heads stand to each other, too).
 
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::ids::HeadId;
+use fourdbody::data::Calibration;
 use fourdbody::geometry::{Device, Pose, best_motion};
-use fourdbody::ids::HeadId;
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 /// Pixels between rays, and metres between the points along one.
@@ -93,7 +93,7 @@ fn head_points(head: &str, found: &Calibration, truth: &Calibration) -> Result<V
         let Some(same) = found_head.cameras.iter().find(|c| c.id == camera.id) else {
             return Err(format!("camera {} is not in both calibrations", camera.id));
         };
-        let triangulator = Triangulator::new(Pair::new(found_head, same, found)?);
+        let triangulator = Triangulator::new(CameraProjector::new(found_head, same, found)?);
         let device = &camera.device;
         let pixels = (0..device.height)
             .step_by(STEP_PX.min(device.height / 8 + 1))
@@ -136,8 +136,8 @@ fn distances(points: &[Both], motion: &Isometry3<f64>) -> Distances {
 #[cfg(test)]
 mod tests {
     use super::{compare, moved};
-    use fourdbody::calibrate::Calibration;
     use fourdbody::config::Rig;
+    use fourdbody::data::Calibration;
     use nalgebra::{Isometry3, Vector3};
     use std::path::Path;
 

@@ -7,8 +7,8 @@ use crate::gige::{CameraError, CameraOptions, ClockOptions, Habits, SimulatedCam
 use crate::hsu::{HsuOptions, SimulatedHsu};
 use crate::images::ImageSource;
 use crossbeam_channel::unbounded;
+use fourdbody::base::ids::{CameraId, NodeId};
 use fourdbody::config::{Rig, SocketMode};
-use fourdbody::ids::{CameraId, NodeId};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io;

@@ -1,8 +1,10 @@
 //! `fourdbody-sim`: the simulator's command line.
 
 use clap::{Parser, Subcommand};
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 use fourdbody_simulator::cmds;
+use std::io::IsTerminal;
 use std::process::ExitCode;
 
 /// Simulated light, cameras and HSU for fourdbody: real protocols, simulated photons.
@@ -32,7 +34,8 @@ enum Command {
 fn main() -> ExitCode {
     let filter = tracing_subscriber::EnvFilter::try_from_env("FOURDBODY_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours).init();
     match run(&Cli::parse().command) {
         Ok(exit) => exit.into(),
         Err(Failure { exit, message }) => {

@@ -2,7 +2,7 @@
 
 use fourdbody::config::{Board, Rig};
 use fourdbody::geometry::Device;
-use fourdbody::pattern::{Marker, Pattern};
+use fourdbody::geometry::pattern::{Marker, Pattern};
 use nalgebra::Vector3;
 use std::fmt::Write;
 

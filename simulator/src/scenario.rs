@@ -5,6 +5,7 @@
 use crate::scene::mannequin;
 use crate::scene::motion::Motion;
 use crate::scene::torso::{Section as BodySection, Torso};
+use crate::scene::worn::Worn;
 use fourdbody::config::{ConfigError, Problem, Section};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::Serialize;
@@ -83,6 +84,9 @@ pub enum Subject {
         cell_mm: f64,
         /// Relative amplitude of the skin's texture.
         texture: f64,
+        /// What it wears or holds.
+        #[serde(skip_serializing_if = "Worn::is_nothing")]
+        worn: Worn,
     },
     /// The rig's calibration board, or a blank plate.
     Flat {
@@ -334,6 +338,7 @@ fn read_subject(section: Section<'_>, directory: &Path) -> Subject {
             height_m: section.number_or("height_m", 0.5..=2.3, mannequin::HEIGHT_M),
             cell_mm: section.number_or("cell_mm", 1.0..=50.0, 6.0),
             texture: section.number_or("texture", 0.0..=0.5, 0.04),
+            worn: section.choice_or_first("worn", &Worn::NAMES),
         },
         Kind::Board => read_flat(&section, None),
         Kind::Plane => read_flat(&section, Some(section.vector_or("size_m", [1.5, 2.0]))),

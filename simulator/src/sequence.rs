@@ -8,9 +8,9 @@ use crate::scene::subject::Stage;
 use crate::scene::{Scene, mesh_file};
 use crate::true_rig::{smaller_jitter, smaller_rig, true_calibration};
 use crate::truth;
-use fourdbody::calibrate::Calibration;
 use fourdbody::config::{ConfigError, Rig};
-use fourdbody::pattern::Marker;
+use fourdbody::data::Calibration;
+use fourdbody::geometry::pattern::Marker;
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{self, Write};
@@ -341,8 +341,8 @@ mod tests {
     use crate::cache::{CachedImages, Manifest};
     use crate::images::ImageSource;
     use crate::scenario::Scenario;
-    use fourdbody::calibrate::Calibration;
     use fourdbody::config::Rig;
+    use fourdbody::data::Calibration;
     use std::path::Path;
 
     #[test]

@@ -2,8 +2,9 @@
 
 use crate::random::Stream;
 use crate::scenario::Jitter;
-use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use fourdbody::config::Rig;
+use fourdbody::data::PanelRows;
+use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration};
 use fourdbody::geometry::{Device, Lens, Pose};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 

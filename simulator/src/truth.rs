@@ -5,7 +5,7 @@
 //! `shape` = [rows, columns].
 
 use crate::optics::render::SensorTruth;
-use fourdbody::image::Plane;
+use fourdbody::base::image::Plane;
 use npyz::WriterBuilder;
 use npyz::npz::NpzWriter;
 use npyz::zip::CompressionMethod;
@@ -76,7 +76,7 @@ fn add<T: npyz::AutoSerialize + Copy>(
 mod tests {
     use super::write_npz;
     use crate::optics::render::SensorTruth;
-    use fourdbody::image::Plane;
+    use fourdbody::base::image::Plane;
     use npyz::npz::NpzArchive;
 
     fn truth(empty: bool) -> SensorTruth {

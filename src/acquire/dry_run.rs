@@ -1,7 +1,7 @@
 //! A session that does all but write: every frame is matched, checked and counted, and its memory goes back at once.
 
-use super::ring::{Sink, ToWriter};
-use crate::ids::TriggerIndex;
+use super::writer_queue::{Sink, ToWriter};
+use crate::base::ids::TriggerIndex;
 use crate::record::{CameraTally, Noted, RecordError, RecordingHeader, SessionEnd, Verdict};
 
 /// What stands where a recording would be.
@@ -62,8 +62,8 @@ impl Sink for DryRun {
 #[cfg(test)]
 mod tests {
     use super::DryRun;
-    use crate::acquire::ring::{Sink, ToWriter};
-    use crate::ids::TriggerIndex;
+    use crate::acquire::writer_queue::{Sink, ToWriter};
+    use crate::base::ids::TriggerIndex;
     use crate::record::{GapCause, SessionEnd, Status, TriggerRecord, two_cameras};
 
     fn trigger(index: u64) -> ToWriter {

@@ -3,8 +3,8 @@
 //! The cost is bounded whatever previews do: a camera's frame is copied only when one was asked for, every fourth row of
 //! it, into memory that is kept; nothing is waited for. Without a request it is one load of a flag a frame.
 
-use super::ring::{Sink, ToWriter};
-use crate::ids::CameraId;
+use super::writer_queue::{Sink, ToWriter};
+use crate::base::ids::CameraId;
 use crate::record::{FrameMeta, RecordError, SessionEnd, Verdict};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, TryLockError};
@@ -131,7 +131,7 @@ impl Sink for Tapped {
 #[cfg(test)]
 mod tests {
     use super::{Sample, Taps};
-    use crate::ids::{BlockId, CameraId, TriggerIndex};
+    use crate::base::ids::{BlockId, CameraId, TriggerIndex};
     use crate::record::FrameMeta;
 
     fn meta(trigger: u64) -> FrameMeta {

@@ -2,13 +2,13 @@
 //!
 //! The checksum is computed here, so that it covers the way through the recorder and is spread over cores.
 
-use super::pool::Block;
-use super::realtime;
 use super::recorder::Progress;
+use crate::base::ids::BlockId;
+use crate::base::time::HostClock;
 use crate::camera::{FrameStream, Transfer};
-use crate::ids::BlockId;
+use crate::host::frame_memory::Block;
+use crate::host::realtime;
 use crate::record::envelope::pixels_crc;
-use crate::time::HostClock;
 use crossbeam_channel::Sender;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

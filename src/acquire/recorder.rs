@@ -1,19 +1,19 @@
-//! The recorder: what the node tells it, what it says, and the thread that keeps the books.
+//! The recorder: what the node tells it, what it says, and the thread that keeps the accounting.
 //!
 //! One thread matches frames to triggers and accounts for them, and never waits for the disk; behind a bounded ring
 //! a second one owns the recording.
 
-use super::books::Books;
+use super::accounting::Accounting;
 use super::dry_run::DryRun;
-use super::latency::Latencies;
-use super::matcher::Matcher;
+use super::latencies::Latencies;
 use super::preview::{Tapped, Taps};
 use super::receiver::Arrival;
-use super::ring::{Ring, Sink};
+use super::writer_queue::{Ring, Sink};
+use crate::base::Fault;
+use crate::base::ids::CameraId;
 pub use crate::config::WhenFull;
-use crate::ids::CameraId;
+use crate::matcher::Matcher;
 use crate::record::{ClockSample, GapCause, NodeEvent, Recording, TriggerRecord, Verdict};
-use crate::session::state::Fault;
 use crossbeam_channel::{Receiver, Sender, after, select};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,7 +22,7 @@ use std::time::Duration;
 
 /// What the node tells the recorder.
 #[derive(Debug)]
-pub enum ToRecorder {
+pub enum RecorderCommand {
     /// The HSU reported a trigger.
     Trigger(TriggerRecord),
     /// The HSU reported a warm-up trigger: its frames are recognized and not recorded.
@@ -61,7 +61,7 @@ pub enum ToRecorder {
     Discard,
 }
 
-impl ToRecorder {
+impl RecorderCommand {
     fn is_last(&self) -> bool {
         matches!(self, Self::Close { .. } | Self::Discard)
     }
@@ -69,7 +69,7 @@ impl ToRecorder {
 
 /// What the recorder tells the node.
 #[derive(Debug)]
-pub enum FromRecorder {
+pub enum RecorderEvent {
     /// The frames of all triggers are in, or will not come any more.
     Drained,
     /// The ring was full for the first time, and the configuration says to stop then.
@@ -100,7 +100,7 @@ pub struct Progress {
     pub gaps: Vec<AtomicU64>,
     /// The same by cause, per camera: in the order of [`GapCause::ALL`].
     pub causes: Vec<[AtomicU64; GapCause::ALL.len()]>,
-    /// Times that the thread which keeps the books went round: grows as long as it lives.
+    /// Times that the thread which keeps the accounting went round: grows as long as it lives.
     pub recorder_turns: AtomicU64,
     /// Times that the writer's thread went round.
     pub writer_turns: AtomicU64,
@@ -222,14 +222,25 @@ pub enum Destination {
 
 /// The recorder's side of a session.
 pub struct Recorder {
-    books: Books,
+    accounting: Accounting,
     progress: Arc<Progress>,
     arrivals: Receiver<Arrival>,
-    commands: Receiver<ToRecorder>,
+    commands: Receiver<RecorderCommand>,
 }
 
 /// Without news the thread looks at what waits this often.
 pub(super) const TICK: Duration = Duration::from_millis(10);
+
+/// What a recorder hears and says.
+#[derive(Debug)]
+pub struct Channels {
+    /// Frames, from the cameras' receivers.
+    pub arrivals: Receiver<Arrival>,
+    /// From the node.
+    pub commands: Receiver<RecorderCommand>,
+    /// To the node.
+    pub events: Sender<RecorderEvent>,
+}
 
 impl Recorder {
     /// Starts the threads. The handle is that of the first one, which waits for the second. Previews may look at the frames
@@ -240,23 +251,13 @@ impl Recorder {
         lanes: Vec<LaneSetup>,
         options: RecorderOptions,
         progress: Arc<Progress>,
-        arrivals: Receiver<Arrival>,
-        commands: Receiver<ToRecorder>,
-        events: Sender<FromRecorder>,
+        channels: Channels,
     ) -> std::io::Result<JoinHandle<()>> {
         let sink: Box<dyn Sink> = match destination {
             Destination::Recording(recording) => recording,
             Destination::DryRun(run) => run,
         };
-        Self::start_with(
-            Box::new(Tapped { sink, taps }),
-            lanes,
-            options,
-            progress,
-            arrivals,
-            commands,
-            events,
-        )
+        Self::start_with(Box::new(Tapped { sink, taps }), lanes, options, progress, channels)
     }
 
     pub(super) fn start_with(
@@ -264,16 +265,14 @@ impl Recorder {
         lanes: Vec<LaneSetup>,
         options: RecorderOptions,
         progress: Arc<Progress>,
-        arrivals: Receiver<Arrival>,
-        commands: Receiver<ToRecorder>,
-        events: Sender<FromRecorder>,
+        Channels { arrivals, commands, events }: Channels,
     ) -> std::io::Result<JoinHandle<()>> {
         let capacity = options.ring_sets() * lanes.len().max(1);
         let ring = Ring::start(sink, capacity, Arc::clone(&progress), events.clone())?;
-        let books = Books::new(lanes, options, Arc::clone(&progress), ring, events);
-        let recorder = Self { books, progress, arrivals, commands };
+        let accounting = Accounting::new(lanes, options, Arc::clone(&progress), ring, events);
+        let recorder = Self { accounting, progress, arrivals, commands };
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {
-            super::realtime::enter_configured("recorder");
+            crate::host::realtime::enter_configured("recorder");
             recorder.run()
         })
     }
@@ -281,49 +280,49 @@ impl Recorder {
     fn run(mut self) {
         loop {
             let waiting = self.arrivals.len();
-            self.books.turn();
+            self.accounting.begin_turn();
             self.progress.recorder_turns.fetch_add(1, Ordering::Relaxed);
             select! {
                 recv(self.arrivals) -> arrival => match arrival {
                     Ok(arrival) => {
                         // What was said before a frame arrived comes first: reports, clocks, a fresh stream.
                         if let Some(last) = self.obey_all() {
-                            self.books.take(arrival, waiting);
+                            self.accounting.frame_arrived(arrival, waiting);
                             return self.end(last);
                         }
-                        self.books.take(arrival, waiting);
+                        self.accounting.frame_arrived(arrival, waiting);
                     }
                     // The receivers are gone; their last words are commands.
                     Err(_) => self.arrivals = crossbeam_channel::never(),
                 },
                 recv(self.commands) -> command => match command {
                     Ok(command) if command.is_last() => return self.end(command),
-                    Ok(command) => self.books.obey(command),
-                    Err(_) => return self.books.discard(),
+                    Ok(command) => self.accounting.handle(command),
+                    Err(_) => return self.accounting.discard(),
                 },
-                recv(after(TICK)) -> _ => self.books.advance_all(),
+                recv(after(TICK)) -> _ => self.accounting.advance_all(),
             }
-            self.books.look_whether_drained(self.arrivals.is_empty());
+            self.accounting.check_drained(self.arrivals.is_empty());
         }
     }
 
     /// Obeys what has been said so far; a last word is returned.
-    fn obey_all(&mut self) -> Option<ToRecorder> {
+    fn obey_all(&mut self) -> Option<RecorderCommand> {
         while let Ok(command) = self.commands.try_recv() {
             if command.is_last() {
                 return Some(command);
             }
-            self.books.obey(command);
+            self.accounting.handle(command);
         }
         None
     }
 
-    fn end(mut self, last: ToRecorder) {
-        let ToRecorder::Close { aborted } = last else { return self.books.discard() };
+    fn end(mut self, last: RecorderCommand) {
+        let RecorderCommand::Close { aborted } = last else { return self.accounting.discard() };
         while let Ok(arrival) = self.arrivals.try_recv() {
-            self.books.take(arrival, 0);
+            self.accounting.frame_arrived(arrival, 0);
         }
-        self.books.close(aborted);
+        self.accounting.close(aborted);
     }
 }
 

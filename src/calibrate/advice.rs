@@ -1,7 +1,8 @@
 //! What an operator should do better next time, from how a calibration went.
 
+use super::findings::Kind;
 use super::run::Outcome;
-use super::{Calibration, Kind};
+use crate::data::Calibration;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 

@@ -3,7 +3,7 @@
 //! Board y runs upwards, image rows run downwards: row 0 of the grid is at the bottom of both.
 
 use super::board::Board;
-use crate::image::Plane;
+use crate::base::image::Plane;
 use std::fmt::Write as _;
 
 /// To be printed at scale 1; circles as designed or as measured, whatever the board file has.
@@ -74,8 +74,10 @@ pub fn picture(board: &Board, pixels_per_metre: f64) -> Plane<u8> {
 #[cfg(test)]
 mod tests {
     use super::{csv, picture, svg};
-    use crate::calibrate::{Board, find_spots, identify};
-    use crate::image::{Mono8, Plane};
+    use crate::base::image::{Mono8, Plane};
+    use crate::calibrate::board::Board;
+    use crate::calibrate::lattice::identify;
+    use crate::calibrate::spots::find_spots;
     use std::path::Path;
 
     fn board() -> Board {

@@ -1,9 +1,9 @@
 //! Does an adjusted head make sense: do all positions agree, are the residuals small, is the size that of the rig file?
 
-use super::findings::Kind;
+use super::findings::{Finding, Kind};
+use super::positions::Position;
 use super::stages::{HeadResult, Rigging, StageError};
 use super::views::median;
-use super::{Finding, Position};
 use std::collections::BTreeSet;
 
 /// Views, by camera (place in its head) and position, that are left out of an adjustment.

@@ -1,7 +1,7 @@
 //! What was wrong with the photographs of a calibration, by camera and position.
 
 use super::lattice::NotIdentified;
-use crate::ids::{CameraId, TriggerIndex};
+use crate::base::ids::{CameraId, TriggerIndex};
 use std::fmt;
 
 /// Something that was left out, or looks wrong.

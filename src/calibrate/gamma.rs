@@ -8,10 +8,10 @@
 use super::board::Board;
 use super::ellipse::least_squares;
 use super::views::View;
-use crate::image::Plane;
-use crate::pattern::{Marker, Pattern};
+use crate::base::image::Plane;
+use crate::data::Response;
+use crate::geometry::pattern::{Marker, Pattern};
 use nalgebra::{SVector, Vector2};
-use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// Light around one point of the white field.
@@ -23,20 +23,6 @@ pub struct LightSample {
     pub mean: f64,
     /// Amplitudes of the fringes' first three harmonics, grey levels.
     pub harmonics: [f64; 3],
-}
-
-/// A projector's response.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Response {
-    /// Exponent from panel value to light.
-    pub gamma: f64,
-    /// Standard deviation of it.
-    pub sigma: f64,
-    /// Amplitude of the second harmonic of what the cameras see, relative to the first.
-    pub second_harmonic: f64,
-    /// The third likewise.
-    pub third_harmonic: f64,
 }
 
 /// Half the window around a point, px.
@@ -178,7 +164,7 @@ fn exponent_of(share: f64, pattern: &Pattern) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::{LightSample, mean_share, response};
-    use crate::pattern::{Marker, Pattern};
+    use crate::geometry::pattern::{Marker, Pattern};
 
     #[test]
     fn the_exponent_comes_back_in_spite_of_offset_and_room_light() {

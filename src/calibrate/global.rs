@@ -1,11 +1,12 @@
 //! Stage 3, section 4.2 of the paper: heads brought into one frame by the positions of the board that several saw, and
 //! one last adjustment of everything, so that errors of a loop are spread as the observations ask.
 
-use super::Calibration;
 use super::board::Board;
 use super::bundle::{Adjusted, DeviceModel, Model, Observation, Prior, adjust};
 use super::stages::{HeadResult, Rigging, StageError};
-use super::world::{Vertical, World, into_world};
+use super::world::{Vertical, into_world};
+use crate::data::Calibration;
+use crate::data::World;
 use crate::geometry::{Device, Pose};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 

@@ -2,8 +2,9 @@
 //! it is told what every position gave.
 
 use super::board::Board;
+use super::positions::Position;
 use super::start::{board_pose, is_same_position};
-use super::{Calibration, Position};
+use crate::data::Calibration;
 use nalgebra::{Isometry3, Vector3};
 
 /// Positions that every head needs.
@@ -193,8 +194,9 @@ impl<'a> Guide<'a> {
 #[cfg(test)]
 mod tests {
     use super::{Guide, Request, Stand};
-    use crate::calibrate::{Board, Calibration};
+    use crate::calibrate::board::Board;
     use crate::config::Rig;
+    use crate::data::Calibration;
     use nalgebra::{Isometry3, UnitQuaternion, Vector3};
     use std::path::Path;
 

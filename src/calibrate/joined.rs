@@ -1,7 +1,7 @@
 //! Photographs that were taken in several sessions, as one source: triggers run on from session to session.
 
-use crate::ids::{CameraId, TriggerIndex};
-use crate::reconstruct::{Frame, FrameSource, LostPart, SourceStatement};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::data::{Frame, FrameSource, LostPart, SourceStatement};
 use std::ops::Range;
 
 /// Sources one after the other; each of them may be in several parts, one per node.
@@ -100,9 +100,9 @@ impl FrameSource for Joined {
 #[cfg(test)]
 mod tests {
     use super::Joined;
-    use crate::ids::{CameraId, TriggerIndex};
-    use crate::image::Plane;
-    use crate::reconstruct::{Frame, FrameSource, LostPart};
+    use crate::base::ids::{CameraId, TriggerIndex};
+    use crate::base::image::Plane;
+    use crate::data::{Frame, FrameSource, LostPart};
     use std::ops::Range;
 
     struct One(CameraId, Range<u64>);

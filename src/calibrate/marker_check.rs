@@ -3,8 +3,8 @@
 
 use super::ellipse::least_squares;
 use super::views::View;
-use crate::image::Plane;
-use crate::reconstruct::pair::Pair;
+use crate::base::image::Plane;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
@@ -22,7 +22,12 @@ const LEAST_PIECES: usize = 3;
 const MARGIN_PX: f64 = 2.5;
 
 /// Whether the fringes that the phase takes for markers are modulated along themselves.
-pub(super) fn marker_is_there(view: &View, image: &Plane<u8>, phase: &Plane<f32>, pair: &Pair) -> bool {
+pub(super) fn marker_is_there(
+    view: &View,
+    image: &Plane<u8>,
+    phase: &Plane<f32>,
+    pair: &CameraProjector,
+) -> bool {
     let period = f64::from(pair.marker_period_px);
     let rows = (PIECE * period).ceil().max(6.0) as usize;
     let threshold = LEAST_CONTRAST * f64::from(pair.marker_contrast);
@@ -44,7 +49,7 @@ pub(super) fn marker_is_there(view: &View, image: &Plane<u8>, phase: &Plane<f32>
 }
 
 /// By marker, the column of its ridge in each row; `None` where it is not seen, or beside a circle.
-pub(super) fn ridges(view: &View, phase: &Plane<f32>, pair: &Pair) -> Vec<Vec<Option<usize>>> {
+pub(super) fn ridges(view: &View, phase: &Plane<f32>, pair: &CameraProjector) -> Vec<Vec<Option<usize>>> {
     let ridge = |marker: u32| {
         let target = (TAU * f64::from(marker)) as f32;
         let column = |v| crossing(phase.row(v), target).filter(|u| is_free(view, *u, v));

@@ -1,4 +1,4 @@
-//! Calibrations: the versioned file, and its computation from photographs of a board (paper, section 4.2).
+//! Computes a calibration from photographs of the board (paper, section 4.2). Its file is [`crate::data::Calibration`].
 //!
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
 //! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
@@ -13,12 +13,10 @@ mod bundle;
 pub mod compare;
 mod consistency;
 mod ellipse;
-mod file;
 mod findings;
 mod gamma;
 pub mod global;
 pub mod guide;
-mod identity;
 pub mod joined;
 mod lattice;
 mod marker_check;
@@ -36,15 +34,9 @@ mod world;
 pub use board::{Board, Circle};
 pub use bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
 pub use ellipse::{Ellipse, image_of_circle};
-pub use file::{
-    CalibratedCamera, CalibratedHead, Calibration, CalibrationError, CameraResiduals, DeviceUncertainty,
-    HeadLink, Quality,
-};
 pub use findings::{Finding, Kind};
-pub use gamma::{LightSample, Response};
-pub use identity::{Extent, HeadVolume, Identity, ValidVolume};
+pub use gamma::LightSample;
 pub use lattice::{NotIdentified, Sighting, identify};
 pub use positions::Position;
-pub use rows::PanelRows;
 pub use spots::{Spot, find_spots};
-pub use world::{Vertical, World, WorldError, nearest_motion};
+pub use world::{Vertical, WorldError, nearest_motion};

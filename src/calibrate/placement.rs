@@ -1,12 +1,12 @@
 //! Do the cameras stand where the rig file says? Two cameras whose cables or files were exchanged see the board where
 //! it is not; an adjustment would follow them, and all numbers would look good.
 
-use super::Calibration;
 use super::board::Board;
 use super::positions::Position;
 use super::stages::StageError;
 use super::start::board_pose;
 use super::views::median;
+use crate::data::Calibration;
 use nalgebra::{Isometry3, Point3};
 
 /// Cameras must agree on where the board is to this, m, with the geometry of the rig file.

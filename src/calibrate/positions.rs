@@ -2,18 +2,19 @@
 //! same circles at the same places. Which white frame that is, is decided by the circles, not by the order alone.
 
 use super::board::Board;
-use super::findings::Kind;
+use super::findings::{Finding, Kind};
 use super::gamma::light_samples;
+use super::lattice::Sighting;
 use super::marker_check::marker_is_there;
 use super::rows::ridge;
 use super::start::board_pose;
 use super::views::{DARK, Looked, Refusal, View};
-use super::{Calibration, Finding, Sighting};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::image::Plane;
+use crate::data::Calibration;
 use crate::geometry::Device;
-use crate::ids::{CameraId, TriggerIndex};
-use crate::image::Plane;
-use crate::pattern::Pattern;
-use crate::reconstruct::pair::Pair;
+use crate::geometry::pattern::Pattern;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Point3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -73,8 +74,8 @@ pub fn arrange(
         }
     }
     findings.extend(hidden(&positions, nominal, board));
-    let pairs: Vec<Option<Pair>> =
-        nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).ok()).collect();
+    let pairs: Vec<Option<CameraProjector>> =
+        nominal.cameras().map(|(head, camera)| CameraProjector::new(head, camera, nominal).ok()).collect();
     for (trigger, camera, image, phase) in fringes {
         let of = Owner { id: &ids[camera], camera, trigger, pair: pairs[camera].as_ref() };
         findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
@@ -177,7 +178,7 @@ struct Owner<'a> {
     id: &'a CameraId,
     camera: usize,
     trigger: TriggerIndex,
-    pair: Option<&'a Pair>,
+    pair: Option<&'a CameraProjector>,
 }
 
 /// Gives a frame with fringes to the white frame that shows the board at the same place.

@@ -184,7 +184,12 @@ fn projector_plot(out: &mut String, outcome: &Outcome, device: usize, projector:
 }
 
 /// RMS by position and device; far worse than the device's others is marked.
-fn positions_table(out: &mut String, outcome: &Outcome, projector: usize, head: &super::CalibratedHead) {
+fn positions_table(
+    out: &mut String,
+    outcome: &Outcome,
+    projector: usize,
+    head: &crate::data::CalibratedHead,
+) {
     let first = projector - head.cameras.len();
     let boards = outcome.together.all.model.boards.len();
     let rms = |device: usize, board: Option<usize>| {

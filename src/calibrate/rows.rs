@@ -9,18 +9,19 @@
 //! a + b v + c / z
 //! ```
 //!
-//! It is fitted to the dashes on the board, in stretches of two (`reconstruct::dashes`), as a correction that is kept beside the
+//! It is fitted to the dashes on the board, in stretches of two (`reconstruct::marker::epipolar_check`), as a correction that is kept beside the
 //! geometry. With it a photograph's own dashes tell whose calibration it is.
 
 use super::marker_check::ridges;
+use super::positions::Position;
 use super::views::View;
-use super::{Calibration, Position};
-use crate::image::Plane;
-use crate::reconstruct::dashes::{Crossing, Stretch, stretches_of};
-use crate::reconstruct::pair::Pair;
-use crate::reconstruct::triangulate::Triangulator;
+use crate::base::image::Plane;
+use crate::data::Calibration;
+use crate::data::PanelRows;
+use crate::reconstruct::marker::epipolar_check::{Crossing, Stretch, stretches_of};
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
+use crate::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Matrix3, Vector3};
-use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// Fewest stretches that three numbers are taken from.
@@ -38,34 +39,6 @@ const NEARNESSES: (i32, f64) = (8, 4.0);
 /// Rounds in which the fit leaves out what it does not explain.
 const ROUNDS: usize = 5;
 
-/// From the rows of a projector's geometry to those of its panel.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PanelRows {
-    /// What the geometry's row has too much: px, px per px, and px m (over the distance).
-    pub excess: [f64; 3],
-    /// RMS of what is left of it on the board, px.
-    pub rms_px: f64,
-}
-
-impl PanelRows {
-    /// Of a projector whose geometry is exact in its rows, too.
-    pub fn exact() -> Self {
-        Self { excess: [0.0; 3], rms_px: 0.0 }
-    }
-
-    /// Whether all are numbers.
-    pub fn is_finite(&self) -> bool {
-        self.excess.iter().all(|x| x.is_finite()) && self.rms_px.is_finite()
-    }
-
-    /// The panel's row, px, for the geometry's row, px, at a distance before the projector, m.
-    pub fn of(&self, row_px: f64, distance_m: f64) -> f64 {
-        let [a, b, c] = self.excess;
-        row_px - (a + b * row_px + c / distance_m)
-    }
-}
-
 /// A pixel on a marker's ridge, and its light over one period of the fringes, DN.
 #[derive(Debug, Clone, Copy)]
 pub struct RidgePixel {
@@ -75,7 +48,12 @@ pub struct RidgePixel {
 }
 
 /// The ridges of the markers on the board, between its circles, from row to row.
-pub(super) fn ridge(view: &View, image: &Plane<u8>, phase: &Plane<f32>, pair: &Pair) -> Vec<RidgePixel> {
+pub(super) fn ridge(
+    view: &View,
+    image: &Plane<u8>,
+    phase: &Plane<f32>,
+    pair: &CameraProjector,
+) -> Vec<RidgePixel> {
     let half = (pair.period_px / 2.0).round() as usize;
     let mut ridge = Vec::new();
     for columns in ridges(view, phase, pair) {
@@ -113,7 +91,7 @@ pub(super) fn find_rows(
             let head = result.heads.get(kept)?;
             let mut seen = Vec::new();
             for (camera, view) in head.cameras.iter().zip(nominal.cameras_of(place)) {
-                let triangulator = Triangulator::new(Pair::new(head, camera, result).ok()?);
+                let triangulator = Triangulator::new(CameraProjector::new(head, camera, result).ok()?);
                 let views = positions.iter().filter_map(|position| position.views.get(view)?.as_ref());
                 views.for_each(|view| see(view, &triangulator, &mut seen));
             }
@@ -194,7 +172,8 @@ fn fit(seen: &[Seen], period: f64, height: usize) -> Option<PanelRows> {
 
 #[cfg(test)]
 mod tests {
-    use super::{PanelRows, Seen, fit};
+    use super::{Seen, fit};
+    use crate::data::PanelRows;
     use nalgebra::Vector3;
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
 

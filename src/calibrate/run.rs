@@ -1,21 +1,21 @@
 //! A whole calibration: looks through the photographs, runs the three stages, and says how well it went.
 
-use super::Calibration;
 use super::advice::advice;
 use super::board::Board;
 use super::bundle::{Adjusted, DEVICE_PARAMETER_NAMES, Observation};
-use super::file::{CameraResiduals, DeviceUncertainty, HeadLink, Quality};
-use super::gamma::{Response, response};
+use super::findings::Finding;
+use super::gamma::response;
 use super::global::{Together, bring_together, calibration};
-use super::identity::{CONVENTIONS, Extent, HeadVolume, Identity, ValidVolume};
 use super::placement::check_placement;
+use super::positions::Position;
 use super::rows::find_rows;
 use super::stages::{HeadResult, Rigging, StageError, Terms};
 use super::views::look;
-use super::world::{Vertical, World};
-use super::{Finding, Position};
-use crate::ids::{CameraId, HeadId};
-use crate::reconstruct::FrameSource;
+use super::world::Vertical;
+use crate::base::ids::{CameraId, HeadId};
+use crate::data::CONVENTIONS;
+use crate::data::{Calibration, CameraResiduals, DeviceUncertainty, FrameSource, HeadLink, Quality};
+use crate::data::{Extent, HeadVolume, Identity, Response, ValidVolume, World};
 
 /// A calibration and how it came to be.
 #[derive(Debug)]

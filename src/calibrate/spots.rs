@@ -6,7 +6,7 @@
 //! front of the board has no complete outline and is left out.
 
 use super::ellipse::Ellipse;
-use crate::image::{Mono8, Plane};
+use crate::base::image::{Mono8, Plane};
 
 /// A circle's image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -215,7 +215,7 @@ fn sample(image: Mono8<'_>, u: f64, v: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::find_spots;
-    use crate::image::{Mono8, Plane};
+    use crate::base::image::{Mono8, Plane};
 
     /// Discs drawn with pixel integration (8 x 8 subsamples) under light that falls off.
     fn drawn(discs: &[([f64; 2], f64)], size: (usize, usize)) -> Plane<u8> {

@@ -12,13 +12,15 @@
 use super::board::Board;
 use super::bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
 use super::consistency::{Excluded, Limits};
-use super::ellipse::image_of_circle;
+use super::ellipse::{Ellipse, image_of_circle};
+use super::findings::Finding;
+use super::positions::Position;
 use super::start::{board_pose, is_same_position};
 use super::views::{column_at, phase_observation};
 use super::world::WorldError;
-use super::{Calibration, Ellipse, Finding, Position};
+use crate::data::Calibration;
 use crate::geometry::Device;
-use crate::reconstruct::pair::Pair;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use std::f64::consts::TAU;
 
@@ -422,7 +424,9 @@ impl Rigging<'_> {
         excluded: &Excluded,
     ) -> Vec<Observation> {
         let nominal = &self.nominal.heads[head];
-        let Ok(pair) = Pair::new(nominal, &nominal.cameras[camera], self.nominal) else { return Vec::new() };
+        let Ok(pair) = CameraProjector::new(nominal, &nominal.cameras[camera], self.nominal) else {
+            return Vec::new();
+        };
         let place = self.first_camera(head) + camera;
         let points = field_points(self.board);
         let mut all = Vec::new();

@@ -4,25 +4,26 @@
 //! [`look_at_frame`] judges a frame by itself, [`super::positions::arrange`] brings the frames of a position together.
 
 use super::board::Board;
+use super::bundle::Observation;
 use super::ellipse::least_squares;
-use super::findings::Kind;
+use super::findings::{Finding, Kind};
 use super::gamma::LightSample;
 use super::lattice::{Sighting, identify};
 use super::positions::{Position, arrange};
 use super::rows::RidgePixel;
 use super::spots::find_spots;
 use super::start::board_pose;
-use super::{Calibration, Finding, Observation};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::image::{Mono8, Plane};
+use crate::data::{Calibration, Frame, FrameSource};
 use crate::geometry::Device;
-use crate::ids::{CameraId, TriggerIndex};
-use crate::image::{Mono8, Plane};
-use crate::reconstruct::pair::Pair;
-use crate::reconstruct::pipeline::{Method, Pipeline};
-use crate::reconstruct::triangulate::Triangulator;
-use crate::reconstruct::{Frame, FrameSource};
+use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
+use crate::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, Point3, SVector, Vector3};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 /// What lights the board in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -131,8 +132,15 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
 
 /// One pipeline for every camera, in the calibration's order. Nominal geometry has no rows to hold dashes against.
 pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
-    let pipeline = |pair| Pipeline::new(Triangulator::new(Pair { rows: None, ..pair }), Method::Joint, false);
-    nominal.cameras().map(|(head, camera)| Pair::new(head, camera, nominal).map(pipeline)).collect()
+    let workspace = Arc::new(Workspace::default());
+    let pipeline = |pair| {
+        let triangulator = Triangulator::new(CameraProjector { rows: None, ..pair });
+        Pipeline::new(triangulator, Method::Joint, false).with_workspace(Arc::clone(&workspace))
+    };
+    nominal
+        .cameras()
+        .map(|(head, camera)| CameraProjector::new(head, camera, nominal).map(pipeline))
+        .collect()
 }
 
 /// Looks through a session. `nominal` is the rig's geometry, good to a few per cent. An error means that the source
@@ -328,7 +336,7 @@ const FILLED: f64 = 0.7;
 const MARKER_PERIODS: f64 = 1.5;
 
 /// The panel column that lights the board at pixel (u, v), and its standard deviation, panel px.
-pub fn column_at(phase: &Plane<f32>, [u, v]: [f64; 2], pair: &Pair) -> Option<(f64, f64)> {
+pub fn column_at(phase: &Plane<f32>, [u, v]: [f64; 2], pair: &CameraProjector) -> Option<(f64, f64)> {
     let (column, row) = (u.round() as i64, v.round() as i64);
     let inside = |at: i64, size: usize| at >= WINDOW && at + WINDOW < size as i64;
     if !(inside(column, phase.width()) && inside(row, phase.height())) {

@@ -10,18 +10,19 @@
 //! * Without a tick frequency it stamps frames with the host's clock: such a stamp is none.
 
 use super::canary::Canaries;
+use super::contract::{Breach, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
 use super::features::{Failed, Features};
+use super::settings::{AppliedSetting, matches};
 use super::verify::verify;
 use super::{
-    AppliedSetting, Breach, Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity,
-    CameraListing, FrameContract, FrameForm, FrameStream, Payload, Received, StreamOptions, Transfer, Wanted,
-    matches,
+    Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, FrameStream,
+    Received, StreamOptions, Transfer, Wanted,
 };
-use crate::acquire::pool::{Block, ROOM_BYTES};
-use crate::acquire::realtime;
+use crate::base::ids::BlockId;
 use crate::config::{FeatureSetting, FeatureValue, SocketMode};
-use crate::ids::BlockId;
+use crate::host::frame_memory::{Block, ROOM_BYTES};
+use crate::host::realtime;
 use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};
@@ -511,8 +512,7 @@ fn form_of(buffer: &aravis::Buffer) -> Result<FrameForm, Payload> {
     }
     let (x, y, width, height) = buffer.image_region();
     let mut bytes = 0;
-    // SAFETY: the buffer lives during the call and is ours; it has one part, and the size goes to a variable of the
-    // type that is asked for. The pointer that comes back is not used.
+    // SAFETY: the buffer is ours during the call and has one part; `bytes` has the type asked for.
     unsafe { aravis_sys::arv_buffer_get_image_data(buffer.to_glib_none().0, &mut bytes) };
     Ok(FrameForm {
         pixel_format: buffer_format(buffer),

@@ -5,7 +5,7 @@
 
 use super::features::{Failed, Features};
 use super::{CameraClockSample, CameraError};
-use crate::time::monotonic_ns;
+use crate::base::time::monotonic_ns;
 use std::time::{Duration, Instant};
 
 const NANOSECONDS: u64 = 1_000_000_000;

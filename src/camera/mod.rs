@@ -25,9 +25,9 @@ pub use contract::{Breach, FrameContract, FrameForm, MONO8, Payload};
 pub use quiet::quiet_stream;
 pub use settings::{AppliedSetting, matches};
 
-use crate::acquire::pool::Block;
+use crate::base::ids::BlockId;
 use crate::config::{FeatureSetting, SocketMode};
-use crate::ids::BlockId;
+use crate::host::frame_memory::Block;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 

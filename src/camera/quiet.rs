@@ -9,8 +9,8 @@
 //! port alone, and is taken then, at the cost of more processor time.
 
 use super::{Camera, CameraError, FrameStream, StreamOptions};
-use crate::acquire::pool::Block;
 use crate::config::SocketMode;
+use crate::host::frame_memory::Block;
 use std::time::{Duration, Instant};
 
 /// What a socket took before its filter was set must have been counted after this time: the ring hands over what it

@@ -1,8 +1,8 @@
 //! Whether a camera, as it is set now, sends what a session records: asked of its features, whatever a node file sets.
 
-use super::contract::MONO8;
+use super::contract::{FrameContract, MONO8};
 use super::features::{Failed, Features};
-use super::{CameraError, FrameContract, Wanted};
+use super::{CameraError, Wanted};
 
 /// Selectors of the triggers that start a single frame.
 const FRAME_TRIGGERS: [&str; 3] = ["FrameStart", "ExposureStart", "FrameBurstStart"];

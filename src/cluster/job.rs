@@ -1,7 +1,7 @@
 //! What was submitted: `OUT/cluster/job.json`.
 
 use super::sizing::Sizing;
-use crate::export::write_whole;
+use crate::base::write_whole;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -128,7 +128,7 @@ impl Job {
 #[cfg(test)]
 mod tests {
     use super::{Job, Work};
-    use crate::cluster::{Measured, Wish, size};
+    use crate::cluster::sizing::{Measured, Wish, size};
     use proptest::prelude::{prop_assert_eq, proptest};
 
     proptest! {

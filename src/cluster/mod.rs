@@ -10,7 +10,7 @@
 //! ```
 //!
 //! A shard is all that a task knows: it may be killed at any time and be run again, there or elsewhere, even beside
-//! itself, and leaves the same bytes (`reconstruct::collect`, `export::write_whole`).
+//! itself, and leaves the same bytes (`batch::collect_shards`, `export::write_whole`).
 
 mod job;
 mod script;

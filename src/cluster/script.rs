@@ -1,7 +1,7 @@
 //! The job scripts: readable, and fit to be edited and submitted by hand.
 
 use super::job::{Job, folder};
-use crate::export::write_whole;
+use crate::base::write_whole;
 use std::io::Write;
 use std::path::Path;
 

@@ -5,9 +5,10 @@
 
 use super::job::Job;
 use super::slurm::{Answer, Task};
-use crate::export::{phase_file, ply};
-use crate::reconstruct::batch::{Summary, merged_path};
-use crate::reconstruct::collect::summary_path;
+use crate::batch::collect_shards::summary_path;
+use crate::batch::run::merged_path;
+use crate::batch::summary::Summary;
+use crate::formats::{phase_file, ply};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};

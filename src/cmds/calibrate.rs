@@ -1,14 +1,15 @@
 //! `fourdbody calibrate`: from photographs of the board to `calibration.json`.
 
-use super::calibrate_live::Live;
+use super::calibrate_live::{self, Live};
+use super::failure::{Failure, tell_lost};
 use super::reconstruct::open_source;
-use super::{Exit, Failure, calibrate_live, tell_lost};
+use crate::base::Exit;
+use crate::base::ids::CameraId;
 use crate::calibrate::joined::Joined;
 use crate::calibrate::stages::{Rigging, StageError};
-use crate::calibrate::{Board, Calibration, Vertical, advice, compare, report, run as stages};
+use crate::calibrate::{Board, Vertical, advice, compare, report, run as stages};
 use crate::config::Rig;
-use crate::ids::CameraId;
-use crate::reconstruct::FrameSource;
+use crate::data::{Calibration, FrameSource};
 use std::path::PathBuf;
 
 /// Calibrate all heads from photographs of the board: at each position one frame lit white, then one with fringes.

@@ -2,16 +2,16 @@
 
 use super::capture::stop_on_ctrl_c;
 use super::connect::by_environment;
+use super::failure::Failure;
 use super::reconstruct::open_source;
-use super::{Exit, Failure};
+use crate::base::ids::CameraId;
+use crate::base::{Exit, Fault};
 use crate::calibrate::guide::Guide;
 use crate::calibrate::joined::Joined;
-use crate::calibrate::{Board, Calibration, Finding, Position, views};
-use crate::ids::CameraId;
-use crate::reconstruct::FrameSource;
-use crate::session::capture::{Control, Wish, capture};
-use crate::session::participant::Participant;
-use crate::session::state::Fault;
+use crate::calibrate::{Board, Finding, Position, views};
+use crate::capture::participant::Participant;
+use crate::capture::run::{CaptureRequest, Control, capture};
+use crate::data::{Calibration, FrameSource};
 use std::io::BufRead;
 use std::sync::Arc;
 
@@ -101,11 +101,11 @@ fn one_session(
 ) -> Result<Vec<Box<dyn FrameSource>>, Failure> {
     let client = |url: &String| by_environment(url).map(|client| Box::new(client) as Box<dyn Participant>);
     let nodes = live.nodes.iter().map(client).collect::<Result<Vec<_>, Fault>>()?;
-    let wish = Wish {
+    let wish = CaptureRequest {
         triggers: Some(live.triggers),
         name: Some(format!("{}-p{number:03}", live.base)),
         note: Some("calibration, one position of the board".to_owned()),
-        ..Wish::default()
+        ..CaptureRequest::default()
     };
     let captured = capture(&nodes, &wish, control, |_| ())?;
     let open = |directory: std::path::PathBuf| {

@@ -1,6 +1,7 @@
 //! `fourdbody cameras`: what answers to discovery.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
 
 /// List the cameras that answer to discovery, without opening any.
 #[derive(clap::Args)]

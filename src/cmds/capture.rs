@@ -1,12 +1,12 @@
 //! `fourdbody capture`: sessions on all nodes, from preparation to the verdict.
 
 use super::connect::Connect;
-use super::{Exit, Failure};
-use crate::session::capture::{Control, Wish};
-use crate::session::captured::Captured;
-use crate::session::participant::Participant;
-use crate::session::series::{self, Series};
-use crate::session::state::Fault;
+use super::failure::Failure;
+use crate::base::{Exit, Fault};
+use crate::capture::participant::Participant;
+use crate::capture::report::Captured;
+use crate::capture::run::{CaptureRequest, Control};
+use crate::capture::series::{self, Series};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -58,7 +58,7 @@ pub struct Args {
 
 impl Args {
     fn series(&self) -> Series {
-        let wish = Wish {
+        let wish = CaptureRequest {
             duration_s: self.duration,
             triggers: self.triggers,
             name: self.name.clone(),
@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let control = Arc::new(Control::default());
     stop_on_ctrl_c(&control)?;
     let show_progress = !args.json && std::io::IsTerminal::is_terminal(&std::io::stderr());
-    let show = |take: u32, stage: &crate::session::capture::Stage| {
+    let show = |take: u32, stage: &crate::capture::run::Stage| {
         if show_progress && args.takes > 1 {
             eprint!("\rtake {take} of {}: {stage}\x1b[K", args.takes);
         } else if show_progress {

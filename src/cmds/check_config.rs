@@ -1,6 +1,7 @@
 //! `fourdbody check-config`: validates configuration files, all problems at once.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
 use crate::config::{ConfigError, NodeConfig, Rig, WorkerConfig};
 use std::path::{Path, PathBuf};
 

@@ -1,9 +1,11 @@
 //! The command line as a whole: the program, its manual pages and its completions are made of it.
 
+use super::failure::Failure;
 use super::{
-    Exit, Failure, board, calibrate, cameras, capture, check_config, cluster, doctor, export, import, info,
-    node, pattern, prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
+    board, calibrate, cameras, capture, check_config, cluster, doctor, export, import, info, node, pattern,
+    prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
 };
+use crate::base::Exit;
 use clap::{Parser, Subcommand};
 
 /// 4D human-body scanner: capture, verify, reconstruct.

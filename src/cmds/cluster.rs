@@ -1,12 +1,13 @@
 //! `fourdbody cluster`: a session reconstructed by the machines of a Slurm cluster.
 
+use super::failure::Failure;
 use super::reconstruct::{self, Opened, What};
-use super::{Exit, Failure};
+use crate::base::Exit;
+use crate::base::write_whole;
+use crate::batch::collect_shards::Shards;
+use crate::batch::key::COMMON_FILES;
+use crate::batch::run::{self, Format};
 use crate::cluster::{self, Answer, Job, Measured, ShardStatus, Slurm, State, Status, Wish, Work};
-use crate::export::write_whole;
-use crate::reconstruct::batch::{self, Format};
-use crate::reconstruct::collect::Shards;
-use crate::reconstruct::key::COMMON_FILES;
 use crate::s3::remote::Remote;
 use crate::s3::{Location, recordings, results};
 use std::collections::BTreeMap;
@@ -280,7 +281,7 @@ impl Drop for Scratch {
 }
 
 /// Reconstructs some frame sets from the middle of the session, in a directory that is removed again, and measures it.
-fn probe(args: &SubmitArgs, plan: &batch::Plan, out: &Path) -> Result<Measured, Failure> {
+fn probe(args: &SubmitArgs, plan: &run::Plan, out: &Path) -> Result<Measured, Failure> {
     // Where the results will be, so that writing them is measured, too.
     let folder = if args.dry_run { std::env::temp_dir() } else { cluster::folder(out) };
     let scratch = Scratch::new(&folder, "probe")?;

@@ -1,7 +1,7 @@
 //! How commands reach nodes: URLs, a token, and whom to believe.
 
-use crate::api::client::{Credentials, NodeClient};
-use crate::session::state::Fault;
+use crate::base::Fault;
+use crate::control::client::{Credentials, NodeClient};
 use std::path::PathBuf;
 
 /// Names the file with a token where `--token-file` is not given.

@@ -1,7 +1,8 @@
 //! `fourdbody doctor`: is this host fit for its cameras' rate?
 
+use super::failure::Failure;
 use super::progress::Progress;
-use super::{Exit, Failure};
+use crate::base::Exit;
 use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
 use crate::doctor::{Finding, Grade, examine, exit_of};

@@ -3,12 +3,13 @@
 //! `DIR/CAMERA/INDEX.png`, index = trigger index. Everything is checked before anything is written, and the
 //! session appears under its name only when it is whole.
 
+use super::failure::Failure;
 use super::progress::Progress;
-use super::{Exit, Failure};
+use crate::base::Exit;
+use crate::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
+use crate::base::image::read_png_grey;
+use crate::batch::image_tree::{INDEX_END, ImageTree, Images};
 use crate::config::{Rig, RigCamera};
-use crate::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
-use crate::image::read_png_grey;
-use crate::reconstruct::image_tree::{INDEX_END, ImageTree, Images};
 use crate::record::envelope::pixels_crc;
 use crate::record::{
     CameraHeader, ENVELOPE_CAPACITY, FrameMeta, GapCause, MAX_TRIGGERS, RecordError, Recording,

@@ -1,8 +1,10 @@
 //! `fourdbody info`: describes recordings without checking them.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
+use crate::base::histogram::Latency;
 use crate::record::describe::{self, CameraDescription, ClockDescription};
-use crate::record::{Latency, RecordingReader, Unreadable, WriteStatistics, open_each};
+use crate::record::{RecordingReader, Unreadable, WriteStatistics, open_each};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

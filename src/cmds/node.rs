@@ -1,11 +1,12 @@
 //! `fourdbody node`: the daemon of one acquisition PC.
 
-use super::{Exit, Failure};
-use crate::api::server::{self, Auth, Listeners, NodeHandle, Services, Shared};
+use super::failure::Failure;
+use crate::api::{self, Auth, Listeners, NodeHandle, Services, Shared};
+use crate::base::Exit;
 use crate::config::NodeConfig;
+use crate::node::node_thread::NodeThread;
 use crate::record::{Interrupted, interrupted};
-use crate::service::Notifier;
-use crate::session::driver::Driver;
+use crate::systemd::Notifier;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
@@ -32,7 +33,7 @@ const READ_PATIENCE: Duration = Duration::from_secs(5);
 /// until that was fetched; a second signal ends the process at once.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let Some(config) = args.config.as_deref().filter(|_| !args.print_openapi) else {
-        let text = serde_json::to_string_pretty(&server::description());
+        let text = serde_json::to_string_pretty(&api::description());
         println!("{}", text.map_err(|e| Failure::new(Exit::Failure, e))?);
         return Ok(Exit::Done);
     };
@@ -53,9 +54,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut signals = runtime
         .block_on(async { StopSignals::watch() })
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
-    let driver = Driver::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
+    let driver = NodeThread::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
     driver.status().write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
-    let read = server::OutcomeRead::default();
+    let read = api::OutcomeRead::default();
     let handle = NodeHandle {
         commands: driver.commands(),
         status: driver.status(),
@@ -107,18 +108,18 @@ enum Ended {
 async fn serve(
     listeners: Listeners,
     shared: Shared,
-    driver: &Driver,
+    driver: &NodeThread,
     notifier: Option<Notifier>,
-    read: &server::OutcomeRead,
+    read: &api::OutcomeRead,
     signals: &mut StopSignals,
 ) -> Ended {
     let (end, ended) = tokio::sync::oneshot::channel::<()>();
     let until_end = async move { drop(ended.await) };
-    let mut api = tokio::spawn(listeners.serve(server::router(shared.clone()), until_end));
+    let mut server = tokio::spawn(listeners.serve(api::router(shared.clone()), until_end));
     let joined =
         |joined: Result<std::io::Result<()>, _>| joined.unwrap_or_else(|e| Err(std::io::Error::other(e)));
     tokio::select! {
-        failed = &mut api => return Ended::Orderly(joined(failed)),
+        failed = &mut server => return Ended::Orderly(joined(failed)),
         () = signals.next() => {}
     }
     drop(notifier);
@@ -128,7 +129,7 @@ async fn serve(
     let orderly = async {
         until_fetched(driver, read).await;
         drop(end);
-        joined(api.await)
+        joined(server.await)
     };
     tokio::select! {
         served = orderly => Ended::Orderly(served),
@@ -137,7 +138,7 @@ async fn serve(
 }
 
 /// Waits until the driver has ended and the outcome of its last session was fetched, or nobody seems to want it.
-async fn until_fetched(driver: &Driver, read: &server::OutcomeRead) {
+async fn until_fetched(driver: &NodeThread, read: &api::OutcomeRead) {
     const POLL: Duration = Duration::from_millis(20);
     while !driver.has_ended() {
         tokio::time::sleep(POLL).await;

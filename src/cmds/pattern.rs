@@ -1,8 +1,10 @@
 //! `fourdbody pattern`: the images to project.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use super::tell_files;
+use crate::base::Exit;
+use crate::base::image::{Mono8, write_png_grey};
 use crate::config::Rig;
-use crate::image::{Mono8, write_png_grey};
 use std::path::PathBuf;
 
 /// Write the image that each head projects, as PNG: OUT/HEAD.png.
@@ -21,6 +23,9 @@ pub struct Args {
     /// `fourdbody calibrate` measures it.
     #[arg(long, value_name = "G", value_parser = parse_gamma)]
     gamma: Option<f64>,
+    /// Print the paths as JSON: {"files": [...]}.
+    #[arg(long)]
+    json: bool,
 }
 
 fn parse_gamma(text: &str) -> Result<f64, String> {
@@ -34,11 +39,13 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     rig.pattern.gamma = args.gamma.unwrap_or(rig.pattern.gamma);
     let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display()));
     std::fs::create_dir_all(&args.out).map_err(fail)?;
+    let mut files = Vec::new();
     for head in &rig.heads {
         let panel = rig.pattern.panel(head.projector.width, head.projector.height);
         let path = args.out.join(format!("{}.png", head.id));
         write_png_grey(&path, Mono8::from(&panel)).map_err(fail)?;
-        println!("{}", path.display());
+        files.push(path);
     }
+    tell_files(&files, args.json);
     Ok(Exit::Done)
 }

@@ -1,6 +1,7 @@
 //! `fourdbody prune`: which recordings may be deleted, and deletes them when asked.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
 use crate::config::WorkerConfig;
 use crate::worker::retention::{Judgement, delete, judge};
 use crate::worker::state::Job;

@@ -2,19 +2,21 @@
 
 mod staged;
 
-use super::{Exit, Failure, tell_lost};
-use crate::calibrate::Calibration;
-use crate::export::write_whole;
-use crate::ids::CameraId;
-use crate::reconstruct::batch::{self, Format, Plan, RunError, Summary, Timings};
-use crate::reconstruct::binned::{BinnedSource, MOST_ROWS};
-use crate::reconstruct::collect::{self, Lack, Shards};
-use crate::reconstruct::dashes::REMARKABLE_PX;
+use super::failure::{Failure, tell_lost};
+use crate::base::Exit;
+use crate::base::ids::CameraId;
+use crate::base::write_whole;
+use crate::batch::binned::{BinnedSource, MOST_ROWS};
+use crate::batch::collect_shards::{self, Lack, Shards};
+use crate::batch::image_tree::ImageTree;
+use crate::batch::png_source::PngSource;
+use crate::batch::run::{self, Format, Plan, RunError};
+use crate::batch::summary::Summary;
+use crate::batch::timings::Timings;
+use crate::data::{Calibration, FrameSource, LostPart, SessionIdentity};
 use crate::reconstruct::fringe_order;
-use crate::reconstruct::image_tree::ImageTree;
+use crate::reconstruct::marker::epipolar_check::REMARKABLE_PX;
 use crate::reconstruct::pipeline::Method;
-use crate::reconstruct::png_source::PngSource;
-use crate::reconstruct::{FrameSource, LostPart, SessionIdentity};
 use crate::record::SessionReader;
 use clap::ValueEnum;
 use staged::Staged;
@@ -328,12 +330,12 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
     };
     // The merged clouds of other shards may not be there yet: one sequence of all is made when they are collected.
     if plan.merges() && args.shard.is_none() {
-        batch::write_sequence(source.as_ref(), &plan, &summary, what.rate_hz)
+        run::write_sequence(source.as_ref(), &plan, &summary, what.rate_hz)
             .map_err(|e| Failure::new(Exit::Failure, e))?;
     }
     summary.unreadable =
         source.lost().iter().filter(|part| what.asks_for(part)).map(LostPart::to_string).collect();
-    write_json(&collect::summary_path(&plan.out, args.shard), &summary)?;
+    write_json(&collect_shards::summary_path(&plan.out, args.shard), &summary)?;
     report(args, &summary);
     // Of few frame sets a shard may have none.
     if args.shard.is_some() && summary.frames == 0 {
@@ -381,7 +383,7 @@ fn reconstruct(
             eprint!("\r{done} of {count} triggers{}", if done == count { "\n" } else { "" });
         }
     };
-    let run = pool.install(|| batch::run(source, calibration, plan, progress));
+    let run = pool.install(|| run::run(source, calibration, plan, progress));
     let (summary, timings) = run.map_err(|error| {
         let exit = match error {
             RunError::Occupied(_) => Exit::Usage,
@@ -399,7 +401,7 @@ fn reconstruct(
 fn collected(pool: &rayon::ThreadPool, shards: Result<Shards<'_>, String>) -> Result<Summary, Failure> {
     let shards = shards.map_err(|e| Failure::new(Exit::Failure, e))?;
     shards.remove_leftovers();
-    pool.install(|| collect::collect(&shards)).map_err(|error| {
+    pool.install(|| collect_shards::collect(&shards)).map_err(|error| {
         let agree = error.problems.iter().all(|problem| problem.lack == Lack::Work);
         Failure::new(if agree { Exit::Failure } else { Exit::Usage }, error)
     })

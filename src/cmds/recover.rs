@@ -1,7 +1,8 @@
 //! `fourdbody recover`: makes a complete recording of what a crash or a damaged disk has left.
 
+use super::failure::Failure;
 use super::progress::Progress;
-use super::{Exit, Failure};
+use crate::base::Exit;
 use crate::record::recover::{RecoverError, RecoveredRecording, Recovery, recover};
 use std::path::PathBuf;
 

@@ -1,6 +1,7 @@
 //! `fourdbody report`: a session on one page.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
 use crate::report::{gather, render};
 use std::path::PathBuf;
 
@@ -20,6 +21,9 @@ pub struct Args {
     /// The page.
     #[arg(long, value_name = "HTML")]
     out: PathBuf,
+    /// Print what was written as JSON: {"page": PATH, "bytes": N, "unreadable": [...]}.
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs the command.
@@ -28,7 +32,13 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let page = render(&report);
     std::fs::write(&args.out, &page)
         .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
-    println!("{}: {} KiB, opens in any browser", args.out.display(), page.len() / 1024);
+    if args.json {
+        let unreadable: Vec<String> = report.unreadable.iter().map(ToString::to_string).collect();
+        let told = serde_json::json!({ "page": args.out, "bytes": page.len(), "unreadable": unreadable });
+        println!("{told}");
+    } else {
+        println!("{}: {} KiB, opens in any browser", args.out.display(), page.len() / 1024);
+    }
     report.unreadable.iter().for_each(|one| eprintln!("NOT READABLE  {one}"));
     Ok(if report.unreadable.is_empty() { Exit::Done } else { Exit::Corrupt })
 }

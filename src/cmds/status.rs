@@ -1,8 +1,9 @@
 //! `fourdbody status`: the health of the nodes.
 
 use super::connect::Connect;
-use super::{Exit, Failure};
-use crate::api::dto::NodeStatus;
+use super::failure::Failure;
+use crate::base::Exit;
+use crate::control::status::NodeStatus;
 use crate::telemetry::Grade;
 
 /// Show the health of the nodes: cameras, HSU link, disk, session.

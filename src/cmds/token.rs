@@ -1,7 +1,8 @@
 //! `fourdbody token`: who may do what on a node.
 
-use super::{Exit, Failure};
-use crate::api::tokens::{
+use super::failure::Failure;
+use crate::base::Exit;
+use crate::control::tokens::{
     Role, SecretHash, Token, TokenError, TokenList, random_text, token_name, write_private,
 };
 use std::path::{Path, PathBuf};

@@ -6,13 +6,13 @@ mod plane;
 mod spacing;
 mod truth;
 
-use super::{Exit, Failure, unusable_clouds};
-use crate::calibrate::Calibration;
-use crate::ids::CameraId;
-use crate::reconstruct::FrameSource;
-use crate::reconstruct::binned::BinnedSource;
-use crate::reconstruct::key::{Key, calibration_path};
-use crate::reconstruct::result::{Clouds, Place, calibration_of};
+use super::failure::{Failure, unusable_clouds};
+use crate::base::Exit;
+use crate::base::ids::CameraId;
+use crate::batch::binned::BinnedSource;
+use crate::batch::key::{Key, calibration_path};
+use crate::batch::result::{Clouds, Place, calibration_of};
+use crate::data::{Calibration, FrameSource};
 use std::path::Path;
 
 /// Measure clouds against something known.
@@ -81,7 +81,7 @@ fn open_photographs(
 }
 
 /// A cloud that is listed must be readable.
-fn load_cloud(clouds: &Clouds, place: &Place) -> Result<crate::export::Cloud, Failure> {
+fn load_cloud(clouds: &Clouds, place: &Place) -> Result<crate::data::Cloud, Failure> {
     clouds.load(place).map(|(_, cloud)| cloud).map_err(|e| Failure::new(Exit::Corrupt, e))
 }
 

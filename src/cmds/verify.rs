@@ -1,8 +1,10 @@
 //! `fourdbody verify`: recomputes everything that recordings claim from the files alone.
 
+use super::failure::Failure;
 use super::progress::Progress;
-use super::{Exit, Failure};
-use crate::record::verify::{Report, Severity, compare, verify};
+use crate::base::Exit;
+use crate::record::verify::compare;
+use crate::record::verify::{Report, Severity, verify};
 use std::path::PathBuf;
 
 /// Check every invariant of recordings: checksums, exactly one outcome per camera and trigger, verdicts.

@@ -1,10 +1,11 @@
 //! `fourdbody view`: a picture of a cloud.
 
-use super::{Exit, Failure, unreadable, unusable_clouds};
-use crate::export::Commented;
+use super::failure::{Failure, unreadable, unusable_clouds};
+use crate::base::Exit;
+use crate::base::image::write_png_rgb;
+use crate::batch::result::{self, Clouds};
 use crate::export::view::{Style, draw_sides};
-use crate::image::write_png_rgb;
-use crate::reconstruct::result::{self, Clouds};
+use crate::formats::Commented;
 use std::path::PathBuf;
 
 /// Draw a cloud as a PNG picture, from one side or several side by side.
@@ -34,6 +35,9 @@ pub struct Args {
     /// Colour the points by camera.
     #[arg(long)]
     by_camera: bool,
+    /// Print what was drawn as JSON: {"picture": PATH, "points": N}.
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs the command.
@@ -50,7 +54,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let picture = draw_sides(&cloud, args.azimuth, usize::from(args.sides), style);
     write_png_rgb(&args.out, picture.width, picture.height, &picture.rgb)
         .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
-    println!("{}: {} points", args.out.display(), cloud.len());
+    if args.json {
+        println!("{}", serde_json::json!({ "picture": args.out, "points": cloud.len() }));
+    } else {
+        println!("{}: {} points", args.out.display(), cloud.len());
+    }
     Ok(Exit::Done)
 }
 

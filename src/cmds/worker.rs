@@ -1,6 +1,7 @@
 //! `fourdbody worker`: reconstructs by itself what the nodes have recorded.
 
-use super::{Exit, Failure};
+use super::failure::Failure;
+use crate::base::Exit;
 use crate::config::WorkerConfig;
 use crate::worker::run::{Worker, ask_first, retry};
 use crate::worker::state::WorkerState;

@@ -1,6 +1,6 @@
 //! How a node may be reached (`[api]` of the node file): socket, address, TLS, names, tokens, the other nodes.
 
-use super::Section;
+use super::section::Section;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 

@@ -2,8 +2,10 @@
 //! (`node-X.toml`).
 
 use super::api::{ApiConfig, read_api};
-use super::{ConfigError, Problem, Rig, Section, read_table};
-use crate::ids::{CameraId, NodeId};
+use super::rig::Rig;
+use super::section::Section;
+use super::{ConfigError, Problem, read_table};
+use crate::base::ids::{CameraId, NodeId};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -397,7 +399,7 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
 #[cfg(test)]
 mod tests {
     use super::{FeatureSetting, FeatureValue, with_common};
-    use crate::config::Section;
+    use crate::config::section::Section;
     use std::cell::RefCell;
 
     fn list(text: &str) -> Vec<FeatureSetting> {

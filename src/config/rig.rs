@@ -1,9 +1,10 @@
 //! The rig, described once: heads, channels, nodes, pattern, board and the nominal geometry (`rig.toml`).
 
-use super::{ConfigError, Problem, Section, read_table};
+use super::section::Section;
+use super::{ConfigError, Problem, read_table};
+use crate::base::ids::{CameraId, HeadId, NodeId};
+use crate::geometry::pattern::{Marker, Pattern};
 use crate::geometry::{Device, Lens, Pose, look_at};
-use crate::ids::{CameraId, HeadId, NodeId};
-use crate::pattern::{Marker, Pattern};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::collections::BTreeSet;

@@ -114,11 +114,11 @@ impl<'a> Section<'a> {
         self.required(key, "a text").map_or_else(String::new, |value| self.text_of(key, value))
     }
 
-    /// A required name, as [`crate::ids::check_name`] wants it.
+    /// A required name, as [`crate::base::ids::check_name`] wants it.
     pub fn name(&self, key: &'static str) -> String {
         let text = self.text(key);
         if !text.is_empty()
-            && let Err(reason) = crate::ids::check_name(&text)
+            && let Err(reason) = crate::base::ids::check_name(&text)
         {
             self.problem(key, reason);
         }

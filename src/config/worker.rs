@@ -1,7 +1,8 @@
 //! What the worker needs: where the nodes' sessions are, where results go, how much it may take (`worker.toml`).
 
-use super::{ConfigError, Problem, Section, read_table};
-use crate::ids::NodeId;
+use super::section::Section;
+use super::{ConfigError, Problem, read_table};
+use crate::base::ids::NodeId;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 

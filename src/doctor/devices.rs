@@ -1,12 +1,13 @@
 //! Cameras and HSU: there, free, who they are, and whether they answer as a session needs it.
 
-use super::{Check, Finding, Load};
-use crate::api::dto::NodeStatus;
+use super::load::Load;
+use super::{Check, Finding};
+use crate::base::ids::CameraId;
+use crate::base::time::monotonic_ns;
 use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity, FrameContract, Wanted};
 use crate::config::{CameraConfig, NodeConfig};
+use crate::control::status::NodeStatus;
 use crate::hsu::{Hsu, HsuTimeouts};
-use crate::ids::CameraId;
-use crate::time::monotonic_ns;
 use std::ffi::CString;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::FileTypeExt;
@@ -243,7 +244,7 @@ fn greet(config: &NodeConfig) -> Result<GreetedHsu, crate::hsu::HsuError> {
     let readings = (0..CLOCK_READINGS).filter_map(|_| hsu.query_clock().ok());
     let round_trip_ns = readings.map(|r| monotonic_ns(r.received).saturating_sub(monotonic_ns(r.sent))).min();
     let [major, minor, patch] = hsu.identity().firmware;
-    let unit = crate::session::devices::unique_id(&hsu);
+    let unit = crate::node::devices::unique_id(&hsu);
     Ok(GreetedHsu {
         identity: format!("{} {unit} firmware {major}.{minor}.{patch}", hsu.identity().name),
         protocol: hsu.welcome().agreed,

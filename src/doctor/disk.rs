@@ -1,14 +1,15 @@
 //! The disk of the recordings: can it take what the cameras give, and for how long?
 
-use super::{Check, Finding, Load, bytes};
-use crate::acquire::pool::Block;
+use super::load::Load;
+use super::{Check, Finding, bytes};
+use crate::base::ids::{BlockId, SessionName, TriggerIndex};
+use crate::base::time::host_time_ns;
 use crate::config::NodeConfig;
-use crate::ids::{BlockId, SessionName, TriggerIndex};
+use crate::host::frame_memory::Block;
 use crate::record::envelope::pixels_crc;
 use crate::record::{
     CameraHeader, FrameMeta, GapCause, Recording, RecordingHeader, SessionEnd, WriterOptions, free_bytes,
 };
-use crate::time::host_time_ns;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -381,7 +382,8 @@ fn judge_speed(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::{DiskFacts, SCRATCH, Speed, has_mount_option, judge, remove_leftovers};
-    use crate::doctor::{Grade, Load};
+    use crate::doctor::Grade;
+    use crate::doctor::load::Load;
     use std::path::Path;
     use std::time::Duration;
 

@@ -1,10 +1,10 @@
 //! The computer itself: sockets, limits, processors, clock, memory, the API's port.
 
-use super::{Check, Finding, Load, bytes};
-use crate::api::client::NodeClient;
-use crate::api::dto::NodeStatus;
-use crate::config::ApiConfig;
-use crate::config::SocketMode;
+use super::load::Load;
+use super::{Check, Finding, bytes};
+use crate::config::{ApiConfig, SocketMode};
+use crate::control::client::NodeClient;
+use crate::control::status::NodeStatus;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 
@@ -334,7 +334,8 @@ fn judge_port(facts: &HostFacts) -> Option<Finding> {
 mod tests {
     use super::{HostFacts, PortUse, judge};
     use crate::config::SocketMode;
-    use crate::doctor::{Grade, Load};
+    use crate::doctor::Grade;
+    use crate::doctor::load::Load;
 
     fn good() -> HostFacts {
         HostFacts {

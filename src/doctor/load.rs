@@ -1,7 +1,7 @@
 //! What a node asks of its host.
 
-use crate::acquire::pool::ROOM_BYTES;
 use crate::config::{NodeConfig, SocketMode};
+use crate::host::frame_memory::ROOM_BYTES;
 
 /// IP, UDP and GVSP headers of a payload packet with 16-bit block ids, bytes.
 const HEADERS: u64 = 36;
@@ -90,7 +90,7 @@ mod tests {
     use super::Load;
 
     #[test]
-    fn the_reference_is_the_load_of_the_brief() {
+    fn the_reference_is_four_cameras_of_2_3_megapixels_at_120_hz() {
         let load = Load::reference();
         assert!((load.bytes_per_s() / 1.106e9 - 1.0).abs() < 1e-3);
         // 258 payload packets, leader and trailer.

@@ -13,8 +13,8 @@ pub mod network;
 
 pub use load::Load;
 
+use crate::base::Exit;
 use crate::camera::CameraBackend;
-use crate::cmds::Exit;
 use crate::config::NodeConfig;
 use serde::Serialize;
 use std::time::Duration;
@@ -189,7 +189,7 @@ fn bytes(count: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::{Check, Finding, bytes, exit_of};
-    use crate::cmds::Exit;
+    use crate::base::Exit;
 
     #[test]
     fn a_failed_device_counts_before_an_unfit_host_and_warnings_do_not_count() {

@@ -1,9 +1,10 @@
 //! The way to each camera: which interface, and whether that carries its packets. USB cameras have none.
 
-use super::{Check, Finding, Load};
+use super::load::Load;
+use super::{Check, Finding};
+use crate::base::ids::CameraId;
 use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
-use crate::ids::CameraId;
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
@@ -192,8 +193,9 @@ fn judge_interface(interface: &Interface, bits_per_s: f64, cameras: usize) -> Fi
 #[cfg(test)]
 mod tests {
     use super::{CameraPath, Interface, Route, find_route, judge};
-    use crate::doctor::{Grade, Load};
-    use crate::ids::CameraId;
+    use crate::base::ids::CameraId;
+    use crate::doctor::Grade;
+    use crate::doctor::load::Load;
     use std::net::Ipv4Addr;
 
     const TABLE: &str = "Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT\n\

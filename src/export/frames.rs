@@ -2,10 +2,10 @@
 //! `fourdbody import` and `reconstruct` read.
 
 use super::job::{ExportError, claim};
-use super::whole::write_whole;
-use crate::ids::{CameraId, TriggerIndex};
-use crate::image::{Mono8, encode_png_grey};
-use crate::reconstruct::{Frame, FrameSource};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::image::{Mono8, encode_png_grey};
+use crate::base::write_whole;
+use crate::data::{Frame, FrameSource};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, json};
@@ -168,7 +168,7 @@ fn export(
 #[cfg(test)]
 mod tests {
     use super::Picture;
-    use crate::image::Mono8;
+    use crate::base::image::Mono8;
     use std::io::{self, Cursor, Seek, SeekFrom, Write};
 
     /// A medium with room for so many bytes.

@@ -11,13 +11,11 @@
 //! A file that is there and not older than the clouds that it is made of is not made again. So that this is right,
 //! a folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is written.
 
-use super::cloud::Cloud;
-use super::format::Format;
-use super::merge::{self, LeftOut, Rule, View, Viewpoint};
 use super::mesh::{self, Mesh, MeshKind};
-use super::shape::Shape;
-use super::source::{CloudSource, Commented};
-use super::whole::write_whole;
+use crate::base::write_whole;
+use crate::data::Cloud;
+use crate::formats::{CloudSource, Commented, Format, Shape};
+use crate::merge::{self, LeftOut, Rule, View, Viewpoint};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, Value, json};

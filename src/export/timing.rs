@@ -13,7 +13,7 @@
 //!
 //! What is not known is empty.
 
-use crate::ids::{CameraId, TriggerIndex};
+use crate::base::ids::{CameraId, TriggerIndex};
 use crate::record::{FrameMeta, GapCause, SessionReader};
 use std::io::{self, Write};
 use std::ops::Range;

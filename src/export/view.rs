@@ -2,7 +2,7 @@
 //!
 //! The view is orthographic from a given azimuth around the vertical axis: the cloud fills the height.
 
-use super::cloud::Cloud;
+use crate::data::Cloud;
 
 /// A picture, RGB, row-major.
 #[derive(Debug)]
@@ -139,7 +139,7 @@ fn draw_side(
 #[cfg(test)]
 mod tests {
     use super::{Style, draw, draw_sides};
-    use crate::export::Cloud;
+    use crate::data::Cloud;
 
     fn sphere() -> Cloud {
         let mut cloud = Cloud::default();

@@ -5,6 +5,8 @@
 
 mod lens;
 mod motion;
+/// The projected pattern: sine fringes and the marker.
+pub mod pattern;
 mod pose;
 
 pub use lens::Lens;
@@ -78,7 +80,9 @@ impl Device {
 
 #[cfg(test)]
 mod tests {
-    use super::{Device, Lens, look_at};
+    use super::Device;
+    use super::lens::Lens;
+    use super::pose::look_at;
     use nalgebra::Point3;
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
 

@@ -1,9 +1,10 @@
 //! The conversation with the unit: questions and their answers as errors know them, and the keeper thread
 //! that shows signs of life and asks for lost telemetry.
 
+use super::error::HsuError;
 use super::event::{Feed, HsuEvent, LinkLoss};
 use super::link::{Answer, Link, LinkError, Patience};
-use super::{HsuError, HsuTimeouts};
+use super::unit::HsuTimeouts;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use hsu_firmware_proto::{
     Hello, MAX_RECORDS, Refusal, Request, SessionId, TriggerRecord, UnitToHost, Welcome, version,

@@ -1,8 +1,8 @@
 //! What the unit and the link report by themselves, and the bounded stream that it goes into.
 
 use super::order::Order;
-use super::trigger_index;
-use crate::ids::TriggerIndex;
+use super::timing::trigger_index;
+use crate::base::ids::TriggerIndex;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use hsu_firmware_proto::{EndReason, Fault, SessionId, Status, TriggerRecord, UnitToHost};
 use std::sync::atomic::{AtomicU64, Ordering};

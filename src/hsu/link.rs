@@ -4,7 +4,7 @@
 //! request is then answered again instead of being carried out twice. A thread reads; answers go to whoever
 //! asked, everything else to a callback.
 
-use crate::time::monotonic_ns;
+use crate::base::time::monotonic_ns;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use hsu_firmware_proto::frame::{self, Decoder};
 use hsu_firmware_proto::{HostToUnit, MAX_MESSAGE, Request, UnitToHost};

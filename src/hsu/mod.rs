@@ -17,8 +17,9 @@ mod unit;
 
 pub use error::HsuError;
 pub use event::{HsuEvent, LinkLoss};
+pub use timing::{ArmRequest, HsuTiming, session_id, trigger_index};
+pub use unit::{ClockSample, Hsu, HsuTimeouts};
+
 pub use hsu_firmware_proto::{
     EndReason, Fault, Identity, LinkId, Refusal, SessionId, State, Status, TriggerFlags, TriggerRecord,
 };
-pub use timing::{ArmRequest, HsuTiming, session_id, trigger_index};
-pub use unit::{ClockSample, Hsu, HsuTimeouts};

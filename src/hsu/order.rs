@@ -5,7 +5,7 @@
 //! trigger once, in order, and the end of the train last. Sans I/O: the caller asks and calls
 //! [`Order::fill`].
 
-use super::HsuEvent;
+use super::event::HsuEvent;
 use hsu_firmware_proto::{EndReason, HISTORY, SessionId, State, Status, TriggerRecord};
 use std::collections::VecDeque;
 
@@ -161,7 +161,7 @@ impl Order {
 #[cfg(test)]
 mod tests {
     use super::Order;
-    use crate::hsu::HsuEvent;
+    use crate::hsu::event::HsuEvent;
     use hsu_firmware_proto::{EndReason, SessionId, State, Status, TriggerFlags, TriggerRecord};
     use proptest::prelude::{any, prop, prop_assert_eq, proptest};
 

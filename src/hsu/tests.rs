@@ -1,9 +1,11 @@
 //! The link over an in-memory line: the firmware's state machine at the other end, portions of any size, and
 //! frames that get lost.
 
+use super::Refusal;
+use super::error::HsuError;
 use super::link::{Link, LinkError, Patience};
-use super::{Hsu, HsuError, HsuTimeouts, Refusal};
-use crate::ids::NodeId;
+use super::unit::{Hsu, HsuTimeouts};
+use crate::base::ids::NodeId;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
 use hsu_firmware_proto::frame::{self, Decoder};
 use hsu_firmware_proto::{

@@ -1,8 +1,8 @@
 //! From the rig and the session to what the unit is told.
 
-use super::HsuError;
+use super::error::HsuError;
+use crate::base::ids::{NodeId, SessionName, TriggerIndex};
 use crate::config::Rig;
-use crate::ids::{NodeId, SessionName, TriggerIndex};
 use hsu_firmware_proto::{Arm, HeadTiming, LINKS, NodeName, SessionId, Sync, Timing, TriggerRecord};
 use sha2::{Digest, Sha256};
 use std::time::Duration;

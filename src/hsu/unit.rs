@@ -1,11 +1,11 @@
 //! The unit as this node sees it: typed commands and a stream of events.
 
-use super::HsuError;
 use super::conversation::{Conversation, unexpected};
+use super::error::HsuError;
 use super::event::{Feed, HsuEvent};
 use super::link::{Answer, Link, Patience};
 use super::timing::{ArmRequest, HsuTiming, node_name};
-use crate::ids::NodeId;
+use crate::base::ids::NodeId;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use hsu_firmware_proto::{
     Hello, Identity, Request, SessionId, State, Status, TriggerRecord, UnitToHost, Welcome, version,

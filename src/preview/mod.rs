@@ -11,8 +11,8 @@ pub use light::{Light, LightGrades, measure};
 pub use picture::upright_png;
 
 use crate::acquire::preview::{Sample, Taps};
-use crate::acquire::realtime;
-use crate::ids::CameraId;
+use crate::base::ids::CameraId;
+use crate::host::realtime;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use serde::Serialize;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -105,7 +105,7 @@ impl Previews {
 
     /// What is known of all cameras' pictures, and the wish for the next ones.
     pub fn facts(&self) -> Vec<PictureFacts> {
-        let now_ns = crate::time::host_time_ns();
+        let now_ns = crate::base::time::host_time_ns();
         let cameras = self.shared.taps.cameras().cloned().enumerate();
         let fact = |(place, camera): (usize, CameraId)| match self.look(place) {
             None => PictureFacts { camera, number: 0, trigger: 0, age_s: 0.0, light: None, grades: None },
@@ -185,7 +185,7 @@ impl Shared {
 mod tests {
     use super::Previews;
     use crate::acquire::preview::Taps;
-    use crate::ids::CameraId;
+    use crate::base::ids::CameraId;
     use std::sync::Arc;
 
     #[test]

@@ -1,6 +1,6 @@
 //! A sample as a small upright PNG.
 //!
-//! The cameras are mounted in portrait, columns running down (brief, section 2): the picture is the frame turned clockwise.
+//! The cameras are mounted in portrait, columns running down: the picture is the frame turned clockwise.
 
 use crate::acquire::preview::{ROW_STEP, Sample};
 

@@ -3,14 +3,13 @@
 //! `fourdbody reconstruct` does the work in a process of its own, on time that nobody else wants, and is ended at once when
 //! the node is asked for the next session. Each node sees its own cameras; a console puts the clouds of both together.
 
-use crate::api::dto::{NodeStatus, Outcome};
-use crate::background;
-use crate::export::Cloud;
-use crate::ids::NodeId;
-use crate::reconstruct::FrameSource;
-use crate::reconstruct::result::Clouds;
+use crate::base::ids::NodeId;
+use crate::batch::result::Clouds;
+use crate::control::request::Phase;
+use crate::control::status::{NodeStatus, Outcome};
+use crate::data::{Cloud, FrameSource};
+use crate::host::idle_process;
 use crate::record::{SessionReader, node_dir};
-use crate::session::state::Phase;
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -141,7 +140,7 @@ impl QuickLooks {
             return Err("no quick look is configured; set quick_look.calibration in the node file".to_owned());
         };
         let recording = node_dir(&self.inner.sessions_dir.join(session), &self.inner.node);
-        if crate::ids::SessionName::parse(session).is_err() || !recording.is_dir() {
+        if crate::base::ids::SessionName::parse(session).is_err() || !recording.is_dir() {
             return Err(format!("no session {session:?} at this node"));
         }
         if matches!(self.of(session).progress, Progress::Ready | Progress::Working { .. }) {
@@ -255,7 +254,7 @@ impl Inner {
         let failed = |what: &str, error: std::io::Error| Ended::Failed(format!("{what}: {error}"));
         std::fs::create_dir_all(out).map_err(|e| failed(&out.display().to_string(), e))?;
         let log = std::fs::File::create(out.join("log")).map_err(|e| failed("its log", e))?;
-        let command = background::command(["reconstruct"]);
+        let command = idle_process::command(["reconstruct"]);
         let mut child = command
             .map_err(|e| failed("this program cannot be found", e))?
             .arg(recording)
@@ -269,7 +268,7 @@ impl Inner {
             .map_err(|e| failed("`setpriv` (package util-linux)", e))?;
         let status = loop {
             if !self.is_idle() || self.ended.load(Ordering::Acquire) {
-                background::end(&mut child);
+                idle_process::end(&mut child);
                 return Err(Ended::GaveWay);
             }
             match child.try_wait().map_err(|e| failed("the reconstruction", e))? {
@@ -322,7 +321,7 @@ pub fn encode(cloud: &Cloud) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::{POINT_BYTES, POINTS_MAX, encode, spread};
-    use crate::export::Cloud;
+    use crate::data::Cloud;
 
     #[test]
     fn frame_sets_are_spread_over_the_session() {

@@ -1,7 +1,11 @@
-//! What became of a frame: a cloud or a reason why there is none, and the pixel counts that tell how it went.
+//! What became of a frame: a cloud or a reason why there is none, and all that the frame gives.
 
-use super::dashes::Dashes;
-use crate::export::Cloud;
+use super::counts::Counts;
+use super::fringe_order::Regions;
+use super::kernels::region_of_interest::Roi;
+use crate::base::image::Plane;
+use crate::data::{Cloud, PhaseMap};
+use std::time::Duration;
 
 /// What became of a frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -13,28 +17,11 @@ pub enum Outcome {
 }
 
 /// Why a frame without light is refused.
-pub(super) const NO_OBJECT: &str = "there is no object in the frame";
+pub const NO_OBJECT: &str = "there is no object in the frame";
 
 /// What to ask when dashes lie elsewhere.
-pub(super) const WHY_ELSEWHERE: &str =
+pub const WHY_ELSEWHERE: &str =
     "is it the calibration of another camera, or another projector's light, or has a device moved?";
-
-/// Pixel counts that tell how a frame went.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Counts {
-    /// Pixels on the object mask.
-    pub object: usize,
-    /// Pixels with a wrapped phase.
-    pub phase: usize,
-    /// Pixels on marker cores.
-    pub marker: usize,
-    /// Whether the marker's dashes lie where the calibration has them.
-    pub dashes: Dashes,
-    /// Pixels left out because their fringe order is not certain.
-    pub refused: usize,
-    /// Pixels dropped near depth steps, faint or not like a fringe.
-    pub dropped: usize,
-}
 
 /// What a frame with this cloud has come to.
 pub(super) fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
@@ -48,4 +35,34 @@ pub(super) fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
     } else {
         Outcome::Cloud
     }
+}
+
+/// Everything that one frame gives.
+#[derive(Debug)]
+pub struct Reconstruction {
+    /// The directional cloud, in the world frame.
+    pub cloud: Cloud,
+    /// What the cloud follows from, given the calibration.
+    pub phase: PhaseMap,
+    /// Whether there is one.
+    pub outcome: Outcome,
+    /// How it went.
+    pub counts: Counts,
+    /// Pieces of surface and how certain their fringe orders are; for each point see [`Regions::margin_at`].
+    pub regions: Regions,
+    /// Time of each stage, in order.
+    pub stages: Vec<(&'static str, Duration)>,
+    /// The maps, where they were asked for.
+    pub maps: Option<Maps>,
+}
+
+/// The maps of a frame, on its region of interest.
+#[derive(Debug)]
+pub struct Maps {
+    /// Where they lie in the frame.
+    pub roi: Roi,
+    /// Columns and rows of the whole frame.
+    pub frame: (usize, usize),
+    /// Named maps: Om, Pm, Am, Sm, Wm, Vm, Bm, Qm, Um, Mm, Fm as far as the method has them. NaN: undefined.
+    pub planes: Vec<(&'static str, Plane<f32>)>,
 }

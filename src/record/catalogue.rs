@@ -8,7 +8,7 @@ use super::scan::metadata_by_index;
 use super::segment_file::SegmentFile;
 use super::session::{RecordingFiles, find, node_dir, unfinished};
 use super::verdict::Verdict;
-use crate::ids::NodeId;
+use crate::base::ids::NodeId;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -44,7 +44,7 @@ pub struct CatalogueEntry {
 /// One recording of a node; `None` when there is none of this name.
 pub fn entry(sessions_dir: &Path, node: &NodeId, name: &str) -> Option<CatalogueEntry> {
     // A session's name is one component of a path: nothing else is looked up.
-    crate::ids::SessionName::parse(name).ok()?;
+    crate::base::ids::SessionName::parse(name).ok()?;
     let path = node_dir(&sessions_dir.join(name), node);
     let made = modified(&path)?;
     Some(describe(path, made))
@@ -112,7 +112,7 @@ fn read(entry: &mut CatalogueEntry, files: &RecordingFiles) {
 #[cfg(test)]
 mod tests {
     use super::entry;
-    use crate::ids::NodeId;
+    use crate::base::ids::NodeId;
 
     #[test]
     fn what_is_not_a_session_of_this_node_is_not_described() {

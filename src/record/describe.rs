@@ -5,8 +5,8 @@
 use super::layout::{CameraHeader, ClockSample, GapCause};
 use super::reader::{Outcome, RecordingReader, SegmentReader};
 use super::scan::End;
-use crate::acquire::clock::{ClockFit, Exchange, RESET_RUN};
-use crate::ids::{CameraId, TriggerIndex};
+use crate::base::clock_fit::{ClockFit, Exchange, RESET_RUN};
+use crate::base::ids::{CameraId, TriggerIndex};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -6,7 +6,7 @@
 use super::belonging::SessionMark;
 use super::layout::MAX_CAMERA_NAME;
 use super::protobuf::{self, Buffer, FieldType, Fixed, MessageReader, MessageWriter, Value};
-use crate::ids::{BlockId, CameraId, TriggerIndex};
+use crate::base::ids::{BlockId, CameraId, TriggerIndex};
 use std::ops::Range;
 
 /// Room that a frame's buffer needs in front of the pixels, bytes.
@@ -388,10 +388,9 @@ pub fn schema() -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use super::{
-        ENVELOPE_CAPACITY, EnvelopeError, FrameMeta, SessionMark, parse_envelope, pixels_crc, write_envelope,
-    };
-    use crate::ids::{BlockId, CameraId, TriggerIndex};
+    use super::{ENVELOPE_CAPACITY, EnvelopeError, FrameMeta, parse_envelope, pixels_crc, write_envelope};
+    use crate::base::ids::{BlockId, CameraId, TriggerIndex};
+    use crate::record::belonging::SessionMark;
     use proptest::prelude::*;
 
     fn message(camera: &str, meta: &FrameMeta, pixels: &[u8]) -> Vec<u8> {
@@ -479,7 +478,7 @@ mod tests {
         let (width, height, pixels_crc) = (u32::MAX, u32::MAX, u32::MAX);
         let meta =
             FrameMeta { trigger, block, camera_time_ns: most, host_time_ns: most, width, height, pixels_crc };
-        let name = CameraId("x".repeat(super::MAX_CAMERA_NAME));
+        let name = CameraId("x".repeat(crate::record::layout::MAX_CAMERA_NAME));
         let length = write_envelope(&mut [0; ENVELOPE_CAPACITY], &name, &meta).expect("room enough");
         assert!(length < ENVELOPE_CAPACITY, "{length} bytes could have been cut");
     }

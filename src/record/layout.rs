@@ -1,8 +1,8 @@
 //! The contract of a recording: topics, schemas, metadata keys, the format's version, and the records that
 //! are JSON. Frames are in [`super::envelope`].
 
+use crate::base::ids::{CameraId, NodeId, SessionName, TriggerIndex};
 use crate::config::FeatureSetting;
-use crate::ids::{CameraId, NodeId, SessionName, TriggerIndex};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -402,7 +402,7 @@ impl RecordingHeader {
                     name.len()
                 ));
             }
-            crate::ids::check_name(name).map_err(|e| format!("camera: {e}"))?;
+            crate::base::ids::check_name(name).map_err(|e| format!("camera: {e}"))?;
             if !ids.insert(name) {
                 return Err(format!("camera {name} is listed twice"));
             }

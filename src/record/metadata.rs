@@ -6,7 +6,7 @@ use super::layout::{
 };
 use super::scan::{End, Entries, Event, MAX_MESSAGE, Walker};
 use super::segment_file::SegmentFile;
-use crate::ids::printable;
+use crate::base::ids::printable;
 
 /// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left out.
 pub(super) fn checksum<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> u32 {

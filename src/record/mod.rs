@@ -6,12 +6,12 @@
 mod belonging;
 pub mod catalogue;
 pub mod describe;
-mod direct;
-mod disk;
+mod direct_io;
+mod disk_thread;
 pub mod envelope;
-mod interrupted;
 pub mod layout;
 mod metadata;
+mod open_chunk;
 mod partial;
 mod protobuf;
 mod reader;
@@ -22,16 +22,14 @@ mod segment_file;
 mod session;
 mod statistics;
 mod topic;
+mod unfinished;
 mod verdict;
 pub mod verify;
-mod window;
 
 mod writer;
 
-pub use direct::free_bytes;
-pub use direct::survive_file_limit;
+pub use direct_io::{free_bytes, survive_file_limit};
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
-pub use interrupted::{Interrupted, interrupted};
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NOT_ASKED, NodeEvent,
     RecordingHeader, TriggerRecord, WarmUp,
@@ -40,11 +38,10 @@ pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
 pub use segment_file::BadRange;
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
-pub use statistics::{DiskAccess, DiskProgress, Latency, WriteStatistics};
+pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
+pub use unfinished::{Interrupted, interrupted};
 pub(crate) use verdict::CameraTally;
 pub use verdict::{CameraVerdict, Noted, SessionEnd, Status, UNCONFIRMED, Verdict};
-#[cfg(test)]
-pub(crate) use writer::tests as small_recordings;
 #[cfg(test)]
 pub(crate) use writer::tests::header as two_cameras;
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

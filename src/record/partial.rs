@@ -5,7 +5,7 @@ use super::layout::{KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, SEGMENT_METADATA, segmen
 use super::metadata::{read_header, stated_index};
 use super::scan::{metadata_by_index, metadata_places, summary_start};
 use super::segment_file::SegmentFile;
-use crate::ids::CameraId;
+use crate::base::ids::CameraId;
 use rayon::prelude::*;
 use std::fs::File;
 use std::ops::Range;
@@ -108,9 +108,10 @@ impl Copy<'_> {
 #[cfg(test)]
 mod tests {
     use super::copy_frames;
-    use crate::ids::{CameraId, TriggerIndex};
-    use crate::record::small_recordings::{end, frame, header, options};
-    use crate::record::{Recording, SessionReader};
+    use crate::base::ids::{CameraId, TriggerIndex};
+    use crate::record::session::SessionReader;
+    use crate::record::writer::Recording;
+    use crate::record::writer::tests::{end, frame, header, options};
     use std::path::{Path, PathBuf};
 
     const TRIGGERS: u64 = 3000;

@@ -8,13 +8,13 @@ mod merge;
 mod rewrite;
 mod salvage;
 
-use super::direct::{rename_new, sync_directory};
+use super::direct_io::{rename_new, sync_directory};
 use super::layout::GapCause;
 use super::reader::{Extent, RecordingReader};
 use super::session::{RecordingFiles, find, node_dir};
 use super::verdict::Verdict;
 use super::writer::RecordError;
-use crate::ids::{CameraId, NodeId, TriggerIndex};
+use crate::base::ids::{CameraId, NodeId, TriggerIndex};
 use merge::{Salvage, salvage};
 use serde::Serialize;
 use std::collections::BTreeMap;

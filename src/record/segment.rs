@@ -1,7 +1,7 @@
 //! One segment: an MCAP file whose bytes on disk are a clean prefix at every instant.
 
 use super::belonging::{Belonging, Label, SessionMark};
-use super::direct::{BLOCK, Store};
+use super::direct_io::{BLOCK, Store};
 use super::envelope::{self, FrameMeta};
 use super::layout::{
     FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_CRC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC,
@@ -10,11 +10,11 @@ use super::layout::{
     index_schema, json_channels,
 };
 use super::metadata::checksum;
+use super::open_chunk::{CHUNK_HEADER, Handle, Milestone, Window, lock};
 use super::statistics::WriteStatistics;
 use super::verdict::Verdict;
-use super::window::{CHUNK_HEADER, Handle, Milestone, Window, lock};
-use crate::acquire::pool::{Block, ROOM_BYTES};
-use crate::ids::CameraId;
+use crate::base::ids::CameraId;
+use crate::host::frame_memory::{Block, ROOM_BYTES};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::PrivateRecordOptions;

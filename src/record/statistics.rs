@@ -1,7 +1,7 @@
 //! How the disk kept up: latencies in logarithmic classes, cheap enough for every frame.
 
-use crate::histogram::Histogram;
-pub use crate::histogram::Latency;
+use crate::base::histogram::Histogram;
+pub use crate::base::histogram::Latency;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::atomic::AtomicU64;

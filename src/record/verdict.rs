@@ -1,7 +1,7 @@
 //! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
 
 use super::layout::{GapCause, MAX_TRIGGERS, RecordingHeader};
-use crate::ids::{CameraId, TriggerIndex};
+use crate::base::ids::{CameraId, TriggerIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;

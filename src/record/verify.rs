@@ -11,7 +11,7 @@ mod segment;
 use super::reader::{ReadError, RecordingReader};
 use super::session::{node_of_dir, open_each};
 use super::verdict::Verdict;
-use crate::ids::CameraId;
+use crate::base::ids::CameraId;
 pub use agreement::{Comparison, compare};
 use serde::Serialize;
 use std::fmt;

@@ -4,18 +4,18 @@
 //! meanwhile.
 
 use super::belonging::{Belonging, Label};
-use super::direct::{DirectFile, Store, sync_directory};
+use super::direct_io::{DirectFile, Store, sync_directory};
 use super::envelope::{FrameMeta, marked, parse_envelope};
 use super::layout::{
     ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION,
     segment_name,
 };
+use super::open_chunk::QUEUE;
 use super::segment::{Closing, JsonChannel, Segment};
 use super::statistics::{DiskProgress, WriteStatistics};
 use super::verdict::{CameraTally, Noted, REFUSED, SessionEnd, Verdict};
-use super::window::QUEUE;
-use crate::acquire::pool::Block;
-use crate::ids::{CameraId, TriggerIndex};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::host::frame_memory::Block;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::io;
@@ -170,7 +170,7 @@ impl Recording {
     }
 
     /// Records a frame: `message` is the envelope and the pixels in one slice, as
-    /// [`super::write_envelope`] makes it.
+    /// [`super::envelope::write_envelope`] makes it.
     ///
     /// A second outcome for the same trigger is refused: noted as an event, and `Ok`. Unless the error is
     /// [`RecordError::Frame`], the trigger has its outcome afterwards, if need be a gap with cause
@@ -393,7 +393,7 @@ impl Recording {
         TriggerIndex(self.tallies.iter().map(|tally| tally.seen().end()).max().unwrap_or(0))
     }
 
-    /// Enters an outcome into the books, or refuses it and notes that.
+    /// Enters an outcome into the accounting, or refuses it and notes that.
     fn accept(
         &mut self,
         camera: usize,

@@ -7,13 +7,13 @@ mod page;
 pub use page::render;
 
 use crate::acquire::preview::Sample;
-use crate::ids::TriggerIndex;
+use crate::base::ids::TriggerIndex;
+use crate::batch::collect_shards;
+use crate::batch::result::Clouds;
+use crate::batch::summary::TriggerSummary;
+use crate::data::FrameSource;
 use crate::preview::quick_look::encode;
 use crate::preview::{Light, measure, upright_png};
-use crate::reconstruct::FrameSource;
-use crate::reconstruct::batch::TriggerSummary;
-use crate::reconstruct::collect;
-use crate::reconstruct::result::Clouds;
 use crate::record::describe::{self, CameraDescription, EventKind};
 use crate::record::{
     GapRun, ReadError, RecordingReader, SessionReader, Unreadable, Verdict, WriteStatistics,
@@ -157,7 +157,7 @@ type Points = (u64, String, u64);
 
 /// From `summary.json` of a reconstruction, which must be of this session.
 fn points_of(result: &Path, session: &SessionReader) -> Result<Vec<Points>, String> {
-    let summary = collect::load_summary(result)
+    let summary = collect_shards::load_summary(result)
         .map_err(|e| format!("{e}; expected the directory of `fourdbody reconstruct --out`"))?;
     let expected = session.identity()?;
     if summary.session.id != expected.id {

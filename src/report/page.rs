@@ -163,8 +163,9 @@ fn camera_box(page: &mut String, camera: &CameraReport) {
         let value = serde_json::to_value(&setting.value).unwrap_or_default();
         let _ = write!(page, "<br>exposure {value} us");
     }
-    let worst = |grade: fn(&super::Light) -> Grade| camera.light.iter().map(|(_, light)| grade(light)).max();
-    let mean = |value: fn(&super::Light) -> f64| {
+    let worst =
+        |grade: fn(&crate::preview::Light) -> Grade| camera.light.iter().map(|(_, light)| grade(light)).max();
+    let mean = |value: fn(&crate::preview::Light) -> f64| {
         camera.light.iter().map(|(_, light)| value(light)).sum::<f64>() / camera.light.len().max(1) as f64
     };
     if let Some(grade) = worst(|light| light.grades().modulation) {
@@ -250,8 +251,9 @@ fn escape(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{NodeReport, Report, Status, render};
-    use crate::record::Verdict;
+    use super::render;
+    use crate::record::{Status, Verdict};
+    use crate::report::{NodeReport, Report};
 
     fn report(nodes: Vec<NodeReport>) -> Report {
         Report {

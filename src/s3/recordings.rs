@@ -1,7 +1,7 @@
 //! The part of a session's recordings that a run reads, from the store to a scratch directory.
 
 use super::remote::{Object, Remote};
-use crate::ids::CameraId;
+use crate::base::ids::CameraId;
 use crate::record::{copy_frames, is_segment};
 use std::path::Path;
 

@@ -115,7 +115,7 @@ impl Remote {
     /// Fetches an object into a file, which has its name when it is whole.
     pub fn fetch(&self, object: &Object, to: &Path) -> Result<(), String> {
         let mut problem = None;
-        let written = crate::export::write_whole_cached(to, |file| {
+        let written = crate::base::write_whole_cached(to, |file| {
             for start in (0..object.size).step_by(PIECE as usize) {
                 let range = start..(start + PIECE).min(object.size);
                 match self.read(&object.name, range) {
@@ -177,7 +177,7 @@ struct Connector(Client<hyper_rustls::HttpsConnector<Plain>, HttpRequestBody>);
 
 impl Connector {
     fn new() -> Result<Self, String> {
-        let tls = crate::api::client::tls_config(None)?;
+        let tls = crate::control::client::tls_config(None)?;
         let https = hyper_rustls::HttpsConnectorBuilder::new()
             .with_tls_config(tls.as_ref().clone())
             .https_or_http()

@@ -1,7 +1,7 @@
 //! Results in the store: what is finished comes first, what is made goes back while the work goes on.
 
 use super::remote::{Object, Remote};
-use crate::reconstruct::key::COMMON_FILES;
+use crate::batch::key::COMMON_FILES;
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
 use std::fs::Metadata;

@@ -1,6 +1,6 @@
 //! Metrics as data: one structure, shown as Prometheus text and as JSON.
 
-use crate::histogram::Histogram;
+use crate::base::histogram::Histogram;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
@@ -150,7 +150,7 @@ impl fmt::Display for Labels<'_> {
 #[cfg(test)]
 mod tests {
     use super::{Family, Kind, Sample, text};
-    use crate::histogram::Histogram;
+    use crate::base::histogram::Histogram;
     use std::time::Duration;
 
     #[test]

@@ -8,9 +8,9 @@ pub use exposition::{Family, Kind, Sample};
 pub use thresholds::{Grade, Judgement, Threshold};
 
 use crate::acquire::recorder::Progress;
+use crate::base::histogram::Histogram;
+use crate::base::ids::CameraId;
 use crate::camera::AppliedSetting;
-use crate::histogram::Histogram;
-use crate::ids::CameraId;
 use crate::record::{DiskProgress, GapCause};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -207,7 +207,7 @@ fn session_metrics(current: &Current, cameras: &[&str]) -> Vec<Family> {
         ),
         one(
             "fourdbody_recorder_turns_total",
-            "Turns of the thread that keeps the books.",
+            "Turns of the thread that keeps the accounting.",
             Kind::Counter,
             load(&progress.recorder_turns),
         ),

@@ -10,8 +10,8 @@
 
 use super::edge::{self, Edge};
 use super::ring::{Organized, Ring};
+use crate::base::image::Mono8;
 use crate::calibrate::Board;
-use crate::image::Mono8;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -136,14 +136,15 @@ fn outermost(
 
 #[cfg(test)]
 mod tests {
-    use super::super::deviations::Draws;
-    use super::super::ring::{Organized, place};
-    use super::{Light, Sight, diagonals};
+    use super::{Sight, diagonals};
+    use crate::base::image::{Mono8, Plane};
     use crate::calibrate::Board;
-    use crate::export::Cloud;
+    use crate::data::Cloud;
+    use crate::geometry::pattern::{Marker, Pattern};
     use crate::geometry::{Device, Lens, look_at};
-    use crate::image::{Mono8, Plane};
-    use crate::pattern::{Marker, Pattern};
+    use crate::validate::deviations::Draws;
+    use crate::validate::distance::Light;
+    use crate::validate::ring::{Organized, place};
     use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
     use std::path::Path;
 

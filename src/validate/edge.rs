@@ -10,13 +10,13 @@
 //! inside of the circle.
 
 use super::ring::{Organized, Ring, Surface};
+use crate::base::image::{Mono8, Plane};
 use crate::geometry::Device;
-use crate::image::{Mono8, Plane};
-use crate::pattern::Pattern;
+use crate::geometry::pattern::Pattern;
 use nalgebra::{SMatrix, SVector, Vector3};
 use std::f64::consts::TAU;
 
-/// Weights of the seven samples over one period whose sum is the intensity (see `reconstruct::demodulate`).
+/// Weights of the seven samples over one period whose sum is the intensity (see `reconstruct::phase::demodulate`).
 const WINDOW: [f64; 7] = [5.0 / 42.0, 5.0 / 42.0, 7.0 / 42.0, 8.0 / 42.0, 7.0 / 42.0, 5.0 / 42.0, 5.0 / 42.0];
 /// Width of a pixel: the standard deviation of its square along one axis, px.
 const PIXEL_PX: f64 = 0.29;

@@ -336,8 +336,8 @@ pub fn names(name: &str, loops: &[Loop]) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::deviations::Draws;
     use super::{Loop, SurfacePoint, loops, names};
+    use crate::validate::deviations::Draws;
     use std::f64::consts::TAU;
 
     /// Points of an elliptic cone of half axes a and b at height 1, with noise along the normal and a slope.

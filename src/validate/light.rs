@@ -6,7 +6,7 @@
 //! pixel is not whole; such pixels are told apart, because a method that needs a whole fringe cannot have them.
 
 use super::truth::{Reference, Truth};
-use crate::image::{Mono8, Plane};
+use crate::base::image::{Mono8, Plane};
 use nalgebra::Point3;
 use serde::Serialize;
 use std::f64::consts::PI;

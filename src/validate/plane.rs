@@ -228,8 +228,8 @@ fn area(outline: &[[f64; 2]]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::deviations::Draws;
     use super::{Placed, convex_hull, flatness};
+    use crate::validate::deviations::Draws;
     use nalgebra::{Isometry3, Point3, Vector3};
 
     /// A tilted board of 0.5 x 0.4 m with noise of 0.1 mm, seen every 2 mm.

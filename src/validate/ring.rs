@@ -1,10 +1,10 @@
 //! The circles of the board in a directional cloud: dark, or without points, on its pixel grid.
 
+use super::plane::Placed;
+use crate::base::image::Plane;
 use crate::calibrate::{Board, Ellipse, NotIdentified, Spot, identify};
-use crate::export::Cloud;
+use crate::data::Cloud;
 use crate::geometry::best_motion;
-use crate::image::Plane;
-use crate::validate::plane::Placed;
 use nalgebra::{Point3, SMatrix, SVector, Vector3};
 
 /// Pixels darker than this share of the light around are of a circle.

@@ -219,8 +219,8 @@ impl Mesh {
 
 #[cfg(test)]
 mod tests {
-    use super::super::deviations::Draws;
     use super::{Mesh, Sphere, score_mesh, score_sphere};
+    use crate::validate::deviations::Draws;
     use nalgebra::{Point3, Vector3};
 
     /// Half a sphere with noise of 0.2 mm, moved and swollen.

@@ -9,7 +9,7 @@
 //! last says how fine a detail the cloud can hold.
 
 use super::grid::Grid;
-use crate::export::Cloud;
+use crate::data::Cloud;
 use nalgebra::Point3;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
@@ -158,7 +158,7 @@ impl Sums {
 #[cfg(test)]
 mod tests {
     use super::{directional, merged};
-    use crate::export::Cloud;
+    use crate::data::Cloud;
 
     /// A tilted plane with a point every `step` m along both image axes.
     fn plane(side: u16, step: f32) -> Cloud {

@@ -10,10 +10,10 @@
 //! lie on one surface.
 
 use super::light::{Classes, Light, LightScore};
-use crate::export::Cloud;
+use crate::base::image::Plane;
+use crate::data::Cloud;
 use crate::geometry::Device;
-use crate::image::Plane;
-use crate::pattern::Pattern;
+use crate::geometry::pattern::Pattern;
 use nalgebra::{Point3, Vector3};
 use npyz::npz::NpzArchive;
 use serde::Serialize;
@@ -432,7 +432,7 @@ pub struct Score {
 #[cfg(test)]
 mod tests {
     use super::{NORMAL_PX, Truth, closest};
-    use crate::image::Plane;
+    use crate::base::image::Plane;
     use nalgebra::Vector3;
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
 

@@ -7,7 +7,7 @@
 
 use super::light::Light;
 use super::truth::{Reference, Truth};
-use crate::export::Cloud;
+use crate::data::Cloud;
 use serde::Serialize;
 
 /// Upper bounds of the classes of modulation, as the photograph and the truth tell it ([`Light`]), DN.

@@ -1,8 +1,9 @@
 //! Captures come first: is a node in a session?
 
-use crate::api::client::{Credentials, NodeClient};
+use crate::base::Fault;
 use crate::config::WorkerNode;
-use crate::session::state::{Fault, Phase};
+use crate::control::client::{Credentials, NodeClient};
+use crate::control::request::Phase;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -45,7 +46,7 @@ impl GiveWay {
             };
             let thread = std::thread::Builder::new().name("give-way".to_owned()).spawn(watch);
             thread
-                .map_err(|e| Fault::new(crate::cmds::Exit::Failure, format!("cannot start a thread: {e}")))?;
+                .map_err(|e| Fault::new(crate::base::Exit::Failure, format!("cannot start a thread: {e}")))?;
             busy.push(seen);
         }
         Ok(Self { busy, ended })

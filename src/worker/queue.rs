@@ -1,8 +1,8 @@
 //! Which sessions are there, and which comes next.
 
 use super::state::{Job, Stage, now_ns};
+use crate::base::ids::SessionName;
 use crate::config::{Order, WorkerConfig};
-use crate::ids::SessionName;
 use crate::record::catalogue::{self, CatalogueEntry};
 use std::collections::BTreeSet;
 use std::path::PathBuf;

@@ -2,9 +2,10 @@
 
 use super::queue::{self, Found};
 use super::state::{Job, Stage};
+use crate::batch::collect_shards;
+use crate::batch::run::Format;
+use crate::batch::summary::Summary;
 use crate::config::WorkerConfig;
-use crate::reconstruct::batch::{Format, Summary};
-use crate::reconstruct::collect;
 use crate::record::verify::{Severity, verify};
 use serde::Serialize;
 use std::fs::File;
@@ -98,7 +99,7 @@ fn not_reconstructed(config: &WorkerConfig, found: &Found) -> Option<String> {
         return Some(format!("its results are of another session of this name ({})", job.session_id));
     }
     let dir = config.results.join(session);
-    let summary = match collect::load_summary(&dir) {
+    let summary = match collect_shards::load_summary(&dir) {
         Ok(summary) => summary,
         Err(reason) => return Some(reason),
     };
@@ -114,9 +115,9 @@ fn not_reconstructed(config: &WorkerConfig, found: &Found) -> Option<String> {
     }
     // Whatever is configured for sessions to come.
     let lacking =
-        [Format::Phase, Format::Ply].map(|format| collect::without_files(&dir, &[format], &summary));
+        [Format::Phase, Format::Ply].map(|format| collect_shards::without_files(&dir, &[format], &summary));
     let fewest = lacking.iter().min_by_key(|lacking| lacking.len()).filter(|lacking| !lacking.is_empty())?;
-    Some(format!("{} has no whole results of {}", dir.display(), collect::named(fewest)))
+    Some(format!("{} has no whole results of {}", dir.display(), collect_shards::named(fewest)))
 }
 
 /// Whether clouds are lacking of frames that are in the recordings, and have light.
@@ -195,7 +196,7 @@ fn same(a: &Path, b: &Path) -> io::Result<bool> {
 #[cfg(test)]
 mod tests {
     use super::too_few_clouds;
-    use crate::reconstruct::batch::Summary;
+    use crate::batch::summary::Summary;
     use serde_json::json;
 
     /// A summary of so many clouds, frames refused with light, and frames refused without.

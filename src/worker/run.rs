@@ -4,14 +4,13 @@ use super::give_way::GiveWay;
 use super::queue::{self, Found};
 use super::state::{Activity, Job, OWN_DIR, Stage, WorkerState, now_ns};
 use super::task::{self, Ended, Interruption};
-use crate::calibrate::Calibration;
-use crate::cmds::Exit;
+use crate::base::write_whole;
+use crate::base::{Exit, Fault};
+use crate::batch::collect_shards;
+use crate::batch::key::{ALGORITHM, CALIBRATION_FILE, KEY_FILE, Key, calibration_sha256};
 use crate::config::{Output, WorkerConfig};
-use crate::export::write_whole;
-use crate::reconstruct::collect;
-use crate::reconstruct::key::{ALGORITHM, CALIBRATION_FILE, KEY_FILE, Key, calibration_sha256};
+use crate::data::Calibration;
 use crate::record::{free_bytes, node_dir};
-use crate::session::state::Fault;
 use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs::{File, TryLockError};
@@ -336,7 +335,7 @@ impl Worker {
     /// The cameras of the session, in the calibration's order: of one node's recordings it has others. All of the session's must be
     /// in it.
     fn cameras(&self, calibration: &Path, session: &Path) -> Result<String, String> {
-        use crate::reconstruct::FrameSource;
+        use crate::data::FrameSource;
         let known = Calibration::load(calibration).map_err(|e| e.to_string())?;
         let recorded = crate::record::SessionReader::open_frames(session).map_err(|e| e.to_string())?;
         if let Some(one) = recorded.unreadable().first() {
@@ -450,7 +449,7 @@ fn frame_sets(dir: &Path, output: Output) -> u64 {
 
 /// What the summary says of a session that is done.
 fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
-    let summary = collect::load_summary(dir)?;
+    let summary = collect_shards::load_summary(dir)?;
     if summary.session.id != job.session_id {
         return Err(format!(
             "its results are of the session {}, expected {}",

@@ -1,6 +1,6 @@
 //! What the worker writes down: what has become of each session, and what it does now.
 
-use crate::export::{write_whole, write_whole_cached};
+use crate::base::{write_whole, write_whole_cached};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

@@ -1,6 +1,6 @@
 //! One process of `fourdbody` that the worker runs and may end at any moment.
 
-use crate::background;
+use crate::host::idle_process;
 use std::fs::File;
 use std::io;
 use std::path::Path;
@@ -40,19 +40,19 @@ pub fn run(
     mut look: impl FnMut(Duration) -> Option<Interruption>,
 ) -> io::Result<Ended> {
     let output = File::create(log)?;
-    let mut child = background::command(args)?.stdout(output.try_clone()?).stderr(output).spawn()?;
+    let mut child = idle_process::command(args)?.stdout(output.try_clone()?).stderr(output).spawn()?;
     let began = Instant::now();
     loop {
         match child.try_wait() {
             Ok(Some(status)) => return Ok(Ended::ByItself(status.code())),
             Ok(None) => {}
             Err(error) => {
-                background::end(&mut child);
+                idle_process::end(&mut child);
                 return Err(error);
             }
         }
         if let Some(interruption) = look(began.elapsed()) {
-            background::end(&mut child);
+            idle_process::end(&mut child);
             return Ok(Ended::Interrupted(interruption));
         }
         std::thread::sleep(POLL);

@@ -1,29 +1,31 @@
 //! The pipeline on a sphere and a wall that are rendered here by direct formula, through the shipped rig.
 
-use fourdbody::calibrate::{Calibration, PanelRows};
+use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
+use fourdbody::data::Calibration;
+use fourdbody::data::PanelRows;
 use fourdbody::geometry::Ray;
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::pattern::{Marker, Pattern};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::geometry::pattern::{Marker, Pattern};
+use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Point3, Vector3};
 use std::path::Path;
 
 /// First hit of a ray: the point and its outward normal.
 pub type Hit = Option<(Point3<f64>, Vector3<f64>)>;
 
-fn pair(marker: Option<Marker>) -> Pair {
+fn pair(marker: Option<Marker>) -> CameraProjector {
     pair_of(0, 0, marker)
 }
 
 /// A camera of the shipped rig, distortion added to the projectors.
-pub fn pair_of(head: usize, camera: usize, marker: Option<Marker>) -> Pair {
+pub fn pair_of(head: usize, camera: usize, marker: Option<Marker>) -> CameraProjector {
     pair_with((head, camera), |pattern| pattern.marker = marker.unwrap_or(pattern.marker))
 }
 
-fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) -> Pair {
+fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) -> CameraProjector {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let mut rig = Rig::load(&path).expect("the shipped rig");
     change(&mut rig.pattern);
@@ -31,19 +33,19 @@ fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) 
     calibration.heads[head].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
     calibration.heads[head].rows = Some(PanelRows::exact());
     let head = &calibration.heads[head];
-    Pair::new(head, &head.cameras[camera], &calibration).expect("a usable pair")
+    CameraProjector::new(head, &head.cameras[camera], &calibration).expect("a usable pair")
 }
 
 /// Photographs a convex surface; every second of the projector's pixels is not modelled, its light is a
 /// continuous function of place.
-pub fn photograph(pair: &Pair, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
+pub fn photograph(pair: &CameraProjector, surface: impl Fn(&Ray) -> Hit) -> Plane<u8> {
     photograph_painted(pair, surface, |_| 1.0, &[0.0])
 }
 
 /// The same of a surface whose reflectance depends on the place; the light of a pixel is the mean at `offsets`
 /// from its centre, both ways.
 fn photograph_painted(
-    pair: &Pair,
+    pair: &CameraProjector,
     surface: impl Fn(&Ray) -> Hit,
     paint: impl Fn(&Point3<f64>) -> f64,
     offsets: &[f64],
@@ -80,7 +82,7 @@ pub fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
     }
 }
 
-fn reconstruct(pair: Pair, image: &Plane<u8>) -> Reconstruction {
+fn reconstruct(pair: CameraProjector, image: &Plane<u8>) -> Reconstruction {
     Pipeline::new(Triangulator::new(pair), Method::Joint, false).run(Mono8::from(image))
 }
 
@@ -126,7 +128,7 @@ fn normals_of_a_wall_are_those_of_the_wall() {
 }
 
 /// A board of black discs, as the calibration uses it: the discs' edges must not bend the plane. Without
-/// [`fourdbody::reconstruct::edges`] and its companions the RMS here is seven times as much.
+/// [`fourdbody::reconstruct::refine::albedo_edges`] and its companions the RMS here is seven times as much.
 #[test]
 fn a_board_with_black_discs_is_flat_up_to_their_edges() {
     let pair = pair(None);

@@ -1,8 +1,8 @@
 //! A node's process without devices, for tests of its API alone; and a client that says whatever a test wants.
 
 use crate::lab::{FOURDBODY, fourdbody, small_rig, text_of};
-use fourdbody::api::client::{Credentials, NodeClient};
-use fourdbody::api::server::AuditLine;
+use fourdbody::api::AuditLine;
+use fourdbody::control::client::{Credentials, NodeClient};
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::os::unix::net::UnixStream;

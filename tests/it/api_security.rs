@@ -2,8 +2,8 @@
 
 use crate::api_node::{ApiNode, listen, new_token, write_config};
 use crate::lab::{assert_contains, fourdbody, text_of};
-use fourdbody::api::client::{Credentials, NodeClient};
-use fourdbody::api::server::limits;
+use fourdbody::api::limits;
+use fourdbody::control::client::{Credentials, NodeClient};
 use std::io::Write;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::path::Path;

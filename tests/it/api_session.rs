@@ -5,9 +5,9 @@ use crate::api_node::new_token;
 use crate::lab::{
     NodeProcess, fourdbody, laboratory, options, small_rig, start_laboratory, start_nodes, text_of,
 };
-use fourdbody::api::client::{Credentials, NodeClient};
-use fourdbody::api::dto::path;
-use fourdbody::api::server::AuditLine;
+use fourdbody::api::AuditLine;
+use fourdbody::control::client::{Credentials, NodeClient};
+use fourdbody::control::status::path;
 use fourdbody_simulator::laboratory::LaboratoryOptions;
 use serde_json::{Value, json};
 use std::io::Write;

@@ -1,4 +1,4 @@
-//! The invariants of absence (ARCHITECTURE.md), read from the sources: who may name whom.
+//! The tower and the invariants of absence (`ARCHITECTURE.md`), read from the sources: who may name whom.
 
 use std::path::{Path, PathBuf};
 
@@ -55,29 +55,112 @@ fn words(code: &str) -> Vec<&str> {
     words
 }
 
-/// Modules of the product that the code names from the root: `crate::x`, `super::x` and `crate::{x, y}`.
-fn modules_named(code: &str) -> Vec<&str> {
+/// Paths that the code names from the crate's root, as words: all leaves of `crate::x::{y, z::w}`, and `super::x` as seen
+/// from the module `here`. What stands in a module within the file has that file as its `super`.
+fn paths_named(code: &str, here: &[&str]) -> Vec<String> {
     let words = words(code);
     let mut named = Vec::new();
-    for (i, pair) in words.windows(2).enumerate() {
-        if !matches!(pair, ["crate" | "super" | "fourdbody", "::"]) {
-            continue;
-        }
-        let mut depth = 0;
-        for (before, word) in words[i + 1..].iter().zip(&words[i + 2..]) {
-            match *word {
-                "{" => depth += 1,
-                "}" => depth -= 1,
-                name if depth == 0 => named.push(name),
-                name if depth == 1 && matches!(*before, "{" | ",") => named.push(name),
-                _ => {}
+    // Modules within the file, by the depth of braces at which they began.
+    let (mut depth, mut within) = (0usize, Vec::new());
+    let mut i = 0;
+    while i < words.len() {
+        match (words[i], words.get(i + 1), words.get(i + 2)) {
+            ("mod", Some(_), Some(&"{")) => within.push(depth),
+            // Of a visibility: it names nothing.
+            ("in", ..) if words[..i].ends_with(&["pub", "("]) => i += 1,
+            ("{", ..) => depth += 1,
+            ("}", ..) => {
+                depth = depth.saturating_sub(1);
+                within.pop_if(|began| *began == depth);
             }
-            if depth == 0 {
-                break;
+            ("crate" | "super", Some(&"::"), _) if !words[..i].ends_with(&["::"]) => {
+                let mut start: Vec<&str> = here.to_vec();
+                start.extend(within.iter().map(|_| "within"));
+                if words[i] == "crate" {
+                    start.clear();
+                    i += 2;
+                }
+                while words.get(i) == Some(&"super") {
+                    start.pop();
+                    i += 2;
+                }
+                i = tree(&words, i, &start, &mut named);
+                continue;
             }
+            _ => {}
         }
+        i += 1;
     }
     named
+}
+
+/// Reads a use tree, or a path, from word `i` on; notes its leaves, and returns where it ends.
+fn tree(words: &[&str], mut i: usize, start: &[&str], named: &mut Vec<String>) -> usize {
+    let mut path: Vec<&str> = start.to_vec();
+    loop {
+        match words.get(i) {
+            Some(&"{") => {
+                i += 1;
+                while words.get(i).is_some_and(|word| *word != "}") {
+                    i = tree(words, i, &path, named);
+                    i += usize::from(words.get(i) == Some(&","));
+                }
+                return i + 1;
+            }
+            Some(&word) if word.chars().all(|c| c.is_alphanumeric() || c == '_') => path.push(word),
+            _ => {}
+        }
+        i += 1;
+        match words.get(i) {
+            Some(&"::") => i += 1,
+            Some(&"as") => i += 2,
+            _ => {}
+        }
+        if words.get(i - 1) != Some(&"::") {
+            named.push(path.join("/"));
+            return i;
+        }
+    }
+}
+
+/// The floors of `ARCHITECTURE.md`, from the ground up: folders and files of `src`.
+fn floors() -> Vec<String> {
+    let text = std::fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
+    let (_, after) = text.split_once("## The tower").expect("a section of that name");
+    let block = after.split("```").nth(1).expect("a list of floors").lines().skip(1);
+    let floors: Vec<String> =
+        block.filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect();
+    assert!(floors.len() > 30, "{floors:?}");
+    floors
+}
+
+/// The floor on which a module or an item stands: the longest entry that its path begins with.
+fn floor_of(floors: &[String], path: &str) -> Option<usize> {
+    let on = |floor: &&(usize, &String)| {
+        path.strip_prefix(floor.1.as_str()).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+    };
+    let all: Vec<(usize, &String)> = floors.iter().enumerate().collect();
+    all.iter().filter(on).max_by_key(|floor| floor.1.len()).map(|floor| floor.0)
+}
+
+/// Arrows that run up from a file: what it names of floors that stand after its own.
+fn arrows_up(floors: &[String], place: &str, code: &str) -> Vec<String> {
+    let module = place.trim_end_matches(".rs").trim_end_matches("/mod");
+    let Some(own) = floor_of(floors, module) else {
+        return vec![format!("src/{place} stands on no floor of ARCHITECTURE.md")];
+    };
+    let here: Vec<&str> = module.split('/').collect();
+    let named = paths_named(code, &here);
+    let up = named.iter().filter(|path| floor_of(floors, path).is_some_and(|floor| floor > own));
+    let say = |path: &String| {
+        let floor = &floors[floor_of(floors, path).expect("found before")];
+        format!(
+            "src/{place} names {}, but {floor} stands after {} in ARCHITECTURE.md",
+            path.replace('/', "::"),
+            floors[own]
+        )
+    };
+    up.map(say).collect()
 }
 
 fn offenders(allowed: impl Fn(&str) -> bool, names: impl Fn(&str) -> bool) -> Vec<String> {
@@ -87,29 +170,46 @@ fn offenders(allowed: impl Fn(&str) -> bool, names: impl Fn(&str) -> bool) -> Ve
 
 #[test]
 fn paths_are_found_in_all_their_forms() {
-    let code = "use crate::{camera::{self, hsu}, acquire}; fn f() { super :: api::go(); crate::session::x }";
-    assert_eq!(modules_named(code), ["camera", "acquire", "api", "session"]);
-    assert_eq!(modules_named("use crate::ids::camera;"), ["ids"]);
+    let code = "use crate::{camera::{self, hsu}, acquire}; fn f() { super::api::go(); crate::node::x } \
+                mod tests { use super::{y, z::w as v}; use crate::batch; } use super::super::data::Cloud;";
+    let expected = "camera/self camera/hsu acquire a/api/go node/x a/b/y a/b/z/w batch data/Cloud";
+    assert_eq!(paths_named(code, &["a", "b"]).join(" "), expected);
+    assert_eq!(paths_named("pub(in crate::base) fn f() {} pub(super) fn g() {}", &["a"]), [""; 0]);
 }
 
 #[test]
-fn computing_knows_no_devices() {
-    let pure = ["reconstruct/", "calibrate/", "export/", "geometry/", "pattern.rs", "image.rs", "ids.rs"];
-    let outside = ["camera", "acquire", "hsu", "session", "api", "cmds", "cluster"];
-    let mut found = 0;
-    for (place, code) in sources() {
-        if !pure.iter().any(|start| place.starts_with(start)) {
-            continue;
-        }
-        found += 1;
-        let named = modules_named(&code);
-        let wrong: Vec<_> = named.iter().filter(|name| outside.contains(name)).collect();
-        assert!(wrong.is_empty(), "src/{place} names {wrong:?}; hand it what it needs instead");
-        for name in ["tokio", "aravis", "aravis_sys"] {
-            assert!(!words(&code).contains(&name), "src/{place} names {name}");
-        }
+fn every_folder_names_only_those_above_it_in_the_list() {
+    let floors = floors();
+    let sources = sources().into_iter().filter(|(place, _)| !["lib.rs", "main.rs"].contains(&place.as_str()));
+    let up: Vec<String> = sources.flat_map(|(place, code)| arrows_up(&floors, &place, &code)).collect();
+    assert!(up.is_empty(), "{}", up.join("\n"));
+}
+
+#[test]
+fn an_arrow_up_and_a_file_on_no_floor_are_told() {
+    let floors = floors();
+    let told = |place: &str, code: &str| arrows_up(&floors, place, code).join("\n");
+    let up = "src/base/time.rs names cmds::Failure, but cmds stands after base in ARCHITECTURE.md";
+    assert_eq!(told("base/time.rs", "use crate::cmds::Failure;"), up);
+    let up = "src/reconstruct/mask/opening.rs names reconstruct::pipeline::Method, but reconstruct stands after \
+              reconstruct/mask in ARCHITECTURE.md";
+    assert_eq!(told("reconstruct/mask/opening.rs", "use crate::reconstruct::pipeline::Method;"), up);
+    assert_eq!(told("reconstruct/pipeline.rs", "use super::{mask, kernels::simd};"), "");
+    assert_eq!(told("tools/x.rs", ""), "src/tools/x.rs stands on no floor of ARCHITECTURE.md");
+}
+
+#[test]
+fn every_floor_is_there_and_computing_stands_below_all_devices() {
+    let floors = floors();
+    for floor in &floors {
+        let path = root().join("src").join(floor);
+        assert!(path.is_dir() || path.with_extension("rs").is_file(), "{floor} is not in src");
     }
-    assert!(found > pure.len(), "{found} files");
+    let at = |name: &str| floors.iter().position(|floor| floor == name).expect(name);
+    let computing = ["reconstruct", "merge", "calibrate", "validate"];
+    for device in ["record", "hsu", "camera", "acquire", "control", "api"] {
+        assert!(computing.iter().all(|name| at(name) < at(device)), "{device}");
+    }
 }
 
 #[test]
@@ -128,9 +228,8 @@ fn aravis_is_named_in_one_place() {
 #[test]
 fn tokio_stays_at_the_edge() {
     let edge = |place: &str| {
-        place.starts_with("api/")
-            || place.starts_with("cmds/")
-            || ["session/participant.rs", "s3/remote.rs"].contains(&place)
+        ["api/", "cmds/", "control/"].iter().any(|folder| place.starts_with(folder))
+            || ["capture/participant.rs", "s3/remote.rs"].contains(&place)
     };
     assert_eq!(offenders(edge, |code| words(code).contains(&"tokio")), [""; 0]);
 }

@@ -1,17 +1,17 @@
 //! What comes after the phase, on a wall rendered here by direct formula: uncertainties against actual errors, and
 //! clouds made of stored phase maps against those written directly.
 
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::ids::{CameraId, TriggerIndex};
+use fourdbody::base::image::{Mono8, Plane};
+use fourdbody::batch::from_phase_maps;
+use fourdbody::batch::run::{self, Format, Plan};
 use fourdbody::config::Rig;
+use fourdbody::data::{Calibration, Frame, FrameSource};
 use fourdbody::geometry::Device;
-use fourdbody::ids::{CameraId, TriggerIndex};
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::pattern::Pattern;
-use fourdbody::reconstruct::batch::{self, Format, Plan};
-use fourdbody::reconstruct::pair::Pair;
+use fourdbody::geometry::pattern::Pattern;
 use fourdbody::reconstruct::pipeline::{Method, Pipeline};
-use fourdbody::reconstruct::triangulate::Triangulator;
-use fourdbody::reconstruct::{Frame, FrameSource, stored};
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Point3, Vector3};
 use std::ops::Range;
 use std::path::Path;
@@ -65,7 +65,7 @@ fn photograph(camera: &Device, projector: &Device, pattern: &Pattern) -> Plane<u
 fn the_uncertainty_is_that_of_the_points() {
     let calibration = calibration();
     let head = &calibration.heads[0];
-    let pair = Pair::new(head, &head.cameras[0], &calibration).expect("a usable pair");
+    let pair = CameraProjector::new(head, &head.cameras[0], &calibration).expect("a usable pair");
     let image = photograph(&pair.camera, &pair.projector, &pair.pattern);
     let centre = pair.camera.centre();
     let pipeline = Pipeline::new(Triangulator::new(pair), Method::Joint, false).with_uncertainty(true);
@@ -125,9 +125,9 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
             let cameras = cameras.clone();
             let (out, formats) = (out(name), vec![format]);
             let plan = Plan { out, triggers: 0..1, cameras, formats, uncertainty, ..Plan::default() };
-            let (summary, _) = batch::run(&source, &calibration, &plan, |_| ()).expect("runs");
+            let (summary, _) = run::run(&source, &calibration, &plan, |_| ()).expect("runs");
             if format == Format::Ply {
-                batch::write_sequence(&source, &plan, &summary, 120.0).expect("writable");
+                run::write_sequence(&source, &plan, &summary, 120.0).expect("writable");
             }
             summary
         };
@@ -137,7 +137,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
         direct.triggers.iter_mut().for_each(|trigger| trigger.merged_points = None);
         assert_eq!(direct, run("stored", Format::Phase));
         assert_eq!(direct, run("stored", Format::Phase), "what is finished is kept");
-        let export = || stored::export(&out("stored"), &calibration, &out("made"), 120.0, |_, _| ());
+        let export = || from_phase_maps::export(&out("stored"), &calibration, &out("made"), 120.0, |_, _| ());
         assert_eq!(export().expect("exports").kept, 0);
         // What is cut is made again, what is whole is kept.
         let cloud = out("made").join(format!("clouds/{}_000000.ply", cameras[1]));
@@ -162,7 +162,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
 
     let stored = dir.path().join("stored-false");
     let refused = |calibration: &Calibration, words: &str| {
-        let error = stored::export(&stored, calibration, &dir.path().join("none"), 120.0, |_, _| ());
+        let error = from_phase_maps::export(&stored, calibration, &dir.path().join("none"), 120.0, |_, _| ());
         let error = error.expect_err("must be refused").to_string();
         assert!(error.contains(words), "{error}");
     };
@@ -172,7 +172,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
     let mut other = calibration.clone();
     other.volume_max_m[2] += 0.01;
     refused(&other, "calibration");
-    let path = stored::phase_path(&stored, cameras[0].as_str(), 0);
+    let path = from_phase_maps::phase_path(&stored, cameras[0].as_str(), 0);
     let mut bytes = std::fs::read(&path).expect("was written");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 4;

@@ -7,13 +7,15 @@
 use crate::analytic_scene::{pair_of, photograph, sphere};
 use crate::back_end::Frames;
 use crate::frame_set::{self, Photograph};
-use fourdbody::calibrate::{Calibration, PanelRows};
-use fourdbody::ids::CameraId;
-use fourdbody::image::{Mono8, Plane};
-use fourdbody::reconstruct::batch::{self, Format, Plan};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::base::ids::CameraId;
+use fourdbody::base::image::{Mono8, Plane};
+use fourdbody::batch::run::{self, Format, Plan};
+use fourdbody::data::Calibration;
+use fourdbody::data::PanelRows;
+use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::Point3;
 use std::sync::OnceLock;
 
@@ -28,7 +30,7 @@ fn centre() -> Point3<f64> {
     Point3::new(0.05, -0.02, 1.03)
 }
 
-fn pair() -> Pair {
+fn pair() -> CameraProjector {
     pair_of(0, 0, None)
 }
 
@@ -183,7 +185,7 @@ fn marker_column() -> usize {
 fn light_without_pattern_is_refused() {
     let mut white = pair();
     (white.pattern.low, white.pattern.high) = (1.0, 1.0);
-    white.pattern.marker = fourdbody::pattern::Marker::Darkened { depth: 0.0 };
+    white.pattern.marker = fourdbody::geometry::pattern::Marker::Darkened { depth: 0.0 };
     assert_refused("white light", &reconstruct(&photograph(&white, sphere(centre(), RADIUS_M))));
     let mut unmarked = pair();
     unmarked.pattern.marker_index = 100_000;
@@ -231,7 +233,7 @@ fn numbers_that_are_none_in_a_calibration_are_refused() {
         assert!(refused_by_file, "{name}: the file is accepted");
         // In memory, too, nothing comes of it.
         let head = &spoilt.heads[0];
-        match Pair::new(head, &head.cameras[0], &spoilt) {
+        match CameraProjector::new(head, &head.cameras[0], &spoilt) {
             Err(reason) => println!("{name}: {reason}"),
             Ok(pair) => {
                 let run =
@@ -252,7 +254,7 @@ fn nominal() -> Calibration {
 #[test]
 fn the_calibration_of_another_camera_or_head_is_refused() {
     let image = &good().0;
-    let by = |pair: Pair, image: &Plane<u8>| {
+    let by = |pair: CameraProjector, image: &Plane<u8>| {
         Pipeline::new(Triangulator::new(pair), Method::Joint, false).run(Mono8::from(image))
     };
     assert_refused("the other camera of the head", &by(pair_of(0, 1, None), image));
@@ -286,7 +288,7 @@ fn of_cameras(photographs: &[(Place, Place)]) -> Vec<(usize, Option<String>)> {
         discard: true,
         ..Plan::default()
     };
-    let (summary, _) = batch::run(&source, &calibration, &plan, |_| ()).expect("runs");
+    let (summary, _) = run::run(&source, &calibration, &plan, |_| ()).expect("runs");
     let frames = &summary.triggers[0].frames;
     frames.iter().for_each(|x| println!("{}: {} points, {:?}", x.camera, x.points, x.reason));
     frames.iter().map(|x| (x.points, x.reason.clone())).collect()

@@ -2,10 +2,10 @@
 //! out or refused. Never is there a calibration that is silently bad.
 
 use crate::board_photographs::{Photographs, errors, flat, good, scene};
+use fourdbody::base::image::Plane;
 use fourdbody::calibrate::run::{CalibrateError, Outcome};
 use fourdbody::calibrate::stages::StageError;
 use fourdbody::calibrate::{Board, Finding, Kind};
-use fourdbody::image::Plane;
 use fourdbody_simulator::scenario::Light;
 use std::path::Path;
 
@@ -100,7 +100,7 @@ fn good_photographs_give_a_good_calibration_without_complaint() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let path = dir.path().join("calibration.json");
     outcome.calibration.save(&path).expect("writable");
-    let back = fourdbody::calibrate::Calibration::load(&path).expect("valid");
+    let back = fourdbody::data::Calibration::load(&path).expect("valid");
     assert_eq!(
         (&back.quality, &back.identity),
         (&outcome.calibration.quality, &outcome.calibration.identity)

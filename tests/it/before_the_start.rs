@@ -3,8 +3,8 @@
 
 use crate::kills::{COORDINATOR, PATIENCE, Rig, Stage};
 use crate::lab::assert_contains;
-use fourdbody::api::dto::{Outcome, path};
-use fourdbody::session::state::Phase;
+use fourdbody::control::request::Phase;
+use fourdbody::control::status::{Outcome, path};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 

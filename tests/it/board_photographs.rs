@@ -1,14 +1,14 @@
 //! Photographs of the board before one head of half the resolution, rendered once per test process, to be altered.
 
+use fourdbody::base::ids::{CameraId, TriggerIndex};
+use fourdbody::base::image::Plane;
+use fourdbody::calibrate::Board;
 use fourdbody::calibrate::positions::arrange;
 use fourdbody::calibrate::run::{CalibrateError, Options, Outcome, solve};
 use fourdbody::calibrate::views::{Looked, look_at_frame, pipelines};
-use fourdbody::calibrate::{Board, Calibration};
 use fourdbody::config::Rig;
-use fourdbody::ids::{CameraId, TriggerIndex};
-use fourdbody::image::Plane;
-use fourdbody::pattern::Marker;
-use fourdbody::reconstruct::Frame;
+use fourdbody::data::{Calibration, Frame};
+use fourdbody::geometry::pattern::Marker;
 use fourdbody_simulator::optics::{Exposure, Studio, blur, expose};
 use fourdbody_simulator::random::NormalTable;
 use fourdbody_simulator::scenario::{FlatPose, Light, Scenario, Subject};

@@ -1,14 +1,15 @@
 //! Rendered photographs of the board -> calibration -> clouds of the board elsewhere, against the true rig and the true
 //! plane. One head at half size, so that it takes seconds; `make validate` does it in full.
 
-use fourdbody::calibrate::{Board, Calibration, run};
+use fourdbody::base::ids::{CameraId, TriggerIndex};
+use fourdbody::base::image::Mono8;
+use fourdbody::calibrate::{Board, run};
 use fourdbody::config::Rig;
-use fourdbody::ids::{CameraId, TriggerIndex};
-use fourdbody::image::Mono8;
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline};
-use fourdbody::reconstruct::triangulate::Triangulator;
-use fourdbody::reconstruct::{Frame, FrameSource};
+use fourdbody::data::{Calibration, Frame, FrameSource};
+use fourdbody::reconstruct::outcome::Outcome;
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use fourdbody_simulator::cache::{CachedImages, Manifest};
 use fourdbody_simulator::compare::compare;
 use fourdbody_simulator::scenario::{FlatPose, Scenario, Subject};
@@ -104,7 +105,7 @@ fn a_calibration_from_rendered_photographs_puts_the_board_where_it_is() {
     for (place, pose) in judged.iter().enumerate() {
         let trigger = TriggerIndex(split + 2 * place as u64 + 1);
         for camera in &head.cameras {
-            let pair = Pair::new(head, camera, &found).expect("a usable pair");
+            let pair = CameraProjector::new(head, camera, &found).expect("a usable pair");
             let frame = source.frame(&camera.id, trigger).expect("an image");
             let Frame::Image(image) = frame else { panic!("not an image") };
             let Some(off) = distances(pair, image, pose, &after.true_from_found, &board) else { continue };
@@ -128,7 +129,7 @@ fn a_calibration_from_rendered_photographs_puts_the_board_where_it_is() {
 /// what is so near to a circle that the fringes around a pixel reach it: a period is 25 mm long at half size. `None` where the
 /// frame was refused: few fringes and large circles leave the marker hard to see at this size.
 fn distances(
-    pair: Pair,
+    pair: CameraProjector,
     image: Mono8<'_>,
     pose: &FlatPose,
     true_from_found: &nalgebra::Isometry3<f64>,

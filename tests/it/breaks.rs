@@ -60,11 +60,11 @@ fn a_node_that_is_killed_loses_at_most_its_last_chunks_and_the_other_ends_accoun
     let unfinished = fourdbody(&["verify", &dead.display().to_string()]);
     assert_eq!(unfinished.status.code(), Some(4), "{}", text_of(&unfinished));
     let reader = fourdbody::record::SessionReader::open(&dead).expect("readable");
-    use fourdbody::reconstruct::{Frame, FrameSource};
+    use fourdbody::data::{Frame, FrameSource};
     let images = reader.triggers().flat_map(|t| reader.cameras().iter().map(move |c| (c.clone(), t)));
     let images: Vec<_> = images.collect();
     let intact = images.iter().filter(|(camera, trigger)| {
-        matches!(reader.frame(camera, fourdbody::ids::TriggerIndex(*trigger)), Ok(Frame::Owned(_)))
+        matches!(reader.frame(camera, fourdbody::base::ids::TriggerIndex(*trigger)), Ok(Frame::Owned(_)))
     });
     assert!(intact.count() >= 4, "some of the first frames must have reached the disk");
 }

@@ -1,6 +1,6 @@
 //! A real browser, driven over WebDriver (W3C): headless Chromium by `chromedriver`.
 
-use fourdbody::api::client::NodeClient;
+use fourdbody::control::client::NodeClient;
 use hyper::Method;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};

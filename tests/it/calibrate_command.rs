@@ -2,9 +2,9 @@
 
 use crate::board_photographs::{errors, good, scene};
 use crate::validate_commands::{fails, fourdbody, json, number, text};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::write_png_grey;
 use fourdbody::calibrate::compare::VARIANTS;
-use fourdbody::image::write_png_grey;
+use fourdbody::data::Calibration;
 use fourdbody_simulator::rig_file::to_toml;
 use serde_json::Value;
 use std::path::{Path, PathBuf};

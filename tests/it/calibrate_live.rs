@@ -3,9 +3,9 @@
 
 use crate::board_photographs::{errors, good, scene};
 use crate::lab::{FOURDBODY, start_nodes};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::Plane;
 use fourdbody::config::SocketMode;
-use fourdbody::image::Plane;
+use fourdbody::data::Calibration;
 use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use fourdbody_simulator::rig_file::to_toml;

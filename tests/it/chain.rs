@@ -1,8 +1,8 @@
 //! Two node processes, eight simulated cameras and the simulated HSU: whole sessions over real protocols.
 
 use crate::lab::{fourdbody, laboratory, start_nodes, text_of};
-use fourdbody::ids::TriggerIndex;
-use fourdbody::reconstruct::{Frame, FrameSource};
+use fourdbody::base::ids::TriggerIndex;
+use fourdbody::data::{Frame, FrameSource};
 use fourdbody::record::SessionReader;
 use fourdbody_simulator::gige::TestImages;
 

@@ -4,10 +4,10 @@ use crate::analytic_scene::{photograph, sphere};
 use crate::api_node::new_token;
 use crate::browser::Browser;
 use crate::lab::{NodeProcess, options, rig_of};
-use fourdbody::api::client::{Credentials, NodeClient};
-use fourdbody::calibrate::Calibration;
-use fourdbody::image::Plane;
-use fourdbody::reconstruct::pair::Pair;
+use fourdbody::base::image::Plane;
+use fourdbody::control::client::{Credentials, NodeClient};
+use fourdbody::data::Calibration;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use nalgebra::Point3;
@@ -39,7 +39,7 @@ fn laboratory(dir: &Path) -> Laboratory {
     let options = LaboratoryOptions { socket: fourdbody::config::SocketMode::Standard, ..options };
     let laboratory = Laboratory::start(&options, |_| {
         let (head, camera) = cameras.next().expect("eight cameras");
-        let pair = Pair::new(head, camera, &calibration).expect("a usable pair");
+        let pair = CameraProjector::new(head, camera, &calibration).expect("a usable pair");
         Arc::new(Still(photograph(&pair, sphere(Point3::new(0.0, 0.0, 1.03), 0.25)))) as _
     });
     let laboratory = laboratory.expect("the laboratory starts");

@@ -7,7 +7,7 @@
 use crate::lab::FOURDBODY;
 use crate::recording::{frame, header, options, quick_dir, trigger};
 use crate::recording_damage::{as_recording, one_segment};
-use fourdbody::ids::CameraId;
+use fourdbody::base::ids::CameraId;
 use fourdbody::record::{ClockSample, Recording, WarmUp};
 use std::os::unix::process::CommandExt;
 use std::path::Path;

@@ -4,8 +4,8 @@
 //! of kills is `FOURDBODY_CRASHES` (`scripts/crash-test.sh`), the moments follow from `FOURDBODY_SEED`.
 
 use crate::recording::{header, trigger};
-use fourdbody::acquire::pool::Block;
-use fourdbody::ids::{BlockId, TriggerIndex};
+use fourdbody::base::ids::{BlockId, TriggerIndex};
+use fourdbody::host::frame_memory::Block;
 use fourdbody::record::envelope::pixels_crc;
 use fourdbody::record::recover::recover;
 use fourdbody::record::verify::{Severity, verify};
@@ -289,12 +289,12 @@ fn a_killed_recorder_loses_at_most_three_chunks() {
 mod node {
     use super::{BOUND, Random, median_and_most, number};
     use crate::lab::{NodeProcess, fourdbody, laboratory, start_capture, start_nodes, text_of};
-    use fourdbody::api::client::NodeClient;
-    use fourdbody::api::dto::SessionStatus;
-    use fourdbody::ids::TriggerIndex;
-    use fourdbody::reconstruct::FrameSource;
+    use fourdbody::base::ids::TriggerIndex;
+    use fourdbody::control::client::NodeClient;
+    use fourdbody::control::request::Phase;
+    use fourdbody::control::status::SessionStatus;
+    use fourdbody::data::FrameSource;
     use fourdbody::record::{GapCause, RecordingReader, SessionReader};
-    use fourdbody::session::state::Phase;
     use fourdbody_simulator::gige::TestImages;
     use fourdbody_simulator::laboratory::Laboratory;
     use std::path::Path;

@@ -3,13 +3,13 @@
 //! other.
 
 use crate::frame_set::{self, Photograph};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::Plane;
 use fourdbody::config::Rig;
+use fourdbody::data::Calibration;
 use fourdbody::geometry::Ray;
-use fourdbody::image::Plane;
-use fourdbody::pattern::Marker;
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::Reconstruction;
+use fourdbody::geometry::pattern::Marker;
+use fourdbody::reconstruct::outcome::Reconstruction;
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::{Point3, Unit, Vector3};
 use std::path::Path;
 
@@ -46,7 +46,7 @@ fn first_hit(bars: &[Bar], ray: &Ray) -> Option<(f64, Vector3<f64>)> {
     bars.iter().filter_map(|bar| bar.hit(ray)).min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
-fn photograph(pair: &Pair, bars: &[Bar]) -> Plane<u8> {
+fn photograph(pair: &CameraProjector, bars: &[Bar]) -> Plane<u8> {
     let (w, h) = (pair.camera.width, pair.camera.height);
     let mut image = Plane::filled(w, h, 2u8);
     let source = pair.projector.centre();
@@ -102,7 +102,7 @@ fn photographs(marker: Marker) -> Vec<Photograph> {
     let cameras =
         heads.flat_map(|(number, head)| head.cameras.iter().map(move |camera| (number, head, camera)));
     let seen = cameras.map(|(number, head, camera)| {
-        let pair = Pair::new(head, camera, &calibration).expect("a usable pair");
+        let pair = CameraProjector::new(head, camera, &calibration).expect("a usable pair");
         Photograph { head: number, image: photograph(&pair, &bars()), pair }
     });
     seen.collect()

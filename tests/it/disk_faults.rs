@@ -93,7 +93,7 @@ fn gaps(session: &Path, node: &str) -> Vec<(u64, GapCause)> {
         .flat_map(|camera| {
             let recording = &reader.recordings()[0];
             (0..recording.triggers_end()).filter_map(move |trigger| {
-                match recording.frame(camera, fourdbody::ids::TriggerIndex(trigger)) {
+                match recording.frame(camera, fourdbody::base::ids::TriggerIndex(trigger)) {
                     Ok(Err(cause)) => Some((trigger, cause)),
                     _ => None,
                 }
@@ -169,7 +169,7 @@ fn a_slow_disk_costs_nothing_while_the_ring_suffices() {
 #[test]
 fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    // 16 MiB for the books, 2 MiB of reserve (less than what comes between two syncs), and a little more.
+    // 16 MiB for the accounting, 2 MiB of reserve (less than what comes between two syncs), and a little more.
     let capacity = 24 << 20;
     let plan = format!("[disk]\nseed = 1\nnodes = [\"a\"]\n[disk.full]\ncapacity_bytes = {capacity}\n");
     let change = |options: &mut LaboratoryOptions| {
@@ -202,9 +202,9 @@ fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
     assert!(used > 18 << 20, "all but the reserve was used: {used}");
 }
 
-/// What became of the books of a recording whose disk failed.
+/// What became of the accounting of a recording whose disk failed.
 #[derive(Debug, PartialEq, Eq)]
-enum Books {
+enum Accounting {
     /// The disk failed before the first trigger: the session was given up.
     NeverOpened,
     /// With a verdict.
@@ -215,7 +215,12 @@ enum Books {
 
 /// A session during which one node's disk fails by this plan (without seed and nodes), and everything that must hold
 /// whatever the moment of the failure.
-fn recorded_on_a_failing_disk(dir: &Path, subnet: u8, seed: u64, plan: &str) -> Option<(Recorded, Books)> {
+fn recorded_on_a_failing_disk(
+    dir: &Path,
+    subnet: u8,
+    seed: u64,
+    plan: &str,
+) -> Option<(Recorded, Accounting)> {
     let (failing, other) = if seed % 2 == 1 { ("b", "a") } else { ("a", "b") };
     let plan = format!("[disk]\nseed = {seed}\nnodes = [\"{failing}\"]\n{plan}");
     let laboratory = laboratory_on(dir, subnet, &plan, |_| {})?;
@@ -228,7 +233,7 @@ fn recorded_on_a_failing_disk(dir: &Path, subnet: u8, seed: u64, plan: &str) -> 
         assert!(named && recorded.text().contains("cannot be written"), "{}", recorded.text());
         let gone = recorded.disks.iter().any(|event| event.for_good);
         assert!(gone || !recorded.session.exists(), "nothing is left behind: {}", recorded.text());
-        return Some((recorded, Books::NeverOpened));
+        return Some((recorded, Accounting::NeverOpened));
     }
     recorded.assert_exit(3);
     // The other node has every frame of every trigger that there was.
@@ -255,10 +260,10 @@ fn recorded_on_a_failing_disk(dir: &Path, subnet: u8, seed: u64, plan: &str) -> 
         }
     }
     recorded.assert_accounted();
-    Some((recorded, if stored.is_some() { Books::Closed } else { Books::Missing }))
+    Some((recorded, if stored.is_some() { Accounting::Closed } else { Accounting::Missing }))
 }
 
-/// A recording without books: `recover` passes on as many frames as the node said that it had recorded, and what is
+/// A recording without accounting: `recover` passes on as many frames as the node said that it had recorded, and what is
 /// missing against the other node's recording gets its gap records.
 fn check_recovered(dir: &Path, recorded: &Recorded, failing: &str, other: &str) {
     let text = text_of(&recorded.output);
@@ -302,10 +307,10 @@ fn a_write_that_fails_once_costs_what_was_under_way_and_the_books_are_closed() {
     for seed in seeds() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan = "[[disk.error]]\non = \"write\"\nat_byte = [500_000, 10_000_000]\n";
-        let Some((recorded, books)) = recorded_on_a_failing_disk(dir.path(), 185, seed, plan) else {
+        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), 185, seed, plan) else {
             return;
         };
-        assert!(books != Books::Missing, "there is room for the books: {}", recorded.text());
+        assert!(accounting != Accounting::Missing, "there is room for the accounting: {}", recorded.text());
     }
 }
 
@@ -314,10 +319,10 @@ fn a_failed_fdatasync_costs_what_it_should_have_made_durable() {
     for seed in seeds() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan = "[[disk.error]]\non = \"sync\"\nnth = [4, 14]\n";
-        let Some((recorded, books)) = recorded_on_a_failing_disk(dir.path(), 186, seed, plan) else {
+        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), 186, seed, plan) else {
             return;
         };
-        assert!(books != Books::Missing, "there is room for the books: {}", recorded.text());
+        assert!(accounting != Accounting::Missing, "there is room for the accounting: {}", recorded.text());
     }
 }
 
@@ -327,10 +332,10 @@ fn a_disk_that_is_gone_leaves_what_was_durable() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let nth = if on == "sync" { "[4, 12]" } else { "[20, 60]" };
         let plan = format!("[[disk.error]]\non = \"{on}\"\nnth = {nth}\nfor_good = true\n");
-        let Some((recorded, books)) = recorded_on_a_failing_disk(dir.path(), 187, seed, &plan) else {
+        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), 187, seed, &plan) else {
             return;
         };
-        assert!(books != Books::Closed, "nothing can be written any more: {}", recorded.text());
+        assert!(accounting != Accounting::Closed, "nothing can be written any more: {}", recorded.text());
     }
 }
 

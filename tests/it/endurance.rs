@@ -1,8 +1,8 @@
 //! Many sessions in one process, and one session that is long: nothing grows, ids wrap unnoticed.
 
 use crate::lab::{fourdbody, laboratory_of, start_nodes, text_of};
-use fourdbody::ids::TriggerIndex;
-use fourdbody::reconstruct::FrameSource;
+use fourdbody::base::ids::TriggerIndex;
+use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
 use fourdbody_simulator::gige::TestImages;
 use std::path::Path;

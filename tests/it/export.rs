@@ -5,11 +5,11 @@ use crate::back_end::{Frames, calibration};
 use crate::lab::{FOURDBODY, text_of};
 use crate::recording::{header, record};
 use crate::third_party_mcap::python;
-use fourdbody::calibrate::Calibration;
-use fourdbody::export::{Cloud, ply};
-use fourdbody::ids::{CameraId, NodeId};
-use fourdbody::image::Plane;
-use fourdbody::reconstruct::batch::{self, Format, Plan};
+use fourdbody::base::ids::{CameraId, NodeId};
+use fourdbody::base::image::Plane;
+use fourdbody::batch::run::{self, Format, Plan};
+use fourdbody::data::{Calibration, Cloud};
+use fourdbody::formats::ply;
 use fourdbody::record::node_dir;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -256,7 +256,7 @@ fn one_trigger_of_one_camera_is_read_without_the_others() {
 fn photograph(
     camera: &fourdbody::geometry::Device,
     projector: &fourdbody::geometry::Device,
-    pattern: &fourdbody::pattern::Pattern,
+    pattern: &fourdbody::geometry::pattern::Pattern,
     ball: (Point3<f64>, f64),
 ) -> Plane<u8> {
     let (centre, radius) = ball;
@@ -307,7 +307,7 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
         formats: vec![Format::Phase],
         ..Plan::default()
     };
-    let (summary, _) = batch::run(&Frames(frames, cameras), &calibration, &plan, |_| ()).expect("runs");
+    let (summary, _) = run::run(&Frames(frames, cameras), &calibration, &plan, |_| ()).expect("runs");
     assert_eq!(summary.clouds, 8, "{summary:?}");
     // From stored phase maps, with the calibration beside them, or with the one that is given.
     let (out, beside) = (dir.path().join("out"), plan.out.join("calibration.json"));

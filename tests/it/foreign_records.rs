@@ -2,7 +2,7 @@
 
 use crate::recording::{end, frame, header, options, trigger};
 use crate::recording_damage::as_recording;
-use fourdbody::ids::TriggerIndex;
+use fourdbody::base::ids::TriggerIndex;
 use fourdbody::record::recover::{Recovery, recover};
 use fourdbody::record::verify::{Report, Severity, verify};
 use fourdbody::record::{ClockSample, GapCause, NodeEvent, Recording, SessionReader};
@@ -148,7 +148,7 @@ fn envelopes_that_overlap_cost_no_more_than_their_bytes() {
     let (mut meta, _) = frame(CAMERAS[0], 0, 9);
     (meta.width, meta.height) = (CLAIMED, 1);
     let mut envelope = vec![0; 256];
-    let camera = fourdbody::ids::CameraId::from(CAMERAS[0]);
+    let camera = fourdbody::base::ids::CameraId::from(CAMERAS[0]);
     let length = fourdbody::record::write_envelope(&mut envelope, &camera, &meta).expect("room enough");
     let envelope = envelope.split_off(256 - length);
     // A record that cannot be, so that what follows is looked through.

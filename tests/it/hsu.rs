@@ -4,13 +4,13 @@
 //! them counts the process's threads and open ptys.
 
 use crossbeam_channel::{Receiver, unbounded};
+use fourdbody::base::ids::{NodeId, SessionName};
 use fourdbody::config::Rig;
 use fourdbody::hsu::link::Patience;
 use fourdbody::hsu::{
     ArmRequest, EndReason, Hsu, HsuError, HsuEvent, HsuTimeouts, HsuTiming, LinkLoss, Refusal, SessionId,
     State, TriggerFlags, session_id,
 };
-use fourdbody::ids::{NodeId, SessionName};
 use fourdbody_simulator::hsu::{HsuClock, HsuOptions, LineFaults, SimulatedHsu};
 use fourdbody_simulator::wire::TriggerEdge;
 use std::path::Path;

@@ -2,9 +2,9 @@
 
 use crate::crash::{Random, number};
 use crate::lab::{NodeProcess, fourdbody, laboratory, start_nodes, text_of};
-use fourdbody::api::dto::{NodeStatus, Outcome, path};
+use fourdbody::control::request::Phase;
+use fourdbody::control::status::{NodeStatus, Outcome, path};
 use fourdbody::record::SessionReader;
-use fourdbody::session::state::Phase;
 use fourdbody_simulator::laboratory::Laboratory;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -134,10 +134,10 @@ fn verify(path: &Path) -> Output {
 
 /// Frames that can be read, whatever the state of the recording.
 fn frames(part: &Path) -> u64 {
-    use fourdbody::reconstruct::{Frame, FrameSource};
+    use fourdbody::data::{Frame, FrameSource};
     let Ok(reader) = SessionReader::open(part) else { return 0 };
     let all = reader.triggers().flat_map(|t| reader.cameras().iter().map(move |c| (c.clone(), t)));
-    let frame = |(camera, trigger)| reader.frame(&camera, fourdbody::ids::TriggerIndex(trigger));
+    let frame = |(camera, trigger)| reader.frame(&camera, fourdbody::base::ids::TriggerIndex(trigger));
     all.map(frame).filter(|frame| matches!(frame, Ok(Frame::Owned(_)))).count() as u64
 }
 

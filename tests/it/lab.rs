@@ -1,8 +1,8 @@
 //! A simulated laboratory with real node processes, for tests of the whole chain.
 
-use fourdbody::api::client::NodeClient;
-use fourdbody::api::dto::NodeStatus;
 use fourdbody::config::SocketMode;
+use fourdbody::control::client::NodeClient;
+use fourdbody::control::status::NodeStatus;
 use fourdbody_simulator::gige::TestImages;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use std::net::Ipv4Addr;
@@ -126,7 +126,7 @@ impl NodeProcess {
 
     /// Waits until it is in no session.
     pub fn wait_idle(&mut self) -> NodeStatus {
-        self.wait_until("idle", |status| status.phase == fourdbody::session::state::Phase::Idle)
+        self.wait_until("idle", |status| status.phase == fourdbody::control::request::Phase::Idle)
     }
 
     /// Kills it at once, as a crash would.

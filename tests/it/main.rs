@@ -37,6 +37,7 @@ mod crossing_limbs;
 mod disk_faults;
 #[cfg(feature = "aravis")]
 mod doctor;
+mod documents;
 #[cfg(feature = "aravis")]
 mod endurance;
 mod export;

@@ -3,13 +3,15 @@
 
 use crate::lab::{FOURDBODY, text_of};
 use crate::shared_scene::{calibration, scene};
-use fourdbody::calibrate::Calibration;
-use fourdbody::export::merge::{self, Rule, View, Viewpoint};
-use fourdbody::export::{Cloud, ply};
-use fourdbody::ids::CameraId;
-use fourdbody::reconstruct::batch::{self, Format, Plan, Summary, Timings, cloud_path, merged_path};
-use fourdbody::reconstruct::png_source::PngSource;
-use fourdbody::reconstruct::stored;
+use fourdbody::base::ids::CameraId;
+use fourdbody::batch::from_phase_maps;
+use fourdbody::batch::png_source::PngSource;
+use fourdbody::batch::run::{self, Format, Plan, cloud_path, merged_path};
+use fourdbody::batch::summary::Summary;
+use fourdbody::batch::timings::Timings;
+use fourdbody::data::{Calibration, Cloud};
+use fourdbody::formats::ply;
+use fourdbody::merge::{self, Rule, View, Viewpoint};
 use fourdbody::validate::truth::{Reference, Score, Tally, Truth};
 use nalgebra::Point3;
 use npyz::npz::NpzArchive;
@@ -48,7 +50,7 @@ impl Scene {
             ..Plan::default()
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| batch::run(&self.source, &self.calibration, &plan, |_| ())).expect("runs")
+        pool.install(|| run::run(&self.source, &self.calibration, &plan, |_| ())).expect("runs")
     }
 
     fn merged(&self, name: &str) -> Vec<u8> {
@@ -231,7 +233,8 @@ fn every_way_to_a_merged_cloud_gives_the_same_bytes() {
     // Of phase maps nothing is merged before they are exported.
     let (phases, _) = scene.run("stored", Format::Phase, 2);
     assert_eq!((phases.merged_points, phases.points()), (None, points));
-    let export = || stored::export(&dir("stored"), &scene.calibration, &dir("made"), 120.0, |_, _| ());
+    let export =
+        || from_phase_maps::export(&dir("stored"), &scene.calibration, &dir("made"), 120.0, |_, _| ());
     for kept in [0, 1] {
         let made = export().expect("exports");
         assert_eq!((Some(made.merged_points), made.kept), (summary.merged_points, kept));

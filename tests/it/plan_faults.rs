@@ -2,8 +2,8 @@
 //! and foreign packets. The recordings must say of each what happened, and nothing else may be missing.
 
 use crate::lab::{NodeProcess, fourdbody, small_rig, start_laboratory, start_nodes, text_of};
-use fourdbody::ids::TriggerIndex;
-use fourdbody::reconstruct::FrameSource;
+use fourdbody::base::ids::TriggerIndex;
+use fourdbody::data::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
 use fourdbody_simulator::faults::{Accounting, FaultPlan, Kind, Shown, check, read_truth};
 use fourdbody_simulator::gige::TestImages;

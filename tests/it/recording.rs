@@ -1,7 +1,7 @@
 //! Recordings: what is written is read back, and what is broken is found.
 
-use fourdbody::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
-use fourdbody::reconstruct::{Frame, FrameSource};
+use fourdbody::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
+use fourdbody::data::{Frame, FrameSource};
 use fourdbody::record::envelope::pixels_crc;
 use fourdbody::record::{
     CameraHeader, ClockSample, ENVELOPE_CAPACITY, FrameMeta, GapCause, HsuIdentity, NodeEvent, Recording,

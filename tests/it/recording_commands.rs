@@ -2,10 +2,10 @@
 
 use crate::lab::{assert_contains, fourdbody};
 use crate::recording::{header, record};
+use fourdbody::base::ids::{CameraId, NodeId, TriggerIndex};
+use fourdbody::base::image::{Plane, write_png_grey};
 use fourdbody::config::Rig;
-use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
-use fourdbody::image::{Plane, write_png_grey};
-use fourdbody::reconstruct::{Frame, FrameSource};
+use fourdbody::data::{Frame, FrameSource};
 use fourdbody::record::{SessionReader, node_dir};
 use std::path::Path;
 use std::process::Output;
@@ -165,7 +165,7 @@ fn all_wrong_images_are_named_at_once_and_nothing_is_written() {
     std::fs::remove_file(images.join("h0_up/000001.png")).expect("there");
     std::fs::write(images.join("h2_low/000000.png"), b"not a picture").expect("written");
     let colour = images.join("h3_up/000001.png");
-    fourdbody::image::write_png_rgb(&colour, 48, 32, &[0; 48 * 32 * 3]).expect("written");
+    fourdbody::base::image::write_png_rgb(&colour, 48, 32, &[0; 48 * 32 * 3]).expect("written");
     let output = fourdbody(&args);
     assert_eq!(code(&output), 2);
     let printed = String::from_utf8_lossy(&output.stderr);

@@ -2,7 +2,7 @@
 
 use crate::lab::assert_contains;
 use crate::recording::{end, frame, header, options, pixels, record, trigger};
-use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
+use fourdbody::base::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::record::verify::{Severity, verify};
 use fourdbody::record::{ClockSample, GapCause, Recording, SessionReader, Verdict, node_dir};
 use proptest::prelude::*;

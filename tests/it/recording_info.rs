@@ -2,8 +2,8 @@
 
 use crate::lab::{assert_contains, fourdbody, text_of};
 use crate::recording::{end, frame, header, options, trigger};
+use fourdbody::base::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::config::{FeatureSetting, FeatureValue};
-use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::record::recover::recover;
 use fourdbody::record::{ClockSample, GapCause, NodeEvent, Recording, node_dir};
 use serde_json::Value;

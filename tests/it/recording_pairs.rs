@@ -2,8 +2,8 @@
 
 use crate::lab::fourdbody;
 use crate::recording::{end, frame, header, options, trigger};
-use fourdbody::ids::{NodeId, TriggerIndex};
-use fourdbody::reconstruct::FrameSource;
+use fourdbody::base::ids::{NodeId, TriggerIndex};
+use fourdbody::data::FrameSource;
 use fourdbody::record::verify::{Report, Severity, verify};
 use fourdbody::record::{GapCause, Recording, RecordingHeader, SessionReader, TriggerRecord, node_dir};
 use std::path::Path;

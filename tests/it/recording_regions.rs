@@ -5,8 +5,8 @@
 
 use crate::crash::Random;
 use crate::recording::{end, header, options, quick_dir, trigger};
-use fourdbody::acquire::pool::Block;
-use fourdbody::ids::{BlockId, CameraId, TriggerIndex};
+use fourdbody::base::ids::{BlockId, CameraId, TriggerIndex};
+use fourdbody::host::frame_memory::Block;
 use fourdbody::record::envelope::pixels_crc;
 use fourdbody::record::recover::{RecoverError, Recovery, recover};
 use fourdbody::record::verify::{Severity, verify};

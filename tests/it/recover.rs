@@ -3,7 +3,7 @@
 use crate::lab::fourdbody;
 use crate::recording::{end, frame, header, options, pixels, quick_dir, record, trigger};
 use crate::recording_damage::{as_recording, one_segment, record_ends};
-use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
+use fourdbody::base::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::record::recover::{RecoverError, Recovery, recover};
 use fourdbody::record::verify::{Severity, verify};
 use fourdbody::record::{

@@ -10,7 +10,7 @@ fn a_page_tells_what_is_missing_and_shows_every_camera() {
     let mut nodes = start_nodes(&laboratory);
     let mut capture = start_capture(&laboratory, "gaps");
     let reached = |triggers: u64| {
-        move |status: &fourdbody::api::dto::NodeStatus| {
+        move |status: &fourdbody::control::status::NodeStatus| {
             status.session.as_ref().is_some_and(|session| session.triggers >= triggers)
         }
     };

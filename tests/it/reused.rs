@@ -3,10 +3,10 @@
 
 use crate::analytic_scene::{pair_of, photograph, sphere};
 use crate::lab::{assert_contains, fourdbody, text_of};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::{Mono8, Plane, write_png_grey};
+use fourdbody::batch::key::ALGORITHM;
 use fourdbody::config::Rig;
-use fourdbody::image::{Mono8, Plane, write_png_grey};
-use fourdbody::reconstruct::key::ALGORITHM;
+use fourdbody::data::Calibration;
 use nalgebra::Point3;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -17,7 +17,7 @@ use std::process::Output;
 use std::sync::OnceLock;
 
 /// The number of the algorithm, and the digest of the points that it makes of the fixture. Where this fails, clouds have changed:
-/// raise `fourdbody::reconstruct::key::ALGORITHM`, so that no result is a mixture of both, and put the new digest here.
+/// raise `fourdbody::batch::key::ALGORITHM`, so that no result is a mixture of both, and put the new digest here.
 const GOLDEN: (u32, &str) = (30, "6c067bac0a528214486222151228eb29");
 
 /// Digest of the photographs that this is of: where it fails as well, it is the light that has changed.

@@ -2,8 +2,8 @@
 //! goes on at the right trigger.
 
 use crate::lab::{NodeProcess, fourdbody, laboratory, laboratory_of, start_capture, start_nodes, text_of};
-use fourdbody::ids::TriggerIndex;
-use fourdbody::reconstruct::FrameSource;
+use fourdbody::base::ids::TriggerIndex;
+use fourdbody::data::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
 use fourdbody_simulator::gige::TestImages;
 use std::path::Path;

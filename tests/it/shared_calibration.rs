@@ -2,10 +2,11 @@
 //! reason, where the data are not at hand.
 
 use crate::shared_scene::{calibration, device_of, scene};
-use fourdbody::calibrate::{Board, Calibration, Ellipse, find_spots, identify, image_of_circle, run, views};
+use fourdbody::base::image::{Mono8, read_png_grey};
+use fourdbody::batch::png_source::PngSource;
+use fourdbody::calibrate::{Board, Ellipse, find_spots, identify, image_of_circle, run, views};
+use fourdbody::data::Calibration;
 use fourdbody::geometry::{Device, Lens};
-use fourdbody::image::{Mono8, read_png_grey};
-use fourdbody::reconstruct::png_source::PngSource;
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
 use std::path::Path;

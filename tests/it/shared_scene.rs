@@ -2,17 +2,19 @@
 //! reason, where the data are not at hand.
 
 use crate::frame_set::{self, Photograph};
-use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
+use fourdbody::base::ids::{CameraId, HeadId};
+use fourdbody::base::image::{Mono8, read_png_grey};
+use fourdbody::batch::png_source::PngSource;
+use fourdbody::batch::run::{self, Plan};
 use fourdbody::config::{Channel, Rig};
+use fourdbody::data::PanelRows;
+use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::geometry::pattern::{Marker, Pattern};
 use fourdbody::geometry::{Device, Lens, Pose};
-use fourdbody::ids::{CameraId, HeadId};
-use fourdbody::image::{Mono8, read_png_grey};
-use fourdbody::pattern::{Marker, Pattern};
-use fourdbody::reconstruct::batch::{self, Plan};
-use fourdbody::reconstruct::pair::Pair;
-use fourdbody::reconstruct::pipeline::{Method, Outcome, Pipeline, Reconstruction};
-use fourdbody::reconstruct::png_source::PngSource;
-use fourdbody::reconstruct::triangulate::Triangulator;
+use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
+use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
+use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use fourdbody::validate::truth::{Reference, Score, Tally, Truth};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
@@ -94,7 +96,7 @@ pub fn calibration(scene: &Path) -> Calibration {
 fn reconstruct(scene: &Path, set: &str, camera: &str, method: Method) -> Reconstruction {
     let calibration = calibration(scene);
     let (head, calibrated) = calibration.camera(&CameraId::from(camera)).expect("in the rig");
-    let pair = Pair::new(head, calibrated, &calibration).expect("a usable pair");
+    let pair = CameraProjector::new(head, calibrated, &calibration).expect("a usable pair");
     let image = read_png_grey(&scene.join(set).join(camera).join("000000.png")).expect("an image");
     Pipeline::new(Triangulator::new(pair), method, false).run(Mono8::from(&image))
 }
@@ -159,7 +161,7 @@ fn scored<'a>(scene: &Path, set: &str, calibration: &'a Calibration, is_there: I
     let cameras: Vec<(usize, &CalibratedHead, &CalibratedCamera)> = cameras.collect();
     let photographs = cameras.iter().map(|&(number, head, camera)| {
         let path = scene.join(set).join(camera.id.as_str()).join("000000.png");
-        let pair = Pair::new(head, camera, calibration).expect("a usable pair");
+        let pair = CameraProjector::new(head, camera, calibration).expect("a usable pair");
         Photograph { head: number, pair, image: read_png_grey(&path).expect("an image") }
     });
     let clouds = frame_set::clouds(&photographs.collect::<Vec<_>>());
@@ -336,12 +338,12 @@ fn a_batch_gives_the_same_bytes_for_any_threads_and_resumes() {
             out: dir.path().join(name),
             triggers: 0..2,
             cameras: cameras.clone(),
-            formats: vec![batch::Format::Ply],
+            formats: vec![run::Format::Ply],
             ..Plan::default()
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let done = pool.install(|| batch::run(&source, &calibration, &plan, |_| ())).expect("runs");
-        batch::write_sequence(&source, &plan, &done.0, 120.0).expect("writable");
+        let done = pool.install(|| run::run(&source, &calibration, &plan, |_| ())).expect("runs");
+        run::write_sequence(&source, &plan, &done.0, 120.0).expect("writable");
         done
     };
     let files = ["clouds/h0_up_000000.ply", "clouds/h0_low_000000.ply", "merged/000000.ply", "sequence.mcap"];

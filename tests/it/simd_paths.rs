@@ -32,7 +32,7 @@ pub fn render(dir: &Path, heads: usize) -> PathBuf {
         std::fs::create_dir_all(&folder).expect("writable");
         for instant in 0..2 {
             let image = cached.image(instant).expect("an image");
-            fourdbody::image::write_png_grey(&folder.join(format!("{instant:06}.png")), image)
+            fourdbody::base::image::write_png_grey(&folder.join(format!("{instant:06}.png")), image)
                 .expect("writable");
         }
     }

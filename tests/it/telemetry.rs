@@ -1,8 +1,8 @@
 //! What a node counts, against what it recorded; and how that is judged.
 
 use crate::lab::{fourdbody, laboratory, start_nodes, text_of};
-use fourdbody::api::client::NodeClient;
-use fourdbody::api::dto::{Devices, Health, Metrics, Settings, path};
+use fourdbody::control::client::NodeClient;
+use fourdbody::control::status::{Devices, Health, Metrics, Settings, path};
 use fourdbody::telemetry::exposition::text;
 use fourdbody::telemetry::{Family, Grade, thresholds};
 use std::time::{Duration, Instant};

@@ -3,8 +3,8 @@
 
 use crate::lab::{SIZE, fourdbody, laboratory, start_nodes, text_of};
 use crate::third_party_mcap::python;
-use fourdbody::export::Cloud;
-use fourdbody::export::sequence::SequenceWriter;
+use fourdbody::data::Cloud;
+use fourdbody::formats::sequence::SequenceWriter;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};

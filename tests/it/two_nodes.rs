@@ -1,9 +1,9 @@
 //! Captures that a node runs for both, and what becomes of a session when the other node dies (docs/design/operation.md).
 
 use crate::lab::{NodeProcess, assert_contains, fourdbody, laboratory, start_nodes, text_of};
-use fourdbody::api::client::NodeClient;
-use fourdbody::api::dto::{AbortReason, Outcome, path};
-use fourdbody::session::state::Phase;
+use fourdbody::control::client::NodeClient;
+use fourdbody::control::request::Phase;
+use fourdbody::control::status::{AbortReason, Outcome, path};
 use fourdbody_simulator::laboratory::Laboratory;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};

@@ -78,7 +78,8 @@ fn a_sector_that_cannot_be_read_costs_what_is_in_it() {
             let expected = untouched(number, from, to);
             let reader = SessionReader::open_frames(&session).unwrap_or_else(|e| panic!("{what}: {e}"));
             for (camera, trigger) in &expected {
-                let frame = reader.recordings()[0].frame(*camera, fourdbody::ids::TriggerIndex(*trigger));
+                let frame =
+                    reader.recordings()[0].frame(*camera, fourdbody::base::ids::TriggerIndex(*trigger));
                 // Where the index is what cannot be read, a frame whose record is there but whose way to it is not is
                 // what `recover` finds.
                 if *region == Region::Pixels {
@@ -155,7 +156,8 @@ fn a_file_that_becomes_shorter_while_it_is_read_is_no_end() {
             .expect("cut");
         for reader in &readers {
             for (camera, trigger, message) in &good()[1].frames {
-                let frame = reader.recordings()[0].frame(*camera, fourdbody::ids::TriggerIndex(*trigger));
+                let frame =
+                    reader.recordings()[0].frame(*camera, fourdbody::base::ids::TriggerIndex(*trigger));
                 match frame {
                     Ok(Ok(_)) => assert!(message.end <= at, "{at}: {message:?}"),
                     Ok(Err(cause)) => panic!("{at}: {message:?} is a gap: {cause}"),

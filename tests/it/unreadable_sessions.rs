@@ -4,10 +4,9 @@
 use crate::lab::{assert_contains, fourdbody, text_of};
 use crate::recording::{header, record};
 use crate::reused::{Place, json, reconstruct};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::ids::{CameraId, NodeId, TriggerIndex};
 use fourdbody::config::Rig;
-use fourdbody::ids::{CameraId, NodeId, TriggerIndex};
-use fourdbody::reconstruct::FrameSource;
+use fourdbody::data::{Calibration, FrameSource};
 use fourdbody::record::{ReadError, SessionReader, node_dir};
 use fourdbody_simulator::faults::check::{Shown, check};
 use std::path::{Path, PathBuf};

@@ -2,10 +2,10 @@
 //! damaged files. On clouds of known shape, so that the figures are known, too.
 
 use crate::board_photographs::{Scene, flat};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::write_png_grey;
 use fourdbody::config::Rig;
-use fourdbody::export::{Cloud, ply};
-use fourdbody::image::write_png_grey;
+use fourdbody::data::{Calibration, Cloud};
+use fourdbody::formats::ply;
 use fourdbody_simulator::cache::{CachedImages, Manifest};
 use fourdbody_simulator::scenario::{Light, Scenario};
 use fourdbody_simulator::sequence::{Changes, Run};

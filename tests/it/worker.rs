@@ -465,8 +465,8 @@ fn a_session_of_which_nothing_was_reconstructed_is_set_aside_and_its_recording_s
     let pixels = vec![0; 960 * 600];
     for camera in ["h0_up", "h0_low"] {
         std::fs::create_dir_all(images.join(camera)).expect("writable");
-        let image = fourdbody::image::Mono8::new(960, 600, &pixels).expect("fits");
-        fourdbody::image::write_png_grey(&images.join(camera).join("0.png"), image).expect("writable");
+        let image = fourdbody::base::image::Mono8::new(960, 600, &pixels).expect("fits");
+        fourdbody::base::image::write_png_grey(&images.join(camera).join("0.png"), image).expect("writable");
     }
     let [rig, from, out] =
         [rig(&place.fixture), images, place.path("sessions/black")].map(|p| p.display().to_string());
@@ -474,7 +474,7 @@ fn a_session_of_which_nothing_was_reconstructed_is_set_aside_and_its_recording_s
     assert_eq!(imported.status.code(), Some(0), "{}", text_of(&imported));
     let calibration = place.path("calibration.json");
     let right = std::fs::read(&calibration).expect("readable");
-    let mut wrong = fourdbody::calibrate::Calibration::load(&calibration).expect("valid");
+    let mut wrong = fourdbody::data::Calibration::load(&calibration).expect("valid");
     let cameras = &mut wrong.heads[0].cameras;
     let devices: Vec<_> = cameras.iter().map(|camera| camera.device.clone()).collect();
     cameras.iter_mut().zip(devices.into_iter().rev()).for_each(|(camera, device)| camera.device = device);

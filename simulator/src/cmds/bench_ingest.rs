@@ -6,7 +6,8 @@ mod process;
 mod train;
 
 use crate::gige::loopback_cuts_before_receivers;
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 use process::failed;
 use serde_json::{Map, Value};
 use std::path::PathBuf;

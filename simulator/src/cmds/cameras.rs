@@ -3,7 +3,8 @@
 use crate::gige::{CameraOptions, ClockOptions, SimulatedCamera, TestImages, process_cpu_time};
 use crate::wire::TriggerEdge;
 use crossbeam_channel::{Receiver, never, unbounded};
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;

@@ -1,7 +1,8 @@
 //! `fourdbody-sim check-accounting`: do recordings say what was injected?
 
 use crate::faults::{Shown, check_with_disks, read_disk_truth, read_truth};
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 use std::path::PathBuf;
 
 /// Compare sessions with the faults that the simulator injected into them.

@@ -1,8 +1,9 @@
 //! `fourdbody-sim compare-rig`: a calibration against the true rig.
 
 use crate::compare::{Comparison, compare, moved};
-use fourdbody::calibrate::Calibration;
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
+use fourdbody::data::Calibration;
 use std::path::{Path, PathBuf};
 
 /// Compare a calibration with the true geometry that `render` wrote, point by point of the working volume.

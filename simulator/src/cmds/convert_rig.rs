@@ -2,12 +2,14 @@
 //! `calibration.json`.
 
 use crate::rig_file::{aim, to_toml};
-use fourdbody::calibrate::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::base::ids::{CameraId, HeadId, NodeId};
+use fourdbody::cmds::Failure;
 use fourdbody::config::{Board, Channel, Head, Rig, RigCamera};
+use fourdbody::data::PanelRows;
+use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::geometry::pattern::{Marker, Pattern};
 use fourdbody::geometry::{Device, Lens, Pose, look_at};
-use fourdbody::ids::{CameraId, HeadId, NodeId};
-use fourdbody::pattern::{Marker, Pattern};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 

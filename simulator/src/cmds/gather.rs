@@ -1,7 +1,8 @@
 //! `fourdbody-sim gather`: figures of several reports in one flat file, beside the paper's.
 
 use super::summarize::{machine, read};
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 use serde_json::{Map, Value};
 use std::path::{Path, PathBuf};
 

@@ -12,7 +12,8 @@ pub mod run;
 pub mod summarize;
 
 use crate::sequence::RenderError;
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 
 fn failure(error: RenderError) -> Failure {
     let exit = match error {

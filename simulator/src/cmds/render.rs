@@ -2,8 +2,9 @@
 
 use super::failure;
 use crate::sequence::{Changes, Run};
-use fourdbody::cmds::{Exit, Failure};
-use fourdbody::pattern::Marker;
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
+use fourdbody::geometry::pattern::Marker;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -94,7 +95,7 @@ fn parse_marker(text: &str) -> Result<Marker, String> {
 #[cfg(test)]
 mod tests {
     use super::parse_marker;
-    use fourdbody::pattern::Marker;
+    use fourdbody::geometry::pattern::Marker;
 
     #[test]
     fn markers_have_a_kind_and_a_strength() {

@@ -1,6 +1,7 @@
 //! `fourdbody-sim summarize`: the demo's figures in one flat file.
 
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 

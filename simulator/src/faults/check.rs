@@ -5,7 +5,7 @@ use super::check_rows::Rows;
 use super::disk::{DiskEvent, Excuse, judge_dropped_sets};
 use super::pixels;
 use super::truth::{FRAME, Injected};
-use fourdbody::ids::TriggerIndex;
+use fourdbody::base::ids::TriggerIndex;
 use fourdbody::record::{GapCause, RecordingReader, SessionReader};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};

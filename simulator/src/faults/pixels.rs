@@ -1,7 +1,7 @@
 //! Do the pixels of a recorded frame show the camera and the instant that it is recorded under?
 
 use crate::gige::TestImages;
-use fourdbody::ids::TriggerIndex;
+use fourdbody::base::ids::TriggerIndex;
 use fourdbody::record::RecordingReader;
 
 /// What is wrong with the pixels of the frame at `trigger`, when all cameras send [`TestImages`] with

@@ -3,7 +3,7 @@
 use super::sensor::Sensor;
 use crate::random::{NormalTable, hash, mix, text_number};
 use crate::scenario::Optics;
-use fourdbody::image::Plane;
+use fourdbody::base::image::Plane;
 use rayon::prelude::{IndexedParallelIterator, ParallelIterator, ParallelSlice, ParallelSliceMut};
 
 /// What an exposure's noise depends on.
@@ -86,7 +86,7 @@ pub fn expose(
 #[cfg(test)]
 mod tests {
     use super::blur;
-    use fourdbody::image::Plane;
+    use fourdbody::base::image::Plane;
 
     #[test]
     fn blur_keeps_the_sum_and_has_its_width() {

@@ -1,10 +1,10 @@
 //! Projectors: how much light leaves a panel position.
 
 use crate::scenario::{Light, Optics};
+use fourdbody::base::image::Plane;
 use fourdbody::config::Channel;
 use fourdbody::geometry::Device;
-use fourdbody::image::Plane;
-use fourdbody::pattern::Pattern;
+use fourdbody::geometry::pattern::Pattern;
 use nalgebra::Point3;
 
 /// Fractions of a pixel that the blur is tabulated for: half a step is 2e-4 px, or 2e-4 rad at period 8.
@@ -133,7 +133,7 @@ impl Lamp {
 #[cfg(test)]
 mod tests {
     use super::PanelLight;
-    use fourdbody::image::Plane;
+    use fourdbody::base::image::Plane;
 
     #[test]
     fn a_flat_panel_is_flat_and_ends_at_its_border() {

@@ -6,8 +6,8 @@ use crate::scene::mannequin::Mannequin;
 use crate::scene::motion::Motion;
 use crate::scene::{MeshSolid, Rectangle, Scene, Solid, Sphere};
 use crate::true_rig::{smaller_jitter, smaller_rig, true_calibration};
-use fourdbody::calibrate::Calibration;
 use fourdbody::config::Rig;
+use fourdbody::data::Calibration;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::path::Path;
 

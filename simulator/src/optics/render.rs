@@ -7,9 +7,9 @@ use super::tiles::Tiles;
 use crate::random::NormalTable;
 use crate::scenario::{Light, Optics, Scenario};
 use crate::scene::{Hit, Scene, Sight};
-use fourdbody::calibrate::Calibration;
+use fourdbody::base::image::Plane;
 use fourdbody::config::Channel;
-use fourdbody::image::Plane;
+use fourdbody::data::Calibration;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::{IndexedParallelIterator, IntoParallelRefIterator, ParallelIterator, ParallelSliceMut};
 
@@ -294,7 +294,12 @@ pub struct SensorTruth {
 
 impl Studio {
     /// What is true at the pixels' centres.
-    pub fn truth(&self, sensor: usize, scene: &Scene, pattern: &fourdbody::pattern::Pattern) -> SensorTruth {
+    pub fn truth(
+        &self,
+        sensor: usize,
+        scene: &Scene,
+        pattern: &fourdbody::geometry::pattern::Pattern,
+    ) -> SensorTruth {
         let sensor = &self.sensors[sensor];
         let lamp = &self.lamps[sensor.head];
         let (width, height) = (sensor.device.width, sensor.device.height);

@@ -6,9 +6,9 @@ use super::tiles::tile_number;
 use crate::random::{NormalTable, hash, mix, text_number};
 use crate::scenario::Optics;
 use crate::scene::Sight;
+use fourdbody::base::ids::CameraId;
 use fourdbody::config::Channel;
 use fourdbody::geometry::Device;
-use fourdbody::ids::CameraId;
 use nalgebra::{Point3, Rotation3, Vector3};
 use rayon::prelude::{IndexedParallelIterator, ParallelIterator, ParallelSliceMut};
 

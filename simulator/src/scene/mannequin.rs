@@ -8,6 +8,7 @@ use super::mesh::Mesh;
 use super::motion::Motion;
 use super::polygonize::polygonize;
 use super::skeleton::{self, BONES, Bone};
+use super::worn::Worn;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::{
     IndexedParallelIterator, IntoParallelRefIterator, IntoParallelRefMutIterator, ParallelIterator,
@@ -21,8 +22,10 @@ const ARM_L: u8 = 2;
 const ARM_R: u8 = 4;
 const LEG_L: u8 = 8;
 const LEG_R: u8 = 16;
+const WORN: u8 = 32;
 /// Groups by their bit, with the width over which they blend, m.
-const GROUPS: [(u8, f64); 5] = [(TRUNK, 0.055), (ARM_L, 0.022), (ARM_R, 0.022), (LEG_L, 0.03), (LEG_R, 0.03)];
+const GROUPS: [(u8, f64); 6] =
+    [(TRUNK, 0.055), (ARM_L, 0.022), (ARM_R, 0.022), (LEG_L, 0.03), (LEG_R, 0.03), (WORN, 0.012)];
 
 /// One piece of flesh in the rest pose: bone, groups, ball centres, radii, flattening along x, y, z.
 type Flesh = (Bone, u8, [[f64; 3]; 2], [f64; 2], [f64; 3]);
@@ -88,7 +91,13 @@ impl Mannequin {
     /// At `cycles` repetitions of `motion`, its lowest point on the floor at `position_m`, facing
     /// `heading_rad` from world +x towards +y.
     pub fn new(motion: Motion, cycles: f64, position_m: [f64; 2], heading_rad: f64) -> Self {
-        let flesh = all_flesh();
+        Self::with(Worn::Nothing, motion, cycles, position_m, heading_rad)
+    }
+
+    /// The same with something beside the body.
+    pub fn with(worn: Worn, motion: Motion, cycles: f64, position_m: [f64; 2], heading_rad: f64) -> Self {
+        let mut flesh = all_flesh();
+        flesh.extend(worn.parts().into_iter().map(|(bone, shape)| (bone, WORN, shape)));
         let groups = group_lists(&flesh);
         let posed = motion.posture(cycles).body_from_rest();
         let lowest = flesh.iter().map(|(bone, _, shape)| lowest_point(shape, &posed[*bone as usize]).z);
@@ -220,7 +229,8 @@ fn group_lists(flesh: &[(Bone, u8, ConeShape)]) -> Vec<Group> {
         let of_group = flesh.iter().enumerate().filter(move |(_, (_, groups, _))| groups & bit != 0);
         of_group.map(|(number, _)| number as u32).collect()
     };
-    GROUPS.iter().map(|&(bit, blend)| Group { blend_m: blend, cones: members(bit) }).collect()
+    let groups = GROUPS.iter().map(|&(bit, blend)| Group { blend_m: blend, cones: members(bit) });
+    groups.filter(|group: &Group| !group.cones.is_empty()).collect()
 }
 
 /// Lowest point of a flattened cone: that of its two flattened balls (the cone is their convex hull).
@@ -239,6 +249,7 @@ fn lowest_point(shape: &ConeShape, pose: &Isometry3<f64>) -> Point3<f64> {
 mod tests {
     use super::Mannequin;
     use crate::scene::motion::Motion;
+    use crate::scene::worn::Worn;
 
     #[test]
     fn it_is_a_closed_body_of_human_size_in_every_motion() {
@@ -259,6 +270,20 @@ mod tests {
                 assert!((50.0..90.0).contains(&litres), "{name} at {cycles}: {litres} l");
                 assert!(low[0] > -0.75 && low[1] > -0.95 && high[0] < 0.75 && high[1] < 0.95, "{name}");
             }
+        }
+    }
+
+    #[test]
+    fn what_it_wears_is_closed_too_and_stands_off_the_body() {
+        let bare = Mannequin::new(Motion::ArmsCrossed, 0.4, [0.0; 2], 0.0).mesh(0.008, 0.0);
+        for worn in [Worn::Rod, Worn::Skirt] {
+            let mesh = Mannequin::with(worn, Motion::ArmsCrossed, 0.4, [0.0; 2], 0.0).mesh(0.008, 0.0);
+            assert_eq!(mesh.open_edges(), 0, "{worn:?}");
+            let litres = 1000.0 * (mesh.volume() - bare.volume());
+            assert!(
+                if worn == Worn::Rod { (0.5..1.2).contains(&litres) } else { litres > 5.0 },
+                "{worn:?}: {litres} l"
+            );
         }
     }
 

@@ -11,6 +11,7 @@ pub mod skeleton;
 pub mod solids;
 pub mod subject;
 pub mod torso;
+pub mod worn;
 
 pub use bvh::{Bvh, FastRay, TriangleHit};
 pub use mesh::Mesh;

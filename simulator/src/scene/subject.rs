@@ -45,9 +45,11 @@ impl Stage {
                 height_m,
                 cell_mm,
                 texture,
+                worn,
             } => {
                 let cycles = start + time_s / period_s;
-                let body = Mannequin::new(*motion, cycles, *position_m, heading_deg.to_radians());
+                let heading = heading_deg.to_radians();
+                let body = Mannequin::with(*worn, *motion, cycles, *position_m, heading);
                 let mut mesh = body.mesh(cell_mm / 1000.0, *texture);
                 mesh.scale(*position_m, height_m / HEIGHT_M);
                 Solid::Mesh(MeshSolid::new(mesh))

@@ -1,12 +1,13 @@
 //! The recorder behind a disk that is too slow: whole sets go, all are accounted for, the rest is intact.
 
-use super::{FromRecorder, LaneSetup, Progress, Recorder, RecorderOptions, ToRecorder, WhenFull};
-use crate::acquire::matcher::{Matcher, Start};
-use crate::acquire::pool::Block;
+use super::{Channels, LaneSetup, Progress, Recorder, RecorderCommand, RecorderEvent, RecorderOptions};
 use crate::acquire::receiver::Arrival;
-use crate::acquire::ring::{Sink, ToWriter};
+use crate::acquire::writer_queue::{Sink, ToWriter};
+use crate::base::ids::{BlockId, CameraId, TriggerIndex};
 use crate::camera::Transfer;
-use crate::ids::{BlockId, CameraId, TriggerIndex};
+use crate::config::WhenFull;
+use crate::host::frame_memory::Block;
+use crate::matcher::{Matcher, Start};
 use crate::record::{GapCause, RecordError, SessionEnd, TriggerRecord, Verdict};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use std::collections::BTreeMap;
@@ -19,7 +20,7 @@ const CAMERAS: usize = 4;
 
 type Outcomes = Arc<Mutex<BTreeMap<(u64, usize), Option<GapCause>>>>;
 
-/// Takes a frame only with a token; keeps the books as a recording does.
+/// Takes a frame only with a token; keeps the accounting as a recording does.
 struct SlowSink {
     tokens: Receiver<()>,
     outcomes: Outcomes,
@@ -70,7 +71,7 @@ fn due(trigger: u64) -> u64 {
 
 fn arrival(camera: usize, trigger: u64) -> Arrival {
     let mut block = Block::allocate(16);
-    block.bytes_mut()[crate::acquire::pool::ROOM_BYTES] = (trigger % 251) as u8;
+    block.bytes_mut()[crate::host::frame_memory::ROOM_BYTES] = (trigger % 251) as u8;
     Arrival {
         camera,
         stream: 0,
@@ -108,8 +109,9 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
     };
     let lanes = (0..CAMERAS).map(lane).collect();
     let shared = Arc::clone(&progress);
-    let thread = Recorder::start_with(Box::new(sink), lanes, options, shared, arrivals, commands, events_in)
-        .expect("threads start");
+    let channels = Channels { arrivals, commands, events: events_in };
+    let thread =
+        Recorder::start_with(Box::new(sink), lanes, options, shared, channels).expect("threads start");
     let mut token = Some(token);
     for trigger in 0..triggers {
         if trigger == stalled {
@@ -122,7 +124,7 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
             flags: 0,
             host_time_ns: 0,
         };
-        commands_in.send(ToRecorder::Trigger(record)).expect("it runs");
+        commands_in.send(RecorderCommand::Trigger(record)).expect("it runs");
         wait(|| progress.triggers.load(Ordering::Relaxed) > trigger);
         for camera in 0..CAMERAS {
             arrivals_in.send(arrival(camera, trigger)).expect("it runs");
@@ -135,10 +137,10 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
         }
     }
     drop(token);
-    commands_in.send(ToRecorder::Drain { emitted: Some(triggers) }).expect("it runs");
-    commands_in.send(ToRecorder::Close { aborted: None }).expect("it runs");
+    commands_in.send(RecorderCommand::Drain { emitted: Some(triggers) }).expect("it runs");
+    commands_in.send(RecorderCommand::Close { aborted: None }).expect("it runs");
     thread.join().expect("no panic");
-    let ring_full = events.try_iter().filter(|event| matches!(event, FromRecorder::RingFull)).count();
+    let ring_full = events.try_iter().filter(|event| matches!(event, RecorderEvent::RingFull)).count();
     let outcomes = outcomes.lock().expect("not poisoned").clone();
     Run { outcomes, kinds: kinds.try_iter().collect(), progress, ring_full }
 }

@@ -1,9 +1,7 @@
 //! The adjustment on geometry that is known exactly.
 
-use super::observe::{BLOCK, linearize};
-use super::{
-    DEVICE_PARAMETERS, DeviceModel, LENS_PARAMETERS, Model, Observation, Prior, adjust, moved, predict,
-};
+use super::observe::{BLOCK, linearize, predict};
+use super::{DEVICE_PARAMETERS, DeviceModel, LENS_PARAMETERS, Model, Observation, Prior, adjust, moved};
 use crate::geometry::{Lens, look_at};
 use nalgebra::{DVector, Isometry3, Point3, UnitQuaternion, Vector3};
 

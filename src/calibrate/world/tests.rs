@@ -1,9 +1,11 @@
 //! Whose word counts for the world, and how far: properties on the shipped rig.
 
-use super::{Vertical, World, WorldError, into_world, nearest_motion};
+use super::{Vertical, WorldError, into_world, nearest_motion};
+use crate::calibrate::board::Board;
 use crate::calibrate::bundle::{DeviceModel, Model};
-use crate::calibrate::{Board, Calibration};
 use crate::config::Rig;
+use crate::data::Calibration;
+use crate::data::World;
 use crate::geometry::{Device, Pose};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::{ProptestConfig, Strategy, prop_assert, prop_assume, proptest};
@@ -17,7 +19,7 @@ fn board() -> Board {
 fn rig() -> Vec<(Device, bool)> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let nominal = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
-    let of_head = |head: &crate::calibrate::CalibratedHead| {
+    let of_head = |head: &crate::data::CalibratedHead| {
         let cameras = head.cameras.iter().map(|camera| (camera.device.clone(), true));
         cameras.chain([(head.projector.clone(), false)]).collect::<Vec<_>>()
     };

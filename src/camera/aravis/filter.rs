@@ -1,7 +1,8 @@
 //! The filter of a stream's socket: it hears its camera and nobody else.
 
-use super::super::source_filter::{self, Route};
-use super::{AravisCamera, CameraError, link_error};
+use super::{AravisCamera, link_error};
+use crate::camera::CameraError;
+use crate::camera::source_filter::{self, Route};
 use crate::config::SocketMode;
 use aravis::prelude::*;
 use std::net::Ipv4Addr;

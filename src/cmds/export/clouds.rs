@@ -1,16 +1,18 @@
 //! `fourdbody export` of a reconstruction.
 
-use super::super::progress::Progress;
-use super::super::{Exit, Failure, tell_lost, unusable_clouds};
 use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers, stopped};
+use crate::base::Exit;
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::batch::from_phase_maps::PhaseDirectory;
+use crate::batch::key::Key;
+use crate::cmds::failure::{Failure, tell_lost, unusable_clouds};
+use crate::cmds::progress::Progress;
+use crate::data::FrameSource;
 use crate::export::job::{self, Plan, Summary};
 use crate::export::mesh::{GridLimits, MeshKind};
-use crate::export::sequence::{self, Contents, Options};
-use crate::export::{CloudSource, Format, PlyDirectory};
-use crate::ids::{CameraId, TriggerIndex};
-use crate::reconstruct::FrameSource;
-use crate::reconstruct::key::Key;
-use crate::reconstruct::stored::PhaseDirectory;
+use crate::export::{Contents, collect};
+use crate::formats::sequence::Options;
+use crate::formats::{CloudSource, Format, PlyDirectory};
 use crate::record::SessionReader;
 
 /// Clouds, meshes, and the sequence.
@@ -145,8 +147,7 @@ fn write_sequence(
     let path = args.out.join("sequence.mcap");
     let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
     std::fs::create_dir_all(&args.out).map_err(fail)?;
-    sequence::collect(source, &contents, options, &path, time_ns, |done, total| progress.at(done, total))
-        .map_err(fail)
+    collect(source, &contents, options, &path, time_ns, |done, total| progress.at(done, total)).map_err(fail)
 }
 
 /// When the first frame of a trigger arrived, by the clock of the first node: the time of its message in the recording.

@@ -3,15 +3,16 @@
 mod clouds;
 mod session;
 
+use super::failure::Failure;
 use super::progress::Progress;
-use super::{Exit, Failure};
-use crate::calibrate::Calibration;
-use crate::export::Format;
+use crate::base::Exit;
+use crate::batch::from_phase_maps::{self, StoredError};
+use crate::batch::result::calibration_of;
+use crate::data::Calibration;
 use crate::export::frames::Picture;
 use crate::export::job::ExportError;
-use crate::export::sequence::quantized::STEPS_M;
-use crate::reconstruct::result::calibration_of;
-use crate::reconstruct::stored::{self, StoredError};
+use crate::formats::Format;
+use crate::formats::sequence::quantized::STEPS_M;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -184,16 +185,18 @@ fn everything(args: &Args) -> Result<Exit, Failure> {
     let progress = Progress::of("exporting", "triggers");
     let at = |done, total| progress.at(done, total);
     let made =
-        stored::export(&args.directory, &calibration, &args.out, args.rate_hz, at).map_err(|e| match e {
-            StoredError::Maps(_) | StoredError::Nothing(_) => Failure::new(Exit::Corrupt, e),
-            StoredError::Occupied(_) => Failure::new(Exit::Usage, e),
-            StoredError::Write(_) => Failure::new(Exit::Failure, e),
+        from_phase_maps::export(&args.directory, &calibration, &args.out, args.rate_hz, at).map_err(|e| {
+            match e {
+                StoredError::Maps(_) | StoredError::Nothing(_) => Failure::new(Exit::Corrupt, e),
+                StoredError::Occupied(_) => Failure::new(Exit::Usage, e),
+                StoredError::Write(_) => Failure::new(Exit::Failure, e),
+            }
         })?;
     drop(progress);
     if args.json {
         println!("{}", serde_json::json!(made));
     } else {
-        let stored::Exported { clouds, merged_points, triggers, kept, empty } = made;
+        let from_phase_maps::Exported { clouds, merged_points, triggers, kept, empty } = made;
         let merged = triggers - empty;
         println!(
             "{clouds} clouds; {merged_points} points in {merged} merged clouds; {kept} of {triggers} triggers finished before, {empty} \

@@ -1,13 +1,14 @@
 //! `fourdbody export` of a session: frames and times.
 
-use super::super::progress::Progress;
-use super::super::{Exit, Failure, tell_lost};
 use super::{Args, Target, chosen_cameras, chosen_triggers, stopped};
+use crate::base::Exit;
+use crate::base::ids::CameraId;
+use crate::base::write_whole;
+use crate::cmds::failure::{Failure, tell_lost};
+use crate::cmds::progress::Progress;
+use crate::data::FrameSource;
 use crate::export::frames::{self, FramePlan, FrameSummary, Picture};
 use crate::export::timing::{self, Rows};
-use crate::export::write_whole;
-use crate::ids::CameraId;
-use crate::reconstruct::FrameSource;
 use crate::record::SessionReader;
 use std::ops::Range;
 

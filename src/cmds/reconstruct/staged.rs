@@ -1,13 +1,14 @@
 //! A reconstruction whose session or results are in an object store: staged in a scratch directory, run there, sent back.
 
 use super::{Args, What};
-use crate::cmds::{Exit, Failure};
-use crate::ids::CameraId;
-use crate::reconstruct::collect::summary_path;
-use crate::reconstruct::key::COMMON_FILES;
+use crate::base::Exit;
+use crate::base::ids::CameraId;
+use crate::batch::collect_shards::summary_path;
+use crate::batch::key::COMMON_FILES;
+use crate::cmds::failure::Failure;
 use crate::s3::remote::Remote;
-use crate::s3::results::Uploader;
-use crate::s3::{Location, recordings, results};
+use crate::s3::results::{self, Uploader};
+use crate::s3::{Location, recordings};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
 use std::fs::{File, TryLockError};

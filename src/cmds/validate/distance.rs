@@ -1,13 +1,15 @@
 //! `fourdbody validate distance`: distances between the outermost circles of the board.
 
 use super::{find_calibration, load_cloud, mean, open_clouds, open_photographs};
-use crate::calibrate::{Board, Calibration};
-use crate::cmds::{Exit, Failure};
-use crate::ids::{CameraId, TriggerIndex};
-use crate::image::Mono8;
-use crate::reconstruct::result::{Clouds, Placed};
-use crate::reconstruct::{Frame, FrameSource};
-use crate::validate::distance::{Diagonals, Light, Sight, diagonals};
+use crate::base::Exit;
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::image::Mono8;
+use crate::batch::result::{Clouds, Placed};
+use crate::calibrate::Board;
+use crate::cmds::failure::Failure;
+use crate::data::{Calibration, Frame, FrameSource};
+use crate::validate::distance::Light;
+use crate::validate::distance::{Diagonals, Sight, diagonals};
 use crate::validate::ring::Organized;
 use std::path::PathBuf;
 

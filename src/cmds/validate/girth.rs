@@ -1,7 +1,8 @@
 //! `fourdbody validate girth`: girths of merged clouds at stated heights.
 
 use super::{load_cloud, open_clouds};
-use crate::cmds::{Exit, Failure};
+use crate::base::Exit;
+use crate::cmds::failure::Failure;
 use crate::validate::girth::{Loop, SurfacePoint, loops, names};
 use std::path::PathBuf;
 

@@ -1,9 +1,10 @@
 //! `fourdbody validate plane`: how flat the board comes out.
 
 use super::{load_calibration, load_cloud, mean, of_something, open_clouds};
+use crate::base::Exit;
 use crate::calibrate::Board;
-use crate::cmds::{Exit, Failure};
-use crate::export::Cloud;
+use crate::cmds::failure::Failure;
+use crate::data::Cloud;
 use crate::validate::plane::{Flatness, flatness};
 use crate::validate::ring::{Organized, place};
 use nalgebra::Point3;

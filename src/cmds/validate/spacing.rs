@@ -1,7 +1,8 @@
 //! `fourdbody validate spacing`: distances between points.
 
 use super::{load_cloud, mean, of_something, open_clouds};
-use crate::cmds::{Exit, Failure};
+use crate::base::Exit;
+use crate::cmds::failure::Failure;
 use crate::validate::spacing::{Directional, Merged, directional, merged};
 use std::path::PathBuf;
 

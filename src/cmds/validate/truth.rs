@@ -1,12 +1,11 @@
 //! `fourdbody validate truth`: clouds against rendered ground truth, a sphere or a mesh.
 
 use super::{bin_rows, load_calibration, load_cloud, of_something, open_clouds, open_photographs};
-use crate::calibrate::Calibration;
-use crate::cmds::{Exit, Failure};
-use crate::export::Cloud;
-use crate::ids::{CameraId, TriggerIndex};
-use crate::image::{Mono8, write_png_rgb};
-use crate::reconstruct::{Frame, FrameSource};
+use crate::base::Exit;
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::image::{Mono8, write_png_rgb};
+use crate::cmds::failure::Failure;
+use crate::data::{Calibration, Cloud, Frame, FrameSource};
 use crate::validate::light::{Light, USABLE_DN};
 use crate::validate::solid::{Mesh, SolidScore, Sphere, score_mesh, score_sphere};
 use crate::validate::truth::{Reference, Score, Tally, Truth};

@@ -7,7 +7,7 @@
 //! that). Holes stay holes.
 
 use super::Mesh;
-use crate::export::Cloud;
+use crate::data::Cloud;
 
 /// What a triangle may look like.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -165,7 +165,7 @@ fn length(a: [f32; 3]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::{GridLimits, on_grid};
-    use crate::export::Cloud;
+    use crate::data::Cloud;
 
     /// A ball of 0.15 m before a wall 0.4 m behind its centre, as a camera far above sees them: a point a millimetre.
     fn ball_before_wall() -> Cloud {

@@ -4,9 +4,10 @@ mod grid;
 mod poisson;
 mod tetrahedra;
 
-use super::cloud::Cloud;
 pub use grid::{GridLimits, on_grid};
 pub use poisson::watertight;
+
+use crate::data::Cloud;
 
 /// Which mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]

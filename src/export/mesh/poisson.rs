@@ -12,7 +12,7 @@
 
 use super::Mesh;
 use super::tetrahedra::{Crossing, Field, surface};
-use crate::export::Cloud;
+use crate::data::Cloud;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -410,7 +410,7 @@ fn nearest<'a>(cells: &HashMap<[usize; 3], &'a Sample>, at: [f32; 3]) -> Option<
 #[cfg(test)]
 mod tests {
     use super::watertight;
-    use crate::export::Cloud;
+    use crate::data::Cloud;
 
     const RADIUS: f32 = 0.15;
 

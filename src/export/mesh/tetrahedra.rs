@@ -121,7 +121,7 @@ impl Surface<'_> {
 #[cfg(test)]
 mod tests {
     use super::{Field, surface};
-    use crate::export::Cloud;
+    use crate::data::Cloud;
     use crate::export::mesh::Mesh;
     use proptest::prelude::{prop_assert, prop_assert_eq, proptest};
 

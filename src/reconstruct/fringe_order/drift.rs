@@ -4,10 +4,10 @@
 //! image, as those of a turned device do: a plane is laid through them, and taken off before the cameras are asked again. How far they
 //! scatter about it is how near the two can be expected to agree.
 
-use super::evidence::{Known, NONE};
+use super::evidence::{NO_ORDER, OrderTable};
 use super::inference::Field;
-use super::lookout::{LANES, Ray};
-use super::sight::{Looks, PLACES, SightLanes};
+use super::observation::{Observations, Observed, PLACES};
+use super::projection::{LANES, Ray};
 use super::{Scene, View};
 use nalgebra::{Matrix3, Vector3};
 use std::f32::consts::{PI, TAU};
@@ -100,33 +100,33 @@ impl Turned {
 }
 
 /// The differences of all cameras from a view, block by block.
-pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &Known) -> Vec<Differences> {
+pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Differences> {
     let own = field.scene;
     let certain: Vec<usize> = (0..field.graph.label.len())
-        .filter(|&i| known.turns[field.first + i] != NONE && super::evidence::is_sample(&own.patches, i))
+        .filter(|&i| known.turns[field.first + i] != NO_ORDER && super::evidence::is_sample(&own.patches, i))
         .collect();
-    let mut looks = Looks::new(scenes);
+    let mut looks = Observations::new(scenes);
     let mut out = Vec::new();
     for block in 0..scenes.len().div_ceil(LANES) {
         let mut seen: [Vec<([f32; TERMS], f32)>; LANES] = Default::default();
         for places in certain.chunks(PLACES) {
             let mut rays = [Ray { direction: [0.0; 3], inverse_depth: 0.0 }; PLACES];
-            let mut sights = [SightLanes::NONE; PLACES];
+            let mut sights = [Observed::NONE; PLACES];
             for (ray, &i) in rays.iter_mut().zip(places) {
                 let patch = &own.patches.all[i];
                 let (u, v) = own.pixel(patch);
-                let line = own.lookout.table.sightline(u, v);
+                let line = own.projection.table.sightline(u, v);
                 let [inverse_depth] =
-                    own.lookout.table.inverse_depths(&line, patch.phase / TAU + field.turns(i) as f32);
+                    own.projection.table.inverse_depths(&line, patch.phase / TAU + field.turns(i) as f32);
                 *ray = Ray { direction: line.direction, inverse_depth };
             }
             looks.at(field.number, block, &rays[..places.len()], &mut sights);
             for (sight, &i) in sights.iter().zip(places) {
                 let terms = Differences::terms_of(own.pixel(&own.patches.all[i]));
                 for (seen, (node, ahead)) in seen.iter_mut().zip(sight.node.iter().zip(sight.ahead)) {
-                    let turns = known.turns.get(*node as usize).copied().unwrap_or(NONE);
+                    let turns = known.turns.get(*node as usize).copied().unwrap_or(NO_ORDER);
                     let off = ahead + TAU * turns as f32;
-                    if turns != NONE && off.abs() < PI {
+                    if turns != NO_ORDER && off.abs() < PI {
                         seen.push((terms, off));
                     }
                 }

@@ -7,15 +7,15 @@
 use super::Scene;
 use super::drift::{Differences, TERMS};
 use super::inference::{Costs, Field, LABELS, NEVER, STEP};
-use super::lookout::{LANES, Ray};
+use super::observation::{Observations, Observed, PLACES};
 use super::patches::Patches;
-use super::sight::{Looks, PLACES, SightLanes};
-use crate::reconstruct::round::nearest;
-use crate::reconstruct::simd;
+use super::projection::{LANES, Ray};
+use crate::reconstruct::kernels::fast_round::nearest;
+use crate::reconstruct::kernels::simd;
 use std::f32::consts::{PI, TAU};
 
-/// What a camera's words count.
-struct Word {
+/// What a camera's observation of a place counts.
+struct CameraWeight {
     /// Half width of the differences where both see one surface, rad.
     width_rad: f32,
     /// How often both do.
@@ -27,10 +27,12 @@ struct Word {
 }
 
 /// The other cameras of a view's head, and those of other heads: dark parts look like background to several heads at once.
-const PARTNER: Word = Word { width_rad: 0.02, share: 1.0, past: 3.0, before: 2.0, behind: 0.5 };
-const ELSEWHERE: Word = Word { width_rad: 0.05, share: 0.25, past: 0.2, before: 2.0, behind: 0.0 };
+const SAME_HEAD: CameraWeight =
+    CameraWeight { width_rad: 0.02, share: 1.0, past: 3.0, before: 2.0, behind: 0.5 };
+const OTHER_HEAD: CameraWeight =
+    CameraWeight { width_rad: 0.05, share: 0.25, past: 0.2, before: 2.0, behind: 0.0 };
 
-/// Words of neighbouring patches and cameras are not independent: all of them count so much.
+/// What neighbouring patches say, and what cameras say, is not independent: all of it counts so much.
 const EVIDENCE: f32 = 0.3;
 
 /// What a marker pixel counts, and all of a patch at most.
@@ -56,12 +58,12 @@ const KEEP: f32 = 8.0;
 const SURE: f32 = 10.0;
 
 /// No turns.
-pub const NONE: i32 = i32::MIN;
+pub const NO_ORDER: i32 = i32::MIN;
 
-/// What is known of all views' patches, and of [nothing and a look past](super::sight::Numbers).
+/// What is known of all views' patches, and of [nothing and a look past](super::observation::Numbers).
 #[derive(Debug)]
-pub struct Known {
-    /// Whole turns that make a patch's phases absolute, or [`NONE`].
+pub struct OrderTable {
+    /// Whole turns that make a patch's phases absolute, or [`NO_ORDER`].
     pub turns: Vec<i32>,
     /// By how much cameras differ from each view, block by block.
     pub differences: Vec<Vec<Differences>>,
@@ -72,8 +74,8 @@ pub const BEYOND: usize = 2;
 
 type Lanes = [f32; LANES];
 
-/// The words of a block of cameras for one view.
-struct Words {
+/// What the observations of a block of cameras count for one view.
+struct CameraWeights {
     width: Lanes,
     share: Lanes,
     past: Lanes,
@@ -83,29 +85,30 @@ struct Words {
     sign: Lanes,
 }
 
-impl Words {
+impl CameraWeights {
     fn new(scenes: &[Scene<'_>], view: usize, first: usize, differences: &Differences, wide: f32) -> Self {
         let none = [0.0; LANES];
-        let mut words =
+        let mut weights =
             Self { width: [1.0; LANES], share: none, past: none, before: none, behind: none, sign: none };
         let own = &scenes[view];
         for (i, scene) in scenes[first..].iter().enumerate().take(LANES).filter(|x| first + x.0 != view) {
-            let word = if scene.head == own.head { PARTNER } else { ELSEWHERE };
-            let width = word.width_rad * wide;
-            words.width[i] = width.max(differences.scale[i]);
-            words.share[i] = word.share;
-            words.past[i] = if scene.light_dn * DIM < own.light_dn { 0.0 } else { word.past };
-            (words.before[i], words.behind[i], words.sign[i]) = (word.before, word.behind, scene.towards);
+            let weight = if scene.head == own.head { SAME_HEAD } else { OTHER_HEAD };
+            let width = weight.width_rad * wide;
+            weights.width[i] = width.max(differences.scale[i]);
+            weights.share[i] = weight.share;
+            weights.past[i] = if scene.light_dn * DIM < own.light_dn { 0.0 } else { weight.past };
+            (weights.before[i], weights.behind[i], weights.sign[i]) =
+                (weight.before, weight.behind, scene.towards);
         }
-        words
+        weights
     }
 
     /// What a patch costs at a place, by what the cameras have there. `turns` of the patches they see.
     #[inline(always)]
-    fn cost(&self, seen: &SightLanes, turns: &[i32; LANES], bias: &Lanes, nothing: u32) -> f32 {
+    fn cost(&self, seen: &Observed, turns: &[i32; LANES], bias: &Lanes, nothing: u32) -> f32 {
         let mut cost = [0f32; LANES];
         for i in 0..LANES {
-            let known = turns[i] != NONE;
+            let known = turns[i] != NO_ORDER;
             let off =
                 (seen.ahead[i] - bias[i] + if known { TAU * turns[i] as f32 } else { 0.0 }) * self.sign[i];
             let wrapped = off - TAU * nearest(off * (1.0 / TAU));
@@ -150,18 +153,18 @@ pub fn is_sample(patches: &Patches, i: usize) -> bool {
 
 /// Sets the costs of all labels of a view's patches. At first some whole cells are asked at all labels; then, with what is known, every
 /// patch at those near its best.
-pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &Known, first: bool) {
+pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, first: bool) {
     let (own, view) = (field.scene, field.number);
-    let mut looks = Looks::new(scenes);
+    let mut looks = Observations::new(scenes);
     let wide = if first { WIDER } else { 1.0 };
-    let words = known.differences[view].iter().enumerate();
-    let words: Vec<Words> =
-        words.map(|(block, x)| Words::new(scenes, view, block * LANES, x, wide)).collect();
+    let weights = known.differences[view].iter().enumerate();
+    let weights: Vec<CameraWeights> =
+        weights.map(|(block, x)| CameraWeights::new(scenes, view, block * LANES, x, wide)).collect();
     let patches = &own.patches;
     // By patch.
     let votes: Vec<(u32, i32, f32)> = field.votes().collect();
     let mut asked =
-        Asked { looks: &mut looks, own, view, words: &words, known, sights: [SightLanes::NONE; PLACES] };
+        Asked { looks: &mut looks, own, view, weights: &weights, known, sights: [Observed::NONE; PLACES] };
     for (i, patch) in patches.all.iter().enumerate() {
         let whole = patch.size >= WHOLE_PX;
         if !first && whole && field.graph.margin[i] >= SURE {
@@ -214,12 +217,12 @@ pub fn marker(px: u32) -> f32 {
 
 /// Who is asked, and what for.
 struct Asked<'a> {
-    looks: &'a mut Looks<'a>,
+    looks: &'a mut Observations<'a>,
     own: &'a Scene<'a>,
     view: usize,
-    words: &'a [Words],
-    known: &'a Known,
-    sights: [SightLanes; PLACES],
+    weights: &'a [CameraWeights],
+    known: &'a OrderTable,
+    sights: [Observed; PLACES],
 }
 
 impl Asked<'_> {
@@ -235,7 +238,7 @@ impl Asked<'_> {
     ) {
         let patch = &self.own.patches.all[i];
         let (u, v) = self.own.pixel(patch);
-        let table = self.own.lookout.table;
+        let table = self.own.projection.table;
         let line = table.sightline(u, v);
         let fringe = patch.phase / TAU - field.base[i] as f32;
         let place = Place { terms: Differences::terms_of((u, v)), weight };
@@ -267,8 +270,8 @@ impl Asked<'_> {
     /// Adds what the cameras say of some places.
     #[inline(always)]
     fn said(&mut self, rays: &[Ray], labels: &[usize; PLACES], place: &Place, costs: &mut [f32; LABELS]) {
-        let Self { looks, view, words, known, sights, .. } = self;
-        for (block, words) in words.iter().enumerate() {
+        let Self { looks, view, weights, known, sights, .. } = self;
+        for (block, weights) in weights.iter().enumerate() {
             let nothing = looks.at(*view, block, rays, sights);
             let differences = &known.differences[*view][block];
             simd::dispatch(
@@ -281,11 +284,11 @@ impl Asked<'_> {
                         }
                     }
                     for (seen, &l) in sights.iter().zip(labels).take(rays.len()) {
-                        let mut turns = [NONE; LANES];
+                        let mut turns = [NO_ORDER; LANES];
                         for (turns, node) in turns.iter_mut().zip(seen.node) {
                             *turns = known.turns[(node as usize).min(known.turns.len() - 1)];
                         }
-                        costs[l] += place.weight * words.cost(seen, &turns, &bias, nothing);
+                        costs[l] += place.weight * weights.cost(seen, &turns, &bias, nothing);
                     }
                 },
             );
@@ -297,6 +300,6 @@ impl Asked<'_> {
 struct Place {
     /// Of its differences.
     terms: [f32; TERMS],
-    /// What all words of it count.
+    /// What all weights of it count.
     weight: f32,
 }

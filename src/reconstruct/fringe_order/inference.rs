@@ -3,7 +3,7 @@
 
 use super::Scene;
 use super::links::Link;
-use crate::reconstruct::simd;
+use crate::reconstruct::kernels::simd;
 use std::f32::consts::TAU;
 
 /// Labels of a patch: fringes from the first in the volume on its line of sight.
@@ -67,7 +67,7 @@ impl<'a> Field<'a> {
         let (mut base, mut count) = (vec![0; n], vec![0; n]);
         for (i, patch) in scene.patches.all.iter().enumerate() {
             let (u, v) = scene.pixel(patch);
-            let [first, last] = scene.lookout.table.fringes_in_volume(u, v).map(f32::floor);
+            let [first, last] = scene.projection.table.fringes_in_volume(u, v).map(f32::floor);
             base[i] = (patch.phase / TAU).floor() as i32 - first as i32;
             count[i] = ((last - first) as i32 + 1).clamp(0, LABELS as i32) as u32;
         }

@@ -3,7 +3,7 @@
 //! Two whole cells are planes: how these meet at their border tells one surface from two that touch by chance. Other patches are
 //! asked pixel by pixel.
 
-use super::glimpse::Plane;
+use super::lookup::Plane;
 use super::patches::{ALL, CELL_PX, FIRST_COLUMN, FIRST_ROW, Patches, Spot, Surface};
 use std::f32::consts::TAU;
 
@@ -63,10 +63,8 @@ impl Patches {
         let touch = [beside, below].map(|other| other.count > 0 && !(whole && is_whole(&other)));
         for (across, other) in [beside, below].into_iter().enumerate() {
             if other.count > 0 && !touch[across] {
-                let planes = [
-                    self.glimpses.plane(column, row),
-                    self.glimpses.plane(column + 1 - across, row + across),
-                ];
+                let planes =
+                    [self.lookup.plane(column, row), self.lookup.plane(column + 1 - across, row + across)];
                 let (turns, weight) = meeting(planes, across);
                 if weight > 0.0 {
                     self.links.push(Link { a: spot.first, b: other.first, turns, weight });

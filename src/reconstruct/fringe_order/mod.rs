@@ -1,53 +1,55 @@
 //! Fringe orders of all views of one instant, by minimizing one energy (`docs/design/fringe-order.md`).
 //!
 //! ```text
-//! patches    a view's phases in patches of 8 x 8 px: the nodes
-//! links      where patches touch, and how surely they are one surface
-//! glimpse    the patches as other cameras look at them
-//! lookout    where the other cameras would see a place
-//! sight      what they have there, eight cameras at once
-//! evidence   what they say of it
-//! drift      by how much two cameras differ where both surely see one surface
-//! alone      what a single view tells by itself
-//! inference  the labels that cost least together, and by how much
+//! patches         a view's phases in patches of 8 x 8 px: the nodes of a graph
+//! links           where patches touch, and how surely they are one surface: its edges
+//! lookup          what a view has in each cell, for the other cameras
+//! projection      where the other cameras would see a place
+//! observation     what they see there
+//! evidence        what that costs each fringe order of a patch
+//! drift           by how much two cameras differ where both surely see one surface
+//! inference       the orders that cost least together, and by how much they lead
+//! one_view        the same for a camera alone
+//! unwrapped_frame what goes in, and what comes out
 //! ```
 //!
 //! A patch's label is the fringe that it lies on. What the other cameras and the marker say of a place is a cost of the label; that a
 //! patch does not continue its neighbour costs as much as it seems to. A patch whose label leads any other by too little is refused.
 
-mod alone;
 mod drift;
 mod evidence;
-mod glimpse;
 mod inference;
 mod links;
-mod lookout;
+mod lookup;
+mod observation;
+mod one_view;
 mod patches;
-mod sight;
+mod projection;
+pub mod unwrapped_frame;
 
-use super::pair::Pair;
-use super::pipeline::Prepared;
-use super::roi::Roi;
-use super::runs::each_not_0;
-use super::simd;
-use super::triangulate::Triangulator;
-use crate::image::Plane;
+use super::kernels::pixel_runs::each_not_0;
+use super::kernels::region_of_interest::Roi;
+use super::kernels::simd;
+use super::triangulate::camera_projector::CameraProjector;
+use super::triangulate::triangulator::Triangulator;
+use crate::base::image::Plane;
 use drift::{Differences, Turned};
-use evidence::{BEYOND, Known, NONE};
+use evidence::{BEYOND, NO_ORDER, OrderTable};
 use inference::Field;
-use lookout::{LANES, Lookout};
 use nalgebra::{Point3, Vector3};
 use patches::{CELL_PX, Patch, Patches, Surface};
+use projection::{LANES, Projection};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 use std::time::Instant;
+use unwrapped_frame::UnwrappedFrame;
 
 /// A patch whose label leads any other by less is refused, as a rule. Twice as much: docs/validation.md, *Other poses and skins*.
 pub const MARGIN: f32 = 1.0;
 
 /// A patch whose label leads by so much tells the other cameras what hides what.
-const KNOWN: f32 = 1.0;
+const CERTAIN: f32 = 1.0;
 
 /// One camera's frame and its geometry.
 #[derive(Debug)]
@@ -59,7 +61,7 @@ pub struct View<'a> {
     /// Which head it belongs to: cameras of equal number see the same projector.
     pub head: usize,
     /// Its frame.
-    pub prepared: &'a mut Prepared,
+    pub prepared: &'a mut UnwrappedFrame,
 }
 
 /// How certain the fringe order of each pixel is.
@@ -100,8 +102,8 @@ impl Orders {
     pub(super) fn cut(
         phase: &mut Plane<f32>,
         period: &Plane<f32>,
-        object: &super::runs::Runs,
-        pair: &Pair,
+        object: &super::kernels::pixel_runs::Runs,
+        pair: &CameraProjector,
     ) -> Self {
         let patches = Patches::cut(&mut Surface { phase, period, object, sign: pair.sign });
         let shift = vec![f32::NAN; patches.all.len()];
@@ -133,7 +135,7 @@ struct Scene<'a> {
     roi: Roi,
     patches: Patches,
     /// Where the other cameras see its places.
-    lookout: Lookout<'a>,
+    projection: Projection<'a>,
     /// What its marker says: patch, whole turns that make its phases absolute, pixels.
     votes: Vec<(u32, i32, u32)>,
     /// Mean light of its patches, DN.
@@ -157,14 +159,14 @@ impl Scene<'_> {
 /// The cameras contradict each other so much that the calibration cannot be believed: then there are no orders.
 ///
 /// [`Pipeline::finish`]: super::pipeline::Pipeline::finish
-pub fn settle(views: &mut [View<'_>], margin: f32) -> Result<(), String> {
+pub fn solve(views: &mut [View<'_>], margin: f32) -> Result<(), String> {
     let start = Instant::now();
     let all: Vec<Patches> =
         views.iter_mut().map(|view| std::mem::take(&mut view.prepared.orders.patches)).collect();
     let (results, said) = {
         let scenes = all.into_par_iter().enumerate();
         let scenes: Vec<Scene<'_>> = scenes.map(|(view, patches)| scene(views, view, patches)).collect();
-        let (found, turned) = solve(&scenes);
+        let (found, turned) = label_all(&scenes);
         let said = turned.map_or(Ok(()), |turned| Err(turned.message(views)));
         let results: Vec<Found> =
             scenes.into_iter().zip(found).map(|(scene, x)| (scene.patches, x.0, x.1)).collect();
@@ -184,12 +186,12 @@ type Turns = (Vec<i32>, Vec<f32>);
 type Found = (Patches, Vec<i32>, Vec<f32>);
 
 /// The turns of each view, and the camera that contradicts the others, if there is one.
-fn solve(scenes: &[Scene<'_>]) -> (Vec<Turns>, Option<Turned>) {
+fn label_all(scenes: &[Scene<'_>]) -> (Vec<Turns>, Option<Turned>) {
     let mut fields: Vec<Field<'_>> =
         (0..scenes.len()).into_par_iter().map(|i| Field::new(scenes, i)).collect();
     let mut turned = None;
     if let [field] = &mut fields[..] {
-        alone::infer(field);
+        one_view::infer(field);
     } else {
         turned = infer_together(&mut fields, scenes);
     }
@@ -203,7 +205,7 @@ fn solve(scenes: &[Scene<'_>]) -> (Vec<Turns>, Option<Turned>) {
 fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>]) -> Option<Turned> {
     let patches: usize = scenes.iter().map(|scene| scene.patches.all.len()).sum();
     let none = vec![vec![Differences::NONE; scenes.len().div_ceil(LANES)]; scenes.len()];
-    let mut known = Known { turns: vec![NONE; patches + BEYOND], differences: none };
+    let mut known = OrderTable { turns: vec![NO_ORDER; patches + BEYOND], differences: none };
     for first in [true, false] {
         fields.par_iter_mut().for_each(|field| {
             evidence::ask(field, scenes, &known, first);
@@ -211,11 +213,11 @@ fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>]) -> Option<Turn
         });
         if first {
             let turns = |field: &Field<'_>, i: usize| {
-                if field.graph.margin[i] >= KNOWN { field.turns(i) } else { NONE }
+                if field.graph.margin[i] >= CERTAIN { field.turns(i) } else { NO_ORDER }
             };
             let all =
                 fields.iter().flat_map(|field| (0..field.graph.label.len()).map(move |i| turns(field, i)));
-            known.turns = all.chain([NONE; BEYOND]).collect();
+            known.turns = all.chain([NO_ORDER; BEYOND]).collect();
             known.differences = fields.par_iter().map(|field| drift::of(field, scenes, &known)).collect();
         }
     }
@@ -231,7 +233,7 @@ fn scene<'a>(views: &'a [View<'_>], number: usize, patches: Patches) -> Scene<'a
         head: view.head,
         towards: towards(pair),
         roi: prepared.roi,
-        lookout: Lookout::new(
+        projection: Projection::new(
             &prepared.table,
             number,
             views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)),
@@ -243,7 +245,7 @@ fn scene<'a>(views: &'a [View<'_>], number: usize, patches: Patches) -> Scene<'a
 }
 
 /// Sign of the projected phase's change with the distance from the camera.
-fn towards(pair: &Pair) -> f32 {
+fn towards(pair: &CameraProjector) -> f32 {
     let middle = Point3::from((Vector3::from(pair.volume_min_m) + Vector3::from(pair.volume_max_m)) / 2.0);
     let from = pair.camera.centre();
     let cast = |distance: f64| {
@@ -254,14 +256,14 @@ fn towards(pair: &Pair) -> f32 {
 }
 
 /// The orders that marker pixels give their patches: patch, order, pixels.
-fn votes(patches: &Patches, prepared: &Prepared, pair: &Pair) -> Vec<(u32, i32, u32)> {
+fn votes(patches: &Patches, prepared: &UnwrappedFrame, pair: &CameraProjector) -> Vec<(u32, i32, u32)> {
     let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
     for v in 0..prepared.marker.height() {
         for run in prepared.runs().row(v) {
             let (marker, phase) =
                 (&prepared.marker.row(v)[run.columns()], &prepared.absolute.row(v)[run.columns()]);
             each_not_0(marker, |i| {
-                let Some(patch) = patches.glimpses.node(run.start() + i, v) else { return };
+                let Some(patch) = patches.lookup.node(run.start() + i, v) else { return };
                 // On the marker's core the wrapped phase is small: the nearest whole turn is the patch's own.
                 let order = pair.markers[usize::from(marker[i] - 1)] as i32 - (phase[i] / TAU).round() as i32;
                 *votes.entry((patch, order)).or_default() += 1;
@@ -272,7 +274,7 @@ fn votes(patches: &Patches, prepared: &Prepared, pair: &Pair) -> Vec<(u32, i32, 
 }
 
 /// Keeps the orders of a view's patches.
-fn keep(prepared: &mut Prepared, (patches, turns, margin): Found, least: f32) {
+fn keep(prepared: &mut UnwrappedFrame, (patches, turns, margin): Found, least: f32) {
     let mut regions =
         Regions { origin: (prepared.roi.u, prepared.roi.v), columns: patches.columns, patches: Vec::new() };
     let (mut shift, mut known) = (vec![f32::NAN; turns.len()], 0);

@@ -3,14 +3,14 @@
 //! The image is cut into cells of 8 x 8 px. The phases of a cell are unwrapped along its carrier, and pixels that continue each
 //! other are one patch. Most cells are filled by one smooth patch, a plane of phases.
 
-use super::glimpse::{self, Glimpse, Glimpses, Rim};
 use super::links::Link;
-use crate::image::Plane;
-use crate::reconstruct::bits::{self, WORD, bits_where};
-use crate::reconstruct::round::nearest;
-use crate::reconstruct::runs::Runs;
-use crate::reconstruct::sample::part;
-use crate::reconstruct::simd;
+use super::lookup::{self, CellContent, CellLookup, Rim};
+use crate::base::image::Plane;
+use crate::reconstruct::kernels::bit_rows::{self, WORD, bits_where};
+use crate::reconstruct::kernels::fast_round::nearest;
+use crate::reconstruct::kernels::pixel_runs::Runs;
+use crate::reconstruct::kernels::simd;
+use crate::reconstruct::kernels::subpixel::part;
 use std::f32::consts::TAU;
 
 /// Side of a cell, px.
@@ -76,7 +76,7 @@ pub struct Patches {
     /// What each cell has.
     pub(super) grid: Vec<Spot>,
     /// The cells at a glance.
-    pub glimpses: Glimpses,
+    pub lookup: CellLookup,
 }
 
 /// A cell: the first of its patches, and how many there are.
@@ -89,6 +89,16 @@ pub(super) struct Spot {
 /// Values of a cell's pixels.
 pub(super) type Block = [[f32; CELL_PX]; CELL_PX];
 
+/// A cell's phases, unwrapped along its carrier, rad; its periods, px; its steps to the right and down, rad.
+struct Cell {
+    phase: Block,
+    period: Block,
+    right: Block,
+    down: Block,
+    /// A bit for each pixel that is the object's.
+    object: u64,
+}
+
 impl Patches {
     /// Cuts a surface into patches, and links them.
     pub fn cut(surface: &mut Surface<'_>) -> Self {
@@ -96,7 +106,7 @@ impl Patches {
         let (columns, rows) = (w.div_ceil(CELL_PX), h.div_ceil(CELL_PX));
         let (all, links) = (Vec::with_capacity(columns * rows), Vec::with_capacity(2 * columns * rows));
         let grid = vec![Spot::default(); columns * rows];
-        let mut patches = Self { width: w, columns, all, links, grid, glimpses: Glimpses::new(w, h) };
+        let mut patches = Self { width: w, columns, all, links, grid, lookup: CellLookup::new(w, h) };
         simd::dispatch(
             #[inline(always)]
             || {
@@ -115,7 +125,7 @@ impl Patches {
                         }
                     }
                 }
-                patches.glimpses.mark_outlines(surface.object);
+                patches.lookup.mark_outlines(surface.object);
             },
         );
         patches
@@ -144,31 +154,23 @@ impl Patches {
             let (u, v) = (MIDDLE % CELL_PX, MIDDLE / CELL_PX);
             self.all[first].phase = plane.at(u as f32, v as f32);
             self.grid[row * self.columns + column] = Spot { first: first as u32, count: 1 };
-            self.glimpses.set(column, row, Glimpse::of_plane(first as u32, plane));
+            self.lookup.set(column, row, CellContent::of_plane(first as u32, plane));
         } else {
-            self.cut_up(surface, (column, row), &phase, &period, &right, &down, object);
+            self.cut_up(surface, (column, row), &Cell { phase, period, right, down, object });
         }
     }
 
-    /// The patches of a cell that no smooth surface fills. `object`: a bit for each pixel that is the object's.
+    /// The patches of a cell that no smooth surface fills.
     #[inline(never)]
-    fn cut_up(
-        &mut self,
-        surface: &mut Surface<'_>,
-        (column, row): (usize, usize),
-        phase: &Block,
-        period: &Block,
-        right: &Block,
-        down: &Block,
-        object: u64,
-    ) {
+    fn cut_up(&mut self, surface: &mut Surface<'_>, (column, row): (usize, usize), cell: &Cell) {
+        let Cell { phase, period, right, down, object } = cell;
         let first = self.all.len();
         write(surface.phase, column * CELL_PX, row * CELL_PX, phase);
         each_patch(phase, right, down, |mask| self.add(mask, (column, row), phase, right, down));
         let count = self.all.len() - first;
         self.grid[row * self.columns + column] = Spot { first: first as u32, count: count as u32 };
         let mut rim = Rim {
-            object,
+            object: *object,
             first: first as u32,
             of: [0; CELL_PX * CELL_PX],
             phase: [[f32::NAN; CELL_PX + 1]; CELL_PX],
@@ -192,7 +194,7 @@ impl Patches {
                 rest &= rest - 1;
             }
         }
-        self.glimpses.set_rim(column, row, rim);
+        self.lookup.set_rim(column, row, rim);
     }
 
     /// Adds a patch: these pixels of a cell.
@@ -335,7 +337,7 @@ impl Object {
     fn mark(&mut self, runs: &Runs, row: usize) {
         self.bits.fill(0);
         for (v, bits) in (row * CELL_PX..runs.height()).zip(self.bits.chunks_exact_mut(self.words)) {
-            runs.row(v).iter().for_each(|run| bits::set(bits, run.columns()));
+            runs.row(v).iter().for_each(|run| bit_rows::set(bits, run.columns()));
         }
     }
 
@@ -437,7 +439,7 @@ fn mean(mask: u64, values: &Block) -> f32 {
 
 /// The plane of a cell that one patch fills.
 #[inline(always)]
-fn plane(phase: &Block) -> glimpse::Plane {
+fn plane(phase: &Block) -> lookup::Plane {
     const HALF: usize = CELL_PX / 2;
     let mut halves = [[0f32; CELL_PX]; 2];
     for (v, row) in phase.iter().enumerate() {
@@ -455,7 +457,7 @@ fn plane(phase: &Block) -> glimpse::Plane {
     let steps = [((b + d) - (a + c)) * per, ((c + d) - (a + b)) * per];
     let middle = ((a + b) + (c + d)) / (CELL_PX * CELL_PX) as f32;
     let corner = middle - (steps[0] + steps[1]) * (CELL_PX - 1) as f32 / 2.0;
-    glimpse::Plane { phase: corner, steps }
+    lookup::Plane { phase: corner, steps }
 }
 
 /// The sum of a row's values.
@@ -468,8 +470,8 @@ fn sum(row: &[f32; CELL_PX]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::{CELL_PX, Patches, Surface};
-    use crate::image::Plane;
-    use crate::reconstruct::runs::Runs;
+    use crate::base::image::Plane;
+    use crate::reconstruct::kernels::pixel_runs::Runs;
     use proptest::prelude::{ProptestConfig, prop_assert, prop_assert_eq, proptest};
     use std::f32::consts::TAU;
 

@@ -1,7 +1,8 @@
 //! Marker map Mm and the shift from Um to Fm (paper, Equation 5, Figure 9).
 
-use super::{mask::largest_segment, one_if};
-use crate::image::{Mono8, Plane};
+use super::mask::largest_segment;
+use super::one_if;
+use crate::base::image::{Mono8, Plane};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
@@ -75,7 +76,7 @@ pub fn shift(
 #[cfg(test)]
 mod tests {
     use super::{find, shift};
-    use crate::image::{Mono8, Plane};
+    use crate::base::image::{Mono8, Plane};
     use proptest::prelude::{ProptestConfig, prop_assert, prop_assert_eq, proptest};
     use std::f32::consts::{FRAC_PI_2, PI, TAU};
 

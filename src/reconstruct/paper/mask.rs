@@ -1,8 +1,8 @@
 //! Object mask Om (paper, Figure 6): Otsu's threshold, dilation and erosion, the largest segment.
 
 use super::{box_sum, one_if};
-use crate::image::{Mono8, Plane};
-use crate::reconstruct::components;
+use crate::base::image::{Mono8, Plane};
+use crate::reconstruct::kernels::connected_components;
 use crate::reconstruct::mask::{SATURATED, histogram, otsu_level};
 
 /// Om: 1 on the object, 0 elsewhere. `period_px` is the nominal fringe period in the image.
@@ -30,7 +30,7 @@ fn dilate(mask: &Plane<f32>, reach: usize) -> Plane<f32> {
 
 /// The largest of the 8-connected segments of a mask of zeros and ones, the first of several.
 pub(super) fn largest_segment(mask: &Plane<f32>) -> Plane<f32> {
-    let segments = components::label(&mask.map(|x| x as u8));
+    let segments = connected_components::label(&mask.map(|x| x as u8));
     let largest = (1..segments.area.len()).max_by_key(|&i| (segments.area[i], usize::MAX - i));
     segments.label.map(|label| one_if(Some(label as usize) == largest))
 }
@@ -38,7 +38,7 @@ pub(super) fn largest_segment(mask: &Plane<f32>) -> Plane<f32> {
 #[cfg(test)]
 mod tests {
     use super::object;
-    use crate::image::{Mono8, Plane};
+    use crate::base::image::{Mono8, Plane};
 
     #[test]
     fn the_largest_part_is_the_object_with_its_dark_fringes_and_without_what_is_over_exposed() {

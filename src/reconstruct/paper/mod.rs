@@ -17,23 +17,23 @@ pub mod quality;
 /// Unwrapped phase Um.
 pub mod unwrap;
 
-use super::cloud::{self, KnownPixels};
+use super::counts::Counts;
 use super::fringe_order::Regions;
-use super::outcome::{Counts, NO_OBJECT, Outcome, outcome_of};
-use super::pair::Pair;
-use super::pipeline::{Maps, Reconstruction};
-use super::rays::RayTable;
-use super::roi::Roi;
-use super::runs::Runs;
-use super::timings::Clock;
-use super::windows::light_steps;
-use crate::image::{Mono8, Plane};
+use super::kernels::pixel_runs::Runs;
+use super::kernels::region_of_interest::Roi;
+use super::kernels::stage_times::Clock;
+use super::outcome::{Maps, NO_OBJECT, Outcome, Reconstruction, outcome_of};
+use super::phase::window_quality::light_steps;
+use super::triangulate::camera_projector::CameraProjector;
+use super::triangulate::points::{self, KnownPixels};
+use super::triangulate::ray_table::RayTable;
+use crate::base::image::{Mono8, Plane};
 
-/// Counterpart of [`super::key::ALGORITHM`] for this method: raised whenever the same frames may give other points.
+/// Counterpart of [`crate::batch::key::ALGORITHM`] for this method: raised whenever the same frames may give other points.
 pub const ALGORITHM: u32 = 30;
 
 /// What fringe orders by this method are not checked against.
-pub(super) const UNCHECKED: &str =
+pub const UNCHECKED: &str =
     "the paper's method: each camera's fringe orders follow from its own marker alone";
 
 /// What Section 4.1 makes of a photograph; all planes are as large as that.
@@ -50,7 +50,7 @@ pub struct AbsolutePhase {
 }
 
 /// Section 4.1 for a photograph by the camera of `pair`.
-pub fn absolute_phase(image: Mono8<'_>, pair: &Pair) -> AbsolutePhase {
+pub fn absolute_phase(image: Mono8<'_>, pair: &CameraProjector) -> AbsolutePhase {
     let om = mask::object(image, pair.period_px);
     let (pm, am) = period::measure(image, &om, pair.period_px);
     let sm = period::stability(&pm, pair.period_px);
@@ -73,7 +73,7 @@ pub fn absolute_phase(image: Mono8<'_>, pair: &Pair) -> AbsolutePhase {
 /// The cloud of one photograph, made from Fm as every method's is; `table` is the camera's. With the maps on request.
 pub(super) fn reconstruct(
     image: Mono8<'_>,
-    pair: &Pair,
+    pair: &CameraProjector,
     table: &RayTable,
     keep_maps: bool,
 ) -> Reconstruction {
@@ -85,8 +85,8 @@ pub(super) fn reconstruct(
     let runs = Runs::of(&fm.map(|phase| u8::from(!phase.is_nan())));
     let known = KnownPixels { absolute: &fm, runs: &runs, light: &light.map(light_steps), roi };
     let size = [width as u16, height as u16];
-    let phase = clock.time("quantize", || cloud::phase_map(&known, None, size));
-    let cloud = clock.time("points", || cloud::make(table, &phase));
+    let phase = clock.time("quantize", || points::phase_map(&known, None, size));
+    let cloud = clock.time("points", || points::make(table, &phase));
     let outcome = match counts.object {
         0 => Outcome::Refused(NO_OBJECT.to_owned()),
         _ => outcome_of(&cloud, &counts),

@@ -1,8 +1,8 @@
 //! Fringe period Pm, amplitude Am and period stability Sm (paper, Figure 7a to c).
 
 use super::{box_sum, one_if};
-use crate::image::{Mono8, Plane};
-use crate::reconstruct::period_fast::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
+use crate::base::image::{Mono8, Plane};
+use crate::reconstruct::phase::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
 use std::ops::Range;
 
 /// Pm, px, and Am, DN; both 0 where they are unknown.
@@ -90,7 +90,7 @@ pub fn stability(period: &Plane<f32>, nominal_px: f32) -> Plane<f32> {
 #[cfg(test)]
 mod tests {
     use super::{measure, stability};
-    use crate::image::{Mono8, Plane};
+    use crate::base::image::{Mono8, Plane};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
 
     proptest! {

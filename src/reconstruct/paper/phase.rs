@@ -1,7 +1,7 @@
 //! Wrapped phase Wm (paper, Figure 7d): the seven-point spatial-carrier phase shifting of Larkin.
 
-use crate::image::{Mono8, Plane};
-use crate::reconstruct::demodulate::{self, Gains, of_samples};
+use crate::base::image::{Mono8, Plane};
+use crate::reconstruct::phase::demodulate::{self, Gains, of_samples};
 
 /// Wm, rad, NaN where it is unknown; and the mean light over one fringe, DN, 0 there.
 ///
@@ -42,7 +42,7 @@ pub fn demodulate(
 #[cfg(test)]
 mod tests {
     use super::demodulate;
-    use crate::image::{Mono8, Plane};
+    use crate::base::image::{Mono8, Plane};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
 

@@ -1,7 +1,7 @@
 //! Verticality Vm, border map Bm and quality Qm (paper, Equations 1 to 4, Figure 8).
 
 use super::box_sum;
-use crate::image::{Mono8, Plane};
+use crate::base::image::{Mono8, Plane};
 
 /// Half side of the box that blurs Om to Bm, px.
 const BORDER_PX: usize = 12;
@@ -50,7 +50,7 @@ pub fn quality(object: &Plane<f32>, maps: [&Plane<f32>; 4]) -> Plane<f32> {
 #[cfg(test)]
 mod tests {
     use super::{border, quality, verticality};
-    use crate::image::{Mono8, Plane};
+    use crate::base::image::{Mono8, Plane};
     use crate::reconstruct::paper::period;
 
     fn wave(x: usize) -> u8 {

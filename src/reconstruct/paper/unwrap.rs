@@ -1,6 +1,6 @@
 //! Unwrapped phase Um: a spanning tree guided by Qm.
 
-use crate::image::Plane;
+use crate::base::image::Plane;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::f32::consts::TAU;
@@ -46,7 +46,7 @@ pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>) -> Plane<f32> {
 #[cfg(test)]
 mod tests {
     use super::unwrap;
-    use crate::image::Plane;
+    use crate::base::image::Plane;
     use proptest::prelude::{prop_assert, proptest};
     use std::f32::consts::TAU;
 

@@ -4,7 +4,7 @@
 //! closed segment has. Frames do not depend on it: their envelopes say which camera they are of.
 
 use super::salvage::SegmentScan;
-use crate::ids::{CameraId, NodeId, SessionName};
+use crate::base::ids::{CameraId, NodeId, SessionName};
 use crate::record::layout::{CameraHeader, HsuIdentity, KEY_RIG, MAX_CAMERAS, RecordingHeader};
 use crate::record::metadata::{StatedHeader, of_most};
 use crate::record::session::parse_rig;

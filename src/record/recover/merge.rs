@@ -3,7 +3,7 @@
 
 use super::salvage::{Labelled, SegmentScan, scan};
 use super::{Damage, RecoverError, header};
-use crate::ids::TriggerIndex;
+use crate::base::ids::TriggerIndex;
 use crate::record::belonging::{Belonging, SessionMark};
 use crate::record::layout::{
     ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION, segment_name,

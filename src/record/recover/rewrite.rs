@@ -2,12 +2,13 @@
 
 use super::merge::Salvage;
 use super::{AddedGaps, RECOVERED, RecoveredRecording, SessionExtent, WriteResult, by_cause};
-use crate::ids::TriggerIndex;
+use crate::base::ids::TriggerIndex;
+use crate::base::time::host_time_ns;
 use crate::record::layout::{ClockSample, GapCause, NodeEvent};
 use crate::record::reader::{Outcome, check_frame};
 use crate::record::verdict::{SessionEnd, Verdict};
-use crate::record::writer::{Recording, WriterOptions};
-use crate::time::host_time_ns;
+use crate::record::writer::Recording;
+use crate::record::writer::WriterOptions;
 use std::iter::Peekable;
 use std::path::Path;
 use std::slice::Iter;

@@ -1,7 +1,7 @@
-//! The books: outcomes counted again, and the trigger table.
+//! The accounting: outcomes counted again, and the trigger table.
 
 use super::{Notes, Severity};
-use crate::ids::TriggerIndex;
+use crate::base::ids::TriggerIndex;
 use crate::record::layout::{GapCause, MAX_TRIGGERS};
 use crate::record::reader::{Outcome, RecordingReader};
 use crate::record::verdict::{Noted, REFUSED, Status, UNCONFIRMED, Verdict};
@@ -27,7 +27,7 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
     verdict
 }
 
-/// Compares the books with what was stored and with themselves.
+/// Compares the accounting with what was stored and with itself.
 pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) {
     if let Some(first) = recording.segments.first().filter(|segment| segment.number != 0) {
         let message = format!("expected segment 0 first, found segment {}", first.number);

@@ -8,11 +8,11 @@
 //! triggers as they did there.
 
 use super::{Notes, Severity};
-use crate::acquire::block_ids::BlockIds;
-use crate::acquire::clock::{ClockFit, Exchange};
-use crate::acquire::matcher::anchor::{Anchoring, Early};
-use crate::acquire::trigger_table::TriggerTable;
-use crate::ids::{CameraId, TriggerIndex};
+use crate::base::clock_fit::{ClockFit, Exchange};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::matcher::anchor::{Anchoring, Early};
+use crate::matcher::block_ids::BlockIds;
+use crate::matcher::trigger_table::TriggerTable;
 use crate::record::layout::{ClockSample, TriggerRecord, WarmUp};
 use crate::record::reader::RecordingReader;
 use std::collections::BTreeMap;

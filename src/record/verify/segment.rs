@@ -2,12 +2,13 @@
 
 use super::instants::{self, Seen, Times};
 use super::{Notes, Severity};
-use crate::ids::TriggerIndex;
+use crate::base::ids::TriggerIndex;
 use crate::record::layout::{GapRecord, SegmentIndex, image_topic};
 use crate::record::metadata::stated_index;
-use crate::record::reader::{RecordingReader, SegmentReader, Topic, check_frame};
+use crate::record::reader::{RecordingReader, SegmentReader, check_frame};
 use crate::record::scan::{End, Event, Walker, metadata_by_index};
 use crate::record::segment_file::SegmentFile;
+use crate::record::topic::Topic;
 use crc32fast::Hasher;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -258,7 +259,7 @@ fn note_end(
             notes.add(Severity::Corrupt, number, None, None, "closed without an end of its data section");
         }
         End::Cut { at } => {
-            // A segment that the disk refused stays open, and the books went on in a later one, which says so. Any
+            // A segment that the disk refused stays open, and the accounting went on in a later one, which says so. Any
             // other one was cut, or has a length field that points beyond its end.
             let excused = recording.events.iter().any(|event| event.gives_up(segment.number));
             let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);

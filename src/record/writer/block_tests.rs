@@ -1,16 +1,18 @@
 //! Frames from blocks: not copied, aligned in the file, and their blocks back when the disk has them; disks that
 //! fail at any byte and any sync; splits that cost nothing.
 
+use super::error::RecordError;
+use super::options::WriterOptions;
 use super::tests::{CAMERAS, end, header, options};
-use super::{BLOCKS_HELD, Recording, WriterOptions};
-use crate::acquire::pool::Block;
-use crate::ids::{BlockId, TriggerIndex};
-use crate::record::direct::{DirectFile, Store};
-use crate::record::envelope::pixels_crc;
+use super::{BLOCKS_HELD, Recording};
+use crate::base::ids::{BlockId, TriggerIndex};
+use crate::host::frame_memory::Block;
+use crate::record::direct_io::{DirectFile, Store};
+use crate::record::envelope::{FrameMeta, pixels_crc};
+use crate::record::layout::{GapCause, NodeEvent, RecordingHeader};
+use crate::record::session::SessionReader;
+use crate::record::verdict::{SessionEnd, Verdict};
 use crate::record::verify::{Severity, verify};
-use crate::record::{
-    FrameMeta, GapCause, NodeEvent, RecordError, RecordingHeader, SessionEnd, SessionReader, Verdict,
-};
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use proptest::prelude::*;
 use std::fs::{File, OpenOptions};
@@ -30,7 +32,7 @@ fn sized(width: u32, height: u32) -> RecordingHeader {
 fn block(camera: usize, trigger: u64, width: u32, height: u32) -> (FrameMeta, Block) {
     let mut block = Block::allocate((width * height) as usize);
     let seed = trigger * 7 + camera as u64;
-    let pixels = &mut block.bytes_mut()[crate::acquire::pool::ROOM_BYTES..];
+    let pixels = &mut block.bytes_mut()[crate::host::frame_memory::ROOM_BYTES..];
     pixels.iter_mut().enumerate().for_each(|(i, pixel)| *pixel = (i as u64 * 31 + seed) as u8);
     let pixels_crc = pixels_crc(pixels);
     let (trigger, block_id) = (TriggerIndex(trigger), BlockId(trigger + 1));
@@ -270,7 +272,7 @@ impl Store for FaultyStore {
 }
 
 /// Records 40 triggers on a disk that fails at the byte after `bytes` and at the `syncs`-th sync: all frames that the
-/// books count are readable, no other frame is, and the books are complete.
+/// accounting counts are readable, no other frame is, and the accounting is complete.
 fn keeps_the_books(bytes: i64, syncs: i64, segment_bytes: u64) {
     let triggers = 40;
     let dir = tempfile::tempdir().expect("a temporary directory");

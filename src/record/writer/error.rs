@@ -75,7 +75,7 @@ pub enum RecordError {
         /// What was expected and found.
         reason: String,
     },
-    /// The books could not be closed on disk; this is what they say.
+    /// The accounting could not be closed on disk; this is what it says.
     #[error("{path}: the verdict could not be written ({source}); it is: {verdict}")]
     Unfinished {
         /// The recording.

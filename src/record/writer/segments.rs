@@ -2,8 +2,8 @@
 //! older one closed aside.
 
 use super::{BLOCKS_PER_CHUNK, CHUNK_BYTES, Latencies, OpenStore};
-use crate::ids::TriggerIndex;
-use crate::record::direct::{Store, rename_new};
+use crate::base::ids::TriggerIndex;
+use crate::record::direct_io::{Store, rename_new};
 use crate::record::layout::{next_segment_name, segment_name};
 use crate::record::segment::{JsonChannel, Segment};
 use std::collections::VecDeque;

@@ -1,8 +1,10 @@
 //! Room on the disk: whether a session fits, when to stop, and what to set aside.
 
+use super::Recording;
+use super::error::RecordError;
+use super::options::WriterOptions;
 use super::segments::{NextSegment, OpenSegment};
-use super::{RecordError, Recording, WriterOptions};
-use crate::record::direct::free_bytes;
+use crate::record::direct_io::free_bytes;
 use std::path::Path;
 
 const MIB: u64 = 1 << 20;

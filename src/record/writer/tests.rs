@@ -1,12 +1,14 @@
 //! The writer against disks that fail and frames that come in any order.
 
-use super::{OpenStore, Recording, Store, VERSION, WriterOptions};
-use crate::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
-use crate::record::envelope::pixels_crc;
-use crate::record::{
-    CameraHeader, ENVELOPE_CAPACITY, FrameMeta, GapCause, RecordError, RecordingHeader, SessionEnd,
-    SessionReader, Status, Verdict, write_envelope,
-};
+use super::error::RecordError;
+use super::options::WriterOptions;
+use super::{OpenStore, Recording};
+use crate::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
+use crate::record::direct_io::Store;
+use crate::record::envelope::{ENVELOPE_CAPACITY, FrameMeta, pixels_crc, write_envelope};
+use crate::record::layout::{CameraHeader, GapCause, RecordingHeader, VERSION};
+use crate::record::session::SessionReader;
+use crate::record::verdict::{SessionEnd, Status, Verdict};
 use proptest::prelude::*;
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice};
@@ -183,7 +185,7 @@ proptest! {
         let verdict = match recording.finish(end(triggers)) {
             Ok(verdict) => verdict,
             // The disk was full just while a split segment got its index, behind its last frame: the caller is
-            // told, and all frames that the books count are readable.
+            // told, and all frames that the accounting counts are readable.
             Err(RecordError::Unfinished { verdict, .. }) => {
                 prop_assert_eq!(readable_frames(&path, triggers), verdict.frames());
                 return Ok(());
@@ -238,7 +240,7 @@ proptest! {
             let alone = SessionReader::open(&segment.path).expect("readable alone");
             let range = segment.first_trigger..segment.end_trigger.unwrap_or(u64::MAX);
             for outcomes in &alone.recordings()[0].outcomes {
-                let frames = outcomes.iter().filter(|(_, o)| matches!(o, super::super::reader::Outcome::Frame { .. }));
+                let frames = outcomes.iter().filter(|(_, o)| matches!(o, crate::record::reader::Outcome::Frame { .. }));
                 for (trigger, _) in frames {
                     prop_assert!(range.contains(trigger), "frame {trigger} outside of {range:?}");
                 }
@@ -329,7 +331,7 @@ fn a_recording_is_never_overwritten_and_must_fit() {
     recording.finish(end(5)).expect("finished");
     let again = Recording::create(&path, header(Some(5)), options(1 << 30)).map(drop);
     assert!(matches!(again, Err(RecordError::Exists { .. })), "{again:?}");
-    let mut large = header(Some(crate::record::MAX_TRIGGERS));
+    let mut large = header(Some(crate::record::layout::MAX_TRIGGERS));
     large.cameras.iter_mut().for_each(|camera| (camera.width, camera.height) = (65_536, 65_536));
     let path = dir.path().join("walk-02");
     let refused = Recording::create(&path, large, options(1 << 30)).map(drop);
@@ -456,7 +458,7 @@ fn closed_segments_are_let_go() {
     };
     for trigger in 0..100 {
         for camera in 0..CAMERAS.len() {
-            while !recording.closing.iter().all(super::ClosingSegment::is_done) {
+            while !recording.closing.iter().all(super::segments::ClosingSegment::is_done) {
                 std::thread::yield_now();
             }
             let (meta, message) = frame(camera, trigger);

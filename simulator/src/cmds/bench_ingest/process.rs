@@ -1,6 +1,7 @@
 //! Programs that the bench starts, and what they cost.
 
-use fourdbody::cmds::{Exit, Failure};
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
 use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;

@@ -2,10 +2,11 @@
 
 use super::process::{Cores, Program, Reading, failed, load_average};
 use super::{Args, FRAME_BYTES};
-use fourdbody::api::client::NodeClient;
-use fourdbody::api::dto::NodeStatus;
-use fourdbody::cmds::{Exit, Failure};
-use fourdbody::session::state::Phase;
+use fourdbody::base::Exit;
+use fourdbody::cmds::Failure;
+use fourdbody::control::client::NodeClient;
+use fourdbody::control::request::Phase;
+use fourdbody::control::status::NodeStatus;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};

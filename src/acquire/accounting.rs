@@ -1,0 +1,579 @@
+//! Keeps the accounting of a session: gives every frame its trigger and every trigger of every camera its outcome.
+
+use super::assembler::Assembler;
+use super::breaches::{Breaches, gap_cause};
+use super::pause::Pauses;
+use super::receiver::Arrival;
+use super::recorder::{LaneSetup, Progress, RecorderCommand, RecorderEvent, RecorderOptions, TICK};
+use super::writer_queue::{ReadyFrame, Ring, ToWriter};
+use crate::base::clock_fit::{ClockFit, Exchange, Judged};
+use crate::base::ids::{BlockId, CameraId, TriggerIndex};
+use crate::base::time::host_time_ns;
+use crate::camera::{Breach, Transfer};
+use crate::config::WhenFull;
+use crate::matcher::Matcher;
+use crate::matcher::trigger_table::TriggerTable;
+use crate::matcher::{Match, Matched, Sighting, Witness};
+use crate::record::{ClockSample, FrameMeta, GapCause, NodeEvent, SessionEnd, WarmUp};
+use crossbeam_channel::Sender;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// One camera.
+struct Lane {
+    id: CameraId,
+    width: u32,
+    height: u32,
+    matcher: Matcher,
+    pending: VecDeque<Pending>,
+    /// The number of the stream whose frames are taken.
+    stream: u32,
+    /// The first trigger without an outcome.
+    next: u64,
+    lost: bool,
+    /// It was lost, and no frame has come since it is back.
+    back: bool,
+    /// Why it was lost.
+    absence: GapCause,
+    /// Frames that no trigger explains.
+    spurious: u64,
+    /// Frames whose trigger rests on one witness.
+    unconfirmed: u64,
+    /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
+    given_up: u64,
+    given_up_now: u64,
+    /// When its clock was last asked for, at this point of [`Accounting::awake`].
+    asked: Option<Duration>,
+    breaches: Breaches,
+}
+
+/// A frame that waits for its trigger, since this point of [`Accounting::awake`].
+struct Pending {
+    arrival: Arrival,
+    since: Duration,
+}
+
+/// A row of sets that found no room in the ring.
+struct Full {
+    first: u64,
+    last: u64,
+    frames: u64,
+}
+
+/// The matching thread's state.
+pub(super) struct Accounting {
+    lanes: Vec<Lane>,
+    table: TriggerTable,
+    hsu: ClockFit,
+    sets: Assembler<ReadyFrame>,
+    ring: Ring,
+    full: Option<Full>,
+    full_reported: bool,
+    options: RecorderOptions,
+    progress: Arc<Progress>,
+    events: Sender<RecorderEvent>,
+    draining: bool,
+    /// How many triggers there were, once the HSU said so.
+    emitted: Option<u64>,
+    /// How long this thread has been at work. It does not grow while the process stands still: what was said meanwhile
+    /// is heard before anybody's patience is at its end.
+    awake: Duration,
+    last_turn: Instant,
+    pauses: Pauses,
+    /// When a frame last got its trigger.
+    last_settled: Duration,
+}
+
+/// A turn that took longer did not work for all of it.
+const LONGEST_TURN: Duration = TICK.saturating_mul(2);
+/// So long readings of a camera's clock that were asked for may take.
+const CLOCK_PATIENCE: Duration = Duration::from_millis(10);
+/// So long a frame waits for its report even if there are more waiting than should be: they may have come at once.
+const BURST_PATIENCE: Duration = Duration::from_millis(25);
+
+impl Accounting {
+    pub(super) fn new(
+        lanes: Vec<LaneSetup>,
+        options: RecorderOptions,
+        progress: Arc<Progress>,
+        ring: Ring,
+        events: Sender<RecorderEvent>,
+    ) -> Self {
+        let lane = |setup: LaneSetup| Lane {
+            id: setup.id,
+            width: setup.width,
+            height: setup.height,
+            matcher: setup.matcher,
+            pending: VecDeque::new(),
+            stream: 0,
+            next: 0,
+            lost: false,
+            back: false,
+            absence: GapCause::Unplugged,
+            spurious: 0,
+            unconfirmed: 0,
+            given_up: 0,
+            given_up_now: 0,
+            asked: None,
+            breaches: Breaches::default(),
+        };
+        Self {
+            sets: Assembler::new(lanes.len(), options.set_patience, options.open_sets()),
+            lanes: lanes.into_iter().map(lane).collect(),
+            table: TriggerTable::default(),
+            hsu: ClockFit::new(),
+            ring,
+            full: None,
+            full_reported: false,
+            options,
+            progress,
+            events,
+            draining: false,
+            emitted: None,
+            awake: Duration::ZERO,
+            last_turn: Instant::now(),
+            pauses: Pauses::default(),
+            last_settled: Duration::ZERO,
+        }
+    }
+
+    /// A turn of the thread begins.
+    pub(super) fn begin_turn(&mut self) {
+        let now = Instant::now();
+        let took = now.saturating_duration_since(self.last_turn);
+        self.awake += took.min(LONGEST_TURN);
+        self.last_turn = now;
+        if took >= Pauses::SHORTEST {
+            self.paused(took);
+        }
+    }
+
+    /// The process stood still for so long. Frames of these triggers may be lost with any camera: what is not whole is
+    /// given up by sets.
+    pub(super) fn paused(&mut self, took: Duration) {
+        let periods = |time: Duration| (time.as_nanos() / u128::from(self.options.period_ns.max(1))) as u64;
+        let here = || self.lanes.iter().filter(|lane| !lane.lost);
+        let first = here().map(|lane| lane.next).min().unwrap_or(0).max(self.sets.passed());
+        let reported = here().map(|lane| lane.next).max().unwrap_or(0).max(self.table.len());
+        // Frames and reports may have been on their way already.
+        let end = reported.saturating_add(periods(took)).saturating_add(2);
+        if self.draining || reported == 0 {
+            return;
+        }
+        self.pauses.add(first..end);
+        self.sets.wait_until(end);
+        let message = format!(
+            "this process did not run for {} ms (stopped, or without a processor): frame sets of triggers {first} to {} \
+             that are not whole are given up",
+            took.as_millis(),
+            end - 1
+        );
+        tracing::warn!(kind = "node_paused", "{message}");
+        self.event("node_paused", None, Some(first), message);
+    }
+
+    /// A frame arrived; `behind` more are on their way to this thread.
+    pub(super) fn frame_arrived(&mut self, arrival: Arrival, behind: usize) {
+        let camera = arrival.camera;
+        let Some(lane) = self.lanes.get_mut(camera) else { return };
+        if arrival.stream != lane.stream {
+            return self.spurious(&arrival, "is of a stream that has ended");
+        }
+        lane.pending.push_back(Pending { arrival, since: self.awake });
+        let pending: usize = self.lanes.iter().map(|lane| lane.pending.len()).sum();
+        let waiting = pending + behind + self.sets.waiting() + self.ring.len();
+        self.progress.high_water.fetch_max(waiting as u64, Ordering::Relaxed);
+        self.advance(camera, false);
+        self.pass_sets_on(false);
+    }
+
+    pub(super) fn handle(&mut self, command: RecorderCommand) {
+        match command {
+            RecorderCommand::Trigger(record) => {
+                if let Ok(number) = i64::try_from(record.index.0) {
+                    self.table.insert(number, record.hsu_time_ns);
+                    self.hsu.heard(record.hsu_time_ns, record.host_time_ns);
+                }
+                self.progress.triggers.store(self.table.len(), Ordering::Relaxed);
+                self.ring.small(ToWriter::Trigger(record));
+                self.advance_all();
+            }
+            RecorderCommand::WarmUp { number, hsu_time_ns } if number < 0 => {
+                self.table.insert(number, hsu_time_ns);
+                let sample = WarmUp::Trigger { number, hsu_time_ns };
+                self.ring.small(ToWriter::Event(sample.event(None, host_time_ns())));
+                self.advance_all();
+            }
+            RecorderCommand::WarmUp { .. } => {}
+            RecorderCommand::Clock(sample) => self.clock_sample(sample),
+            RecorderCommand::Event(event) => self.ring.small(ToWriter::Event(event)),
+            RecorderCommand::CameraLost(camera, cause) if camera < self.lanes.len() => {
+                self.advance(camera, true);
+                let lane = &mut self.lanes[camera];
+                (lane.lost, lane.absence) = (true, cause);
+                self.sets.expect(camera, false);
+            }
+            RecorderCommand::CameraAway(camera, cause) if camera < self.lanes.len() => {
+                self.lanes[camera].absence = cause;
+            }
+            RecorderCommand::CameraBack { camera, stream } if camera < self.lanes.len() => {
+                self.advance(camera, true);
+                let lane = &mut self.lanes[camera];
+                (lane.lost, lane.back, lane.stream) = (false, true, stream);
+                lane.matcher.restart(!self.table.is_empty());
+                self.sets.expect(camera, true);
+            }
+            RecorderCommand::Drain { emitted } => {
+                self.draining = true;
+                self.emitted = emitted.or(self.emitted);
+                self.last_settled = self.awake;
+            }
+            _ => {}
+        }
+    }
+
+    fn clock_sample(&mut self, sample: ClockSample) {
+        let exchange = Exchange {
+            host_send_ns: sample.host_send_ns,
+            host_receive_ns: sample.host_receive_ns,
+            device_ns: sample.device_time_ns,
+        };
+        let lane = |id: &CameraId| self.lanes.iter().position(|lane| lane.id == *id);
+        match sample.camera.as_ref().map(lane) {
+            None => {
+                if let Judged::Reset { step_ns } = self.hsu.exchange(&exchange) {
+                    let message = format!("the HSU's clock was set anew, by {step_ns} ns");
+                    self.event("hsu_clock_reset", None, None, message);
+                }
+            }
+            Some(Some(camera)) => {
+                if let Judged::Reset { step_ns } = self.lanes[camera].matcher.clock_sample(&exchange) {
+                    let message = format!("its clock was set anew, by {step_ns} ns (from clock samples)");
+                    self.note(camera, "camera_clock_reset", None, message);
+                }
+            }
+            Some(None) => {}
+        }
+        self.ring.small(ToWriter::Clock(sample));
+    }
+
+    pub(super) fn advance_all(&mut self) {
+        (0..self.lanes.len()).for_each(|camera| self.advance(camera, false));
+        self.pass_sets_on(false);
+    }
+
+    /// Settles what can be decided of a camera's frames, in order; with `now`, all of them.
+    fn advance(&mut self, camera: usize, now: bool) {
+        while let Some(Pending { arrival, since }) = self.lanes[camera].pending.pop_front() {
+            let lane = &mut self.lanes[camera];
+            let many = lane.pending.len() >= self.options.waiting_frames();
+            let patience = if many { BURST_PATIENCE } else { self.options.report_patience };
+            let last_call = now || self.awake - since > patience;
+            let behind = lane.pending.iter().map(|next| sighting(&next.arrival)).filter(|next| next.complete);
+            let seen = sighting(&arrival);
+            let mut followers = [seen; Matcher::FOLLOWERS];
+            let count = followers.iter_mut().zip(behind).map(|(place, next)| *place = next).count();
+            if last_call {
+                self.infer_trigger(camera, &seen);
+            }
+            let lane = &mut self.lanes[camera];
+            let answer = lane.matcher.assign(&seen, &followers[..count], &self.table, &self.hsu, last_call);
+            self.ask_clock(camera);
+            let lane = &mut self.lanes[camera];
+            match answer {
+                Match::Wait => return lane.pending.push_front(Pending { arrival, since }),
+                Match::Undecided => self.give_up(&arrival),
+                Match::Trigger(matched) => self.settle(matched, arrival),
+                Match::Spurious(residual_ns) => {
+                    self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
+                }
+                Match::Stray => self.spurious(&arrival, "is a part of one whose id is not due"),
+                Match::BeforeTrain => self.spurious(&arrival, "came before the first trigger"),
+                Match::Repeated => {
+                    let text = format!("block {} was seen before; not recorded", arrival.block_id);
+                    self.note(camera, "repeated_frame", None, text);
+                }
+            }
+        }
+    }
+
+    /// Asks for readings of a camera's clock where a frame waits for them, and once more where they do not come.
+    fn ask_clock(&mut self, camera: usize) {
+        let lane = &mut self.lanes[camera];
+        let again = lane.asked.is_none_or(|asked| self.awake > asked + CLOCK_PATIENCE);
+        if again && lane.matcher.takes_clock_wish() {
+            lane.asked = Some(self.awake);
+            drop(self.events.send(RecorderEvent::Doubtful { camera }));
+        }
+    }
+
+    /// A trigger whose report is held up is known all the same where two cameras agree on its number and its time: a
+    /// camera that ignored triggers, or whose clock was set, is alone with that.
+    fn infer_trigger(&mut self, camera: usize, seen: &Sighting) {
+        let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
+        if number < self.table.end() {
+            return;
+        }
+        let period_ns = i128::from(self.options.period_ns);
+        let tolerance_ns = period_ns / 8;
+        // A train is never faster than its period: a number that comes too early for its count is one too high.
+        let ahead = i128::from(number - self.table.end() + 1);
+        let earliest = |latest: u64| i128::from(latest) + ahead * period_ns - period_ns / 4;
+        if self.table.latest_ns().is_some_and(|latest| hsu_ns < earliest(latest)) {
+            return;
+        }
+        let agrees =
+            |(other, other_ns): (i64, i128)| other == number && (other_ns - hsu_ns).abs() <= tolerance_ns;
+        let others = self.lanes.iter().enumerate().filter(|(other, _)| *other != camera);
+        let mut claims = others.flat_map(|(_, lane)| {
+            lane.pending.iter().filter_map(|other| lane.matcher.claim(&sighting(&other.arrival)))
+        });
+        if let Some(hsu_ns) = u64::try_from(hsu_ns).ok().filter(|_| claims.any(agrees)) {
+            self.table.infer(number, hsu_ns);
+        }
+    }
+
+    /// Gives a frame's trigger, and those before it that have none, an outcome.
+    fn settle(&mut self, matched: Matched, arrival: Arrival) {
+        let camera = arrival.camera;
+        self.progress.latencies.matched.record(arrival.taken.elapsed());
+        self.report(camera, &matched, &arrival);
+        let Ok(trigger) = u64::try_from(matched.number) else {
+            let sample = WarmUp::Frame {
+                block: arrival.block_id.0,
+                camera_time_ns: arrival.camera_ns,
+                host_time_ns: arrival.host_ns,
+            };
+            let camera = Some(self.lanes[camera].id.clone());
+            return self.ring.small(ToWriter::Event(sample.event(camera, host_time_ns())));
+        };
+        if self.emitted.is_some_and(|emitted| trigger >= emitted) {
+            return self.spurious(&arrival, "came after the last trigger");
+        }
+        let lane = &mut self.lanes[camera];
+        if trigger < lane.next {
+            let text =
+                format!("block {} is of a trigger that has an outcome; not recorded", arrival.block_id);
+            return self.note(camera, "repeated_frame", Some(trigger), text);
+        }
+        self.last_settled = self.awake;
+        lane.unconfirmed += u64::from(matched.witness == Witness::One);
+        let start = std::mem::replace(&mut lane.next, trigger + 1);
+        let (back, absence) = (std::mem::take(&mut lane.back), lane.absence);
+        // Frames lost on the way first: in which order the two happened is not to be known.
+        let ignored_from = if back { trigger } else { trigger.saturating_sub(matched.ignored).max(start) };
+        let cause = if back { absence } else { GapCause::MissingPackets };
+        self.missing(camera, start..ignored_from, cause);
+        self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
+        if let Transfer::Breach(breach) = arrival.transfer {
+            self.breach(camera, trigger, arrival.block_id, breach);
+        }
+        match gap_cause(arrival.transfer) {
+            Some(cause) => self.gaps(camera, trigger..trigger + 1, cause),
+            None => self.ready(camera, trigger, arrival),
+        }
+    }
+
+    fn ready(&mut self, camera: usize, trigger: u64, arrival: Arrival) {
+        let lane = &self.lanes[camera];
+        let meta = FrameMeta {
+            trigger: TriggerIndex(trigger),
+            block: arrival.block_id,
+            camera_time_ns: arrival.camera_ns,
+            host_time_ns: arrival.host_ns,
+            width: lane.width,
+            height: lane.height,
+            pixels_crc: arrival.pixels_crc,
+        };
+        let now = Instant::now();
+        let frame = ReadyFrame { camera, meta, block: arrival.block, taken: arrival.taken, since: now };
+        self.sets.outcome(camera, trigger, Some(frame), now);
+    }
+
+    /// Passes finished sets to the ring, or drops them where it has no room.
+    fn pass_sets_on(&mut self, all: bool) {
+        while let Some(mut set) = self.sets.next(Instant::now(), all) {
+            // At the end no more frames come, and there are no more of them than blocks.
+            let dropped_before = self.full.as_ref().is_some_and(|full| full.last == set.trigger);
+            let broken = self.pauses.is_broken(set.trigger);
+            if broken {
+                // What of it is there already has no use, and says so.
+                for frame in set.frames.drain(..) {
+                    self.count_gap(frame.camera, TriggerIndex(set.trigger), GapCause::NodePaused);
+                }
+            } else if !all && (dropped_before || !self.ring.has_room_for(set.frames.len())) {
+                self.drop_set(set.trigger, &mut set.frames);
+            } else if !set.frames.is_empty() {
+                self.end_of_full();
+                for mut frame in set.frames.drain(..) {
+                    self.progress.latencies.assembled.record(frame.since.elapsed());
+                    frame.since = Instant::now();
+                    self.ring.frame(frame);
+                }
+                self.progress.ring_high_water.fetch_max(self.ring.len() as u64, Ordering::Relaxed);
+            }
+            self.sets.recycle(set.frames);
+        }
+    }
+
+    fn drop_set(&mut self, trigger: u64, frames: &mut Vec<ReadyFrame>) {
+        let count = frames.len() as u64;
+        if self.pauses.breaks(trigger, GapCause::DroppedRingFull) {
+            for frame in frames.drain(..) {
+                self.count_gap(frame.camera, TriggerIndex(trigger), GapCause::NodePaused);
+            }
+            return;
+        }
+        for frame in frames.drain(..) {
+            self.count_gap(frame.camera, TriggerIndex(trigger), GapCause::DroppedRingFull);
+        }
+        self.progress.dropped.fetch_add(count, Ordering::Relaxed);
+        let full = self.full.get_or_insert(Full { first: trigger, last: trigger, frames: 0 });
+        (full.last, full.frames) = (full.last.max(trigger), full.frames + count);
+        if self.options.when_full == WhenFull::Stop && !std::mem::replace(&mut self.full_reported, true) {
+            drop(self.events.send(RecorderEvent::RingFull));
+        }
+    }
+
+    /// One event for a row of dropped sets, when it is over.
+    fn end_of_full(&mut self) {
+        if let Some(Full { first, last, frames }) = self.full.take() {
+            let message = format!(
+                "the disk did not keep up: {frames} frames of triggers {first} to {last} were dropped, set by set"
+            );
+            tracing::warn!(kind = "ring_full", "{message}");
+            self.event("ring_full", None, Some(first), message);
+        }
+    }
+
+    /// A frame that no trigger explains: a free-running camera makes many, so only the first is an event.
+    fn spurious(&mut self, arrival: &Arrival, why: &str) {
+        let lane = &mut self.lanes[arrival.camera];
+        lane.spurious += 1;
+        if lane.spurious == 1 {
+            let text = format!("block {} {why}; not recorded (later ones are counted)", arrival.block_id);
+            self.note(arrival.camera, "spurious_frame", None, text);
+        }
+    }
+
+    /// A frame is not what was agreed: the first of each kind is an event.
+    fn breach(&mut self, camera: usize, trigger: u64, block: BlockId, breach: Breach) {
+        if self.lanes[camera].breaches.count(breach) {
+            let text = format!(
+                "block {block} of trigger {trigger} is not recorded: {breach} (later ones are counted)"
+            );
+            self.note(camera, "frame_refused", None, text);
+        }
+    }
+
+    /// Which of two triggers a frame was of could not be told: whichever it was, it has a gap record.
+    fn give_up(&mut self, arrival: &Arrival) {
+        let lane = &mut self.lanes[arrival.camera];
+        (lane.given_up, lane.given_up_now) = (lane.given_up + 1, lane.given_up_now + 1);
+        if lane.given_up == 1 {
+            let text = format!(
+                "block {}: id and timestamp name different triggers, of which nothing is reported; not recorded (later \
+                 ones are counted)",
+                arrival.block_id
+            );
+            self.note(arrival.camera, "identity_unknown", None, text);
+        }
+    }
+
+    /// Gap records for frames that did not come; the last of them may have come and been given up.
+    fn missing(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
+        let given_up = std::mem::take(&mut self.lanes[camera].given_up_now);
+        let from = triggers.end.saturating_sub(given_up).max(triggers.start);
+        self.gaps(camera, triggers.start..from, cause);
+        self.gaps(camera, from..triggers.end, GapCause::IdentityMismatch);
+    }
+
+    fn gaps(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
+        let now = Instant::now();
+        for trigger in triggers {
+            let paused = self.pauses.breaks(trigger, cause);
+            self.count_gap(camera, TriggerIndex(trigger), if paused { GapCause::NodePaused } else { cause });
+            self.sets.outcome(camera, trigger, None, now);
+            // A long absence must not pile up sets that nobody waits for.
+            self.pass_sets_on(false);
+        }
+    }
+
+    fn count_gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) {
+        self.progress.gap(camera, cause);
+        self.ring.small(ToWriter::Gap(camera, trigger, cause));
+    }
+
+    fn note(&mut self, camera: usize, kind: &str, trigger: Option<u64>, message: String) {
+        let id = self.lanes[camera].id.clone();
+        tracing::warn!(camera = %id, kind, "{message}");
+        self.event(kind, Some(id), trigger, message);
+    }
+
+    fn event(&mut self, kind: &str, camera: Option<CameraId>, trigger: Option<u64>, message: String) {
+        let (host_time_ns, kind, trigger) = (host_time_ns(), kind.to_owned(), trigger.map(TriggerIndex));
+        self.ring.small(ToWriter::Event(NodeEvent { host_time_ns, kind, camera, trigger, message }));
+    }
+
+    pub(super) fn check_drained(&mut self, all_taken: bool) {
+        if !self.draining {
+            return;
+        }
+        let all_in = self.emitted.is_some_and(|n| self.lanes.iter().all(|lane| lane.lost || lane.next >= n));
+        let quiet = self.awake - self.last_settled > self.options.drain_patience && all_taken;
+        if all_in || quiet {
+            self.draining = false;
+            drop(self.events.send(RecorderEvent::Drained));
+        }
+    }
+
+    /// Gap records for the frames of the last triggers, which nothing later can prove missing.
+    fn give_up_until(&mut self, triggers: u64) {
+        for camera in 0..self.lanes.len() {
+            let lane = &mut self.lanes[camera];
+            let cause = if lane.lost || lane.back { lane.absence } else { GapCause::Timeout };
+            let missing = lane.next..triggers;
+            lane.next = lane.next.max(triggers);
+            self.missing(camera, missing, cause);
+        }
+    }
+
+    pub(super) fn close(mut self, aborted: Option<String>) {
+        // Frames that still wait get their outcome by what is known.
+        (0..self.lanes.len()).for_each(|camera| self.advance(camera, true));
+        self.pass_sets_on(true);
+        self.end_of_full();
+        self.give_up_until(self.emitted.unwrap_or(0).max(self.table.len()));
+        self.pass_sets_on(true);
+        self.sum_up();
+        let latencies = self.progress.latencies.to_string();
+        self.event("latency", None, None, latencies);
+        self.ring.close(Some(SessionEnd {
+            triggers_emitted: self.emitted,
+            aborted,
+            absent: GapCause::Unknown,
+            host_time_ns: host_time_ns(),
+        }));
+    }
+
+    pub(super) fn discard(self) {
+        self.ring.close(None);
+    }
+}
+
+fn sighting(arrival: &Arrival) -> Sighting {
+    Sighting {
+        id: arrival.block_id,
+        // A frame whose leader was lost has no timestamp.
+        camera_ns: Some(arrival.camera_ns).filter(|ns| *ns != 0),
+        host_ns: arrival.host_ns,
+        complete: matches!(arrival.transfer, Transfer::Complete | Transfer::Unwritten | Transfer::Breach(_)),
+    }
+}
+
+mod statements;
+
+#[cfg(test)]
+mod tests;

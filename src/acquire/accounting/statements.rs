@@ -1,0 +1,100 @@
+//! What the accounting says in words: what happened before a frame and with it, and how a session went in all.
+
+use super::{Accounting, Lane};
+use crate::acquire::receiver::Arrival;
+use crate::matcher::{Finding, Matched};
+use crate::record::UNCONFIRMED;
+
+impl Accounting {
+    /// Says what happened before a frame, and with it.
+    pub(crate) fn report(&mut self, camera: usize, matched: &Matched, arrival: &Arrival) {
+        let (number, block) = (matched.number, arrival.block_id);
+        let at = |number: i64| u64::try_from(number).ok();
+        let back = self.lanes[camera].back;
+        if matched.lost > 0 && !back {
+            let first = number - (matched.lost + matched.ignored) as i64;
+            let text = format!(
+                "{} frames before trigger {number} (block {block}) were lost on the way",
+                matched.lost
+            );
+            self.note(camera, "frames_lost", at(first), text);
+        }
+        if matched.ignored > 0 && !back {
+            let first = number - matched.ignored as i64;
+            let text = format!(
+                "the camera ignored {} triggers before trigger {number} (block {block})",
+                matched.ignored
+            );
+            self.note(camera, "trigger_ignored", at(first), text);
+        }
+        let (kind, text) = match matched.finding {
+            None => return,
+            Some(Finding::IdJump(by)) => {
+                ("id_jump", format!("block ids jumped by {by} to {block} without loss"))
+            }
+            Some(Finding::IdRepeated) => {
+                ("id_repeated", format!("block id {block} came twice; its timestamp is new"))
+            }
+            Some(Finding::ClockReset(step)) => (
+                "camera_clock_reset",
+                format!(
+                    "its clock was set anew, by {step} ns, from block {block} on: frames behind it agree"
+                ),
+            ),
+            Some(Finding::StampWrong(Some(by))) => (
+                "stamp_wrong",
+                format!("the timestamp of block {block} is {by} ns off; its id and arrival are not"),
+            ),
+            Some(Finding::StampWrong(None)) => (
+                "stamp_wrong",
+                format!("block {block} has no timestamp; its id and arrival name its trigger"),
+            ),
+        };
+        self.note(camera, kind, at(number), text);
+    }
+
+    /// How the clocks ran and how long frames took, for the record.
+    pub(crate) fn sum_up(&mut self) {
+        self.clock_event(None);
+        for camera in 0..self.lanes.len() {
+            self.clock_event(Some(camera));
+            let Lane { spurious, unconfirmed, given_up, .. } = self.lanes[camera];
+            for text in std::mem::take(&mut self.lanes[camera].breaches).summary() {
+                self.note(camera, "frames_refused", None, text);
+            }
+            if spurious > 1 {
+                self.note(
+                    camera,
+                    "spurious_frames",
+                    None,
+                    format!("{spurious} frames that no trigger explains"),
+                );
+            }
+            if given_up > 1 {
+                let text = format!("{given_up} frames whose trigger could not be told");
+                self.note(camera, "identity_unknown", None, text);
+            }
+            if unconfirmed > 0 {
+                let text = format!("{unconfirmed} frames have their trigger by one witness alone");
+                self.note(camera, UNCONFIRMED, None, text);
+            }
+        }
+        if self.ring.refused > 0 {
+            let text = format!("{} small records found no room on the way to the disk", self.ring.refused);
+            self.event("records_lost", None, None, text);
+        }
+    }
+
+    fn clock_event(&mut self, camera: Option<usize>) {
+        let fit = camera.map_or(&self.hsu, |camera| self.lanes[camera].matcher.clock());
+        let Some(drift) = fit.drift_ppm() else { return };
+        let message = format!(
+            "drift {drift:.2} ppm against the host; {} exchanges used, {} left out, {} resets",
+            fit.used(),
+            fit.left_out(),
+            fit.resets()
+        );
+        let id = camera.map(|camera| self.lanes[camera].id.clone());
+        self.event("clock_fit", id, None, message);
+    }
+}

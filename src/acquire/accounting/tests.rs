@@ -1,0 +1,255 @@
+//! The accounting by itself, turn by turn: whose frames count, and what stands in for reports that are held up.
+
+use super::*;
+use crate::acquire::writer_queue::Sink;
+use crate::base::ids::BlockId;
+use crate::host::frame_memory::Block;
+use crate::matcher::Start;
+use crate::record::{RecordError, TriggerRecord, Verdict};
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+const PERIOD_NS: u64 = 8_333_333;
+const HOST_NS: u64 = 50_000_000_000;
+
+/// By trigger and camera: the block that was recorded, or why there is none.
+type Outcomes = BTreeMap<(u64, usize), Result<u64, GapCause>>;
+
+/// Keeps outcomes.
+struct Kept(Arc<Mutex<Outcomes>>);
+
+impl Sink for Kept {
+    fn write(&mut self, item: ToWriter) -> Result<(), RecordError> {
+        let (key, outcome) = match item {
+            ToWriter::Frame(frame) => ((frame.meta.trigger.0, frame.camera), Ok(frame.meta.block.0)),
+            ToWriter::Gap(camera, trigger, cause) => ((trigger.0, camera), Err(cause)),
+            _ => return Ok(()),
+        };
+        let before = self.0.lock().expect("not poisoned").insert(key, outcome);
+        assert_eq!(before, None, "a second outcome for {key:?}");
+        Ok(())
+    }
+
+    fn tick(&mut self) -> Result<(), RecordError> {
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>, _: SessionEnd) -> Result<Verdict, RecordError> {
+        Err(RecordError::Stopped { reason: "a stand-in has no verdict".to_owned() })
+    }
+}
+
+struct Desk {
+    accounting: Accounting,
+    outcomes: Arc<Mutex<Outcomes>>,
+    closed: crossbeam_channel::Receiver<RecorderEvent>,
+}
+
+impl Desk {
+    /// The cameras' clocks are the HSU's, which is [`HOST_NS`] behind the host's.
+    fn new(cameras: usize) -> Self {
+        let outcomes = Arc::default();
+        let progress = Arc::new(Progress::new(cameras));
+        let (events, closed) = crossbeam_channel::unbounded();
+        let options = RecorderOptions::new(PERIOD_NS, 512, WhenFull::DropFrameSet);
+        let sink = Box::new(Kept(Arc::clone(&outcomes)));
+        let ring = Ring::start(sink, 4096, Arc::clone(&progress), events.clone()).expect("a thread");
+        let start = Start { period_ns: PERIOD_NS, warm_up: 0, hsu_minus_host_ns: Some(-i128::from(HOST_NS)) };
+        let lane = |camera| LaneSetup {
+            id: CameraId(format!("c{camera}")),
+            width: 16,
+            height: 1,
+            matcher: Matcher::new(start),
+        };
+        let lanes = (0..cameras).map(lane).collect();
+        Self { accounting: Accounting::new(lanes, options, progress, ring, events), outcomes, closed }
+    }
+
+    fn report(&mut self, trigger: u64, hsu_time_ns: u64) {
+        let index = TriggerIndex(trigger);
+        self.accounting.handle(RecorderCommand::Trigger(TriggerRecord {
+            index,
+            hsu_time_ns,
+            flags: 0,
+            host_time_ns: 0,
+        }));
+    }
+
+    fn frame(&mut self, camera: usize, stream: u32, block: u64, exposed_ns: u64) {
+        let arrival = Arrival {
+            camera,
+            stream,
+            transfer: Transfer::Complete,
+            block_id: BlockId(block),
+            camera_ns: exposed_ns,
+            host_ns: HOST_NS + exposed_ns + 3_000_000,
+            pixels_crc: 0,
+            taken: Instant::now(),
+            block: Block::allocate(16),
+        };
+        self.accounting.frame_arrived(arrival, 0);
+    }
+
+    /// The clocks of the HSU and of the first camera are read.
+    fn read_clocks(&mut self, device_time_ns: u64) {
+        for camera in [None, Some(CameraId("c0".to_owned()))] {
+            let host = HOST_NS + device_time_ns;
+            let (host_send_ns, host_receive_ns) = (host - 50_000, host + 50_000);
+            self.accounting.handle(RecorderCommand::Clock(ClockSample {
+                camera,
+                host_send_ns,
+                host_receive_ns,
+                device_time_ns,
+            }));
+        }
+    }
+
+    /// Whether the camera's clock was asked for.
+    fn was_asked(&self) -> bool {
+        self.closed.try_iter().any(|event| matches!(event, RecorderEvent::Doubtful { camera: 0 }))
+    }
+
+    /// What every frame that waits has is all that will come.
+    fn last_call(&mut self) {
+        (0..self.accounting.lanes.len()).for_each(|camera| self.accounting.advance(camera, true));
+    }
+
+    fn outcomes(self) -> Outcomes {
+        self.accounting.close(None);
+        let closed = |event| matches!(event, RecorderEvent::Closed(_));
+        assert!(self.closed.iter().any(closed), "it closes");
+        self.outcomes.lock().expect("not poisoned").clone()
+    }
+}
+
+fn due(trigger: u64) -> u64 {
+    1_000_000_000 + trigger * PERIOD_NS
+}
+
+/// A frame of the old stream that was on its way when the camera was lost still counts, until the camera is back: it
+/// must not pass for one of the fresh stream, whose ids and clock are others.
+#[test]
+fn frames_of_a_stream_that_has_ended_are_not_taken_for_later_ones() {
+    let mut desk = Desk::new(2);
+    for trigger in 0..80 {
+        desk.report(trigger, due(trigger));
+        desk.frame(1, 0, trigger + 1, due(trigger));
+        match trigger {
+            0..40 => desk.frame(0, 0, trigger + 1, due(trigger)),
+            40 => desk.accounting.handle(RecorderCommand::CameraLost(0, GapCause::ControlLost)),
+            45 => desk.frame(0, 0, 41, due(40)),
+            50 => desk.accounting.handle(RecorderCommand::CameraBack { camera: 0, stream: 1 }),
+            55 => desk.frame(0, 0, 42, due(41)),
+            60.. => desk.frame(0, 1, trigger - 59, due(trigger)),
+            _ => {}
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 160);
+    for trigger in 0..80 {
+        let expected = match trigger {
+            0..=40 => Ok(trigger + 1),
+            60.. => Ok(trigger - 59),
+            _ => Err(GapCause::ControlLost),
+        };
+        assert_eq!(
+            (outcomes[&(trigger, 0)], outcomes[&(trigger, 1)]),
+            (expected, Ok(trigger + 1)),
+            "{trigger}"
+        );
+    }
+}
+
+/// Reports of triggers 40 to 69 are held up, and the train pauses before 50 and before 60.
+fn pausing(cameras: usize) -> Outcomes {
+    let mut desk = Desk::new(cameras);
+    let pauses =
+        |trigger: u64| u64::from(trigger >= 50) * 3 * PERIOD_NS + u64::from(trigger >= 60) * 2_500_000;
+    for trigger in 0..100 {
+        let at = due(trigger) + pauses(trigger);
+        if trigger == 70 {
+            (40..70).for_each(|late| desk.report(late, due(late) + pauses(late)));
+        }
+        if !(40..70).contains(&trigger) {
+            desk.report(trigger, at);
+        }
+        (0..cameras).for_each(|camera| desk.frame(camera, 0, trigger + 1, at));
+        if (40..70).contains(&trigger) {
+            desk.last_call();
+        }
+    }
+    desk.outcomes()
+}
+
+#[test]
+fn two_cameras_stand_in_for_reports_of_a_train_that_pauses() {
+    let outcomes = pausing(2);
+    assert_eq!(outcomes.len(), 200);
+    for ((trigger, camera), outcome) in outcomes {
+        assert_eq!(outcome, Ok(trigger + 1), "camera {camera}");
+    }
+}
+
+#[test]
+fn one_camera_gives_up_what_it_cannot_tell() {
+    let outcomes = pausing(1);
+    assert_eq!(outcomes.len(), 100);
+    for ((trigger, _), outcome) in outcomes {
+        let given_up = (50..70).contains(&trigger);
+        let expected = if given_up { Err(GapCause::IdentityMismatch) } else { Ok(trigger + 1) };
+        assert_eq!(outcome, expected, "{trigger}");
+    }
+}
+
+/// Both cameras' ids jump by one at trigger 42 while the reports of 40 to 59 are held up: they agree, and are wrong. But no
+/// train fires a trigger before its time.
+#[test]
+fn cameras_that_agree_on_a_trigger_before_its_time_are_not_believed() {
+    let mut desk = Desk::new(2);
+    let block = |trigger: u64| trigger + 1 + u64::from(trigger >= 42);
+    for trigger in 0..100 {
+        if trigger == 60 {
+            (40..60).for_each(|late| desk.report(late, due(late)));
+        }
+        if !(40..60).contains(&trigger) {
+            desk.report(trigger, due(trigger));
+        }
+        (0..2).for_each(|camera| desk.frame(camera, 0, block(trigger), due(trigger)));
+        if (40..60).contains(&trigger) {
+            desk.last_call();
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 200);
+    for ((trigger, camera), outcome) in outcomes {
+        assert!(outcome.is_err() || outcome == Ok(block(trigger)), "camera {camera}, {trigger}: {outcome:?}");
+        assert!((42..60).contains(&trigger) || outcome.is_ok(), "camera {camera}, {trigger}: {outcome:?}");
+    }
+}
+
+/// Ids jump, and arrivals would say so; but a clock that can be read is asked first, and the frames wait for it.
+#[test]
+fn a_frame_in_doubt_waits_until_its_cameras_clock_has_been_read() {
+    let mut desk = Desk::new(1);
+    (0..8).for_each(|k| desk.read_clocks(900_000_000 + k * 1_000_000));
+    let block = |trigger: u64| trigger + 1 + 3 * u64::from(trigger >= 30);
+    for trigger in 0..40 {
+        desk.report(trigger, due(trigger));
+        desk.frame(0, 0, block(trigger), due(trigger));
+        if trigger == 20 {
+            assert!(desk.was_asked(), "how long it takes to stamp a frame is measured by readings");
+            desk.read_clocks(due(20) + 4_000_000);
+        }
+        if trigger == 29 {
+            // Long after it was asked last.
+            desk.accounting.awake += Duration::from_secs(1);
+        }
+    }
+    assert!(desk.was_asked(), "something happened that nobody knows");
+    assert_eq!(desk.accounting.lanes[0].next, 30, "and nobody guesses");
+    (0..4).for_each(|k| desk.read_clocks(due(40) + k * 1_000_000));
+    desk.accounting.advance_all();
+    assert_eq!(desk.accounting.lanes[0].next, 40);
+    let outcomes = desk.outcomes();
+    assert!(outcomes.iter().all(|((trigger, _), outcome)| *outcome == Ok(block(*trigger))), "{outcomes:?}");
+}

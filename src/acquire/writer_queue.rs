@@ -1,0 +1,203 @@
+//! The bounded hand-off from the matching thread to the thread that owns the recording.
+//!
+//! Frames are admitted set by set: a set that does not fit as a whole is not admitted. Small records (triggers,
+//! gaps, clock samples, events) have room of their own, so that what explains a full ring still gets through.
+
+use super::recorder::Progress;
+use crate::base::ids::TriggerIndex;
+use crate::base::{Exit, Fault};
+use crate::host::frame_memory::Block;
+use crate::record::{
+    ClockSample, FrameMeta, GapCause, NodeEvent, RecordError, Recording, SessionEnd, TriggerRecord, Verdict,
+};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::recorder::RecorderEvent;
+
+/// Room for small records beside the frames: minutes of them.
+const SMALL_RECORDS: usize = 65_536;
+/// Without anything to write the recording's durability is looked after this often.
+const TICK: Duration = Duration::from_millis(20);
+
+/// A frame whose trigger is known.
+#[derive(Debug)]
+pub(super) struct ReadyFrame {
+    pub(super) camera: usize,
+    pub(super) meta: FrameMeta,
+    pub(super) block: Block,
+    pub(super) taken: Instant,
+    /// When it was matched, then when it entered the ring.
+    pub(super) since: Instant,
+}
+
+/// What the recording is told, in order.
+#[derive(Debug)]
+pub(super) enum ToWriter {
+    Frame(ReadyFrame),
+    Gap(usize, TriggerIndex, GapCause),
+    Trigger(TriggerRecord),
+    Clock(ClockSample),
+    Event(NodeEvent),
+    End(SessionEnd),
+}
+
+/// What can be written to: a recording, or a stand-in for it in tests.
+pub(super) trait Sink: Send + 'static {
+    fn write(&mut self, item: ToWriter) -> Result<(), RecordError>;
+    fn tick(&mut self) -> Result<(), RecordError>;
+    fn finish(self: Box<Self>, end: SessionEnd) -> Result<Verdict, RecordError>;
+}
+
+impl Sink for Recording {
+    fn write(&mut self, item: ToWriter) -> Result<(), RecordError> {
+        match item {
+            ToWriter::Frame(frame) => self.frame_in_place(frame.camera, &frame.meta, frame.block),
+            ToWriter::Gap(camera, trigger, cause) => self.gap(camera, trigger, cause),
+            ToWriter::Trigger(record) => self.trigger(&record),
+            ToWriter::Clock(sample) => self.clock_sample(&sample),
+            ToWriter::Event(event) => self.event(&event),
+            ToWriter::End(_) => Ok(()),
+        }
+    }
+
+    fn tick(&mut self) -> Result<(), RecordError> {
+        Self::tick(self)
+    }
+
+    fn finish(self: Box<Self>, end: SessionEnd) -> Result<Verdict, RecordError> {
+        Self::finish(*self, end)
+    }
+}
+
+/// The matching thread's end.
+pub(super) struct Ring {
+    items: Option<Sender<ToWriter>>,
+    /// Frames in it.
+    frames: Arc<AtomicUsize>,
+    capacity: usize,
+    /// Small records that found no room: their gaps are accounted for at the end.
+    pub(super) refused: u64,
+    writer: Option<JoinHandle<()>>,
+}
+
+impl Ring {
+    /// Starts the writer's thread behind room for `capacity` frames.
+    pub(super) fn start(
+        sink: Box<dyn Sink>,
+        capacity: usize,
+        progress: Arc<Progress>,
+        events: Sender<RecorderEvent>,
+    ) -> std::io::Result<Self> {
+        let (items, inbox) = bounded(capacity + SMALL_RECORDS);
+        let frames = Arc::new(AtomicUsize::new(0));
+        let writer = Writer { sink, inbox, frames: Arc::clone(&frames), progress, events, failed: false };
+        let thread = std::thread::Builder::new().name("writer".to_owned()).spawn(move || {
+            crate::host::realtime::enter_configured("writer");
+            writer.run()
+        })?;
+        Ok(Self { items: Some(items), frames, capacity, refused: 0, writer: Some(thread) })
+    }
+
+    /// Frames in the ring.
+    pub(super) fn len(&self) -> usize {
+        self.frames.load(Ordering::Relaxed)
+    }
+
+    /// Whether so many frames fit now. Only this end adds, so that what fits now fits.
+    pub(super) fn has_room_for(&self, frames: usize) -> bool {
+        self.len() + frames <= self.capacity
+    }
+
+    /// Passes an admitted frame on.
+    pub(super) fn frame(&mut self, frame: ReadyFrame) {
+        self.frames.fetch_add(1, Ordering::Relaxed);
+        self.small(ToWriter::Frame(frame));
+    }
+
+    /// Passes a small record on.
+    pub(super) fn small(&mut self, item: ToWriter) {
+        if let Some(items) = &self.items
+            && let Err(error) = items.try_send(item)
+        {
+            self.refused += 1;
+            if let ToWriter::Frame(_) = error.into_inner() {
+                self.frames.fetch_sub(1, Ordering::Relaxed);
+            }
+        }
+    }
+
+    /// Lets everything be written, then closes the recording; or, without an end, leaves it.
+    pub(super) fn close(mut self, end: Option<SessionEnd>) {
+        if let Some((items, end)) = self.items.take().zip(end) {
+            // A writer that is gone has said so.
+            drop(items.send(ToWriter::End(end)));
+        }
+        self.items = None;
+        if self.writer.take().is_some_and(|writer| writer.join().is_err()) {
+            tracing::error!("the writer panicked");
+        }
+    }
+}
+
+struct Writer {
+    sink: Box<dyn Sink>,
+    inbox: Receiver<ToWriter>,
+    frames: Arc<AtomicUsize>,
+    progress: Arc<Progress>,
+    events: Sender<RecorderEvent>,
+    failed: bool,
+}
+
+impl Writer {
+    fn run(mut self) {
+        loop {
+            self.progress.writer_turns.fetch_add(1, Ordering::Relaxed);
+            match self.inbox.recv_timeout(TICK) {
+                Ok(ToWriter::End(end)) => {
+                    let verdict = self.sink.finish(end).map_err(|e| Fault::new(Exit::DataLoss, e));
+                    drop(self.events.send(RecorderEvent::Closed(verdict)));
+                    return;
+                }
+                Ok(ToWriter::Frame(frame)) => self.frame(frame),
+                Ok(item) => {
+                    let written = self.sink.write(item);
+                    self.judge(written);
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    let kept = self.sink.tick();
+                    self.judge(kept);
+                }
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+    }
+
+    fn frame(&mut self, frame: ReadyFrame) {
+        let (camera, taken, entered) = (frame.camera, frame.taken, frame.since);
+        let written = self.sink.write(ToWriter::Frame(frame));
+        match self.progress.frames.get(camera).filter(|_| written.is_ok()) {
+            Some(frames) => {
+                frames.fetch_add(1, Ordering::Relaxed);
+            }
+            // The recording has accounted for a frame that it could not write.
+            None => self.progress.gap(camera, GapCause::DroppedDisk),
+        }
+        self.frames.fetch_sub(1, Ordering::Relaxed);
+        self.progress.latencies.written.record(entered.elapsed());
+        self.progress.latencies.total.record(taken.elapsed());
+        self.judge(written);
+    }
+
+    /// The first failure is reported.
+    fn judge(&mut self, written: Result<(), RecordError>) {
+        let Err(error) = written else { return };
+        if !std::mem::replace(&mut self.failed, true) {
+            tracing::error!("recording failed: {error}");
+            drop(self.events.send(RecorderEvent::Failed(Fault::new(Exit::Failure, error))));
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! The list of a node's recordings, kept in memory: to look at it costs a recording under way no frame.
+//!
+//! One thread, which runs when nobody else wants the processor, looks at the disk. It reads a recording when it is new
+//! or has changed, and never for whoever asks. Requests wait in a queue of a stated length; those that came meanwhile are
+//! answered by one look.
+
+use crate::base::ids::NodeId;
+use crate::record::catalogue::{CatalogueEntry, entry};
+use crate::record::node_dir;
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime};
+use tokio::sync::oneshot;
+
+/// Recordings that are kept in mind: the newest ones.
+pub const LISTED_MAX: usize = 1000;
+/// Requests that wait.
+const WAITING_MAX: usize = 64;
+/// Between two looks at the disk.
+const PAUSE: Duration = Duration::from_millis(250);
+
+/// JSON of a list of [`CatalogueEntry`], or of one; `None` where there is none.
+pub type Told = Option<String>;
+
+enum Ask {
+    Newest(usize, oneshot::Sender<Told>),
+    One(String, oneshot::Sender<Told>),
+}
+
+/// Asks the thread; it ends when the last of these is dropped.
+#[derive(Clone)]
+pub struct Listing {
+    asks: Sender<Ask>,
+}
+
+/// Why there is no answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("too many ask for the recordings at the same time; try again")]
+pub struct Busy;
+
+impl Listing {
+    /// Starts the thread, which begins with a look at everything.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub fn start(sessions_dir: PathBuf, node: NodeId) -> std::io::Result<Self> {
+        let (asks, inbox) = bounded(WAITING_MAX);
+        let mut index = Index { sessions_dir, node, known: BTreeMap::new() };
+        std::thread::Builder::new().name("listing".to_owned()).spawn(move || index.run(&inbox))?;
+        Ok(Self { asks })
+    }
+
+    /// The newest so many recordings, newest first.
+    ///
+    /// # Errors
+    /// Too many ask.
+    pub async fn newest(&self, limit: usize) -> Result<Told, Busy> {
+        self.ask(|reply| Ask::Newest(limit, reply)).await
+    }
+
+    /// The recording of this name.
+    ///
+    /// # Errors
+    /// Too many ask.
+    pub async fn one(&self, name: String) -> Result<Told, Busy> {
+        self.ask(|reply| Ask::One(name, reply)).await
+    }
+
+    async fn ask(&self, ask: impl FnOnce(oneshot::Sender<Told>) -> Ask) -> Result<Told, Busy> {
+        let (reply, answer) = oneshot::channel();
+        match self.asks.try_send(ask(reply)) {
+            Ok(()) => answer.await.map_err(|_| Busy),
+            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => Err(Busy),
+        }
+    }
+}
+
+/// What changes when a recording does.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Stamp {
+    made: SystemTime,
+    /// Of the files, while it is not closed.
+    bytes: u64,
+    written: Option<SystemTime>,
+}
+
+struct Known {
+    stamp: Stamp,
+    created_ns: u64,
+    closed: bool,
+    json: String,
+}
+
+struct Index {
+    sessions_dir: PathBuf,
+    node: NodeId,
+    /// By session.
+    known: BTreeMap<String, Known>,
+}
+
+impl Index {
+    fn run(&mut self, inbox: &Receiver<Ask>) {
+        idle();
+        self.look();
+        let mut looked = Instant::now();
+        while let Ok(first) = inbox.recv() {
+            std::thread::sleep(PAUSE.saturating_sub(looked.elapsed()));
+            let asks: Vec<Ask> = std::iter::once(first).chain(inbox.try_iter()).collect();
+            self.look();
+            for ask in asks {
+                // Whoever asked may be gone.
+                let _ = match ask {
+                    Ask::Newest(limit, reply) => reply.send(Some(self.newest(limit))),
+                    Ask::One(name, reply) => reply.send(self.one(&name)),
+                };
+            }
+            looked = Instant::now();
+        }
+    }
+
+    fn newest(&self, limit: usize) -> String {
+        let mut known: Vec<&Known> = self.known.values().collect();
+        known.sort_by_key(|known| std::cmp::Reverse(known.created_ns));
+        let listed: Vec<&str> = known.into_iter().take(limit).map(|known| known.json.as_str()).collect();
+        format!("[{}]", listed.join(","))
+    }
+
+    fn one(&self, name: &str) -> Told {
+        // Those that are too old to be kept in mind are looked at.
+        let older = || serde_json::to_string(&entry(&self.sessions_dir, &self.node, name)?).ok();
+        self.known.get(name).map(|known| known.json.clone()).or_else(older)
+    }
+
+    fn look(&mut self) {
+        let entries = std::fs::read_dir(&self.sessions_dir).into_iter().flatten().flatten();
+        let mut found: Vec<(SystemTime, String)> = entries
+            .filter_map(|entry| {
+                let dir = node_dir(&entry.path(), &self.node);
+                let made = std::fs::metadata(dir).ok().filter(std::fs::Metadata::is_dir)?.modified().ok()?;
+                Some((made, entry.file_name().into_string().ok()?))
+            })
+            .collect();
+        found.sort_by(|a, b| b.cmp(a));
+        found.truncate(LISTED_MAX);
+        let mut before = std::mem::take(&mut self.known);
+        for (made, name) in found {
+            let known = match before.remove(&name) {
+                Some(known) if known.closed && known.stamp.made == made => Some(known),
+                known => {
+                    let stamp = stamp(&node_dir(&self.sessions_dir.join(&name), &self.node), made);
+                    known.filter(|known| known.stamp == stamp).or_else(|| self.read(&name, stamp))
+                }
+            };
+            self.known.extend(known.map(|known| (name, known)));
+        }
+    }
+
+    fn read(&self, name: &str, stamp: Stamp) -> Option<Known> {
+        let entry: CatalogueEntry = entry(&self.sessions_dir, &self.node, name)?;
+        let json = serde_json::to_string(&entry).ok()?;
+        Some(Known { stamp, created_ns: entry.created_ns, closed: entry.verdict.is_some(), json })
+    }
+}
+
+fn stamp(dir: &Path, made: SystemTime) -> Stamp {
+    let files = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    let files: Vec<_> = files.filter_map(|file| file.metadata().ok()).collect();
+    let bytes = files.iter().map(std::fs::Metadata::len).sum();
+    Stamp { made, bytes, written: files.iter().filter_map(|file| file.modified().ok()).max() }
+}
+
+/// From now on this thread has what nobody else wants.
+fn idle() {
+    let parameters = libc::sched_param { sched_priority: 0 };
+    // SAFETY: the parameters are valid during the call, and 0 is the calling thread.
+    if unsafe { libc::sched_setscheduler(0, libc::SCHED_IDLE, &raw const parameters) } != 0 {
+        tracing::warn!(
+            "the list of recordings is not made at idle priority: {}",
+            std::io::Error::last_os_error()
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Index;
+    use crate::base::ids::NodeId;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn what_comes_goes_and_changes_is_seen() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let node_dir = dir.path().join("walk/node-a");
+        std::fs::create_dir_all(&node_dir).expect("made");
+        let mut index =
+            Index { sessions_dir: dir.path().to_owned(), node: NodeId::from("a"), known: BTreeMap::new() };
+        let mut listed = || {
+            index.look();
+            index.newest(10)
+        };
+        std::fs::write(node_dir.join("segment-000.mcap"), b"").expect("written");
+        assert!(listed().contains(r#""name":"walk""#) && listed().contains(r#""bytes":0"#));
+        std::fs::write(node_dir.join("segment-000.mcap"), b"12345").expect("written");
+        assert!(listed().contains(r#""bytes":5"#), "{}", listed());
+        std::fs::remove_dir_all(dir.path().join("walk")).expect("mine");
+        assert_eq!(listed(), "[]");
+        assert_eq!(index.one("../walk"), None);
+    }
+}

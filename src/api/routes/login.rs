@@ -1,0 +1,85 @@
+//! Browsers: a token is exchanged for a cookie that no script can read.
+
+use crate::api::Shared;
+use crate::api::auth::{Caller, cookie_of};
+use crate::api::body::Body;
+use crate::api::connections::Standing;
+use crate::api::limits::Key;
+use crate::api::logins::LIFETIME;
+use crate::api::refusal::Refusal;
+use crate::api::transport::Link;
+use crate::base::{Exit, Fault};
+use crate::control::status::Via;
+use crate::control::status::{Challenge, Identity, Login, path};
+use crate::control::tokens::Role;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new()
+        .routes(routes!(challenge))
+        .routes(routes!(login))
+        .routes(routes!(logout))
+        .routes(routes!(identity))
+}
+
+/// What a proof of a token is made for: open to all, and good for this connection alone.
+#[utoipa::path(get, path = path::CHALLENGE, tag = "login",
+    responses((status = 200, description = "The connection's nonce.", body = Challenge)))]
+async fn challenge(Extension(standing): Extension<Standing>) -> Json<Challenge> {
+    Json(Challenge { nonce: standing.nonce.as_ref().to_owned() })
+}
+
+/// Exchanges a token for a cookie (HttpOnly, SameSite=Strict), for browsers.
+#[utoipa::path(post, path = path::LOGIN, tag = "login", request_body = Login, responses(
+    (status = 200, description = "Logged in; the cookie is set.", body = Identity),
+    (status = 409, description = "This node has no tokens: nobody needs to log in.", body = Fault),
+))]
+async fn login(
+    State(shared): State<Shared>,
+    Extension(link): Extension<Link>,
+    Body(Login { token }): Body<Login>,
+) -> Result<Response, Refusal> {
+    if !shared.auth.has_tokens() {
+        let message = "this node has no tokens (api.tokens): nobody needs to log in";
+        return Err(Refusal::new(StatusCode::CONFLICT, message));
+    }
+    let Some((name, role)) = shared.auth.bearer(token.trim()) else { return Err(shared.auth.refused(&link)) };
+    if role == Role::Peer {
+        return Err(Refusal::new(
+            StatusCode::FORBIDDEN,
+            "this is the token of a node; people have their own",
+        ));
+    }
+    let id = shared.auth.logins.begin(token.trim()).map_err(|e| {
+        Refusal::from(Fault::new(Exit::Failure, format!("the system gives no random numbers: {e}")))
+    })?;
+    let secure = if matches!(link, Link::Tcp { encrypted: true, .. }) { "; Secure" } else { "" };
+    let (cookie, seconds) = (&shared.cookie, LIFETIME.as_secs());
+    let cookie = format!("{cookie}={id}; Path=/; Max-Age={seconds}; HttpOnly; SameSite=Strict{secure}");
+    let identity = Identity { name: name.clone(), role, via: Via::Cookie };
+    let mut response = ([(header::SET_COOKIE, cookie)], Json(identity)).into_response();
+    // For the audit log.
+    response.extensions_mut().insert(Caller { key: Key::Token(name.clone()), name, role, via: Via::Token });
+    Ok(response)
+}
+
+/// Ends the login; the cookie is taken back.
+#[utoipa::path(post, path = path::LOGOUT, tag = "login", responses((status = 204, description = "Logged out.")))]
+async fn logout(State(shared): State<Shared>, headers: HeaderMap) -> Response {
+    if let Some(id) = cookie_of(&headers, &shared.cookie) {
+        shared.auth.logins.end(id);
+    }
+    let cookie = format!("{}=; Path=/; Max-Age=0; HttpOnly; SameSite=Strict", shared.cookie);
+    (StatusCode::NO_CONTENT, [(header::SET_COOKIE, cookie)]).into_response()
+}
+
+/// Who the node takes the caller for.
+#[utoipa::path(get, path = path::IDENTITY, tag = "login", responses((status = 200, description = "The caller.", body = Identity)))]
+async fn identity(caller: Caller) -> Json<Identity> {
+    Json(Identity { name: caller.name, role: caller.role, via: caller.via })
+}

@@ -1,0 +1,113 @@
+//! What this node has recorded, and quick looks at it.
+
+use crate::api::Shared;
+use crate::api::listing::{Busy, LISTED_MAX, Told};
+use crate::api::refusal::Refusal;
+use crate::base::{Exit, Fault};
+use crate::control::status::path;
+use crate::preview::quick_look::Look;
+use crate::record::catalogue::CatalogueEntry;
+use axum::Json;
+use axum::extract::{Path, Query, State};
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::new()
+        .routes(routes!(get_sessions))
+        .routes(routes!(get_session))
+        .routes(routes!(get_quick_look, ask_quick_look))
+        .routes(routes!(get_cloud))
+}
+
+/// Which sessions.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+struct Choice {
+    /// The newest so many, 1 to 1000.
+    #[serde(default = "fifty")]
+    #[param(minimum = 1, maximum = 1000)]
+    limit: usize,
+}
+
+fn fifty() -> usize {
+    50
+}
+
+/// This node's recordings, newest first.
+#[utoipa::path(get, path = path::SESSIONS, tag = "sessions", params(Choice),
+    responses(
+        (status = 200, description = "The recordings.", body = Vec<CatalogueEntry>),
+        (status = 400, description = "The query is not what is described."),
+        (status = 503, description = "Too many ask at the same time.", body = Fault)))]
+async fn get_sessions(
+    State(shared): State<Shared>,
+    Query(choice): Query<Choice>,
+) -> Result<Response, Refusal> {
+    let listed = shared.services.listing.newest(choice.limit.clamp(1, LISTED_MAX)).await;
+    told(listed)?.ok_or_else(|| Refusal::new(StatusCode::NOT_FOUND, "no sessions"))
+}
+
+/// One recording.
+#[utoipa::path(get, path = path::SESSION, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+    responses(
+        (status = 200, description = "The recording.", body = CatalogueEntry),
+        (status = 404, description = "This node has no such session.", body = Fault),
+        (status = 503, description = "Too many ask at the same time.", body = Fault)))]
+async fn get_session(State(shared): State<Shared>, Path(name): Path<String>) -> Result<Response, Refusal> {
+    told(shared.services.listing.one(name.clone()).await)?.ok_or_else(|| not_found(&name))
+}
+
+/// How far the look at a session is. Every session is looked at when it has been recorded, where that is configured.
+#[utoipa::path(get, path = path::QUICK_LOOK, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+    responses((status = 200, description = "The look.", body = Look)))]
+async fn get_quick_look(State(shared): State<Shared>, Path(name): Path<String>) -> Json<Look> {
+    Json(shared.services.quick_looks.of(&name))
+}
+
+/// Asks for a look at a session: a few frame sets, reconstructed at idle priority.
+#[utoipa::path(post, path = path::QUICK_LOOK, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+    responses(
+        (status = 202, description = "It is made, or was made already."),
+        (status = 409, description = "Not configured, no such session, or another one is being looked at.", body = Fault)))]
+async fn ask_quick_look(
+    State(shared): State<Shared>,
+    Path(name): Path<String>,
+) -> Result<StatusCode, Refusal> {
+    let asked = shared.services.quick_looks.ask(&name);
+    asked.map(|()| StatusCode::ACCEPTED).map_err(|reason| Fault::new(Exit::Usage, reason).into())
+}
+
+/// The cloud of one frame set of a look, this node's cameras: 12 bytes a point, little-endian: x, y, z (i16, tenths of a
+/// millimetre), normal (three i8, 127ths), intensity (u8, 255ths), camera (u8), zero.
+#[utoipa::path(get, path = path::QUICK_LOOK_CLOUD, tag = "sessions",
+    params(
+        ("name" = String, Path, description = "The session's name."),
+        ("trigger" = u64, Path, description = "The frame set.")),
+    responses(
+        (status = 200, description = "The points.", content_type = "application/octet-stream", body = Vec<u8>),
+        (status = 400, description = "The trigger is not a number."),
+        (status = 404, description = "There is no such cloud (yet).", body = Fault)))]
+async fn get_cloud(
+    State(shared): State<Shared>,
+    Path((name, trigger)): Path<(String, u64)>,
+) -> Result<Response, Refusal> {
+    let cloud = shared.services.quick_looks.cloud(&name, trigger).ok_or_else(|| {
+        let message = format!("no cloud of trigger {trigger} in the look at session {name:?}");
+        Refusal::new(StatusCode::NOT_FOUND, message)
+    })?;
+    Ok(([(header::CONTENT_TYPE, "application/octet-stream")], cloud.as_ref().clone()).into_response())
+}
+
+fn not_found(name: &str) -> Refusal {
+    Refusal::new(StatusCode::NOT_FOUND, format!("no session {name:?} at this node"))
+}
+
+/// JSON that was made elsewhere.
+fn told(told: Result<Told, Busy>) -> Result<Option<Response>, Refusal> {
+    let told = told.map_err(|busy| Refusal::from(Fault::new(Exit::Device, busy)))?;
+    Ok(told.map(|json| ([(header::CONTENT_TYPE, "application/json")], json).into_response()))
+}

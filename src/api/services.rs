@@ -1,0 +1,92 @@
+//! What the API offers beside the node's own session: captures on all nodes, previews, quick looks, the other nodes.
+
+use super::listing::Listing;
+use crate::acquire::preview::Taps;
+use crate::base::Fault;
+use crate::base::ids::NodeId;
+use crate::capture::coordinator::{Coordinator, Participants};
+use crate::capture::participant::{LocalNode, Participant};
+use crate::capture::peer_watch::PeerWatch;
+use crate::config::NodeConfig;
+use crate::control::client::{Credentials, NodeClient};
+use crate::control::command::{Command, SharedStatus};
+use crate::preview::Previews;
+use crate::preview::quick_look::{QuickLooks, Settings};
+use crate::worker::watch::WorkerWatch;
+use crossbeam_channel::Sender;
+use std::sync::Arc;
+
+/// Services of a node.
+pub struct Services {
+    /// Captures that this node runs.
+    pub coordinator: Coordinator,
+    /// Pictures of this node's cameras.
+    pub previews: Previews,
+    /// What this node has recorded.
+    pub listing: Listing,
+    /// Clouds of what this node has recorded.
+    pub quick_looks: QuickLooks,
+    /// The other nodes.
+    pub peers: Arc<Vec<Peer>>,
+    /// The worker of this machine.
+    pub worker: WorkerWatch,
+    _watch: Option<PeerWatch>,
+}
+
+/// Another node.
+#[derive(Debug, Clone)]
+pub struct Peer {
+    /// Its name in the rig.
+    pub name: NodeId,
+    /// How to ask it.
+    pub client: NodeClient,
+}
+
+impl Services {
+    /// Starts them.
+    pub fn start(
+        config: &NodeConfig,
+        commands: Sender<Command>,
+        status: SharedStatus,
+        taps: Arc<Taps>,
+    ) -> Result<Self, Fault> {
+        let thread =
+            |e: std::io::Error| Fault::new(crate::base::Exit::Failure, format!("cannot start a thread: {e}"));
+        let peer = |peer: &crate::config::PeerConfig| {
+            let credentials = Credentials { token_file: peer.token_file.clone(), ca: peer.ca.clone() };
+            let client = NodeClient::with(&peer.url, &credentials)?;
+            Ok(Peer { name: NodeId(peer.name.clone()), client })
+        };
+        let peers = Arc::new(config.api.peers.iter().map(peer).collect::<Result<Vec<Peer>, Fault>>()?);
+        let here = LocalNode::new(commands, Arc::clone(&status));
+        let cast: Participants = {
+            let (here, peers) = (here.clone(), Arc::clone(&peers));
+            Arc::new(move || {
+                let others = peers.iter().map(|peer| Box::new(peer.client.clone()) as Box<dyn Participant>);
+                std::iter::once(Box::new(here.clone()) as Box<dyn Participant>).chain(others).collect()
+            })
+        };
+        let watched: Vec<(NodeId, Box<dyn Participant>)> = peers
+            .iter()
+            .map(|peer| (peer.name.clone(), Box::new(peer.client.clone()) as Box<dyn Participant>))
+            .collect();
+        let watch = match watched.is_empty() {
+            true => None,
+            false => Some(PeerWatch::start(watched, here).map_err(thread)?),
+        };
+        let quick_look = config.quick_look.as_ref().map(|quick_look| Settings {
+            calibration: quick_look.calibration.clone(),
+            sets: quick_look.frame_sets,
+            work_dir: config.sessions_dir.join(".quick-look"),
+        });
+        Ok(Self {
+            coordinator: Coordinator::new(cast),
+            previews: Previews::start(taps).map_err(thread)?,
+            listing: Listing::start(config.sessions_dir.clone(), config.node.clone()).map_err(thread)?,
+            quick_looks: QuickLooks::start(quick_look, status).map_err(thread)?,
+            peers,
+            worker: WorkerWatch::start(config.worker_results.clone()).map_err(thread)?,
+            _watch: watch,
+        })
+    }
+}

@@ -1,0 +1,20 @@
+//! What everything stands on: identifiers, images, clocks, histograms, files that are written whole, faults, printing.
+
+#[macro_use]
+pub(crate) mod print;
+
+mod atomic_file;
+/// A straight line from one clock's time to another's, from samples of both.
+pub mod clock_fit;
+mod fault;
+/// Histograms of durations.
+pub mod histogram;
+/// Identifiers that must not be mixed up.
+pub mod ids;
+/// Row-major image planes and grey PNG files.
+pub mod image;
+/// The host's clocks.
+pub mod time;
+
+pub use atomic_file::{STALE, remove_stale, write_new, write_whole, write_whole_cached};
+pub use fault::{Exit, Fault};

@@ -1,0 +1,362 @@
+//! Stored phase maps to cloud files: the very bytes that `reconstruct` would have written itself.
+//!
+//! ```text
+//! IN/phases/CAMERA_INDEX.phase   one phase map, as `fourdbody reconstruct` writes it
+//! ```
+
+use super::collect_shards::remove_leftovers;
+use super::key::{Key, KeyError};
+use super::run::{cloud_path, merged_path};
+use crate::base::write_whole;
+use crate::data::{CalibratedCamera, Calibration, Cloud};
+use crate::formats::phase_file::{self, Statement};
+use crate::formats::sequence::SequenceWriter;
+use crate::formats::{CloudSource, Commented, ply};
+use crate::merge::{self, Rule, View, Viewpoint};
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
+use crate::reconstruct::triangulate::points;
+use crate::reconstruct::triangulate::ray_table::RayTable;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::SystemTime;
+
+/// Where a phase map is.
+pub fn phase_path(out: &Path, camera: &str, trigger: u64) -> PathBuf {
+    out.join("phases").join(format!("{camera}_{trigger:06}.phase"))
+}
+
+/// What a map states of the calibration that clouds are made with: its hash, and its volume, m.
+pub type Geometry = (String, [[f64; 3]; 2]);
+
+/// That of a calibration.
+pub fn statement_of(calibration: &Calibration) -> Geometry {
+    (calibration.geometry_sha256(), [calibration.volume_min_m, calibration.volume_max_m])
+}
+
+/// What became of an export.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct Exported {
+    /// Directional clouds written.
+    pub clouds: usize,
+    /// Points of all merged clouds.
+    pub merged_points: usize,
+    /// Triggers.
+    pub triggers: usize,
+    /// Triggers whose clouds were there already.
+    pub kept: usize,
+    /// Triggers without a single point: they have no merged cloud.
+    pub empty: usize,
+}
+
+/// What became of a trigger.
+struct Made {
+    trigger: u64,
+    time_ns: Option<u64>,
+    /// Of its merged cloud.
+    points: usize,
+    kept: bool,
+}
+
+/// One trigger's maps: places of their cameras in the calibration, and files.
+type Maps = Vec<(usize, PathBuf)>;
+
+/// Why an export ended.
+#[derive(Debug, thiserror::Error)]
+pub enum StoredError {
+    /// The maps cannot be used: damaged, or made with another calibration.
+    #[error("{0}")]
+    Maps(String),
+    /// There is not a single point in them.
+    #[error(
+        "{0}: no frame was reconstructed, so that there is nothing to export; `fourdbody reconstruct` told why (summary.json)"
+    )]
+    Nothing(String),
+    /// The directory has results of something else.
+    #[error("{0}")]
+    Occupied(String),
+    /// Something could not be written.
+    #[error("{0}")]
+    Write(String),
+}
+
+impl From<KeyError> for StoredError {
+    fn from(error: KeyError) -> Self {
+        match error {
+            KeyError::Occupied(reason) => Self::Occupied(reason),
+            KeyError::Write(reason) => Self::Write(reason),
+        }
+    }
+}
+
+/// Makes the clouds of all phase maps in `from`, on the current rayon pool: directional ones, merged ones, and the
+/// sequence, where triggers without a time of their own are placed by index at `rate_hz`. What is there and states the same as
+/// the maps is kept, but for the sequence. `progress` is told triggers done and their number.
+pub fn export(
+    from: &Path,
+    calibration: &Calibration,
+    out: &Path,
+    rate_hz: f64,
+    progress: impl Fn(u64, u64) + Sync,
+) -> Result<Exported, StoredError> {
+    let triggers = list(from, calibration).map_err(StoredError::Maps)?;
+    if let Some(key) = Key::load(from).map_err(StoredError::Maps)? {
+        // Maps and the clouds of them may lie in one directory, which the maps have taken.
+        let clouds = Key { format: "ply".to_owned(), ..key.clone() };
+        clouds.claim(out).or_else(|refused| key.check(out).map_err(|_| refused))?;
+    }
+    for folder in ["clouds", "merged"] {
+        let path = out.join(folder);
+        let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
+        std::fs::create_dir_all(&path).map_err(failed)?;
+    }
+    remove_leftovers(out);
+    let tables = tables(calibration).map_err(StoredError::Maps)?;
+    let geometry = statement_of(calibration);
+    let (done, total) = (AtomicU64::new(0), triggers.len() as u64);
+    let made: Result<Vec<Made>, StoredError> = triggers
+        .par_iter()
+        .map(|(&trigger, maps)| {
+            let made = match finished(trigger, maps, &geometry, out) {
+                Some(made) => made,
+                None => export_trigger(trigger, maps, calibration, &tables, out)?,
+            };
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+            Ok(made)
+        })
+        .collect();
+    let made = made?;
+    let path = out.join("sequence.mcap");
+    let with_points = || made.iter().filter(|made| made.points > 0);
+    if with_points().next().is_none() {
+        return Err(StoredError::Nothing(from.display().to_string()));
+    }
+    let times = with_points().map(|&Made { trigger, time_ns, .. }| {
+        (time_ns.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64), merged_path(out, trigger))
+    });
+    write_sequence(times, &path).map_err(StoredError::Write)?;
+    Ok(Exported {
+        clouds: triggers.values().map(Vec::len).sum(),
+        merged_points: made.iter().map(|made| made.points).sum(),
+        triggers: made.len(),
+        kept: made.iter().filter(|made| made.kept).count(),
+        empty: made.iter().filter(|made| made.points == 0).count(),
+    })
+}
+
+/// The table of each camera, in the calibration's order.
+fn tables(calibration: &Calibration) -> Result<Vec<RayTable>, String> {
+    let heads_and_cameras: Vec<_> = calibration.cameras().collect();
+    heads_and_cameras
+        .par_iter()
+        .map(|(head, camera)| {
+            CameraProjector::new(head, camera, calibration).map(|pair| RayTable::new(&pair))
+        })
+        .collect()
+}
+
+/// Stored phase maps as a source of clouds.
+pub struct PhaseDirectory {
+    calibration: Calibration,
+    tables: Vec<RayTable>,
+    cameras: Vec<(u8, String)>,
+    /// Places of the cameras in the calibration.
+    triggers: BTreeMap<u64, Vec<usize>>,
+    files: BTreeMap<u64, Maps>,
+}
+
+impl PhaseDirectory {
+    /// Lists the phase maps in `from`, which were made with this calibration.
+    pub fn open(from: &Path, calibration: Calibration) -> Result<Self, String> {
+        let files = list(from, &calibration)?;
+        let names = calibration.cameras().map(|(_, camera)| camera.id.to_string());
+        let number = |(number, name)| u8::try_from(number).map(|number: u8| (number, name));
+        let cameras: Result<Vec<(u8, String)>, _> = names.enumerate().map(number).collect();
+        let cameras = cameras.map_err(|_| "more than 255 cameras".to_owned())?;
+        let places = |maps: &Maps| maps.iter().map(|(place, _)| *place).collect();
+        let triggers = files.iter().map(|(trigger, maps)| (*trigger, places(maps))).collect();
+        Ok(Self { tables: tables(&calibration)?, calibration, cameras, triggers, files })
+    }
+
+    fn paths(&self, trigger: u64, cameras: &[usize]) -> impl Iterator<Item = &(usize, PathBuf)> {
+        let maps = self.files.get(&trigger).into_iter().flatten();
+        maps.filter(move |(place, _)| cameras.contains(place))
+    }
+}
+
+impl CloudSource for PhaseDirectory {
+    fn cameras(&self) -> &[(u8, String)] {
+        &self.cameras
+    }
+
+    fn triggers(&self) -> &BTreeMap<u64, Vec<usize>> {
+        &self.triggers
+    }
+
+    fn clouds(&self, trigger: u64, cameras: &[usize]) -> Result<Vec<Commented>, String> {
+        let read = |(place, path): &(usize, PathBuf)| {
+            let (statement, cloud) = read_cloud(path, &self.calibration, *place, &self.tables[*place])?;
+            Ok((statement.comments, cloud))
+        };
+        self.paths(trigger, cameras).map(read).collect()
+    }
+
+    fn modified(&self, trigger: u64, cameras: &[usize]) -> Option<SystemTime> {
+        self.paths(trigger, cameras).map(|(_, path)| path.metadata().ok()?.modified().ok()).max()?
+    }
+
+    fn time_ns(&self, trigger: u64) -> Option<u64> {
+        self.files.get(&trigger)?.iter().find_map(|(_, path)| phase_file::load_statement(path).ok()?.time_ns)
+    }
+}
+
+/// Packs merged clouds with their times, ns, into one MCAP file; without clouds there is none.
+pub fn write_sequence(clouds: impl Iterator<Item = (u64, PathBuf)>, path: &Path) -> Result<(), String> {
+    let mut clouds = clouds.peekable();
+    if clouds.peek().is_none() {
+        return Ok(());
+    }
+    let packed = write_whole(path, |file| {
+        let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(io::Error::other)?;
+        for (time, cloud) in clouds {
+            writer.push_ply(time, &cloud).map_err(io::Error::other)?;
+        }
+        let buffer = writer.finish().map_err(io::Error::other)?;
+        buffer.into_inner().map_err(|e| e.into_error()).map(drop)
+    });
+    packed.map_err(|e| format!("{}: {e}", path.display()))
+}
+
+/// The maps by trigger, in the calibration's order.
+fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, String> {
+    let folder = from.join("phases");
+    let fail = |e: std::io::Error| {
+        format!("{}: {e}; expected phases/ as `fourdbody reconstruct` writes it", folder.display())
+    };
+    let mut triggers: BTreeMap<u64, Maps> = BTreeMap::new();
+    for entry in std::fs::read_dir(&folder).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        let Some(stem) = path.file_name().and_then(|n| n.to_str()?.strip_suffix(".phase")) else { continue };
+        let named = stem.rsplit_once('_').and_then(|(camera, index)| Some((camera, index.parse().ok()?)));
+        let Some((camera, trigger)) = named else { continue };
+        let number = calibration.cameras().position(|(_, known)| known.id.as_str() == camera);
+        let number =
+            number.ok_or_else(|| format!("{}: the calibration has no such camera", path.display()))?;
+        triggers.entry(trigger).or_default().push((number, path));
+    }
+    triggers.values_mut().for_each(|maps| maps.sort());
+    if triggers.is_empty() {
+        return Err(format!("{}: expected CAMERA_INDEX.phase files, found none", folder.display()));
+    }
+    Ok(triggers)
+}
+
+/// A trigger whose clouds are all there, of which only headers are read.
+fn finished(trigger: u64, maps: &Maps, geometry: &Geometry, out: &Path) -> Option<Made> {
+    let statements: Vec<Statement> =
+        maps.iter().map(|(_, path)| phase_file::load_statement(path).ok()).collect::<Option<_>>()?;
+    let is_there = |path: &Path, points: usize, comments: &[String]| {
+        ply::load_whole_header(path).is_ok_and(|found| found.points == points && found.comments == comments)
+    };
+    let has_cloud = |statement: &Statement| {
+        let path = cloud_path(out, &statement.camera.as_str().into(), trigger);
+        (&statement.geometry_sha256, &statement.volume_m) == (&geometry.0, &geometry.1)
+            && is_there(&path, statement.points, &statement.comments)
+    };
+    statements.iter().all(has_cloud).then_some(())?;
+    let time_ns = statements.iter().find_map(|statement| statement.time_ns);
+    let points = statements.iter().map(|statement| statement.points).sum();
+    if points == 0 {
+        return Some(Made { trigger, time_ns, points: 0, kept: true });
+    }
+    let merged = ply::load_whole_header(&merged_path(out, trigger)).ok()?;
+    let decided = statements.iter().any(|statement| Viewpoint::of(&statement.comments).is_some());
+    let there = merge::is_finished(&merged, &statements.first()?.merged_comments, points, decided);
+    there.then_some(Made { trigger, time_ns, points: merged.points, kept: true })
+}
+
+fn export_trigger(
+    trigger: u64,
+    maps: &Maps,
+    calibration: &Calibration,
+    tables: &[RayTable],
+    out: &Path,
+) -> Result<Made, StoredError> {
+    let made: Result<Vec<(u8, Cloud, Statement)>, StoredError> = maps
+        .par_iter()
+        .with_max_len(1)
+        .map(|(number, path)| {
+            let read = read_cloud(path, calibration, *number, &tables[*number]);
+            let (statement, cloud) = read.map_err(StoredError::Maps)?;
+            let path = cloud_path(out, &statement.camera.as_str().into(), trigger);
+            let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
+            ply::save(&path, &cloud, &statement.comments).map_err(failed)?;
+            let too_many = |_| StoredError::Maps("more than 255 cameras".to_owned());
+            Ok((u8::try_from(*number).map_err(too_many)?, cloud, statement))
+        })
+        .collect();
+    let made = made?;
+    let time_ns = made.iter().find_map(|(_, _, statement)| statement.time_ns);
+    if made.iter().all(|(_, cloud, _)| cloud.is_empty()) {
+        return Ok(Made { trigger, time_ns, points: 0, kept: false });
+    }
+    let from: Vec<_> = made.iter().map(|(_, _, statement)| Viewpoint::of(&statement.comments)).collect();
+    let views = made.iter().zip(&from);
+    let views = views.map(|((camera, cloud, _), from)| View { camera: *camera, cloud, from: from.as_ref() });
+    let views: Vec<View<'_>> = views.collect();
+    let left_out = merge::left_out(&views, Rule::default());
+    let path = merged_path(out, trigger);
+    let comments = made.first().map_or(Vec::new(), |(_, _, statement)| statement.merged_comments.clone());
+    let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
+    let points = merge::save(&path, &views, &left_out, comments).map_err(failed)?;
+    Ok(Made { trigger, time_ns, points, kept: false })
+}
+
+/// The cloud of the stored map at `path`, with the comments of its file.
+pub fn load_cloud(path: &Path, calibration: &Calibration) -> Result<Commented, String> {
+    let statement = phase_file::load_statement(path).map_err(|e| e.to_string())?;
+    let is_it = |(_, camera): &(&_, &CalibratedCamera)| camera.id.as_str() == statement.camera;
+    let (number, (head, camera)) =
+        calibration.cameras().enumerate().find(|(_, found)| is_it(found)).ok_or_else(|| {
+            format!("{}: the calibration has no camera {}", path.display(), statement.camera)
+        })?;
+    let table = RayTable::new(&CameraProjector::new(head, camera, calibration)?);
+    read_cloud(path, calibration, number, &table).map(|(statement, cloud)| (statement.comments, cloud))
+}
+
+/// The cloud of a stored map; `number`: the place of its camera in the calibration.
+fn read_cloud(
+    path: &Path,
+    calibration: &Calibration,
+    number: usize,
+    table: &RayTable,
+) -> Result<(Statement, Cloud), String> {
+    let fail = |reason: String| format!("{}: {reason}", path.display());
+    let (statement, map) = phase_file::load(path).map_err(|e| e.to_string())?;
+    let (geometry, volume) = statement_of(calibration);
+    if (&statement.geometry_sha256, statement.volume_m) != (&geometry, volume) {
+        return Err(fail(format!(
+            "made with the calibration {}, not with {geometry}; give the calibration that it was reconstructed with",
+            statement.geometry_sha256
+        )));
+    }
+    let camera = calibration.cameras().nth(number).map(|(_, camera)| camera);
+    let fits = camera.is_some_and(|camera| {
+        let frame = map.frame.map(usize::from);
+        camera.id.as_str() == statement.camera && [camera.device.width, camera.device.height] == frame
+    });
+    if !fits {
+        return Err(fail(format!(
+            "a map of camera {} with {:?} pixels, which is not what the file's name and the calibration say",
+            statement.camera, map.frame
+        )));
+    }
+    let cloud = points::make(table, &map);
+    if cloud.len() != statement.points {
+        let (found, stated) = (cloud.len(), statement.points);
+        return Err(fail(format!("gives {found} points, {stated} are stated: made by another version")));
+    }
+    Ok((statement, cloud))
+}

@@ -1,0 +1,27 @@
+//! A session reconstructed to a directory: which frames, on which threads, what is written, and how it is resumed.
+//!
+//! [`run`] is the work; [`key`] says what a result depends on, so that only the same work is continued.
+
+/// Frames of fewer rows, and their calibration.
+pub mod binned;
+/// The shards of a session to one result.
+pub mod collect_shards;
+/// Maps as pictures.
+pub mod dump_maps;
+/// Stored phase maps to clouds.
+pub mod from_phase_maps;
+/// Directories of images.
+pub mod image_tree;
+/// What a result is made of.
+pub mod key;
+/// Frames from PNG files.
+pub mod png_source;
+/// What a reconstruction wrote, as clouds.
+pub mod result;
+/// A session to clouds on disk.
+pub mod run;
+/// What a reconstruction has come to.
+pub mod summary;
+/// What a run has taken.
+pub mod timings;
+mod unchecked;

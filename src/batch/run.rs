@@ -1,0 +1,521 @@
+//! A session's frames to clouds on disk: parallel, resumable, the same bytes whatever the number of threads.
+//!
+//! ```text
+//! OUT/phases/CAMERA_INDEX.phase   one phase map, of which the clouds are made when they are read ([`super::result`])
+//! OUT/calibration.json            the calibration that goes with them
+//! OUT/summary.json                what became of every frame
+//! OUT/reconstruct.json            of which session all this is, and how it is made ([`super::key`])
+//!
+//! where clouds are asked for:
+//! OUT/clouds/CAMERA_INDEX.ply     one directional cloud (without points where the frame was refused)
+//! OUT/merged/INDEX.ply            all cameras of one trigger, less what another head sees better (`merge`)
+//! OUT/sequence.mcap               the merged clouds, for viewers
+//! ```
+//!
+//! Every file states the parameters that it was made with, as a hash over algorithm, calibration and method, and the frames of
+//! its trigger, by the checksums of their pixels; a finished one that states the same is not made again. Where a trigger has
+//! no point at all there is no merged cloud.
+
+mod finished;
+mod written;
+
+use super::collect_shards::remove_leftovers;
+use super::from_phase_maps::{self, phase_path};
+use super::key::{Key, KeyError};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::image::Mono8;
+use crate::base::time::process_cpu_time;
+use crate::data::{Calibration, Cloud, Frame, FrameSource};
+use crate::formats::ply;
+use crate::merge::{self, Viewpoint};
+use crate::reconstruct::fringe_order::unwrapped_frame::UnwrappedFrame;
+use crate::reconstruct::fringe_order::{self, View};
+use crate::reconstruct::marker::epipolar_check::Dashes;
+use crate::reconstruct::outcome::{Reconstruction, WHY_ELSEWHERE};
+use crate::reconstruct::pipeline::{self, Method, Pipeline, Workspace};
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
+use crate::reconstruct::triangulate::triangulator::Triangulator;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+pub use super::summary::{FrameSummary, Summary, TriggerSummary};
+pub use crate::batch::timings::Timings;
+
+/// What is written of each frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Format {
+    /// Phase maps, of which `from_phase_maps::export` makes the same clouds.
+    Phase,
+    /// Clouds, merged clouds and the sequence.
+    Ply,
+}
+
+impl Format {
+    /// As the command line calls it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Phase => "phase",
+            Self::Ply => "ply",
+        }
+    }
+
+    /// The names of some, with commas between them.
+    pub fn names(formats: &[Self]) -> String {
+        formats.iter().map(|format| format.name()).collect::<Vec<_>>().join(",")
+    }
+
+    fn folders(self) -> &'static [&'static str] {
+        match self {
+            Self::Phase => &["phases"],
+            Self::Ply => &["clouds", "merged"],
+        }
+    }
+}
+
+/// What to do.
+#[derive(Debug)]
+pub struct Plan {
+    /// Where the results go.
+    pub out: PathBuf,
+    /// Which triggers.
+    pub triggers: Range<u64>,
+    /// Which cameras; all are in the calibration.
+    pub cameras: Vec<CameraId>,
+    /// This share of the triggers: those whose index leaves `shard.0` when divided by `shard.1`.
+    pub shard: (u64, u64),
+    /// How the absolute phase is found.
+    pub method: Method,
+    /// By how much a fringe order must lead any other.
+    pub margin: f32,
+    /// Rows of the photographs that make one row of the source's frames ([`super::binned`]).
+    pub bin_rows: usize,
+    /// What is written, each once, in order.
+    pub formats: Vec<Format>,
+    /// Whether every point gets its standard uncertainty.
+    pub uncertainty: bool,
+    /// Where the maps of every frame go, if anywhere.
+    pub maps: Option<PathBuf>,
+    /// Makes the clouds and keeps none, and merges nothing: for measurements of the reconstruction itself.
+    pub discard: bool,
+}
+
+impl Default for Plan {
+    /// What the command line does unless it is told otherwise, of no frames.
+    fn default() -> Self {
+        Self {
+            out: PathBuf::new(),
+            triggers: 0..0,
+            cameras: Vec::new(),
+            shard: (0, 1),
+            method: Method::Joint,
+            margin: fringe_order::MARGIN,
+            bin_rows: 1,
+            formats: vec![Format::Phase],
+            uncertainty: false,
+            maps: None,
+            discard: false,
+        }
+    }
+}
+
+impl Plan {
+    /// The triggers of this shard, in order.
+    pub fn shard_triggers(&self) -> impl Iterator<Item = u64> + '_ {
+        self.triggers.clone().filter(|t| t % self.shard.1.max(1) == self.shard.0)
+    }
+
+    /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
+    pub fn merges(&self) -> bool {
+        self.formats.contains(&Format::Ply) && !self.discard
+    }
+}
+
+/// The name of a method on the command line and in files.
+pub fn method_name(method: Method) -> &'static str {
+    match method {
+        Method::Joint => "joint",
+        Method::Paper => "paper",
+    }
+}
+
+/// Where a directional cloud is.
+pub fn cloud_path(out: &Path, camera: &CameraId, trigger: u64) -> PathBuf {
+    out.join("clouds").join(format!("{camera}_{trigger:06}.ply"))
+}
+
+/// Where a merged cloud is.
+pub fn merged_path(out: &Path, trigger: u64) -> PathBuf {
+    out.join("merged").join(format!("{trigger:06}.ply"))
+}
+
+struct Job<'a> {
+    source: &'a dyn FrameSource,
+    plan: &'a Plan,
+    calibration: &'a Calibration,
+    parameters: String,
+    /// What stored phase maps state of the calibration.
+    calibration_statement: (String, [[f64; 3]; 2]),
+    /// The cameras asked for, by head.
+    heads: Vec<Vec<Camera>>,
+    timings: Mutex<Timings>,
+}
+
+struct Camera {
+    id: CameraId,
+    /// Its number in merged clouds.
+    number: u8,
+    /// Where it and its head's projector are, as its clouds state it.
+    viewpoint: Viewpoint,
+    pipeline: Pipeline,
+}
+
+/// Why a run ended.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The directory has results of something else.
+    #[error("{0}")]
+    Occupied(String),
+    /// Anything else.
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl From<String> for RunError {
+    fn from(reason: String) -> Self {
+        Self::Failed(reason)
+    }
+}
+
+impl From<KeyError> for RunError {
+    fn from(error: KeyError) -> Self {
+        match error {
+            KeyError::Occupied(reason) => Self::Occupied(reason),
+            KeyError::Write(reason) => Self::Failed(reason),
+        }
+    }
+}
+
+/// A frame on its way.
+enum Stage {
+    /// The other cameras have a part in its fringe orders.
+    Unwrapped(Box<UnwrappedFrame>),
+    /// They have none: it is refused, or what has become of it is known already.
+    Made(Box<Reconstruction>),
+    /// No frame: outcome and reason.
+    Missing(&'static str, String),
+}
+
+/// The CRC-32 of a frame's pixels; `None` where there is no frame, an error where it is damaged.
+type Pixels = Result<Option<u32>, ()>;
+
+/// Where the markers of most cameras contradict the calibration, those of the others agree by chance.
+fn refuse_displaced_markers(stages: Vec<Stage>) -> Vec<Stage> {
+    let dashes = stages.iter().filter_map(|stage| match stage {
+        Stage::Unwrapped(prepared) => Some(&prepared.counts.dashes),
+        Stage::Made(result) => Some(&result.counts.dashes),
+        Stage::Missing(..) => None,
+    });
+    if !Dashes::most_contradict(dashes) {
+        return stages;
+    }
+    let reason = format!(
+        "the markers of most other cameras do not lie where the calibration has them; {WHY_ELSEWHERE}"
+    );
+    refuse(stages, &reason)
+}
+
+/// No clouds are made of any frame of a trigger, for this reason.
+fn refuse(stages: Vec<Stage>, reason: &str) -> Vec<Stage> {
+    let refuse = |stage| match stage {
+        Stage::Unwrapped(prepared) => Stage::Made(pipeline::refuse(*prepared, reason.to_owned())),
+        other => other,
+    };
+    stages.into_iter().map(refuse).collect()
+}
+
+/// The frames of all cameras of one trigger give each other their fringe orders.
+fn solve_fringe_orders(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, margin: f32) -> Vec<Stage> {
+    let views = cameras.iter().zip(&mut stages).filter_map(|((head, camera), stage)| match stage {
+        Stage::Unwrapped(prepared) => Some(View {
+            id: camera.id.as_str(),
+            triangulator: camera.pipeline.triangulator(),
+            head: *head,
+            prepared,
+        }),
+        _ => None,
+    });
+    match fringe_order::solve(&mut views.collect::<Vec<_>>(), margin) {
+        Ok(()) => stages,
+        Err(reason) => refuse(stages, &reason),
+    }
+}
+
+/// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers without a time of
+/// their own are placed by index at `rate_hz`.
+pub fn write_sequence(
+    source: &dyn FrameSource,
+    plan: &Plan,
+    summary: &Summary,
+    rate_hz: f64,
+) -> Result<(), String> {
+    let with_points = summary.triggers.iter().filter(|trigger| trigger.merged_points > Some(0));
+    let clouds = with_points.map(|&TriggerSummary { trigger, .. }| {
+        let time = source.trigger_time_ns(TriggerIndex(trigger));
+        let by_index = (trigger as f64 * 1e9 / rate_hz).round() as u64;
+        (time.unwrap_or(by_index), merged_path(&plan.out, trigger))
+    });
+    from_phase_maps::write_sequence(clouds, &plan.out.join("sequence.mcap"))
+}
+
+/// The cameras that are asked for, those of a head together, each with its tables: they take longer than a frame.
+fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Camera>>, String> {
+    let asked = (0_usize..).zip(calibration.cameras()).filter(|(_, (_, c))| plan.cameras.contains(&c.id));
+    let asked: Vec<_> = asked.collect();
+    let workspace = Arc::new(Workspace::default());
+    let made = asked.par_iter().map(|(number, (head, camera))| {
+        let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
+        let pair = CameraProjector::new(head, camera, calibration)?;
+        let triangulator = Triangulator::new(pair);
+        let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
+        let pipeline = pipeline.with_uncertainty(plan.uncertainty).with_workspace(Arc::clone(&workspace));
+        let viewpoint = Viewpoint::new(head.id.as_str(), &camera.device, &head.projector);
+        Ok((&head.id, Camera { id: camera.id.clone(), number, viewpoint, pipeline }))
+    });
+    let mut heads: Vec<Vec<Camera>> = Vec::new();
+    let mut last = None;
+    for (head, camera) in made.collect::<Result<Vec<_>, String>>()? {
+        match heads.last_mut().filter(|_| last == Some(head)) {
+            Some(cameras) => cameras.push(camera),
+            None => heads.push(vec![camera]),
+        }
+        last = Some(head);
+    }
+    Ok(heads)
+}
+
+/// Runs the plan on the current rayon pool. `progress` is told the number of triggers done.
+pub fn run(
+    source: &dyn FrameSource,
+    calibration: &Calibration,
+    plan: &Plan,
+    progress: impl Fn(usize) + Sync,
+) -> Result<(Summary, Timings), RunError> {
+    let key = Key::of(source.identity()?, calibration, plan)?;
+    if !plan.discard {
+        key.claim(&plan.out)?;
+        key.keep_calibration(&plan.out, calibration)?;
+    }
+    for folder in plan.formats.iter().flat_map(|format| format.folders()) {
+        let path = plan.out.join(folder);
+        std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+    }
+    remove_leftovers(&plan.out);
+    let heads = cameras_by_head(plan, calibration)?;
+    let parameters = key.parameters();
+    let calibration_statement = from_phase_maps::statement_of(calibration);
+    let timings = Mutex::default();
+    let job = Job { source, plan, calibration, parameters, calibration_statement, heads, timings };
+    let done = AtomicUsize::new(0);
+    let triggers: Vec<u64> = plan.shard_triggers().collect();
+    let (began, cpu_began) = (Instant::now(), process_cpu_time());
+    let triggers: Result<Vec<TriggerSummary>, String> = triggers
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|trigger| {
+            let summary = job.trigger(trigger);
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+            summary
+        })
+        .collect();
+    let wall_ms = began.elapsed().as_secs_f64() * 1e3;
+    let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
+    let summary = Summary::of(triggers?, &key, plan, calibration);
+    let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
+    Ok((summary, timings))
+}
+
+/// The comment that names the cameras that a directional cloud depends on.
+pub(crate) fn cameras_comment<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> String {
+    format!("together {}", cameras.map(CameraId::as_str).collect::<Vec<_>>().join(" "))
+}
+
+/// The comment that tells the frames that a trigger's clouds depend on, by the CRC-32 of their pixels: `gap` where there is none, and
+/// `damaged` where that is not known.
+fn frames_comment<'a>(frames: impl Iterator<Item = (&'a CameraId, Pixels)>) -> String {
+    let stated = frames.map(|(camera, crc)| match crc {
+        Ok(Some(crc)) => format!("{camera}={crc:08x}"),
+        Ok(None) => format!("{camera}=gap"),
+        Err(()) => format!("{camera}=damaged"),
+    });
+    format!("frames {}", stated.collect::<Vec<_>>().join(" "))
+}
+
+/// Takes away what is not true any more.
+fn remove(path: &Path) -> Result<(), String> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(format!("{}: {error}", path.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+impl Job<'_> {
+    fn trigger(&self, trigger: u64) -> Result<TriggerSummary, String> {
+        if let Some(finished) = self.finished_trigger(trigger) {
+            return Ok(finished);
+        }
+        let (results, frames) = self.clouds(trigger)?;
+        let merged_points = self.plan.merges().then(|| self.merge(trigger, &results, &frames)).transpose()?;
+        let frames = results.into_iter().map(|(summary, _)| summary).collect();
+        Ok(TriggerSummary { trigger, merged_points, frames })
+    }
+
+    /// Writes the merged cloud, unless it has no points; their number.
+    fn merge(&self, trigger: u64, results: &[(FrameSummary, Cloud)], frames: &str) -> Result<usize, String> {
+        let path = merged_path(&self.plan.out, trigger);
+        if results.iter().all(|(_, cloud)| cloud.is_empty()) {
+            return remove(&path).map(|()| 0);
+        }
+        let began = Instant::now();
+        let views = self.heads.iter().flatten().zip(results).map(|(camera, (_, cloud))| {
+            let from = Some(&camera.viewpoint);
+            merge::View { camera: camera.number, cloud, from }
+        });
+        let views: Vec<_> = views.collect();
+        let left_out = merge::left_out(&views, merge::Rule::default());
+        self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner).merge_ms +=
+            began.elapsed().as_secs_f64() * 1e3;
+        merge::save(&path, &views, &left_out, self.merged_comments(trigger, frames))
+            .map_err(|e| format!("{}: {e}", path.display()))
+    }
+
+    /// Runs a part of what makes a frame a cloud, and keeps its time.
+    fn timed<T>(&self, work: impl FnOnce() -> T) -> T {
+        let began = Instant::now();
+        let result = work();
+        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        timings.add_frame_time(began.elapsed());
+        result
+    }
+
+    /// The directional clouds of all cameras together, since each frame may give fringe orders to the others; and the comment
+    /// that tells these frames.
+    fn clouds(&self, trigger: u64) -> Result<(Vec<(FrameSummary, Cloud)>, String), String> {
+        let cameras: Vec<(usize, &Camera)> =
+            self.heads.iter().enumerate().flat_map(|(i, head)| head.iter().map(move |x| (i, x))).collect();
+        if let Some(finished) = self.finished(trigger) {
+            return Ok(finished);
+        }
+        let prepare = |(_, camera): &(usize, &Camera)| self.timed(|| self.prepare(camera, trigger));
+        let prepared: Vec<(Stage, Pixels)> = cameras.par_iter().with_max_len(1).map(prepare).collect();
+        let (mut stages, pixels): (Vec<Stage>, Vec<Pixels>) = prepared.into_iter().unzip();
+        let frames = frames_comment(cameras.iter().map(|(_, camera)| &camera.id).zip(pixels));
+        stages = refuse_displaced_markers(stages);
+        stages = self.timed(|| solve_fringe_orders(&cameras, stages, self.plan.margin));
+        let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
+            Stage::Unwrapped(prepared) => {
+                self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)), &frames)
+            }
+            Stage::Made(result) => self.save(camera, trigger, *result, &frames),
+            Stage::Missing(outcome, reason) => {
+                for &format in self.plan.formats.iter().filter(|_| !self.plan.discard) {
+                    remove(&self.frame_path(camera, trigger, format))?;
+                }
+                Ok((FrameSummary::missing(&camera.id, outcome, reason), Cloud::default()))
+            }
+        });
+        let made: Result<Vec<_>, String> = work.collect();
+        Ok((made?, frames))
+    }
+
+    /// Where a frame's cloud or map is.
+    fn frame_path(&self, camera: &Camera, trigger: u64, format: Format) -> PathBuf {
+        match format {
+            Format::Ply => cloud_path(&self.plan.out, &camera.id, trigger),
+            Format::Phase => phase_path(&self.plan.out, camera.id.as_str(), trigger),
+        }
+    }
+
+    /// The comment that tells the frames of a trigger as the source has them now.
+    fn frames(&self, trigger: u64) -> String {
+        let cameras: Vec<&CameraId> = self.cameras().collect();
+        let pixels = cameras.par_iter().with_max_len(1).map(|camera| {
+            let crc = self.source.pixels_crc(camera, TriggerIndex(trigger));
+            crc.map_err(drop)
+        });
+        let pixels: Vec<Pixels> = pixels.collect();
+        frames_comment(cameras.into_iter().zip(pixels))
+    }
+
+    fn cameras(&self) -> impl Iterator<Item = &CameraId> {
+        self.heads.iter().flatten().map(|camera| &camera.id)
+    }
+
+    /// The frame on its way, and the checksum of its pixels.
+    fn prepare(&self, camera: &Camera, trigger: u64) -> (Stage, Pixels) {
+        let began = Instant::now();
+        let frame = self.source.frame(&camera.id, TriggerIndex(trigger));
+        let mapping = began.elapsed();
+        let frame = match frame {
+            Err(reason) => return (Stage::Missing("damaged", reason), Err(())),
+            Ok(frame) => frame,
+        };
+        let image = match &frame {
+            Frame::Image(image) => *image,
+            Frame::Owned(plane) => Mono8::from(plane),
+            Frame::Gap(cause) => return (Stage::Missing("gap", cause.clone()), Ok(None)),
+        };
+        let stage = match camera.pipeline.prepare(image) {
+            Ok(mut prepared) => {
+                prepared.add_time("map", mapping);
+                Stage::Unwrapped(Box::new(prepared))
+            }
+            Err(mut made) => {
+                made.stages.push(("map", mapping));
+                Stage::Made(made)
+            }
+        };
+        (stage, Ok(frame.pixels_crc()))
+    }
+
+    /// A trigger of which everything is there, which only headers are read for.
+    fn finished_trigger(&self, trigger: u64) -> Option<TriggerSummary> {
+        let (frames, stated) = self.finished_frames(trigger)?;
+        if !self.plan.formats.contains(&Format::Ply) {
+            return Some(TriggerSummary { trigger, merged_points: None, frames });
+        }
+        let points = frames.iter().map(|frame| frame.points).sum();
+        let path = merged_path(&self.plan.out, trigger);
+        if points == 0 {
+            return (!path.exists()).then_some(TriggerSummary { trigger, merged_points: Some(0), frames });
+        }
+        let header = ply::load_whole_header(&path).ok()?;
+        let comments = self.merged_comments(trigger, &stated);
+        merge::is_finished(&header, &comments, points, true).then_some(())?;
+        let merged_points = Some(header.points);
+        Some(TriggerSummary { trigger, merged_points, frames })
+    }
+
+    /// The finished clouds of a trigger, and the comment that tells its frames. Of phase maps merged clouds are made when they
+    /// are exported: there they are empty.
+    fn finished(&self, trigger: u64) -> Option<(Vec<(FrameSummary, Cloud)>, String)> {
+        let (frames, stated) = self.finished_frames(trigger)?;
+        let load = |(camera, summary): (&Camera, FrameSummary)| {
+            let cloud = match summary.outcome.as_ref() {
+                "cloud" | "refused" if self.plan.merges() => {
+                    ply::load(&self.frame_path(camera, trigger, Format::Ply)).ok()?.1
+                }
+                _ => Cloud::default(),
+            };
+            Some((summary, cloud))
+        };
+        let clouds: Option<Vec<_>> = self.heads.iter().flatten().zip(frames).map(load).collect();
+        Some((clouds?, stated))
+    }
+}

@@ -1,0 +1,73 @@
+//! What of a session's frames is finished already: made of the same frames, with the same parameters.
+
+use super::{Camera, Format, Job, cameras_comment};
+use crate::base::ids::TriggerIndex;
+use crate::batch::summary::FrameSummary;
+use crate::data::Frame;
+use crate::formats::{phase_file, ply};
+
+impl Job<'_> {
+    /// What became of a trigger's frames, where all of them are finished and were made of the frames that the source has; and the
+    /// comment that tells these.
+    pub(super) fn finished_frames(&self, trigger: u64) -> Option<(Vec<FrameSummary>, String)> {
+        let found = self.heads.iter().flatten().map(|camera| self.finished_frame(camera, trigger));
+        let (frames, stated): (Vec<_>, Vec<_>) = found.collect::<Option<Vec<_>>>()?.into_iter().unzip();
+        // Read last: of images this takes longer than all headers.
+        let expected = self.frames(trigger);
+        stated.iter().flatten().all(|stated| *stated == expected).then_some((frames, expected))
+    }
+
+    /// What became of a frame that is finished: with a cloud made with the same parameters, and the comment that tells the frames
+    /// that it was made of; or missing in the source. `None` where maps are asked for.
+    pub(super) fn finished_frame(
+        &self,
+        camera: &Camera,
+        trigger: u64,
+    ) -> Option<(FrameSummary, Option<String>)> {
+        if self.plan.maps.is_some() || self.plan.discard {
+            return None;
+        }
+        let stated = |format: &Format| {
+            let path = self.frame_path(camera, trigger, *format);
+            match format {
+                Format::Ply => ply::load_whole_header(&path).ok(),
+                Format::Phase => phase_file::load_statement(&path).ok().map(|stored| ply::Header {
+                    points: stored.points,
+                    merged: false,
+                    sigma: false,
+                    comments: stored.comments,
+                }),
+            }
+        };
+        let headers: Option<Vec<ply::Header>> = self.plan.formats.iter().map(stated).collect();
+        // Cloud and map of a frame say the same.
+        let same = |headers: &Vec<ply::Header>| {
+            headers
+                .windows(2)
+                .all(|pair| (pair[0].points, &pair[0].comments) == (pair[1].points, &pair[1].comments))
+        };
+        let header = headers.filter(same).and_then(|headers| headers.into_iter().next());
+        let camera = &camera.id;
+        let Some(header) = header else {
+            return match self.source.frame(camera, TriggerIndex(trigger)) {
+                Ok(Frame::Gap(cause)) => Some((FrameSummary::missing(camera, "gap", cause), None)),
+                _ => None,
+            };
+        };
+        let same = header.comment("parameters") == Some(&self.parameters);
+        if !same || !header.comments.contains(&cameras_comment(self.cameras())) {
+            return None;
+        }
+        let frames = header.comments.iter().find(|comment| comment.starts_with("frames "))?.clone();
+        let reason = header.comment("refused").map(str::to_owned);
+        let summary = FrameSummary {
+            camera: camera.clone(),
+            outcome: if reason.is_some() { "refused" } else { "cloud" }.into(),
+            reason,
+            points: header.points,
+            unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
+            marker_offset_px: header.comment("marker_offset_px").and_then(|x| x.parse().ok()),
+        };
+        Some((summary, Some(frames)))
+    }
+}

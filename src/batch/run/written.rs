@@ -1,0 +1,113 @@
+//! What is written of a frame: its cloud, its phase map, and what both say of where they come from.
+
+use super::{Camera, Format, Job, cameras_comment};
+use crate::base::ids::TriggerIndex;
+use crate::batch::dump_maps;
+use crate::batch::summary::FrameSummary;
+use crate::data::Cloud;
+use crate::formats::phase_file::{self, Statement};
+use crate::formats::ply;
+use crate::reconstruct::outcome::{Outcome, Reconstruction};
+use std::borrow::Cow;
+
+impl Job<'_> {
+    pub(super) fn comments(&self, trigger: u64, frames: &str) -> Vec<String> {
+        vec![
+            format!("fourdbody {}", env!("CARGO_PKG_VERSION")),
+            format!("parameters {}", self.parameters),
+            format!("calibration {}: {}", self.calibration.rig, self.calibration.origin),
+            format!("trigger {trigger}"),
+            frames.to_owned(),
+        ]
+    }
+
+    pub(super) fn merged_comments(&self, trigger: u64, frames: &str) -> Vec<String> {
+        let mut comments = self.comments(trigger, frames);
+        let names = self.heads.iter().flatten().map(|c| format!("{}={}", c.number, c.id));
+        comments.push(format!("cameras {}", names.collect::<Vec<_>>().join(" ")));
+        comments
+    }
+
+    /// Writes a cloud, and the maps where they are asked for.
+    pub(super) fn save(
+        &self,
+        camera: &Camera,
+        trigger: u64,
+        result: Reconstruction,
+        frames: &str,
+    ) -> Result<(FrameSummary, Cloud), String> {
+        let id = &camera.id;
+        if let (Some(folder), Some(maps)) = (&self.plan.maps, &result.maps) {
+            dump_maps::write(folder, &format!("{id}_{trigger:06}"), maps)
+                .map_err(|e| format!("{}: {e}", folder.display()))?;
+        }
+        let mut comments = self.comments(trigger, frames);
+        comments.push(format!("camera {id}"));
+        comments.push(camera.viewpoint.comment());
+        comments.push(cameras_comment(self.cameras()));
+        comments.push(format!("unresolved_px {}", result.counts.refused));
+        let marker_offset_px = result.counts.dashes.offset_px;
+        comments.extend(marker_offset_px.map(|offset| format!("marker_offset_px {offset}")));
+        let (outcome, reason) = match &result.outcome {
+            Outcome::Cloud => ("cloud", None),
+            Outcome::Refused(reason) => ("refused", Some(reason.clone())),
+        };
+        comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
+        if !self.plan.discard {
+            for &format in &self.plan.formats {
+                match format {
+                    Format::Ply => self.write_cloud(camera, trigger, &result.cloud, &comments)?,
+                    Format::Phase => {
+                        let comments = [comments.clone(), self.merged_comments(trigger, frames)];
+                        self.write_map(camera, trigger, &result, comments)?;
+                    }
+                }
+            }
+        }
+        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        timings.add(&result.stages);
+        let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
+        let (camera, outcome) = (id.clone(), outcome.into());
+        let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, marker_offset_px };
+        let cloud = if self.plan.merges() { result.cloud } else { Cloud::default() };
+        Ok((summary, cloud))
+    }
+
+    fn write_cloud(
+        &self,
+        camera: &Camera,
+        trigger: u64,
+        cloud: &Cloud,
+        comments: &[String],
+    ) -> Result<(), String> {
+        let path = self.frame_path(camera, trigger, Format::Ply);
+        ply::save(&path, cloud, comments).map_err(|e| format!("{}: {e}", path.display()))
+    }
+
+    fn write_map(
+        &self,
+        camera: &Camera,
+        trigger: u64,
+        result: &Reconstruction,
+        [comments, merged_comments]: [Vec<String>; 2],
+    ) -> Result<(), String> {
+        let path = self.frame_path(camera, trigger, Format::Phase);
+        let mut map = Cow::Borrowed(&result.phase);
+        if map.runs.is_empty() {
+            // A frame refused before it was looked at closely.
+            map.to_mut().frame = camera.pipeline.frame().map(|x| x as u16);
+        }
+        let (geometry_sha256, volume_m) = self.calibration_statement.clone();
+        let statement = Statement {
+            camera: camera.id.to_string(),
+            trigger,
+            time_ns: self.source.trigger_time_ns(TriggerIndex(trigger)),
+            geometry_sha256,
+            volume_m,
+            points: result.cloud.len(),
+            comments,
+            merged_comments,
+        };
+        phase_file::save(&path, &statement, &map).map_err(|e| format!("{}: {e}", path.display()))
+    }
+}

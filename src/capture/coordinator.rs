@@ -1,0 +1,170 @@
+//! Captures that a node runs for its operators: the browser, or the tablet, may go; the capture goes on.
+//!
+//! One at a time. It runs the same steps as `fourdbody capture`, on a thread of its own, and keeps what came of it until the
+//! next begins.
+
+use super::participant::Participant;
+use super::report::Captured;
+use super::run::{Control, Stage};
+use super::series::{self, Series};
+use crate::base::{Exit, Fault};
+use serde::Serialize;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The nodes that captures are run on; made anew for each.
+pub type Participants = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>;
+
+/// The capture under way, or the last one.
+#[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
+pub struct CaptureState {
+    /// Counts the captures that this node has run since it started.
+    pub number: u64,
+    /// What was asked for.
+    pub series: Series,
+    /// Whose capture it is, as the audit log names them.
+    pub operator: String,
+    /// The take under way, from 1.
+    pub take: u32,
+    /// How far that is; `None` between takes and at the end.
+    pub stage: Option<Stage>,
+    /// It has not ended yet.
+    pub running: bool,
+    /// The takes that ended, as `capture --json` tells them.
+    pub takes: Vec<serde_json::Value>,
+    /// Why the series ended with a failure.
+    pub fault: Option<Fault>,
+}
+
+/// Runs captures.
+#[derive(Clone)]
+pub struct Coordinator {
+    cast: Participants,
+    shared: Arc<Mutex<Shared>>,
+}
+
+#[derive(Default)]
+struct Shared {
+    state: Option<CaptureState>,
+    control: Arc<Control>,
+}
+
+impl Coordinator {
+    /// On these nodes. The first of them should be this one: it starts the train.
+    pub fn new(cast: Participants) -> Self {
+        Self { cast, shared: Arc::default() }
+    }
+
+    /// The capture under way, or the last one.
+    pub fn state(&self) -> Option<CaptureState> {
+        self.shared().state.clone()
+    }
+
+    /// Begins a series; refused while one is under way. Its number.
+    pub fn begin(&self, mut series: Series, operator: String) -> Result<u64, Fault> {
+        series.check()?;
+        series.wish.on_behalf_of = Some(operator.clone());
+        let mut shared = self.shared();
+        if shared.state.as_ref().is_some_and(|state| state.running) {
+            return Err(Fault::new(Exit::Usage, "a capture is under way; stop it, or wait for its end"));
+        }
+        let number = shared.state.as_ref().map_or(0, |state| state.number) + 1;
+        let control = Arc::new(Control::default());
+        shared.control = Arc::clone(&control);
+        shared.state = Some(CaptureState {
+            number,
+            series: series.clone(),
+            operator,
+            take: 1,
+            stage: Some(Stage::Preparing),
+            running: true,
+            takes: Vec::new(),
+            fault: None,
+        });
+        let this = self.clone();
+        let run = move || this.run(&series, &control);
+        if let Err(error) = std::thread::Builder::new().name("capture".to_owned()).spawn(run) {
+            shared.state = None;
+            return Err(Fault::new(Exit::Failure, format!("cannot start a thread: {error}")));
+        }
+        Ok(number)
+    }
+
+    /// Ends the capture after the current trigger.
+    pub fn stop(&self) -> Result<(), Fault> {
+        self.running_control().map(|control| control.stop())
+    }
+
+    /// Gives the capture up.
+    pub fn abort(&self, reason: &str) -> Result<(), Fault> {
+        self.running_control().map(|control| control.abort(reason))
+    }
+
+    fn running_control(&self) -> Result<Arc<Control>, Fault> {
+        let shared = self.shared();
+        match &shared.state {
+            Some(state) if state.running => Ok(Arc::clone(&shared.control)),
+            _ => Err(Fault::new(Exit::Usage, "no capture of this node is under way")),
+        }
+    }
+
+    fn run(&self, series: &Series, control: &Control) {
+        let nodes = (self.cast)();
+        let progress = |take: u32, stage: &Stage| {
+            self.change(|state| {
+                state.take = take;
+                state.stage = Some(stage.clone());
+            });
+        };
+        let taken = |captured: &Captured| {
+            let told = captured.to_json();
+            self.change(|state| {
+                state.stage = None;
+                state.takes.push(told);
+            });
+        };
+        let ended = series::run(&nodes, series, control, progress, taken);
+        self.change(|state| {
+            state.stage = None;
+            state.running = false;
+            state.fault = ended.err().map(|(_, fault)| fault);
+        });
+    }
+
+    fn change(&self, change: impl FnOnce(&mut CaptureState)) {
+        if let Some(state) = &mut self.shared().state {
+            change(state);
+        }
+    }
+
+    fn shared(&self) -> MutexGuard<'_, Shared> {
+        // Fields are assigned whole: what a panic left is usable.
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Coordinator;
+    use crate::capture::run::CaptureRequest;
+    use crate::capture::series::Series;
+    use std::sync::Arc;
+    use std::time::{Duration, Instant};
+
+    #[test]
+    fn a_capture_without_nodes_fails_and_leaves_the_coordinator_free() {
+        let coordinator = Coordinator::new(Arc::new(Vec::new));
+        assert!(coordinator.state().is_none());
+        assert!(coordinator.stop().is_err());
+        for number in 1..3 {
+            let wish = CaptureRequest { triggers: Some(3), ..CaptureRequest::default() };
+            let begun = coordinator.begin(Series::single(wish), "test".to_owned());
+            assert_eq!(begun.expect("free"), number);
+            let deadline = Instant::now() + Duration::from_secs(30);
+            while coordinator.state().expect("begun").running {
+                assert!(Instant::now() < deadline);
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            assert!(coordinator.state().expect("ended").fault.is_some());
+        }
+    }
+}

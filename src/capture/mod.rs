@@ -1,0 +1,15 @@
+//! A capture: one session on all nodes, or a series of them, run from the command line or from a node's console.
+
+/// All nodes as one.
+pub mod coordinator;
+mod countdown;
+/// One node that takes part, over HTTP or in this process.
+pub mod participant;
+/// Watches the other node.
+pub mod peer_watch;
+/// What a capture has come to.
+pub mod report;
+/// One capture, from the request to the verdict.
+pub mod run;
+/// Several captures in a row.
+pub mod series;

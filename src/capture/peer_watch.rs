@@ -1,0 +1,130 @@
+//! A node in a session looks after the other nodes of it: frames of some cameras alone are of no use.
+//!
+//! Whoever coordinates a session does the same, but may be gone. A node that answers and is not in the session any more (it
+//! was restarted, or broke off) ends it at once; one that does not answer is waited for, because the network may be all that
+//! failed. What was recorded is kept, and says why it ended.
+
+use super::participant::{LocalNode, Participant};
+use crate::base::ids::NodeId;
+use crate::control::request::Phase;
+use crate::control::status::{NodeStatus, Outcome, SessionStatus};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Another node that does not answer for so long ends the session here.
+pub const PEER_PATIENCE: Duration = Duration::from_secs(15);
+/// One that takes connections, and only does not serve them, has so long.
+pub const UNSERVED_PATIENCE: Duration = Duration::from_secs(60);
+/// How often they are asked.
+const POLL: Duration = Duration::from_millis(500);
+/// A node that answers has been in the session, or takes so long to say that it has ended it.
+const RESTART_PATIENCE: Duration = Duration::from_secs(2);
+
+/// The thread that looks; it ends when dropped.
+#[derive(Debug)]
+pub struct PeerWatch {
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl PeerWatch {
+    /// Looks after these nodes while the node `here` is in a session with them.
+    pub fn start(peers: Vec<(NodeId, Box<dyn Participant>)>, here: LocalNode) -> std::io::Result<Self> {
+        let ended = Arc::new(AtomicBool::new(false));
+        let seen = Arc::clone(&ended);
+        let run = move || {
+            let mut watch = Watch { peers, here, session: None };
+            while !seen.load(Ordering::Acquire) {
+                watch.look();
+                std::thread::sleep(POLL);
+            }
+        };
+        let thread = std::thread::Builder::new().name("peers".to_owned()).spawn(run)?;
+        Ok(Self { ended, thread: Some(thread) })
+    }
+}
+
+impl Drop for PeerWatch {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Release);
+        // Not waited for: it may be asking a node that does not answer.
+        drop(self.thread.take());
+    }
+}
+
+struct Watch {
+    peers: Vec<(NodeId, Box<dyn Participant>)>,
+    here: LocalNode,
+    /// The session that is watched, and since when each peer was not seen in it.
+    session: Option<(u64, Vec<Instant>)>,
+}
+
+impl Watch {
+    fn look(&mut self) {
+        let Ok(status) = self.here.status() else { return };
+        let waits_for_all = matches!(status.phase, Phase::Ready | Phase::Running);
+        let Some(session) = status.session.as_ref().filter(|_| waits_for_all) else {
+            self.session = None;
+            return;
+        };
+        let id = session.session_id;
+        if self.session.as_ref().is_none_or(|(watched, _)| *watched != id) {
+            self.session = Some((id, vec![Instant::now(); self.peers.len()]));
+        }
+        let Some((_, seen)) = &mut self.session else { return };
+        for ((name, peer), seen) in self.peers.iter().zip(seen) {
+            if !session.nodes.contains(name) {
+                continue;
+            }
+            let reason = match judge(id, peer.status().ok().as_ref()) {
+                Seen::InSession => {
+                    *seen = Instant::now();
+                    continue;
+                }
+                Seen::Ended(reason) => Some(format!("node {name} ended early: {reason}")),
+                Seen::NotInSession => (seen.elapsed() > RESTART_PATIENCE)
+                    .then(|| format!("node {name} is not in the session any more; it was restarted")),
+                Seen::Silent => {
+                    let silent = seen.elapsed();
+                    let gone = silent > UNSERVED_PATIENCE || silent > PEER_PATIENCE && !peer.is_there();
+                    gone.then(|| format!("node {name} has not answered for {} s", silent.as_secs()))
+                }
+            };
+            if let Some(reason) = reason {
+                tracing::warn!("{reason}");
+                // A session that ended meanwhile needs no telling.
+                let _ = self.here.abort(id, &reason);
+            }
+        }
+    }
+}
+
+/// What another node's answer says about a session.
+#[derive(Debug, PartialEq, Eq)]
+enum Seen {
+    InSession,
+    /// Before it should have.
+    Ended(String),
+    NotInSession,
+    Silent,
+}
+
+fn judge(session_id: u64, status: Option<&NodeStatus>) -> Seen {
+    let Some(status) = status else { return Seen::Silent };
+    match status.session.as_ref().filter(|session| session.session_id == session_id) {
+        None => Seen::NotInSession,
+        Some(SessionStatus { outcome: Some(Outcome::Failed(fault)), .. }) => {
+            Seen::Ended(fault.message.clone())
+        }
+        Some(SessionStatus { outcome: Some(Outcome::Recorded(verdict)), .. }) => {
+            match verdict["aborted"].as_str() {
+                Some(reason) => Seen::Ended(reason.to_owned()),
+                // Its train has ended; the end is on its way here as well.
+                None => Seen::InSession,
+            }
+        }
+        Some(_) => Seen::InSession,
+    }
+}

@@ -1,0 +1,67 @@
+//! Why a command failed: what it says on standard error, and its exit code.
+
+use crate::base::{Exit, Fault};
+use crate::config::ConfigError;
+use crate::data::LostPart;
+use crate::record::ReadError;
+use std::fmt;
+use std::io::ErrorKind;
+use std::path::Path;
+
+/// A command's failure: what was expected, what was found, what to do; and the exit code.
+#[derive(Debug)]
+pub struct Failure {
+    /// The exit code.
+    pub exit: Exit,
+    /// For the user.
+    pub message: String,
+}
+
+impl Failure {
+    /// A failure with this exit code.
+    pub fn new(exit: Exit, message: impl fmt::Display) -> Self {
+        Self { exit, message: message.to_string() }
+    }
+}
+
+impl From<Fault> for Failure {
+    fn from(fault: Fault) -> Self {
+        Self::new(Exit::from_code(fault.exit), fault.message)
+    }
+}
+
+/// Whatever opens a session: a path without one is a mistake of usage, one that cannot be read is corrupt data.
+impl From<ReadError> for Failure {
+    fn from(error: ReadError) -> Self {
+        let exit = match error {
+            ReadError::Absent(_) => Exit::Usage,
+            ReadError::Unreadable(_) => Exit::Corrupt,
+        };
+        Self::new(exit, error)
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        Self::new(Exit::Usage, error)
+    }
+}
+
+/// A file that a command reads, likewise.
+pub(super) fn unreadable(path: &Path, error: impl fmt::Display) -> Failure {
+    let there = std::fs::metadata(path).map_err(|e| e.kind());
+    let absent = matches!(there, Err(ErrorKind::NotFound | ErrorKind::NotADirectory));
+    Failure::new(if absent { Exit::Usage } else { Exit::Corrupt }, error)
+}
+
+/// The directory of a reconstruction, likewise: one that has clouds and is not as `reconstruct` leaves it is damaged.
+pub(super) fn unusable_clouds(directory: &Path, error: impl fmt::Display) -> Failure {
+    let some = ["phases", "clouds", "merged"].iter().any(|folder| directory.join(folder).is_dir());
+    Failure::new(if some { Exit::Corrupt } else { Exit::Usage }, error)
+}
+
+/// Says which parts of a session cannot be read; returns whether there are any.
+pub(super) fn tell_lost(lost: &[LostPart]) -> bool {
+    lost.iter().for_each(|part| eprintln!("NOT READABLE  {part}"));
+    !lost.is_empty()
+}

@@ -1,0 +1,26 @@
+//! What the API asks of the node's thread, and where it reads what that publishes.
+
+use super::request::SessionRequest;
+use super::status::{NodeStatus, SessionCommand};
+use crate::base::Fault;
+use std::sync::{Arc, RwLock};
+use tokio::sync::oneshot;
+
+/// Answers a command.
+pub type Reply = oneshot::Sender<Result<(), Fault>>;
+
+/// What the API asks of the node.
+#[derive(Debug)]
+pub enum Command {
+    /// Prepare a session; answered when the node is ready.
+    Prepare(SessionRequest, Reply),
+    /// Start the train.
+    Start(SessionCommand, Reply),
+    /// End the train after the current trigger.
+    Stop(SessionCommand, Reply),
+    /// Give the session up.
+    Abort(SessionCommand, Reply),
+}
+
+/// The node's status as last published by its thread.
+pub type SharedStatus = Arc<RwLock<NodeStatus>>;

@@ -1,0 +1,14 @@
+//! What both sides of the HTTP API speak: requests, commands, status, tokens and their proofs, and the client.
+
+/// Speaks to nodes.
+pub mod client;
+/// What the API asks of the node's thread.
+pub mod command;
+/// How a token is shown where others could take it.
+pub mod proof;
+/// What an operator asks for.
+pub mod request;
+/// What a node says of itself.
+pub mod status;
+/// Secrets and their roles.
+pub mod tokens;

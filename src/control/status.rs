@@ -1,0 +1,382 @@
+//! What goes over the API.
+
+use super::request::Phase;
+use super::tokens::Role;
+use crate::base::Fault;
+use crate::base::histogram::Latency;
+use crate::base::ids::{CameraId, NodeId};
+use crate::camera::{AppliedSetting, CameraIdentity};
+use crate::config::{FeatureSetting, OnLoss, SocketMode, WhenFull};
+use crate::record::Interrupted;
+use crate::telemetry::{Family, Judgement};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use utoipa::ToSchema;
+
+/// Everything that a node tells of itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct NodeStatus {
+    /// Its name in the rig.
+    #[schema(value_type = String)]
+    pub node: NodeId,
+    /// Software version.
+    pub version: String,
+    /// The rig's name.
+    pub rig: String,
+    /// Triggers per second, by the rig.
+    pub trigger_rate_hz: f64,
+    /// The nodes that the rig has: a session of fewer is one of a part of the rig.
+    #[schema(value_type = Vec<String>)]
+    pub rig_nodes: Vec<NodeId>,
+    /// Where it is in a session.
+    pub phase: Phase,
+    /// Its cameras, in the rig's order.
+    pub cameras: Vec<CameraStatus>,
+    /// Its link to the HSU.
+    pub hsu: HsuStatus,
+    /// What was asked of the system and refused (real-time priority, locked memory): the node works without.
+    #[serde(default)]
+    pub warnings: Vec<String>,
+    /// Where sessions are recorded.
+    #[schema(value_type = String)]
+    pub sessions_dir: PathBuf,
+    /// Free space there, bytes.
+    pub free_bytes: u64,
+    /// Recordings of this node that were found unfinished when it started.
+    #[serde(default)]
+    pub interrupted: Vec<Interrupted>,
+    /// The session in progress, or the last one.
+    pub session: Option<SessionStatus>,
+    /// What is measured, judged by the thresholds of `fourdbody::telemetry`.
+    #[serde(default)]
+    pub judgements: Vec<Judgement>,
+    /// The worker that reconstructs on this machine, where there is one.
+    #[serde(default)]
+    pub worker: Option<WorkerStatus>,
+}
+
+/// What a worker does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct WorkerStatus {
+    /// For people: on what it is, how far, how much waits.
+    pub line: String,
+    /// Whether it has been heard of.
+    pub running: bool,
+    /// Sessions that it has set aside, each with the reason.
+    pub set_aside: Vec<(String, String)>,
+}
+
+impl NodeStatus {
+    /// What keeps the node from capturing, each with the device's name.
+    pub fn problems(&self) -> Vec<String> {
+        let cameras = self.cameras.iter();
+        let cameras = cameras.filter_map(|c| c.problem.as_ref().map(|p| format!("camera {}: {p}", c.id)));
+        let hsu = self.hsu.problem.iter().map(|p| format!("HSU at {}: {p}", self.hsu.device.display()));
+        cameras.chain(hsu).collect()
+    }
+}
+
+/// One camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CameraStatus {
+    /// Its name in the rig.
+    #[schema(value_type = String)]
+    pub id: CameraId,
+    /// As configured.
+    pub address: String,
+    /// Who it is, once opened.
+    pub identity: Option<CameraIdentity>,
+    /// Why it is not usable; `None` when it is.
+    pub problem: Option<String>,
+}
+
+/// The link to the HSU.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct HsuStatus {
+    /// Serial device, as configured.
+    #[schema(value_type = String)]
+    pub device: PathBuf,
+    /// Who it is, once connected.
+    pub identity: Option<String>,
+    /// Why it is not usable; `None` when it is.
+    pub problem: Option<String>,
+}
+
+/// A session's progress, and in the end its outcome.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SessionStatus {
+    /// The same on both nodes.
+    pub session_id: u64,
+    /// As asked for.
+    pub name: String,
+    /// The nodes that take part.
+    #[serde(default)]
+    #[schema(value_type = Vec<String>)]
+    pub nodes: Vec<NodeId>,
+    /// This node's recording.
+    #[schema(value_type = String)]
+    pub directory: PathBuf,
+    /// Nothing was written: `directory` does not exist.
+    #[serde(default)]
+    pub dry_run: bool,
+    /// Triggers asked for; 0: until stopped.
+    pub triggers_asked: u64,
+    /// Triggers that the HSU reported so far.
+    pub triggers: u64,
+    /// Progress per camera, in the rig's order.
+    pub cameras: Vec<CameraProgress>,
+    /// Most frames that waited for the writer at any time.
+    pub ring_high_water_frames: u64,
+    /// From the ring until the writer had taken the frame.
+    #[serde(default)]
+    pub written: Latency,
+    /// From the stream until the writer had taken the frame.
+    #[serde(default)]
+    pub total: Latency,
+    /// Set when the session has ended on this node.
+    pub outcome: Option<Outcome>,
+}
+
+/// One camera's frames so far.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct CameraProgress {
+    /// Its name in the rig.
+    #[schema(value_type = String)]
+    pub id: CameraId,
+    /// Frames handed to the writer.
+    pub frames: u64,
+    /// Gap records so far.
+    pub gaps: u64,
+    /// Nothing has been heard of it for some triggers: long before the camera counts as lost.
+    #[serde(default)]
+    pub silent: bool,
+}
+
+/// How a session ended on this node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// There is a recording, and this is its verdict.
+    Recorded(serde_json::Value),
+    /// There is none.
+    Failed(Fault),
+}
+
+/// Which session a command is for: a late command for another one is refused.
+#[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SessionCommand {
+    /// As in the request.
+    pub session_id: u64,
+    /// For an abort.
+    #[serde(default)]
+    pub reason: Option<String>,
+}
+
+/// How somebody showed who they are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Via {
+    /// The Unix socket: a user of this machine.
+    Socket,
+    /// A token in the `Authorization` header.
+    Token,
+    /// A browser's cookie, from a login with a token.
+    Cookie,
+    /// Not at all: TCP on a loopback address of a node without tokens.
+    Nothing,
+}
+
+/// Whether the node can take a session.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Health {
+    /// It can.
+    pub healthy: bool,
+    /// Why it cannot.
+    pub reasons: Vec<String>,
+}
+
+/// The node's devices.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Devices {
+    /// Its cameras, in the rig's order.
+    pub cameras: Vec<CameraStatus>,
+    /// Its link to the HSU.
+    pub hsu: HsuStatus,
+}
+
+/// What is configured, and what cameras made of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Settings {
+    /// The node's name in the rig.
+    pub node: String,
+    /// The rig's name.
+    pub rig: String,
+    /// Triggers per second.
+    pub trigger_rate_hz: f64,
+    /// Where sessions are recorded.
+    pub sessions_dir: String,
+    /// The disk is never filled beyond this many free bytes.
+    pub reserve_bytes: u64,
+    /// A segment is closed at the first trigger after this many bytes.
+    pub segment_bytes: u64,
+    /// Frame buffers per camera.
+    pub buffers_per_camera: usize,
+    /// GVSP packet size, bytes.
+    pub packet_bytes: u32,
+    /// How packets are received.
+    pub socket: SocketMode,
+    /// Before arming no camera may send for this long.
+    pub silence_gate_ms: u64,
+    /// When frames come faster than the disk takes them.
+    pub when_full: WhenFull,
+    /// When a camera stops answering.
+    pub on_camera_lost: OnLoss,
+    /// When the link to the HSU breaks during a train.
+    pub on_link_lost: OnLoss,
+    /// Its cameras, in the rig's order.
+    pub cameras: Vec<CameraSettings>,
+}
+
+/// One camera's settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CameraSettings {
+    /// Its name in the rig.
+    #[schema(value_type = String)]
+    pub id: CameraId,
+    /// As configured.
+    pub address: String,
+    /// Columns and rows of its images, by the rig.
+    pub size: [usize; 2],
+    /// Set in this order before every session.
+    pub configured: Vec<FeatureSetting>,
+    /// As read back when a session was last prepared; none before the first.
+    pub read_back: Option<Vec<AppliedSetting>>,
+}
+
+/// All metrics.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Metrics {
+    /// The same families as in the text for Prometheus.
+    pub families: Vec<Family>,
+}
+
+/// Who the node takes a caller for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Identity {
+    /// The token's name, `uid N` of the Unix socket, or the address.
+    pub name: String,
+    /// What they may do.
+    pub role: Role,
+    /// How they showed who they are.
+    pub via: Via,
+}
+
+/// What a proof of a token is made for (`docs/design/api.md`).
+#[derive(Debug, Clone, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Challenge {
+    /// Of this connection alone.
+    pub nonce: String,
+}
+
+/// What a browser logs in with.
+#[derive(Clone, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Login {
+    /// The secret, as `fourdbody token new` wrote it.
+    pub token: String,
+}
+
+/// A capture has begun.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct CaptureBegun {
+    /// Counts the captures that the node has run since it started.
+    pub number: u64,
+}
+
+/// Why a session is given up.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AbortReason {
+    /// Kept in the recording.
+    #[serde(default)]
+    pub reason: Option<String>,
+}
+
+/// Another node, as this one sees it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PeerState {
+    /// Its name in the rig.
+    #[schema(value_type = String)]
+    pub name: NodeId,
+    /// Where it is.
+    pub url: String,
+    /// What it told.
+    pub status: Option<NodeStatus>,
+    /// Why it told nothing.
+    pub problem: Option<String>,
+}
+
+/// Where the API lies on a node.
+pub mod path {
+    /// GET: the capture that the node runs; POST [`crate::capture::series::Series`]: begins one.
+    pub const CAPTURE: &str = "/api/v1/capture";
+    /// POST.
+    pub const CAPTURE_STOP: &str = "/api/v1/capture/stop";
+    /// POST [`super::AbortReason`].
+    pub const CAPTURE_ABORT: &str = "/api/v1/capture/abort";
+    /// GET: what is known of all cameras' pictures.
+    pub const PREVIEWS: &str = "/api/v1/previews";
+    /// GET: a PNG.
+    pub const PICTURE: &str = "/api/v1/previews/{camera}";
+    /// GET: what the node has recorded.
+    pub const SESSIONS: &str = "/api/v1/sessions";
+    /// GET: one recording.
+    pub const SESSION: &str = "/api/v1/sessions/{name}";
+    /// GET: how far the look is; POST: asks for one.
+    pub const QUICK_LOOK: &str = "/api/v1/sessions/{name}/quick-look";
+    /// GET: points.
+    pub const QUICK_LOOK_CLOUD: &str = "/api/v1/sessions/{name}/quick-look/{trigger}";
+    /// GET: the other nodes.
+    pub const PEERS: &str = "/api/v1/peers";
+    /// GET: pictures of another node's cameras.
+    pub const PEER_PREVIEWS: &str = "/api/v1/peers/{peer}/previews";
+    /// GET: a PNG.
+    pub const PEER_PICTURE: &str = "/api/v1/peers/{peer}/previews/{camera}";
+    /// GET: what another node has recorded.
+    pub const PEER_SESSIONS: &str = "/api/v1/peers/{peer}/sessions";
+    /// GET: how far another node's look is; POST: asks it for one.
+    pub const PEER_QUICK_LOOK: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look";
+    /// GET: points.
+    pub const PEER_QUICK_LOOK_CLOUD: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look/{trigger}";
+    /// GET: [`super::NodeStatus`].
+    pub const STATUS: &str = "/api/v1/status";
+    /// POST [`crate::control::request::SessionRequest`]: answers when the node is ready, or why it is not.
+    pub const PREPARE: &str = "/api/v1/session/prepare";
+    /// POST [`super::SessionCommand`].
+    pub const START: &str = "/api/v1/session/start";
+    /// POST [`super::SessionCommand`].
+    pub const STOP: &str = "/api/v1/session/stop";
+    /// POST [`super::SessionCommand`].
+    pub const ABORT: &str = "/api/v1/session/abort";
+    /// GET [`super::Challenge`]: what a proof of a token is made for, for clients over plain TCP.
+    pub const CHALLENGE: &str = "/api/v1/challenge";
+    /// POST [`super::Login`]: a cookie.
+    pub const LOGIN: &str = "/api/v1/login";
+    /// POST: ends the login.
+    pub const LOGOUT: &str = "/api/v1/logout";
+    /// GET: [`super::Identity`].
+    pub const IDENTITY: &str = "/api/v1/identity";
+    /// GET: [`super::Health`]; 503 when a session could not start.
+    pub const HEALTH: &str = "/api/v1/health";
+    /// GET: [`super::Devices`].
+    pub const DEVICES: &str = "/api/v1/devices";
+    /// GET: [`super::Settings`].
+    pub const SETTINGS: &str = "/api/v1/settings";
+    /// GET: metrics as Prometheus reads them.
+    pub const METRICS: &str = "/api/v1/metrics";
+    /// GET: [`super::Metrics`].
+    pub const METRICS_JSON: &str = "/api/v1/metrics.json";
+    /// GET: the API's description (OpenAPI).
+    pub const OPENAPI: &str = "/api/v1/openapi.json";
+}

@@ -1,0 +1,45 @@
+//! What is known of a projector beside its geometry: which rows of the panel are its rows, and its response to light.
+
+use serde::{Deserialize, Serialize};
+
+/// From the rows of a projector's geometry to those of its panel.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PanelRows {
+    /// What the geometry's row has too much: px, px per px, and px m (over the distance).
+    pub excess: [f64; 3],
+    /// RMS of what is left of it on the board, px.
+    pub rms_px: f64,
+}
+
+impl PanelRows {
+    /// Of a projector whose geometry is exact in its rows, too.
+    pub fn exact() -> Self {
+        Self { excess: [0.0; 3], rms_px: 0.0 }
+    }
+
+    /// Whether all are numbers.
+    pub fn is_finite(&self) -> bool {
+        self.excess.iter().all(|x| x.is_finite()) && self.rms_px.is_finite()
+    }
+
+    /// The panel's row, px, for the geometry's row, px, at a distance before the projector, m.
+    pub fn of(&self, row_px: f64, distance_m: f64) -> f64 {
+        let [a, b, c] = self.excess;
+        row_px - (a + b * row_px + c / distance_m)
+    }
+}
+
+/// A projector's response.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Response {
+    /// Exponent from panel value to light.
+    pub gamma: f64,
+    /// Standard deviation of it.
+    pub sigma: f64,
+    /// Amplitude of the second harmonic of what the cameras see, relative to the first.
+    pub second_harmonic: f64,
+    /// The third likewise.
+    pub third_harmonic: f64,
+}

@@ -1,0 +1,121 @@
+//! Clouds of any source into one sequence, in order of time.
+
+use super::job::{Summary, merged_cloud};
+use crate::base::write_whole;
+use crate::data::Cloud;
+use crate::formats::CloudSource;
+use crate::formats::sequence::{Options, SequenceWriter};
+use rayon::prelude::*;
+use std::io;
+use std::ops::Range;
+use std::path::Path;
+
+/// What goes into a sequence.
+#[derive(Debug, Clone)]
+pub struct Contents {
+    /// Whether merged clouds do.
+    pub merged: bool,
+    /// Whether directional clouds do, each on a topic of its camera.
+    pub directional: bool,
+    /// Which triggers.
+    pub triggers: Range<u64>,
+    /// Which cameras: places in the source's list, in order.
+    pub cameras: Vec<usize>,
+}
+
+/// A message that is ready to be written, with the camera whose topic it belongs to.
+struct Ready {
+    camera: Option<String>,
+    points: usize,
+    message: Vec<u8>,
+}
+
+/// Writes a sequence, which is never half there; messages are made on the current rayon pool. `time_ns` says when a trigger
+/// was; times must not go back from trigger to trigger. Clouds without points are left out; without any points there is no file. `progress` is told triggers done and their number. An error is one
+/// of writing; damaged clouds are in the summary.
+pub fn collect(
+    source: &dyn CloudSource,
+    contents: &Contents,
+    options: Options,
+    path: &Path,
+    time_ns: impl Fn(u64) -> u64 + Sync,
+    progress: impl Fn(u64, u64),
+) -> io::Result<Summary> {
+    let triggers: Vec<(&u64, &Vec<usize>)> = source.triggers().range(contents.triggers.clone()).collect();
+    let mut summary = Summary { triggers: triggers.len(), written: 1, ..Summary::default() };
+    let mut is_nothing = false;
+    let written = write_whole(path, |file| {
+        let out = io::BufWriter::with_capacity(1 << 20, file);
+        let mut writer = SequenceWriter::with(out, options).map_err(io::Error::other)?;
+        let mut done = 0;
+        // So many triggers at a time as there are threads: what they hold is the memory that this takes.
+        for part in triggers.chunks(rayon::current_num_threads()) {
+            let made: Vec<(u64, Result<Vec<Ready>, String>)> = part
+                .par_iter()
+                .map(|(trigger, there)| {
+                    let time = time_ns(**trigger);
+                    (time, messages(source, contents, options, **trigger, there, time))
+                })
+                .collect();
+            for (time, ready) in made {
+                match ready {
+                    Ok(ready) => {
+                        for Ready { camera, points, message } in ready {
+                            if points == 0 {
+                                summary.empty += 1;
+                                continue;
+                            }
+                            summary.points += points;
+                            writer.write(time, camera.as_deref(), &message).map_err(io::Error::other)?;
+                        }
+                    }
+                    Err(problem) => summary.problems.push(problem),
+                }
+            }
+            done += part.len() as u64;
+            progress(done, triggers.len() as u64);
+        }
+        is_nothing = summary.points == 0;
+        if is_nothing {
+            return Err(io::Error::other("there are no points"));
+        }
+        let buffer = writer.finish().map_err(io::Error::other)?;
+        buffer.into_inner().map(|_| ()).map_err(io::IntoInnerError::into_error)
+    });
+    if is_nothing {
+        summary.written = 0;
+        return Ok(summary);
+    }
+    written?;
+    summary.bytes = path.metadata()?.len();
+    Ok(summary)
+}
+
+/// The messages of a trigger.
+fn messages(
+    source: &dyn CloudSource,
+    contents: &Contents,
+    options: Options,
+    trigger: u64,
+    there: &[usize],
+    time_ns: u64,
+) -> Result<Vec<Ready>, String> {
+    let cameras: Vec<usize> =
+        contents.cameras.iter().copied().filter(|camera| there.contains(camera)).collect();
+    let clouds = source.clouds(trigger, &cameras)?;
+    let numbered: Vec<(u8, String)> =
+        cameras.iter().map(|&camera| source.cameras()[camera].clone()).collect();
+    let ready = |camera: Option<String>, cloud: &Cloud| {
+        let mut message = Vec::new();
+        options.encode(&mut message, time_ns, cloud);
+        Ready { camera, points: cloud.len(), message }
+    };
+    let mut made = Vec::new();
+    if contents.merged {
+        made.push(ready(None, &merged_cloud(&clouds, &numbered)));
+    }
+    if contents.directional {
+        made.extend(clouds.iter().zip(numbered).map(|((_, cloud), (_, name))| ready(Some(name), cloud)));
+    }
+    Ok(made)
+}

@@ -1,0 +1,70 @@
+//! The formats that points and meshes are exported to.
+
+use super::shape::Shape;
+use super::{e57, glb, pcd, ply, text};
+use crate::base::write_whole;
+use std::io;
+use std::path::Path;
+
+/// A format of files of points; some hold triangles too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Format {
+    /// PLY, binary: the layout of the command line's contract.
+    Ply,
+    /// PLY as text.
+    PlyAscii,
+    /// PCD of the Point Cloud Library, binary.
+    Pcd,
+    /// Columns of text.
+    Xyz,
+    /// E57, a scan a camera.
+    E57,
+    /// glTF 2.0, binary.
+    Glb,
+    /// Wavefront OBJ.
+    Obj,
+}
+
+impl Format {
+    /// All of them.
+    pub const ALL: [Self; 7] =
+        [Self::Ply, Self::PlyAscii, Self::Pcd, Self::Xyz, Self::E57, Self::Glb, Self::Obj];
+
+    /// How files of it are called behind the last dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            // Both may lie beside each other.
+            Self::PlyAscii => "ascii.ply",
+            Self::Pcd => "pcd",
+            Self::Xyz => "xyz",
+            Self::E57 => "e57",
+            Self::Glb => "glb",
+            Self::Obj => "obj",
+        }
+    }
+
+    /// Whether it can hold triangles.
+    pub fn holds_triangles(self) -> bool {
+        matches!(self, Self::Ply | Self::PlyAscii | Self::Glb | Self::Obj)
+    }
+
+    /// Writes a file, which is never half there. Triangles are an error where the format has no place for them.
+    pub fn save(self, path: &Path, shape: &Shape<'_>) -> io::Result<()> {
+        if !shape.triangles.is_empty() && !self.holds_triangles() {
+            return Err(io::Error::other(format!("{self:?} holds points only, not triangles")));
+        }
+        write_whole(path, |file| match self {
+            Self::Ply if shape.triangles.is_empty() && shape.cloud.pixel.len() == shape.cloud.len() => {
+                ply::write(file, shape.cloud, shape.comments)
+            }
+            Self::Ply => text::write_ply_mesh(file, shape),
+            Self::PlyAscii => text::write_ply_ascii(file, shape),
+            Self::Pcd => pcd::write(file, shape),
+            Self::Xyz => text::write_xyz(file, shape),
+            Self::E57 => e57::write(file, shape),
+            Self::Glb => glb::write(file, shape),
+            Self::Obj => text::write_obj(file, shape),
+        })
+    }
+}

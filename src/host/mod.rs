@@ -1,0 +1,10 @@
+//! What is asked of Linux: memory for frames, real-time threads, an allocator that keeps its memory, idle processes.
+
+/// Blocks of memory that frames are received into.
+pub mod frame_memory;
+/// The allocator's settings.
+pub mod heap;
+/// Work that nothing waits for, in processes of its own.
+pub mod idle_process;
+/// Real-time scheduling and locked memory.
+pub mod realtime;

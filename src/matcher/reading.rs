@@ -1,0 +1,168 @@
+//! A camera's clock, read when its frames are in doubt: the witness that knows what was done to it.
+//!
+//! Ids and timestamps show that something changed, not what. Arrivals tell triggers apart only where the host takes
+//! packets up at once, and Aravis does so every 5 ms where few come. A reading that is asked for after a frame has come
+//! tells whether the camera's clock runs as before: then its timestamp is right, and if not, the reading says how it
+//! runs now.
+
+use super::sighting::Sighting;
+use crate::base::clock_fit::{ClockFit, Exchange, Judged};
+
+/// No frame that is placed by readings arrives later after its trigger, periods.
+pub(super) const LATE_PERIODS: u64 = 8;
+/// So long after a frame has come its camera's clock is read for it, ns.
+const PATIENCE_NS: u64 = 50_000_000;
+/// Frames that the way to the timestamp is measured by.
+const MEASURED: usize = 4;
+
+/// A camera's clock against the host's, and what is known of it.
+#[derive(Debug)]
+pub(super) struct CameraClock {
+    pub(super) fit: ClockFit,
+    period_ns: u64,
+    /// From a trigger to its frame's timestamp, ns, by the fit: measured once.
+    stamp_delay_ns: Option<i128>,
+    /// Frames to measure it by, once the clock has been read behind them: their triggers' times and themselves.
+    to_measure: Vec<(u64, Sighting)>,
+    /// When the last exchange was asked for that agrees with the fit, host clock, ns.
+    read_ns: Option<u64>,
+    /// From when on the fit holds, and when the clock was set last, host clock, ns.
+    holds_from_ns: u64,
+    set_ns: u64,
+    /// Whether it can be read, as far as is known.
+    answers: bool,
+    /// It should be read now.
+    wanted: bool,
+}
+
+impl CameraClock {
+    /// Before the first reading.
+    pub(super) fn new(period_ns: u64) -> Self {
+        Self {
+            fit: ClockFit::new(),
+            period_ns,
+            stamp_delay_ns: None,
+            to_measure: Vec::new(),
+            read_ns: None,
+            holds_from_ns: 0,
+            set_ns: 0,
+            answers: false,
+            wanted: false,
+        }
+    }
+
+    /// A reading is there.
+    pub(super) fn exchange(&mut self, exchange: &Exchange) -> Judged {
+        let ready = self.fit.is_ready();
+        let judged = self.fit.exchange(exchange);
+        self.answers = true;
+        match judged {
+            Judged::LeftOut => return judged,
+            Judged::Reset { step_ns } => {
+                self.to_measure.clear();
+                self.set_ns = exchange.host_receive_ns;
+                // Set by much, a stamp from before cannot be taken for one from behind.
+                let far = step_ns.unsigned_abs() > u128::from((LATE_PERIODS + 1) * self.period_ns);
+                self.holds_from_ns = if far { 0 } else { exchange.host_receive_ns };
+            }
+            // Nothing to hold it against yet.
+            Judged::Used if !ready => return judged,
+            Judged::Used => {}
+        }
+        self.read_ns = Some(exchange.host_send_ns);
+        judged
+    }
+
+    /// The camera is back, and its clock may be another. How long it takes to stamp a frame stays.
+    pub(super) fn restart(&mut self) {
+        *self =
+            Self { stamp_delay_ns: self.stamp_delay_ns, answers: self.answers, ..Self::new(self.period_ns) };
+    }
+
+    /// Frames show that it was set: what was read before holds no longer.
+    pub(super) fn was_set(&mut self) {
+        self.read_ns = None;
+        self.to_measure.clear();
+    }
+
+    /// Asks for a reading.
+    pub(super) fn ask(&mut self) {
+        self.wanted = self.answers;
+    }
+
+    /// Whether a reading was asked for since this was asked last.
+    pub(super) fn takes_wish(&mut self) -> bool {
+        std::mem::take(&mut self.wanted)
+    }
+
+    /// Whether readings tell triggers apart: it answers, and the way to the timestamp is measured.
+    pub(super) fn tells(&self) -> bool {
+        self.answers && self.stamp_delay_ns.is_some()
+    }
+
+    /// Whether it can be read.
+    pub(super) fn answers(&self) -> bool {
+        self.answers
+    }
+
+    /// A frame of the trigger at `due`, HSU time, to measure the way to its timestamp by.
+    pub(super) fn learn(&mut self, due: u64, frame: &Sighting) {
+        // One that was sent before the clock was set may arrive later.
+        let since = self.set_ns.saturating_add(LATE_PERIODS * self.period_ns);
+        let wanted = self.stamp_delay_ns.is_none() && self.answers && frame.host_ns > since;
+        if wanted && self.to_measure.len() < MEASURED {
+            self.to_measure.push((due, *frame));
+            self.wanted |= self.to_measure.len() == MEASURED;
+        }
+    }
+
+    /// Measures the way from trigger to timestamp: by frames on both sides of which the clock was read, and ran on.
+    pub(super) fn measure(&mut self, hsu: &ClockFit) {
+        let read = |frame: &Sighting| self.read_ns.is_some_and(|asked| asked > frame.host_ns);
+        if self.to_measure.len() < MEASURED || !self.to_measure.iter().all(|(_, frame)| read(frame)) {
+            return;
+        }
+        let delay =
+            |(due, frame): &(u64, Sighting)| Some(self.stamped_ns(frame.camera_ns?, hsu)? - i128::from(*due));
+        let mut delays: Vec<i128> = self.to_measure.iter().filter_map(delay).collect();
+        delays.sort_unstable();
+        self.stamp_delay_ns = delays.get(delays.len() / 2).copied();
+        self.to_measure.clear();
+    }
+
+    /// HSU time of a timestamp, where the readings of both clocks are sure enough.
+    fn stamped_ns(&self, camera_ns: u64, hsu: &ClockFit) -> Option<i128> {
+        let host_ns = self.fit.host_from_device(camera_ns.into())?;
+        let hsu_ns = hsu.device_from_host(host_ns)?;
+        let unsure = self.fit.uncertainty_ns(camera_ns.into())?.saturating_add(hsu.uncertainty_ns(hsu_ns)?);
+        (unsure < self.period_ns / 4).then_some(hsu_ns)
+    }
+
+    /// When a frame's trigger was fired by the fit as it is, HSU time.
+    pub(super) fn fired_ns(&self, frame: &Sighting, hsu: &ClockFit) -> Option<i128> {
+        Some(self.stamped_ns(frame.camera_ns?, hsu)? - self.stamp_delay_ns?)
+    }
+
+    /// The same by readings that were asked for after the frame had come: whatever was done to the clock before, they
+    /// know of it.
+    pub(super) fn read_fired_ns(&self, frame: &Sighting, hsu: &ClockFit) -> Option<i128> {
+        let read = self.read_ns.is_some_and(|asked| asked > frame.host_ns);
+        if read && self.holds(frame) { self.fired_ns(frame, hsu) } else { None }
+    }
+
+    /// Whether the clock ran since before this frame as it does now, or was set by so much that the stamp would show it.
+    fn holds(&self, frame: &Sighting) -> bool {
+        self.holds_from_ns.saturating_add(LATE_PERIODS * self.period_ns) <= frame.host_ns
+    }
+
+    /// Whether a reading is still to be had for this frame; if so it is asked for.
+    pub(super) fn awaits(&mut self, frame: &Sighting, hsu: &ClockFit) -> bool {
+        let after = |ns: u64| self.read_ns.is_some_and(|asked| asked > ns);
+        // Once more where the first ones took too long to tell triggers apart, but not for ever.
+        let no_more = after(frame.host_ns.saturating_add(PATIENCE_NS)) || !self.holds(frame);
+        let told = after(frame.host_ns) && (no_more || self.read_fired_ns(frame, hsu).is_some());
+        let awaited = self.tells() && frame.camera_ns.is_some() && !told;
+        self.wanted |= awaited;
+        awaited
+    }
+}

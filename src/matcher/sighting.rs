@@ -1,0 +1,73 @@
+//! What is asked of the matcher, and what it answers.
+
+use crate::base::ids::BlockId;
+
+/// What the witnesses say of one frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Sighting {
+    /// GVSP block id.
+    pub id: BlockId,
+    /// Camera clock, ns, at whatever point of the frame the camera stamps; `None` where the leader was lost or there
+    /// is no stamp.
+    pub camera_ns: Option<u64>,
+    /// First packet seen, host clock, ns.
+    pub host_ns: u64,
+    /// Whether all of it arrived: the timestamp of a torn frame does not overrule its id.
+    pub complete: bool,
+}
+
+/// What a match rests on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Witness {
+    /// Two of block id, timestamp and arrival agree, and the third does not refute them.
+    Two,
+    /// One of them alone.
+    One,
+}
+
+/// What else a frame's witnesses show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Finding {
+    /// The id jumped by so many more than frames were lost (negative: it fell back).
+    IdJump(i64),
+    /// The id is that of the frame before.
+    IdRepeated,
+    /// The camera's clock was set anew, by about so many ns.
+    ClockReset(i128),
+    /// Its timestamp alone is wrong, by so many ns; `None`: it has none, and the camera's other frames have.
+    StampWrong(Option<i128>),
+}
+
+/// A frame's place, and what happened since the frame before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Matched {
+    /// The trigger's number; negative in the warm-up.
+    pub number: i64,
+    /// What it rests on.
+    pub witness: Witness,
+    /// So many triggers before it gave frames that were lost on the way.
+    pub lost: u64,
+    /// So many triggers before it were ignored by the camera.
+    pub ignored: u64,
+    /// Anything else.
+    pub finding: Option<Finding>,
+}
+
+/// What a frame is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Match {
+    /// The frame of a trigger.
+    Trigger(Matched),
+    /// Not known yet: ask again when there is a new report or frame.
+    Wait,
+    /// No trigger explains it; it lies this far from the nearest (ns).
+    Spurious(i64),
+    /// Packets, no frame: its id is that of a trigger that has its outcome, or that had not been fired when it arrived.
+    Stray,
+    /// Its witnesses contradict each other, and nothing says which of them is right.
+    Undecided,
+    /// It came before the first trigger.
+    BeforeTrain,
+    /// It was seen before: same id, same timestamp, or an earlier one.
+    Repeated,
+}

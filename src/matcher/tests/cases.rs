@@ -1,0 +1,119 @@
+//! Single cases by name.
+
+use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Traits};
+use super::{Outcome, play};
+use crate::base::clock_fit::ClockFit;
+use crate::base::ids::BlockId;
+use crate::matcher::sighting::{Match, Sighting};
+use crate::matcher::trigger_table::TriggerTable;
+use crate::matcher::{Matcher, Start};
+use hsu_firmware_proto::PAUSE_BEFORE;
+
+const PERIOD_NS: u64 = 8_333_333;
+
+/// A camera without faults, changed by `change`: of each frame its sighting and its trigger.
+fn changed(seed: u64, traits: Traits, mut change: impl FnMut(&mut Sighting, i64)) -> Outcome {
+    let mut history = History::of(seed, Traits { faults: false, ..traits });
+    for (_, what) in &mut history.arrivals {
+        if let Arrives::Frame(frame, Some(number)) = what {
+            change(frame, *number);
+        }
+    }
+    play(&history).0
+}
+
+fn habits(stamp_delay: u64, arrival_delay: u64) -> Traits {
+    Traits {
+        wide: false,
+        stamps: true,
+        clock: true,
+        stamp_delay,
+        arrival_delay,
+        jitter: 5,
+        batch_ns: 0,
+        faults: false,
+    }
+}
+
+fn all_right(outcome: Outcome) {
+    assert_eq!((outcome.right, outcome.wrong, outcome.unconfirmed), (outcome.frames, 0, 0), "{outcome:?}");
+}
+
+/// A glitch, or a leader that somebody forged: that frame's id and arrival are right, and so are all others.
+#[test]
+fn one_wrong_stamp_moves_no_frame() {
+    let wrong: [fn(u64) -> u64; 5] = [
+        |ns| ns + 60_000_000,
+        |ns| ns - 60_000_000,
+        |ns| ns + 3 * PERIOD_NS,
+        |_| u64::MAX,
+        |ns| ns + (1 << 45),
+    ];
+    for (seed, wrong) in wrong.iter().enumerate() {
+        for at in [1, 40] {
+            all_right(changed(seed as u64, habits(10, 80), |frame, number| {
+                if number == at {
+                    frame.camera_ns = frame.camera_ns.map(wrong);
+                }
+            }));
+        }
+    }
+}
+
+#[test]
+fn a_stamp_of_nothing_moves_no_frame() {
+    all_right(changed(7, habits(10, 80), |frame, number| {
+        if number == 30 {
+            frame.camera_ns = None;
+        }
+    }));
+}
+
+/// 12 ms after the trigger at 120 Hz, and up to three periods; no clock that can be read, or no stamps at all.
+#[test]
+fn a_camera_without_a_clock_whose_frames_come_late_is_not_a_trigger_off() {
+    for (seed, arrival_delay) in [(1, 144), (2, 220), (3, 295)] {
+        let camera = Traits { clock: false, ..habits(20, arrival_delay) };
+        all_right(changed(seed, camera, |_, _| {}));
+        all_right(changed(seed, Traits { stamps: false, ..camera }, |_, _| {}));
+    }
+}
+
+/// The end of exposure, of readout, the leader's sending: anything up to more than two periods after the trigger.
+#[test]
+fn a_camera_that_stamps_late_is_not_a_trigger_off() {
+    for stamp_delay in [40, 60, 95, 150, 240] {
+        all_right(changed(stamp_delay, habits(stamp_delay, 260), |_, _| {}));
+    }
+}
+
+/// A camera that sleeps through its first triggers: the rhythm of the warm-up tells.
+#[test]
+fn the_first_triggers_may_be_ignored() {
+    for ignored in 1..=2 {
+        let mut matcher = Matcher::new(Start {
+            period_ns: PERIOD_NS,
+            warm_up: 8,
+            hsu_minus_host_ns: Some(-HOST_MINUS_HSU_NS),
+        });
+        let (mut table, hsu, mut fired) = (TriggerTable::default(), ClockFit::new(), 5_000_000_000);
+        for number in -8..20i64 {
+            fired += PERIOD_NS + if PAUSE_BEFORE.contains(&number) { PERIOD_NS / 2 } else { 0 };
+            table.insert(number, fired);
+            if number < -8 + ignored {
+                continue;
+            }
+            let frame = Sighting {
+                id: BlockId((number + 9 - ignored) as u64),
+                camera_ns: Some(fired + 77_000_000_000),
+                host_ns: (i128::from(fired + 5_000_000) + HOST_MINUS_HSU_NS) as u64,
+                complete: true,
+            };
+            let answer = matcher.assign(&frame, &[], &table, &hsu, false);
+            assert!(
+                matches!(answer, Match::Trigger(matched) if number < 0 || matched.number == number),
+                "{ignored} ignored, {number}: {answer:?}"
+            );
+        }
+    }
+}

@@ -1,0 +1,342 @@
+//! One thread per camera while a session runs: reads the camera's clock, looks whether it still answers, and brings it
+//! back when it was lost. So nothing that a camera does or does not do makes the node's own thread wait.
+
+use super::devices::{OpenCamera, SharedBackend};
+use crate::acquire::receiver::{Receiver, ReceiverSetup};
+use crate::acquire::recorder::RecorderCommand;
+use crate::base::clock_fit::RESET_RUN;
+use crate::base::time::HostClock;
+use crate::camera::{CameraError, StreamOptions, Wanted, quiet_stream};
+use crate::host::frame_memory::Pool;
+use crate::record::{ClockSample, GapCause, NodeEvent};
+use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// What an attendant tells the node.
+#[derive(Debug)]
+pub enum Report {
+    /// The camera does not answer any more.
+    Lost {
+        /// Its place in the node's list.
+        camera: usize,
+        /// What was seen.
+        reason: String,
+    },
+    /// Another program controls it.
+    Owned {
+        /// Its place in the node's list.
+        camera: usize,
+        /// Who.
+        reason: String,
+    },
+    /// It sends again, with the same settings.
+    Back {
+        /// Its place in the node's list.
+        camera: usize,
+    },
+}
+
+/// What the node tells an attendant.
+#[derive(Debug)]
+enum Order {
+    /// Nothing was heard of the camera: does it answer?
+    Probe,
+    /// Its frames are in doubt: what does its clock say?
+    ReadClock,
+    /// The session is over.
+    Stop,
+}
+
+/// Everything an attendant works with.
+pub struct AttendantSetup {
+    /// The camera, open and streaming.
+    pub camera: OpenCamera,
+    /// Opens it again.
+    pub backend: SharedBackend,
+    /// How its stream is set up.
+    pub options: StreamOptions,
+    /// Its frames are those of the HSU's triggers.
+    pub triggered: bool,
+    /// Its receiver's setup, for another one.
+    pub receiver: ReceiverSetup,
+    /// Buffers of a stream.
+    pub blocks: usize,
+    /// Where they come from.
+    pub pool: Pool,
+    /// Pixels of a frame, bytes.
+    pub pixel_bytes: usize,
+    /// The recorder.
+    pub to_recorder: Sender<RecorderCommand>,
+    /// The node.
+    pub reports: Sender<Report>,
+}
+
+/// A running attendant.
+pub struct CameraKeeper {
+    orders: Sender<Order>,
+    thread: JoinHandle<Returned>,
+}
+
+/// What an attendant gives back: the camera, if it is there, and the counters of its last stream.
+pub type Returned = (OpenCamera, Vec<(String, u64)>);
+
+/// Between two readings of a camera's clock.
+const CLOCK_INTERVAL: Duration = Duration::from_secs(1);
+/// Between two attempts to open a lost camera.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+/// Readings of a clock at once, before a session and when a camera is back.
+pub const CLOCK_BURST: usize = 16;
+/// Readings where frames are in doubt: one more than it takes to believe that a clock was set.
+const READINGS: usize = RESET_RUN + 1;
+/// Before a stream that came back is started, whatever its socket caught of other cameras must have passed.
+const SETTLE: Duration = Duration::from_millis(300);
+
+impl CameraKeeper {
+    /// Starts the thread.
+    pub fn start(setup: AttendantSetup, receiver: Receiver) -> std::io::Result<Self> {
+        let (orders, inbox) = bounded(8);
+        let name = format!("attend-{}", setup.receiver.camera);
+        let thread = std::thread::Builder::new().name(name).spawn(move || {
+            let mut work = Work { setup, receiver: Some(receiver), owned: None, holder: None };
+            work.run(&inbox);
+            let counters = work.receiver.take().map(Receiver::stop).unwrap_or_default();
+            (work.setup.camera, counters)
+        })?;
+        Ok(Self { orders, thread })
+    }
+
+    /// Asks it to look at once whether the camera answers.
+    pub fn probe(&self) {
+        // One that is busy looking already needs no telling.
+        drop(self.orders.try_send(Order::Probe));
+    }
+
+    /// Asks it to read the camera's clock now, often enough to tell one that was set.
+    pub fn read_clock(&self) {
+        drop(self.orders.try_send(Order::ReadClock));
+    }
+
+    /// Tells it to stop; [`Self::join`] waits for it.
+    pub fn stop(&self) {
+        drop(self.orders.send(Order::Stop));
+    }
+
+    /// Waits for its end.
+    pub fn join(self) -> Option<Returned> {
+        self.thread.join().ok()
+    }
+}
+
+struct Work {
+    setup: AttendantSetup,
+    /// `None` while the camera is lost.
+    receiver: Option<Receiver>,
+    /// Who was found in control of it at the last attempt, and who was said to be.
+    owned: Option<String>,
+    holder: Option<String>,
+}
+
+impl Work {
+    fn run(&mut self, inbox: &Inbox<Order>) {
+        let mut next_clock = Instant::now() + CLOCK_INTERVAL;
+        let mut next_retry = Instant::now();
+        loop {
+            let due = if self.receiver.is_some() { next_clock } else { next_retry };
+            let patience = due.saturating_duration_since(Instant::now()).min(Duration::from_millis(100));
+            match inbox.recv_timeout(patience) {
+                Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return self.stop_camera(),
+                Ok(Order::Probe) => self.probe(),
+                Ok(Order::ReadClock) => (0..READINGS).for_each(|_| self.probe()),
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            let alive = self.setup.camera.camera.as_ref().is_some_and(|camera| camera.is_alive());
+            if self.receiver.is_some() && !alive {
+                self.lost_control();
+            }
+            if self.receiver.is_some() && Instant::now() >= next_clock {
+                next_clock = Instant::now() + CLOCK_INTERVAL;
+                self.probe();
+            } else if self.receiver.is_none() && Instant::now() >= next_retry {
+                self.bring_back();
+                next_retry = Instant::now() + RETRY_INTERVAL;
+            }
+        }
+    }
+
+    /// Reads the camera's clock: for the fit, and to see whether it answers.
+    fn probe(&mut self) {
+        let Some(camera) = self.setup.camera.camera.as_mut().filter(|_| self.receiver.is_some()) else {
+            return;
+        };
+        match camera.sample_clock() {
+            Ok(Some(sample)) => {
+                let (id, clock) = (self.setup.camera.config.id.clone(), &self.setup.receiver.clock);
+                let sample = camera_sample(id, sample, clock);
+                drop(self.setup.to_recorder.send(RecorderCommand::Clock(sample)));
+            }
+            // Without a clock the image size is as good a question.
+            Ok(None) => {
+                if let Err(error) = camera.image_size() {
+                    self.lost(&error);
+                }
+            }
+            Err(error) => self.lost(&error),
+        }
+    }
+
+    /// Its control channel is gone: either the camera is, or it is not ours any more.
+    fn lost_control(&mut self) {
+        let gone = || CameraError::Link {
+            doing: "keeping control of it",
+            detail: "its control channel was lost".to_owned(),
+        };
+        let error = self.setup.camera.camera.as_ref().and_then(|camera| camera.not_ours());
+        self.lost(&error.unwrap_or_else(gone));
+    }
+
+    fn lost(&mut self, error: &CameraError) {
+        let Some(receiver) = self.receiver.take() else { return };
+        let camera = self.setup.receiver.camera;
+        let cause = match error {
+            CameraError::NotOurs { .. } => GapCause::ControlLost,
+            _ => GapCause::Unplugged,
+        };
+        self.holder = None;
+        let reason = error.to_string();
+        drop(self.setup.to_recorder.send(RecorderCommand::CameraLost(camera, cause)));
+        drop(self.setup.reports.send(Report::Lost { camera, reason }));
+        let counters = receiver.stop();
+        self.note("stream_counters", counters_text(&counters));
+        // A handle that has lost its camera is of no more use: it must be opened anew.
+        self.setup.camera.camera = None;
+    }
+
+    fn bring_back(&mut self) {
+        match self.reopen() {
+            Ok(()) => {
+                let camera = self.setup.receiver.camera;
+                let text = format!(
+                    "{} settings set and read back, fresh stream of {} buffers",
+                    self.setup.camera.config.settings.len(),
+                    self.setup.blocks
+                );
+                self.note("camera_back", text);
+                drop(self.setup.reports.send(Report::Back { camera }));
+            }
+            Err(reason) => {
+                self.setup.camera.camera = None;
+                if let Some(holder) = self.owned.take() {
+                    self.say_who_has_it(holder, &reason);
+                }
+                tracing::debug!(camera = %self.setup.camera.config.id, "not back yet: {reason}");
+            }
+        }
+    }
+
+    /// Another program controls the camera: said once for each.
+    fn say_who_has_it(&mut self, holder: String, reason: &str) {
+        if self.holder.as_ref() == Some(&holder) {
+            return;
+        }
+        let camera = self.setup.receiver.camera;
+        self.holder = Some(holder);
+        drop(self.setup.to_recorder.send(RecorderCommand::CameraAway(camera, GapCause::ControlLost)));
+        self.note("camera_owned", reason.to_owned());
+        drop(self.setup.reports.send(Report::Owned { camera, reason: reason.to_owned() }));
+    }
+
+    /// Opens the camera, verifies it, and starts a fresh stream.
+    fn reopen(&mut self) -> Result<(), String> {
+        let config = self.setup.camera.config.clone();
+        let text = |error: CameraError| error.to_string();
+        let opened = self.setup.backend.open(&config.address);
+        if let Err(CameraError::Owned { holder, .. }) = &opened {
+            self.owned = Some(holder.clone().unwrap_or_default());
+        }
+        let mut camera = opened.map_err(text)?;
+        if let Some(expected) = &self.setup.camera.identity
+            && camera.identity() != expected
+        {
+            let reason = format!(
+                "another camera answers at {}: {:?}, expected {expected:?}",
+                config.address,
+                camera.identity()
+            );
+            self.note("camera_refused", reason.clone());
+            return Err(reason);
+        }
+        camera.apply(&config.settings).map_err(text)?;
+        let wanted = Wanted { size: self.setup.camera.size, triggered: self.setup.triggered };
+        self.setup.options.contract = camera.verify(&wanted).map_err(text)?;
+        let (pool, pixel_bytes, count) = (&self.setup.pool, self.setup.pixel_bytes, self.setup.blocks);
+        let blocks = || pool.take(pixel_bytes, count);
+        let (mut stream, quiet) = quiet_stream(camera.as_mut(), blocks, &self.setup.options).map_err(text)?;
+        if !quiet {
+            // The other cameras are sending: whatever its socket caught of them must have passed.
+            let settled = Instant::now() + SETTLE;
+            while Instant::now() < settled {
+                drop(stream.next(Duration::from_millis(20)));
+            }
+        }
+        let place = self.setup.receiver.camera;
+        self.setup.receiver.stream += 1;
+        let back = RecorderCommand::CameraBack { camera: place, stream: self.setup.receiver.stream };
+        drop(self.setup.to_recorder.send(back));
+        for _ in 0..CLOCK_BURST {
+            if let Some(sample) = camera.sample_clock().map_err(text)? {
+                let sample = camera_sample(config.id.clone(), sample, &self.setup.receiver.clock);
+                drop(self.setup.to_recorder.send(RecorderCommand::Clock(sample)));
+            }
+        }
+        let receiver = Receiver::start(stream, self.setup.receiver.clone()).map_err(|e| e.to_string())?;
+        if let Err(error) = camera.start() {
+            receiver.stop();
+            drop(self.setup.to_recorder.send(RecorderCommand::CameraLost(place, GapCause::Unplugged)));
+            return Err(error.to_string());
+        }
+        self.setup.camera.camera = Some(camera);
+        self.receiver = Some(receiver);
+        Ok(())
+    }
+
+    fn stop_camera(&mut self) {
+        if let Some(camera) = self.setup.camera.camera.as_mut()
+            && camera.is_alive()
+            && let Err(error) = camera.stop()
+        {
+            tracing::warn!(camera = %self.setup.camera.config.id, "{error}");
+        }
+    }
+
+    fn note(&self, kind: &str, message: String) {
+        let event = NodeEvent {
+            host_time_ns: self.setup.receiver.clock.now(),
+            kind: kind.to_owned(),
+            camera: Some(self.setup.camera.config.id.clone()),
+            trigger: None,
+            message,
+        };
+        drop(self.setup.to_recorder.send(RecorderCommand::Event(event)));
+    }
+}
+
+/// A reading of a camera's clock, as the recording has it.
+pub fn camera_sample(
+    id: crate::base::ids::CameraId,
+    sample: crate::camera::CameraClockSample,
+    clock: &HostClock,
+) -> ClockSample {
+    ClockSample {
+        camera: Some(id),
+        host_send_ns: clock.from_monotonic(sample.host_before_ns),
+        host_receive_ns: clock.from_monotonic(sample.host_after_ns),
+        device_time_ns: sample.camera_ns,
+    }
+}
+
+/// A stream's counters in words.
+pub fn counters_text(counters: &[(String, u64)]) -> String {
+    let text: Vec<String> = counters.iter().map(|(name, count)| format!("{name} {count}")).collect();
+    text.join(", ")
+}

@@ -1,0 +1,445 @@
+//! The node's devices: its cameras and its link to the HSU, kept open between sessions.
+
+use super::camera_keeper::{AttendantSetup, CLOCK_BURST, CameraKeeper, Report, camera_sample};
+use super::hsu_keeper::hsu_sample;
+use crate::acquire::receiver::{Receiver, ReceiverSetup};
+use crate::acquire::recorder::RecorderCommand;
+use crate::base::ids::CameraId;
+use crate::base::time::HostClock;
+use crate::base::{Exit, Fault};
+use crate::camera::{
+    AppliedSetting, Camera, CameraBackend, CameraError, CameraIdentity, FrameContract, StreamOptions, Wanted,
+    quiet_stream,
+};
+use crate::config::{CameraConfig, NodeConfig};
+use crate::control::status::{CameraStatus, HsuStatus};
+use crate::host::frame_memory::{Pool, block_bytes};
+use crate::hsu::{Hsu, HsuTimeouts, HsuTiming};
+use crate::record::ClockSample;
+use crossbeam_channel::Sender;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// One configured camera, open or not.
+pub struct OpenCamera {
+    /// Its part of the node file.
+    pub config: CameraConfig,
+    /// The camera, while it is open and not in the hands of an attendant.
+    pub camera: Option<Box<dyn Camera>>,
+    /// Who it said it was when it was last opened.
+    pub identity: Option<CameraIdentity>,
+    /// Why it cannot be used now.
+    pub problem: Option<String>,
+    /// Columns and rows that the rig has for it.
+    pub size: (usize, usize),
+    /// What its frames must be, as it was last verified.
+    pub contract: FrameContract,
+    /// While it is not open: when it is looked for again.
+    next_try: Instant,
+}
+
+impl OpenCamera {
+    fn start(&mut self) -> Result<(), Fault> {
+        let Some(camera) = &mut self.camera else { return Ok(()) };
+        camera.start().map_err(|e| Fault::new(Exit::Device, format!("camera {}: {e}", self.config.id)))
+    }
+
+    /// Sets and reads back all features, and asks whether what it then sends is what a session records.
+    fn set_up(&mut self, triggered: bool) -> Result<PreparedCamera, CameraError> {
+        let not_open = CameraError::Link { doing: "setting its features", detail: "not open".to_owned() };
+        let camera = self.camera.as_mut().ok_or(not_open)?;
+        let settings = camera.apply(&self.config.settings)?;
+        let contract = camera.verify(&Wanted { size: self.size, triggered })?;
+        let (id, identity) = (self.config.id.clone(), camera.identity().clone());
+        self.contract = contract;
+        Ok(PreparedCamera { id, size: self.size, identity, settings })
+    }
+
+    /// Everything but the open camera, which moves to the copy.
+    fn hand_over(&mut self) -> Self {
+        Self {
+            config: self.config.clone(),
+            camera: self.camera.take(),
+            identity: self.identity.clone(),
+            problem: None,
+            size: self.size,
+            contract: self.contract,
+            next_try: self.next_try,
+        }
+    }
+}
+
+/// The backend, shared by the threads that may have to open a camera.
+#[derive(Clone)]
+pub struct SharedBackend(Arc<Mutex<Box<dyn CameraBackend>>>);
+
+impl SharedBackend {
+    /// Opens a camera; one at a time.
+    pub fn open(&self, address: &str) -> Result<Box<dyn Camera>, CameraError> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).open(address)
+    }
+}
+
+/// A camera that is ready for a session.
+#[derive(Debug, Clone)]
+pub struct PreparedCamera {
+    /// Its name in the rig.
+    pub id: CameraId,
+    /// Columns and rows of its images.
+    pub size: (usize, usize),
+    /// Who it is.
+    pub identity: CameraIdentity,
+    /// Settings as read back.
+    pub settings: Vec<AppliedSetting>,
+}
+
+/// How often one of the cameras that do not answer is looked for while the node is idle: it blocks for 2.5 s.
+const ABSENT_RETRY_INTERVAL: Duration = Duration::from_secs(15);
+/// A camera that another program controls answers at once. That program is most often this one before it crashed, and the
+/// camera is free when its heartbeat times out (3 s by default).
+const OWNED_RETRY_INTERVAL: Duration = Duration::from_millis(500);
+/// The HSU answers at once, or its absence is noticed in a second.
+const HSU_RETRY_INTERVAL: Duration = Duration::from_secs(3);
+
+/// All devices of the node.
+pub struct Devices {
+    backend: SharedBackend,
+    slots: Vec<OpenCamera>,
+    /// Frame memory, kept between sessions.
+    pool: Pool,
+    hsu: Option<Arc<Hsu>>,
+    hsu_problem: Option<String>,
+    config: NodeConfig,
+    next_hsu_retry: Instant,
+}
+
+impl Devices {
+    /// The devices of a node, none open yet.
+    pub fn new(config: &NodeConfig, backend: Box<dyn CameraBackend>) -> Self {
+        let not_yet = || Some("not opened yet".to_owned());
+        let slot = |camera: &CameraConfig| {
+            let mut known = config.rig.cameras().filter(|(_, known)| known.id == camera.id);
+            let size = known.next().map_or((0, 0), |(_, known)| (known.device.width, known.device.height));
+            OpenCamera {
+                config: camera.clone(),
+                camera: None,
+                identity: None,
+                problem: not_yet(),
+                size,
+                contract: FrameContract { size, offset: (0, 0) },
+                next_try: Instant::now(),
+            }
+        };
+        let slots: Vec<OpenCamera> = config.cameras.iter().map(slot).collect();
+        let blocks = |slot: &OpenCamera| config.buffers_per_camera * block_bytes(slot.size.0 * slot.size.1);
+        let needed: usize = slots.iter().map(blocks).sum();
+        Self {
+            pool: Pool::new(config.realtime.lock_memory, needed as u64),
+            slots,
+            backend: SharedBackend(Arc::new(Mutex::new(backend))),
+            hsu: None,
+            hsu_problem: not_yet(),
+            config: config.clone(),
+            next_hsu_retry: Instant::now(),
+        }
+    }
+
+    /// The link to the HSU, when it is up.
+    pub fn hsu(&self) -> Option<&Arc<Hsu>> {
+        self.hsu.as_ref()
+    }
+
+    /// A link that was made anew.
+    pub fn take_hsu(&mut self, hsu: Arc<Hsu>) {
+        self.hsu = Some(hsu);
+        self.hsu_problem = None;
+    }
+
+    /// A camera's state for the status, while it is in the hands of its attendant.
+    pub fn set_problem(&mut self, camera: usize, problem: Option<String>) {
+        if let Some(slot) = self.slots.get_mut(camera) {
+            slot.problem = problem;
+        }
+    }
+
+    /// Forgets a link that failed.
+    pub fn drop_hsu(&mut self, reason: String) {
+        self.hsu = None;
+        self.hsu_problem = Some(reason);
+        self.next_hsu_retry = Instant::now() + HSU_RETRY_INTERVAL;
+    }
+
+    /// Between sessions: notices lost devices, and looks for missing ones now and then. Opens at most one
+    /// device per call, because an absent one blocks.
+    pub fn look_after(&mut self) {
+        for slot in &mut self.slots {
+            if slot.camera.as_ref().is_some_and(|camera| !camera.is_alive()) {
+                slot.camera = None;
+                slot.problem = Some("the camera stopped answering; check its power and cable".to_owned());
+            }
+        }
+        if self.hsu.is_none() && Instant::now() >= self.next_hsu_retry {
+            drop(self.connect_hsu());
+            self.next_hsu_retry = Instant::now() + HSU_RETRY_INTERVAL;
+        }
+        let missing = self.slots.iter().enumerate().filter(|(_, slot)| slot.camera.is_none());
+        let next = missing.min_by_key(|(_, slot)| slot.next_try).map(|(i, slot)| (i, slot.next_try));
+        let Some((i, _)) = next.filter(|(_, due)| Instant::now() >= *due) else { return };
+        let known = self.slots[i].problem.clone();
+        match self.open(i) {
+            // What kept one camera away, a switch for instance, kept the others away as well.
+            Ok(()) => self.slots.iter_mut().for_each(|slot| slot.next_try = Instant::now()),
+            Err(fault) if self.slots[i].problem != known => tracing::warn!("{}", fault.message),
+            Err(_) => {}
+        }
+    }
+
+    fn open(&mut self, i: usize) -> Result<(), Fault> {
+        let slot = &mut self.slots[i];
+        match self.backend.open(&slot.config.address) {
+            Ok(camera) => {
+                let identity = camera.identity();
+                tracing::info!(camera = %slot.config.id, address = slot.config.address, model = identity.model, serial = identity.serial, "opened");
+                slot.identity = Some(identity.clone());
+                slot.camera = Some(camera);
+                slot.problem = None;
+                Ok(())
+            }
+            Err(error) => {
+                slot.problem = Some(error.to_string());
+                let fault = Fault::new(Exit::Device, format!("camera {}: {error}", slot.config.id));
+                let interval = match error {
+                    CameraError::Owned { .. } => OWNED_RETRY_INTERVAL,
+                    // They block one after the other.
+                    _ => ABSENT_RETRY_INTERVAL * self.missing(),
+                };
+                self.slots[i].next_try = Instant::now() + interval;
+                Err(fault)
+            }
+        }
+    }
+
+    fn missing(&self) -> u32 {
+        self.slots.iter().filter(|slot| slot.camera.is_none()).count() as u32
+    }
+
+    fn connect_hsu(&mut self) -> Result<(), Fault> {
+        match Hsu::connect(&self.config.hsu_device, &self.config.node, &HsuTimeouts::default()) {
+            Ok(hsu) => {
+                tracing::info!(device = %self.config.hsu_device.display(), identity = identity_text(&hsu), "HSU connected");
+                self.hsu = Some(Arc::new(hsu));
+                self.hsu_problem = None;
+                Ok(())
+            }
+            Err(error) => {
+                self.hsu_problem = Some(error.to_string());
+                let device = self.config.hsu_device.display();
+                Err(Fault::new(Exit::Device, format!("HSU at {device}: {error}")))
+            }
+        }
+    }
+
+    /// Opens what is not open, sets and reads back every setting, and configures the HSU. All cameras are
+    /// tried, so that the operator learns of all problems at once.
+    pub fn prepare(&mut self) -> Result<Vec<PreparedCamera>, Fault> {
+        let mut faults = Vec::new();
+        let mut prepared = Vec::new();
+        if self.hsu.is_none() {
+            faults.extend(self.connect_hsu().err());
+        }
+        for i in 0..self.slots.len() {
+            match self.prepare_camera(i) {
+                Ok(camera) => prepared.push(camera),
+                Err(fault) => faults.push(fault),
+            }
+        }
+        if let Some(hsu) = &self.hsu
+            && let Err(error) = hsu.configure(&HsuTiming::from_rig(&self.config.rig))
+        {
+            let message = format!("HSU at {}: {error}", self.config.hsu_device.display());
+            self.drop_hsu(message.clone());
+            faults.push(Fault::new(Exit::Device, message));
+        }
+        if faults.is_empty() {
+            return Ok(prepared);
+        }
+        let messages: Vec<String> = faults.into_iter().map(|fault| fault.message).collect();
+        Err(Fault::new(Exit::Device, messages.join("\n")))
+    }
+
+    fn prepare_camera(&mut self, i: usize) -> Result<PreparedCamera, Fault> {
+        if self.slots[i].camera.as_ref().is_none_or(|camera| !camera.is_alive()) {
+            self.slots[i].camera = None;
+            self.open(i)?;
+        }
+        let triggered = self.config.cameras_are_triggered();
+        let mut set_up = self.slots[i].set_up(triggered);
+        if matches!(set_up, Err(CameraError::NotOurs { holder: None, .. })) {
+            // It was restarted since it was opened.
+            self.slots[i].camera = None;
+            self.open(i)?;
+            set_up = self.slots[i].set_up(triggered);
+        }
+        let id = &self.slots[i].config.id;
+        set_up.map_err(|error| Fault::new(Exit::Device, format!("camera {id}: {error}")))
+    }
+
+    /// A burst of clock readings of the HSU and of every camera, for the fits and for the record.
+    pub fn clock_burst(&mut self, clock: &HostClock) -> Vec<ClockSample> {
+        let mut all = Vec::new();
+        if let Some(hsu) = &self.hsu {
+            let samples = (0..CLOCK_BURST).filter_map(|_| hsu.query_clock().ok());
+            all.extend(samples.map(|sample| hsu_sample(&sample, clock)));
+        }
+        for slot in &mut self.slots {
+            let Some(camera) = slot.camera.as_mut() else { continue };
+            let samples = (0..CLOCK_BURST).filter_map(|_| camera.sample_clock().ok().flatten());
+            let id = &slot.config.id;
+            all.extend(samples.map(|sample| camera_sample(id.clone(), sample, clock)));
+        }
+        all
+    }
+
+    /// Cameras whose clock cannot be read, and why, once it was tried.
+    pub fn without_clock(&self) -> Vec<(CameraId, String)> {
+        let why = |slot: &OpenCamera| {
+            Some((slot.config.id.clone(), slot.camera.as_ref()?.why_no_clock()?.to_owned()))
+        };
+        self.slots.iter().filter_map(why).collect()
+    }
+
+    /// Creates a fresh stream with a receiver on every camera, starts every acquisition, and puts every camera into
+    /// the hands of an attendant; on failure none is left running.
+    pub fn start_streams(
+        &mut self,
+        receivers: &[ReceiverSetup],
+        to_recorder: &Sender<RecorderCommand>,
+        reports: &Sender<Report>,
+    ) -> Result<Vec<CameraKeeper>, Fault> {
+        let mut running = Vec::new();
+        let created = receivers.iter().try_for_each(|setup| {
+            running.push(self.create_stream(setup)?);
+            Ok(())
+        });
+        let started = created.and_then(|()| self.slots.iter_mut().try_for_each(OpenCamera::start));
+        if let Err(fault) = started {
+            self.slots
+                .iter_mut()
+                .filter_map(|slot| slot.camera.as_mut())
+                .for_each(|camera| drop(camera.stop()));
+            running.into_iter().for_each(|receiver| drop(receiver.stop()));
+            return Err(fault);
+        }
+        let mut attendants = Vec::new();
+        for (receiver, setup) in running.into_iter().zip(receivers) {
+            let slot = &mut self.slots[setup.camera];
+            let setup = AttendantSetup {
+                pixel_bytes: slot.size.0 * slot.size.1,
+                camera: slot.hand_over(),
+                backend: self.backend.clone(),
+                options: stream_options(&self.config, slot.contract),
+                triggered: self.config.cameras_are_triggered(),
+                receiver: setup.clone(),
+                blocks: self.config.buffers_per_camera,
+                pool: self.pool.clone(),
+                to_recorder: to_recorder.clone(),
+                reports: reports.clone(),
+            };
+            match CameraKeeper::start(setup, receiver) {
+                Ok(attendant) => attendants.push(attendant),
+                Err(error) => {
+                    self.stop_streams(attendants);
+                    return Err(Fault::new(
+                        Exit::Failure,
+                        format!("cannot start a camera's thread: {error}"),
+                    ));
+                }
+            }
+        }
+        Ok(attendants)
+    }
+
+    fn create_stream(&mut self, setup: &ReceiverSetup) -> Result<Receiver, Fault> {
+        let slot = &mut self.slots[setup.camera];
+        let options = stream_options(&self.config, slot.contract);
+        let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
+        let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
+        let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
+        let (pool, count) = (&self.pool, self.config.buffers_per_camera);
+        let (stream, quiet) = quiet_stream(camera.as_mut(), || pool.take(pixel_bytes, count), &options)
+            .map_err(|e| fault(e.to_string()))?;
+        if !quiet {
+            return Err(fault(
+                "packets arrive on its stream before it was told to send; expected silence: is another program, or a \
+                 camera with the same address, streaming to this host?"
+                    .to_owned(),
+            ));
+        }
+        Receiver::start(stream, setup.clone()).map_err(|e| fault(format!("cannot start its thread: {e}")))
+    }
+
+    /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters, in their order.
+    pub fn stop_streams(&mut self, attendants: Vec<CameraKeeper>) -> Vec<Vec<(String, u64)>> {
+        attendants.iter().for_each(CameraKeeper::stop);
+        let mut counters = Vec::new();
+        for (slot, attendant) in self.slots.iter_mut().zip(attendants) {
+            let Some((camera, counted)) = attendant.join() else {
+                slot.problem = Some("its thread ended unexpectedly; it is opened again".to_owned());
+                counters.push(Vec::new());
+                continue;
+            };
+            slot.problem = match camera.camera {
+                Some(_) => None,
+                None => Some("the camera stopped answering; check its power and cable".to_owned()),
+            };
+            slot.camera = camera.camera;
+            counters.push(counted);
+        }
+        counters
+    }
+
+    /// For the status.
+    pub fn camera_statuses(&self) -> Vec<CameraStatus> {
+        let status = |slot: &OpenCamera| CameraStatus {
+            id: slot.config.id.clone(),
+            address: slot.config.address.clone(),
+            identity: slot.identity.clone().filter(|_| slot.problem.is_none()),
+            problem: slot.problem.clone(),
+        };
+        self.slots.iter().map(status).collect()
+    }
+
+    /// For the status.
+    pub fn hsu_status(&self) -> HsuStatus {
+        HsuStatus {
+            device: self.config.hsu_device.clone(),
+            identity: self.hsu.as_deref().map(identity_text),
+            problem: self.hsu_problem.clone(),
+        }
+    }
+}
+
+/// Product, unit and firmware, for people.
+fn identity_text(hsu: &Hsu) -> String {
+    let identity = hsu.identity();
+    let [major, minor, patch] = identity.firmware;
+    format!("{} {} firmware {major}.{minor}.{patch}", identity.name, unique_id(hsu))
+}
+
+/// The unit's serial number: as text where it is one, in hexadecimal otherwise.
+pub fn unique_id(hsu: &Hsu) -> String {
+    let id = hsu.identity().unique_id;
+    match std::str::from_utf8(&id) {
+        Ok(text) if text.chars().all(|c| c.is_ascii_graphic()) => text.to_owned(),
+        _ => id.iter().map(|byte| format!("{byte:02x}")).collect(),
+    }
+}
+
+fn stream_options(config: &NodeConfig, contract: FrameContract) -> StreamOptions {
+    StreamOptions {
+        contract,
+        packet_bytes: config.packet_bytes,
+        socket: config.socket,
+        period_ns: (1e9 / config.rig.trigger_rate_hz) as u64,
+    }
+}

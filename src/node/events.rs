@@ -1,0 +1,225 @@
+//! What happens to a session while it runs: the HSU's reports, lost and returning devices, the recorder's word.
+
+use super::camera_keeper::Report;
+use super::node_thread::{Node, hsu_session};
+use super::silence::{Notice, SILENT_TRIGGERS};
+use super::state_machine::Event;
+use crate::acquire::recorder::{RecorderCommand, RecorderEvent};
+use crate::base::ids::TriggerIndex;
+use crate::base::{Exit, Fault};
+use crate::config::OnLoss;
+use crate::control::request::Phase;
+use crate::control::status::Outcome;
+use crate::hsu::{Fault as HsuFault, Hsu, HsuEvent, LinkLoss, trigger_index};
+use crate::record::{NodeEvent, TriggerRecord};
+use crossbeam_channel::never;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+impl Node {
+    pub(crate) fn hsu_event(&mut self, event: HsuEvent) {
+        let ours = self.machine.request().map(|request| hsu_session(request.session_id));
+        match event {
+            HsuEvent::Trigger { session, trigger } if Some(session) == ours => {
+                self.in_session(|session| session.next_trigger = trigger.number.saturating_add(1));
+                let Some(index) = trigger_index(&trigger) else {
+                    let (number, hsu_time_ns) = (trigger.number, trigger.time_ns);
+                    return self
+                        .in_session(|session| session.tell(RecorderCommand::WarmUp { number, hsu_time_ns }));
+                };
+                let Some(host_time_ns) = self.session.as_ref().map(|session| session.clock.now()) else {
+                    return;
+                };
+                let record = TriggerRecord {
+                    index,
+                    hsu_time_ns: trigger.time_ns,
+                    flags: u32::from(trigger.flags.0),
+                    host_time_ns,
+                };
+                self.in_session(|session| session.tell(RecorderCommand::Trigger(record)));
+                self.take(Event::Trigger);
+                self.listen(index.0);
+            }
+            HsuEvent::TriggersMissing { session, first, count } if Some(session) == ours => {
+                self.note(
+                    "triggers_missing",
+                    None,
+                    &format!("the times of {count} triggers from {first} on are lost"),
+                );
+            }
+            HsuEvent::Done { session, emitted, .. } if Some(session) == ours => {
+                self.take(Event::TrainDone { emitted })
+            }
+            HsuEvent::Fault { session, fault } if Some(session) == ours => {
+                let message = format!("the HSU reports: {fault}");
+                self.note("hsu_fault", None, &message);
+                // The other node looks for its link; the train goes on, and so do we.
+                let other_link = matches!(fault, HsuFault::LinkSilent { .. });
+                let running = self.machine.phase() == Phase::Running;
+                if other_link && running && self.config.on_link_lost == OnLoss::Continue {
+                    return;
+                }
+                self.take(Event::Failed(Fault::new(Exit::Device, message)));
+            }
+            HsuEvent::LinkLost(LinkLoss::Restarted) => self.hsu_gone("it was restarted".to_owned()),
+            // A cable that was pulled looks like a unit that is silent; both take a new connection.
+            HsuEvent::LinkLost(LinkLoss::Silent) => self.link_lost("it does not answer".to_owned()),
+            HsuEvent::LinkLost(LinkLoss::Broken(cause)) => self.link_lost(cause),
+            _ => {}
+        }
+    }
+
+    /// The HSU is of no more use for this session.
+    pub(crate) fn hsu_gone(&mut self, reason: String) {
+        let message = lost_link_text(&reason);
+        self.devices.drop_hsu(message.clone());
+        self.note("hsu_lost", None, &message);
+        self.take(Event::Failed(Fault::new(Exit::Device, message)));
+    }
+
+    /// The link is lost, not the HSU: as configured the session goes on, and the link is looked for.
+    pub(crate) fn link_lost(&mut self, reason: String) {
+        let goes_on = self.machine.phase() == Phase::Running && self.config.on_link_lost == OnLoss::Continue;
+        if !goes_on {
+            return self.hsu_gone(reason);
+        }
+        let message = lost_link_text(&reason);
+        self.note("hsu_link_lost", None, &message);
+        self.devices.drop_hsu(message);
+        self.in_session(|session| {
+            if let Some(keeper) = &session.link_keeper {
+                keeper.reconnect(session.next_trigger);
+            }
+        });
+        self.take(Event::LinkLost);
+    }
+
+    /// The link is back, with a new connection.
+    pub(crate) fn link_back(&mut self, hsu: Arc<Hsu>) {
+        self.devices.take_hsu(hsu);
+        self.note("hsu_link_back", None, "the HSU answers again; triggers fired meanwhile are asked for");
+        self.take(Event::LinkBack);
+    }
+
+    /// Looks, trigger by trigger, which cameras are heard.
+    pub(crate) fn listen(&mut self, trigger: u64) {
+        let Some(session) = &mut self.session else { return };
+        let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
+        let since = session.listened.replace(Instant::now()).map(|last| last.elapsed());
+        if since.is_some_and(|since| since < period / 2) {
+            return session.silence.pass_over();
+        }
+        let heard = session.progress.heard.iter().map(|n| n.load(Ordering::Relaxed));
+        for notice in session.silence.on_trigger(trigger, heard) {
+            let (camera, kind, at, message) = match notice {
+                Notice::Silent { camera, since } => {
+                    if let Some(attendant) = session.attendants.get(camera) {
+                        attendant.probe();
+                    }
+                    let message = format!("nothing was heard of the camera for {SILENT_TRIGGERS} triggers");
+                    (camera, "camera_silent", since, message)
+                }
+                Notice::HeardAgain { camera, at } => {
+                    (camera, "camera_heard_again", at, "the camera is heard again".to_owned())
+                }
+            };
+            let id = session.cameras.get(camera).map(|camera| camera.id.clone());
+            tracing::warn!(
+                camera = id.as_ref().map(tracing::field::display),
+                trigger = at,
+                kind,
+                "{message}"
+            );
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: kind.to_owned(),
+                camera: id,
+                trigger: Some(TriggerIndex(at)),
+                message,
+            };
+            session.tell(RecorderCommand::Event(event));
+        }
+    }
+
+    /// An attendant lost its camera, or has it back.
+    pub(crate) fn attendant_reports(&mut self, report: Report) {
+        let Some(session) = &mut self.session else { return };
+        let camera = match report {
+            Report::Lost { camera, .. } | Report::Owned { camera, .. } | Report::Back { camera } => camera,
+        };
+        let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
+        match report {
+            Report::Lost { reason, .. } => {
+                let message = format!("camera {id} is lost: {reason}");
+                self.devices.set_problem(camera, Some(message.clone()));
+                self.note("camera_lost", Some(id), &message);
+                let fatal = match self.machine.phase() {
+                    Phase::Preparing | Phase::Ready => true,
+                    Phase::Running => self.config.on_camera_lost == OnLoss::Abort,
+                    Phase::Idle | Phase::Draining | Phase::Closing => false,
+                };
+                if fatal {
+                    self.take(Event::Failed(Fault::new(Exit::Device, message)));
+                }
+            }
+            Report::Owned { reason, .. } => {
+                tracing::warn!(camera = %id, "{reason}");
+                self.devices.set_problem(camera, Some(format!("camera {id}: {reason}")));
+            }
+            Report::Back { .. } => {
+                tracing::warn!(camera = %id, "the camera is back");
+                self.devices.set_problem(camera, None);
+            }
+        }
+    }
+
+    pub(crate) fn recorder_event(&mut self, event: RecorderEvent) {
+        match event {
+            RecorderEvent::Drained => self.take(Event::Drained),
+            RecorderEvent::RingFull => {
+                let message =
+                    "the disk could not keep up and the ring is full; the session was stopped, as configured";
+                self.note("ring_full", None, message);
+                self.take(Event::Failed(Fault::new(Exit::DataLoss, message)));
+            }
+            RecorderEvent::Doubtful { camera } => {
+                let session = self.session.as_ref();
+                if let Some(attendant) = session.and_then(|session| session.attendants.get(camera)) {
+                    attendant.read_clock();
+                }
+            }
+            RecorderEvent::Failed(fault) => self.take(Event::Failed(fault)),
+            RecorderEvent::Closed(verdict) => {
+                self.in_session(|session| {
+                    session.outcome = Some(match verdict {
+                        Ok(verdict) => {
+                            tracing::info!("session {}: {verdict}", session.request.name);
+                            Outcome::Recorded(serde_json::to_value(&verdict).unwrap_or_default())
+                        }
+                        Err(fault) => Outcome::Failed(fault),
+                    });
+                    session.end_recorder();
+                });
+                self.take(Event::Closed);
+            }
+        }
+    }
+
+    /// The recorder's thread ended without saying so: it panicked. The session cannot be finished.
+    pub(crate) fn recorder_gone(&mut self) {
+        self.in_session(|session| {
+            session.from_recorder = never();
+            let message =
+                "the recorder stopped unexpectedly; what was written can be read with `fourdbody verify`";
+            session.outcome.get_or_insert(Outcome::Failed(Fault::new(Exit::Failure, message)));
+        });
+        self.take(Event::Failed(Fault::new(Exit::Failure, "the recorder stopped unexpectedly")));
+        self.take(Event::Drained);
+        self.take(Event::Closed);
+    }
+}
+
+fn lost_link_text(reason: &str) -> String {
+    format!("the link to the HSU is lost ({reason}); check the serial cable and the HSU's power")
+}

@@ -1,0 +1,126 @@
+//! The thread that keeps the link to the HSU during a session: reads its clock, and connects anew when the link was
+//! lost, so that the train's triggers go on being reported from where they broke off.
+
+use crate::acquire::recorder::RecorderCommand;
+use crate::base::ids::NodeId;
+use crate::base::time::HostClock;
+use crate::hsu::{Hsu, HsuTimeouts, SessionId};
+use crate::record::ClockSample;
+use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// What it works with.
+pub struct LinkSetup {
+    /// The link as it is at the start.
+    pub hsu: Arc<Hsu>,
+    /// The serial device.
+    pub device: PathBuf,
+    /// Who we are.
+    pub node: NodeId,
+    /// The session that is being recorded.
+    pub session: SessionId,
+    /// The session's clock.
+    pub clock: HostClock,
+    /// The recorder.
+    pub to_recorder: Sender<RecorderCommand>,
+    /// Where a new link goes.
+    pub back: Sender<Arc<Hsu>>,
+}
+
+#[derive(Debug)]
+enum Order {
+    /// The link is lost; triggers from this number on are missing.
+    Reconnect {
+        next: i64,
+    },
+    Stop,
+}
+
+/// A running keeper.
+pub struct HsuKeeper {
+    orders: Sender<Order>,
+    thread: JoinHandle<()>,
+}
+
+/// Between two readings of the HSU's clock. Reports bound it from one side a hundred times a second, the other side
+/// has these alone: one a second leaves three times the error (docs/design/experiments.md, "Clocks and endurance").
+const CLOCK_INTERVAL: Duration = Duration::from_millis(200);
+/// Between two attempts to connect.
+const RETRY_INTERVAL: Duration = Duration::from_millis(200);
+
+impl HsuKeeper {
+    /// Starts the thread.
+    pub fn start(setup: LinkSetup) -> std::io::Result<Self> {
+        let (orders, inbox) = bounded(8);
+        let thread =
+            std::thread::Builder::new().name("hsu-clock".to_owned()).spawn(move || run(setup, &inbox))?;
+        Ok(Self { orders, thread })
+    }
+
+    /// Tells it to connect anew; triggers from number `next` on have not been heard.
+    pub fn reconnect(&self, next: i64) {
+        drop(self.orders.try_send(Order::Reconnect { next }));
+    }
+
+    /// Ends it.
+    pub fn stop(self) {
+        drop(self.orders.send(Order::Stop));
+        if self.thread.join().is_err() {
+            tracing::error!("the thread of the HSU's clock panicked");
+        }
+    }
+}
+
+fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
+    let LinkSetup { hsu, device, node, session, clock, to_recorder, back } = setup;
+    let mut hsu = Some(hsu);
+    let mut missing = None;
+    let mut next_clock = Instant::now() + CLOCK_INTERVAL;
+    loop {
+        let patience = match hsu {
+            Some(_) => next_clock.saturating_duration_since(Instant::now()),
+            None => RETRY_INTERVAL,
+        };
+        match inbox.recv_timeout(patience) {
+            Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+            Ok(Order::Reconnect { next }) => {
+                // The old link must be closed before the device can be opened again.
+                hsu = None;
+                missing = Some(next);
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+        match (&hsu, missing) {
+            (Some(link), _) if Instant::now() >= next_clock => {
+                next_clock = Instant::now() + CLOCK_INTERVAL;
+                if let Ok(sample) = link.query_clock() {
+                    drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
+                }
+            }
+            (None, Some(next)) => match Hsu::connect(&device, &node, &HsuTimeouts::default()) {
+                Ok(link) => {
+                    link.resume(session, next);
+                    let link = Arc::new(link);
+                    hsu = Some(Arc::clone(&link));
+                    missing = None;
+                    drop(back.send(link));
+                }
+                Err(error) => tracing::debug!("HSU not back yet: {error}"),
+            },
+            _ => {}
+        }
+    }
+}
+
+/// A reading of the HSU's clock, as the recording has it.
+pub fn hsu_sample(sample: &crate::hsu::ClockSample, clock: &HostClock) -> ClockSample {
+    ClockSample {
+        camera: None,
+        host_send_ns: clock.at(sample.sent),
+        host_receive_ns: clock.at(sample.received),
+        device_time_ns: sample.time_ns,
+    }
+}

@@ -1,0 +1,12 @@
+//! One capture on one node: the pure state machine, and the driver that carries out its actions. And one capture on all
+//! nodes: what coordinates them, from the command line or from a node.
+
+mod camera_keeper;
+pub mod devices;
+mod events;
+mod hsu_keeper;
+pub mod node_thread;
+mod prepare;
+mod session;
+pub mod silence;
+pub mod state_machine;

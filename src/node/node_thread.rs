@@ -1,0 +1,416 @@
+//! The node's thread: carries out what the state machine says, and feeds it what happens.
+
+use super::devices::Devices;
+use super::session::Session;
+use super::state_machine::{Action, Event, Machine};
+use crate::acquire::preview::Taps;
+use crate::acquire::recorder::{RecorderCommand, RecorderOptions};
+use crate::base::ids::CameraId;
+use crate::base::{Exit, Fault};
+use crate::camera::CameraBackend;
+use crate::config::NodeConfig;
+use crate::control::command::{Command, Reply, SharedStatus};
+use crate::control::request::{Phase, SessionRequest};
+use crate::control::status::{NodeStatus, Outcome, SessionCommand};
+use crate::host::{heap, realtime};
+use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId};
+use crate::record::{NodeEvent, free_bytes};
+use crate::telemetry::{Current, Telemetry};
+use crossbeam_channel::{Receiver, Sender, bounded, never, select};
+use std::collections::VecDeque;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, RwLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// The running node.
+pub struct NodeThread {
+    commands: Sender<Command>,
+    status: SharedStatus,
+    taps: Arc<Taps>,
+    telemetry: Arc<Telemetry>,
+    stop: Sender<()>,
+    thread: JoinHandle<()>,
+}
+
+/// The thread looks around at least this often.
+const TICK: Duration = Duration::from_millis(100);
+/// A thread that has not looked around for so long did not run, or was kept waiting by a device.
+const ASLEEP: Duration = Duration::from_secs(1);
+
+impl NodeThread {
+    /// Starts the node's thread.
+    pub fn start(config: NodeConfig, backend: Box<dyn CameraBackend>) -> std::io::Result<Self> {
+        heap::give_large_blocks_back();
+        realtime::configure(&config.realtime);
+        let devices = Devices::new(&config, backend);
+        let (commands, inbox) = bounded(16);
+        let (stop, stopped) = bounded(1);
+        let status = Arc::new(RwLock::new(NodeStatus {
+            node: config.node.clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            rig: config.rig.name.clone(),
+            trigger_rate_hz: config.rig.trigger_rate_hz,
+            rig_nodes: config.rig.nodes().into_iter().collect(),
+            phase: Phase::Idle,
+            cameras: devices.camera_statuses(),
+            hsu: devices.hsu_status(),
+            warnings: Vec::new(),
+            sessions_dir: config.sessions_dir.clone(),
+            free_bytes: 0,
+            interrupted: Vec::new(),
+            session: None,
+            judgements: Vec::new(),
+            worker: None,
+        }));
+        let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);
+        let taps = Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone())));
+        let telemetry = Arc::new(Telemetry::default());
+        let node = Node {
+            machine: Machine::new(period),
+            config,
+            devices,
+            session: None,
+            taps: Arc::clone(&taps),
+            telemetry: Arc::clone(&telemetry),
+            pending: None,
+            status: Arc::clone(&status),
+            origin: Instant::now(),
+            ticked: Instant::now(),
+        };
+        let thread =
+            std::thread::Builder::new().name("node".to_owned()).spawn(move || node.run(&inbox, &stopped))?;
+        Ok(Self { commands, status, taps, telemetry, stop, thread })
+    }
+
+    /// Where the API sends commands.
+    pub fn commands(&self) -> Sender<Command> {
+        self.commands.clone()
+    }
+
+    /// The status as the node's thread last published it.
+    pub fn status(&self) -> SharedStatus {
+        Arc::clone(&self.status)
+    }
+
+    /// Where previews get their samples.
+    pub fn taps(&self) -> Arc<Taps> {
+        Arc::clone(&self.taps)
+    }
+
+    /// What the node's threads count.
+    pub fn telemetry(&self) -> Arc<Telemetry> {
+        Arc::clone(&self.telemetry)
+    }
+
+    /// Asks for the end: a session in progress is ended with its verdict, then the thread. Does not wait.
+    pub fn request_stop(&self) {
+        // One request is enough, and a thread that is gone already needs no telling.
+        let _ = self.stop.try_send(());
+    }
+
+    /// Whether the thread has ended, and the published status is its last.
+    pub fn has_ended(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Ends a session in progress with its verdict, then the thread.
+    pub fn shut_down(self) {
+        self.request_stop();
+        if self.thread.join().is_err() {
+            tracing::error!("the node's thread panicked");
+        }
+    }
+}
+
+pub(crate) struct Node {
+    pub(crate) config: NodeConfig,
+    pub(crate) devices: Devices,
+    pub(crate) machine: Machine,
+    pub(crate) session: Option<Session>,
+    pub(crate) taps: Arc<Taps>,
+    pub(crate) telemetry: Arc<Telemetry>,
+    /// Whoever waits for the preparation.
+    pending: Option<Reply>,
+    status: SharedStatus,
+    /// From here on time is counted, but for the times in which this thread did not run.
+    origin: Instant,
+    ticked: Instant,
+}
+
+impl Node {
+    fn run(mut self, commands: &Receiver<Command>, stopped: &Receiver<()>) {
+        let mut stopping = false;
+        loop {
+            let hsu = self.devices.hsu().map_or_else(never, |hsu| hsu.events().clone());
+            let recorder = self.session.as_ref().map_or_else(never, |s| s.from_recorder.clone());
+            let reports = self.session.as_ref().map_or_else(never, |s| s.reports.clone());
+            let links = self.session.as_ref().map_or_else(never, |s| s.links.clone());
+            select! {
+                recv(commands) -> command => if let Ok(command) = command { self.command(command) },
+                recv(hsu) -> event => match event {
+                    Ok(event) => self.hsu_event(event),
+                    Err(_) => self.hsu_gone("its link ended".to_owned()),
+                },
+                recv(recorder) -> event => match event {
+                    Ok(event) => self.recorder_event(event),
+                    Err(_) => self.recorder_gone(),
+                },
+                recv(reports) -> report => if let Ok(report) = report { self.attendant_reports(report) },
+                recv(links) -> hsu => if let Ok(hsu) = hsu { self.link_back(hsu) },
+                recv(stopped) -> _ => {
+                    stopping = true;
+                    self.take(Event::Abort("the node was told to shut down".to_owned()));
+                }
+                default(TICK) => {}
+            }
+            self.tick();
+            if stopping && self.machine.phase() == Phase::Idle {
+                break;
+            }
+        }
+    }
+
+    fn tick(&mut self) {
+        self.telemetry.node_turns.fetch_add(1, Ordering::Relaxed);
+        let asleep = std::mem::replace(&mut self.ticked, Instant::now()).elapsed();
+        if asleep > ASLEEP {
+            // What came meanwhile has not been heard yet: nobody was silent but this node.
+            self.origin += asleep;
+            if self.machine.phase() == Phase::Running {
+                let text = format!("the node's thread did not run for {:.1} s", asleep.as_secs_f64());
+                self.note("node_asleep", None, &text);
+            }
+        }
+        self.take(Event::Tick);
+        if self.machine.phase() == Phase::Idle {
+            self.devices.look_after();
+        }
+        self.in_session(Session::tell_warnings);
+        self.publish();
+    }
+
+    fn command(&mut self, command: Command) {
+        match command {
+            Command::Prepare(request, reply) => self.prepare(request, reply),
+            Command::Start(command, reply) => self.session_command(&command, reply, Event::Start),
+            Command::Stop(command, reply) => self.session_command(&command, reply, Event::Stop),
+            Command::Abort(command, reply) => {
+                let reason = command.reason.clone().unwrap_or_else(|| "aborted by the operator".to_owned());
+                self.session_command(&command, reply, Event::Abort(reason));
+            }
+        }
+    }
+
+    fn prepare(&mut self, request: SessionRequest, reply: Reply) {
+        let refuse = |reply: Reply, message: String| drop(reply.send(Err(Fault::new(Exit::Usage, message))));
+        if self.machine.phase() != Phase::Idle {
+            return refuse(reply, format!("the node is busy with a session ({:?})", self.machine.phase()));
+        }
+        let name = match request.check() {
+            Ok(name) => name,
+            Err(message) => return refuse(reply, message),
+        };
+        if !request.nodes.contains(&self.config.node) {
+            return refuse(
+                reply,
+                format!("the session is for other nodes, this one is {}", self.config.node),
+            );
+        }
+        let dir = self.config.sessions_dir.join(name.as_str()).join(format!("node-{}", self.config.node));
+        tracing::info!(session = request.name, triggers = request.triggers, "preparing");
+        self.pending = Some(reply);
+        let session = Session::new(request.clone(), dir, self.config.cameras.len());
+        self.telemetry.begin(Current {
+            progress: Arc::clone(&session.progress),
+            disk: None,
+            ring_capacity: self.ring_frames(),
+        });
+        self.session = Some(session);
+        self.take(Event::Prepare(request));
+    }
+
+    /// Frames that fit into the ring of a session.
+    fn ring_frames(&self) -> u64 {
+        let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
+        let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
+        (options.ring_sets() * self.config.cameras.len()) as u64
+    }
+
+    fn session_command(&mut self, command: &SessionCommand, reply: Reply, event: Event) {
+        let ours = self.machine.request().is_some_and(|request| request.session_id == command.session_id);
+        let phase = self.machine.phase();
+        let answer = match (ours, &event) {
+            (false, _) => Err(Fault::new(Exit::Usage, "the node is not in this session (any more)")),
+            (true, Event::Start) if phase != Phase::Ready => {
+                Err(Fault::new(Exit::Usage, format!("the session cannot be started, it is {phase:?}")))
+            }
+            // The answer to a start is the HSU's.
+            (true, Event::Start) => self.start_train(),
+            (true, _) => {
+                self.take(event);
+                Ok(())
+            }
+        };
+        drop(reply.send(answer));
+    }
+
+    fn start_train(&mut self) -> Result<(), Fault> {
+        let mut answer = Ok(());
+        for action in self.machine.step(Event::Start, self.origin.elapsed()) {
+            if action == Action::StartTrain {
+                answer = self.on_hsu(|hsu, session| hsu.start(session));
+            }
+        }
+        answer
+    }
+
+    /// Steps the machine, and carries out what it says until it says nothing more.
+    pub(crate) fn take(&mut self, event: Event) {
+        let mut events = VecDeque::from([event]);
+        while let Some(event) = events.pop_front() {
+            let begins = matches!(event, Event::Prepare(_));
+            let preparing = begins || self.machine.phase() == Phase::Preparing;
+            let actions = self.machine.step(event, self.origin.elapsed());
+            if begins {
+                // Devices take their time: whoever asks meanwhile is told for what.
+                self.publish();
+            }
+            for action in actions {
+                let step = preparing && !matches!(action, Action::ReportReady | Action::ReportFailed(_));
+                let still = self.machine.phase() == Phase::Preparing;
+                match self.act(action) {
+                    Ok(()) if step && still => events.push_back(Event::StepDone),
+                    Ok(()) => {}
+                    Err(fault) if still => events.push_back(Event::Failed(fault)),
+                    // What undoes or ends something is tried, and its failure is told.
+                    Err(fault) => tracing::warn!("{}", fault.message),
+                }
+            }
+        }
+        self.publish();
+    }
+
+    fn act(&mut self, action: Action) -> Result<(), Fault> {
+        match action {
+            Action::PrepareDevices => {
+                let cameras = self.devices.prepare()?;
+                for camera in &cameras {
+                    self.telemetry.applied(&camera.id, camera.settings.clone());
+                }
+                self.in_session(|session| session.has_cameras(cameras));
+                Ok(())
+            }
+            Action::CreateRecording => self.create_recording(),
+            Action::StartStreams => self.start_streams(),
+            Action::SilenceGate => self.silence_gate(),
+            Action::ArmHsu => {
+                let Some(session) = &self.session else { return Ok(()) };
+                let request = session.request.clone();
+                let Some(hsu) = self.devices.hsu() else { return Err(hsu_missing()) };
+                let arm = ArmRequest {
+                    session: hsu_session(request.session_id),
+                    triggers: (request.triggers > 0).then_some(request.triggers),
+                    warm_up: self.config.rig.warm_up_triggers,
+                    nodes: request.nodes,
+                };
+                hsu.arm(&arm).map_err(hsu_fault)?;
+                self.in_session(|session| session.next_trigger = -i64::from(arm.warm_up));
+                Ok(())
+            }
+            Action::ReportReady => {
+                self.answer(Ok(()));
+                Ok(())
+            }
+            Action::ReportFailed(fault) => {
+                tracing::warn!("session failed: {}", fault.message);
+                self.in_session(|session| session.outcome = Some(Outcome::Failed(fault.clone())));
+                self.answer(Err(fault));
+                Ok(())
+            }
+            Action::StartTrain => self.on_hsu(|hsu, session| hsu.start(session)),
+            Action::StopTrain => self.on_hsu(|hsu, session| hsu.stop(session)),
+            Action::DisarmHsu => self.on_hsu(|hsu, session| hsu.disarm(session)),
+            Action::StopStreams => {
+                self.stop_streams();
+                Ok(())
+            }
+            Action::DiscardRecording => self.discard_recording(),
+            Action::Drain { emitted } => {
+                self.in_session(|session| session.tell(RecorderCommand::Drain { emitted }));
+                Ok(())
+            }
+            Action::CloseRecording { aborted } => {
+                self.in_session(|session| session.tell(RecorderCommand::Close { aborted }));
+                Ok(())
+            }
+        }
+    }
+
+    pub(crate) fn in_session(&mut self, change: impl FnOnce(&mut Session)) {
+        if let Some(session) = &mut self.session {
+            change(session);
+        }
+    }
+
+    fn on_hsu(&self, ask: impl FnOnce(&Hsu, SessionId) -> Result<(), HsuError>) -> Result<(), Fault> {
+        let Some(session) = &self.session else { return Ok(()) };
+        let Some(hsu) = self.devices.hsu() else { return Err(hsu_missing()) };
+        ask(hsu, hsu_session(session.request.session_id)).map_err(hsu_fault)
+    }
+
+    fn answer(&mut self, answer: Result<(), Fault>) {
+        if let Some(reply) = self.pending.take() {
+            drop(reply.send(answer));
+        }
+    }
+
+    pub(crate) fn note(&mut self, kind: &str, camera: Option<CameraId>, message: &str) {
+        tracing::warn!(kind, "{message}");
+        let Some(session) = &self.session else { return };
+        let event = NodeEvent {
+            host_time_ns: session.clock.now(),
+            kind: kind.to_owned(),
+            camera,
+            trigger: None,
+            message: message.to_owned(),
+        };
+        session.tell(RecorderCommand::Event(event));
+    }
+
+    fn publish(&mut self) {
+        let session = self.session.as_ref().map(Session::status);
+        let (cameras, hsu) = (self.devices.camera_statuses(), self.devices.hsu_status());
+        // The directory is made with the first session.
+        let existing = self.config.sessions_dir.ancestors().find(|dir| dir.is_dir());
+        let free = existing.and_then(|dir| free_bytes(dir).ok()).unwrap_or(0);
+        let mut status = match self.status.write() {
+            Ok(status) => status,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        status.phase = self.machine.phase();
+        status.cameras = cameras;
+        status.hsu = hsu;
+        status.warnings = realtime::warnings().into_iter().map(|warning| warning.message).collect();
+        status.free_bytes = free;
+        status.session = session;
+    }
+}
+
+fn hsu_missing() -> Fault {
+    Fault::new(
+        Exit::Device,
+        "the HSU is not connected; check the serial cable and hsu.device in the node file",
+    )
+}
+
+/// The session's id as the HSU's links compare it.
+pub(crate) fn hsu_session(id: u64) -> SessionId {
+    let mut bytes = [0; 16];
+    bytes[..8].copy_from_slice(&id.to_le_bytes());
+    SessionId(bytes)
+}
+
+fn hsu_fault(error: HsuError) -> Fault {
+    Fault::new(Exit::Device, format!("HSU: {error}"))
+}

@@ -1,0 +1,260 @@
+//! The steps of preparation that touch devices and disk, and what undoes them.
+
+use super::camera_keeper::{Report, counters_text};
+use super::devices::{PreparedCamera, unique_id};
+use super::hsu_keeper::{HsuKeeper, LinkSetup};
+use super::node_thread::{Node, hsu_session};
+use crate::acquire::dry_run::DryRun;
+use crate::acquire::receiver::{Arrival, ReceiverSetup};
+use crate::acquire::recorder::{
+    Channels, Destination, LaneSetup, Recorder, RecorderCommand, RecorderOptions,
+};
+use crate::base::ids::SessionName;
+use crate::base::{Exit, Fault};
+use crate::camera::AppliedSetting;
+use crate::config::FeatureSetting;
+use crate::matcher::{Matcher, Start};
+use crate::record::{
+    CameraHeader, ClockSample, HsuIdentity, NOT_ASKED, NodeEvent, RecordError, Recording, RecordingHeader,
+    WriterOptions,
+};
+use crossbeam_channel::{bounded, unbounded};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+/// Trigger periods of silence before arming, at least.
+const GATE_PERIODS: u32 = 10;
+/// Slow triggers do not make the gate longer than this.
+const GATE_AT_MOST: Duration = Duration::from_secs(2);
+
+impl Node {
+    pub(crate) fn create_recording(&mut self) -> Result<(), Fault> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        let read_back = |setting: &AppliedSetting| FeatureSetting {
+            feature: setting.feature.clone(),
+            value: setting.actual.clone(),
+        };
+        let camera = |camera: &PreparedCamera| CameraHeader {
+            id: camera.id.clone(),
+            width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
+            height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
+            device: format!(
+                "{} {} {}",
+                camera.identity.vendor, camera.identity.model, camera.identity.serial
+            ),
+            settings: camera.settings.iter().map(read_back).collect(),
+        };
+        let request = &session.request;
+        let header = RecordingHeader {
+            session: SessionName(request.name.clone()),
+            session_id: format!("{:016x}", request.session_id),
+            node: self.config.node.clone(),
+            rig_text: self.config.rig_text.clone(),
+            cameras: session.cameras.iter().map(camera).collect(),
+            hsu: self.devices.hsu().map(|hsu| HsuIdentity {
+                uid: unique_id(hsu),
+                firmware: hsu.identity().firmware.map(|n| n.to_string()).join("."),
+                protocol: u32::from(hsu.welcome().agreed),
+            }),
+            expected_triggers: (request.triggers > 0).then_some(request.triggers),
+            trigger_rate_hz: self.config.rig.trigger_rate_hz,
+            host_clock: "CLOCK_REALTIME".to_owned(),
+            created_ns: session.clock.now(),
+            software: concat!("fourdbody ", env!("CARGO_PKG_VERSION")).to_owned(),
+            subject: request.subject.clone(),
+            note: request.note.clone(),
+        };
+        let options = WriterOptions {
+            segment_bytes: self.config.segment_bytes,
+            reserve_bytes: self.config.reserve_bytes,
+            ..WriterOptions::default()
+        };
+        if request.dry_run {
+            session.destination = Some(Destination::DryRun(Box::new(DryRun::new(header))));
+            return Ok(());
+        }
+        let mut recording = Recording::create(&session.dir, header, options).map_err(|error| {
+            remove_if_empty(&session.dir);
+            let exit = if matches!(error, RecordError::Exists { .. }) { Exit::Usage } else { Exit::Failure };
+            Fault::new(exit, error)
+        })?;
+        let absent = self.config.rig.nodes().into_iter().filter(|node| !request.nodes.contains(node));
+        for node in absent {
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: NOT_ASKED.to_owned(),
+                camera: None,
+                trigger: None,
+                message: node.to_string(),
+            };
+            recording.event(&event).map_err(|error| Fault::new(Exit::Failure, error))?;
+        }
+        self.telemetry.recording(recording.progress());
+        session.destination = Some(Destination::Recording(Box::new(recording)));
+        Ok(())
+    }
+
+    /// Relates the clocks, starts the recorder, then the streams and the attendants.
+    pub(crate) fn start_streams(&mut self) -> Result<(), Fault> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        let Some(destination) = session.destination.take() else { return Ok(()) };
+        let samples = self.devices.clock_burst(&session.clock);
+        let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
+        let start = Start {
+            period_ns,
+            warm_up: self.config.rig.warm_up_triggers,
+            hsu_minus_host_ns: hsu_minus_host_ns(&samples),
+        };
+        let lane = |camera: &PreparedCamera| LaneSetup {
+            id: camera.id.clone(),
+            width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
+            height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
+            matcher: Matcher::new(start),
+        };
+        let lanes: Vec<LaneSetup> = session.cameras.iter().map(lane).collect();
+        let cameras = lanes.len();
+        let (arrivals_in, arrivals) = bounded::<Arrival>(self.config.buffers_per_camera * cameras.max(1));
+        let (to_recorder, commands) = unbounded();
+        let (events, from_recorder) = unbounded();
+        let thread_error =
+            |e: std::io::Error| Fault::new(Exit::Failure, format!("cannot start a thread: {e}"));
+        let progress = Arc::clone(&session.progress);
+        let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
+        let taps = Arc::clone(&self.taps);
+        let recorder = Recorder::start(
+            destination,
+            taps,
+            lanes,
+            options,
+            progress,
+            Channels { arrivals, commands, events },
+        )
+        .map_err(thread_error)?;
+        session.recorder = Some(recorder);
+        session.from_recorder = from_recorder;
+        samples.into_iter().for_each(|sample| drop(to_recorder.send(RecorderCommand::Clock(sample))));
+        for (camera, reason) in self.devices.without_clock() {
+            tracing::warn!(%camera, kind = "no_camera_clock", "{reason}");
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: "no_camera_clock".to_owned(),
+                camera: Some(camera),
+                trigger: None,
+                message: format!("its clock cannot be read, and its stamps have no witness: {reason}"),
+            };
+            drop(to_recorder.send(RecorderCommand::Event(event)));
+        }
+        session.to_recorder = Some(to_recorder.clone());
+        let receivers: Vec<ReceiverSetup> = (0..cameras)
+            .map(|camera| ReceiverSetup {
+                camera,
+                stream: 0,
+                recorder: arrivals_in.clone(),
+                progress: Arc::clone(&session.progress),
+                clock: session.clock,
+                patience: Duration::from_nanos(period_ns).max(Duration::from_millis(1)),
+            })
+            .collect();
+        let started = self.devices.start_streams(&receivers, &to_recorder, &session.reports_in);
+        session.attendants = started.inspect_err(|_| session.end_recorder())?;
+        if let Some(hsu) = self.devices.hsu() {
+            let setup = LinkSetup {
+                hsu: Arc::clone(hsu),
+                device: self.config.hsu_device.clone(),
+                node: self.config.node.clone(),
+                session: hsu_session(session.request.session_id),
+                clock: session.clock,
+                to_recorder,
+                back: session.links_in.clone(),
+            };
+            session.link_keeper = HsuKeeper::start(setup).map(Some).map_err(thread_error)?;
+        }
+        Ok(())
+    }
+
+    /// No camera may send while there is no trigger: its frames could be taken for those of the first triggers.
+    pub(crate) fn silence_gate(&mut self) -> Result<(), Fault> {
+        let gate = self.config.silence_gate;
+        let Some(session) = self.session.as_ref().filter(|_| !gate.is_zero()) else { return Ok(()) };
+        let counts =
+            || -> Vec<u64> { session.progress.heard.iter().map(|n| n.load(Ordering::Relaxed)).collect() };
+        let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
+        let before = counts();
+        std::thread::sleep(gate.max(period * GATE_PERIODS).min(GATE_AT_MOST.max(gate)));
+        let loud =
+            before.iter().zip(counts()).zip(&session.cameras).filter(|((before, after), _)| *before != after);
+        let names: Vec<&str> = loud.map(|(_, camera)| camera.id.as_str()).collect();
+        if names.is_empty() {
+            return Ok(());
+        }
+        Err(Fault::new(
+            Exit::Device,
+            format!(
+                "{} sent frames although nothing was triggered; expected silence before the start: check TriggerMode and \
+                 TriggerSource in the node file, and that nothing else drives the trigger line",
+                names.join(", ")
+            ),
+        ))
+    }
+
+    pub(crate) fn stop_streams(&mut self) {
+        let Some(session) = &mut self.session else { return };
+        if let Some(keeper) = session.link_keeper.take() {
+            keeper.stop();
+        }
+        let attendants = std::mem::take(&mut session.attendants);
+        let counters = self.devices.stop_streams(attendants);
+        for (camera, counters) in session.cameras.iter().zip(counters) {
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: "stream_counters".to_owned(),
+                camera: Some(camera.id.clone()),
+                trigger: None,
+                message: counters_text(&counters),
+            };
+            session.tell(RecorderCommand::Event(event));
+        }
+        // A camera that was asked whether it still answers is found lost 2.5 s later, while this thread waited for its
+        // attendant: the recording must say so before it is closed.
+        let last_words: Vec<Report> = session.reports.try_iter().collect();
+        last_words.into_iter().for_each(|report| self.attendant_reports(report));
+        let dropped = self.devices.hsu().map_or(0, |hsu| hsu.dropped_events());
+        if dropped > 0 {
+            let text = format!("{dropped} events of the HSU gave way, unread, since its link was opened");
+            self.note("hsu_events_dropped", None, &text);
+        }
+    }
+
+    /// Removes what `create_recording` made: this session's own files, without a single trigger in them.
+    pub(crate) fn discard_recording(&mut self) -> Result<(), Fault> {
+        let Some(session) = &mut self.session else { return Ok(()) };
+        session.end_recorder();
+        session.destination = None;
+        if session.request.dry_run {
+            return Ok(());
+        }
+        let removed = std::fs::remove_dir_all(&session.dir);
+        remove_if_empty(&session.dir);
+        removed.map_err(|e| {
+            Fault::new(Exit::Failure, format!("{}: cannot be removed: {e}", session.dir.display()))
+        })
+    }
+}
+
+/// The HSU's clock minus the host's, ns, by the exchange with the shortest round trip.
+fn hsu_minus_host_ns(samples: &[ClockSample]) -> Option<i128> {
+    let of_hsu = samples.iter().filter(|sample| sample.camera.is_none());
+    let best = of_hsu.min_by_key(|sample| sample.host_receive_ns.saturating_sub(sample.host_send_ns))?;
+    let host_ns = (i128::from(best.host_send_ns) + i128::from(best.host_receive_ns)) / 2;
+    Some(i128::from(best.device_time_ns) - host_ns)
+}
+
+/// Removes a session's directory, unless the other node has recorded into it.
+fn remove_if_empty(recording: &Path) {
+    if let Some(session) = recording.parent() {
+        // Not empty, or not there: both are as they should be.
+        drop(std::fs::remove_dir(session));
+    }
+}

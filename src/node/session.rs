@@ -1,0 +1,144 @@
+//! What a node holds while it is in a session: the request, the threads that record it, and its outcome.
+
+use super::camera_keeper::{CameraKeeper, Report};
+use super::devices::PreparedCamera;
+use super::hsu_keeper::HsuKeeper;
+use super::silence::SilenceWatch;
+use crate::acquire::recorder::{Destination, Progress, RecorderCommand, RecorderEvent};
+use crate::base::time::HostClock;
+use crate::control::request::SessionRequest;
+use crate::control::status::{CameraProgress, Outcome, SessionStatus};
+use crate::host::realtime;
+use crate::hsu::Hsu;
+use crate::record::NodeEvent;
+use crossbeam_channel::{Receiver, Sender, never, unbounded};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+/// A session from its preparation on.
+pub(crate) struct Session {
+    pub(crate) request: SessionRequest,
+    pub(crate) dir: PathBuf,
+    pub(crate) cameras: Vec<PreparedCamera>,
+    pub(crate) destination: Option<Destination>,
+    pub(crate) progress: Arc<Progress>,
+    pub(crate) to_recorder: Option<Sender<RecorderCommand>>,
+    pub(crate) from_recorder: Receiver<RecorderEvent>,
+    pub(crate) recorder: Option<JoinHandle<()>>,
+    /// The host's clock of this session.
+    pub(crate) clock: HostClock,
+    /// One per camera while streams run.
+    pub(crate) attendants: Vec<CameraKeeper>,
+    pub(crate) reports: Receiver<Report>,
+    pub(crate) reports_in: Sender<Report>,
+    pub(crate) link_keeper: Option<HsuKeeper>,
+    pub(crate) links: Receiver<Arc<Hsu>>,
+    pub(crate) links_in: Sender<Arc<Hsu>>,
+    /// Number of the next trigger that the HSU will report.
+    pub(crate) next_trigger: i64,
+    pub(crate) silence: SilenceWatch,
+    /// When a trigger was last reported.
+    pub(crate) listened: Option<Instant>,
+    pub(crate) outcome: Option<Outcome>,
+    /// How many of the process's warnings are in the recording.
+    warnings_told: usize,
+}
+
+impl Session {
+    pub(crate) fn new(request: SessionRequest, dir: PathBuf, cameras: usize) -> Self {
+        // At most one report a camera and a second; whoever has no session any more drops them.
+        let (reports_in, reports) = unbounded();
+        let (links_in, links) = unbounded();
+        Self {
+            request,
+            dir,
+            cameras: Vec::new(),
+            destination: None,
+            progress: Arc::new(Progress::new(cameras)),
+            to_recorder: None,
+            from_recorder: never(),
+            recorder: None,
+            clock: HostClock::start(),
+            attendants: Vec::new(),
+            reports,
+            reports_in,
+            link_keeper: None,
+            links,
+            links_in,
+            next_trigger: 0,
+            silence: SilenceWatch::new(cameras),
+            listened: None,
+            outcome: None,
+            warnings_told: 0,
+        }
+    }
+
+    pub(crate) fn has_cameras(&mut self, cameras: Vec<PreparedCamera>) {
+        self.silence = SilenceWatch::new(cameras.len());
+        self.cameras = cameras;
+    }
+
+    pub(crate) fn tell(&self, message: RecorderCommand) {
+        if let Some(recorder) = &self.to_recorder {
+            // A recorder that is gone is noticed by its event channel.
+            drop(recorder.send(message));
+        }
+    }
+
+    /// Puts what the system refused into the recording, once each.
+    pub(crate) fn tell_warnings(&mut self) {
+        if self.to_recorder.is_none() {
+            return;
+        }
+        let warnings = realtime::warnings();
+        for warning in warnings.iter().skip(self.warnings_told) {
+            self.tell(RecorderCommand::Event(NodeEvent {
+                host_time_ns: self.clock.now(),
+                kind: warning.kind.to_owned(),
+                camera: None,
+                trigger: None,
+                message: warning.message.clone(),
+            }));
+        }
+        self.warnings_told = warnings.len();
+    }
+
+    /// Ends the recorder's thread, if it has not ended by itself.
+    pub(crate) fn end_recorder(&mut self) {
+        self.tell(RecorderCommand::Discard);
+        self.to_recorder = None;
+        self.from_recorder = never();
+        if let Some(thread) = self.recorder.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the recorder panicked");
+        }
+    }
+
+    pub(crate) fn status(&self) -> SessionStatus {
+        let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
+        let cameras = self.cameras.iter().enumerate().map(|(i, camera)| CameraProgress {
+            id: camera.id.clone(),
+            frames: self.progress.frames.get(i).map_or(0, load),
+            gaps: self.progress.gaps.get(i).map_or(0, load),
+            silent: self.outcome.is_none() && self.silence.is_silent(i),
+        });
+        SessionStatus {
+            session_id: self.request.session_id,
+            name: self.request.name.clone(),
+            nodes: self.request.nodes.clone(),
+            directory: self.dir.clone(),
+            dry_run: self.request.dry_run,
+            triggers_asked: self.request.triggers,
+            triggers: load(&self.progress.triggers),
+            cameras: cameras.collect(),
+            ring_high_water_frames: load(&self.progress.high_water),
+            written: self.progress.latencies.written.summary(),
+            total: self.progress.latencies.total.summary(),
+            outcome: self.outcome.clone(),
+        }
+    }
+}

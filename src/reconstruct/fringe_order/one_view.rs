@@ -1,0 +1,90 @@
+//! The fringe orders of a camera alone, which no other camera can confirm: the best path of links from each patch to a marker.
+//!
+//! Margins of all costs together dilute with the distance from the marker; the weakest link of the best path does not. On a seam where two
+//! surfaces touch, single links look strong by chance: a link counts as far as a way around it, through the patches beside it,
+//! says the same.
+
+use super::inference::Field;
+use super::links::Link;
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+/// A patch that is reached with a label.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Reached {
+    strength: f32,
+    patch: u32,
+    label: i32,
+}
+
+impl Eq for Reached {}
+
+impl Ord for Reached {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let by_place = || (other.patch, other.label).cmp(&(self.patch, self.label));
+        self.strength.total_cmp(&other.strength).then_with(by_place)
+    }
+}
+
+impl PartialOrd for Reached {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// Labels and margins: how much stronger the best path to a marker is than any to another label.
+pub fn infer(field: &mut Field<'_>) {
+    let n = field.graph.label.len();
+    let strength: Vec<f32> = field.graph.links.iter().map(|link| supported(field, link)).collect();
+    // The best label of each patch, and the strength of the second.
+    let mut best: Vec<Option<(i32, f32)>> = vec![None; n];
+    let mut second: Vec<Option<f32>> = vec![None; n];
+    let mut heap: BinaryHeap<Reached> = BinaryHeap::new();
+    heap.extend(field.votes().map(|(patch, label, cost)| Reached { strength: cost, patch, label }));
+    while let Some(Reached { strength: reached, patch, label }) = heap.pop() {
+        let i = patch as usize;
+        match best[i] {
+            None => best[i] = Some((label, reached)),
+            Some((known, _)) if known != label && second[i].is_none() => second[i] = Some(reached),
+            Some(_) => continue,
+        }
+        for &k in field.graph.links_of(i) {
+            let Link { a, b, turns, .. } = field.graph.links[k as usize];
+            let (other, label) = if a == patch { (b, label + turns) } else { (a, label - turns) };
+            let strength = reached.min(strength[k as usize]);
+            if strength > 0.0 && second[other as usize].is_none() {
+                heap.push(Reached { strength, patch: other, label });
+            }
+        }
+    }
+    for i in 0..n {
+        (field.graph.label[i], field.graph.margin[i]) = match best[i] {
+            Some((label, strength)) => (label, strength - second[i].unwrap_or(0.0)),
+            None => (0, 0.0),
+        };
+    }
+}
+
+/// The strength of a link as far as a way around it says the same.
+fn supported(field: &Field<'_>, link: &Link) -> f32 {
+    let from = |patch: u32| {
+        field.graph.links_of(patch as usize).iter().map(move |&k| {
+            let Link { a, b, turns, weight } = field.graph.links[k as usize];
+            if a == patch { (b, turns, weight) } else { (a, -turns, weight) }
+        })
+    };
+    let mut around = 0f32;
+    for (c, to_c, first) in from(link.a).filter(|x| x.0 != link.b) {
+        for (d, to_d, last) in from(link.b).filter(|x| x.0 != link.a) {
+            if c == d {
+                around = if to_c == link.turns + to_d { around.max(first.min(last)) } else { around };
+                continue;
+            }
+            // From `c` to `d` by way of `a` and `b`.
+            let turns = link.turns + to_d - to_c;
+            let between = from(c).find(|x| x.0 == d && x.1 == turns);
+            around = around.max(between.map_or(0.0, |x| x.2.min(first).min(last)));
+        }
+    }
+    link.weight.min(around)
+}

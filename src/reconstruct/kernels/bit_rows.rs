@@ -1,0 +1,118 @@
+//! Rows of pixels as bits, 64 a word: what is asked of each pixel is asked of a word at once.
+
+use std::ops::Range;
+
+/// Pixels of a word.
+pub(crate) const WORD: usize = u64::BITS as usize;
+
+/// A bit for each place where it is so.
+#[inline(always)]
+pub(crate) fn bits_where(is: impl Fn(usize) -> bool) -> u64 {
+    let mut marks = [0u8; WORD];
+    for (i, mark) in marks.iter_mut().enumerate() {
+        *mark = if is(i) { u8::MAX } else { 0 };
+    }
+    together(&marks)
+}
+
+/// A bit for each byte that has any of those of `mask`.
+#[inline(always)]
+pub(crate) fn bits_of(bytes: &[u8; WORD], mask: u8) -> u64 {
+    bits_where(
+        #[inline(always)]
+        |i| bytes[i] & mask != 0,
+    )
+}
+
+/// A bit for each byte above `level`.
+#[inline(always)]
+pub(crate) fn bits_above(bytes: &[u8; WORD], level: u8) -> u64 {
+    bits_where(
+        #[inline(always)]
+        |i| bytes[i] > level,
+    )
+}
+
+/// Whether no bit is set, or every one.
+#[inline(always)]
+pub(crate) fn even(word: u64) -> bool {
+    word.wrapping_add(1) < 2
+}
+
+/// Sets the bits of some places.
+#[inline(always)]
+pub(crate) fn set(words: &mut [u64], places: Range<usize>) {
+    let Some(last) = places.end.checked_sub(1).filter(|last| *last >= places.start) else { return };
+    let first = places.start / WORD;
+    for (k, word) in words[first..=last / WORD].iter_mut().enumerate() {
+        let begin = (first + k) * WORD;
+        let (from, to) = (places.start.saturating_sub(begin), (last - begin).min(WORD - 1));
+        *word |= u64::MAX << from & u64::MAX >> (WORD - 1 - to);
+    }
+}
+
+/// A bit for each byte of 255; all others are 0.
+#[inline(always)]
+fn together(marks: &[u8; WORD]) -> u64 {
+    // There is an instruction for sixteen of them, which the compiler does not find.
+    #[cfg(target_arch = "x86_64")]
+    if let Some(sse2) = pulp::core_arch::x86::Sse2::try_new() {
+        let mut bits = 0;
+        for (k, [low, high]) in marks.as_chunks::<8>().0.as_chunks::<2>().0.iter().enumerate() {
+            let sixteen = sse2._mm_set_epi64x(i64::from_le_bytes(*high), i64::from_le_bytes(*low));
+            bits |= u64::from(sse2._mm_movemask_epi8(sixteen) as u16) << (16 * k);
+        }
+        return bits;
+    }
+    transposed(marks)
+}
+
+/// The same by arithmetic.
+#[inline(always)]
+fn transposed(marks: &[u8; WORD]) -> u64 {
+    let mut x = 0;
+    for (k, eight) in marks.as_chunks::<8>().0.iter().enumerate() {
+        x |= u64::from_le_bytes(*eight) & 0x0101_0101_0101_0101 << k;
+    }
+    // Bit i of byte j is pixel 8 i + j: a matrix of bits to transpose (Hacker's Delight, 7-3).
+    let t = (x ^ x >> 7) & 0x00aa_00aa_00aa_00aa;
+    x ^= t ^ t << 7;
+    let t = (x ^ x >> 14) & 0x0000_cccc_0000_cccc;
+    x ^= t ^ t << 14;
+    let t = (x ^ x >> 28) & 0x0000_0000_f0f0_f0f0;
+    x ^ t ^ t << 28
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{WORD, bits_above, bits_of, set, together, transposed};
+    use proptest::prelude::{any, prop_assert_eq, proptest};
+
+    proptest! {
+        #[test]
+        fn places_are_set(start in 0usize..200, length in 0usize..200) {
+            let mut words = [0u64; 7];
+            set(&mut words, start..start + length);
+            for i in 0..7 * WORD {
+                prop_assert_eq!(words[i / WORD] >> (i % WORD) & 1 != 0, (start..start + length).contains(&i));
+            }
+        }
+
+        /// Whatever the processor has an instruction for.
+        #[test]
+        fn bits_are_put_together_as_arithmetic_does(bits in any::<u64>()) {
+            let marks = std::array::from_fn(|i| if bits >> i & 1 != 0 { u8::MAX } else { 0 });
+            prop_assert_eq!((together(&marks), transposed(&marks)), (bits, bits));
+        }
+
+        #[test]
+        fn each_byte_gives_its_bit(seed in proptest::collection::vec(any::<u8>(), WORD), mask in any::<u8>()) {
+            let bytes: [u8; WORD] = std::array::from_fn(|i| seed[i]);
+            let (any, above) = (bits_of(&bytes, mask), bits_above(&bytes, mask));
+            for (i, byte) in bytes.into_iter().enumerate() {
+                prop_assert_eq!(any >> i & 1 != 0, byte & mask != 0);
+                prop_assert_eq!(above >> i & 1 != 0, byte > mask);
+            }
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! Connected components of a mask.
+
+use super::pixel_runs::Runs;
+use crate::base::image::Plane;
+
+/// Components of a mask: `label` holds 0 outside and 1.. inside, `area` the pixels of each label (entry 0
+/// unused).
+#[derive(Debug)]
+pub struct Components {
+    /// Label of each pixel.
+    pub label: Plane<u32>,
+    /// Pixels of each label.
+    pub area: Vec<u32>,
+}
+
+/// A component of runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Piece {
+    /// Its pixels.
+    pub area: u32,
+    /// First row.
+    pub first: u32,
+    /// Last row.
+    pub last: u32,
+}
+
+impl Piece {
+    /// Rows that it spans.
+    pub fn rows(&self) -> f32 {
+        (self.last - self.first + 1) as f32
+    }
+}
+
+/// Labels the 8-connected components of the non-zero pixels of a mask of zeros and ones, in the order of their first
+/// pixel.
+pub fn label(mask: &Plane<u8>) -> Components {
+    let runs = Runs::of(mask);
+    let (piece, pieces) = connect(&runs);
+    let mut label = Plane::filled(mask.width(), mask.height(), 0u32);
+    for v in 0..runs.height() {
+        for place in runs.places(v) {
+            label.row_mut(v)[runs.all()[place].columns()].fill(piece[place] + 1);
+        }
+    }
+    let area = std::iter::once(0).chain(pieces.iter().map(|piece| piece.area)).collect();
+    Components { label, area }
+}
+
+/// The 8-connected components of runs: the component of each run, and the components in the order of their first
+/// pixel. Runs are joined, not pixels: a row of a mask has few.
+pub fn connect(runs: &Runs) -> (Vec<u32>, Vec<Piece>) {
+    let mut parent: Vec<u32> = Vec::with_capacity(runs.all().len());
+    let mut above = 0..0;
+    for v in 0..runs.height() {
+        let places = runs.places(v);
+        let mut first = above.start;
+        for place in places.clone() {
+            let own = runs.all()[place];
+            parent.push(place as u32);
+            // A run above touches this one where their columns overlap or are next to each other.
+            while first < above.end && runs.all()[first].end() < own.start() {
+                first += 1;
+            }
+            let touching = runs.all()[first..above.end].iter().take_while(|run| run.start() <= own.end());
+            for other in first..first + touching.count() {
+                join(&mut parent, other as u32, place as u32);
+            }
+        }
+        above = places;
+    }
+    // The smallest run is a component's root: its number is known before that of its others.
+    let (mut piece, mut pieces) = (vec![0u32; parent.len()], Vec::<Piece>::new());
+    for v in 0..runs.height() {
+        for place in runs.places(v) {
+            let root = find(&mut parent, place as u32) as usize;
+            if root == place {
+                piece[place] = pieces.len() as u32;
+                pieces.push(Piece { area: 0, first: v as u32, last: v as u32 });
+            }
+            piece[place] = piece[root];
+            let piece = &mut pieces[piece[root] as usize];
+            piece.area += runs.all()[place].columns().len() as u32;
+            piece.last = v as u32;
+        }
+    }
+    (piece, pieces)
+}
+
+fn find(parent: &mut [u32], mut x: u32) -> u32 {
+    while parent[x as usize] != x {
+        parent[x as usize] = parent[parent[x as usize] as usize];
+        x = parent[x as usize];
+    }
+    x
+}
+
+/// Joins two labels; the smaller root stays.
+fn join(parent: &mut [u32], a: u32, b: u32) -> u32 {
+    let (a, b) = (find(parent, a), find(parent, b));
+    let (low, high) = (a.min(b), a.max(b));
+    parent[high as usize] = low;
+    low
+}
+
+#[cfg(test)]
+mod tests {
+    use super::label;
+    use crate::base::image::Plane;
+    use proptest::prelude::{prop_assert, prop_assert_eq, proptest};
+
+    proptest! {
+        /// Pixels that touch have one label, all others of it are reached over pixels that touch, and numbers rise.
+        #[test]
+        fn labels_are_those_of_a_flood(bits in proptest::collection::vec(0u8..2, 12 * 9)) {
+            let mask = Plane::from_vec(12, 9, bits).expect("108 pixels");
+            let found = label(&mask);
+            let mut flooded = Plane::filled(12, 9, 0u32);
+            let mut areas = vec![0u32];
+            for start in 0..12 * 9 {
+                if mask.as_slice()[start] == 0 || flooded.as_slice()[start] != 0 {
+                    continue;
+                }
+                let (mut open, number) = (vec![start], areas.len() as u32);
+                areas.push(0);
+                flooded.as_mut_slice()[start] = number;
+                while let Some(at) = open.pop() {
+                    areas[number as usize] += 1;
+                    let (u, v) = (at % 12, at / 12);
+                    for y in v.saturating_sub(1)..(v + 2).min(9) {
+                        for x in u.saturating_sub(1)..(u + 2).min(12) {
+                            if mask.at(x, y) != 0 && flooded.at(x, y) == 0 {
+                                flooded.set(x, y, number);
+                                open.push(y * 12 + x);
+                            }
+                        }
+                    }
+                }
+            }
+            prop_assert_eq!(&found.label, &flooded);
+            prop_assert!(found.area == areas);
+        }
+    }
+
+    #[test]
+    fn a_ring_is_one_component_and_its_hole_is_not_labelled() {
+        let text = ["..##..#", ".#..#.#", ".#..#..", "..##..#"];
+        let data = text.iter().flat_map(|row| row.bytes().map(|b| u8::from(b == b'#'))).collect();
+        let found = label(&Plane::from_vec(7, 4, data).expect("28 pixels"));
+        assert_eq!(found.area, [0, 8, 2, 1]);
+        assert_eq!(found.label.at(2, 1), 0);
+    }
+}

@@ -1,0 +1,132 @@
+//! One camera with the projector of its head: what the phase pipeline must know of the geometry.
+
+use crate::data::PanelRows;
+use crate::data::{CalibratedCamera, CalibratedHead, Calibration};
+use crate::geometry::pattern::{Marker, Pattern};
+use crate::geometry::{Device, Ray};
+use nalgebra::{Point3, Vector3};
+
+/// A triangulation pair with the figures that the stages derive from it.
+#[derive(Debug, Clone)]
+pub struct CameraProjector {
+    /// The camera.
+    pub camera: Device,
+    /// The projector as an inverse camera.
+    pub projector: Device,
+    /// What it projects.
+    pub pattern: Pattern,
+    /// Which rows of the panel the projector's are, where that is known: what fringes tell is its columns.
+    pub rows: Option<PanelRows>,
+    /// Indices of the markers on the panel, rising.
+    pub markers: Vec<u32>,
+    /// +1 where the absolute phase grows with the image column, -1 where it falls.
+    pub sign: f32,
+    /// Fringe period in the image of a plane that faces the camera in the middle of the volume, px.
+    pub period_px: f32,
+    /// Period of the marker's modulation along the image column at the same place, px.
+    pub marker_period_px: f32,
+    /// Amplitude of the marker's modulation relative to the light around it, before any blur.
+    pub marker_contrast: f32,
+    /// Lower corner of the volume that points may lie in, world, m.
+    pub volume_min_m: [f64; 3],
+    /// Upper corner of that volume, world, m.
+    pub volume_max_m: [f64; 3],
+}
+
+/// No surface is nearer to a camera, m.
+const NEAREST_M: f64 = 0.05;
+
+/// Points this far outside the calibrated volume are still accepted, m: a hand may reach out of it.
+const VOLUME_MARGIN_M: f64 = 0.10;
+
+impl CameraProjector {
+    /// Derives the pair's figures; an error when the pattern is not visible, or runs along the image columns.
+    pub fn new(
+        head: &CalibratedHead,
+        camera: &CalibratedCamera,
+        calibration: &Calibration,
+    ) -> Result<Self, String> {
+        let (min, max) = (calibration.volume_min_m, calibration.volume_max_m);
+        let middle = Point3::from((Vector3::from(min) + Vector3::from(max)) / 2.0);
+        let (across, along) = panel_steps(&camera.device, &head.projector, &middle).ok_or_else(|| {
+            format!("camera {}: the middle of the volume is not seen by camera and projector", camera.id)
+        })?;
+        let pattern = calibration.pattern.clone();
+        let period_px = pattern.period_px / across[0].abs();
+        if !(4.0..=40.0).contains(&period_px) || across[0].abs() < across[1].abs() {
+            return Err(format!(
+                "camera {}: expected fringes across the image columns with a period of 4 to 40 px, found {period_px:.1} px; check the roll of camera and projector",
+                camera.id
+            ));
+        }
+        let marker_period_px = pattern.marker_period_px / along[1].abs().max(1e-3);
+        // What filters the marker is as long as this.
+        if !(2.0..=200.0).contains(&marker_period_px) {
+            return Err(format!(
+                "camera {}: expected a marker that changes along itself with a period of 2 to 200 px in the image, found {marker_period_px:.1} px; check the pattern's marker_period_px",
+                camera.id
+            ));
+        }
+        let marker_contrast = match pattern.marker {
+            // Mean 1 - depth / 2, amplitude depth / 2.
+            Marker::Darkened { depth } => depth / 2.0 / (1.0 - depth / 2.0),
+            Marker::ZeroMean { amplitude } => amplitude,
+        };
+        Ok(Self {
+            camera: camera.device.clone(),
+            projector: head.projector.clone(),
+            rows: head.rows,
+            sign: across[0].signum() as f32,
+            period_px: period_px as f32,
+            marker_period_px: marker_period_px as f32,
+            marker_contrast: marker_contrast as f32,
+            markers: pattern.markers(head.projector.width),
+            pattern,
+            volume_min_m: min.map(|x| x - VOLUME_MARGIN_M),
+            volume_max_m: max.map(|x| x + VOLUME_MARGIN_M),
+        })
+    }
+
+    /// The ray of pixel (u, v), and the distances, m, between which it is in the volume; `None` where it misses it.
+    pub fn distances_in_volume(&self, u: usize, v: usize) -> Option<(Ray, [f64; 2])> {
+        let ray = self.camera.ray(u as f64, v as f64)?;
+        let (from, to) = (ray.at(0.0), ray.at(1.0));
+        let (mut near, mut far) = (NEAREST_M, f64::INFINITY);
+        for i in 0..3 {
+            let ends =
+                [self.volume_min_m[i], self.volume_max_m[i]].map(|x| (x - from[i]) / (to[i] - from[i]));
+            (near, far) = (near.max(ends[0].min(ends[1])), far.min(ends[0].max(ends[1])));
+        }
+        (near <= far).then_some((ray, [near, far]))
+    }
+
+    /// Least and largest projector column that the ray of pixel (u, v) meets within the volume, px; `None` where it
+    /// misses the volume or the projector does not see what it meets.
+    pub fn columns_in_volume(&self, u: usize, v: usize) -> Option<[f64; 2]> {
+        let (ray, distances) = self.distances_in_volume(u, v)?;
+        let [near, far] = distances.map(|x| self.projector.project(&ray.at(x)).map(|[column, _]| column));
+        let (near, far) = (near?, far?);
+        Some([near.min(far), near.max(far)])
+    }
+
+    /// Whether a world point lies in the volume.
+    pub fn in_volume(&self, point: &Point3<f64>) -> bool {
+        (0..3).all(|i| (self.volume_min_m[i]..=self.volume_max_m[i]).contains(&point[i]))
+    }
+}
+
+/// Panel steps (u, v) of one image column and of one image row, on the plane through `middle` that faces the
+/// camera.
+fn panel_steps(camera: &Device, projector: &Device, middle: &Point3<f64>) -> Option<([f64; 2], [f64; 2])> {
+    let [u, v] = camera.project(middle)?;
+    let depth = camera.device_point(middle).z;
+    let panel = |u: f64, v: f64| {
+        let [x, y] = camera.lens.undistort(u, v)?;
+        let point = Point3::new(x * depth, y * depth, depth);
+        projector.project(&camera.world_from_device.isometry().transform_point(&point))
+    };
+    let step = |a: [f64; 2], b: [f64; 2]| [(b[0] - a[0]) / 8.0, (b[1] - a[1]) / 8.0];
+    let across = step(panel(u - 4.0, v)?, panel(u + 4.0, v)?);
+    let along = step(panel(u, v - 4.0)?, panel(u, v + 4.0)?);
+    Some((across, along))
+}

@@ -1,0 +1,119 @@
+//! The documents: a stranger finds the way from the README to a file, and every file that a document names is there.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn read(path: &str) -> String {
+    std::fs::read_to_string(root().join(path)).unwrap_or_else(|e| panic!("{path}: {e}"))
+}
+
+/// All documents, with their texts.
+fn documents() -> Vec<(PathBuf, String)> {
+    let mut found = Vec::new();
+    for folder in ["", "docs", "docs/design", "hsu-firmware-proto", "simulator", "web", "fuzz"] {
+        for entry in std::fs::read_dir(root().join(folder)).expect(folder) {
+            let path = entry.expect("an entry").path();
+            if path.extension().is_some_and(|end| end == "md") {
+                found.push((path.clone(), std::fs::read_to_string(path).expect("a document")));
+            }
+        }
+    }
+    assert!(found.len() > 20, "{} documents", found.len());
+    found
+}
+
+/// The first sentence of a file's own description.
+fn first_sentence(path: &str) -> String {
+    let text = read(path);
+    let lines = text.lines().take_while(|line| line.starts_with("//!"));
+    let text: Vec<&str> = lines.map(|line| line.trim_start_matches("//!").trim()).collect();
+    text.join(" ").split(". ").next().unwrap_or_default().to_owned()
+}
+
+/// First look: the README names the code map. Second look: a line there names the file. Its first sentence is about it.
+#[test]
+fn a_stranger_finds_a_stage_in_two_looks() {
+    assert!(read("README.md").contains("ARCHITECTURE.md"));
+    let map = read("ARCHITECTURE.md");
+    for (asked, line_says, file, file_says) in [
+        ("what computes Wm", "computes Wm", "reconstruct/phase/demodulate.rs", "Wrapped phase Wm"),
+        (
+            "what decides a fringe order",
+            "get their fringe orders",
+            "reconstruct/fringe_order/mod.rs",
+            "Fringe orders",
+        ),
+        ("what writes a frame", "writer", "record/writer.rs", "Writes one node's recording"),
+        (
+            "what says which trigger a frame is of",
+            "which trigger it is",
+            "matcher/mod.rs",
+            "Which trigger a frame belongs to",
+        ),
+        ("where the paper's own method is", "to the letter", "reconstruct/paper", ""),
+    ] {
+        let lines = map.lines().filter(|line| line.contains(file));
+        assert!(
+            lines.map(str::to_lowercase).any(|line| line.contains(&line_says.to_lowercase())),
+            "{asked}: {file}"
+        );
+        assert!(file_says.is_empty() || first_sentence(&format!("src/{file}")).contains(file_says), "{file}");
+    }
+}
+
+/// Words in backticks that look like files, and the targets of links.
+fn files_named(text: &str) -> Vec<String> {
+    let quoted = text.split('`').skip(1).step_by(2);
+    let is_file = |word: &&str| {
+        let end = word.rsplit('.').next().unwrap_or_default();
+        // Scripts without a folder are those that `cluster submit` writes.
+        (end == "rs" || word.contains('/') && ["md", "sh"].contains(&end))
+            && !word.contains(['*', ' ', '<', '{', '$', '~'])
+    };
+    let quoted = quoted.flat_map(|quote| quote.split_whitespace()).filter(is_file);
+    let linked = text.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next());
+    let linked = linked.filter(|link| !link.is_empty() && !link.contains(':'));
+    quoted.chain(linked).map(str::to_owned).collect()
+}
+
+/// The names of all files of the repository's own folders.
+fn file_names(folder: &Path, names: &mut BTreeSet<String>) {
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if name.starts_with('.') || name == "target" {
+            continue;
+        }
+        if path.is_dir() {
+            file_names(&path, names);
+        } else {
+            names.insert(name);
+        }
+    }
+}
+
+#[test]
+fn every_file_that_a_document_names_is_there() {
+    let mut names = BTreeSet::new();
+    file_names(&root(), &mut names);
+    let mut missing = Vec::new();
+    for (document, text) in documents() {
+        // Places are told from the document, from the root, or from the folder that it is about.
+        let folders =
+            ["", "src", "src/reconstruct", "simulator/src", "tests/it"].map(|folder| root().join(folder));
+        let from = [document.parent().expect("a folder").to_path_buf()].into_iter().chain(folders);
+        let from: Vec<PathBuf> = from.collect();
+        for name in files_named(&text) {
+            let there = from.iter().any(|from| from.join(&name).exists());
+            let alone = !name.contains('/') && names.contains(&name);
+            if !there && !alone {
+                missing.push(format!("{} names {name}", document.display()));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "{}", missing.join("\n"));
+}
