@@ -8,8 +8,9 @@
 
 use crossbeam_channel::{Receiver, bounded};
 use fourdbody::base::ids::SessionName;
-use fourdbody::camera::AravisCameras;
-use fourdbody::camera::{Camera, CameraBackend, FrameContract, Received, StreamOptions, Transfer};
+use fourdbody::camera::{
+    AravisCameras, Camera, CameraBackend, FrameContract, Received, StreamOptions, Transfer,
+};
 use fourdbody::config::NodeConfig;
 use fourdbody::host::frame_memory::Block;
 use fourdbody::hsu::{ArmRequest, Hsu, HsuTimeouts, HsuTiming, session_id};

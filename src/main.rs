@@ -1,8 +1,7 @@
 //! The `fourdbody` command line: parse, run the command, turn its outcome into the exit code.
 
 use clap::Parser;
-use fourdbody::cmds::Cli;
-use fourdbody::cmds::Failure;
+use fourdbody::cmds::{Cli, Failure};
 use std::io::IsTerminal;
 use std::io::Write;
 use std::process::ExitCode;

@@ -3,8 +3,7 @@
 use super::Script;
 use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
-use fourdbody::data::Calibration;
-use fourdbody::data::PanelRows;
+use fourdbody::data::{Calibration, PanelRows};
 use fourdbody::geometry::Device;
 use fourdbody::geometry::pattern::Pattern;
 use fourdbody::reconstruct::fringe_order::unwrapped_frame::UnwrappedFrame;

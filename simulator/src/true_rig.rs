@@ -3,8 +3,7 @@
 use crate::random::Stream;
 use crate::scenario::Jitter;
 use fourdbody::config::Rig;
-use fourdbody::data::PanelRows;
-use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use fourdbody::geometry::{Device, Lens, Pose};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 

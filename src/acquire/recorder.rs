@@ -286,7 +286,7 @@ impl Recorder {
                 recv(self.arrivals) -> arrival => match arrival {
                     Ok(arrival) => {
                         // What was said before a frame arrived comes first: reports, clocks, a fresh stream.
-                        if let Some(last) = self.obey_all() {
+                        if let Some(last) = self.handle_all() {
                             self.accounting.frame_arrived(arrival, waiting);
                             return self.end(last);
                         }
@@ -307,7 +307,7 @@ impl Recorder {
     }
 
     /// Obeys what has been said so far; a last word is returned.
-    fn obey_all(&mut self) -> Option<RecorderCommand> {
+    fn handle_all(&mut self) -> Option<RecorderCommand> {
         while let Ok(command) = self.commands.try_recv() {
             if command.is_last() {
                 return Some(command);

@@ -38,7 +38,7 @@ impl From<Exit> for ExitCode {
 /// Why something failed, with the exit code that it means on the command line.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Fault {
-    /// As a process exit code .
+    /// As a process exit code.
     pub exit: u8,
     /// What was expected, what was found, what to do.
     pub message: String,

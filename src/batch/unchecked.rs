@@ -46,8 +46,7 @@ mod tests {
     use super::unchecked;
     use crate::base::ids::CameraId;
     use crate::config::Rig;
-    use crate::data::Calibration;
-    use crate::data::PanelRows;
+    use crate::data::{Calibration, PanelRows};
 
     #[test]
     fn what_a_run_lacks_is_said_and_nothing_else() {

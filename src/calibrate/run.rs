@@ -13,9 +13,10 @@ use super::stages::{HeadResult, Rigging, StageError, Terms};
 use super::views::look;
 use super::world::Vertical;
 use crate::base::ids::{CameraId, HeadId};
-use crate::data::CONVENTIONS;
-use crate::data::{Calibration, CameraResiduals, DeviceUncertainty, FrameSource, HeadLink, Quality};
-use crate::data::{Extent, HeadVolume, Identity, Response, ValidVolume, World};
+use crate::data::{
+    CONVENTIONS, Calibration, CameraResiduals, DeviceUncertainty, Extent, FrameSource, HeadLink, HeadVolume,
+    Identity, Quality, Response, ValidVolume, World,
+};
 
 /// A calibration and how it came to be.
 #[derive(Debug)]

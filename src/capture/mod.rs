@@ -1,11 +1,11 @@
 //! A capture: one session on all nodes, or a series of them, run from the command line or from a node's console.
 
-/// All nodes as one.
+/// Captures that a node runs for its console.
 pub mod coordinator;
 mod countdown;
 /// One node that takes part, over HTTP or in this process.
 pub mod participant;
-/// Watches the other node.
+/// A node in a session looks after the other nodes of it.
 pub mod peer_watch;
 /// What a capture has come to.
 pub mod report;

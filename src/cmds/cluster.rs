@@ -2,8 +2,7 @@
 
 use super::failure::Failure;
 use super::reconstruct::{self, Opened, What};
-use crate::base::Exit;
-use crate::base::write_whole;
+use crate::base::{Exit, write_whole};
 use crate::batch::collect_shards::Shards;
 use crate::batch::key::COMMON_FILES;
 use crate::batch::run::{self, Format};

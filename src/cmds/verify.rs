@@ -3,8 +3,7 @@
 use super::failure::Failure;
 use super::progress::Progress;
 use crate::base::Exit;
-use crate::record::verify::compare;
-use crate::record::verify::{Report, Severity, verify};
+use crate::record::verify::{Report, Severity, compare, verify};
 use std::path::PathBuf;
 
 /// Check every invariant of recordings: checksums, exactly one outcome per camera and trigger, verdicts.

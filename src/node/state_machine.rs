@@ -11,8 +11,7 @@
 //! between; a recording that saw a trigger is closed with a verdict, one that saw none is discarded; the
 //! train is started only when this node and, by the HSU, every other node is ready.
 
-use crate::base::Exit;
-use crate::base::Fault;
+use crate::base::{Exit, Fault};
 use crate::control::request::{Phase, SessionRequest};
 use std::time::Duration;
 

@@ -66,17 +66,13 @@ impl Pipeline {
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let pair = triangulator.pair();
         let (bias, table) = (Bias::new(&pair.pattern), Arc::new(RayTable::new(pair)));
-        let (gains, workspace) = (Gains::new(), Arc::new(Workspace::default()));
-        let own = Arc::clone(&workspace);
+        let (gains, workspace) = (Gains::new(), Arc::default());
         Self { triangulator, table, gains, bias, method, keep_maps, uncertainty: false, workspace }
-            .with_workspace(own)
     }
 
     /// Uses this memory, instead of its own.
     #[must_use]
     pub fn with_workspace(self, workspace: Arc<Workspace>) -> Self {
-        let [width, height] = self.frame();
-        workspace.planes.make_room(width * height);
         Self { workspace, ..self }
     }
 
@@ -138,6 +134,7 @@ impl Pipeline {
         if self.method == Method::Paper {
             return Err(Box::new(paper::reconstruct(image, pair, &self.table, self.keep_maps)));
         }
+        self.workspace.planes.make_room(expected[0] * expected[1]);
         let mut buffers = self.workspace.buffers.take();
         let roi = clock.time("mask", || {
             let Buffers { mask, object, .. } = &mut buffers;

@@ -2,8 +2,7 @@
 
 use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
-use fourdbody::data::Calibration;
-use fourdbody::data::PanelRows;
+use fourdbody::data::{Calibration, PanelRows};
 use fourdbody::geometry::Ray;
 use fourdbody::geometry::pattern::{Marker, Pattern};
 use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};

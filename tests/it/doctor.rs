@@ -103,8 +103,7 @@ fn an_absent_camera_and_a_wrong_hsu_device_are_named() {
 
 #[test]
 fn a_camera_of_another_program_is_named_with_its_holder() {
-    use fourdbody::camera::AravisCameras;
-    use fourdbody::camera::CameraBackend;
+    use fourdbody::camera::{AravisCameras, CameraBackend};
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory(dir.path(), 132, 20.0);
     let other = AravisCameras.open("127.0.132.13").expect("the other program opens it first");

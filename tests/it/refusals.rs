@@ -40,8 +40,7 @@ fn a_missing_camera_is_named_and_a_later_session_works() {
 fn a_camera_of_another_program_is_recognized() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory(dir.path(), 103, 20.0);
-    use fourdbody::camera::AravisCameras;
-    use fourdbody::camera::CameraBackend;
+    use fourdbody::camera::{AravisCameras, CameraBackend};
     let other = AravisCameras.open("127.0.103.12").expect("the other program opens it first");
     let mut nodes: Vec<NodeProcess> =
         laboratory.nodes.iter().map(|node| NodeProcess::start(&node.path, node.port)).collect();

@@ -8,8 +8,7 @@ use crate::batch::result::{Clouds, Placed};
 use crate::calibrate::Board;
 use crate::cmds::failure::Failure;
 use crate::data::{Calibration, Frame, FrameSource};
-use crate::validate::distance::Light;
-use crate::validate::distance::{Diagonals, Sight, diagonals};
+use crate::validate::distance::{Diagonals, Light, Sight, diagonals};
 use crate::validate::ring::Organized;
 use std::path::PathBuf;
 

@@ -218,8 +218,7 @@ mod tests {
     use super::{Dashes, check};
     use crate::base::image::Plane;
     use crate::config::Rig;
-    use crate::data::PanelRows;
-    use crate::data::{Calibration, STEPS_PER_LEVEL};
+    use crate::data::{Calibration, PanelRows, STEPS_PER_LEVEL};
     use crate::reconstruct::kernels::pixel_runs::Runs;
     use crate::reconstruct::kernels::region_of_interest::Roi;
     use crate::reconstruct::marker::pieces::MarkerPieces;

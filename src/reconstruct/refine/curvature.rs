@@ -224,8 +224,7 @@ fn shrunk(x: f32, noise: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::FrameMaps;
-    use super::correct;
+    use super::{FrameMaps, correct};
     use crate::base::image::{Mono8, Plane};
     use crate::reconstruct::kernels::pixel_runs::Runs;
     use crate::reconstruct::phase::demodulate::{Gains, ROWS};

@@ -1,7 +1,6 @@
 //! One camera with the projector of its head: what the phase pipeline must know of the geometry.
 
-use crate::data::PanelRows;
-use crate::data::{CalibratedCamera, CalibratedHead, Calibration};
+use crate::data::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use crate::geometry::pattern::{Marker, Pattern};
 use crate::geometry::{Device, Ray};
 use nalgebra::{Point3, Vector3};

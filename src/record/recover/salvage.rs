@@ -12,8 +12,9 @@ use crate::record::layout::{
     KEY_RECORDS, NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
 };
 use crate::record::metadata::{StatedHeader, is_sound, parse_header, parse_index};
-use crate::record::scan::{End, Entries, Event, MAX_MESSAGE, MESSAGE_HEADER, Walker};
-use crate::record::scan::{Found, budget, find, is_json};
+use crate::record::scan::{
+    End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json,
+};
 use crate::record::segment_file::SegmentFile;
 use crate::record::statistics::WriteStatistics;
 use crate::record::verdict::Verdict;
