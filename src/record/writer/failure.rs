@@ -1,5 +1,5 @@
 //! When the disk fails: what is in the file stays readable, what is not becomes gaps, and the accounting goes on in a
-//! segment of their own.
+//! segment of its own.
 
 use super::Recording;
 use super::error::RecordError;
@@ -10,7 +10,7 @@ use std::io;
 
 impl Recording {
     /// After a failed write or sync: nothing more goes to the open segments, frames that are not in the file, or
-    /// cannot be trusted to stay there, become gaps, and the accounting goes on in a segment of their own.
+    /// cannot be trusted to stay there, become gaps, and the accounting goes on in a segment of its own.
     pub(super) fn fail(&mut self, source: io::Error) -> Result<(), RecordError> {
         let error = RecordError::refused(self.dir.clone(), source);
         tracing::error!("{error}");
