@@ -19,7 +19,7 @@ const TIME_MARGIN: f64 = 2.0;
 const START_MIN: f64 = 10.0;
 
 /// The memory asked for over what was measured on a few frame sets: it grows for a while with what a task has seen
-/// (docs/cluster.md), and a person near the camera covers more pixels.
+/// (docs/guide/cluster.md), and a person near the camera covers more pixels.
 const MEMORY_MARGIN: f64 = 2.0;
 const MEMORY_SPARE_MIB: f64 = 256.0;
 

@@ -14,7 +14,7 @@ fn read(path: &str) -> String {
 /// All documents, with their texts.
 fn documents() -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
-    for folder in ["", "docs", "docs/design", "hsu-firmware-proto", "simulator", "web", "fuzz"] {
+    for folder in ["", "docs", "docs/guide", "docs/design", "hsu-firmware-proto", "simulator", "web", "fuzz"] {
         for entry in std::fs::read_dir(root().join(folder)).expect(folder) {
             let path = entry.expect("an entry").path();
             if path.extension().is_some_and(|end| end == "md") {

@@ -20,7 +20,7 @@ use std::path::PathBuf;
 ///
 /// Of a reconstruction: point clouds and triangle meshes in the formats of --to, or one sequence (mcap). Of a session: its
 /// frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what they are made of are
-/// kept, so that an interrupted run goes on where it was. docs/exporting.md says what each format holds and which
+/// kept, so that an interrupted run goes on where it was. docs/guide/exporting.md says what each format holds and which
 /// programs open it.
 ///
 /// Without any choice of clouds, stored phase maps become all that `reconstruct` would have written itself, byte for byte:
@@ -68,7 +68,7 @@ pub struct Args {
     #[arg(long, value_name = "MM", default_value_t = 5.0, value_parser = parse_cell)]
     cell: f64,
     /// With --to mcap: round places to this step, mm (0.02 is far below the measurement's uncertainty), and compress: a tenth
-    /// of the bytes, in a form that docs/exporting.md describes and viewers do not know.
+    /// of the bytes, in a form that docs/guide/exporting.md describes and viewers do not know.
     #[arg(long, value_name = "MM", value_parser = parse_step)]
     quantize: Option<f64>,
     /// With --to mcap: level of compression (zstd), 0 for none [default: 0, or 1 with --quantize].
