@@ -8,7 +8,8 @@
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
 #   make bench-reconstruct     milliseconds a frame, stage by stage, beside other programs (PEERS=0 leaves these out)
 #   make bench-worker          frame sets an hour with reading, verifying and writing, beside the reconstruction itself
-#   make poses     fringe orders on 224 camera frames of moving mannequins
+#   make poses     fringe orders on 224 camera frames of moving mannequins; BATTERY=held_out_again or bodies: of others
+#   make noise     the same with half a grey value of noise (NOISE_DN)
 #   make validate  the paper's section 5: calibrated, Table 3, girths, spacing, beside the paper's figures
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make deb       the Debian package, in target/debian; scripts/try-package.sh tries it in a clean Debian
@@ -18,7 +19,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deb bench-ingest bench-reconstruct bench-worker poses validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deb bench-ingest bench-reconstruct bench-worker poses noise validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -79,6 +80,10 @@ bench-worker: demo
 poses: packages
 	$(CARGO) build --release --workspace
 	scripts/poses.sh
+
+noise: packages
+	$(CARGO) build --release --workspace
+	scripts/noise.sh
 
 validate: packages
 	$(CARGO) build --release --workspace

@@ -1,0 +1,277 @@
+#!/usr/bin/env python3
+"""Writes the tables of README.md, docs/validation.md and docs/benchmarks.md from target/*/summary.json.
+
+A table stands between `<!-- table: TARGET [KEY=VALUE...] -->` and `<!-- end -->`: `make TARGET KEY=VALUE...` leaves
+the summary. A table whose summary is absent stays as it is. Every figure is rounded against us.
+
+    scripts/write_tables.py                  # writes what has changed
+    scripts/write_tables.py --check          # only says so: exit code 1
+    scripts/write_tables.py --target DIR     # summaries of another checkout
+"""
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCUMENTS = ["README.md", "docs/validation.md", "docs/benchmarks.md"]
+BLOCK = re.compile(r"(<!-- table: ([^\n]*?) -->\n)(.*?)(<!-- end -->)", re.S)
+NOT_MEASURED = "Not measured with this version."
+# What the paper found, as in scripts/validate.sh.
+PAPER = {
+    "plane": "0.17, 0.22, 0.25, 0.23",
+    "distance": "0.21, 0.27, 0.23, 0.23",
+    "girth": "0.27, 0.38",
+    "spacing": "1.5, 1.0",
+}
+
+
+def rounded(value, digits, rounding):
+    return str(Decimal(value).quantize(Decimal(1).scaleb(-digits), rounding=rounding))
+
+
+def most(value, digits):
+    """What had better be small."""
+    return rounded(value, digits, ROUND_CEILING)
+
+
+def least(value, digits):
+    """What had better be large."""
+    return rounded(value, digits, ROUND_FLOOR)
+
+
+def wrong(share):
+    return most(100 * share, 3)
+
+
+def complete(share):
+    return least(100 * share, 2)
+
+
+def table(head, rows):
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join("| " + " | ".join(map(str, line)) + " |\n" for line in lines)
+
+
+def poses(s):
+    """A row a pose; where there are several markers, a figure of each."""
+    kinds = [key[: -len("_frames")] for key in s if key.endswith("_frames")]
+
+    def row(name, prefixes):
+        def cell(key, show):
+            return "; ".join(show(s[prefix + key]) for prefix in prefixes)
+
+        shares = ["completeness_of_lit", "completeness_of_usable", "completeness_of_usable_whole_fringes"]
+        distances = [cell(key, lambda v: most(v, 3)) for key in ("robust_mm", "p95_mm")]
+        return [name, cell("wrong_order_share", wrong), *(cell(key, complete) for key in shares), *distances]
+
+    names = (re.fullmatch(f"{kinds[0]}_(.+)_wrong_order_share", key) for key in s)
+    rows = [row(name[1], [f"{kind}_{name[1]}_" for kind in kinds]) for name in names if name]
+    if len(kinds) > 1:
+        rows.append(row("**each marker**", [f"{kind}_" for kind in kinds]))
+    rows.append(row(f"**all**, {s['frames']} frames", [""]))
+    head = "pose" if len(kinds) == 1 else f"pose: {'; '.join(kinds)}"
+    return table([head, "wrong %", "of lit %", "of usable %", "of whole fringes %", "robust mm", "p95 mm"], rows)
+
+
+def noise(s):
+    rows = []
+    for key in s:
+        name = re.fullmatch(r"([a-z]+(?:_again)?)_(.+)_wrong_order_share_plain", key)
+        if not name:
+            continue
+        cells = [name[2]]
+        for figure, show in (("wrong_order_share", wrong), ("completeness_of_usable_whole_fringes", complete)):
+            plain, low, high = (show(s[f"{name[1]}_{name[2]}_{figure}_{end}"]) for end in ("plain", "least", "most"))
+            cells += [plain, f"{low} to {high}"]
+        rows.append(cells)
+    return table(["pose", "wrong %", "with noise", "of whole fringes %", "with noise"], rows)
+
+
+def demo(s):
+    distances = ["merged_robust_mm", "merged_p95_mm", "merged_rms_mm", "merged_rms_right_order_mm"]
+    return table(
+        ["what", "found"],
+        [
+            ["frames recorded", f"{s['frames_recorded']} of {s['frames_expected']}, {s['gaps']} gaps"],
+            ["points of a merged cloud", s["merged_points"]],
+            ["wrong, of the merged points", f"{wrong(s['wrong_order_share'])} %"],
+            ["robust, p95, RMS, RMS of right orders", ", ".join(most(s[key], 3) for key in distances) + " mm"],
+            ["of the lit pixels, directional clouds", f"{complete(s['completeness_of_lit'])} %"],
+        ],
+    )
+
+
+def validate(s):
+    speeds = ("0rpm", "4rpm", "9rpm", "14rpm")
+
+    def figures(digits, *keys):
+        return ", ".join(most(s[key], digits) for key in keys)
+
+    return table(
+        ["what", "mm", "paper"],
+        [
+            ["plane, RMS at 0, 4, 9, 14 rpm", figures(4, *(f"plane_rms_mm_{v}" for v in speeds)), PAPER["plane"]],
+            ["distance of marks, RMS at the same", figures(4, *(f"distance_rms_mm_{v}" for v in speeds)), PAPER["distance"]],
+            ["girths, mean and most", figures(3, "girth_mean_mm", "girth_max_mm"), PAPER["girth"]],
+            ["point spacing, one cloud and merged", figures(3, "spacing_cloud_mm", "spacing_merged_mm"), PAPER["spacing"]],
+            ["calibration against the true rig, RMS and most", figures(4, "calibration_rms_mm", "calibration_max_mm"), ""],
+        ],
+    )
+
+
+def bench_ingest(s):
+    rows = []
+    for name, end in (("node", ""), ("plain buffered `mcap`", "_buffered_mcap")):
+        if f"frames_recorded{end}" in s:
+            costs = ["node_cpu_cores", "node_cpu_s_per_gb", "simulator_cpu_cores", "write_p99_ms", "write_max_ms"]
+            costs = [most(s[key + end], 3) if s.get(key + end) is not None else "" for key in costs]
+            counts = [s[f"frames_recorded{end}"], s[f"gaps{end}"], *costs, s[f"ring_high_water_frames{end}"]]
+            rows.append([name, *counts])
+    head = [f"{s['duration_s']} s at {s['trigger_rate_hz']} Hz", f"of {s['frames_expected']} frames", "gaps", "cores"]
+    return table([*head, "s/GB", "simulator's cores", "write p99 ms", "most ms", "waiting at most"], rows)
+
+
+def bench_reconstruct(s):
+    rows = [["**a frame, one thread**", f"**{most(s['pipeline_ms_per_frame_1_thread'], 1)}**"]]
+    for kind in ("portable", "avx2", "avx512"):
+        key = f"pipeline_{kind}_ms_per_frame_1_thread"
+        rows += [[f"the same, {kind}", most(s[key], 1)]] if key in s else []
+    stages = [(s[key], key[len("stage_") : -len("_ms")]) for key in s if re.fullmatch("stage_.*_ms", key)]
+    stages.sort(reverse=True)
+    for name, of in (("stages of 1 ms and more", lambda ms: ms >= 1), ("other stages", lambda ms: ms < 1)):
+        rows.append([name, ", ".join(f"{stage} {most(ms, 2)}" for ms, stage in stages if of(ms))])
+    return table(["part", "ms a frame"], rows)
+
+
+def bench_worker(s):
+    rows = []
+    for threads in (1, 2):
+        end = f"_{threads}_threads"
+        bare = s[f"bare_frame_sets_per_hour_per_core{end}"], s[f"bare_peak_memory_mib{end}"]
+        rows.append([threads, "nothing", least(bare[0], 0), "", most(bare[1], 0)])
+        for form in ("phase", "ply"):
+            if f"worker_{form}_lost_percent{end}" in s:
+                rate, lost, memory = (
+                    s[f"worker_{form}_{key}{end}"]
+                    for key in ("frame_sets_per_hour_per_core", "lost_percent", "peak_memory_mib")
+                )
+                rows.append([threads, form, least(rate, 0), most(lost, 1), most(memory, 0)])
+    return table(["threads", "written", "frame sets an hour and core", "lost %", "most memory MiB"], rows)
+
+
+def short(summaries, present):
+    """README: a row whose summary is absent stays as it is."""
+    rows = [
+        ("wrong fringe orders, moving mannequins", "poses", lambda s: f"{wrong(s['wrong_order_share'])} % of the points"),
+        (
+            "pixels with usable light and a whole fringe that get a point",
+            "poses",
+            lambda s: f"{complete(s['completeness_of_usable_whole_fringes'])} %",
+        ),
+        (
+            "distance to the body: robust; 95th percentile",
+            "poses",
+            lambda s: f"{most(s['robust_mm'], 3)}; {most(s['p95_mm'], 3)} mm",
+        ),
+        (
+            "a node at 4 x 120 Hz to disk for 20 s",
+            "bench-ingest",
+            lambda s: f"{s['frames_recorded']} of {s['frames_expected']} frames",
+        ),
+        (
+            "a frame to its cloud, one thread with AVX2",
+            "bench-reconstruct",
+            lambda s: f"{most(s['pipeline_avx2_ms_per_frame_1_thread'], 1)} ms",
+        ),
+    ]
+    found = dict(re.findall(r"^\| (.+?) \| (.+?) \|", present, re.M))
+    cells = []
+    for name, target, show in rows:
+        summary = summaries(target)
+        cells.append([name, found.get(name, "") if summary is None else show(summary), f"`make {target}`"])
+    return table(["in short", "found", "by"], cells)
+
+
+def git(*words):
+    return subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False)
+
+
+def same_algorithm(commit):
+    """Whether the same frames give the same points as in a commit (`ALGORITHM`); no where git does not know it."""
+    at, now = (
+        git("grep", "-hE", "pub const ALGORITHM: u32", of, "--", "src", ":!src/reconstruct/paper").stdout
+        for of in (commit, "HEAD")
+    )
+    return at == now != ""
+
+
+def same_recording(commit):
+    """Whether the way of a frame to the disk is that of a commit."""
+    folders = ["src/acquire", "src/camera", "src/host", "src/matcher", "src/record"]
+    return git("diff", "--quiet", commit, "HEAD", "--", *folders).returncode == 0
+
+
+# By target, with what says whether the summary is of this version.
+WRITERS = {
+    "poses": (poses, same_algorithm),
+    "noise": (noise, same_algorithm),
+    "demo": (demo, same_algorithm),
+    "validate": (validate, same_algorithm),
+    "bench-ingest": (bench_ingest, same_recording),
+    "bench-reconstruct": (bench_reconstruct, same_algorithm),
+    "bench-worker": (bench_worker, same_algorithm),
+}
+
+
+def write(words, present, target_dir):
+    """The text of a block, or `None` where it stays."""
+
+    def summary(folder):
+        path = target_dir / folder / "summary.json"
+        return json.loads(path.read_text(), parse_float=Decimal) if path.exists() else None
+
+    if words == ["short"]:
+        return short(summary, present)
+    settings = dict(word.split("=", 1) for word in words if "=" in word)
+    name = " ".join(word for word in words if "=" not in word)  # one word, or unknown
+    if name not in WRITERS:
+        sys.exit(f"error: expected a table of {', '.join(WRITERS)} or short, found {name!r}: add it to {__file__}")
+    # scripts/poses.sh names its folder after the battery.
+    figures = summary(settings.get("BATTERY", name))
+    if figures is None:
+        return None
+    writer, of_this_version = WRITERS[name]
+    note = "" if of_this_version(figures["commit"]) else f"\n{NOT_MEASURED}\n"
+    return writer(figures) + note
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 where a table would change")
+    parser.add_argument("--target", type=Path, default=ROOT / "target", help="where the summaries are")
+    args = parser.parse_args()
+    changed = []
+    for document in DOCUMENTS:
+        path = ROOT / document
+
+        def replaced(block):
+            text = write(block[2].split(), block[3], args.target)
+            if text is not None and text != block[3]:
+                changed.append(f"{document}: {block[2]}")
+            return block[1] + (block[3] if text is None else text) + block[4]
+
+        before = path.read_text()
+        after = BLOCK.sub(replaced, before)
+        if not args.check and after != before:
+            path.write_text(after)
+    print("\n".join(changed) or "every table is as its summary says, or has none")
+    sys.exit(1 if args.check and changed else 0)
+
+
+if __name__ == "__main__":
+    main()
