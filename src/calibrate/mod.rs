@@ -4,7 +4,7 @@
 //! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
 //! fit, `bundle` adjusts lenses and poses, `rows` finds the panel's rows, which fringes do not tell, `stages` and `global` are
 //! the paper's three stages, `world` says where the floor is, `run` is all of it.
-//! `docs/design/calibration.md` has the definitions and what was tried.
+//! `docs/design/calibration.md` has the definitions.
 
 pub mod advice;
 pub mod artwork;

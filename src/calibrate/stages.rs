@@ -173,7 +173,7 @@ pub enum StageError {
     },
 }
 
-/// Which terms of the lenses are estimated; `docs/design/calibration.md` has what was tried.
+/// Which terms of the lenses are estimated; `docs/design/experiments.md` says what fewer do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Terms {
     /// The third radial term of the cameras.

@@ -1,4 +1,4 @@
-//! Devices that fail before the first trigger (docs/design/operation.md, the first two columns of its table): the session is given
+//! Devices that fail before the first trigger (docs/design/operation.md, the first column of its table): the session is given
 //! up on both nodes at once, the device is named, nothing is left, and the next session works.
 
 use crate::kills::{COORDINATOR, PATIENCE, Rig, Stage};
