@@ -119,3 +119,36 @@ fn every_file_that_a_document_names_is_there() {
     }
     assert!(missing.is_empty(), "{}", missing.join("\n"));
 }
+
+/// Code, tables and lines with links cannot be broken; everything else can.
+#[test]
+fn lines_of_documents_are_short() {
+    let mut long = Vec::new();
+    for (document, text) in documents() {
+        let mut fenced = false;
+        for (number, line) in text.lines().enumerate() {
+            fenced ^= line.starts_with("```");
+            let unbreakable = fenced || line.starts_with("    ") || line.starts_with('|') || line.contains("](");
+            if !unbreakable && line.chars().count() > 120 {
+                long.push(format!("{}:{}", document.display(), number + 1));
+            }
+        }
+    }
+    assert!(long.is_empty(), "break these lines at 120 characters: {}", long.join(", "));
+}
+
+/// Where scripts/write_tables.py finds the figures of a table: `make TARGET` leaves them.
+#[test]
+fn tables_name_a_make_target() {
+    let (validation, makefile) = (read("docs/validation.md"), read("Makefile"));
+    let targets: Vec<&str> = validation
+        .lines()
+        .filter_map(|line| line.strip_prefix("<!-- table: ")?.split_whitespace().next())
+        .collect();
+    assert!(targets.len() > 3, "tables of {targets:?} only");
+    assert_eq!(targets.len(), validation.matches("<!-- end -->").count(), "each table has an end");
+    for target in targets {
+        let rule = format!("\n{target}:");
+        assert!(makefile.contains(&rule), "no `make {target}`, which docs/validation.md has a table of");
+    }
+}
