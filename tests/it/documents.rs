@@ -14,7 +14,8 @@ fn read(path: &str) -> String {
 /// All documents, with their texts.
 fn documents() -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
-    for folder in ["", "docs", "docs/guide", "docs/design", "hsu-firmware-proto", "simulator", "web", "fuzz"] {
+    for folder in ["", "docs", "docs/guide", "docs/design", "hsu-firmware-proto", "simulator", "web", "fuzz"]
+    {
         for entry in std::fs::read_dir(root().join(folder)).expect(folder) {
             let path = entry.expect("an entry").path();
             if path.extension().is_some_and(|end| end == "md") {
@@ -128,7 +129,8 @@ fn lines_of_documents_are_short() {
         let mut fenced = false;
         for (number, line) in text.lines().enumerate() {
             fenced ^= line.starts_with("```");
-            let unbreakable = fenced || line.starts_with("    ") || line.starts_with('|') || line.contains("](");
+            let unbreakable =
+                fenced || line.starts_with("    ") || line.starts_with('|') || line.contains("](");
             if !unbreakable && line.chars().count() > 120 {
                 long.push(format!("{}:{}", document.display(), number + 1));
             }
