@@ -46,7 +46,7 @@ pub struct HsuKeeper {
 }
 
 /// Between two readings of the HSU's clock. Reports bound it from one side a hundred times a second, the other side
-/// has these alone: one a second leaves three times the error (docs/design/experiments.md, "Simulated cameras, clocks and endurance").
+/// has these alone: one a second leaves three times the error (docs/design/experiments.md).
 const CLOCK_INTERVAL: Duration = Duration::from_millis(200);
 /// Between two attempts to connect.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);

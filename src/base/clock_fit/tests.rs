@@ -73,7 +73,7 @@ fn quantile(errors: &[u64], share: f64) -> u64 {
     sorted[((sorted.len() - 1) as f64 * share) as usize]
 }
 
-/// The figure: 2 ms of jitter each way, 100 ppm; see docs/benchmarks.md, "Clocks".
+/// The figure: 2 ms of jitter each way, 100 ppm; see docs/benchmarks.md.
 #[test]
 fn trigger_times_are_known_to_a_fraction_of_the_jitter() {
     let mut all = Vec::new();
