@@ -193,7 +193,10 @@ def short(summaries, present):
     cells = []
     for name, target, show in rows:
         summary = summaries(target)
-        cells.append([name, found.get(name, "") if summary is None else show(summary), f"`make {target}`"])
+        text = found.get(name, "") if summary is None else show(summary)
+        if summary is not None and not WRITERS[target][1](summary["commit"]):
+            text += ", with an earlier version"
+        cells.append([name, text, f"`make {target}`"])
     return table(["in short", "found", "by"], cells)
 
 
