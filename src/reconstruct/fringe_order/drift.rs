@@ -32,7 +32,7 @@ const LEAST_SCALE_RAD: f64 = 0.02;
 const ROUNDS: usize = 6;
 
 /// Where two cameras differ by more, the calibration is not believed, rad.
-const MOST_RAD: f32 = 0.3;
+const MOST_RAD: f32 = 0.2;
 
 /// Differences of a block of cameras from a view, where both see one surface.
 #[derive(Debug, Clone)]
@@ -209,7 +209,7 @@ mod tests {
             let all = [[0.0, 0.03, x], [0.02, 0.0, x], [-x, x, 0.0]];
             Turned::most(&all.map(|by| vec![differences(by)]))
         };
-        assert_eq!(of(0.25).map(|x| x.camera), None);
-        assert_eq!(of(0.35).map(|x| x.camera), Some(2));
+        assert_eq!(of(0.15).map(|x| x.camera), None);
+        assert_eq!(of(0.25).map(|x| x.camera), Some(2));
     }
 }
