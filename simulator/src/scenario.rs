@@ -4,6 +4,7 @@
 
 use crate::scene::mannequin;
 use crate::scene::motion::Motion;
+use crate::scene::paint::Paint;
 use crate::scene::torso::{Section as BodySection, Torso};
 use crate::scene::worn::Worn;
 use fourdbody::config::{ConfigError, Problem, Section};
@@ -32,6 +33,8 @@ pub struct Scenario {
     pub light: Vec<Light>,
     /// What stands in the volume.
     pub subject: Subject,
+    /// What is painted on it.
+    pub paint: Paint,
     /// How far the true geometry is from the rig's nominal one.
     pub geometry: Jitter,
     /// Everything between panel and pixel value.
@@ -179,6 +182,8 @@ pub struct Jitter {
     pub distortion: f64,
     /// Of p1 and p2.
     pub tangential: f64,
+    /// By how much each device has turned since it was calibrated, about an axis by lot: standard deviation of the angle.
+    pub drift_deg: f64,
 }
 
 /// Everything between panel and pixel value; `docs/design/simulated-light.md` has the equations.
@@ -198,6 +203,14 @@ pub struct Optics {
     pub projector_gamma: Option<f64>,
     /// Gaussian blur of the projector besides its pixel's own square, panel px.
     pub projector_blur_px: f64,
+    /// Where the projectors' images are sharpest, m; see `projector_defocus`.
+    pub projector_focus_m: f64,
+    /// Gaussian blur that each metre before or behind that adds, panel px.
+    pub projector_defocus: f64,
+    /// How far light spreads within the skin (standard deviation), mm.
+    pub subsurface_mm: f64,
+    /// Share of another channel's light that a camera's filter lets through.
+    pub cross_talk: f64,
     /// Room light on everything, as a share of `exposure_dn`.
     pub ambient: f64,
     /// Floor, z = 0.
@@ -208,6 +221,10 @@ pub struct Optics {
     pub curtain_radius_m: f64,
     /// Gaussian blur of the camera, px.
     pub camera_blur_px: f64,
+    /// Where the lenses are sharpest, m; see `camera_defocus`.
+    pub camera_focus_m: f64,
+    /// Gaussian blur that each metre before or behind that adds, px.
+    pub camera_defocus: f64,
     /// Loss of light in the sensor's corner.
     pub vignetting: f64,
     /// Photoelectrons per pixel value.
@@ -222,6 +239,21 @@ pub struct Optics {
     pub edge_samples: usize,
     /// Moments within one exposure; 1: nothing moves during an exposure.
     pub exposure_samples: usize,
+}
+
+impl Optics {
+    /// Blur of the projected image at a distance from a projector of focal length `fx` px: focus and skin, panel px.
+    pub fn projector_blur_at(&self, distance_m: f64, fx: f64) -> f64 {
+        let defocus = self.projector_defocus * (distance_m - self.projector_focus_m);
+        let skin = self.subsurface_mm / 1000.0 * fx / distance_m;
+        (self.projector_blur_px.powi(2) + defocus * defocus + skin * skin).sqrt()
+    }
+
+    /// The least and the most of it in use, px.
+    pub fn projector_blurs_px(&self) -> [f64; 2] {
+        let changes = self.projector_defocus > 0.0 || self.subsurface_mm > 0.0;
+        [self.projector_blur_px, if changes { f64::INFINITY } else { self.projector_blur_px }]
+    }
 }
 
 const FORMAT: u64 = 1;
@@ -258,9 +290,10 @@ impl Scenario {
 
 fn read_scenario(root: Section<'_>, directory: &Path) -> Scenario {
     root.integer("format", FORMAT..=FORMAT);
+    let seed = root.integer("seed", 0..=i64::MAX as u64);
     let scenario = Scenario {
         name: root.text("name"),
-        seed: root.integer("seed", 0..=i64::MAX as u64),
+        seed,
         rig: directory.join(root.text("rig")),
         instants: root.integer("instants", 1..=MOST) as usize,
         rate_hz: root.has("rate_hz").then(|| root.number("rate_hz", 0.001..=1000.0)),
@@ -269,6 +302,7 @@ fn read_scenario(root: Section<'_>, directory: &Path) -> Scenario {
         light: read_light(&root),
         truth_every: root.integer_or("truth_every", 0..=MOST, 0) as usize,
         geometry: optional(&root, "geometry", read_jitter),
+        paint: root.optional_section("paint").map_or(Paint::Nothing, |section| Paint::read(section, seed)),
         optics: optional(&root, "optics", read_optics),
         subject: root.section("subject").map_or_else(placeholder_subject, |s| read_subject(s, directory)),
     };
@@ -422,6 +456,7 @@ fn read_jitter(section: Section<'_>) -> Jitter {
         projector_distortion: section.vector_or("projector_distortion", [-0.035, 0.02]),
         distortion: section.number_or("distortion", 0.0..=0.5, 0.04),
         tangential: section.number_or("tangential", 0.0..=0.01, 2e-4),
+        drift_deg: section.number_or("drift_deg", 0.0..=1.0, 0.0),
     };
     section.finish();
     jitter
@@ -437,11 +472,17 @@ fn read_optics(section: Section<'_>) -> Optics {
         black_level: share("black_level", 0.004),
         projector_gamma: section.has("projector_gamma").then(|| section.number("projector_gamma", 0.2..=5.0)),
         projector_blur_px: section.number_or("projector_blur_px", 0.0..=5.0, 0.55),
+        projector_focus_m: section.number_or("projector_focus_m", 0.1..=20.0, 2.2),
+        projector_defocus: section.number_or("projector_defocus", 0.0..=20.0, 0.0),
+        subsurface_mm: section.number_or("subsurface_mm", 0.0..=10.0, 0.0),
+        cross_talk: share("cross_talk", 0.0),
         ambient: share("ambient", 0.0),
         floor_albedo: share("floor_albedo", 0.04),
         curtain_albedo: share("curtain_albedo", 0.02),
         curtain_radius_m: section.number_or("curtain_radius_m", 2.6..=50.0, 4.0),
         camera_blur_px: section.number_or("camera_blur_px", 0.0..=5.0, 0.6),
+        camera_focus_m: section.number_or("camera_focus_m", 0.1..=20.0, 2.2),
+        camera_defocus: section.number_or("camera_defocus", 0.0..=20.0, 0.0),
         vignetting: share("vignetting", 0.15),
         electrons_per_dn: section.number_or("electrons_per_dn", 0.01..=1e9, 100.0),
         read_noise_dn: section.number_or("read_noise_dn", 0.0..=100.0, 0.4),

@@ -6,7 +6,7 @@ use crate::rig_file;
 use crate::scenario::{Scenario, Subject};
 use crate::scene::subject::Stage;
 use crate::scene::{Scene, mesh_file};
-use crate::true_rig::{smaller_jitter, smaller_rig, true_calibration};
+use crate::true_rig::{drifted, smaller_jitter, smaller_rig, true_calibration};
 use crate::truth;
 use fourdbody::config::{ConfigError, Rig};
 use fourdbody::data::Calibration;
@@ -68,12 +68,14 @@ pub struct Run {
     pub rig: Rig,
     /// The true geometry.
     pub calibration: Calibration,
+    /// What the rig's calibration says: the same, unless devices have turned since.
+    stated: Calibration,
     stage: Stage,
     inputs_sha256: String,
 }
 
 /// The sources of everything that decides a pixel: an edited renderer makes old caches stale.
-const SOURCES: [&str; 20] = [
+const SOURCES: [&str; 21] = [
     include_str!("optics/expose.rs"),
     include_str!("optics/lamp.rs"),
     include_str!("optics/render.rs"),
@@ -88,6 +90,7 @@ const SOURCES: [&str; 20] = [
     include_str!("scene/mesh_file.rs"),
     include_str!("scene/mod.rs"),
     include_str!("scene/motion.rs"),
+    include_str!("scene/paint.rs"),
     include_str!("scene/polygonize.rs"),
     include_str!("scene/skeleton.rs"),
     include_str!("scene/solids.rs"),
@@ -136,7 +139,8 @@ impl Run {
         }
         let jitter = smaller_jitter(&scenario.geometry, divisor);
         let rig = smaller_rig(&rig, divisor);
-        let calibration = true_calibration(&rig, &jitter, scenario.seed);
+        let stated = true_calibration(&rig, &jitter, scenario.seed);
+        let calibration = drifted(&stated, jitter.drift_deg, scenario.seed);
         let rate_hz = scenario.rate_hz.unwrap_or(rig.trigger_rate_hz);
         let io_error = |path: &Path, source| RenderError::Io { path: path.to_owned(), source };
         let stage =
@@ -161,7 +165,7 @@ impl Run {
             inputs.update(std::fs::read(file).map_err(|e| io_error(file, e))?);
         }
         let inputs_sha256 = inputs.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { scenario, rig, calibration, stage, inputs_sha256 })
+        Ok(Self { scenario, rig, calibration, stated, stage, inputs_sha256 })
     }
 
     /// Whether the directory already holds exactly this run.
@@ -220,10 +224,16 @@ impl Run {
             std::fs::write(&path, text).map_err(|source| RenderError::Io { path, source })
         };
         write("rig.toml", rig_file::to_toml(&self.rig))?;
-        let path = directory.join("calibration.json");
-        self.calibration
-            .save(&path)
-            .map_err(|e| RenderError::Io { path: path.clone(), source: io::Error::other(e) })?;
+        let mut calibrations = vec![("calibration.json", &self.calibration)];
+        if self.stated != self.calibration {
+            calibrations.push(("calibration-before-drift.json", &self.stated));
+        }
+        for (name, calibration) in calibrations {
+            let path = directory.join(name);
+            calibration
+                .save(&path)
+                .map_err(|e| RenderError::Io { path: path.clone(), source: io::Error::other(e) })?;
+        }
         let poses: Vec<_> = (0..self.scenario.instants)
             .filter_map(|instant| {
                 let pose = fourdbody::geometry::Pose::new(self.stage.flat_pose(instant, 0.0)?);

@@ -7,7 +7,7 @@ use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use fourdbody::geometry::{Device, Lens, Pose};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
-/// The rig as it really stands, for this seed.
+/// The rig as it was when it was calibrated, for this seed.
 pub fn true_calibration(rig: &Rig, jitter: &Jitter, seed: u64) -> Calibration {
     let heads = rig.heads.iter().map(|head| CalibratedHead {
         id: head.id.clone(),
@@ -34,6 +34,35 @@ pub fn true_calibration(rig: &Rig, jitter: &Jitter, seed: u64) -> Calibration {
             .collect(),
     });
     Calibration::new(rig, format!("true geometry of the simulated rig, seed {seed}"), heads.collect())
+}
+
+/// The rig after its devices have turned about axes by lot: what photographs are taken with. The stated geometry stays that of
+/// the calibration.
+pub fn drifted(calibrated: &Calibration, drift_deg: f64, seed: u64) -> Calibration {
+    let mut now = calibrated.clone();
+    if drift_deg == 0.0 {
+        return now;
+    }
+    for head in &mut now.heads {
+        turn(&mut head.projector, drift_deg, &mut Stream::new(seed, &format!("drift projector {}", head.id)));
+        for camera in &mut head.cameras {
+            turn(
+                &mut camera.device,
+                drift_deg,
+                &mut Stream::new(seed, &format!("drift camera {}", camera.id)),
+            );
+        }
+    }
+    now
+}
+
+/// Turns a device about its centre.
+fn turn(device: &mut Device, rms_deg: f64, random: &mut Stream) {
+    let each = rms_deg.to_radians() / 3f64.sqrt();
+    let axis = Vector3::from_fn(|_, _| each * random.normal());
+    let mut pose = *device.world_from_device.isometry();
+    pose.rotation *= UnitQuaternion::from_scaled_axis(axis);
+    device.world_from_device = Pose::new(pose);
 }
 
 fn disturbed(nominal: &Device, jitter: &Jitter, [k1, k2]: [f64; 2], random: &mut Stream) -> Device {

@@ -50,6 +50,28 @@ pub fn blur(image: &mut Plane<f32>, scratch: &mut Plane<f32>, sigma: f64) {
     });
 }
 
+/// Blurs each pixel by what its distance from the lens gives: a mix of the two nearest of a row of blurred images.
+pub fn blur_by_depth(image: &mut Plane<f32>, distances: impl Iterator<Item = f32>, optics: &Optics) {
+    const STEP_PX: f64 = 0.5;
+    const STEPS: usize = 8;
+    let mut scratch = image.clone();
+    let blurred = |k: usize, scratch: &mut Plane<f32>| {
+        let mut copy = image.clone();
+        blur(&mut copy, scratch, optics.camera_blur_px + k as f64 * STEP_PX);
+        copy
+    };
+    let images: Vec<Plane<f32>> = (0..=STEPS).map(|k| blurred(k, &mut scratch)).collect();
+    for (i, distance) in distances.enumerate() {
+        let more = optics.camera_defocus * (f64::from(distance).min(10.0) - optics.camera_focus_m).abs();
+        let sigma = optics.camera_blur_px.hypot(more);
+        let step = ((sigma - optics.camera_blur_px) / STEP_PX).clamp(0.0, STEPS as f64);
+        let k = (step as usize).min(STEPS - 1);
+        let far = (step - k as f64) as f32;
+        let [near, next] = [k, k + 1].map(|k| images[k].as_slice()[i]);
+        image.as_mut_slice()[i] = (1.0 - far) * near + far * next;
+    }
+}
+
 /// Pixel values of light in DN: sensitivity, offset, shot and read noise, rounding, saturation.
 ///
 /// One normal variable of variance `signal / electrons_per_dn + read_noise^2` stands for both noises.

@@ -12,30 +12,53 @@ const FRACTIONS: usize = 2048;
 
 /// A panel's image as light, seen through the panel's pixels and the projector's blur.
 pub struct PanelLight {
-    /// Light of each panel pixel, 0 to 1, with a dark margin of `reach` on all sides.
+    /// Light of each panel pixel, 0 to 1, with a dark margin on all sides.
     light: Plane<f32>,
     width: usize,
     height: usize,
+    margin: usize,
+    /// Blurs that it is seen through, rising by [`BLUR_STEP_PX`]. One, where the blur is the same everywhere.
+    blurs: Vec<Blur>,
+}
+
+/// What lies between is mixed from the two blurs around it, px.
+const BLUR_STEP_PX: f64 = 0.25;
+
+/// No fringe of 8 px outlives more, px.
+const MOST_BLUR_PX: f64 = 4.0;
+
+/// A Gaussian blur, tabulated.
+struct Blur {
+    px: f64,
     reach: usize,
     /// For each fraction, the weights of the pixels from `-reach` to `reach`.
     weights: Vec<f32>,
 }
 
+impl Blur {
+    fn new(px: f64) -> Self {
+        let reach = (0.5 + 4.0 * px).ceil() as usize;
+        Self { px, reach, weights: weights(px, reach) }
+    }
+}
+
 impl PanelLight {
-    /// An 8-bit panel image through `black + (1 - black) (value / 255)^gamma`, a pixel's square and a Gaussian
-    /// of `blur_px`.
-    pub fn new(panel: &Plane<u8>, gamma: f64, black: f64, blur_px: f64) -> Self {
-        let reach = (0.5 + 4.0 * blur_px).ceil() as usize;
+    /// An 8-bit panel image through `black + (1 - black) (value / 255)^gamma`, a pixel's square and Gaussians from `least_px` to
+    /// `most_px`.
+    pub fn new(panel: &Plane<u8>, gamma: f64, black: f64, [least_px, most_px]: [f64; 2]) -> Self {
+        let steps = ((most_px.min(MOST_BLUR_PX) - least_px) / BLUR_STEP_PX).ceil().max(0.0) as usize;
+        let blurs: Vec<Blur> = (0..=steps).map(|k| Blur::new(least_px + k as f64 * BLUR_STEP_PX)).collect();
+        let margin = blurs.last().map_or(0, |blur| blur.reach);
         let (width, height) = (panel.width(), panel.height());
-        let mut light = Plane::filled(width + 2 * reach, height + 2 * reach, 0f32);
+        let mut light = Plane::filled(width + 2 * margin, height + 2 * margin, 0f32);
         let table: Vec<f32> = (0..256)
             .map(|value| (black + (1.0 - black) * (f64::from(value) / 255.0).powf(gamma)) as f32)
             .collect();
         for v in 0..height {
-            let row = &mut light.row_mut(v + reach)[reach..reach + width];
+            let row = &mut light.row_mut(v + margin)[margin..margin + width];
             row.iter_mut().zip(panel.row(v)).for_each(|(light, &value)| *light = table[usize::from(value)]);
         }
-        Self { light, width, height, reach, weights: weights(blur_px, reach) }
+        Self { light, width, height, margin, blurs }
     }
 
     /// What the rig's pattern, white or black looks like on this projector.
@@ -46,23 +69,33 @@ impl PanelLight {
             Light::Dark => Plane::filled(width, height, 0),
         };
         let gamma = optics.projector_gamma.unwrap_or(pattern.gamma);
-        Self::new(&panel, gamma, optics.black_level, optics.projector_blur_px)
+        Self::new(&panel, gamma, optics.black_level, optics.projector_blurs_px())
     }
 
-    /// Light at panel position (u, v): 0 outside the panel and its blur.
+    /// Light at panel position (u, v), where it is blurred by `blur_px`: 0 outside the panel and its blur.
     #[inline]
-    pub fn at(&self, u: f64, v: f64) -> f32 {
+    pub fn blurred_at(&self, u: f64, v: f64, blur_px: f64) -> f32 {
+        let [first, .., _] = &self.blurs[..] else { return self.at(u, v, &self.blurs[0]) };
+        let step = ((blur_px - first.px) / BLUR_STEP_PX).clamp(0.0, (self.blurs.len() - 1) as f64);
+        let k = (step as usize).min(self.blurs.len() - 2);
+        let far = (step - k as f64) as f32;
+        (1.0 - far) * self.at(u, v, &self.blurs[k]) + far * self.at(u, v, &self.blurs[k + 1])
+    }
+
+    #[inline]
+    fn at(&self, u: f64, v: f64, blur: &Blur) -> f32 {
         // Beyond the last pixel whose blur can reach inside, and for NaN.
-        let margin = self.reach as f64 - 0.5;
+        let margin = blur.reach as f64 - 0.5;
         let inside = u > -margin && v > -margin;
         if !(inside && u < self.width as f64 - 1.0 + margin && v < self.height as f64 - 1.0 + margin) {
             return 0.0;
         }
-        let taps = 2 * self.reach + 1;
+        let taps = 2 * blur.reach + 1;
         let split = |x: f64| {
             let nearest = (x + 0.5).floor();
             let fraction = ((x + 0.5 - nearest) * FRACTIONS as f64) as usize;
-            (nearest as isize, &self.weights[fraction.min(FRACTIONS - 1) * taps..][..taps])
+            let first = nearest as isize + (self.margin - blur.reach) as isize;
+            (first, &blur.weights[fraction.min(FRACTIONS - 1) * taps..][..taps])
         };
         let (column, along_u) = split(u);
         let (row, along_v) = split(v);
@@ -135,21 +168,25 @@ mod tests {
     use super::PanelLight;
     use fourdbody::base::image::Plane;
 
+    fn at(light: &PanelLight, u: f64, v: f64) -> f32 {
+        light.blurred_at(u, v, 0.0)
+    }
+
     #[test]
     fn a_flat_panel_is_flat_and_ends_at_its_border() {
-        let light = PanelLight::new(&Plane::filled(40, 30, 255), 1.0, 0.004, 0.55);
+        let light = PanelLight::new(&Plane::filled(40, 30, 255), 1.0, 0.004, [0.55; 2]);
         for u in [6.0, 6.25, 20.1, 33.9] {
-            assert!((light.at(u, 15.3) - 1.0).abs() < 1e-6);
+            assert!((at(&light, u, 15.3) - 1.0).abs() < 1e-6);
         }
-        assert!((light.at(-0.5, 15.0) - 0.5).abs() < 1e-3, "{}", light.at(-0.5, 15.0));
-        assert!((light.at(39.5, 15.0) - 0.5).abs() < 1e-3, "{}", light.at(39.5, 15.0));
-        assert!((light.at(20.0, 29.5) - 0.5).abs() < 1e-3);
+        assert!((at(&light, -0.5, 15.0) - 0.5).abs() < 1e-3, "{}", at(&light, -0.5, 15.0));
+        assert!((at(&light, 39.5, 15.0) - 0.5).abs() < 1e-3, "{}", at(&light, 39.5, 15.0));
+        assert!((at(&light, 20.0, 29.5) - 0.5).abs() < 1e-3);
         for outside in [(-9.0, 15.0), (60.0, 15.0), (20.0, -9.0), (20.0, 45.0), (f64::NAN, 0.0)] {
-            assert_eq!(light.at(outside.0, outside.1), 0.0);
+            assert_eq!(at(&light, outside.0, outside.1), 0.0);
         }
         for edge in 0..500 {
             let u = -5.0 + 0.1 * f64::from(edge);
-            assert!((0.0..=1.000_01).contains(&light.at(u, u)), "{u}");
+            assert!((0.0..=1.000_01).contains(&at(&light, u, u)), "{u}");
         }
     }
 
@@ -162,11 +199,31 @@ mod tests {
                 panel.set(u, v, (127.5 + 127.0 * phase.cos()).round() as u8);
             }
         }
-        let light = PanelLight::new(&panel, 1.0, 0.0, 0.55);
-        let (bright, dark) = (f64::from(light.at(31.5, 8.0)), f64::from(light.at(27.5, 8.0)));
+        let light = PanelLight::new(&panel, 1.0, 0.0, [0.55; 2]);
+        let (bright, dark) = (f64::from(at(&light, 31.5, 8.0)), f64::from(at(&light, 27.5, 8.0)));
         let frequency = 1.0 / 8.0;
         let gauss = (-2.0 * (std::f64::consts::PI * frequency * 0.55f64).powi(2)).exp();
         let pixel = (std::f64::consts::PI * frequency).sin() / (std::f64::consts::PI * frequency);
         assert!(((bright - dark) - gauss * pixel * 254.0 / 255.0).abs() < 0.003, "{}", bright - dark);
+    }
+
+    #[test]
+    fn blur_is_mixed_between_its_steps_and_leaves_the_mean() {
+        let mut panel = Plane::filled(64, 16, 0u8);
+        (0..16)
+            .flat_map(|v| (0..64).map(move |u| (u, v)))
+            .for_each(|(u, v)| panel.set(u, v, if u % 8 < 4 { 255 } else { 0 }));
+        let light = PanelLight::new(&panel, 1.0, 0.0, [0.5, 3.0]);
+        let mut last = f32::INFINITY;
+        for blur_px in [0.5, 0.6, 0.9, 1.4, 2.2, 3.0] {
+            let row: Vec<f32> =
+                (0..80).map(|i| light.blurred_at(28.0 + 0.1 * f64::from(i), 8.0, blur_px)).collect();
+            let (least, most) = row.iter().fold((1f32, 0f32), |(a, b), &x| (a.min(x), b.max(x)));
+            let mean = row.iter().sum::<f32>() / 80.0;
+            assert!((mean - 0.5).abs() < 0.01, "{blur_px}: {mean}");
+            assert!(most - least < last, "{blur_px}");
+            last = most - least;
+        }
+        assert!(last < 0.1, "{last}");
     }
 }

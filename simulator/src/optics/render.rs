@@ -1,11 +1,12 @@
 //! Rays from every pixel to the scene and on to the projectors.
 
-use super::expose::{Exposure, blur, expose};
+use super::expose::{Exposure, blur, blur_by_depth, expose};
 use super::lamp::{Lamp, PanelLight};
 use super::sensor::{RoomLight, Sensor};
 use super::tiles::Tiles;
 use crate::random::NormalTable;
 use crate::scenario::{Light, Optics, Scenario};
+use crate::scene::paint::Paint;
 use crate::scene::{Hit, Scene, Sight};
 use fourdbody::base::image::Plane;
 use fourdbody::config::Channel;
@@ -49,8 +50,9 @@ pub fn lamp_light(exposed: &Exposed<'_>, lamp: usize, point: &Point3<f64>, norma
         return 0.0;
     }
     let Some([u, v]) = projector.device.project(point) else { return 0.0 };
-    let panel = f64::from(exposed.panels[lamp].at(u, v));
     let optics = exposed.optics;
+    let blur_px = optics.projector_blur_at(distance2.sqrt(), projector.device.lens.fx);
+    let panel = f64::from(exposed.panels[lamp].blurred_at(u, v, blur_px));
     let full = optics.exposure_dn * optics.exposure_factor[channel_number(projector.channel)];
     full * optics.exposure_distance_m.powi(2) / distance2 * cosine * panel
 }
@@ -85,6 +87,7 @@ pub struct Studio {
     /// For each sensor and light, the room in the light of each of the sensor's lamps.
     rooms: Vec<Vec<(Light, Vec<RoomLight>)>>,
     optics: Optics,
+    paint: Paint,
     seed: u64,
     normal: NormalTable,
 }
@@ -124,7 +127,7 @@ impl Studio {
             .iter()
             .map(|sensor| panels.iter().map(|(light, panels)| (*light, room(sensor, panels))).collect())
             .collect();
-        Self { sensors, lamps, panels, rooms, optics, seed: scenario.seed, normal }
+        Self { sensors, lamps, panels, rooms, optics, paint: scenario.paint, seed: scenario.seed, normal }
     }
 
     /// Memory for the frames of one sensor size; reuse it.
@@ -153,7 +156,12 @@ impl Studio {
             self.add_moment(sensor, light, scene, 1.0 / moments.len() as f32, memory);
         }
         let exposure = Exposure { seed: self.seed, instant };
-        blur(&mut memory.light, &mut memory.scratch, self.optics.camera_blur_px);
+        if self.optics.camera_defocus > 0.0 {
+            let distances = memory.seen.iter().map(|seen| seen.distance);
+            blur_by_depth(&mut memory.light, distances, &self.optics);
+        } else {
+            blur(&mut memory.light, &mut memory.scratch, self.optics.camera_blur_px);
+        }
         expose(&memory.light, &self.sensors[sensor], &self.optics, exposure, &self.normal, pixels);
     }
 
@@ -174,7 +182,7 @@ impl Studio {
         let exposed = Exposed { lamps: &self.lamps, panels, optics: &self.optics };
         let tiles = Tiles::new(scene, &sensor.device);
         let panel_tiles = sensor.lamps.iter().map(|&l| Tiles::new(scene, &self.lamps[l].device)).collect();
-        let view = View { sensor, scene, exposed, room, tiles, panel_tiles };
+        let view = View { sensor, scene, paint: &self.paint, exposed, room, tiles, panel_tiles };
         memory.seen.par_chunks_mut(width).enumerate().for_each(|(v, row)| {
             for (u, seen) in row.iter_mut().enumerate() {
                 *seen = view.first_look(u, v);
@@ -210,6 +218,7 @@ fn at_edge(seen: &[Seen], width: usize, height: usize, u: usize, v: usize) -> bo
 struct View<'a> {
     sensor: &'a Sensor,
     scene: &'a Scene,
+    paint: &'a Paint,
     exposed: Exposed<'a>,
     room: &'a [RoomLight],
     /// Where the camera may see the scene.
@@ -231,19 +240,25 @@ impl View<'_> {
     /// What a line of sight through pixel number `pixel` brings.
     fn look(&self, sight: &Sight, pixel: usize) -> Seen {
         match self.scene.intersect(sight) {
-            Some(hit) => Seen {
-                distance: hit.distance as f32,
-                albedo: hit.albedo as f32,
-                value: self.subject_light(sight, &hit),
-            },
+            Some(hit) => self.seen(sight, hit),
             None => Seen { value: self.room_light(|| Some(*sight), pixel), ..NOTHING },
+        }
+    }
+
+    /// What the subject shows at a hit.
+    fn seen(&self, sight: &Sight, mut hit: Hit) -> Seen {
+        hit.albedo *= self.paint.factor(&sight.at(hit.distance));
+        Seen {
+            distance: hit.distance as f32,
+            albedo: hit.albedo as f32,
+            value: self.subject_light(sight, &hit),
         }
     }
 
     fn subject_light(&self, sight: &Sight, hit: &Hit) -> f32 {
         let point = sight.at(hit.distance);
-        let direct = self.sensor.lamps.iter().map(|&lamp| {
-            let light = lamp_light(&self.exposed, lamp, &point, &hit.normal);
+        let direct = self.sensor.lamps.iter().zip(&self.sensor.shares).map(|(&lamp, share)| {
+            let light = share * lamp_light(&self.exposed, lamp, &point, &hit.normal);
             let source = &self.exposed.lamps[lamp].centre;
             if light > 1e-6 && !self.scene.shadowed(&point, &hit.normal, source) { light } else { 0.0 }
         });

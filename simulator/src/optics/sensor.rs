@@ -24,6 +24,8 @@ pub struct Sensor {
     pub channel: Channel,
     /// Numbers of the projectors that its filter lets through; its own first.
     pub lamps: Vec<usize>,
+    /// How much of each one's light it lets through.
+    pub shares: Vec<f64>,
     /// Projection centre, world, m.
     pub centre: Point3<f64>,
     rotation: Rotation3<f64>,
@@ -75,9 +77,12 @@ impl Sensor {
             }
         });
         let channel = lamps[head].channel;
-        let others = (0..lamps.len()).filter(|&lamp| lamp != head && lamps[lamp].channel == channel);
+        let share = |lamp: &usize| if lamps[*lamp].channel == channel { 1.0 } else { optics.cross_talk };
+        let others = (0..lamps.len()).filter(|&lamp| lamp != head);
+        let seen: Vec<usize> = std::iter::once(head).chain(others).filter(|lamp| share(lamp) > 0.0).collect();
         Self {
-            lamps: std::iter::once(head).chain(others).collect(),
+            shares: seen.iter().map(share).collect(),
+            lamps: seen,
             centre: device.centre(),
             rotation: device.world_from_device.isometry().rotation.to_rotation_matrix(),
             id,
@@ -145,10 +150,14 @@ impl Sensor {
 
     /// The empty room in one light: for each projector that this camera sees, what it adds to each pixel.
     pub fn room_light(&self, exposed: &Exposed<'_>) -> Vec<RoomLight> {
-        self.lamps.iter().map(|&lamp| self.room_light_of(exposed, lamp)).collect()
+        self.lamps
+            .iter()
+            .zip(&self.shares)
+            .map(|(&lamp, &share)| self.room_light_of(exposed, lamp, share))
+            .collect()
     }
 
-    fn room_light_of(&self, exposed: &Exposed<'_>, lamp: usize) -> RoomLight {
+    fn room_light_of(&self, exposed: &Exposed<'_>, lamp: usize, share: f64) -> RoomLight {
         let (width, height) = (self.device.width, self.device.height);
         let mut light = RoomLight { dn: vec![0.0; width * height], panel_tile: vec![0; width * height] };
         let rows = light.dn.par_chunks_mut(width).zip(light.panel_tile.par_chunks_mut(width));
@@ -157,7 +166,7 @@ impl Sensor {
                 let room = self.sight(u, v).and_then(|sight| Self::room_point(&sight, exposed.optics));
                 let Some(room) = room else { continue };
                 let full = lamp_light(exposed, lamp, &room.point, &room.normal);
-                *value = (full * room.albedo / exposed.albedo_of(self.channel)) as f32;
+                *value = (share * full * room.albedo / exposed.albedo_of(self.channel)) as f32;
                 let projector = &exposed.lamps[lamp].device;
                 *tile = projector.project(&room.point).map_or(0, |pixel| tile_number(projector, pixel));
             }

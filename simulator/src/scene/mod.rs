@@ -6,6 +6,7 @@ pub mod mannequin;
 pub mod mesh;
 pub mod mesh_file;
 pub mod motion;
+pub mod paint;
 pub mod polygonize;
 pub mod skeleton;
 pub mod solids;
