@@ -10,6 +10,7 @@
 #   make bench-worker          frame sets an hour with reading, verifying and writing, beside the reconstruction itself
 #   make poses     fringe orders on 224 camera frames of moving mannequins; BATTERY=held_out_again or bodies: of others
 #   make noise     the same with half a grey value of noise (NOISE_DN)
+#   make light     striped shirts, tattoos, little and too much light, defocus, devices that have turned
 #   make validate  the paper's section 5: calibrated, Table 3, girths, spacing, beside the paper's figures
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make deb       the Debian package, in target/debian; scripts/try-package.sh tries it in a clean Debian
@@ -19,7 +20,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deb bench-ingest bench-reconstruct bench-worker poses noise validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deb bench-ingest bench-reconstruct bench-worker poses noise light validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -84,6 +85,10 @@ poses: packages
 noise: packages
 	$(CARGO) build --release --workspace
 	scripts/noise.sh
+
+light: packages
+	$(CARGO) build --release --workspace
+	scripts/light.sh
 
 validate: packages
 	$(CARGO) build --release --workspace
