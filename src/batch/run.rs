@@ -91,6 +91,8 @@ pub struct Plan {
     pub method: Method,
     /// By how much a fringe order must lead any other.
     pub margin: f32,
+    /// Cameras that differ by more contradict the calibration, and the trigger is refused, rad.
+    pub most_difference_rad: f32,
     /// Rows of the photographs that make one row of the source's frames ([`super::binned`]).
     pub bin_rows: usize,
     /// What is written, each once, in order.
@@ -113,6 +115,7 @@ impl Default for Plan {
             shard: (0, 1),
             method: Method::Joint,
             margin: fringe_order::MARGIN,
+            most_difference_rad: fringe_order::MOST_RAD,
             bin_rows: 1,
             formats: vec![Format::Phase],
             uncertainty: false,
@@ -238,7 +241,7 @@ fn refuse(stages: Vec<Stage>, reason: &str) -> Vec<Stage> {
 }
 
 /// The frames of all cameras of one trigger give each other their fringe orders.
-fn solve_fringe_orders(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, margin: f32) -> Vec<Stage> {
+fn solve_fringe_orders(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, plan: &Plan) -> Vec<Stage> {
     let views = cameras.iter().zip(&mut stages).filter_map(|((head, camera), stage)| match stage {
         Stage::Unwrapped(prepared) => Some(View {
             id: camera.id.as_str(),
@@ -248,7 +251,7 @@ fn solve_fringe_orders(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, mar
         }),
         _ => None,
     });
-    match fringe_order::solve(&mut views.collect::<Vec<_>>(), margin) {
+    match fringe_order::solve(&mut views.collect::<Vec<_>>(), plan.margin, plan.most_difference_rad) {
         Ok(()) => stages,
         Err(reason) => refuse(stages, &reason),
     }
@@ -417,7 +420,7 @@ impl Job<'_> {
         let (mut stages, pixels): (Vec<Stage>, Vec<Pixels>) = prepared.into_iter().unzip();
         let frames = frames_comment(cameras.iter().map(|(_, camera)| &camera.id).zip(pixels));
         stages = refuse_displaced_markers(stages);
-        stages = self.timed(|| solve_fringe_orders(&cameras, stages, self.plan.margin));
+        stages = self.timed(|| solve_fringe_orders(&cameras, stages, self.plan));
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
             Stage::Unwrapped(prepared) => {
                 self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)), &frames)

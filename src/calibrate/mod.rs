@@ -3,7 +3,7 @@
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
 //! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
 //! fit, `bundle` adjusts lenses and poses, `rows` finds the panel's rows, which fringes do not tell, `stages` and `global` are
-//! the paper's three stages, `world` says where the floor is, `run` is all of it.
+//! the paper's three stages, `drift` says later how far devices have turned, `world` says where the floor is, `run` is all of it.
 //! `docs/design/calibration.md` has the definitions.
 
 pub mod advice;
@@ -12,6 +12,7 @@ mod board;
 mod bundle;
 pub mod compare;
 mod consistency;
+pub mod drift;
 mod ellipse;
 mod findings;
 mod gamma;

@@ -2,8 +2,8 @@
 
 use super::failure::Failure;
 use super::{
-    board, calibrate, cameras, capture, check_config, cluster, doctor, export, import, info, node, pattern,
-    prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
+    board, calibrate, calibration, cameras, capture, check_config, cluster, doctor, export, import, info,
+    node, pattern, prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
 };
 use crate::base::Exit;
 use clap::{Parser, Subcommand};
@@ -32,6 +32,7 @@ pub enum Command {
     Doctor(doctor::Args),
     Board(board::Args),
     Calibrate(calibrate::Args),
+    Calibration(calibration::Args),
     Export(export::Args),
     Import(import::Args),
     Info(info::Args),
@@ -61,6 +62,7 @@ impl Cli {
             Command::Export(args) => export::run(args),
             Command::Board(args) => board::run(args),
             Command::Calibrate(args) => calibrate::run(args),
+            Command::Calibration(args) => calibration::run(args),
             Command::Import(args) => import::run(args),
             Command::Info(args) => info::run(args),
             Command::Verify(args) => verify::run(args),

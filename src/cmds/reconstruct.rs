@@ -241,6 +241,7 @@ impl What {
                 MethodName::Paper => Method::Paper,
             },
             margin: self.margin,
+            most_difference_rad: fringe_order::MOST_RAD,
             bin_rows: self.bin_rows,
             formats: self.formats(),
             uncertainty: self.uncertainty,

@@ -113,7 +113,7 @@ impl Pipeline {
     fn ordered(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let mut prepared = self.prepare(image)?;
         let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
-        match fringe_order::solve(&mut [view], fringe_order::MARGIN) {
+        match fringe_order::solve(&mut [view], fringe_order::MARGIN, fringe_order::MOST_RAD) {
             Ok(()) => Ok(prepared),
             Err(reason) => Err(refuse(prepared, reason)),
         }

@@ -31,8 +31,8 @@ const LEAST_SCALE_RAD: f64 = 0.02;
 /// Rounds in which the weights of single differences are found.
 const ROUNDS: usize = 6;
 
-/// Where two cameras differ by more, the calibration is not believed, rad.
-const MOST_RAD: f32 = 0.2;
+/// Where two cameras differ by more, the calibration is not believed, as a rule, rad.
+pub const MOST_RAD: f32 = 0.2;
 
 /// Differences of a block of cameras from a view, where both see one surface.
 #[derive(Debug, Clone)]
@@ -61,25 +61,29 @@ pub struct Turned {
     camera: usize,
     /// By how much it differs from half of the others at least, rad.
     by_rad: f32,
+    /// No two differ by too much everywhere: it is single places that do.
+    scattered: bool,
 }
 
 impl Turned {
     /// The camera that differs most from the others, where any two differ by too much: by what they differ everywhere, or by how much
     /// single places scatter about that.
-    pub fn most(differences: &[Vec<Differences>]) -> Option<Self> {
+    pub fn most(differences: &[Vec<Differences>], most_rad: f32) -> Option<Self> {
         let mut of_each = vec![Vec::new(); differences.len()];
+        let mut scattered = true;
         for (view, blocks) in differences.iter().enumerate() {
             let all = blocks.iter().flat_map(|block| block.middle.into_iter().zip(block.scale)).enumerate();
             for (camera, (middle, scale)) in all.filter(|x| x.1.1 > 0.0) {
                 let by = middle.abs().max(scale);
+                scattered &= middle.abs() <= most_rad;
                 of_each[view].push(by);
                 of_each[camera].push(by);
             }
         }
-        let too_much = of_each.iter().flatten().any(|by| *by > MOST_RAD);
+        let too_much = of_each.iter().flatten().any(|by| *by > most_rad);
         let median = |(camera, by): (usize, &mut Vec<f32>)| {
             by.sort_unstable_by(f32::total_cmp);
-            by.get(by.len() / 2).map(|&by_rad| Self { camera, by_rad })
+            by.get(by.len() / 2).map(|&by_rad| Self { camera, by_rad, scattered })
         };
         let each = of_each.iter_mut().enumerate().filter_map(median);
         let most = each.max_by(|a, b| a.by_rad.total_cmp(&b.by_rad).then(b.camera.cmp(&a.camera)));
@@ -87,12 +91,19 @@ impl Turned {
     }
 
     /// What a user is told.
-    pub fn message(&self, views: &[View<'_>]) -> String {
+    pub fn message(&self, views: &[View<'_>], most_rad: f32) -> String {
         let View { id, triangulator, .. } = &views[self.camera];
         let pair = triangulator.pair();
+        let expected =
+            format!("expected cameras that agree within {most_rad} rad where they see one surface");
+        if self.scattered {
+            return format!(
+                "{expected}, found places where they do not, most with {id}: a pattern of the surface that looks like fringes, another light, or devices that have turned; if plain skin gives the same, calibrate again"
+            );
+        }
         let px = f64::from(self.by_rad) / std::f64::consts::TAU * f64::from(pair.period_px);
         format!(
-            "expected cameras that agree within {MOST_RAD} rad where they see one surface, found more; most differs {id}, by {:.2} rad, as if it or its projector had turned by {:.3} degree; calibrate again",
+            "{expected}, found more; most differs {id}, by {:.2} rad, as if it or its projector had turned by {:.3} degree; calibrate again, or see with `fourdbody calibration check` which devices have turned",
             self.by_rad,
             (px / pair.camera.lens.fx).to_degrees()
         )
@@ -175,7 +186,7 @@ fn fit(seen: &[([f32; TERMS], f32)]) -> ([f32; TERMS], f32) {
 
 #[cfg(test)]
 mod tests {
-    use super::{Differences, Turned, fit};
+    use super::{Differences, MOST_RAD, Turned, fit};
 
     #[test]
     fn the_plane_is_that_of_most_places() {
@@ -207,7 +218,7 @@ mod tests {
         };
         let of = |x: f32| {
             let all = [[0.0, 0.03, x], [0.02, 0.0, x], [-x, x, 0.0]];
-            Turned::most(&all.map(|by| vec![differences(by)]))
+            Turned::most(&all.map(|by| vec![differences(by)]), MOST_RAD)
         };
         assert_eq!(of(0.15).map(|x| x.camera), None);
         assert_eq!(of(0.25).map(|x| x.camera), Some(2));

@@ -1,0 +1,268 @@
+//! How far each device of a rig has turned since it was calibrated, from phase maps of whatever stood in the volume.
+//!
+//! Where two cameras see one place, the phase that one has there says where it is, and the other one's phase must be that which its
+//! projector casts there. Devices turn about their centres by small angles; those that explain the differences best are found by
+//! weighted least squares (Gauss and Newton's steps, Cauchy's weights). That a device stands as calibrated, give or take
+//! [`PRIOR_DEG`], is known beforehand, so that what the body does not tell stays near zero, with an uncertainty that says so.
+
+mod sightings;
+#[cfg(test)]
+mod tests;
+
+use crate::data::{Calibration, PhaseMap};
+use crate::geometry::{Device, Pose};
+use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
+use serde::Serialize;
+use sightings::{Sighting, distance, place};
+
+/// Mounts turn by so much, as a rule: standard deviation of each angle, degree.
+const PRIOR_DEG: f64 = 0.03;
+
+/// Differences of two cameras scatter by so much at least, rad.
+const LEAST_SCALE_RAD: f64 = 0.01;
+
+/// Steps of the search.
+const ROUNDS: usize = 6;
+
+/// Fewer places say nothing about a rig.
+const LEAST_SIGHTINGS: usize = 500;
+
+/// More are not needed.
+const MOST_SIGHTINGS: usize = 60_000;
+
+/// An angle to differentiate by, rad.
+const STEP_RAD: f64 = 1e-5;
+
+/// By how much one device has turned about its centre.
+#[derive(Debug, Clone, Serialize)]
+pub struct Turn {
+    /// `camera h0_up` or `projector h0`.
+    pub device: String,
+    /// About its own axes, degree.
+    pub turn_deg: [f64; 3],
+    /// Standard deviations of these, degree.
+    pub sigma_deg: [f64; 3],
+    /// The angle, degree.
+    pub angle_deg: f64,
+    /// How far that moves what it sees, or lights, in the middle of the volume, mm.
+    pub at_body_mm: f64,
+}
+
+/// What the cameras say about all devices.
+#[derive(Debug, Clone, Serialize)]
+pub struct Drift {
+    /// Cameras in the calibration's order, then projectors.
+    pub devices: Vec<Turn>,
+    /// Places that two cameras see.
+    pub sightings: usize,
+    /// How far the two differ there (1.4826 times the median): by the calibration, and with these turns, rad.
+    pub differ_rad: [f64; 2],
+}
+
+impl Drift {
+    /// The device that has moved what is at the body most.
+    pub fn most(&self) -> Option<&Turn> {
+        self.devices.iter().max_by(|a, b| a.at_body_mm.total_cmp(&b.at_body_mm))
+    }
+
+    /// The same of what another calibration says, after this one was corrected step by step: all turns from that one, as sure as the
+    /// last.
+    pub fn since(mut self, first: &Calibration, corrected: &Calibration, first_rad: f64) -> Self {
+        let (from, to) = (Search::new(first), Search::new(corrected));
+        for (i, device) in self.devices.iter_mut().enumerate() {
+            let [a, b] = [&from, &to].map(|x| x.devices[i].world_from_device.isometry().rotation);
+            let sigma = DVector::from_fn(3, |axis, _| device.sigma_deg[axis].to_radians());
+            *device = from.turn(i, &(a.inverse() * b).scaled_axis(), sigma.as_slice());
+        }
+        self.differ_rad[0] = first_rad;
+        self
+    }
+
+    /// The calibration with these turns, which says where it is from.
+    pub fn corrected(&self, calibration: &Calibration, seen_in: &str) -> Calibration {
+        let mut corrected = calibration.clone();
+        let mut turns = self.devices.iter().map(|device| Vector3::from(device.turn_deg.map(f64::to_radians)));
+        for camera in corrected.heads.iter_mut().flat_map(|head| &mut head.cameras) {
+            camera.device = turned(&camera.device, &turns.next().unwrap_or_default());
+        }
+        for head in &mut corrected.heads {
+            head.projector = turned(&head.projector, &turns.next().unwrap_or_default());
+        }
+        corrected.origin = format!("{}; corrected for the turns seen in {seen_in}", calibration.origin);
+        corrected
+    }
+}
+
+/// A device turned about its centre, about its own axes, rad.
+fn turned(device: &Device, turn: &Vector3<f64>) -> Device {
+    let mut pose = *device.world_from_device.isometry();
+    pose.rotation *= UnitQuaternion::from_scaled_axis(*turn);
+    Device { world_from_device: Pose::new(pose), ..device.clone() }
+}
+
+/// The devices as they would stand, with each turned a little about each axis, both ways.
+struct Stand {
+    now: Vec<Device>,
+    beside: Vec<[[Device; 2]; 3]>,
+}
+
+impl Stand {
+    fn new(devices: &[Device], turns: &[Vector3<f64>]) -> Self {
+        let now: Vec<Device> = devices.iter().zip(turns).map(|(device, turn)| turned(device, turn)).collect();
+        let beside = |device: &Device| {
+            [Vector3::x(), Vector3::y(), Vector3::z()]
+                .map(|axis| [axis * STEP_RAD, -axis * STEP_RAD].map(|turn| turned(device, &turn)))
+        };
+        Self { beside: now.iter().map(beside).collect(), now }
+    }
+}
+
+/// The drift that the phase maps of some instants show. Maps by their camera's place in the calibration.
+///
+/// # Errors
+///
+/// Too few places are seen by two cameras.
+pub fn estimate(
+    calibration: &Calibration,
+    instants: impl Iterator<Item = Vec<(usize, PhaseMap)>>,
+) -> Result<Drift, String> {
+    let mut sightings: Vec<Sighting> = Vec::new();
+    for maps in instants {
+        sightings.extend(sightings::of(calibration, &maps));
+    }
+    if sightings.len() < LEAST_SIGHTINGS {
+        return Err(format!(
+            "expected {LEAST_SIGHTINGS} places and more that two cameras see, found {}: record a body that fills the volume",
+            sightings.len()
+        ));
+    }
+    let every = sightings.len().div_ceil(MOST_SIGHTINGS);
+    let sightings: Vec<Sighting> = sightings.into_iter().step_by(every).collect();
+    Ok(Search::new(calibration).run(&sightings))
+}
+
+struct Search<'a> {
+    calibration: &'a Calibration,
+    /// Cameras, then projectors.
+    devices: Vec<Device>,
+    /// Of each camera, its projector's place among the devices.
+    projector: Vec<usize>,
+}
+
+impl<'a> Search<'a> {
+    fn new(calibration: &'a Calibration) -> Self {
+        let cameras = calibration.cameras().count();
+        let devices = calibration.cameras().map(|(_, camera)| &camera.device);
+        let devices = devices.chain(calibration.heads.iter().map(|head| &head.projector));
+        let heads = calibration.heads.iter().enumerate();
+        let projector = heads.flat_map(|(h, head)| head.cameras.iter().map(move |_| cameras + h));
+        Self { calibration, devices: devices.cloned().collect(), projector: projector.collect() }
+    }
+
+    /// The devices that a sighting hangs on: its camera and that one's projector, the other camera and that one's.
+    fn of(&self, s: &Sighting) -> [usize; 4] {
+        [s.camera, self.projector[s.camera], s.other, self.projector[s.other]]
+    }
+
+    /// By how much the other camera differs, rad, where the devices stand so.
+    fn difference(
+        &self,
+        s: &Sighting,
+        [camera, projector, other, its_projector]: [&Device; 4],
+    ) -> Option<f64> {
+        let column = self.calibration.pattern.column(s.phase);
+        let distance_m = distance(camera, projector, &s.sight, column, s.distance_m)?;
+        let point = place(camera, &s.sight, distance_m);
+        let [u, v] = other.project(&point)?;
+        let seen = s.other_phase + s.other_slope[0] * (u - s.at[0]) + s.other_slope[1] * (v - s.at[1]);
+        let [column, _] = its_projector.project(&point)?;
+        Some(seen - self.calibration.pattern.phase(column))
+    }
+
+    /// How it changes with each turn of each of its devices, rad/rad. A projector that both have is one device.
+    fn slopes(&self, s: &Sighting, stand: &Stand) -> Option<Vec<(usize, f64)>> {
+        let of = self.of(s);
+        let mut distinct = of.to_vec();
+        distinct.sort_unstable();
+        distinct.dedup();
+        let mut slopes = Vec::with_capacity(12);
+        for device in distinct {
+            for axis in 0..3 {
+                let at = |way: usize| {
+                    let stands =
+                        |i: usize| if i == device { &stand.beside[i][axis][way] } else { &stand.now[i] };
+                    self.difference(s, of.map(stands))
+                };
+                slopes.push((3 * device + axis, (at(0)? - at(1)?) / (2.0 * STEP_RAD)));
+            }
+        }
+        Some(slopes)
+    }
+
+    fn differences(&self, sightings: &[Sighting], devices: &[Device]) -> Vec<Option<f64>> {
+        sightings.iter().map(|s| self.difference(s, self.of(s).map(|i| &devices[i]))).collect()
+    }
+
+    fn run(&self, sightings: &[Sighting]) -> Drift {
+        let n = 3 * self.devices.len();
+        let prior = PRIOR_DEG.to_radians().powi(-2);
+        let mut turns = vec![Vector3::zeros(); self.devices.len()];
+        let mut sigma = DVector::zeros(n);
+        let before = scale(&self.differences(sightings, &self.devices));
+        for _ in 0..ROUNDS {
+            let stand = Stand::new(&self.devices, &turns);
+            let differences = self.differences(sightings, &stand.now);
+            let scale = scale(&differences);
+            let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
+            for (s, difference) in sightings.iter().zip(differences) {
+                let Some((difference, slopes)) = difference.zip(self.slopes(s, &stand)) else { continue };
+                let weight = 1.0 / (1.0 + (difference / (2.0 * scale)).powi(2)) / (scale * scale);
+                for &(i, a) in &slopes {
+                    right[i] -= weight * a * difference;
+                    for &(k, b) in &slopes {
+                        matrix[(i, k)] += weight * a * b;
+                    }
+                }
+            }
+            for i in 0..n {
+                matrix[(i, i)] += prior;
+                right[i] -= prior * turns[i / 3][i % 3];
+            }
+            let Some(factor) = matrix.cholesky() else { break };
+            let step = factor.solve(&right);
+            (0..n).for_each(|i| turns[i / 3][i % 3] += step[i]);
+            sigma = factor.inverse().diagonal().map(f64::sqrt);
+        }
+        let after = scale(&self.differences(sightings, &Stand::new(&self.devices, &turns).now));
+        Drift {
+            devices: (0..turns.len()).map(|i| self.turn(i, &turns[i], &sigma.as_slice()[3 * i..])).collect(),
+            sightings: sightings.len(),
+            differ_rad: [before, after],
+        }
+    }
+
+    fn turn(&self, device: usize, turn: &Vector3<f64>, sigma: &[f64]) -> Turn {
+        let cameras = self.projector.len();
+        let name = match self.calibration.cameras().nth(device) {
+            Some((_, camera)) => format!("camera {}", camera.id),
+            None => format!("projector {}", self.calibration.heads[device - cameras].id),
+        };
+        let (min, max) = (self.calibration.volume_min_m, self.calibration.volume_max_m);
+        let middle = (Vector3::from(min) + Vector3::from(max)) / 2.0;
+        let from = self.devices[device].world_from_device.isometry().inverse_transform_point(&middle.into());
+        Turn {
+            device: name,
+            turn_deg: (*turn).map(f64::to_degrees).into(),
+            sigma_deg: std::array::from_fn(|axis| sigma[axis].to_degrees()),
+            angle_deg: turn.norm().to_degrees(),
+            at_body_mm: turn.cross(&from.coords).norm() * 1e3,
+        }
+    }
+}
+
+/// 1.4826 times the median of the sizes, rad.
+fn scale(differences: &[Option<f64>]) -> f64 {
+    let mut sizes: Vec<f64> = differences.iter().flatten().map(|x| x.abs()).collect();
+    sizes.sort_unstable_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).map_or(LEAST_SCALE_RAD, |median| (1.4826 * median).max(LEAST_SCALE_RAD))
+}

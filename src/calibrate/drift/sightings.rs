@@ -1,0 +1,159 @@
+//! Places of a body that two cameras see, from the phase maps of one instant: what drift is measured with.
+
+use crate::data::{Calibration, PhaseMap, STEPS_PER_FRINGE};
+use crate::geometry::Device;
+use nalgebra::{Point3, Vector3};
+use std::f64::consts::TAU;
+
+/// One camera's phase at a place, and another one's where it sees the same place by the calibration.
+#[derive(Debug, Clone)]
+pub(super) struct Sighting {
+    /// The camera whose pixel it is, by its place in the calibration.
+    pub camera: usize,
+    /// Line of sight of that pixel, camera axes.
+    pub sight: Vector3<f64>,
+    /// Its distance from the camera by the calibration, m.
+    pub distance_m: f64,
+    /// Absolute phase there, rad.
+    pub phase: f64,
+    /// The other camera.
+    pub other: usize,
+    /// Where that one sees the place by the calibration, px.
+    pub at: [f64; 2],
+    /// Absolute phase of that camera there, rad, and how it changes along rows and columns, rad/px.
+    pub other_phase: f64,
+    pub other_slope: [f64; 2],
+}
+
+/// A pixel in so many is a place, along rows and columns: neighbours have much of their error in common.
+const STEP_PX: usize = 24;
+
+/// Where two cameras differ by more they see two surfaces, or one is a fringe off, rad.
+const SAME_SURFACE_RAD: f64 = 1.5;
+
+/// The phases of one camera, pixel by pixel.
+struct Phases {
+    width: usize,
+    height: usize,
+    /// In steps; [`NONE`] where there is none.
+    steps: Vec<i32>,
+}
+
+const NONE: i32 = i32::MIN;
+
+impl Phases {
+    fn new(map: &PhaseMap) -> Self {
+        let [width, height] = map.frame.map(usize::from);
+        let mut steps = vec![NONE; width * height];
+        let mut next = map.phase.iter();
+        for run in &map.runs {
+            let first = usize::from(run.row) * width + usize::from(run.first);
+            let row = steps.get_mut(first..first + usize::from(run.length)).into_iter().flatten();
+            row.zip(next.by_ref()).for_each(|(to, from)| *to = *from);
+        }
+        Self { width, height, steps }
+    }
+
+    /// Phase (rad) and slopes (rad/px) of the plane through the nine pixels around one; `None` where one of them is unknown.
+    fn plane(&self, u: usize, v: usize) -> Option<(f64, [f64; 2])> {
+        if u == 0 || v == 0 || u + 1 >= self.width || v + 1 >= self.height {
+            return None;
+        }
+        let (mut sum, mut slope) = (0.0, [0.0; 2]);
+        for (k, row) in (v - 1..=v + 1).enumerate() {
+            for (i, steps) in self.steps[row * self.width + u - 1..][..3].iter().enumerate() {
+                if *steps == NONE {
+                    return None;
+                }
+                let phase = TAU / f64::from(STEPS_PER_FRINGE) * f64::from(*steps);
+                sum += phase / 9.0;
+                slope[0] += phase * (i as f64 - 1.0) / 6.0;
+                slope[1] += phase * (k as f64 - 1.0) / 6.0;
+            }
+        }
+        Some((sum, slope))
+    }
+}
+
+/// The point on a camera's line of sight that a column of its projector lights: its distance, m. `sight` in camera axes, from near
+/// `start_m` on.
+pub(super) fn distance(
+    camera: &Device,
+    projector: &Device,
+    sight: &Vector3<f64>,
+    column: f64,
+    start_m: f64,
+) -> Option<f64> {
+    let pose = camera.world_from_device.isometry();
+    let (from, along) = (camera.centre(), pose.rotation * sight);
+    let off = |t: f64| projector.project(&(from + along * t)).map(|[u, _]| u - column);
+    let (mut a, mut b) = (start_m, start_m + 1e-3);
+    let (mut fa, mut fb) = (off(a)?, off(b)?);
+    for _ in 0..20 {
+        if fb.abs() < 1e-9 || fa == fb {
+            break;
+        }
+        let next = b - fb * (b - a) / (fb - fa);
+        (a, fa) = (b, fb);
+        b = next;
+        fb = off(b)?;
+    }
+    (fb.abs() < 1e-6 && b > 0.0).then_some(b)
+}
+
+/// Where a line of sight is at a distance, world.
+pub(super) fn place(camera: &Device, sight: &Vector3<f64>, distance_m: f64) -> Point3<f64> {
+    camera.centre() + camera.world_from_device.isometry().rotation * sight * distance_m
+}
+
+/// All of one instant. Maps by their camera's place in the calibration.
+pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<Sighting> {
+    let cameras: Vec<_> = calibration.cameras().collect();
+    let phases: Vec<(usize, Phases)> = maps.iter().map(|(camera, map)| (*camera, Phases::new(map))).collect();
+    let middle = (Vector3::from(calibration.volume_min_m) + Vector3::from(calibration.volume_max_m)) / 2.0;
+    let mut found = Vec::new();
+    for (number, own) in &phases {
+        let (head, camera) = &cameras[*number];
+        let device = &camera.device;
+        let start_m = (device.centre().coords - middle).norm();
+        for v in (STEP_PX / 2..own.height).step_by(STEP_PX) {
+            for u in (STEP_PX / 2..own.width).step_by(STEP_PX) {
+                let Some((phase, _)) = own.plane(u, v) else { continue };
+                let Some([x, y]) = device.lens.undistort(u as f64, v as f64) else { continue };
+                let sight = Vector3::new(x, y, 1.0).normalize();
+                let column = calibration.pattern.column(phase);
+                let Some(distance_m) = distance(device, &head.projector, &sight, column, start_m) else {
+                    continue;
+                };
+                let point = place(device, &sight, distance_m);
+                for (other, theirs) in phases.iter().filter(|x| x.0 != *number) {
+                    let (head, camera) = &cameras[*other];
+                    let Some(at) = camera.device.project(&point).filter(|at| camera.device.contains(*at))
+                    else {
+                        continue;
+                    };
+                    let nearest = at.map(|x| x.round().max(0.0) as usize);
+                    let Some((seen, other_slope)) = theirs.plane(nearest[0], nearest[1]) else { continue };
+                    let Some([column, _]) = head.projector.project(&point) else { continue };
+                    let beside = [at[0] - nearest[0] as f64, at[1] - nearest[1] as f64];
+                    let other_phase = seen + other_slope[0] * beside[0] + other_slope[1] * beside[1];
+                    if (other_phase - calibration.pattern.phase(column)).abs() < SAME_SURFACE_RAD {
+                        let (camera, other) = (*number, *other);
+                        let sighting = Sighting {
+                            camera,
+                            sight,
+                            distance_m,
+                            phase,
+                            other,
+                            at,
+                            other_phase,
+                            other_slope,
+                        };
+                        found.push(sighting);
+                    }
+                }
+            }
+        }
+    }
+    found
+}
