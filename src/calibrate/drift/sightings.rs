@@ -54,24 +54,45 @@ impl Phases {
         Self { width, height, steps }
     }
 
-    /// Phase (rad) and slopes (rad/px) of the plane through the nine pixels around one; `None` where one of them is unknown.
-    fn plane(&self, u: usize, v: usize) -> Option<(f64, [f64; 2])> {
+    /// The paraboloid through the nine pixels around one (least squares); `None` where one of them is unknown.
+    fn around(&self, u: usize, v: usize) -> Option<Paraboloid> {
         if u == 0 || v == 0 || u + 1 >= self.width || v + 1 >= self.height {
             return None;
         }
-        let (mut sum, mut slope) = (0.0, [0.0; 2]);
+        let mut fit = Paraboloid { phase: 0.0, slope: [0.0; 2], bend: [0.0; 3] };
         for (k, row) in (v - 1..=v + 1).enumerate() {
             for (i, steps) in self.steps[row * self.width + u - 1..][..3].iter().enumerate() {
                 if *steps == NONE {
                     return None;
                 }
                 let phase = TAU / f64::from(STEPS_PER_FRINGE) * f64::from(*steps);
-                sum += phase / 9.0;
-                slope[0] += phase * (i as f64 - 1.0) / 6.0;
-                slope[1] += phase * (k as f64 - 1.0) / 6.0;
+                let (x, y) = (i as f64 - 1.0, k as f64 - 1.0);
+                fit.phase += phase * (5.0 - 3.0 * (x * x + y * y)) / 9.0;
+                fit.slope[0] += phase * x / 6.0;
+                fit.slope[1] += phase * y / 6.0;
+                fit.bend[0] += phase * (x * x - 2.0 / 3.0);
+                fit.bend[1] += phase * (y * y - 2.0 / 3.0);
+                fit.bend[2] += phase * x * y / 4.0;
             }
         }
-        Some((sum, slope))
+        Some(fit)
+    }
+}
+
+/// A phase (rad), its slopes along rows and columns (rad/px) and how these change: along rows, along columns, both (rad/px^2).
+struct Paraboloid {
+    phase: f64,
+    slope: [f64; 2],
+    bend: [f64; 3],
+}
+
+impl Paraboloid {
+    /// Phase and slopes so far beside its middle, px.
+    fn beside(&self, [x, y]: [f64; 2]) -> (f64, [f64; 2]) {
+        let [xx, yy, xy] = self.bend;
+        let [sx, sy] = self.slope;
+        let phase = self.phase + sx * x + sy * y + (xx * x * x + yy * y * y) / 2.0 + xy * x * y;
+        (phase, [sx + xx * x + xy * y, sy + yy * y + xy * x])
     }
 }
 
@@ -118,7 +139,7 @@ pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<S
         let start_m = (device.centre().coords - middle).norm();
         for v in (STEP_PX / 2..own.height).step_by(STEP_PX) {
             for u in (STEP_PX / 2..own.width).step_by(STEP_PX) {
-                let Some((phase, _)) = own.plane(u, v) else { continue };
+                let Some(Paraboloid { phase, .. }) = own.around(u, v) else { continue };
                 let Some([x, y]) = device.lens.undistort(u as f64, v as f64) else { continue };
                 let sight = Vector3::new(x, y, 1.0).normalize();
                 let column = calibration.pattern.column(phase);
@@ -133,10 +154,10 @@ pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<S
                         continue;
                     };
                     let nearest = at.map(|x| x.round().max(0.0) as usize);
-                    let Some((seen, other_slope)) = theirs.plane(nearest[0], nearest[1]) else { continue };
+                    let Some(seen) = theirs.around(nearest[0], nearest[1]) else { continue };
                     let Some([column, _]) = head.projector.project(&point) else { continue };
                     let beside = [at[0] - nearest[0] as f64, at[1] - nearest[1] as f64];
-                    let other_phase = seen + other_slope[0] * beside[0] + other_slope[1] * beside[1];
+                    let (other_phase, other_slope) = seen.beside(beside);
                     if (other_phase - calibration.pattern.phase(column)).abs() < SAME_SURFACE_RAD {
                         let (camera, other) = (*number, *other);
                         let sighting = Sighting {
