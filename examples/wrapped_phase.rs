@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The phase maps of one photograph, for comparison with other programs (`benches/peers`).
 //!
 //! ```text

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # make-venv.sh DIR PACKAGE...: a Python environment with the packages that tests use as independent readers.
 # Where PyPI cannot be reached the tests that need it say so and are skipped.
 set -uo pipefail

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # Programs and readers that are not ours, against the simulated camera and our files. What the tests do not do
 # because building it takes minutes: viva-camctl, a second implementation of GigE Vision. Leaves its figures in
 # target/third-party/summary.json.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Ground truth files: `CAMERA_INDEX.npz` per camera, and the subject's surface as a mesh.
 //!
 //! Arrays: `depth` (f32, camera z, m), `phase` (f32, absolute projector phase at the pixel's centre, rad; NaN

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How many tasks, and how long and how large each: from the measured cost of a frame set.
 //!
 //! ```text

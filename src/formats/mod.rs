@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! File formats of clouds and phase maps, a file each; [`Format`] lists those of single clouds.
 //!
 //! Nothing here knows where clouds come from: they come through [`CloudSource`].

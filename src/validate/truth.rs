@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds against rendered ground truth: depth, phase and light of every pixel of a camera.
 //!
 //! A truth file is an `npz` with `crop` = [v0, v1, u0, u1] of the full `shape` = [rows, columns], and for the

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sessions cut into shards: whatever happens to the processes, what is collected has the bytes of one run with one
 //! thread. A mannequin at half size, seen by the two cameras of one head; one frame is missing.
 

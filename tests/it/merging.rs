@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Merged clouds: that they leave out what is worse and nothing else, held against rendered truth, and that every way to
 //! them gives the same bytes. Skipped, with a printed reason, where the shared scene is not at hand.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sessions and results in an S3-compatible object store: a real server (`s3s-fs`, which `make test` installs into target/tools),
 //! whose objects are files, so that the tests see what is in it.
 

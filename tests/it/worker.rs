@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The worker (docs/design/worker.md) as a process, on recordings of a mannequin at half size, seen by one head.
 
 use crate::cluster::{Fixture, TRIGGERS};
