@@ -7,6 +7,8 @@ mod cloud_source;
 pub(crate) mod e57;
 mod format;
 pub(crate) mod glb;
+/// NumPy's arrays in a zip file.
+pub mod npz;
 pub(crate) mod pcd;
 /// Phase maps as files.
 pub mod phase_file;
