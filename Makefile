@@ -36,8 +36,7 @@ READERS := mcap==1.6.0 mcap-protobuf-support==0.5.3 numpy==2.4.6 trimesh==5.2.0 
 test-packages: packages
 	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge
 	@scripts/make-venv.sh tests/.venv $(READERS)
-	@[ -x target/tools/bin/s3s-fs ] || { echo "building s3s-fs, a store to test against, into target/tools"; \
-		$(CARGO) install --quiet --root target/tools --locked s3s-fs@0.14.1 --features binary; }
+	@scripts/install-tool.sh s3s-fs 0.14.1 --debug --features binary
 
 demo: packages
 	$(CARGO) build --release --workspace
@@ -84,10 +83,9 @@ validate: packages
 	$(CARGO) build --release --workspace
 	scripts/validate.sh
 
-# cargo-deb is built once into target/tools.
 deb: packages
 	@scripts/install-packages.sh dpkg-dev
-	@test -x target/tools/bin/cargo-deb || $(CARGO) install cargo-deb --version 3.6.2 --locked --root target/tools
+	@scripts/install-tool.sh cargo-deb 3.6.2
 	$(CARGO) build --release --workspace
 	$(CARGO) run --release --example manual -- target/manual
 	target/tools/bin/cargo-deb --no-build -o target/debian/
