@@ -3,7 +3,8 @@
 #   make demo      simulator, two nodes, one session, verified, reconstructed and scored
 #   make test      everything that can be tested on this machine
 #   make check     after a change: does everything compile, and do the tests beside the code pass
-#   make lint      formatting and lints, all fatal
+#   make lint      formatting and lints, all fatal; with make deny
+#   make deny      licences, sources and versions of the dependencies
 #   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
 #   make bench-reconstruct     milliseconds a frame, stage by stage, beside other programs (PEERS=0 leaves these out)
@@ -18,7 +19,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deb bench-ingest bench-reconstruct bench-worker poses validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-worker poses validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -58,6 +59,10 @@ lint: packages
 	$(CARGO) fmt --all -- --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
 	$(CARGO) clippy --no-default-features --all-targets -- -D warnings
+	scripts/deny.sh
+
+deny:
+	scripts/deny.sh
 
 # fio and arv-camera-test-0.8 are what the node is compared with; ethtool tells loopback to cut segmented sends.
 bench-ingest: packages
