@@ -43,12 +43,9 @@ demo: packages
 	$(CARGO) build --release --workspace
 	scripts/demo.sh
 
+# Not what `make lint` compiles anyway: the tests without Aravis, and the examples.
 test: test-packages
-	$(CARGO) test --workspace
-	@echo "-- without Aravis: everything but the live cameras"
-	$(CARGO) test --no-default-features --lib
-	@echo "-- what a compute node runs: the program without Aravis, as tasks of a Slurm"
-	$(CARGO) test --no-default-features --test it -- cluster:: object_store::
+	scripts/test.sh
 
 check: packages
 	$(CARGO) fmt --all -- --check
