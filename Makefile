@@ -3,7 +3,8 @@
 #   make demo      simulator, two nodes, one session, verified, reconstructed and scored
 #   make test      everything that can be tested on this machine
 #   make check     after a change: does everything compile, and do the tests beside the code pass
-#   make lint      formatting and lints, all fatal
+#   make lint      formatting and lints, all fatal; with make deny
+#   make deny      licences, sources and versions of the dependencies
 #   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
 #   make bench-reconstruct     milliseconds a frame, stage by stage, beside other programs (PEERS=0 leaves these out)
@@ -20,7 +21,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deb bench-ingest bench-reconstruct bench-worker poses noise light validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-worker poses noise light validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -38,19 +39,15 @@ READERS := mcap==1.6.0 mcap-protobuf-support==0.5.3 numpy==2.4.6 trimesh==5.2.0 
 test-packages: packages
 	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge
 	@scripts/make-venv.sh tests/.venv $(READERS)
-	@[ -x target/tools/bin/s3s-fs ] || { echo "building s3s-fs, a store to test against, into target/tools"; \
-		$(CARGO) install --quiet --root target/tools --locked s3s-fs@0.14.1 --features binary; }
+	@scripts/install-tool.sh s3s-fs 0.14.1 --debug --features binary
 
 demo: packages
 	$(CARGO) build --release --workspace
 	scripts/demo.sh
 
+# Not what `make lint` compiles anyway: the tests without Aravis, and the examples.
 test: test-packages
-	$(CARGO) test --workspace
-	@echo "-- without Aravis: everything but the live cameras"
-	$(CARGO) test --no-default-features --lib
-	@echo "-- what a compute node runs: the program without Aravis, as tasks of a Slurm"
-	$(CARGO) test --no-default-features --test it -- cluster:: object_store::
+	scripts/test.sh
 
 check: packages
 	$(CARGO) fmt --all -- --check
@@ -61,6 +58,10 @@ lint: packages
 	$(CARGO) fmt --all -- --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
 	$(CARGO) clippy --no-default-features --all-targets -- -D warnings
+	scripts/deny.sh
+
+deny:
+	scripts/deny.sh
 
 # fio and arv-camera-test-0.8 are what the node is compared with; ethtool tells loopback to cut segmented sends.
 bench-ingest: packages
@@ -94,10 +95,9 @@ validate: packages
 	$(CARGO) build --release --workspace
 	scripts/validate.sh
 
-# cargo-deb is built once into target/tools.
 deb: packages
 	@scripts/install-packages.sh dpkg-dev
-	@test -x target/tools/bin/cargo-deb || $(CARGO) install cargo-deb --version 3.6.2 --locked --root target/tools
+	@scripts/install-tool.sh cargo-deb 3.6.2
 	$(CARGO) build --release --workspace
 	$(CARGO) run --release --example manual -- target/manual
 	target/tools/bin/cargo-deb --no-build -o target/debian/

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The stages of reconstruction, one by one, on a body, a board and a ball: `cargo bench --bench stages`.
 //!
 //! Stages share memory and hand over what they made, so they are not run alone: the whole pipeline runs, and its own clock

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The recorder that one would write in an afternoon: the same cameras and the same train as `fourdbody node`, each
 //! frame a message of a plain `mcap::Writer` over a buffered file. What `make bench-ingest` compares the node with.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Writes manual pages and completions of the command line: `cargo run --example manual -- DIR`.
 
 use clap::CommandFactory;

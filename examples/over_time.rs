@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How much the frame sets before and after could add to a frame: its pixels without a point that had one just before and
 //! have one just after.
 //!

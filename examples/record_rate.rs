@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How fast this machine records: frames of a node's four cameras, from memory to disk, nothing else running.
 //!
 //! `cargo run --release --no-default-features --example record_rate -- DIR [FRAMES] [--buffered-mcap] [--no-preallocation] [--copy] [--small-pages]`

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What each form of a cloud costs: bytes, and the time to write and to read it, in memory and on this machine's disk
 //! cache. Least of many runs on one thread.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The phase maps of one photograph, for comparison with other programs (`benches/peers`).
 //!
 //! ```text
@@ -14,6 +15,7 @@
 use fourdbody::base::ids::CameraId;
 use fourdbody::base::image::{Mono8, Plane, read_png_grey};
 use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration};
+use fourdbody::formats::npz::NpzWriter;
 use fourdbody::geometry::pattern::{Marker, Pattern};
 use fourdbody::geometry::{Device, Lens, Pose};
 use fourdbody::reconstruct::outcome::Maps;
@@ -21,7 +23,6 @@ use fourdbody::reconstruct::pipeline::{Method, Pipeline};
 use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use npyz::WriterBuilder;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -129,7 +130,7 @@ fn example() -> Result<Calibration, Failure> {
 
 /// Writes maps as arrays of the whole frame: the arrays' names, and which map of which they are.
 fn write(path: &Path, arrays: &[(&str, &Maps, &str)]) -> Result<(), Failure> {
-    let mut file = npyz::npz::NpzWriter::create(path)?;
+    let mut file = NpzWriter::create(path)?;
     for &(array, maps, map) in arrays {
         let plane = maps.planes.iter().find(|(name, _)| *name == map).map(|(_, plane)| plane);
         let plane = plane.ok_or_else(|| format!("the pipeline keeps no map {map}"))?;
@@ -139,13 +140,7 @@ fn write(path: &Path, arrays: &[(&str, &Maps, &str)]) -> Result<(), Failure> {
             let (u, width) = (maps.roi.u, plane.width());
             whole.row_mut(maps.roi.v + v)[u..u + width].copy_from_slice(plane.row(v));
         }
-        let mut array = file
-            .array(array, Default::default())?
-            .default_dtype()
-            .shape(&[height as u64, width as u64])
-            .begin_nd()?;
-        array.extend(whole.as_slice().iter().copied())?;
-        array.finish()?;
+        file.add(array, &[height as u64, width as u64], whole.as_slice())?;
     }
-    Ok(())
+    Ok(file.finish()?)
 }

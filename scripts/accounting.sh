@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # Faults by the hundred thousand: trains with injected faults at a high trigger rate and with tiny images, one seed
 # each, until FAULTS were injected; every recording must account for every fault. Everything lies in target/accounting.
 # Settings: FAULTS, RATE_HZ, TRIGGERS (of a train), SEED (the first), PLAN, OUT. Exit code 4 on any mismatch.

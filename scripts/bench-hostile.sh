@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # Do previews and hostile clients cost the recording a frame? One node with four cameras records twice, alone and under
 # clients (scripts/hostile_clients.py); figures in target/bench-hostile/summary.json. Settings: RATE_HZ (60), DURATION (15 s).
 set -euo pipefail

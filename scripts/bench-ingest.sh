@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # A node that records four cameras at full rate, measured; figures in target/bench-ingest/summary.json.
 # Settings: RATE_HZ (120), DURATION (20 s), LONG=1 or a number of seconds (1: 300), NODE_ONLY=1.
 set -euo pipefail

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # How long reconstruction takes, and how good it is: recorded frames (rendered light, imported into MCAP sessions; no cameras),
 # from mapping a frame to points with normals in memory. Figures in target/bench-reconstruct/summary.json.
 # Settings: SCENES, INSTANTS (120, one second, of the first scene; 2 of the others), REPEAT (3), PEERS=0 (without the other programs), POSES=1 (also scripts/poses.sh), OUT, DATA (the shared

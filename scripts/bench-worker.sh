@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # What reading, verifying and writing cost beside the reconstruction itself: a session of SETS frame sets (the demo's over and over)
 # through `reconstruct --discard` (nothing written) and through the worker (verified, everything written), with one thread and with
 # two, by turns, REPEAT times. Needs `make demo` before, and room for 40 MB a frame set. Figures go to

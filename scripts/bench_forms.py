@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Bytes a point and times of ways to store a merged cloud: chunk compressions, byte planes, rounding to steps.
 
     tests/.venv/bin/python scripts/bench_forms.py OUT/merged/000000.ply

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # The whole chain, from simulated light to a merged point cloud, in real processes and over real protocols.
 # Everything it makes lies in target/demo. Settings: TRIGGERS, RATE_HZ.
 set -euo pipefail

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # Endurance against the simulated laboratory: CYCLES arm/stop cycles in one node process without growth of memory,
 # threads or descriptors, and one session of TRIGGERS triggers, beyond the wrap of 16-bit block ids.
 set -euo pipefail

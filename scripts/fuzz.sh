@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # fuzz.sh SECONDS [TARGET...]: runs the fuzz targets, one after the other, and keeps what each came to in
 # target/fuzz/summary.txt. Needs a nightly compiler; cargo-fuzz is installed into target/tools when missing.
 # What is found lies in fuzz/artifacts; put it into fuzz/seeds once it is repaired, and the tests keep it.

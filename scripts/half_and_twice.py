@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """What half and twice of each constant of the fringe orders does: a table, and one flat JSON object.
 
 Builds the program once for each, in a copy of the sources below target/half_and_twice, and scores it on light that

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Clients that a node must survive while it records: eight consoles, slow readers, a flood, garbage, oversized bodies.
 
     hostile_clients.py PORT SECONDS

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # Installs the named Debian packages that are missing, and says which. Needs root only when some are.
 set -euo pipefail
 missing=()

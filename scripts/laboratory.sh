@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # shellcheck shell=bash
 # Sourced by the scripts that record in a simulated laboratory. They set `bin`, where the programs are, and `out`, where
 # everything goes; what runs is ended when they end.

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # Striped shirts, tattoos, skin, little and too much light, lenses out of focus, devices that have turned: each scenario of
 # config/scenarios/light from the photons to its clouds, scored against the truth. Table on the screen and in
 # target/light/table.md, figures in target/light/summary.json: the worst of the seeds. Light is kept for the next run.

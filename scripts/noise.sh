@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # How much does a result hang on a little noise? Each pose of a battery as it is, and again with noise of NOISE_DN added
 # to every pixel, one run a seed. Table on the screen and in target/noise/table.md, figures in target/noise/summary.json.
 # Exit code 4 where a pose's completeness moves by more than two points. Light that scripts/poses.sh has left is used again.

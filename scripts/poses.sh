@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # Fringe orders on moving mannequins in seven poses, two instants and eight cameras each, with either marker: 224 camera
 # frames, each scored against its truth. Table on the screen and in target/poses/table.md, figures in
 # target/poses/summary.json; light is kept for the next run, clouds are not.

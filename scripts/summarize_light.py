@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """The scores of `make light` as a table, and as one flat JSON object: the worst of each row's seeds."""
 
 import argparse

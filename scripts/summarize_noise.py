@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """How far wrong orders and completeness move with the seed of a little noise: a table, and one flat JSON object."""
 
 import argparse

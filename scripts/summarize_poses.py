@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """The scores of all poses as one table, and as one flat JSON object."""
 
 import argparse

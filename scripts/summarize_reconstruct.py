@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """What `scripts/bench-reconstruct.sh` measured, as a table and as one flat JSON object."""
 
 import argparse

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # Programs and readers that are not ours, against the simulated camera and our files. What the tests do not do
 # because building it takes minutes: viva-camctl, a second implementation of GigE Vision. Leaves its figures in
 # target/third-party/summary.json.
@@ -9,19 +10,16 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 out=$PWD/target/third-party
-tools=$PWD/target/tools
 version=0.11.0
 mkdir -p "$out"
 rm -f "$out"/*
 
 scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark iproute2
 scripts/make-venv.sh tests/.venv mcap==1.6.0 mcap-protobuf-support==0.5.3
-if [ "$("$tools/bin/viva-camctl" --version 2>/dev/null)" != "viva-camctl $version" ]; then
-    cargo install viva-camctl --version $version --locked --quiet --root "$tools"
-fi
+scripts/install-tool.sh viva-camctl $version
 cargo build --quiet --release -p fourdbody-simulator
 sim=$PWD/target/release/fourdbody-sim
-camctl=$tools/bin/viva-camctl
+camctl=$PWD/target/tools/bin/viva-camctl
 export NO_COLOR=1
 
 cat >"$out/session.sh" <<SESSION

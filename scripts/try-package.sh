@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # What a new user does, in a clean Debian in a directory: install the package, configure it against the simulator, start the
 # node under the unit's user, record a session and verify it. Needs root, `make deb` before, and 2 GB for a moment.
 # The root is made by debootstrap and kept in target/debian-root for the next run (FRESH=1 makes it anew).

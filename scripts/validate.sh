@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
 # The paper's validation (section 5) through the whole chain: simulated light, GVSP, recording, our calibration.
 # Everything it makes lies in target/validate; rendered images are kept for the next run. Settings: RATE_HZ, and
 # FIRST_ADDRESS and FIRST_PORT, for a second laboratory on the same machine.

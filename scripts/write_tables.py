@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Writes the tables of README.md, docs/validation.md and docs/benchmarks.md from target/*/summary.json.
 
 A table stands between `<!-- table: TARGET [KEY=VALUE...] -->` and `<!-- end -->`: `make TARGET KEY=VALUE...` leaves

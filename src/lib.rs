@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody`: an open-source 4D human-body scanner.
 //!
 //! Eight cameras photograph fringes projected on a moving person; every photograph becomes a metric point

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The `fourdbody` command line: parse, run the command, turn its outcome into the exit code.
 
 use clap::Parser;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the service manager is told of a node: that it is ready, how it does, and that its data path moves.
 //!
 //! Ready means that every camera and the HSU link are verified. The watchdog is fed by counters that the threads of the data

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Our phase beside other programs', on the same rendered frames in the same run: error against the truth, and time.
 
 python compare.py --scene DIR:CAMERA:INDEX [--scene ...] --ours EXAMPLE --out compare.json: DIR/light holds what

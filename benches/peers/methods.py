@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Other programs' and other methods' ways to a phase, as a user of them would call them, and how phases are scored.
 
 Each demodulation takes an 8-bit image whose fringes cross its rows and the nominal period in pixels, and returns the wrapped

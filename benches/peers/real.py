@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """One photograph's wrapped phase against twelve: ours, OpenCV's and the Fourier methods', on photographs that others took.
 
 python real.py --data DIR --ours EXAMPLE --out real.json. DIR has a folder per object with twelve photographs (`*00h.bmp` to

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How well trigger times are known, end to end, with a serial line that delays every message.
 //!
 //!     clock_accuracy [TRIGGERS] [PERIOD_US] [DRIFT_PPM] [JITTER_MS] [SEED] [EXCHANGES_PER_S]

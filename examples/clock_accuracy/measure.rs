@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Trigger times over the real link: the simulated HSU behind its pty, a bad line, the real `serialport` and
 //! conversation, and the fit. The truth is the instant at which the simulator raised each camera edge.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Fuzz target `hsu_decoder`; what it does is in `fuzz/src`.
 
 #![no_main]

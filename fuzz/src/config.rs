@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Configuration files: rig, node, scenario.
 
 use fourdbody::config::{NodeConfig, Problem, Rig};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The HSU's protocol: both decoders, and the unit's state machine.
 
 use super::Script;

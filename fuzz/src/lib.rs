@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the fuzz targets do with bytes from outside, and what must hold whatever the bytes are.
 //!
 //! The bodies live here, apart from the targets, so that the product's ordinary tests run every seed through

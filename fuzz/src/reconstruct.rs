@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The reconstruction of photographs, one alone and three of one instant, by a calibration of which numbers have been changed.
 
 use super::Script;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The recording reader, on files that nobody vouches for.
 
 use fourdbody::base::ids::TriggerIndex;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Fixed-width little-endian fields to bytes and back.
 
 use crate::MAX_MESSAGE;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frames on a serial line: `0x00, COBS(message ++ CRC-32), 0x00`.
 //!
 //! Consistent overhead byte stuffing (Cheshire and Baker, 1999) takes every zero out of the body, so a zero

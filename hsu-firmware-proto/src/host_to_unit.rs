@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Messages from a host to the unit.
 //!
 //! Layout: version (u8), kind (u8), request id (u32), then the fields of the kind. The unit answers every

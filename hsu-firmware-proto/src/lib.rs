@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Wire contract and behaviour of the hardware synchronization unit (HSU).
 //!
 //! The HSU fires the projectors and cameras of the rig; each acquisition PC ("node") talks to it over a

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Why the unit did not carry a request out: a code and two numbers on the wire, words for people here.
 
 use crate::codec::{DecodeError, Put, Take};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The state of the unit as it tells it, in answers and in every heartbeat.
 
 use crate::codec::{DecodeError, Put, Take};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! When projectors and cameras are triggered: the configuration of the unit.
 
 use crate::MAX_HEADS;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Messages from the unit to a host.
 //!
 //! Layout: version (u8), kind (u8, from 0x80, so that a line which echoes is not mistaken for a unit), then

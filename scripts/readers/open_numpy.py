@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """A sequence of clouds in NumPy: `clouds("sequence.mcap")` yields time (ns) and one structured array a cloud."""
 import sys
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """A quantized sequence (`export --to mcap --quantize`) in NumPy: `clouds(path)` yields time (ns) and a dict of columns."""
 import sys
 import numpy as np

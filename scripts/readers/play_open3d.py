@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Plays a sequence of clouds in Open3D, grey by intensity: `play_open3d.py sequence.mcap [TOPIC]`."""
 import sys
 import numpy as np

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What it costs to send four cameras' packets over loopback, by the way of handing them to the kernel.
 //!
 //! `cargo run --release -p fourdbody-simulator --example send_variants -- [SECONDS [RATE_HZ]]` as root (packet

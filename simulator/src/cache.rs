@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rendered sequences on disk, and their replay at full rate.
 //!
 //! `DIR/frames/CAMERA.mono8` holds all images of one camera one after the other; `DIR/manifest.json` says what

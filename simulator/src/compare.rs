@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A calibration against the true rig: where the points of the working volume end up.
 //!
 //! For a grid of pixels and distances of every camera, the true devices say which panel column lights the true point; the

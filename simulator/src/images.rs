@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The light that reaches one camera's sensor.
 
 /// Images of one camera by instant of the simulated world. Shared by threads; must not block for long.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The laboratory in one process: all cameras of a rig on loopback addresses, the HSU on ptys, and the
 //! configuration files with which real nodes drive them.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Simulated light, cameras and HSU: real protocols, simulated photons.
 //!
 //! Knows the product's library (rig, geometry, pattern, calibration file); the product never knows it.

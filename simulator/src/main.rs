@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim`: the simulator's command line.
 
 use clap::{Parser, Subcommand};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Seeded randomness by hashing: every value depends only on what it is for, never on the order of work.
 
 use std::f64::consts::TAU;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Writing `rig.toml`.
 
 use fourdbody::config::{Board, Rig};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A scenario: one TOML file that, with its seed, determines every simulated photon.
 //!
 //! Strict like the product's own files: unknown keys are refused, all problems are reported at once.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A whole scenario to a cache directory: frames, true geometry, ground truth.
 
 use crate::cache::{CacheError, CachedCamera, Manifest};

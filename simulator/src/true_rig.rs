@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The true geometry: the rig's nominal one, disturbed as a real build would be; and smaller copies of a rig.
 
 use crate::random::Stream;

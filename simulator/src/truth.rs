@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Ground truth files: `CAMERA_INDEX.npz` per camera, and the subject's surface as a mesh.
 //!
 //! Arrays: `depth` (f32, camera z, m), `phase` (f32, absolute projector phase at the pixel's centre, rad; NaN
@@ -6,12 +7,8 @@
 
 use crate::optics::render::SensorTruth;
 use fourdbody::base::image::Plane;
-use npyz::WriterBuilder;
-use npyz::npz::NpzWriter;
-use npyz::zip::CompressionMethod;
-use npyz::zip::write::FileOptions;
-use std::fs::File;
-use std::io::{self, Write};
+use fourdbody::formats::npz::NpzWriter;
+use std::io;
 use std::path::Path;
 
 /// Rows and columns `[v0, v1, u0, u1]` around everything finite; all zero where nothing is.
@@ -41,35 +38,13 @@ pub fn write_npz(path: &Path, truth: &SensorTruth) -> io::Result<()> {
     };
     let numbers = |values: &[usize]| -> Vec<i64> { values.iter().map(|&x| x as i64).collect() };
     let mut file = NpzWriter::create(path)?;
-    add(&mut file, "depth", &size, &cut(&truth.depth))?;
-    add(&mut file, "phase", &size, &cut(&truth.phase))?;
-    add(&mut file, "mask", &size, &mask)?;
-    add(&mut file, "lit", &size, &lit)?;
-    add(&mut file, "crop", &[4], &numbers(&crop))?;
-    add(&mut file, "shape", &[2], &numbers(&[truth.depth.height(), truth.depth.width()]))?;
-    file.zip_writer().finish()?;
-    Ok(())
-}
-
-/// Adds one array, handing it to the compressor in one piece: number by number would take a hundred times
-/// longer.
-fn add<T: npyz::AutoSerialize + Copy>(
-    file: &mut NpzWriter<io::BufWriter<File>>,
-    name: &str,
-    shape: &[u64],
-    values: &[T],
-) -> io::Result<()> {
-    let mut bytes = Vec::with_capacity(std::mem::size_of_val(values) + 128);
-    let mut array = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd()?;
-    array.extend(values.iter().copied())?;
-    array.finish()?;
-    // Without a time of writing the same truth has the same bytes.
-    let options = FileOptions::default()
-        .compression_method(CompressionMethod::Deflated)
-        .compression_level(Some(1))
-        .last_modified_time(npyz::zip::DateTime::default());
-    file.zip_writer().start_file(npyz::npz::file_name_from_array_name(name), options)?;
-    file.zip_writer().write_all(&bytes)
+    file.add("depth", &size, &cut(&truth.depth))?;
+    file.add("phase", &size, &cut(&truth.phase))?;
+    file.add("mask", &size, &mask)?;
+    file.add("lit", &size, &lit)?;
+    file.add("crop", &[4], &numbers(&crop))?;
+    file.add("shape", &[2], &numbers(&[truth.depth.height(), truth.depth.width()]))?;
+    file.finish()
 }
 
 #[cfg(test)]
@@ -77,7 +52,7 @@ mod tests {
     use super::write_npz;
     use crate::optics::render::SensorTruth;
     use fourdbody::base::image::Plane;
-    use npyz::npz::NpzArchive;
+    use fourdbody::formats::npz::NpzReader;
 
     fn truth(empty: bool) -> SensorTruth {
         let mut truth = SensorTruth {
@@ -99,24 +74,19 @@ mod tests {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let path = dir.path().join("h0_up_000000.npz");
         write_npz(&path, &truth(false)).expect("writable");
-        let mut file = NpzArchive::open(&path).expect("a zip file");
-        let mut numbers = |name: &str| -> Vec<i64> {
-            let array = file.by_name(name).expect("readable").expect("present");
-            array.into_vec().expect("i64")
-        };
+        let mut file = NpzReader::open(&path).expect("a zip file");
+        let mut numbers = |name: &str| file.array::<i64>(name).expect("i64").1;
         assert_eq!(numbers("crop"), [2, 7, 5, 9]);
         assert_eq!(numbers("shape"), [10, 20]);
-        let depth = file.by_name("depth").expect("readable").expect("present");
-        assert_eq!(depth.shape(), [5, 4]);
-        let depth: Vec<f32> = depth.into_vec().expect("f32");
+        let (shape, depth) = file.array::<f32>("depth").expect("f32");
+        assert_eq!(shape, [5, 4]);
         assert_eq!((depth[0], depth[19]), (1.5, 2.5));
         assert!(depth[1].is_nan());
-        let lit: Vec<bool> =
-            file.by_name("lit").expect("readable").expect("present").into_vec().expect("bool");
-        assert_eq!(lit.iter().filter(|&&lit| lit).count(), 1);
-        let mask: Vec<bool> =
-            file.by_name("mask").expect("readable").expect("present").into_vec().expect("bool");
-        assert_eq!(mask.iter().filter(|&&mask| mask).count(), 2);
+        for (name, expected) in [("lit", 1), ("mask", 2)] {
+            let (_, set) = file.array::<bool>(name).expect("bool");
+            assert_eq!(set.iter().filter(|&&set| set).count(), expected, "{name}");
+        }
+        assert!(file.array::<f32>("normal").is_err_and(|e| e.contains("normal")), "there is none");
     }
 
     #[test]
@@ -124,7 +94,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let path = dir.path().join("h0_up_000000.npz");
         write_npz(&path, &truth(true)).expect("writable");
-        let mut file = NpzArchive::open(&path).expect("a zip file");
-        assert_eq!(file.by_name("depth").expect("readable").expect("present").shape(), [0, 0]);
+        let mut file = NpzReader::open(&path).expect("a zip file");
+        assert_eq!(file.array::<f32>("depth").expect("f32"), (vec![0, 0], vec![]));
     }
 }

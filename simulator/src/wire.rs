@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What runs over copper in the laboratory: the trigger wires from the HSU to the cameras.
 
 use std::time::Instant;

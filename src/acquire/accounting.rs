@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Keeps the accounting of a session: gives every frame its trigger and every trigger of every camera its outcome.
 
 use super::assembler::Assembler;

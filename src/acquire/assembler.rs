@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frame sets: what belongs to one trigger is passed on together, in the order of triggers.
 
 use std::collections::VecDeque;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Why a frame that arrived is a gap, and how often frames of a camera were not what was agreed.
 
 use crate::camera::{Breach, Transfer};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session that does all but write: every frame is matched, checked and counted, and its memory goes back at once.
 
 use super::writer_queue::{Sink, ToWriter};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How long frames take from the stream to the disk, stage by stage.
 
 pub use crate::base::histogram::Histogram;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frames from cameras to the writer: receivers, accounting by trigger, frame sets, bounded hand-offs.
 
 mod accounting;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Pauses of the process: which triggers they concern, and which frame sets they broke.
 
 use crate::record::GapCause;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What previews see of the frames: now and then a quarter of one, copied where the writer's thread hands it on.
 //!
 //! The cost is bounded whatever previews do: a camera's frame is copied only when one was asked for, every fourth row of

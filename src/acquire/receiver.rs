@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One thread per camera: takes frames off its stream and hands them to the recorder.
 //!
 //! The checksum is computed here, so that it covers the way through the recorder and is spread over cores.

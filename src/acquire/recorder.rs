@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The recorder: what the node tells it, what it says, and the thread that keeps the accounting.
 //!
 //! One thread matches frames to triggers and accounts for them, and never waits for the disk; behind a bounded ring

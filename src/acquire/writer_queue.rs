@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bounded hand-off from the matching thread to the thread that owns the recording.
 //!
 //! Frames are admitted set by set: a set that does not fit as a whole is not admitted. Small records (triggers,

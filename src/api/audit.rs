@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The audit log: a line of JSON for every change of state, durable before it is answered, and for refusals, rarely.
 //!
 //! A thread of its own writes, so that a slow disk keeps no request but the one whose line it is, and that one only

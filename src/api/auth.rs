@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Who asks, and whether they may: tokens, browser sessions, users of the Unix socket.
 
 use super::Shared;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The JSON body of a request: whatever is wrong with it is said in one way.
 
 use super::refusal::Refusal;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Who may hold connections, and how many.
 //!
 //! A connection begins as a stranger's. Strangers have a share of their own: a new one is always let in, and closes the

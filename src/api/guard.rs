@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What every request must be before anybody looks at who sent it: for this node (DNS rebinding), from one of its own
 //! pages or from no page at all (CSRF), small, and sent in one go.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How much one client, and all of them, may ask for.
 
 use std::collections::HashMap;

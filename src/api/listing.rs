@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The list of a node's recordings, kept in memory: to look at it costs a recording under way no frame.
 //!
 //! One thread, which runs when nobody else wants the processor, looks at the disk. It reads a recording when it is new

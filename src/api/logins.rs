@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Browser sessions: a random id in a cookie stands for a token, until it expires or the token is revoked.
 
 use crate::control::tokens::{Role, SecretHash, TokenList, random_text};

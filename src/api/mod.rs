@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node's HTTP API: axum on a small tokio runtime; every request becomes a [`Command`] to the node's thread.
 //!
 //! A request passes [`guard`] (is it for this node, from no foreign page, small, complete?), `auth` (who is it, may

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The description of the API (OpenAPI), made from the code of its routes.
 
 use crate::base::Fault;

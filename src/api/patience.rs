@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A stream that gives up on a reader who does not read.
 
 use std::io;

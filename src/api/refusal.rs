@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Requests that are not answered as asked: a status, and the same [`Fault`] as everywhere else as JSON.
 
 use crate::base::{Exit, Fault};

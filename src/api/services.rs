@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the API offers beside the node's own session: captures on all nodes, previews, quick looks, the other nodes.
 
 use super::listing::Listing;

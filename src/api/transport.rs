@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where requests come in: a Unix socket, and TCP with or without TLS. Connections are counted, and none may dawdle.
 
 use super::connections::{Connections, Standing};

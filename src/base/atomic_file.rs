@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Files that are never half there, whoever writes them at the same time.
 //!
 //! A file is written under a temporary name beside its place, which no other process has, and renamed when it is

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How a device's clock runs against the host's, from exchanges and from one-way reports.
 //!
 //! An exchange says one thing for certain: the device's clock showed its reading somewhere between the sending of

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How a command ends, and why something failed: the exit code, and what was expected, found, and is to be done.
 
 use serde::{Deserialize, Serialize};

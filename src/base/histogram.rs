@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Histograms of durations that cost a few atomic additions a value: threads count while others look.
 
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Identifiers that must not be mixed up, and what names and texts may hold: the one place for these rules.
 //!
 //! Names become names of files and topics, words of commands and lines on a terminal, whoever made them up. So what a

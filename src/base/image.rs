@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Row-major image planes and 8-bit grey PNG files.
 //!
 //! Pixel (u, v): u is the column, v the row, integers at pixel centres.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What everything stands on: identifiers, images, clocks, histograms, files that are written whole, faults, printing.
 
 #[macro_use]

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `println`, `eprintln` and `eprint` that outlive their readers.
 //!
 //! Those of the standard library panic where nobody reads any more (`fourdbody verify SESSION | head -1`, a terminal that was

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The host's two clocks, in nanoseconds: one for the record, one for measuring.
 
 use std::sync::OnceLock;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rows of a frame added up, so that a frame takes a part of the time: the image before the first stage, and the calibration that goes
 //! with it. Fringes run along the rows of the scene and across the columns of the image, so that sums of few rows lose little of them.
 

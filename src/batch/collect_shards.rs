@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The shards of a session to one result: the very files that one run over all triggers would have written.
 //!
 //! ```text

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The maps of a frame as pictures, for people: `DIRECTORY/CAMERA_INDEX_MAP.png`.
 //!
 //! Phases are drawn as hue-less saw teeth (one period of grey from black to white), all other maps from 0

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Stored phase maps to cloud files: the very bytes that `reconstruct` would have written itself.
 //!
 //! ```text

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Directories of images, `DIR/CAMERA/INDEX.png`, as `import`, `reconstruct` and `calibrate` read them: one reader, so that they
 //! agree about what is a frame.
 //!

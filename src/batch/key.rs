@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a result is made of: `OUT/reconstruct.json`, written before the first cloud. A directory takes the clouds of one
 //! session, made in one way; everything else is refused with what differs, so that no result is ever of two.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session reconstructed to a directory: which frames, on which threads, what is written, and how it is resumed.
 //!
 //! [`run`] is the work; [`key`] says what a result depends on, so that only the same work is continued.

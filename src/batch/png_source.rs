@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frames from a directory of `CAMERA/INDEX.png` files (8-bit grey; index = trigger index).
 
 use super::image_tree::ImageTree;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A directory that `fourdbody reconstruct` wrote, as clouds: stored ones (`clouds/CAMERA_TRIGGER.ply`, `merged/TRIGGER.ply`, or the
 //! same files in one directory), or those of its phase maps (`phases/CAMERA_TRIGGER.phase`), made with the calibration beside them.
 

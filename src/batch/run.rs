@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session's frames to clouds on disk: parallel, resumable, the same bytes whatever the number of threads.
 //!
 //! ```text

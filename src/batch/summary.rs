@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What became of every frame of a run: `OUT/summary.json`.
 
 use super::key::Key;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a run has taken, stage by stage and in all.
 
 use serde::Serialize;

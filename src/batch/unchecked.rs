@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the fringe orders of a run are not checked against, though they could be.
 //!
 //! A frame set of all cameras, with a calibration that knows the panel's rows, has every check that there is. A run with

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What an operator should do better next time, from how a calibration went.
 
 use super::findings::Kind;

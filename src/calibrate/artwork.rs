@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The board as it is printed: SVG in millimetres, a picture, and the list of its circles.
 //!
 //! Board y runs upwards, image rows run downwards: row 0 of the grid is at the bottom of both.

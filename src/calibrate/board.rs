@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The calibration board: black circles on white, in rows and columns, with the centres that a coordinate
 //! measuring machine found (`board.toml`).
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which lens model? Every variant is fitted without one position of the board at a time, and judged by that position:
 //! its circles place the board, and the phase between them must then be what the projector's model says.
 

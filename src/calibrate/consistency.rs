@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Does an adjusted head make sense: do all positions agree, are the residuals small, is the size that of the rig file?
 
 use super::findings::{Finding, Kind};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What was wrong with the photographs of a calibration, by camera and position.
 
 use super::lattice::NotIdentified;

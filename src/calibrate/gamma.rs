@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a projector makes of its panel values, from the same board in white light and in fringes.
 //!
 //! Light that is the panel's share to the power g, instead of the share itself, has another mean over a period: blur of

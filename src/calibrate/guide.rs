@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which position of the board comes next: leads an operator through a calibration. It knows neither cameras nor nodes;
 //! it is told what every position gave.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Photographs that were taken in several sessions, as one source: triggers run on from session to session.
 
 use crate::base::ids::{CameraId, TriggerIndex};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which circle of the board each found circle is: grows the grid from neighbour to neighbour, then turns and
 //! shifts it until the larger circles fall on the larger circles.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Is the marker where the phase says? On a board, circles that lie along a fringe can pass for dashes; then the whole
 //! phase is some fringes off. Between the circles nothing but the marker changes along its fringe.
 

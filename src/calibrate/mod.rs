@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Computes a calibration from photographs of the board (paper, section 4.2). Its file is [`crate::data::Calibration`].
 //!
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges

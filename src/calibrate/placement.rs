@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Do the cameras stand where the rig file says? Two cameras whose cables or files were exchanged see the board where
 //! it is not; an adjustment would follow them, and all numbers would look good.
 

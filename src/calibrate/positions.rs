@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Brings the frames of each position of the board together: a white frame, and the frame with fringes that shows the
 //! same circles at the same places. Which white frame that is, is decided by the circles, not by the order alone.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `calibrate --report`: one HTML page without anything outside of it. Plots are SVG written by hand: points and lines
 //! are all they need.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which rows of the panel the projector's rows are.
 //!
 //! Fringes say on which column of the panel a point lies, and a projector that is adjusted to columns alone has its rows where

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A whole calibration: looks through the photographs, runs the three stages, and says how well it went.
 
 use super::advice::advice;

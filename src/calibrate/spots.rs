@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Finds black circles on a lit white board: connected dark regions, then their outlines to a few hundredths
 //! of a pixel.
 //!

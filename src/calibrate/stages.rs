@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Stages 1 and 2 of section 4.2: cameras of a head, then the phase of each camera-projector pair. [`super::global`] is the
 //! third.
 //!

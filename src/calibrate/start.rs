@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where the board is, roughly: from one view and a lens that is nearly right.
 
 use super::board::Board;

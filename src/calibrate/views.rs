@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! From the photographs of a session to what the calibration uses: which position of the board, lit white or with
 //! fringes; the circles of the one, the phase of the other. Whatever cannot be used is named with its reason.
 //!

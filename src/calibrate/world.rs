@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The world of a calibration. Photographs of a board say how the devices stand to each other, but not where the floor is:
 //! the adjustment holds one camera where the rig file has it, and its error of half a degree there would be the world's.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Cameras through Aravis 0.8: with its folder the only place that names it.
 //!
 //! What bites, and how it is met here (facts measured on 0.8.26):
@@ -48,8 +49,7 @@ impl CameraBackend for AravisCameras {
         };
         let text = |pointer: *const std::ffi::c_char| match pointer.is_null() {
             true => String::new(),
-            // SAFETY: not null, hence a NUL-terminated string that lives until the next list update; it is
-            // copied at once.
+            // SAFETY: not null, hence a NUL-terminated string that lives until the next list update; copied at once.
             false => unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned(),
         };
         let describe = |i| {

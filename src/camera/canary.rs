@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Marks in the block that a whole transfer overwrites: what finds a packet that arrived short.
 //!
 //! Aravis 0.8.26 takes a truncated packet for a whole one, and calls the frame complete. Before a block is lent,

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a frame is: one image of 8-bit grey, of the size and at the place that were verified when its camera was
 //! prepared, and nothing beside it. A frame that is anything else is never recorded.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where a camera's clock is read, and in which unit: found out by reading it twice beside the host's clock.
 //!
 //! What features are called does not say in which unit they count, and a tick frequency may be 0, wrong or absent. So a

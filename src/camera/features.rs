@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! An opened camera's features and registers, for what is decided about them whatever the library.
 
 use super::CameraError;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Cameras: settings, and streams of frames into our own memory.
 //!
 //! Nothing above this layer may assume Ethernet: Aravis drives USB3 Vision cameras through the same calls.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A stream that has heard nothing yet.
 //!
 //! A packet socket takes every datagram of its interface for its own between its creation and the setting of its

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Requested against applied GenICam settings.
 
 use crate::config::{FeatureSetting, FeatureValue};

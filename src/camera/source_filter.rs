@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the kernel hands to a stream: datagrams of its camera, and nobody else's.
 //!
 //! Aravis 0.8.26 sets no filter on its UDP socket, and one on its packet socket that lets every source port of the

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether a camera, as it is set now, sends what a session records: asked of its features, whatever a node file sets.
 
 use super::contract::{FrameContract, MONO8};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Captures that a node runs for its operators: the browser, or the tablet, may go; the capture goes on.
 //!
 //! One at a time. It runs the same steps as `fourdbody capture`, on a thread of its own, and keeps what came of it until the

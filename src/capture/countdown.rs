@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The time between "every node is ready" and the first trigger: one of them may cease to be.
 
 use super::run::{COUNTDOWN_MAX_S, Control, LOST_PATIENCE, Nodes, Stage, abort_all};

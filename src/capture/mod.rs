@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A capture: one session on all nodes, or a series of them, run from the command line or from a node's console.
 
 /// Captures that a node runs for its console.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node as whoever runs a session sees it: over the API, or from inside the node that coordinates.
 
 use crate::base::{Exit, Fault};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node in a session looks after the other nodes of it: frames of some cameras alone are of no use.
 //!
 //! Whoever coordinates a session does the same, but may be gone. A node that answers and is not in the session any more (it

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session that ended on every node, for the person and the script that asked for it.
 
 use crate::base::{Exit, Fault};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One session on all nodes, as whoever coordinates it sees it: prepare all, count down, start, follow, verdict.
 //!
 //! Two phases: nothing starts unless every node is ready, and the HSU itself refuses a start until every

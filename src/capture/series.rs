@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Several takes of the same: named in a row, with pauses, ended together.
 
 use super::report::Captured;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What was submitted: `OUT/cluster/job.json`.
 
 use super::sizing::Sizing;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A reconstruction spread over a cluster. Slurm is the engine: it queues, places, watches and repeats; here are the
 //! scripts that it runs, their size, and what it says of them.
 //!

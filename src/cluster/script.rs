@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The job scripts: readable, and fit to be edited and submitted by hand.
 
 use super::job::{Job, folder};

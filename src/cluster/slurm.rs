@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Slurm's client programs: what they are told, and what they answer.
 //!
 //! They are asked for delimited columns: those are the same in all versions, which their JSON is not.

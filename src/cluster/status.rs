@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How far a submitted reconstruction is: Slurm's word for what waits and runs, the results' own for what is done.
 //!
 //! A summary is written when all files of its shard are there, so that it is believed more than any scheduler; and where a

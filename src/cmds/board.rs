@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody board`: the calibration board's artwork and its list of circles.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody calibrate`: from photographs of the board to `calibration.json`.
 
 use super::calibrate_live::{self, Live};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody calibrate --live`: leads an operator through the positions of the board, one small session each.
 
 use super::capture::stop_on_ctrl_c;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated?
 
 use super::failure::{Failure, tell_lost};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cameras`: what answers to discovery.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody capture`: sessions on all nodes, from preparation to the verdict.
 
 use super::connect::Connect;

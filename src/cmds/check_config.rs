@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody check-config`: validates configuration files, all problems at once.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The command line as a whole: the program, its manual pages and its completions are made of it.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cluster`: a session reconstructed by the machines of a Slurm cluster.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How commands reach nodes: URLs, a token, and whom to believe.
 
 use crate::base::Fault;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody doctor`: is this host fit for its cameras' rate?
 
 use super::failure::Failure;

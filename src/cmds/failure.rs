@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Why a command failed: what it says on standard error, and its exit code.
 
 use crate::base::{Exit, Fault};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody import`: image sequences of other recorders become a session.
 //!
 //! `DIR/CAMERA/INDEX.png`, index = trigger index. Everything is checked before anything is written, and the

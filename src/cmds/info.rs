@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody info`: describes recordings without checking them.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One file per command of the command line: its arguments, and what it prints.
 //!
 //! Results go to standard output, diagnostics to standard error. Everything a command does lives in the

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody node`: the daemon of one acquisition PC.
 
 use super::failure::Failure;

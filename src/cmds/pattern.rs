@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody pattern`: the images to project.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Progress of work that takes over two seconds: a line that is kept up to date on a terminal, a line every half minute
 //! elsewhere. With the rate, and the time that is left.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody prune`: which recordings may be deleted, and deletes them when asked.
 
 use super::failure::Failure;

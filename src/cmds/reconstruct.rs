@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody reconstruct`: frames to clouds.
 
 mod staged;

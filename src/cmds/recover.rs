@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody recover`: makes a complete recording of what a crash or a damaged disk has left.
 
 use super::failure::Failure;

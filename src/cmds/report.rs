@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody report`: a session on one page.
 
 use super::failure::Failure;

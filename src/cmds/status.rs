@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody status`: the health of the nodes.
 
 use super::connect::Connect;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody token`: who may do what on a node.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate`: figures of merit of clouds.
 
 mod distance;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody verify`: recomputes everything that recordings claim from the files alone.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody view`: a picture of a cloud.
 
 use super::failure::{Failure, unreadable, unusable_clouds};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody worker`: reconstructs by itself what the nodes have recorded.
 
 use super::failure::Failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How a node may be reached (`[api]` of the node file): socket, address, TLS, names, tokens, the other nodes.
 
 use super::section::Section;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Configuration files, read and validated with all problems at once.
 //!
 //! Two files: the rig (`rig.toml`: heads, pattern, board, nominal geometry; the same on every machine) and

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What one acquisition PC needs: its cameras' addresses and settings, its serial device, its disk
 //! (`node-X.toml`).
 

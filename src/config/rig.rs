@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The rig, described once: heads, channels, nodes, pattern, board and the nominal geometry (`rig.toml`).
 
 use super::section::Section;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Walking a TOML table while noting every problem under its key path.
 //!
 //! Getters return a placeholder after noting a problem; the caller builds its structure from them and

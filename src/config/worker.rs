@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the worker needs: where the nodes' sessions are, where results go, how much it may take (`worker.toml`).
 
 use super::section::Section;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The API's client, blocking: what `capture`, `status` and `doctor` use. Over TCP, TLS or a Unix socket.
 
 use super::proof::{self, Asked};

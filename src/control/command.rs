@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the API asks of the node's thread, and where it reads what that publishes.
 
 use super::request::SessionRequest;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What both sides of the HTTP API speak: requests, commands, status, tokens and their proofs, and the client.
 
 /// Speaks to nodes.

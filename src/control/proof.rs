@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How a token is shown where others could take it: as a proof, made for one request on one connection.
 //!
 //! Over plain TCP whoever has bound a node's port could be anybody. So a client asks for the connection's nonce first

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What an operator asks of a node, and how far the session there has come.
 
 use crate::base::ids::{NodeId, SessionName, check_text};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Tokens: secrets of 256 bits in files that only their owner can read, and the node's list of their hashes.
 //!
 //! A node's list has a line `NAME ROLE SHA256` per token; the secret itself lies only with whoever uses it. A secret

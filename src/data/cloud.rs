@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A point cloud as a structure of arrays.
 
 /// The camera number of a directional cloud's points before merging.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where frames come from, as the pipeline sees it.
 
 use crate::base::ids::{CameraId, TriggerIndex};

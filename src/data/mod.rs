@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What flows between the parts of the program: frames of a session, phase maps, clouds, and the calibration.
 
 mod calibration;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a frame comes to before geometry: absolute phase and light of the pixels that are known, in whole steps.
 //!
 //! Points and normals follow from it and the calibration alone, so that it is all that has to be stored

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Cameras and HSU: there, free, who they are, and whether they answer as a session needs it.
 
 use super::load::Load;

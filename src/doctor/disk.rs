@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The disk of the recordings: can it take what the cameras give, and for how long?
 
 use super::load::Load;

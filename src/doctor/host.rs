@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The computer itself: sockets, limits, processors, clock, memory, the API's port.
 
 use super::load::Load;

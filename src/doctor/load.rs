@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a node asks of its host.
 
 use crate::config::{NodeConfig, SocketMode};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Is this host fit for its cameras' rate? Facts are gathered, then judged, then told one by one.
 //!
 //! Every part has two halves that do not mix: `gather` touches the system, `judge` is a pure function from

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The way to each camera: which interface, and whether that carries its packets. USB cameras have none.
 
 use super::load::Load;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session's frames to pictures: `OUT/CAMERA/INDEX.png` (or `.tiff`), 8-bit grey without loss, the names that
 //! `fourdbody import` and `reconstruct` read.
 

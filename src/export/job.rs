@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A reconstruction's clouds to files of other formats: in parallel, and resumable.
 //!
 //! ```text

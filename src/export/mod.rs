@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds, meshes, pictures and tables on their way out: files that other programs read.
 
 /// Frames to pictures.

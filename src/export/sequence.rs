@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds of any source into one sequence, in order of time.
 
 use super::job::{Summary, merged_cloud};

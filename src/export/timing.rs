@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! When every frame of a session was, as a table of comma-separated values (RFC 4180): a row a trigger and camera.
 //!
 //! | column | is |

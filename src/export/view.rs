@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A picture of a cloud: every point a splat with a depth buffer, lit by its normal.
 //!
 //! The view is orthographic from a given azimuth around the vertical axis: the cloud fills the height.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where clouds come from when they are exported: directories of PLY files here, stored phase maps in
 //! `batch::from_phase_maps`.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! E57 (ASTM E2807): a scan a camera, in the world frame, with normals in the registered extension `nor`
 //! (<http://www.libe57.org/E57_NOR_surface_normals.txt>) and the source pixel as row and column index.
 //!

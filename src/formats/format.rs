@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The formats that points and meshes are exported to.
 
 use super::shape::Shape;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! glTF 2.0 in its binary form (GLB): points, or a triangle mesh, in one interleaved buffer.
 //!
 //! The numbers are those of the world frame, whose z is up; glTF's y is up, so that the node that holds the shape turns

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! File formats of clouds and phase maps, a file each; [`Format`] lists those of single clouds.
 //!
 //! Nothing here knows where clouds come from: they come through [`CloudSource`].
@@ -6,6 +7,8 @@ mod cloud_source;
 pub(crate) mod e57;
 mod format;
 pub(crate) mod glb;
+/// NumPy's arrays in a zip file.
+pub mod npz;
 pub(crate) mod pcd;
 /// Phase maps as files.
 pub mod phase_file;

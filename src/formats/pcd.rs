@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! PCD, the format of the Point Cloud Library, version 0.7, binary. Normals are `normal_x normal_y normal_z` as there.
 
 use super::shape::{Column, Shape, one_line, pack};

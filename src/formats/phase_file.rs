@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Phase maps as files: all that a cloud follows from, given the calibration, in a twentieth of its bytes.
 //!
 //! ```text

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Binary PLY, as the command line's contract has it: `x y z` (float, metres, world), `intensity` (float, 0 to
 //! 1), `nx ny nz` (float, unit, towards the camera), `u v` (ushort, source pixel), and in merged clouds `camera`
 //! (uchar, place in the calibration). Where it was asked for, `sigma` comes last (float, metres: the standard uncertainty

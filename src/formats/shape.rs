@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a file of points or triangles is made of, and its points as a table: the same columns for every format.
 
 use crate::data::{Cloud, NO_CAMERA};

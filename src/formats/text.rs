@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Formats of text, and PLY with triangles: ASCII PLY, XYZ and OBJ. Numbers are the shortest that read back the same.
 //!
 //! XYZ has no standard: a line a point, columns separated by spaces, `x y z nx ny nz intensity u v camera`, and lines that

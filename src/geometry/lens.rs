@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Pinhole projection with Brown-Conrady distortion (Brown 1971), in OpenCV's parameter order.
 
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Lens models, rigid transforms and the triangulating devices.
 //!
 //! A camera and a projector are the same kind of [`Device`]: a [`Lens`] at a pose `world_from_device`.

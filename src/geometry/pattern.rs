@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The projected pattern: sine fringes along u and one distinguished fringe, the marker (paper, Figure 4b).
 //!
 //! Absolute phase is `2 pi (u + 1/2) / period_px` on the panel, so bright ridge k lies at `u + 1/2 = k *

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frame memory: page-aligned blocks, mapped, locked and touched before a session, returned by dropping.
 //!
 //! A block holds room for the message envelope, then the pixels, so that a frame is written to disk from

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The allocator of a process that holds one session after the other.
 //!
 //! A session takes large buffers and gives them back at its end: room for small records (9.4 MB, `ring.rs`), staging

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Work that may take any time and must never be waited for: `fourdbody` in a process of its own, on time that nobody else wants.
 
 use std::ffi::OsStr;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Real-time priority, cores and locked memory: asked for where configured, and what the system refuses is kept as a
 //! warning for log, status and recording.
 //!

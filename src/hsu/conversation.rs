@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The conversation with the unit: questions and their answers as errors know them, and the keeper thread
 //! that shows signs of life and asks for lost telemetry.
 

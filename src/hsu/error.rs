@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What can go wrong between a node and the HSU.
 
 use hsu_firmware_proto::{Refusal, TimingError, version};

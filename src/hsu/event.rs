@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the unit and the link report by themselves, and the bounded stream that it goes into.
 
 use super::order::Order;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Requests and answers over a byte stream: framing, request ids, timeouts, retries.
 //!
 //! One request at a time is under way, because the unit remembers only the last answer of a link: a repeated

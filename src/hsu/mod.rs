@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The serial link to the hardware synchronization unit.
 //!
 //! [`Hsu`] is the unit as this node sees it: blocking commands, each answered or refused, and a stream of

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Puts trigger telemetry back into a gapless sequence.
 //!
 //! Telemetry is not acknowledged, so a disturbed frame leaves a hole in the trigger numbers. [`Order`] holds

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The link over an in-memory line: the firmware's state machine at the other end, portions of any size, and
 //! frames that get lost.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! From the rig and the session to what the unit is told.
 
 use super::error::HsuError;

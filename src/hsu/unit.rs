@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The unit as this node sees it: typed commands and a stream of events.
 
 use super::conversation::{Conversation, unexpected};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where a stream begins: which trigger its first block id stands for.
 //!
 //! A stream is silent before the train starts, so its first block is the first warm-up trigger's. That alone would be

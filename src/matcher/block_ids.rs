@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Block ids as a count: 16-bit ids run 1..=65535 and skip 0, 64-bit ids do not wrap.
 
 use crate::base::ids::BlockId;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What frames themselves teach of the way from trigger to timestamp and to arrival.
 
 /// Share of a residual that the offset takes; the first frames' share is larger.

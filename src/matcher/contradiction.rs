@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A frame whose block id and timestamp do not name the same trigger: the frames behind it say why.
 //!
 //! What happened once (a wrong stamp, a frame without a trigger) is gone with the next frame; what happened to the

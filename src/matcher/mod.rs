@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which trigger a frame belongs to, by three witnesses: its block id, its timestamp, and its arrival.
 //!
 //! * The **block id** counts what the camera sent: one that ignored a trigger does not skip an id. Its beginning is

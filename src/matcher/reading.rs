@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A camera's clock, read when its frames are in doubt: the witness that knows what was done to it.
 //!
 //! Ids and timestamps show that something changed, not what. Arrivals tell triggers apart only where the host takes

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The trigger of the first frame of a stream that begins while the train runs: a camera that is back.
 //!
 //! Its ids say nothing yet. What its stamps and arrivals take from a trigger was measured when the train began. Its

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is asked of the matcher, and what it answers.
 
 use crate::base::ids::BlockId;

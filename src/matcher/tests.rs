@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A model: seeded histories of a camera whose truth is known. A frame is filed rightly or given up, never wrongly.
 
 use super::sighting::{Match, Matched, Sighting, Witness};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Times of the triggers so far, warm-up included: number to HSU time and back.
 
 use std::collections::VecDeque;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The cells around points at grazing incidence: a grid of bits, so that only what lies near such a point is sorted.
 
 /// Cells of the grid at most: 8 MiB of bits. Where points lie further apart, cells grow; what is decided stays the same.

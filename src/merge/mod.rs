@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Directional clouds of one trigger to a merged cloud: all their points but those that one head sees at grazing
 //! incidence and another one sees well (`docs/design/merging.md`, where the rule's invariants are numbered).
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One thread per camera while a session runs: reads the camera's clock, looks whether it still answers, and brings it
 //! back when it was lost. So nothing that a camera does or does not do makes the node's own thread wait.
 

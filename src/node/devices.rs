@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node's devices: its cameras and its link to the HSU, kept open between sessions.
 
 use super::camera_keeper::{AttendantSetup, CLOCK_BURST, CameraKeeper, Report, camera_sample};

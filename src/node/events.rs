@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What happens to a session while it runs: the HSU's reports, lost and returning devices, the recorder's word.
 
 use super::camera_keeper::Report;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that keeps the link to the HSU during a session: reads its clock, and connects anew when the link was
 //! lost, so that the train's triggers go on being reported from where they broke off.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One capture on one node: the pure state machine, and the driver that carries out its actions. And one capture on all
 //! nodes: what coordinates them, from the command line or from a node.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node's thread: carries out what the state machine says, and feeds it what happens.
 
 use super::devices::Devices;

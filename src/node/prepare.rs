@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The steps of preparation that touch devices and disk, and what undoes them.
 
 use super::camera_keeper::{Report, counters_text};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a node holds while it is in a session: the request, the threads that record it, and its outcome.
 
 use super::camera_keeper::{CameraKeeper, Report};

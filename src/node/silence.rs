@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Notices, from trigger to trigger, which cameras have stopped sending. Pure.
 
 /// Triggers that go by without anything heard before a camera counts as silent.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The session state machine of one node: `step(state, event, now) -> actions`, pure, without devices.
 //!
 //! ```text

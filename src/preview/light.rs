@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are there.
 
 use crate::acquire::preview::Sample;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What an operator sees of the cameras while they run: small pictures, and the figures by which exposure and focus are set.
 //!
 //! A thread of low priority renders what the taps of the recorder leave ([`crate::acquire::preview`]), at most four pictures

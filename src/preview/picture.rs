@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A sample as a small upright PNG.
 //!
 //! The cameras are mounted in portrait, columns running down: the picture is the frame turned clockwise.

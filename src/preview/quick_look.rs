@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A few frame sets of a session just recorded, as clouds that a browser can turn: does the body reconstruct?
 //!
 //! `fourdbody reconstruct` does the work in a process of its own, on time that nobody else wants, and is ended at once when

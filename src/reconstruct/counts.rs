@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Pixel counts that tell how a frame went.
 
 use super::marker::epipolar_check::Dashes;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One frame to one point cloud: the phase pipeline (paper, section 4.1).
 //!
 //! Knows nothing of cameras, networks or tokio, and builds without Aravis. The folders follow the paper's Figure 5, from

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What became of a frame: a cloud or a reason why there is none, and all that the frame gives.
 
 use super::counts::Counts;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One frame to one directional cloud: the stages in their order, each timed.
 
 use super::counts::Counts;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The front end of the default method: from a photograph and its mask to wrapped phases and the marker.
 //!
 //! Two passes over the rows. The first gives the period and finds the marker's ridges, which decide where the second

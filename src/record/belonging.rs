@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which session a record is of: a mark in every one, so that a block of the disk which still holds an earlier session
 //! is never taken for this one, whole as it may be.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session on a node's disk, at a glance: what an operator chooses from, and the worker waits for.
 //!
 //! Of a recording only the header of its first segment and the summary of its last are looked at.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a recording is, for people: outcomes per camera, events by kind, clocks, segments, and what is missing.
 //!
 //! Nothing is checked here that opening a recording does not check; that is [`super::verify`].

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Bytes to the disk past the page cache.
 //!
 //! A buffered writer at 1.1 GB/s fills the page cache until the kernel makes the writer wait for seconds;

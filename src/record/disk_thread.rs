@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that writes one segment, so that the recorder never waits for the disk unless the queue is full.
 //!
 //! Commands are carried out in order, one at a time: a chunk is several megabytes in one `pwritev`, which the

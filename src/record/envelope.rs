@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A frame as a message: `foxglove.RawImage` with identity and checksums, pixels last.
 //!
 //! `RawImage` as Foxglove publishes it has timestamp = 1, width = 2, height = 3, encoding = 4, step = 5,

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The contract of a recording: topics, schemas, metadata keys, the format's version, and the records that
 //! are JSON. Frames are in [`super::envelope`].
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The metadata records of a segment: their checksum, the header that they state, and the index that they lead to.
 
 use super::layout::{

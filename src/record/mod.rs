@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings: layout, writer, reader, verification.
 //!
 //! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and

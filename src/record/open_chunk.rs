@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The open chunk: small bytes in staging memory, pixels where the camera put them.
 //!
 //! This is what the `mcap` writer takes for its file. It accepts a seek to anything that has not left for the

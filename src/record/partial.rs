@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A copy of a segment that has its indexes and chosen frames, and holes elsewhere: what a reader of frames needs of a file
 //! that lies far away.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The little of protobuf that a recording needs: a writer, a bounded reader, and descriptors.
 //!
 //! Wire format: <https://protobuf.dev/programming-guides/encoding/>. Descriptors:

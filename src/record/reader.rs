@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads recordings: opens segments, knows the outcome of every trigger, checks every frame on access.
 
 use super::belonging::{Belonging, Label};

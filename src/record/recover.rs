@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Makes a complete recording of what a crash, a cut or a damaged disk has left.
 //!
 //! `docs/design/recording.md`, "Recovery", states what this keeps true (R1 to R8). The source is read twice: once to

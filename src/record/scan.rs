@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Walks the records of an MCAP file, as far as they are whole.
 //!
 //! Made for files that a crash has cut, for disks that fail, and for bytes that nobody vouches for: what is allocated by

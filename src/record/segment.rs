@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One segment: an MCAP file whose bytes on disk are a clean prefix at every instant.
 
 use super::belonging::{Belonging, Label, SessionMark};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A segment as a file that may fail while it is read.
 //!
 //! Recordings are read with calls that return errors, never through a mapping: a bad sector, or a file that somebody

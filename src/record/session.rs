@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session: a directory with the recordings of all its nodes, read as one source of frames.
 
 use super::layout::{GapCause, MAX_CAMERAS, VERDICT_METADATA, segment_number};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How the disk kept up: latencies in logarithmic classes, cheap enough for every frame.
 
 use crate::base::histogram::Histogram;

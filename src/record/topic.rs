@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which kind of record a channel of a segment carries.
 
 use super::layout::{CLOCK_TOPIC, EVENTS_TOPIC, GAPS_TOPIC, TRIGGERS_TOPIC};

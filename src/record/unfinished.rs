@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings that were not finished: what a node looks for when it starts.
 //!
 //! Cheap enough for a start: of a finished recording only the last segment's summary is looked at; of an unfinished

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
 
 use super::layout::{GapCause, MAX_TRIGGERS, RecordingHeader};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recomputes everything that a recording claims from the files alone.
 //!
 //! Nothing stored is believed: every checksum is computed again, outcomes are counted from the records, the

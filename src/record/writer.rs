@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Writes one node's recording: segments, accounting, durability, and the verdict at the end.
 //!
 //! One thread calls it. It waits for the disk only when the queue of chunks is full; frames wait in their pool

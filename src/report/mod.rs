@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session on one page, for whoever asks later what it was worth: verdict, gaps, light, latencies, points, a turning cloud.
 //!
 //! The page is one HTML file that needs nothing else: pictures, points and the script that turns them are inside.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report's HTML: one file, nothing from anywhere else.
 
 use super::{CameraReport, NodeReport, Report};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings and results in an S3-compatible object store, for machines that share no directory.
 //!
 //! `reconstruct` takes `s3://BUCKET/PREFIX` for the session and for `--out`. Recordings are read in many places and results are renamed into

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The part of a session's recordings that a run reads, from the store to a scratch directory.
 
 use super::remote::{Object, Remote};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Results in the store: what is finished comes first, what is made goes back while the work goes on.
 
 use super::remote::{Object, Remote};

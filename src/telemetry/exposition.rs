@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Metrics as data: one structure, shown as Prometheus text and as JSON.
 
 use crate::base::histogram::Histogram;

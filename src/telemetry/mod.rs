@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a running node counts, as metrics and as judgements. Reading costs the pixel path nothing: all of it is atomics
 //! that are counted anyway.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is good and what is bad: every threshold by its name, once. `status`, the console and reports show these.
 
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Signed deviations as figures.
 
 /// Mean, RMS and the like of signed deviations.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Distances between the outermost circles on both diagonals of the board (paper, 5.1, step 2).
 //!
 //! As the paper has it, the distance of two circles is the mean of that between the points on their outer edges and

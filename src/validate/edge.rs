@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The edge of one circle, to some hundredths of a pixel.
 //!
 //! A directional cloud has no points in a black circle, and its intensities are means over one fringe period along u,

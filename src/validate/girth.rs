@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Girths of a merged cloud at a height (paper, 5.2): the length of the closed contour, and of its convex hull (what a
 //! tape measures).
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Points sorted into cubic cells, so that all within a cell's side of a point are in 27 of them.
 
 use nalgebra::Point3;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which pixels of a photograph carry fringes that can be used, told by the photograph and the truth.
 //!
 //! A pixel's modulation is the slope of the light on the cosine of the *true* phase, over the pixels of its row that

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Figures of merit of clouds (paper, section 5).
 
 /// Signed deviations as figures.

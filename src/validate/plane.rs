@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Plane fits of the board (paper, 5.1, step 1).
 //!
 //! The plane is the total least-squares one of all points within [`GROSS_M`] of it; the first guess is the plane

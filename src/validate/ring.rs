@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The circles of the board in a directional cloud: dark, or without points, on its pixel grid.
 
 use super::plane::Placed;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds against a solid of known shape: a sphere, or a triangle mesh.
 //!
 //! Distances are signed, positive outside. Points further than [`GROSS_M`] from the surface have a wrong fringe order

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Distances between points (paper, 5.2: 1.5 mm in a directional cloud, 1.0 mm in the merged one).
 //!
 //! A directional cloud has a point per pixel: its spacing is the mean distance of the points of pixels beside or above

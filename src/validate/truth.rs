@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds against rendered ground truth: depth, phase and light of every pixel of a camera.
 //!
 //! A truth file is an `npz` with `crop` = [v0, v1, u0, u1] of the full `shape` = [rows, columns], and for the
@@ -12,10 +13,10 @@
 use super::light::{Classes, Light, LightScore};
 use crate::base::image::Plane;
 use crate::data::Cloud;
+use crate::formats::npz::NpzReader;
 use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
 use nalgebra::{Point3, Vector3};
-use npyz::npz::NpzArchive;
 use serde::Serialize;
 use std::f64::consts::PI;
 use std::path::Path;
@@ -47,10 +48,10 @@ impl Truth {
     /// Reads a truth file for a camera of whose rows each is so many of the file, by the middle one of these.
     pub fn load(path: &Path, camera: &Device, bin_rows: usize) -> Result<Self, String> {
         let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
-        let mut archive = NpzArchive::open(path).map_err(|e| fail(&e))?;
-        let crop: Vec<i64> = array(&mut archive, "crop").map_err(|e| fail(&e))?;
-        let depth: Vec<f32> = array(&mut archive, "depth").map_err(|e| fail(&e))?;
-        let lit: Vec<bool> = array(&mut archive, "lit").map_err(|e| fail(&e))?;
+        let mut archive = NpzReader::open(path).map_err(|e| fail(&e))?;
+        let (_, crop): (_, Vec<i64>) = archive.array("crop").map_err(|e| fail(&e))?;
+        let (_, depth): (_, Vec<f32>) = archive.array("depth").map_err(|e| fail(&e))?;
+        let (_, lit): (_, Vec<bool>) = archive.array("lit").map_err(|e| fail(&e))?;
         let crop: Option<Vec<usize>> = crop.iter().map(|&x| usize::try_from(x).ok()).collect();
         let &[v0, v1, u0, u1] = crop
             .as_deref()
@@ -235,15 +236,6 @@ enum Verdict {
         /// Distance to the surface, m; infinite where it is too broken to be triangulated.
         distance_m: f64,
     },
-}
-
-fn array<T: npyz::Deserialize>(
-    archive: &mut NpzArchive<std::io::BufReader<std::fs::File>>,
-    name: &str,
-) -> Result<Vec<T>, String> {
-    let file = archive.by_name(name).map_err(|e| format!("{name}: {e}"))?;
-    let file = file.ok_or_else(|| format!("there is no array {name:?}"))?;
-    file.into_vec().map_err(|e| format!("{name}: {e}"))
 }
 
 /// The point of a triangle that is nearest to `p` (Ericson, Real-Time Collision Detection, 5.1.5: by the

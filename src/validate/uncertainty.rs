@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Predicted standard uncertainty against the actual error, by classes.
 //!
 //! The error is that along the line of sight, in the plane of which the prediction is made: found less true depth at

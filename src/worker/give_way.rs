@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Captures come first: is a node in a session?
 
 use crate::base::Fault;

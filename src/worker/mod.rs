@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reconstructs what the nodes have recorded, by itself, on time that nobody else wants.
 //!
 //! `docs/design/worker.md` states what it must keep true. [`run::Worker`] does the work; what it finds is in [`queue`], what has

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which sessions are there, and which comes next.
 
 use super::state::{Job, Stage, now_ns};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Making room: recordings that are verified, reconstructed and copied may be deleted, by name, when somebody asks for it.
 
 use super::queue::{self, Found};

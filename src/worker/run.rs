@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The worker: one session after the other, verified and reconstructed in processes that can be ended at any moment.
 
 use super::give_way::GiveWay;

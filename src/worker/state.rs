@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the worker writes down: what has become of each session, and what it does now.
 
 use crate::base::{write_whole, write_whole_cached};

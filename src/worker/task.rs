@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One process of `fourdbody` that the worker runs and may end at any moment.
 
 use crate::host::idle_process;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the worker of a node's machine does, for the node's status.
 
 use super::state::WorkerState;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The pipeline on a sphere and a wall that are rendered here by direct formula, through the shipped rig.
 
 use fourdbody::base::image::{Mono8, Plane};

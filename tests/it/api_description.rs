@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The API's description against the running server: every route is described, every answer is as described, and
 //! whatever is sent that fits the description (or nearly) breaks nothing and changes nothing unasked.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node's process without devices, for tests of its API alone; and a client that says whatever a test wants.
 
 use crate::lab::{FOURDBODY, fourdbody, small_rig, text_of};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The written list of requests that a node must refuse (docs/design/api.md), against the real binary.
 
 use crate::api_node::{ApiNode, listen, new_token, write_config};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session where everybody must show who they are: the operator to the nodes, the nodes to each other. The audit logs
 //! say afterwards who did what, and at which trigger.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The tower and the invariants of absence (`ARCHITECTURE.md`), read from the sources: who may name whom.
 
 use std::path::{Path, PathBuf};
@@ -6,19 +7,26 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// All Rust files below `dir`, apart from build results and hidden directories.
+/// What the first line of each file says behind its comment's sign.
+const LICENCE: &str = "SPDX-License-Identifier: MIT OR Apache-2.0";
+
 fn rust_files(dir: &Path) -> Vec<PathBuf> {
-    let mut files = Vec::new();
+    files(dir, &[".rs"])
+}
+
+/// All files below `dir` whose names end so, apart from build results and hidden directories.
+fn files(dir: &Path, ends: &[&str]) -> Vec<PathBuf> {
+    let mut found = Vec::new();
     for entry in std::fs::read_dir(dir).expect("a directory") {
         let path = entry.expect("an entry").path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if path.is_dir() && name != "target" && !name.starts_with('.') {
-            files.extend(rust_files(&path));
-        } else if name.ends_with(".rs") {
-            files.push(path);
+            found.extend(files(&path, ends));
+        } else if ends.iter().any(|end| name.ends_with(end)) {
+            found.push(path);
         }
     }
-    files
+    found
 }
 
 /// The files of the product with their path below `src` and their code: no comments, no white space.
@@ -248,7 +256,20 @@ fn every_file_says_what_it_is_for_and_is_short() {
     for path in rust_files(&root()) {
         let text = std::fs::read_to_string(&path).expect("a source file");
         let lines = text.lines().count();
-        assert!(text.starts_with("//! "), "{}: the first line is not `//! ...`", path.display());
+        let rest = text.strip_prefix(&format!("// {LICENCE}\n"));
+        let rest = rest.unwrap_or_else(|| panic!("{}: the first line is not `// {LICENCE}`", path.display()));
+        assert!(rest.starts_with("//! "), "{}: the second line is not `//! ...`", path.display());
         assert!(lines <= 600, "{}: {lines} lines, 600 are the limit; split it", path.display());
+    }
+}
+
+#[test]
+fn every_script_names_its_licence() {
+    let scripts = files(&root(), &[".sh", ".py"]);
+    assert!(scripts.len() > 20, "{scripts:?}");
+    for path in scripts {
+        let text = std::fs::read_to_string(&path).expect("a script");
+        let line = text.lines().find(|line| !line.starts_with("#!"));
+        assert_eq!(line, Some(&*format!("# {LICENCE}")), "{}", path.display());
     }
 }

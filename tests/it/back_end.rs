@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What comes after the phase, on a wall rendered here by direct formula: uncertainties against actual errors, and
 //! clouds made of stored phase maps against those written directly.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reconstruction of bad photographs: each is refused with a reason or gives fewer points; never a panic, and never a
 //! plausible wrong cloud.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Calibrations from bad photographs: every fault is recognised and named with camera and position, and either left
 //! out or refused. Never is there a calibration that is silently bad.
 

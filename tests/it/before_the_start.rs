@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Devices that fail before the first trigger (docs/design/operation.md, the first column of its table): the session is given
 //! up on both nodes at once, the device is named, nothing is left, and the next session works.
 

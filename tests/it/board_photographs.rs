@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Photographs of the board before one head of half the resolution, rendered once per test process, to be altered.
 
 use fourdbody::base::ids::{CameraId, TriggerIndex};

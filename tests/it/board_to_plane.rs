@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rendered photographs of the board -> calibration -> clouds of the board elsewhere, against the true rig and the true
 //! plane. One head at half size, so that it takes seconds; `make validate` does it in full.
 

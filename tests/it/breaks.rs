@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sessions that end otherwise than planned: every outcome is accounted for, and nothing hangs.
 
 use crate::lab::{NodeProcess, fourdbody, laboratory, start_capture, start_nodes, text_of};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A real browser, driven over WebDriver (W3C): headless Chromium by `chromedriver`.
 
 use fourdbody::control::client::NodeClient;

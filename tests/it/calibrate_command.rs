@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `calibrate` as scripts see it, from image files to `calibration.json`, its report, and clouds made with it.
 
 use crate::board_photographs::{errors, good, scene};

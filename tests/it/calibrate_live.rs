@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `calibrate --live` on a real node and simulated cameras: an operator is led through the positions of the board, each a
 //! session of its own, and a calibration comes out.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Is the stated uncertainty honest, from the photons to the parameters? The same photographs with many seeds of noise.
 
 use crate::board_photographs::{Lights, Photographs, Scene, poses};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Two node processes, eight simulated cameras and the simulated HSU: whole sessions over real protocols.
 
 use crate::lab::{fourdbody, laboratory, start_nodes, text_of};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The operator's console in a real browser, served by real nodes in front of the simulator.
 
 use crate::analytic_scene::{photograph, sphere};

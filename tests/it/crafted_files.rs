@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Files of some kilobytes that were made to cost: `verify`, `info` and `recover` read them in memory and in time that the file
 //! itself bounds, and never say that they are good.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `kill -9` at random moments: what is older than the stated bound is there, and nothing wrong is passed on.
 //!
 //! Recorders are processes of their own, so that the kernel keeps what they had written and nothing else. The number

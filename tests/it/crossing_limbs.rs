@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Fringe orders where a limb crosses the trunk little more than half a fringe before it, along the fringes: a bar before
 //! a post, seen by all cameras of the shipped rig, rendered here by direct formula with the shadows that one throws on the
 //! other.

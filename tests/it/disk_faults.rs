@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Real nodes that record onto disks that are slow, full or fail: what is lost is accounted for, what is counted as
 //! recorded can be read, and the other node is none the worse.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody doctor` in the simulated laboratory: good devices pass, bad ones are named.
 //!
 //! What it thinks of the host that runs the tests is not tested here, only that it says something.

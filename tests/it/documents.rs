@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The documents: a stranger finds the way from the README to a file, and every file that a document names is there.
 
 use std::collections::BTreeSet;
@@ -30,7 +31,8 @@ fn documents() -> Vec<(PathBuf, String)> {
 /// The first sentence of a file's own description.
 fn first_sentence(path: &str) -> String {
     let text = read(path);
-    let lines = text.lines().take_while(|line| line.starts_with("//!"));
+    // Below the licence.
+    let lines = text.lines().skip(1).take_while(|line| line.starts_with("//!"));
     let text: Vec<&str> = lines.map(|line| line.trim_start_matches("//!").trim()).collect();
     text.join(" ").split(". ").next().unwrap_or_default().to_owned()
 }

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Many sessions in one process, and one session that is long: nothing grows, ids wrap unnoticed.
 
 use crate::lab::{fourdbody, laboratory_of, start_nodes, text_of};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody export`: every format is opened by readers that are not ours, runs go on where they were, and wrong
 //! requests are refused with a reason.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Real nodes while cameras and network misbehave by a plan: every injected fault must be accounted for, at its
 //! trigger and by its cause, and nothing else may be missing.
 

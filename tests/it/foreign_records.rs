@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a disk may hold beside a recording's own records, and what a file may claim that it cannot hold.
 
 use crate::recording::{end, frame, header, options, trigger};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a frame is, and what a camera's clock is: cameras that send something else than their features say, that are set
 //! to something else than a session records, or whose clock has another unit, beside ones that do not.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Photographs of one instant reconstructed together, as `reconstruct` does it, but in memory.
 
 use fourdbody::base::image::{Mono8, Plane};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Every seed of the fuzz targets goes through the targets' own functions, without a nightly compiler.
 //!
 //! `fuzz/seeds/TARGET` holds messages, datagrams, recordings and files as they are in good times, and inputs

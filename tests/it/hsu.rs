@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node's HSU link against the simulated unit: real `serialport`, real ptys, the firmware's state machine.
 //!
 //! Counts and order are asserted, never times. The tests run one after another (see [`alone`]), because one of

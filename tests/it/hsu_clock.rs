@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Trigger times over a line that holds every message up, measured against the simulator's own edges.
 
 #[path = "../../examples/clock_accuracy/measure.rs"]

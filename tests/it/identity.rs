@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which trigger a frame is of: cameras that stamp late, not at all or wrongly, that send late, and whose clock cannot
 //! be read, against real nodes; and recordings whose frames are not those of their triggers.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `kill -9` of either node at each stage of a session (docs/design/operation.md): the test stands in for systemd and starts it again.
 
 use crate::crash::{Random, number};

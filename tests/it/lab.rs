@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A simulated laboratory with real node processes, for tests of the whole chain.
 
 use fourdbody::config::SocketMode;

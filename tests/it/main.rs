@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Integration tests of the product: one binary, a module per subject.
 
 mod analytic_scene;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Merged clouds: that they leave out what is worse and nothing else, held against rendered truth, and that every way to
 //! them gives the same bytes. Skipped, with a printed reason, where the shared scene is not at hand.
 
@@ -10,11 +11,11 @@ use fourdbody::batch::run::{self, Format, Plan, cloud_path, merged_path};
 use fourdbody::batch::summary::Summary;
 use fourdbody::batch::timings::Timings;
 use fourdbody::data::{Calibration, Cloud};
+use fourdbody::formats::npz::NpzReader;
 use fourdbody::formats::ply;
 use fourdbody::merge::{self, Rule, View, Viewpoint};
 use fourdbody::validate::truth::{Reference, Score, Tally, Truth};
 use nalgebra::Point3;
-use npyz::npz::NpzArchive;
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::process::Command;
@@ -82,13 +83,10 @@ impl Scene {
         let mut points = Vec::new();
         for (_, camera) in self.calibration.cameras() {
             let path = self.scene.join(format!("body_arms_raised/truth/{}_000000.npz", camera.id));
-            let mut archive = NpzArchive::open(&path).expect("truth");
-            let crop: Vec<i64> =
-                archive.by_name("crop").expect("crop").expect("crop").into_vec().expect("whole");
-            let depth: Vec<f32> =
-                archive.by_name("depth").expect("z").expect("z").into_vec().expect("numbers");
-            let lit: Vec<bool> =
-                archive.by_name("lit").expect("lit").expect("lit").into_vec().expect("truths");
+            let mut archive = NpzReader::open(&path).expect("truth");
+            let (_, crop) = archive.array::<i64>("crop").expect("whole");
+            let (_, depth) = archive.array::<f32>("depth").expect("numbers");
+            let (_, lit) = archive.array::<bool>("lit").expect("truths");
             let crop: Vec<usize> = crop.iter().map(|&x| usize::try_from(x).expect("a place")).collect();
             let width = crop[3] - crop[2];
             for v in (0..crop[1] - crop[0]).step_by(7) {

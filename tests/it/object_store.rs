@@ -1,7 +1,8 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sessions and results in an S3-compatible object store: a real server (`s3s-fs`, which `make test` installs into target/tools),
 //! whose objects are files, so that the tests see what is in it.
 
-use crate::cluster::{Fixture, TRIGGERS, text};
+use crate::cluster::{Fixture, TRIGGERS, program_of_a_compute_node, text};
 use crate::lab::{FOURDBODY, assert_contains, fourdbody, text_of};
 use crate::slurm::PrivateSlurm;
 use serde_json::Value;
@@ -188,9 +189,13 @@ pub fn by_tasks_of(slurm: &PrivateSlurm) {
             serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{}", text(&output)));
         (output.status.code(), found)
     };
-    let [out, calibration, scratch] =
-        [out, store.fixture.path("calibration.json"), store.fixture.path("scratch")]
-            .map(|p| p.display().to_string());
+    let [out, calibration, scratch, program] = [
+        out,
+        store.fixture.path("calibration.json"),
+        store.fixture.path("scratch"),
+        program_of_a_compute_node(),
+    ]
+    .map(|p| p.display().to_string());
     std::fs::create_dir(&scratch).expect("writable");
     let (code, job) = cluster(&[
         "submit",
@@ -203,6 +208,8 @@ pub fn by_tasks_of(slurm: &PrivateSlurm) {
         &calibration,
         "--scratch",
         &scratch,
+        "--program",
+        &program,
         "--format",
         "ply",
         "--tasks",

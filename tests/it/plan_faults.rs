@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Faults that are named in a plan, against real nodes: a bad serial line, cameras that go and come back, other clients
 //! and foreign packets. The recordings must say of each what happened, and nothing else may be missing.
 

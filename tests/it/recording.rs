@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings: what is written is read back, and what is broken is found.
 
 use fourdbody::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `verify`, `info` and `import` as scripts see them: exit codes, standard output, nothing half-written.
 
 use crate::lab::{assert_contains, fourdbody};

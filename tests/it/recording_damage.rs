@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings that were cut, flipped or scrambled: nothing is lost that is whole, nothing wrong is accepted.
 
 use crate::lab::assert_contains;

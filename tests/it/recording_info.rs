@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `info` answers what a researcher asks of a recording, of a whole one and of one that is not.
 
 use crate::lab::{assert_contains, fourdbody, text_of};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `verify` on both nodes' recordings together: pairs that do not belong together are told apart, each by its own words.
 
 use crate::lab::fourdbody;

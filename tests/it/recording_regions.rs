@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Damage of every kind at every kind of place: `verify` finds it, and `recover` passes on nothing wrong and loses no frame
 //! that still proves itself.
 //!

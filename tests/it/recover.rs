@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `recover`: what is whole is saved, what is not is named, and nothing wrong is passed on.
 
 use crate::lab::fourdbody;

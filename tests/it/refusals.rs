@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What goes wrong before a session: the error says what to do, the exit code is right, nothing is left behind.
 
 use crate::lab::{

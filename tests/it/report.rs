@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody report` of a session with gaps.
 
 use crate::lab::{assert_contains, fourdbody, laboratory, start_capture, start_nodes, text_of};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is reused of an earlier run, and what is nothing (docs/design/reconstruction.md, "Results"): a directory takes the clouds of
 //! one session made in one way; a run that made nothing is no success.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node as a service: what systemd is told, and what it makes of the unit.
 
 use crate::lab::{FOURDBODY, laboratory};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Devices that fail in the middle of a session: what is lost is accounted for, the rest is right, and what comes back
 //! goes on at the right trigger.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The calibration on the shared photographs of a board, scored against their truth. Skipped, with a printed
 //! reason, where the data are not at hand.
 

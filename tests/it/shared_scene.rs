@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The pipeline on the shared rendered scene, scored against its ground truth. Skipped, with a printed
 //! reason, where the data are not at hand.
 

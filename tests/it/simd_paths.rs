@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The same bytes from any number of threads, any shard and any width of vectors.
 //!
 //! Two photographs of a mannequin by each camera of two heads at half size, reconstructed by child processes: the width is

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A Slurm of a test's own: controller, one node and key in a temporary directory, in a process namespace that ends with
 //! the test, whatever becomes of it.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a node counts, against what it recorded; and how that is judged.
 
 use crate::lab::{fourdbody, laboratory, start_nodes, text_of};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Aravis' own programs against the simulated cameras: two implementations of GigE Vision that must agree.
 //!
 //! Every test has its own loopback addresses and skips, saying so, where the program is not installed.

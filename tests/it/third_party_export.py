@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Opens exported files with readers that are not ours, and compares them with what they were made of.
 
     third_party_export.py clouds DIR      DIR/expected.bin, DIR/out

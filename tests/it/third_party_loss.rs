@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `arv-camera-test-0.8` while packets get lost: its own options decide what it asks for again.
 
 use crate::third_party_camera::{counters_of, options, start, stream_counters};

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Reads recordings with the `mcap` package, every checksum on, and prints what it found as JSON.
 
 Arguments: segments of one recording. With `mcap_protobuf` installed, frames are decoded by the schema that

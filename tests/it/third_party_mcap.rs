@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A reader that is not ours agrees: the PyPI package `mcap`, with every checksum validated.
 //!
 //! It is looked for in `$FOURDBODY_TEST_PYTHON`, in `tests/.venv` (made by `make test`) and on the system.

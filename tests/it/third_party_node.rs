@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Our node records from a camera that others made: Aravis' own `arv-fake-gv-camera-0.8`.
 //!
 //! It has no hardware trigger: it runs freely at 25 Hz, and the HSU at the same rate. Its frames arrive whole, and no two

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Reads a sequence of merged clouds with the `mcap` package, every checksum on, and prints what it found.
 
 Argument: a sequence.mcap. With `mcap_protobuf` installed, clouds are decoded by the schema in the file.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A whole session of both nodes, looked at by others: `tshark` dissects its traffic, the Python package
 //! `mcap` reads its recordings and a sequence of clouds.
 

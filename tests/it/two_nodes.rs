@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Captures that a node runs for both, and what becomes of a session when the other node dies (docs/design/operation.md).
 
 use crate::lab::{NodeProcess, assert_contains, fourdbody, laboratory, start_nodes, text_of};

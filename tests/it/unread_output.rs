@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Commands whose output nobody reads do their work, and tell how it ended by their exit code.
 
 use crate::lab::{FOURDBODY, fourdbody, text_of};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings on a disk that cannot be read everywhere, and segments that are no files: every command says so, uses
 //! the rest, and ends.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sessions of which a part, or nothing, can be read: the rest is used, the part is named, no exit code says that all is well; and
 //! whose fault it is decides the code: 2 where there is no session, 4 where it cannot be read.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `validate plane|distance|spacing|girth|truth` as scripts see them: exit codes, JSON keys, what is said of missing and
 //! damaged files. On clouds of known shape, so that the figures are known, too.
 

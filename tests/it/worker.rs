@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The worker (docs/design/worker.md) as a process, on recordings of a mannequin at half size, seen by one head.
 
 use crate::cluster::{Fixture, TRIGGERS};
@@ -190,8 +191,12 @@ fn a_worker_that_is_killed_ten_times_gives_the_bytes_of_one_run() {
     for kill in 0..10 {
         let mut worker = place.start();
         std::thread::sleep(Duration::from_millis(200 + random.below(1500)));
-        worker.kill();
         let deadline = Instant::now() + PATIENCE;
+        // It works at idle priority: on a busy machine nothing may have been finished by then.
+        while kill == 9 && place.inodes().is_empty() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        worker.kill();
         while !processes(&place.results()).is_empty() {
             assert!(Instant::now() < deadline, "left behind: {:?}", processes(&place.results()));
             std::thread::sleep(Duration::from_millis(10));

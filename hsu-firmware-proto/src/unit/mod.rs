@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The unit's own behaviour, sans I/O: firmware and simulator run this same state machine.
 //!
 //! Inputs: messages ([`Unit::receive`]), time ([`Unit::tick`]), the projectors' frame sync

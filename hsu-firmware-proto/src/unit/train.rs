@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One train of triggers: when the next one is due, and which number it has.
 
 use crate::timing::{Sync, Timing};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Properties of the framing: any portions, any corruption.
 
 use hsu_firmware_proto::MAX_MESSAGE;

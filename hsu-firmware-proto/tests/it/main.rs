@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Integration tests of the HSU protocol: golden bytes, framing properties, behaviour of the unit.
 mod framing;
 mod messages;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Bytes from outside: never a panic, and nothing read that was not written.
 
 use hsu_firmware_proto::{

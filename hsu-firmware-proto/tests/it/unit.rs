@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Behaviour of the unit: two links, one session, exactly N triggers.
 
 use hsu_firmware_proto::{

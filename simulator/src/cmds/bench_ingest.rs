@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim bench-ingest`: what a node takes in, and what that costs; `make bench-ingest` calls it.
 
 mod dropping;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim cameras`: simulated cameras by themselves, for any GigE Vision program.
 
 use crate::gige::{CameraOptions, ClockOptions, SimulatedCamera, TestImages, process_cpu_time};

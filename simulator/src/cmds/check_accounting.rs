@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim check-accounting`: do recordings say what was injected?
 
 use crate::faults::{Shown, check_with_disks, read_disk_truth, read_truth};

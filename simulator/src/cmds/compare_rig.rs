@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim compare-rig`: a calibration against the true rig.
 
 use crate::compare::{Comparison, compare, moved};

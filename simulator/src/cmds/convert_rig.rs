@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim convert-rig`: the rig of an independent renderer (JSON) as our `rig.toml` and
 //! `calibration.json`.
 

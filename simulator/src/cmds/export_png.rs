@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim export-png`: rendered frames as PNG files that `fourdbody import` reads.
 
 use crate::cache::{CacheError, CachedImages, Manifest};

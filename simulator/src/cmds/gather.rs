@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim gather`: figures of several reports in one flat file, beside the paper's.
 
 use super::summarize::{machine, read};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One file per command of `fourdbody-sim`.
 
 pub mod bench_ingest;

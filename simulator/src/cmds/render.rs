@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim render`: a scenario to frames and ground truth.
 
 use super::failure;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim run`: the whole laboratory on the wire, for real nodes.
 
 use crate::cache::{CachedImages, Manifest};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim summarize`: the demo's figures in one flat file.
 
 use fourdbody::base::Exit;

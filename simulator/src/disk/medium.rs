@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the disk does with each call: how long it takes, how much it takes, when it fails. Knows no file system.
 
 use super::plan::{Drawn, Operation};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A disk that misbehaves by a plan: a directory seen through FUSE, so that the real node records onto it.
 //!
 //! ```text

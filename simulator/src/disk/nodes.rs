@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Numbers for files: the kernel's names for what lies below the backing directory.
 
 use std::collections::HashMap;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file system: what lies in the backing directory, seen through a [`Medium`].
 //!
 //! Files opened for writing alone go past the kernel's page cache, so that every write of the program under test is

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a simulated disk does wrong: the table `[disk]` of a fault plan.
 
 use crate::random::{hash, text_number};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Real system calls on a mounted disk, as the recorder makes them.
 
 use super::{DiskPlan, SimulatedDisk};

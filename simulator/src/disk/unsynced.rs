@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a file would lose if the power went now: what was written since its last good `fdatasync`.
 
 use std::fs::File;

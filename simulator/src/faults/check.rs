@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Compares recordings with what was injected.
 
 use super::check_links::Links;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a recording must say of faults of the HSU and its lines: they cost no frame, and what was noticed is an event;
 //! only a unit that restarts ends the session, and with it the last triggers.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Faults that concern a row of triggers, and what the recording must say of each of them.
 
 use super::check::Accounting;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What simulated disks did, one JSON line each, and what a recording may say because of it.
 
 use fourdbody::record::{GapCause, RecordingReader};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which fault happens to the HSU and its serial lines at which trigger: the table `[hsu]` of a plan.
 
 use super::plan::PlanError;

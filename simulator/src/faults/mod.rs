@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Faults on purpose: what is injected, where, and what a recording must say of it afterwards.
 //!
 //! ```text

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Do the pixels of a recorded frame show the camera and the instant that it is recorded under?
 
 use crate::gige::TestImages;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which fault happens at which trigger of which camera: a function of seed, camera and trigger index.
 
 use super::hsu_plan::{HsuPlan, HsuTable};

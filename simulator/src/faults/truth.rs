@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What was injected, one JSON line per fault, and what a recording has to say of it.
 
 use super::disk::DiskEvent;

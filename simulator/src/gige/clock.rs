@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A camera's own clock: it starts somewhere, and it runs a little too fast or too slow.
 
 use std::sync::atomic::{AtomicI64, Ordering};

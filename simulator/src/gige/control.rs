@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The control channel of one camera: who controls it, what its commands do. No sockets, no threads:
 //! a datagram, its sender and the time go in; the answer and what follows from it come out.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One simulated camera: its sockets and its two threads (control, stream).
 
 use super::clock::{CameraClock, ClockOptions};

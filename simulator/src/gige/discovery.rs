@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Discovery by broadcast: every camera hears broadcasts on loopback and answers from its own address.
 
 use super::gvcp::{self, Command, Request};

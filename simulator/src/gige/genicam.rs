@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The camera's GenICam description: exactly the features that the registers implement.
 //!
 //! Addresses and codes come from the register map and the settings' enumerations, so that description and

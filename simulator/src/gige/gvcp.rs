@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! GVCP, the GigE Vision control protocol: packets to and from bytes, nothing else (no sockets, no state).
 //!
 //! A command is an 8-byte header (key 0x42, flags, command, length, request id) and its payload; an

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! GVSP, the GigE Vision stream protocol: the bytes of leader, payload and trailer packets, nothing else.
 //!
 //! A block (one image) is the leader (packet id 0), `n` payload packets (1..=n), all full but the last, and

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What cameras do differently from each other, and in which they are right by their own lights: formats, padding, chunks,
 //! packets of another size, clocks.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Injected faults on the wire: which datagrams a frame with a fault becomes, and when a camera injects one.
 
 use super::gvsp::{FORMATS, Form, Layout};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where each register lies: address, length, access, and whether a running acquisition locks it.
 
 use self::Access::{ReadOnly, ReadWrite};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Simulated GigE Vision cameras: real GVCP and GVSP endpoints on loopback addresses.
 //!
 //! ```text

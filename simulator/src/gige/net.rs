@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The few socket calls that the standard library lacks: shared binding, polling several sockets, the
 //! don't-fragment option, and sending many datagrams by one system call without copying them together.
 #![allow(unsafe_code, reason = "thin wrappers around libc calls; nothing else in this module tree is unsafe")]

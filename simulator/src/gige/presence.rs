@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether a camera can be reached, and by whom: what its two threads must agree on while a fault keeps it away.
 
 use std::net::SocketAddrV4;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The register map: which registers exist, what they hold, and which values they take.
 //!
 //! Addresses below 0xa000 are the bootstrap registers of GigE Vision 2.x; those from 0x10000 on are the

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Another client on the cameras' network: real datagrams from an address of its own, to the control channel and to
 //! the node's stream port.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether this host cuts long UDP sends apart before its loopback device.
 //!
 //! With UDP_SEGMENT a system call and a walk through the sending half of the IP stack carry seven packets of

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! When a sensor accepts a trigger: the timing of a global shutter with overlapped readout, nothing else.
 //!
 //! A new exposure may begin once the last one has ended, and may only end once the last readout has ended.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Camera features that a client sets: their values, limits and defaults.
 
 use super::gvsp::MONO8;

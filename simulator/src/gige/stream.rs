@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The streaming thread of one camera: triggers and the free-running clock become exposures, exposures
 //! become frames on the wire.
 

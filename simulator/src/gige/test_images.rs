@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Test images that say which camera and which instant they show, in every row.
 
 use crate::images::ImageSource;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frames to packets to the socket, and packets sent again from the frames kept.
 
 use super::gvcp::ResendRequest;

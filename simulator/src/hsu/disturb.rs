@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a bad serial line does to bytes: it delays messages, and flips, swallows and invents bytes.
 
 use crate::random::Stream;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The simulated unit's main loop: what the firmware does with timers and interrupts, on one thread.
 
 use super::inject::{Deed, Injector};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! When the unit and its lines fail, by the plan; and the lines of the truth that say so.
 
 use crate::faults::{HsuFaults, HsuKind, HsuPlan, Injected};

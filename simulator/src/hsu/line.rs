@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One serial line of the simulated unit: the master end of a pty, and a link to its slave end.
 
 use super::disturb::{Disturbance, LineFaults};

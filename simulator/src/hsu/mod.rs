@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A simulated HSU: the firmware's own state machine behind two real ptys, and wires to the cameras.
 //!
 //! A host opens the pty with `serialport` like any serial device; nothing in the product knows of this

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! From light on the sensor to pixel values: blur, sensitivity, noise, saturation, 8 bits.
 
 use super::sensor::Sensor;

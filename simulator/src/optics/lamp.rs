@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Projectors: how much light leaves a panel position.
 
 use crate::scenario::{Light, Optics};

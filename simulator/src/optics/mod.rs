@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! From the projector's panel to pixel values: `docs/design/simulated-light.md` has the equations.
 
 mod expose;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The simulated light against geometry and radiometry computed another way.
 
 use super::{Irradiance, Studio};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rays from every pixel to the scene and on to the projectors.
 
 use super::expose::{Exposure, blur, blur_by_depth, expose};

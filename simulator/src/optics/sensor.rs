@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A camera with everything about it that does not change from frame to frame.
 
 use super::lamp::Lamp;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where in an image a scene can be at all: most rays need not be cast.
 
 use crate::scene::Scene;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A bounding volume hierarchy over triangles: binned surface-area splits (Wald 2007), one flat array.
 //!
 //! Nodes lie in depth-first order, so the left child of node n is n + 1. Built in parallel, with the same

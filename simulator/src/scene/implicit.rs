@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Implicit flesh: rounded cones, possibly flattened, blended smoothly within groups.
 //!
 //! Every field value is at most the true distance to the surface (its gradient is never longer than 1), which

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The articulated mannequin: about 1.75 m of our own proportions, like a tailor's figure.
 //!
 //! Flesh is a table of rounded cones on bones. Groups blend inside; between groups there is a crease, so an

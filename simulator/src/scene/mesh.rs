@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Triangle meshes: the surface that is ray cast, and therefore the truth.
 
 use std::collections::HashMap;

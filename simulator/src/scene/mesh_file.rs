@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Mesh files: reads OBJ (vertices and faces) and PLY (ascii or binary little-endian), writes binary PLY.
 
 use super::mesh::Mesh;

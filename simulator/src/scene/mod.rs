@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What stands in the light: solids and meshes, and the questions that a ray asks of them.
 
 mod bvh;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the mannequin does: postures over time.
 
 use super::skeleton::{Bone, Posture};

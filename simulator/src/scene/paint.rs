@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is painted on the subject: stripes of a shirt, dark lines over a whole body, hairs and moles. Default: nothing.
 //!
 //! A pattern lies in the world and not on the body: within an exposure a body moves by less than a line is wide.

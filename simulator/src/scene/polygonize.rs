@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! An implicit field to a closed triangle mesh: marching cubes (Lorensen and Cline 1987) in the blocks that
 //! the surface crosses, then every vertex moved onto the exact surface by Newton steps.
 //!

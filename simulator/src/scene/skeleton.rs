@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The mannequin's bones: where the joints are in the rest pose, and how they are turned.
 //!
 //! Body axes: x forward, y to the body's left, z up; feet on z = 0. At rest it stands upright, arms hanging.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Analytic solids: sphere, upright cylinder, rectangle and the calibration board. Exact tests for everything.
 
 use super::mesh::Mesh;

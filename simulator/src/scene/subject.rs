@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The scenario's subject as a scene at any time.
 
 use super::mannequin::{HEIGHT_M, Mannequin};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A tailor's dummy: a body without limbs whose girths are known, because each of its horizontal sections is a curve
 //! with a formula.
 //!

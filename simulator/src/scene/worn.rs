@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the mannequin wears or holds: thin things before a body, and cloth that stands off it.
 
 use super::implicit::ConeShape;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the accounting says in words: what happened before a frame and with it, and how a session went in all.
 
 use super::{Accounting, Lane};

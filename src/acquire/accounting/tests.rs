@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The accounting by itself, turn by turn: whose frames count, and what stands in for reports that are held up.
 
 use super::*;

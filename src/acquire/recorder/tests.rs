@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The recorder behind a disk that is too slow: whole sets go, all are accounted for, the rest is intact.
 
 use super::{Channels, LaneSetup, Progress, Recorder, RecorderCommand, RecorderEvent, RecorderOptions};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Captures on all nodes, run by this one: begin, follow, stop, abort.
 
 use crate::api::Shared;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The description of the API itself.
 
 use crate::api::{Shared, description};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether the node can take a session, in one word, for monitors.
 
 use crate::api::Shared;

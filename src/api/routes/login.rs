@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Browsers: a token is exchanged for a cookie that no script can read.
 
 use crate::api::Shared;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Metrics, as Prometheus reads them and as JSON.
 
 use crate::api::Shared;

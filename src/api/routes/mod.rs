@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The API's routes, a file per resource; each has `routes()` with handlers and their description.
 
 pub(super) mod captures;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the other nodes tell, passed on: a browser may only talk to the node that its page came from.
 
 use crate::api::Shared;

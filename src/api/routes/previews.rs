@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Pictures of the cameras while they run.
 
 use crate::api::Shared;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! This node's part in a session: prepare, start, stop, abort.
 
 use crate::api::Shared;

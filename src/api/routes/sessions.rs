@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What this node has recorded, and quick looks at it.
 
 use crate::api::Shared;

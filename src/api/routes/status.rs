@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Everything that a node tells of itself, in one answer.
 
 use crate::api::Shared;

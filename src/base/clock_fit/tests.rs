@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The fit against clocks whose truth is known.
 
 use super::{ClockFit, Exchange, Judged};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What of a session's frames is finished already: made of the same frames, with the same parameters.
 
 use super::{Camera, Format, Job, cameras_comment};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is written of a frame: its cloud, its phase map, and what both say of where they come from.
 
 use super::{Camera, Format, Job, cameras_comment};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Bundle adjustment: lenses, device poses and board poses that explain best where the board's points were seen
 //! (Triggs et al. 1999; damped least squares after Levenberg and Marquardt, with a robust loss).
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What one observation says: its residual, and how that depends on every parameter.
 
 use super::{DEVICE_PARAMETERS, Model, Observation, POSE_PARAMETERS};

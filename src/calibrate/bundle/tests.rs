@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The adjustment on geometry that is known exactly.
 
 use super::observe::{BLOCK, linearize, predict};

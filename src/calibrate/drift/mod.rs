@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How far each device of a rig has turned since it was calibrated, from phase maps of whatever stood in the volume.
 //!
 //! Where two cameras see one place, the phase that one has there says where it is, and the other one's phase must be that which its

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Places of a body that two cameras see, from the phase maps of one instant: what drift is measured with.
 
 use crate::data::{Calibration, PhaseMap, STEPS_PER_FRINGE};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Turns that are known are found again, from the exact phases of a ball.
 
 use super::{Drift, estimate, turned};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whose word counts for the world, and how far: properties on the shipped rig.
 
 use super::{Vertical, WorldError, into_world, nearest_motion};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The filter of a stream's socket: it hears its camera and nobody else.
 
 use super::{AravisCamera, link_error};

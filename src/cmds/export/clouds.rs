@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody export` of a reconstruction.
 
 use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers, stopped};

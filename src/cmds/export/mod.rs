@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody export`: what was recorded and reconstructed, for other programs.
 
 mod clouds;

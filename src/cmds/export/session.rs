@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody export` of a session: frames and times.
 
 use super::{Args, Target, chosen_cameras, chosen_triggers, stopped};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A reconstruction whose session or results are in an object store: staged in a scratch directory, run there, sent back.
 
 use super::{Args, What};

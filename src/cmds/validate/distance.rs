@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate distance`: distances between the outermost circles of the board.
 
 use super::{find_calibration, load_cloud, mean, open_clouds, open_photographs};

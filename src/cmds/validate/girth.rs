@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate girth`: girths of merged clouds at stated heights.
 
 use super::{load_cloud, open_clouds};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate plane`: how flat the board comes out.
 
 use super::{load_calibration, load_cloud, mean, of_something, open_clouds};

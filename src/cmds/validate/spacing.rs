@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate spacing`: distances between points.
 
 use super::{load_cloud, mean, of_something, open_clouds};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate truth`: clouds against rendered ground truth, a sphere or a mesh.
 
 use super::{bin_rows, load_calibration, load_cloud, of_something, open_clouds, open_photographs};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whose calibration it is and where it is valid: what `calibration.json` states beside the geometry, and whether it fits
 //! a recording.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! `calibration.json`: everything that turns a pixel and its absolute phase into a world point.
 //!
 //! Versioned and self-describing; `sha256` covers the compact JSON of the same object without that field,

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is known of a projector beside its geometry: which rows of the panel are its rows, and its response to light.
 
 use serde::{Deserialize, Serialize};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! How the world of a calibration was chosen.
 
 use serde::{Deserialize, Serialize};

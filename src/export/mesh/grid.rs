@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Triangles between neighbouring pixels of one camera.
 //!
 //! The paper calls this the natural next form of an organized cloud. Four neighbouring pixels give two triangles, split

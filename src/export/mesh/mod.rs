@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds to triangle meshes: on the pixel grid of each camera, where holes stay holes, and closed.
 
 mod grid;

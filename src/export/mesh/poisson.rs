@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A closed surface through the points of a merged cloud: screened Poisson reconstruction (Kazhdan, Bolitho and Hoppe,
 //! SGP 2006; Kazhdan and Hoppe, ACM TOG 32(3), 2013), on a regular grid instead of an octree.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The surface where numbers on a grid cross a level, by marching tetrahedra: each cube of eight nodes is cut into six
 //! tetrahedra that share a diagonal, in the same way everywhere, so that the triangles of neighbours meet and every edge
 //! belongs to exactly two of them, as long as the grid's border lies below the level.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sequences of clouds as MCAP, readable by time and by camera without reading all: every message is a chunk of its own,
 //! which the file's summary lists with its time and topic.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds in whole steps, `fourdbody.QuantizedCloud`: a tenth of the bytes once a chunk is compressed, for an error that is
 //! stated in the message.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Schemas of the messages of a sequence (`FileDescriptorSet`), and the little of protobuf that writes them.
 //!
 //! Wire format: field number and wire type as a varint, then the value.

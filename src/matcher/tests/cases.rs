@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Single cases by name.
 
 use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Traits};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Histories of one camera: its habits, what happens to it, and what the node sees of it.
 
 use crate::base::clock_fit::Exchange;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! By how much two cameras differ where both surely see one surface: calibrations age, devices turn.
 //!
 //! What is certain after the first pass is looked at once more. The differences that one camera has from another change slowly over the

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the other cameras say of the place where a patch would lie on each fringe.
 //!
 //! A camera that sees the surface there *agrees* as far as the phase that its projector would cast on the place is the one that it

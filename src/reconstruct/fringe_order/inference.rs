@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The labels of a view's patches that cost least together: tree-reweighted message passing, one sweep after the other (TRW-S;
 //! Kolmogorov, IEEE PAMI 28:1568, 2006).
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where patches touch, by how many whole turns their phases differ, and how surely they are one surface.
 //!
 //! Two whole cells are planes: how these meet at their border tells one surface from two that touch by chance. Other patches are

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a view has in each cell of 8 x 8 px, laid out for the other cameras, which look it up at any place.
 //!
 //! Other cameras look up cells all over the image, and each look waits for memory. A cell that one node fills is a plane of 16 bytes, of which all stay

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Fringe orders of all views of one instant, by minimizing one energy (`docs/design/fringe-order.md`).
 //!
 //! ```text

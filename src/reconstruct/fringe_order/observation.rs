@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the other cameras see at places of a view, and how its phase differs from the one expected: eight places with eight
 //! cameras at once.
 //!

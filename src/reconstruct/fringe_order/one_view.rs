@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The fringe orders of a camera alone, which no other camera can confirm: the best path of links from each patch to a marker.
 //!
 //! Margins of all costs together dilute with the distance from the marker; the weakest link of the best path does not. On a seam where two

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A view's surface in patches: the nodes of the graph in which fringe orders are sought.
 //!
 //! The image is cut into cells of 8 x 8 px. The phases of a cell are unwrapped along its carrier, and pixels that continue each

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where all other cameras would see a place on a line of sight of one view, and which phase their projectors cast on it: eight
 //! cameras at once.
 //!

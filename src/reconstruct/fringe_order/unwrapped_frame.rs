@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! A frame whose phase is known but for its fringe orders.
 
 use super::{Orders, Regions};

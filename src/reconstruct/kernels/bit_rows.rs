@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rows of pixels as bits, 64 a word: what is asked of each pixel is asked of a word at once.
 
 use std::ops::Range;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Memory that is used again from frame to frame, by whichever thread and camera comes next.
 
 use crate::base::image::Plane;

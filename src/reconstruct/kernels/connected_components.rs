@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Connected components of a mask.
 
 use super::pixel_runs::Runs;

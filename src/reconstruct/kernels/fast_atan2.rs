@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The angle of a phasor, for many pixels at once: no table, no branch, the same bytes at every width of vectors.
 
 use super::fast_round::nearest;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rounding of many numbers at once, through the bits of a float: a conversion has to care for numbers that are not here, and keeps
 //! a loop from becoming vectors.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the stages are computed with: vectors of the processor, fast functions, runs of pixels, buffers, stage times.
 
 pub(crate) mod bit_rows;

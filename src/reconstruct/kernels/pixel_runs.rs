@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Runs of a mask's pixels: stages touch these alone, not the rectangle around them.
 
 use super::bit_rows::{WORD, bits_of};

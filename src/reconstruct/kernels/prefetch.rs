@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Memory that is needed soon, asked for before it is.
 //!
 //! Rows of planes lie far from each other, and only a part of each is used: the processor, which looks ahead along one stretch of memory,

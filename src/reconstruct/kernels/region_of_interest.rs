@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The part of a frame that holds the object: everything after the mask works on it alone.
 
 use super::pixel_runs::{Run, Runs};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rows of phases that may support others, around the row that is worked on.
 
 use super::pixel_runs::{Run, Runs};

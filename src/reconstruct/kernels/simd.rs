@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One build for every processor: a stage's loops run with the widest vectors that the processor has.
 //!
 //! Loops are written plainly, over slices, and the compiler makes vectors of them. Neither it nor this code fuses or

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What each stage of a frame has taken.
 
 use std::time::{Duration, Instant};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Values of a row between its pixels, for many pixels at once and without gathers.
 //!
 //! The stages look left and right of each pixel by a share of the local period. That changes slowly along a row, so

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The phase under and beside the marker, where the fringe is not a sine.
 //!
 //! Within one period of the marker its modulation shifts the phase, by up to pi between the dashes of a

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Do the marker's dashes lie where the calibration has them?
 //!
 //! A phase names a column of the panel, and nothing in a photograph of fringes tells whether the calibration that makes

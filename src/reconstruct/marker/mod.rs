@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Marker map Mm of the default method: which pixels lie on the distinguished fringe.
 //!
 //! A fringe tilted in the image has a period along the column too, and limbs alias into any band there: the

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which of the pattern's markers is it? Equal markers are told apart by the working volume.
 //!
 //! A camera's ray meets the volume between two distances, and there the projector's columns between two values. A

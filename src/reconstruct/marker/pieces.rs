@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The connected pieces of the marker's cores, and which of the pattern's markers each one is.
 
 use crate::base::image::Plane;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which pixels' upper envelope lies above a level, in rows of bits: 64 pixels a word.
 //!
 //! The envelope is a closing along the row and a median of 3 x 3 pixels of that. Both give one of the values that they see, by the

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Object mask Om: which pixels show the lit object (paper, 4.1, Figure 6).
 //!
 //! [`envelope`] thresholds the logarithm of the fringes' upper envelope and keeps every component, so that dark hair

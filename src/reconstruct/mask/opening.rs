@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Opening by a square of five pixels, or by as many columns of fewer rows, on rows of bits: 64 pixels a word.
 
 use crate::reconstruct::kernels::bit_rows::{WORD, even};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Marker map Mm and the shift from Um to Fm (paper, Equation 5, Figure 9).
 
 use super::mask::largest_segment;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Object mask Om (paper, Figure 6): Otsu's threshold, dilation and erosion, the largest segment.
 
 use super::{box_sum, one_if};

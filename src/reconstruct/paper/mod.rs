@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Section 4.1 of the paper as it stands: one photograph to absolute phase, the boxes of its Figure 5 in their order.
 //!
 //! It is there to compare the default method with, and to be read beside the paper's text. So its maps are whole

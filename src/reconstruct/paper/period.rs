@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Fringe period Pm, amplitude Am and period stability Sm (paper, Figure 7a to c).
 
 use super::{box_sum, one_if};

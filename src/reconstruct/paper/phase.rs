@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Wrapped phase Wm (paper, Figure 7d): the seven-point spatial-carrier phase shifting of Larkin.
 
 use crate::base::image::{Mono8, Plane};

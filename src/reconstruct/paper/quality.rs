@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Verticality Vm, border map Bm and quality Qm (paper, Equations 1 to 4, Figure 8).
 
 use super::box_sum;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Unwrapped phase Um: a spanning tree guided by Qm.
 
 use crate::base::image::Plane;

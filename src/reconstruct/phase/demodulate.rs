@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Wrapped phase Wm: spatial-carrier phase shifting at the local period (paper, 4.1).
 //!
 //! The seven-point method is Larkin and Oreb's "6 + 1" formula (Larkin & Oreb, Proc. SPIE 1755, 1992): seven

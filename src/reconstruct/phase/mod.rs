@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Wrapped phase Wm: the fringe period, the seven-point demodulation, and the correction for shading.
 
 /// Seven samples at the local period to phase and modulation.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The fringe period Pm of the default method: the paper's count of crossings, found once for a run.
 //!
 //! The paper's window has a median of its own for each pixel, so that crossings are sought anew in each

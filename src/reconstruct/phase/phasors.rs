@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Stages of the front end by themselves, on whole frames: what tests ask of each. What is run goes row by row
 //! ([`crate::reconstruct::wrapped_phase`]).
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Bias of the seven-point formula where the reflected light changes across the fringes.
 //!
 //! On a body the light falls off towards every outline, so that over one period P it is not constant. For

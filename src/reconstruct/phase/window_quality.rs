@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the stages behind the wrapped phase need of its windows: their phasors have given the phase, and what is left of
 //! them and of the light fits 16 bits. Eight frames wait for each other, and memory is what they wait in.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Phase at edges of colour, and what error to expect of a phase.
 //!
 //! A demodulation window that crosses an edge of colour (a disc of the calibration board, a mole, a hair line)

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Bias of the phase where the surface is curved within a window.
 //!
 //! The seven-point formula gives the mean phase over one period P, and the mean over rows that over some rows.

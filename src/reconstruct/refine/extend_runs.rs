@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Phases at the ends of runs, once their fringe orders are known.
 //!
 //! A mask ends where the light does, in the valley beside the last bright fringe, and the surface often goes on in the

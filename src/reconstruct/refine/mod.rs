@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Absolute phase Fm, made better pixel by pixel: what is kept, and corrections for curvature and edges of colour.
 
 /// Phase at edges of colour.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Absolute phase Fm: which of the unwrapped pixels are good enough to become points.
 //!
 //! A demodulation window that crosses a depth step mixes two surfaces; its phase is neither's. Such pixels are

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The standard uncertainty of every phase, from what the frame itself shows.
 //!
 //! - **Noise.** Fourth differences of the phase along the column know nothing of slope and curvature: they are noise.

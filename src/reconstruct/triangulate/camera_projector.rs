@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One camera with the projector of its head: what the phase pipeline must know of the geometry.
 
 use crate::data::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};

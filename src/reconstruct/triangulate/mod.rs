@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Absolute phase to points: the geometry of a camera and its projector, a table of rays, normals.
 
 /// A camera, its projector and what lies between them.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Normals from the points of neighbouring pixels.
 //!
 //! A normal is the cross product of two differences of points: along the row and along the column, over three pixels

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! From absolute phase to the cloud: what is known of a frame in whole steps, then points and normals.
 //!
 //! Rows of points go through a ring of seven, as many as a normal needs, which stays in the cache. The steps come

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Points of whole rows of pixels without solving for any: what triangulation comes to, tabulated.
 //!
 //! Along the line of sight of one pixel the inverse of the depth is a smooth function of the panel column, nearly a

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! From a pixel and its absolute phase to a world point.
 //!
 //! The phase names a column of the projector's panel; the light of that column fills a surface in space

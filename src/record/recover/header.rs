@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which header to believe, and one made anew where none is readable.
 //!
 //! A segment's header has a checksum of its own (`crc32`), those of older recordings only the data section's, which only a

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One recording's segments together: which header to believe, one outcome for each camera and trigger, and how
 //! the session ended.
 

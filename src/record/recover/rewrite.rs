@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Writes what was salvaged as a new recording, through the same writer that records sessions.
 
 use super::merge::Salvage;

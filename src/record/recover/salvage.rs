@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is usable in one segment: every frame checked, every small record under its chunk's checksum, and on
 //! behind damage.
 //!

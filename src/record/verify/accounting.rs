@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The accounting: outcomes counted again, and the trigger table.
 
 use super::{Notes, Severity};

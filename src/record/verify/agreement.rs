@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The nodes of one session must tell the same story: one session, one HSU, one trigger table, and no camera twice.
 
 use super::{Finding, Notes, Severity, accounting, instants};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether frame k is the same instant in all cameras: camera clocks and arrivals against the HSU's triggers, and the
 //! nodes' trigger tables against each other.
 //!

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bytes of the segments: every checksum, every frame, and the frames' places in time.
 
 use super::instants::{self, Seen, Times};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frames from blocks: not copied, aligned in the file, and their blocks back when the disk has them; disks that
 //! fail at any byte and any sync; splits that cost nothing.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! When the disk fails: what is in the file stays readable, what is not becomes gaps, and the accounting goes on in a
 //! segment of its own.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What can be chosen about how a recording is written.
 
 use std::time::Duration;

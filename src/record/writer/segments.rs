@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Open segments: what they hold that is not on the medium yet, the next one made ready beforehand, and the
 //! older one closed aside.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Room on the disk: whether a session fits, when to stop, and what to set aside.
 
 use super::Recording;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! The writer against disks that fail and frames that come in any order.
 
 use super::error::RecordError;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Golden bytes of protocol version 1.
 //!
 //! If a test in this file fails, DO NOT CHANGE THE TEST: units in the field speak these bytes. Restore the

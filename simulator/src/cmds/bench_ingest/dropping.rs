@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Makes room while a session runs: finished segments are removed, some of them after `fourdbody verify`.
 
 use super::process::{Program, failed};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the node is compared with: Aravis that only receives, and a disk that is only written to.
 
 use super::process::{Program, Reading, Usage, failed, load_average};

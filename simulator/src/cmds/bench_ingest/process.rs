@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Programs that the bench starts, and what they cost.
 
 use fourdbody::base::Exit;

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! One train of triggers: the simulated laboratory, a recorder of its own, and what both cost meanwhile.
 
 use super::process::{Cores, Program, Reading, failed, load_average};

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Tests of the control channel: privileges, heartbeat, locks, and traffic of any kind.
 
 use super::super::clock::{CameraClock, ClockOptions};

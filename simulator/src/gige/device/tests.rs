@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whole cameras over real sockets, received by the plainest receiver that the standard allows.
 
 use super::super::gvcp::{Command, Request, ResendRequest};

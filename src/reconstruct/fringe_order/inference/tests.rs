@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Message passing against all labellings of small graphs.
 
 use super::{Costs, Graph, LABELS, NEVER, STEP, in_steps};

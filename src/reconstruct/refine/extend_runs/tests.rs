@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
 //! Runs whose ends are known, lit as a frame is.
 
 use super::{Input, complete};

@@ -1,0 +1,31 @@
+#!/bin/bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# All tests of the workspace. Those with nodes, cameras and clocks mostly wait: more of them run at once than there are
+# processors. Those that only compute run beside them, with the time that these leave, and are told at the end.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+# Modules of tests/it without any clock; whatever is not named here is taken to have one.
+computing=(analytic_scene:: back_end:: bad_frames:: bad_photographs:: board_to_plane:: calibrate_command::
+    calibration_uncertainty:: crossing_limbs:: export:: frame_set:: merging:: reused:: shared_calibration::
+    shared_scene:: simd_paths:: validate_commands::)
+cargo=${CARGO:-cargo}
+log=target/test-computing.log
+# What runs in the background does not hear of Ctrl-C by itself.
+trap "kill 0" INT TERM
+
+# What a compute node has is the program without Aravis: the tests give it to the tasks of their Slurm.
+"$cargo" build --no-default-features --bin fourdbody || exit
+install -D target/debug/fourdbody target/compute-node/fourdbody
+export FOURDBODY_COMPUTE_NODE=$PWD/target/compute-node/fourdbody
+"$cargo" test --workspace --tests --no-run || exit
+
+(
+    nice -n 19 "$cargo" test --workspace --lib && nice -n 19 "$cargo" test --workspace --test it -- "${computing[@]}"
+) >"$log" 2>&1 &
+RUST_TEST_THREADS=$((2 * $(nproc))) "$cargo" test --workspace --test it -- "${computing[@]/#/--skip=}"
+waiting=$?
+wait $!
+computed=$?
+echo "-- the tests that compute ($log)"
+cat "$log"
+[ $waiting -eq 0 ] && [ $computed -eq 0 ]

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! NumPy's `npz`: named arrays in a zip file. Ground truth and maps for comparison are kept so, readable by everybody.
+
+use npyz::{AutoSerialize, Deserialize, NpyFile, WriteOptions, WriterBuilder};
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Write};
+use std::path::Path;
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
+
+/// An `npz` that is read.
+pub struct NpzReader(ZipArchive<BufReader<File>>);
+
+impl NpzReader {
+    /// Opens a file and reads its list of arrays.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        Ok(Self(ZipArchive::new(BufReader::new(File::open(path)?))?))
+    }
+
+    /// An array's shape and its numbers, row by row.
+    pub fn array<T: Deserialize>(&mut self, name: &str) -> Result<(Vec<u64>, Vec<T>), String> {
+        let file = self.0.by_name(&format!("{name}.npy"));
+        let file = file.map_err(|e| format!("there is no readable array {name:?}: {e}"))?;
+        let array = NpyFile::new(file).map_err(|e| format!("{name}: {e}"))?;
+        let shape = array.shape().to_vec();
+        array.into_vec().map(|numbers| (shape, numbers)).map_err(|e| format!("{name}: {e}"))
+    }
+}
+
+/// An `npz` that is written.
+pub struct NpzWriter(ZipWriter<BufWriter<File>>);
+
+impl NpzWriter {
+    /// Begins a file.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        Ok(Self(ZipWriter::new(BufWriter::new(File::create(path)?))))
+    }
+
+    /// Adds an array, which the compressor gets in one piece: number by number would take a hundred times longer.
+    pub fn add<T: AutoSerialize + Copy>(
+        &mut self,
+        name: &str,
+        shape: &[u64],
+        numbers: &[T],
+    ) -> io::Result<()> {
+        let mut bytes = Vec::with_capacity(std::mem::size_of_val(numbers) + 128);
+        let mut array = WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd()?;
+        array.extend(numbers.iter().copied())?;
+        array.finish()?;
+        // Without a time of writing the same arrays have the same bytes.
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Deflated)
+            .compression_level(Some(1))
+            .last_modified_time(DateTime::default());
+        self.0.start_file(format!("{name}.npy"), options)?;
+        self.0.write_all(&bytes)
+    }
+
+    /// Ends the file.
+    pub fn finish(self) -> io::Result<()> {
+        self.0.finish()?.flush()
+    }
+}
