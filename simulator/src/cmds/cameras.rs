@@ -1,6 +1,6 @@
 //! `fourdbody-sim cameras`: simulated cameras by themselves, for any GigE Vision program.
 
-use crate::gige::{CameraOptions, ClockOptions, SimulatedCamera, TestImages, process_cpu_time};
+use crate::gige::{CameraOptions, ClockOptions, Make, SimulatedCamera, TestImages, process_cpu_time};
 use crate::wire::TriggerEdge;
 use crossbeam_channel::{Receiver, never, unbounded};
 use fourdbody::base::Exit;
@@ -31,6 +31,15 @@ pub struct Args {
     /// Edges per second on all trigger inputs; 0 for none.
     #[arg(long, default_value_t = 0.0)]
     trigger_hz: f64,
+    /// Be like the camera of this table: a JSON file of the features that its GenICam description shows.
+    #[arg(long, value_name = "FILE")]
+    like: Option<std::path::PathBuf>,
+    /// The entry of TriggerSource that the trigger input is connected to; by default Line0, Line1 or what there is.
+    #[arg(long, value_name = "LINE", requires = "like")]
+    wired_to: Option<String>,
+    /// A feature that the last user left set, until UserSetLoad: GammaEnable=true, TriggerMode[AcquisitionStart]=On.
+    #[arg(long, value_name = "FEATURE=VALUE", requires = "like")]
+    left_over: Vec<String>,
     /// Lose one packet of so many, to see resend requests at work.
     #[arg(long)]
     lose_one_in: Option<std::num::NonZeroU64>,
@@ -48,11 +57,17 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         let message = format!("--trigger-hz is {}, expected 0 to 10000", args.trigger_hz);
         return Err(Failure::new(Exit::Usage, message));
     }
+    let make = make(args).map_err(|message| Failure::new(Exit::Usage, message))?;
     let mut cameras = Vec::new();
     let mut wires = Vec::new();
     for index in 0..args.count {
         let (wire, triggers) = unbounded();
-        cameras.push(start(args, index, if args.trigger_hz > 0.0 { triggers } else { never() })?);
+        cameras.push(start(
+            args,
+            index,
+            make.as_ref(),
+            if args.trigger_hz > 0.0 { triggers } else { never() },
+        )?);
         wires.push(wire);
     }
     for camera in &cameras {
@@ -88,13 +103,35 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     }
 }
 
-fn start(args: &Args, index: u8, triggers: Receiver<TriggerEdge>) -> Result<SimulatedCamera, Failure> {
+/// What the cameras are like.
+fn make(args: &Args) -> Result<Option<Arc<Make>>, String> {
+    let Some(path) = &args.like else { return Ok(None) };
+    let mut make = Make::load(path).map_err(|e| e.to_string())?;
+    if let Some(line) = &args.wired_to {
+        make = make.wired_to(line).map_err(|e| e.to_string())?;
+    }
+    for left_over in &args.left_over {
+        let (name, value) = left_over
+            .split_once('=')
+            .ok_or_else(|| format!("--left-over {left_over}: expected FEATURE=VALUE"))?;
+        make = make.left_over(name, value).map_err(|e| e.to_string())?;
+    }
+    Ok(Some(Arc::new(make)))
+}
+
+fn start(
+    args: &Args,
+    index: u8,
+    make: Option<&Arc<Make>>,
+    triggers: Receiver<TriggerEdge>,
+) -> Result<SimulatedCamera, Failure> {
     let address = args.first.to_bits().checked_add(u32::from(index)).map(Ipv4Addr::from_bits);
     let address = address.ok_or_else(|| Failure::new(Exit::Usage, "the addresses run out of the range"))?;
     let images = TestImages::new(args.width, args.height, u32::from(index), TestImages::DISTINCT);
     let mut options = CameraOptions::new(&format!("SIM{index:04}"), address, Arc::new(images));
     options.user_name = format!("camera{index}");
     options.triggers = triggers;
+    options.make = make.cloned();
     // Every clock of its own, as in the laboratory.
     options.clock = ClockOptions {
         offset_ns: 1_000_000_000 * (1 + u64::from(index)),

@@ -99,6 +99,7 @@ impl Control {
     /// Takes one datagram.
     pub fn handle(&mut self, datagram: &[u8], from: SocketAddrV4, now: Instant) -> Outcome {
         let mut outcome = self.expire(now);
+        self.registers.tick(self.acquiring, now);
         let request = match Request::decode(datagram) {
             Ok(request) => request,
             Err(malformed) => {

@@ -4,6 +4,7 @@ use super::clock::{CameraClock, ClockOptions};
 use super::control::{Action, Control, Outcome};
 use super::habits::Habits;
 use super::inject::Injector;
+use super::make::Make;
 use super::presence::Presence;
 use super::registers::{Identity, Registers};
 use super::rogue::Rogue;
@@ -52,6 +53,8 @@ pub struct CameraOptions {
     pub lose: Option<PacketFilter>,
     /// What it does differently from others.
     pub habits: Habits,
+    /// The make that it is like; else it is the simulator's own.
+    pub make: Option<Arc<Make>>,
     /// Faults to inject at triggers of the wire; none by default.
     pub faults: Option<CameraFaults>,
 }
@@ -71,6 +74,7 @@ impl CameraOptions {
             first_block_id: 1,
             lose: None,
             habits: Habits::default(),
+            make: None,
             faults: None,
         }
     }
@@ -107,17 +111,27 @@ impl SimulatedCamera {
             tracing::warn!(%error, "cannot enlarge the stream's send buffer");
         }
         let clock = Arc::new(CameraClock::new(Instant::now(), options.clock));
+        let clock_habit =
+            options.make.as_ref().map_or(options.habits.clock, |m| m.clock(options.habits.clock));
+        let habits = Habits { clock: clock_habit, ..options.habits };
         let identity = Identity {
             address: options.address,
-            model: options.model.clone(),
+            model: match &options.make {
+                Some(make) => make.names().1.chars().filter(char::is_ascii_graphic).take(31).collect(),
+                None => options.model.clone(),
+            },
             serial: options.serial.clone(),
             user_name: options.user_name.clone(),
         };
         let source_port = stream_socket.local_addr().map_or(0, |a| a.port());
         let power_on = {
-            let (clock, habits) = (Arc::clone(&clock), options.habits);
+            let (clock, make) = (Arc::clone(&clock), options.make.clone());
             move || {
-                let mut registers = Registers::new(identity.clone(), sensor, Arc::clone(&clock), habits);
+                let (identity, clock) = (identity.clone(), Arc::clone(&clock));
+                let mut registers = match &make {
+                    Some(make) => Registers::of_make(identity, sensor, clock, habits, Arc::clone(make)),
+                    None => Registers::new(identity, sensor, clock, habits),
+                };
                 registers.source_port = source_port;
                 Control::new(registers)
             }
@@ -151,7 +165,7 @@ impl SimulatedCamera {
             statistics: Arc::clone(&statistics),
             running: Arc::clone(&running),
             first_block_id: options.first_block_id,
-            habits: options.habits,
+            habits,
             injector: options.faults.clone().map(Injector::new),
             presence: Arc::clone(&presence),
             rogue,

@@ -21,6 +21,50 @@ pub struct Habits {
     pub no_stamps: bool,
     /// It sends a frame so long after its exposure ended.
     pub send_late: Duration,
+    /// Where in a frame it takes the stamp, to which `stamp_late` is added.
+    pub stamp: StampPoint,
+    /// It reads a picture out so long after its exposure ended.
+    pub readout_late: Duration,
+    /// The exposure for which its images are meant: others make them brighter or darker. None: all are right.
+    pub nominal: Option<Duration>,
+    /// Increment of the exposure; 0: none.
+    pub exposure_step: Duration,
+    /// What it does with an exposure that is not one of its own.
+    pub exposures: Exposures,
+    /// Commands are done so many ms after they were acknowledged.
+    pub command_ms: u64,
+    /// Answers to writes come so many ms late.
+    pub answer_late_ms: u64,
+    /// Another client has control for so many ms after power-on.
+    pub held_ms: u64,
+}
+
+/// Where in a frame a camera takes its stamp.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StampPoint {
+    /// When the shutter opens.
+    #[default]
+    ExposureStart,
+    /// When it closes.
+    ExposureEnd,
+    /// When the readout begins.
+    ReadoutStart,
+    /// When the leader goes out.
+    LeaderSent,
+}
+
+/// What a camera does with an exposure that is not a multiple of its increment.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Exposures {
+    /// Takes the nearest, and says so when it is read back; refuses what is out of bounds.
+    #[default]
+    Rounded,
+    /// Takes the nearest, and says what was asked.
+    Asked,
+    /// Takes the nearest within its bounds for any number.
+    Clamped,
 }
 
 /// How a camera's clock is read, and in which unit it stamps frames.
@@ -90,6 +134,14 @@ impl Habits {
                 stamp_late: Duration::from_micros(table.stamp_late_us),
                 no_stamps: table.no_stamps,
                 send_late: Duration::from_micros(table.send_late_us),
+                stamp: table.stamp,
+                readout_late: Duration::from_micros(table.readout_late_us),
+                nominal: None,
+                exposure_step: Duration::from_micros(table.exposure_step_us),
+                exposures: table.exposures,
+                command_ms: table.command_ms,
+                answer_late_ms: table.answer_late_ms,
+                held_ms: table.held_ms,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -117,6 +169,27 @@ struct Table {
     no_stamps: bool,
     #[serde(default)]
     send_late_us: u64,
+    #[serde(default)]
+    stamp: StampPoint,
+    #[serde(default)]
+    readout_late_us: u64,
+    #[serde(default)]
+    exposure_step_us: u64,
+    #[serde(default)]
+    exposures: Exposures,
+    #[serde(default)]
+    command_ms: u64,
+    #[serde(default)]
+    answer_late_ms: u64,
+    #[serde(default)]
+    held_ms: u64,
+    // Which make it is: read by `Make::parse`.
+    #[serde(default, rename = "like")]
+    _like: Option<String>,
+    #[serde(default, rename = "wired_to")]
+    _wired_to: Option<String>,
+    #[serde(default, rename = "left_over")]
+    _left_over: Option<toml::Table>,
     power_on: Option<FormTable>,
     frames: Option<FormTable>,
 }

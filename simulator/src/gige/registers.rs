@@ -7,6 +7,7 @@ use super::clock::CameraClock;
 use super::gvcp::{DISCOVERY_SIZE, Status};
 use super::gvsp::{FORMATS, Form, IdMode};
 use super::habits::{ClockHabit, Habits};
+use super::make::{Firmware, Make};
 use super::map::{Access, Id, Register, find};
 use super::sensor;
 use super::settings::{AcquisitionMode, ExposureMode, Settings, TriggerSource};
@@ -17,6 +18,8 @@ use std::time::Instant;
 
 /// Where the GenICam XML starts; the URL register says so.
 pub const XML_ADDRESS: u32 = 0x0010_0000;
+/// Where the features begin that are not every GigE Vision camera's.
+const FEATURES: u32 = 0x0001_0000;
 /// Limits of the packet size register: IP, UDP and GVSP headers are counted in.
 pub const PACKET_SIZE: std::ops::RangeInclusive<u16> = 576..=65_532;
 /// The packet size must be a multiple of this.
@@ -71,6 +74,8 @@ pub struct Registers {
     clock: Arc<CameraClock>,
     xml: Vec<u8>,
     habits: Habits,
+    /// Of a camera that is like a table says; else its features are those of [`super::map`].
+    firmware: Option<Firmware>,
     /// The clock as it was latched, ns.
     latched: u64,
     /// Control channel privilege as others read it.
@@ -107,6 +112,7 @@ impl Registers {
         Self {
             xml: genicam::xml(&identity.model, habits.clock),
             habits,
+            firmware: None,
             identity,
             sensor,
             clock,
@@ -126,8 +132,36 @@ impl Registers {
         }
     }
 
+    /// Registers after power-on of a camera of this make.
+    pub fn of_make(
+        identity: Identity,
+        sensor: (u32, u32),
+        clock: Arc<CameraClock>,
+        habits: Habits,
+        make: Arc<Make>,
+    ) -> Self {
+        let firmware = Firmware::new(make, sensor, habits);
+        let mut xml = firmware.description().into_bytes();
+        xml.resize(xml.len().next_multiple_of(4), b'\n');
+        let settings = firmware.settings();
+        let packet_size = firmware.first_packet_size();
+        let plain = Self::new(identity, sensor, clock, habits);
+        Self { firmware: Some(firmware), xml, settings, packet_size, ..plain }
+    }
+
+    /// Does what has become due by now.
+    pub fn tick(&mut self, acquiring: bool, now: Instant) {
+        if let Some(firmware) = &mut self.firmware {
+            firmware.tick(acquiring, now);
+            self.settings = firmware.settings();
+        }
+    }
+
     /// What the payload of an image is, as its features say.
     pub fn form(&self) -> Form {
+        if let Some(firmware) = &self.firmware {
+            return firmware.form(self.habits.power_on);
+        }
         let format = self.settings.pixel_format;
         Form { format, told: format, ..self.habits.power_on }
     }
@@ -179,6 +213,12 @@ impl Registers {
     ) -> Result<(usize, Option<Effect>), Status> {
         if !address.is_multiple_of(4) || !data.len().is_multiple_of(4) {
             return Err(Status::BadAlignment);
+        }
+        if let Some(firmware) = self.firmware.as_mut().filter(|_| (FEATURES..XML_ADDRESS).contains(&address))
+        {
+            let done = firmware.write(address, data, acquiring, now)?;
+            self.settings = firmware.settings();
+            return Ok(done);
         }
         let Some((register, offset)) = find(address) else {
             let in_xml = self.xml_word(address).is_some();
@@ -267,8 +307,12 @@ impl Registers {
                 self.host_port = (value & 0xffff) as u16;
             }
             Id::PacketSize => {
-                let size = (value & 0xffff) as u16;
-                accept(PACKET_SIZE.contains(&size) && size.is_multiple_of(PACKET_SIZE_STEP))?;
+                let mut size = (value & 0xffff) as u16;
+                if let Some(firmware) = &self.firmware {
+                    size = firmware.packet_size(size).ok_or(Status::InvalidParameter)?;
+                } else {
+                    accept(PACKET_SIZE.contains(&size) && size.is_multiple_of(PACKET_SIZE_STEP))?;
+                }
                 // Mono8 has no byte order: the big-endian bit is accepted and has nothing to change.
                 self.packet_size = size;
                 self.do_not_fragment = value & 1 << 30 != 0;
@@ -345,6 +389,16 @@ impl Registers {
 
     /// The four bytes at an aligned address.
     fn word(&self, address: u32) -> Option<[u8; 4]> {
+        if let Some(firmware) = self.firmware.as_ref().filter(|_| (FEATURES..XML_ADDRESS).contains(&address))
+        {
+            // Of a standard's register and nothing else of the map's own features.
+            let clock = (Id::NanosecondsHigh.address()..=Id::NanosecondsLow.address()).contains(&address);
+            return if clock {
+                find(address).map(|(r, _)| self.integer(r.id).to_be_bytes())
+            } else {
+                firmware.word(address).ok()
+            };
+        }
         let Some((register, offset)) = find(address) else { return self.xml_word(address) };
         if matches!(register.id, Id::TickFrequencyHigh | Id::TickFrequencyLow) {
             // Not every camera says.
@@ -370,7 +424,10 @@ impl Registers {
 
     fn text(&self, id: Id) -> String {
         match id {
-            Id::Manufacturer => VENDOR.to_owned(),
+            Id::Manufacturer => match &self.firmware {
+                Some(firmware) => firmware.vendor(),
+                None => VENDOR.to_owned(),
+            },
             Id::Model => self.identity.model.clone(),
             Id::DeviceVersion => env!("CARGO_PKG_VERSION").to_owned(),
             Id::ManufacturerInfo => "simulated camera".to_owned(),
