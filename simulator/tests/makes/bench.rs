@@ -22,7 +22,7 @@ pub const PROTECTED: u16 = 0x8004;
 pub const DENIED: u16 = 0x8006;
 
 /// A camera that has what cameras have.
-const ANY: &str = r#"{"vendor": "Any", "model": "Camera", "features": {
+pub const ANY: &str = r#"{"vendor": "Any", "model": "Camera", "features": {
     "AcquisitionFrameRate": {"type": "float", "unit": "Hz", "min": "depends", "max": "depends"},
     "AcquisitionFrameRateEnable": {"type": "boolean"},
     "AcquisitionMode": {"type": "enumeration", "entries": ["Continuous", "SingleFrame"]},

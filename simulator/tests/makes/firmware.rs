@@ -1,7 +1,10 @@
 //! Registers: bounds, increments, locks, selectors, commands, user sets.
 
 use crate::bench::{Bench, DENIED, HEIGHT, INVALID, OK, PROTECTED, WIDTH, any};
+use fourdbody_simulator::gige::Make;
+use fourdbody_simulator::gige::make::Table;
 use fourdbody_simulator::gige::{Exposures, Habits};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 #[test]
@@ -110,4 +113,55 @@ fn a_set_that_was_saved_is_another_state_than_the_factorys() {
     bench.set_all(&[("UserSetSelector", "Default")]);
     assert_eq!(bench.execute("UserSetLoad"), OK);
     assert_eq!(bench.float("Gain"), 0.0);
+}
+
+#[test]
+fn habits_name_makes_and_wrong_ones_are_refused() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    std::fs::write(dir.path().join("any.json"), crate::bench::ANY).expect("a file");
+    let parse = |keys: &str| {
+        Make::parse_all(&format!("[[habit]]\ncamera = \"h0_up\"\n{keys}"), dir.path())
+            .map_err(|e| e.to_string())
+    };
+    let makes = parse(
+        "like = \"any.json\"\nwired_to = \"Line2\"\nwithout = [\"LUTEnable\"]\nstamp = \"exposure_end\"\n\
+         left_over = { Gain = 6.0, ReverseX = true, \"TriggerMode[AcquisitionStart]\" = \"On\" }",
+    );
+    assert_eq!(makes.expect("valid").keys().collect::<Vec<_>>(), ["h0_up"]);
+    assert!(parse("clock = \"still\"").expect("valid").is_empty(), "its habits are another's to read");
+    for (keys, words) in [
+        ("like = \"none.json\"", "none.json"),
+        ("wired_to = \"Line1\"", "belong to a camera with like"),
+        ("like = \"any.json\"\nwired_to = \"Line9\"", "Software, Line1, Line2"),
+        ("like = \"any.json\"\nwithout = [\"Width\"]", "every camera has it"),
+        ("like = \"any.json\"\nleft_over = { Gain = \"high\" }", "expected a number"),
+        ("like = \"any.json\"\nleft_over = { GainAuto = \"Sometimes\" }", "expected one of Off, Continuous"),
+        ("like = \"any.json\"\nleft_over = { \"Gain[All]\" = 3.0 }", "no selector of Gain"),
+        ("like = \"any.json\"\nleft_over = { GevSCPSPacketSize = 3 }", "nobody leaves behind"),
+        ("like = \"any.json\"\nleft_over = { UserSetLoad = 1 }", "a command leaves nothing"),
+    ] {
+        let error = parse(keys).expect_err(keys);
+        assert!(error.contains(words) && error.contains("h0_up"), "{keys}: {error}");
+    }
+    assert!(Make::load(Path::new("/nowhere.json")).is_err());
+}
+
+/// Features that select each other, or many that select many.
+#[test]
+fn tables_that_make_no_sense_end() {
+    let row = |place: usize| {
+        let selects: Vec<String> = (0..40).map(|other| format!("\"S{other:02}Selector\"")).collect();
+        let entries: Vec<String> = (0..50).map(|entry| format!("\"E{entry}\"")).collect();
+        let (entries, selects) = (entries.join(","), selects.join(","));
+        format!(
+            "\"S{place:02}Selector\": {{\"type\": \"enumeration\", \"entries\": [{entries}], \"selects\": [{selects}]}},"
+        )
+    };
+    let rows: String = (0..40).map(row).collect();
+    let text = crate::bench::ANY.replacen("\"features\": {", &format!("\"features\": {{{rows}"), 1);
+    let make = Make::new(Table::parse(&text).expect("a table")).expect("a make");
+    let make = make.left_over("S39Selector", "E7").expect("an entry");
+    let mut bench = Bench::new((1, 10), make, Habits::default());
+    assert_eq!(bench.set("S00Selector", "E3"), OK);
+    assert_eq!(bench.integer("S00Selector"), 3);
 }

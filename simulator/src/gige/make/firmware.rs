@@ -92,6 +92,12 @@ impl Firmware {
     /// Every combination of entries of a feature's selectors that are enumerations; of the first one only `place`, where
     /// it is given. Selectors that are integers count as they stand.
     fn all_keys(&self, index: usize, place: Option<usize>) -> Vec<Vec<i64>> {
+        const MOST: usize = 10_000;
+        let counts =
+            self.make.selectors[index].iter().map(|selector| self.feature(*selector).entries.len().max(1));
+        if counts.fold(1, usize::saturating_mul) > MOST {
+            return vec![self.key(index).1];
+        }
         let mut keys = vec![Vec::new()];
         for (number, selector) in self.make.selectors[index].iter().enumerate() {
             let count = self.feature(*selector).entries.len();

@@ -18,7 +18,7 @@ pub use table::{Table, TableError};
 use super::habits::ClockHabit;
 use places::Link;
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 use table::Kind;
@@ -71,15 +71,7 @@ impl Make {
         for known in &mut selectors {
             known.retain(|selector| selects(&table, *selector));
         }
-        // What selects its own selector would never come to an end.
-        for index in 0..count {
-            let known = std::mem::take(&mut selectors[index]);
-            for selector in known {
-                if selector != index && !reaches(&selectors, selector, index, count) {
-                    selectors[index].push(selector);
-                }
-            }
-        }
+        break_chains(&mut selectors);
         let mut aliases = vec![None; count];
         for names in [rules::EXPOSURE, rules::GAIN] {
             let there: Vec<usize> = names.iter().filter_map(|name| table.find(name)).collect();
@@ -271,11 +263,33 @@ fn selects(table: &Table, index: usize) -> bool {
     }
 }
 
-/// Whether a feature, or a selector of it, or one of that, is `wanted`.
-fn reaches(selectors: &[Vec<usize>], from: usize, wanted: usize, depth: usize) -> bool {
-    from == wanted
-        || depth > 0
-            && selectors[from].iter().any(|selector| reaches(selectors, *selector, wanted, depth - 1))
+/// Most selectors of a feature, and most levels of selectors of selectors: twice what any camera has.
+const MOST_SELECTORS: usize = 4;
+
+/// Leaves out selectors by which a value would be looked for without end: of what selects them, and beyond the limits.
+fn break_chains(selectors: &mut [Vec<usize>]) {
+    for index in 0..selectors.len() {
+        let known = std::mem::take(&mut selectors[index]);
+        let fitting = known.into_iter().filter(|selector| {
+            let above = levels(selectors, *selector, MOST_SELECTORS);
+            above.is_some_and(|above| !above.contains(&index)) && *selector != index
+        });
+        let fitting: Vec<usize> = fitting.take(MOST_SELECTORS).collect();
+        selectors[index] = fitting;
+    }
+}
+
+/// All that select a feature, directly or not; `None` where there are more levels than `most`.
+fn levels(selectors: &[Vec<usize>], index: usize, most: usize) -> Option<BTreeSet<usize>> {
+    let (mut all, mut level) = (BTreeSet::new(), BTreeSet::from([index]));
+    for _ in 0..most {
+        level = level.iter().flat_map(|selected| selectors[*selected].iter().copied()).collect();
+        if level.is_empty() {
+            return Some(all);
+        }
+        all.extend(&level);
+    }
+    None
 }
 
 #[derive(Deserialize)]
