@@ -212,7 +212,7 @@ struct Table {
     tick_ns: u64,
     #[serde(default)]
     extended_ids: bool,
-    // Which make it is: read by `Make::parse`.
+    // Which make it is: read by `Make::parse_all`.
     #[serde(default, rename = "like")]
     _like: Option<String>,
     #[serde(default, rename = "wired_to")]

@@ -7,6 +7,8 @@
 //!          -> [net] sendmmsg, by runs of packets where the host allows it ([segmentation])
 //! ```
 //!
+//! A camera of another make has its features in [`make`] instead of [`map`]; what it makes of the light is in [`picture`].
+//!
 //! [`gvcp`], [`gvsp`], [`control`], [`registers`], [`sensor`] and [`genicam`] know no sockets and no threads.
 //! `docs/design/simulated-cameras.md` says what of the standard is implemented.
 

@@ -92,3 +92,27 @@ impl Network {
         true
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Id, Network};
+    use std::net::Ipv4Addr;
+
+    #[test]
+    fn what_is_kept_counts_after_power_on() {
+        let (first, kept) = (Ipv4Addr::new(127, 0, 7, 11), Ipv4Addr::new(127, 0, 7, 99));
+        let network = Network::new(first);
+        assert!(network.write(Id::PersistentAddress, &kept.octets()));
+        assert!(!network.write(Id::IpAddress, &kept.octets()), "not its own to choose");
+        assert_eq!(network.word(Id::IpAddress), Some(first.to_bits()));
+        assert_eq!(network.power_on().now.0, kept);
+        assert!(network.write(Id::IpConfiguration, &[0, 0, 0, 0]));
+        assert_eq!(network.word(Id::IpConfiguration), Some(4), "link-local cannot be switched off");
+        let away = network.power_on();
+        assert_eq!((away.now.0, away.away), (Ipv4Addr::new(169, 254, 7, 99), true));
+        let new = Network::link_local(first);
+        assert_eq!((new.now.0, new.away), (Ipv4Addr::new(169, 254, 7, 11), true));
+        assert!(new.write(Id::IpConfiguration, &[0, 0, 0, 1]));
+        assert_eq!((new.power_on().now.0, new.power_on().away), (first, false));
+    }
+}
