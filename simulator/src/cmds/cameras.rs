@@ -130,6 +130,16 @@ fn make(args: &Args, path: &std::path::Path) -> Result<Make, String> {
 }
 
 fn habits(args: &Args) -> Result<Habits, Failure> {
+    // These are read by others from a file, and by nobody from here.
+    let own = |line: &&String| {
+        let key = line.split('=').next().unwrap_or("").trim();
+        ["like", "wired_to", "left_over", "without"].contains(&key)
+    };
+    if let Some(line) = args.habit.iter().find(own) {
+        let message =
+            format!("--habit '{line}': expected --like, --wired-to, --left-over or --without for that");
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let text = format!("[[habit]]\ncamera = \"\"\n{}", args.habit.join("\n"));
     let habits = Habits::parse(&text).map_err(|e| Failure::new(Exit::Usage, e))?;
     Ok(habits.into_values().next().unwrap_or_default())
