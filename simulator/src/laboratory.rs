@@ -4,7 +4,7 @@
 
 use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::{CameraFaults, FaultPlan, HsuFaults, TruthLog};
-use crate::gige::{CameraError, CameraOptions, ClockOptions, Habits, SimulatedCamera};
+use crate::gige::{CameraError, CameraOptions, ClockOptions, Habits, Make, SimulatedCamera};
 use crate::hsu::{HsuOptions, SimulatedHsu};
 use crate::images::ImageSource;
 use crossbeam_channel::unbounded;
@@ -16,6 +16,7 @@ use std::io;
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// What to set up.
 #[derive(Debug, Clone)]
@@ -44,6 +45,10 @@ pub struct LaboratoryOptions {
     pub packet_bytes: u32,
     /// What cameras do differently from others, by their names.
     pub habits: BTreeMap<String, Habits>,
+    /// Makes that cameras are like, by the cameras' names; the others are the simulator's own.
+    pub makes: BTreeMap<String, Arc<Make>>,
+    /// Node files list the settings of such cameras, as somebody writes them who knows them; else nodes must find them.
+    pub make_settings: bool,
     /// Faults of the cameras; what was injected is written to `faults.jsonl` in the run directory.
     pub faults: Option<FaultPlan>,
     /// Disks that misbehave, one for each node that it names; what they did is written to `faults.jsonl` as well. Needs
@@ -73,6 +78,8 @@ impl LaboratoryOptions {
             socket: SocketMode::Auto,
             packet_bytes: 9000,
             habits: BTreeMap::new(),
+            makes: BTreeMap::new(),
+            make_settings: true,
             faults: None,
             disk: None,
             carry_on: false,
@@ -163,6 +170,10 @@ impl Laboratory {
             setup.triggers = triggers;
             setup.first_block_id = options.first_block_id;
             setup.habits = options.habits.get(camera.id.as_str()).copied().unwrap_or_default();
+            setup.make = options.makes.get(camera.id.as_str()).cloned();
+            if setup.make.is_some() {
+                setup.habits.nominal = Some(Duration::from_nanos(head.exposure_ns));
+            }
             // Every clock of its own, as in the laboratory.
             setup.clock = ClockOptions {
                 offset_ns: 1_000_000_000 * (1 + u64::from(number)),
@@ -336,20 +347,33 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
         if camera.node != *node {
             continue;
         }
-        let settings = format!(
-            "  [\"PixelFormat\", \"Mono8\"],\n  [\"Width\", {}],\n  [\"Height\", {}],\n  \
-             [\"TriggerSelector\", \"FrameStart\"],\n  [\"TriggerMode\", \"On\"],\n  [\"TriggerSource\", \"Line0\"],\n  \
-             [\"TriggerActivation\", \"RisingEdge\"],\n  [\"ExposureTime\", {:?}],\n  [\"Gain\", 0.0],\n",
-            camera.device.width,
-            camera.device.height,
-            head.exposure_ns as f64 / 1000.0
-        );
+        let size = (camera.device.width, camera.device.height);
+        let exposure_us = head.exposure_ns as f64 / 1000.0;
+        let settings = match options.makes.get(camera.id.as_str()) {
+            None => own_settings(size, exposure_us),
+            Some(make) if options.make_settings => make
+                .session_settings(size, exposure_us)
+                .iter()
+                .map(|(feature, value)| format!("  [{feature:?}, {value}],\n"))
+                .collect(),
+            Some(_) => String::new(),
+        };
+        let list = if settings.is_empty() { settings } else { format!("settings = [\n{settings}]\n") };
         let _ = write!(
             text,
-            "\n[[camera]]\nid = \"{}\"\naddress = \"{}\"\nsettings = [\n{settings}]\n",
+            "\n[[camera]]\nid = \"{}\"\naddress = \"{}\"\n{list}",
             camera.id,
             camera_address(options, number)
         );
     }
     text
+}
+
+/// The settings of the simulator's own cameras.
+fn own_settings((width, height): (usize, usize), exposure_us: f64) -> String {
+    format!(
+        "  [\"PixelFormat\", \"Mono8\"],\n  [\"Width\", {width}],\n  [\"Height\", {height}],\n  \
+         [\"TriggerSelector\", \"FrameStart\"],\n  [\"TriggerMode\", \"On\"],\n  [\"TriggerSource\", \"Line0\"],\n  \
+         [\"TriggerActivation\", \"RisingEdge\"],\n  [\"ExposureTime\", {exposure_us:?}],\n  [\"Gain\", 0.0],\n"
+    )
 }

@@ -3,6 +3,8 @@
 
 mod analytic_scene;
 #[cfg(feature = "aravis")]
+mod any_camera;
+#[cfg(feature = "aravis")]
 mod api_description;
 #[cfg(feature = "aravis")]
 mod api_node;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody-sim cameras`: simulated cameras by themselves, for any GigE Vision program.
 
-use crate::gige::{CameraOptions, ClockOptions, SimulatedCamera, TestImages, process_cpu_time};
+use crate::gige::make::Table;
+use crate::gige::{CameraOptions, ClockOptions, Habits, Make, SimulatedCamera, TestImages, process_cpu_time};
 use crate::wire::TriggerEdge;
 use crossbeam_channel::{Receiver, never, unbounded};
 use fourdbody::base::Exit;
@@ -32,6 +33,22 @@ pub struct Args {
     /// Edges per second on all trigger inputs; 0 for none.
     #[arg(long, default_value_t = 0.0)]
     trigger_hz: f64,
+    /// Be like the camera of this table: a JSON file of the features that its GenICam description shows. Several are taken
+    /// in turn.
+    #[arg(long, value_name = "FILE")]
+    like: Vec<std::path::PathBuf>,
+    /// The entry of TriggerSource that the trigger input is connected to; by default Line0, Line1 or what there is.
+    #[arg(long, value_name = "LINE", requires = "like")]
+    wired_to: Option<String>,
+    /// A feature that the last user left set, until UserSetLoad: GammaEnable=true, TriggerMode[AcquisitionStart]=On.
+    #[arg(long, value_name = "FEATURE=VALUE", requires = "like")]
+    left_over: Vec<String>,
+    /// A feature, or an entry of one, that the table has and these cameras do not: PixelFormat[Mono8].
+    #[arg(long, value_name = "FEATURE", requires = "like")]
+    without: Vec<String>,
+    /// A habit, as a line of a [[habit]] table: 'stamp = "exposure_end"'.
+    #[arg(long, value_name = "LINE")]
+    habit: Vec<String>,
     /// Lose one packet of so many, to see resend requests at work.
     #[arg(long)]
     lose_one_in: Option<std::num::NonZeroU64>,
@@ -49,11 +66,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         let message = format!("--trigger-hz is {}, expected 0 to 10000", args.trigger_hz);
         return Err(Failure::new(Exit::Usage, message));
     }
+    let makes = makes(args).map_err(|message| Failure::new(Exit::Usage, message))?;
     let mut cameras = Vec::new();
     let mut wires = Vec::new();
     for index in 0..args.count {
         let (wire, triggers) = unbounded();
-        cameras.push(start(args, index, if args.trigger_hz > 0.0 { triggers } else { never() })?);
+        cameras.push(start(args, index, &makes, if args.trigger_hz > 0.0 { triggers } else { never() })?);
         wires.push(wire);
     }
     for camera in &cameras {
@@ -89,13 +107,59 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     }
 }
 
-fn start(args: &Args, index: u8, triggers: Receiver<TriggerEdge>) -> Result<SimulatedCamera, Failure> {
+/// What the cameras are like.
+fn makes(args: &Args) -> Result<Vec<Arc<Make>>, String> {
+    args.like.iter().map(|path| make(args, path).map(Arc::new)).collect()
+}
+
+fn make(args: &Args, path: &std::path::Path) -> Result<Make, String> {
+    let mut table = Table::load(path).map_err(|e| e.to_string())?;
+    for name in &args.without {
+        table = table.without(name).map_err(|e| e.to_string())?;
+    }
+    let mut make = Make::new(table).map_err(|e| e.to_string())?;
+    if let Some(line) = &args.wired_to {
+        make = make.wired_to(line).map_err(|e| e.to_string())?;
+    }
+    for left_over in &args.left_over {
+        let (name, value) = left_over
+            .split_once('=')
+            .ok_or_else(|| format!("--left-over {left_over}: expected FEATURE=VALUE"))?;
+        make = make.left_over(name, value).map_err(|e| e.to_string())?;
+    }
+    Ok(make)
+}
+
+fn habits(args: &Args) -> Result<Habits, Failure> {
+    // These are read by others from a file, and by nobody from here.
+    let own = |line: &&String| {
+        let key = line.split('=').next().unwrap_or("").trim();
+        ["like", "wired_to", "left_over", "without"].contains(&key)
+    };
+    if let Some(line) = args.habit.iter().find(own) {
+        let message =
+            format!("--habit '{line}': expected --like, --wired-to, --left-over or --without for that");
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let text = format!("[[habit]]\ncamera = \"\"\n{}", args.habit.join("\n"));
+    let habits = Habits::parse(&text).map_err(|e| Failure::new(Exit::Usage, e))?;
+    Ok(habits.into_values().next().unwrap_or_default())
+}
+
+fn start(
+    args: &Args,
+    index: u8,
+    makes: &[Arc<Make>],
+    triggers: Receiver<TriggerEdge>,
+) -> Result<SimulatedCamera, Failure> {
     let address = args.first.to_bits().checked_add(u32::from(index)).map(Ipv4Addr::from_bits);
     let address = address.ok_or_else(|| Failure::new(Exit::Usage, "the addresses run out of the range"))?;
     let images = TestImages::new(args.width, args.height, u32::from(index), TestImages::DISTINCT);
     let mut options = CameraOptions::new(&format!("SIM{index:04}"), address, Arc::new(images));
     options.user_name = format!("camera{index}");
     options.triggers = triggers;
+    options.habits = habits(args)?;
+    options.make = makes.iter().cycle().nth(usize::from(index)).cloned();
     // Every clock of its own, as in the laboratory.
     options.clock = ClockOptions {
         offset_ns: 1_000_000_000 * (1 + u64::from(index)),

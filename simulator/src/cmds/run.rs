@@ -4,7 +4,7 @@
 use crate::cache::{CachedImages, Manifest};
 use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::FaultPlan;
-use crate::gige::{Habits, TestImages};
+use crate::gige::{Habits, Make, TestImages};
 use crate::images::ImageSource;
 use crate::laboratory::{Laboratory, LaboratoryOptions};
 use fourdbody::base::Exit;
@@ -59,7 +59,7 @@ pub struct Args {
     #[arg(long, value_name = "MIB")]
     segment_mib: Option<u64>,
     /// Faults to inject: a TOML file with tables [faults] (cameras), [disk] (the nodes' disks; needs FUSE), or [[habit]]
-    /// (what single cameras do differently from others).
+    /// (what single cameras do differently from others, and which make they are like).
     /// What was injected goes to faults.jsonl in the run directory.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
@@ -102,6 +102,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.calibration =
         args.frames.as_ref().map(|frames| frames.join("calibration.json")).filter(|file| file.is_file());
     (options.faults, options.disk, options.habits) = fault_plans(args)?;
+    options.makes = makes(args)?;
     // A mount outlives its process: a laboratory with disks must end in good order.
     let signals = options.disk.as_ref().map(|_| EndSignals::block());
     let mut images = images(args, &rig_path, &options.rig_text)?;
@@ -183,6 +184,14 @@ fn fault_plans(args: &Args) -> Result<Plans, Failure> {
         return Err(wrong(&format_args!("[disk]: no disk can be simulated here: {reason}")));
     }
     Ok((cameras, disk, habits))
+}
+
+/// Which cameras are like which make.
+fn makes(args: &Args) -> Result<BTreeMap<String, Arc<Make>>, Failure> {
+    let Some(path) = &args.faults else { return Ok(BTreeMap::new()) };
+    let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
+    Make::parse_all(&text, path.parent().unwrap_or(Path::new("."))).map_err(|e| wrong(&e))
 }
 
 /// The rig file's text, with another trigger rate or with the cameras of one node only, where asked for.

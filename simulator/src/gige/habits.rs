@@ -22,6 +22,56 @@ pub struct Habits {
     pub no_stamps: bool,
     /// It sends a frame so long after its exposure ended.
     pub send_late: Duration,
+    /// Where in a frame it takes the stamp, to which `stamp_late` is added.
+    pub stamp: StampPoint,
+    /// It reads a picture out so long after its exposure ended.
+    pub readout_late: Duration,
+    /// The exposure for which its images are meant: others make them brighter or darker. None: all are right.
+    pub nominal: Option<Duration>,
+    /// Increment of the exposure; 0: none.
+    pub exposure_step: Duration,
+    /// What it does with an exposure that is not one of its own.
+    pub exposures: Exposures,
+    /// Commands are done so many ms after they were acknowledged.
+    pub command_ms: u64,
+    /// Answers to writes come so many ms late.
+    pub answer_late_ms: u64,
+    /// Another client has control for so many ms after power-on.
+    pub held_ms: u64,
+    /// It has a link-local address until somebody gives it another; for cameras of other makes.
+    pub link_local: bool,
+    /// Its clock counts ticks of so many ns, whatever `clock` says; 0: as that says.
+    pub tick_ns: u64,
+    /// Block ids have 64 bits after power-on.
+    pub extended_ids: bool,
+}
+
+/// Where in a frame a camera takes its stamp.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StampPoint {
+    /// When the shutter opens.
+    #[default]
+    ExposureStart,
+    /// When it closes.
+    ExposureEnd,
+    /// When the readout begins.
+    ReadoutStart,
+    /// When the leader goes out.
+    LeaderSent,
+}
+
+/// What a camera does with an exposure that is not a multiple of its increment.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Exposures {
+    /// Takes the nearest, and says so when it is read back; refuses what is out of bounds.
+    #[default]
+    Rounded,
+    /// Takes the nearest, and says what was asked.
+    Asked,
+    /// Takes the nearest within its bounds for any number.
+    Clamped,
 }
 
 /// How a camera's clock is read, and in which unit it stamps frames.
@@ -74,6 +124,20 @@ impl ClockHabit {
 pub struct HabitError(String);
 
 impl Habits {
+    /// What the registers say of its clock's frequency, Hz.
+    pub fn frequency(&self) -> Option<u64> {
+        match (self.clock.frequency()?, self.tick_ns) {
+            (0, _) => Some(0),
+            (frequency, 0) => Some(frequency),
+            (_, tick_ns) => Some(1_000_000_000 / tick_ns),
+        }
+    }
+
+    /// Ticks of its clock in so many ns.
+    pub fn ticks(&self, ns: u64) -> u64 {
+        ns.checked_div(self.tick_ns).unwrap_or_else(|| self.clock.ticks(ns))
+    }
+
     /// Reads the tables `[[habit]]` of a TOML text: the habits of each camera that is named.
     ///
     /// # Errors
@@ -91,6 +155,17 @@ impl Habits {
                 stamp_late: Duration::from_micros(table.stamp_late_us),
                 no_stamps: table.no_stamps,
                 send_late: Duration::from_micros(table.send_late_us),
+                stamp: table.stamp,
+                readout_late: Duration::from_micros(table.readout_late_us),
+                nominal: None,
+                exposure_step: Duration::from_micros(table.exposure_step_us),
+                exposures: table.exposures,
+                command_ms: table.command_ms,
+                answer_late_ms: table.answer_late_ms,
+                held_ms: table.held_ms,
+                link_local: table.link_local,
+                tick_ns: table.tick_ns,
+                extended_ids: table.extended_ids,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -118,6 +193,35 @@ struct Table {
     no_stamps: bool,
     #[serde(default)]
     send_late_us: u64,
+    #[serde(default)]
+    stamp: StampPoint,
+    #[serde(default)]
+    readout_late_us: u64,
+    #[serde(default)]
+    exposure_step_us: u64,
+    #[serde(default)]
+    exposures: Exposures,
+    #[serde(default)]
+    command_ms: u64,
+    #[serde(default)]
+    answer_late_ms: u64,
+    #[serde(default)]
+    held_ms: u64,
+    #[serde(default)]
+    link_local: bool,
+    #[serde(default)]
+    tick_ns: u64,
+    #[serde(default)]
+    extended_ids: bool,
+    // Which make it is: read by `Make::parse_all`.
+    #[serde(default, rename = "like")]
+    _like: Option<String>,
+    #[serde(default, rename = "wired_to")]
+    _wired_to: Option<String>,
+    #[serde(default, rename = "left_over")]
+    _left_over: Option<toml::Table>,
+    #[serde(default, rename = "without")]
+    _without: Vec<String>,
     power_on: Option<FormTable>,
     frames: Option<FormTable>,
 }

@@ -8,6 +8,8 @@
 //!          -> [net] sendmmsg, by runs of packets where the host allows it ([segmentation])
 //! ```
 //!
+//! A camera of another make has its features in [`make`] instead of [`map`]; what it makes of the light is in [`picture`].
+//!
 //! [`gvcp`], [`gvsp`], [`control`], [`registers`], [`sensor`] and [`genicam`] know no sockets and no threads.
 //! `docs/design/simulated-cameras.md` says what of the standard is implemented.
 
@@ -22,8 +24,11 @@ pub mod gvcp;
 pub mod gvsp;
 pub mod habits;
 mod inject;
+pub mod make;
 pub mod map;
 mod net;
+pub mod network;
+pub mod picture;
 mod presence;
 pub mod registers;
 mod rogue;
@@ -37,7 +42,8 @@ mod transmit;
 pub use clock::{CameraClock, ClockOptions};
 pub use device::{CameraOptions, SimulatedCamera};
 pub use gvsp::Form;
-pub use habits::{ClockHabit, HabitError, Habits};
+pub use habits::{ClockHabit, Exposures, HabitError, Habits, StampPoint};
+pub use make::{Make, TableError};
 pub use net::process_cpu_time;
 pub use segmentation::loopback_cuts_before_receivers;
 pub use test_images::{TestImages, TestStamp};

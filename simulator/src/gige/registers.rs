@@ -5,10 +5,12 @@
 //! camera's own features, declared to the world by [`super::genicam`].
 
 use super::clock::CameraClock;
-use super::gvcp::{DISCOVERY_SIZE, Status};
+use super::gvcp::{DISCOVERY_SIZE, ForceIp, Status};
 use super::gvsp::{FORMATS, Form, IdMode};
 use super::habits::{ClockHabit, Habits};
+use super::make::{Firmware, Make};
 use super::map::{Access, Id, Register, find};
+use super::network::Network;
 use super::sensor;
 use super::settings::{AcquisitionMode, ExposureMode, Settings, TriggerSource};
 use super::{VENDOR, genicam};
@@ -18,6 +20,8 @@ use std::time::Instant;
 
 /// Where the GenICam XML starts; the URL register says so.
 pub const XML_ADDRESS: u32 = 0x0010_0000;
+/// Where the features begin that are not every GigE Vision camera's.
+const FEATURES: u32 = 0x0001_0000;
 /// Limits of the packet size register: IP, UDP and GVSP headers are counted in.
 pub const PACKET_SIZE: std::ops::RangeInclusive<u16> = 576..=65_532;
 /// The packet size must be a multiple of this.
@@ -29,6 +33,8 @@ const HEARTBEAT_MIN: u32 = 500;
 /// GVCP capability: user-defined name, serial number, the controller's port and address, PACKETRESEND,
 /// WRITEMEM, concatenation.
 const GVCP_CAPABILITY: u32 = 1 << 31 | 1 << 30 | 1 << 27 | 1 << 2 | 1 << 1 | 1;
+/// GVCP capability: PENDING_ACK.
+const PENDING_ACKS: u32 = 1 << 5;
 /// GVSP capability: stream source port register, 16-bit block ids.
 const GVSP_CAPABILITY: u32 = 1 << 31 | 1 << 30;
 /// GVSP configuration: 64-bit block ids are on.
@@ -72,6 +78,10 @@ pub struct Registers {
     clock: Arc<CameraClock>,
     xml: Vec<u8>,
     habits: Habits,
+    /// Of a camera that is like a table says; else its features are those of [`super::map`].
+    firmware: Option<Firmware>,
+    /// Address, subnet mask and gateway of a camera that can be moved; in its memory.
+    network: Network,
     /// The clock as it was latched, ns.
     latched: u64,
     /// Control channel privilege as others read it.
@@ -108,6 +118,8 @@ impl Registers {
         Self {
             xml: genicam::xml(&identity.model, habits.clock),
             habits,
+            firmware: None,
+            network: Network::new(identity.address),
             identity,
             sensor,
             clock,
@@ -121,14 +133,64 @@ impl Registers {
             packet_size: 9000,
             do_not_fragment: true,
             packet_delay: 0,
-            ids: IdMode::Standard,
+            ids: if habits.extended_ids { IdMode::Extended } else { IdMode::Standard },
             settings,
             triggers_ignored: 0,
         }
     }
 
+    /// Registers after power-on of a camera of this make.
+    pub fn of_make(
+        identity: Identity,
+        sensor: (u32, u32),
+        clock: Arc<CameraClock>,
+        habits: Habits,
+        make: Arc<Make>,
+        network: &Network,
+    ) -> Self {
+        let firmware = Firmware::new(make, sensor, habits);
+        let mut xml = firmware.description().into_bytes();
+        xml.resize(xml.len().next_multiple_of(4), b'\n');
+        let settings = firmware.settings();
+        let packet_size = firmware.first_packet_size();
+        let plain = Self::new(identity, sensor, clock, habits);
+        Self { firmware: Some(firmware), xml, settings, packet_size, network: network.clone(), ..plain }
+    }
+
+    /// Its MAC: a locally administered one that holds its first address, unique on this host.
+    pub fn mac(&self) -> u64 {
+        0x0200_0000_0000_u64 | u64::from(self.identity.address.to_bits())
+    }
+
+    /// Whether it can be given another address.
+    pub fn can_move(&self) -> bool {
+        self.firmware.is_some()
+    }
+
+    /// Takes another address until power-off.
+    pub fn move_to(&mut self, force: &ForceIp) {
+        self.network.now = (force.address, force.mask, force.gateway);
+        self.network.away = false;
+    }
+
+    /// Its addresses.
+    pub fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// Does what has become due by now.
+    pub fn tick(&mut self, acquiring: bool, now: Instant) {
+        if let Some(firmware) = &mut self.firmware {
+            firmware.tick(acquiring, now);
+            self.settings = firmware.settings();
+        }
+    }
+
     /// What the payload of an image is, as its features say.
     pub fn form(&self) -> Form {
+        if let Some(firmware) = &self.firmware {
+            return firmware.form(self.habits.power_on);
+        }
         let format = self.settings.pixel_format;
         Form { format, told: format, ..self.habits.power_on }
     }
@@ -181,10 +243,19 @@ impl Registers {
         if !address.is_multiple_of(4) || !data.len().is_multiple_of(4) {
             return Err(Status::BadAlignment);
         }
+        if let Some(firmware) = self.firmware.as_mut().filter(|_| (FEATURES..XML_ADDRESS).contains(&address))
+        {
+            let done = firmware.write(address, data, acquiring, now)?;
+            self.settings = firmware.settings();
+            return Ok(done);
+        }
         let Some((register, offset)) = find(address) else {
             let in_xml = self.xml_word(address).is_some();
             return Err(if in_xml { Status::WriteProtect } else { Status::InvalidAddress });
         };
+        if self.firmware.is_some() && data.len() >= 4 && self.network.write(register.id, data) {
+            return Ok((4, None));
+        }
         if register.access == Access::ReadOnly {
             return Err(Status::WriteProtect);
         }
@@ -268,8 +339,12 @@ impl Registers {
                 self.host_port = (value & 0xffff) as u16;
             }
             Id::PacketSize => {
-                let size = (value & 0xffff) as u16;
-                accept(PACKET_SIZE.contains(&size) && size.is_multiple_of(PACKET_SIZE_STEP))?;
+                let mut size = (value & 0xffff) as u16;
+                if let Some(firmware) = &self.firmware {
+                    size = firmware.packet_size(size).ok_or(Status::InvalidParameter)?;
+                } else {
+                    accept(PACKET_SIZE.contains(&size) && size.is_multiple_of(PACKET_SIZE_STEP))?;
+                }
                 // Mono8 has no byte order: the big-endian bit is accepted and has nothing to change.
                 self.packet_size = size;
                 self.do_not_fragment = value & 1 << 30 != 0;
@@ -346,10 +421,20 @@ impl Registers {
 
     /// The four bytes at an aligned address.
     fn word(&self, address: u32) -> Option<[u8; 4]> {
+        if let Some(firmware) = self.firmware.as_ref().filter(|_| (FEATURES..XML_ADDRESS).contains(&address))
+        {
+            // Of a standard's register and nothing else of the map's own features.
+            let clock = (Id::NanosecondsHigh.address()..=Id::NanosecondsLow.address()).contains(&address);
+            return if clock {
+                find(address).map(|(r, _)| self.integer(r.id).to_be_bytes())
+            } else {
+                firmware.word(address).ok()
+            };
+        }
         let Some((register, offset)) = find(address) else { return self.xml_word(address) };
         if matches!(register.id, Id::TickFrequencyHigh | Id::TickFrequencyLow) {
             // Not every camera says.
-            self.habits.clock.frequency()?;
+            self.habits.frequency()?;
         }
         match register.length {
             4 => Some(self.integer(register.id).to_be_bytes()),
@@ -371,7 +456,10 @@ impl Registers {
 
     fn text(&self, id: Id) -> String {
         match id {
-            Id::Manufacturer => VENDOR.to_owned(),
+            Id::Manufacturer => match &self.firmware {
+                Some(firmware) => firmware.vendor(),
+                None => VENDOR.to_owned(),
+            },
             Id::Model => self.identity.model.clone(),
             Id::DeviceVersion => env!("CARGO_PKG_VERSION").to_owned(),
             Id::ManufacturerInfo => "simulated camera".to_owned(),
@@ -397,8 +485,10 @@ impl Registers {
 
     fn integer(&self, id: Id) -> u32 {
         let settings = &self.settings;
-        // A locally administered MAC that holds the address: unique on this host.
-        let mac = 0x0200_0000_0000_u64 | u64::from(self.identity.address.to_bits());
+        let mac = self.mac();
+        if let Some(value) = self.firmware.as_ref().and_then(|_| self.network.word(id)) {
+            return value;
+        }
         match id {
             Id::Version => 2 << 16,
             // Big-endian, transmitter, UTF-8.
@@ -410,12 +500,13 @@ impl Registers {
             Id::IpAddress | Id::PersistentAddress => self.identity.address.to_bits(),
             Id::SubnetMask | Id::PersistentMask => 0xff00_0000,
             Id::GvspCapability => GVSP_CAPABILITY,
+            Id::GvcpCapability if self.firmware.is_some() => GVCP_CAPABILITY | PENDING_ACKS,
             Id::GvcpCapability => GVCP_CAPABILITY,
             Id::Heartbeat => self.heartbeat_ms,
-            Id::TickFrequencyHigh => (self.habits.clock.frequency().unwrap_or(0) >> 32) as u32,
-            Id::TickFrequencyLow => (self.habits.clock.frequency().unwrap_or(0) & 0xffff_ffff) as u32,
-            Id::TimestampHigh => (self.habits.clock.ticks(self.latched) >> 32) as u32,
-            Id::TimestampLow => (self.habits.clock.ticks(self.latched) & 0xffff_ffff) as u32,
+            Id::TickFrequencyHigh => (self.habits.frequency().unwrap_or(0) >> 32) as u32,
+            Id::TickFrequencyLow => (self.habits.frequency().unwrap_or(0) & 0xffff_ffff) as u32,
+            Id::TimestampHigh => (self.habits.ticks(self.latched) >> 32) as u32,
+            Id::TimestampLow => (self.habits.ticks(self.latched) & 0xffff_ffff) as u32,
             Id::NanosecondsHigh => (self.latched >> 32) as u32,
             Id::NanosecondsLow => (self.latched & 0xffff_ffff) as u32,
             Id::GvspConfiguration if self.ids == IdMode::Extended => EXTENDED_IDS_BIT,

@@ -33,19 +33,34 @@ pub struct Exposure {
 pub struct Sensor {
     exposure_end: Option<Instant>,
     readout_end: Option<Instant>,
+    last: Option<Instant>,
+    /// An exposure begins only when the last readout has ended.
+    pub apart: bool,
+    /// Shortest time between the starts of two exposures, where it is paced.
+    pub pace: Option<Duration>,
+    /// From the end of an exposure to the start of its readout.
+    before_readout: Duration,
 }
 
 impl Sensor {
+    /// One that begins to read so long after an exposure.
+    pub fn new(before_readout: Duration) -> Self {
+        Self { before_readout, ..Self::default() }
+    }
+
     /// Exposes on a trigger at `time`, or ignores it (`None`) where the sensor is busy.
     pub fn trigger(&mut self, time: Instant, exposure: Duration, rows: u32) -> Option<Exposure> {
         let end = time.checked_add(exposure)?;
         let exposing = self.exposure_end.is_some_and(|busy| time < busy);
         let reading = self.readout_end.is_some_and(|busy| end < busy);
-        if exposing || reading {
+        let read_first = self.apart && self.readout_end.is_some_and(|busy| time < busy);
+        let too_soon = self.pace.zip(self.last).is_some_and(|(pace, last)| time < last + pace);
+        if exposing || reading || read_first || too_soon {
             return None;
         }
+        self.last = Some(time);
         self.exposure_end = Some(end);
-        self.readout_end = end.checked_add(readout(rows));
+        self.readout_end = end.checked_add(self.before_readout + readout(rows));
         Some(Exposure { start: time, end })
     }
 }

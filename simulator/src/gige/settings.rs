@@ -2,6 +2,7 @@
 //! Camera features that a client sets: their values, limits and defaults.
 
 use super::gvsp::MONO8;
+use super::picture::Picture;
 use super::sensor;
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -64,6 +65,17 @@ coded! {
     }
 }
 
+/// Which of a pulse's edges trigger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Edge {
+    /// Where it begins.
+    Rising,
+    /// Where it ends.
+    Falling,
+    /// Both.
+    Any,
+}
+
 /// Values of the camera's features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
@@ -89,6 +101,20 @@ pub struct Settings {
     pub triggered: bool,
     /// Which triggers.
     pub source: TriggerSource,
+    /// Triggers by command start frames, too.
+    pub software: bool,
+    /// Which of a pulse's edges trigger.
+    pub edge: Edge,
+    /// From the edge to the exposure.
+    pub delay: Duration,
+    /// Frames of one trigger.
+    pub burst: u32,
+    /// An exposure begins only when the last readout has ended.
+    pub apart: bool,
+    /// Triggers that come sooner than this after the last one are ignored.
+    pub pace: Option<Duration>,
+    /// What it makes of the light.
+    pub picture: Picture,
     frame_rate: f64,
     exposure_us: f64,
     gain_db: f64,
@@ -109,10 +135,23 @@ impl Settings {
             acquisition_triggered: false,
             triggered: false,
             source: TriggerSource::Line0,
+            software: false,
+            edge: Edge::Rising,
+            delay: Duration::ZERO,
+            burst: 1,
+            apart: false,
+            pace: None,
+            picture: Picture::default(),
             frame_rate: 30.0,
             exposure_us: 1000.0,
             gain_db: 0.0,
         }
+    }
+
+    /// The same with an exposure time and a free-running rate that somebody else has checked.
+    #[must_use]
+    pub fn with_times(self, exposure_us: f64, frame_rate: f64) -> Self {
+        Self { exposure_us: exposure_us.clamp(0.0, 1e9), frame_rate: frame_rate.clamp(1e-3, 1e6), ..self }
     }
 
     /// The mode of the selected trigger.

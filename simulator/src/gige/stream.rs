@@ -5,14 +5,15 @@
 use super::Statistics;
 use super::clock::CameraClock;
 use super::control::StreamSettings;
-use super::habits::Habits;
+use super::habits::{Habits, StampPoint};
 use super::inject::{self, Injector};
 use super::net;
+use super::picture::Picture;
 use super::presence::Presence;
 use super::rogue::Rogue;
 use super::segmentation;
 use super::sensor::{Exposure, Sensor};
-use super::settings::ExposureMode;
+use super::settings::{Edge, ExposureMode};
 use super::transmit::{Frame, History, Transmitter};
 use crate::faults::{Fault, Kind};
 use crate::wire::TriggerEdge;
@@ -53,6 +54,8 @@ struct Shot {
     instant: i64,
     /// What goes wrong with it.
     fault: Option<Fault>,
+    /// What becomes of its light.
+    picture: Picture,
 }
 
 struct Acquisition {
@@ -69,6 +72,8 @@ struct Acquisition {
     next_instant: i64,
     /// Start of the next free-running exposure.
     next_free_run: Option<Instant>,
+    /// Exposures of this acquisition.
+    exposed: u64,
     frames_left: Option<u64>,
 }
 
@@ -167,6 +172,8 @@ impl Streamer {
                 let local = stream.destination.is_some_and(|to| to.ip().is_loopback());
                 self.transmitter.set_segmented(local && segmentation::loopback_cuts_before_receivers());
                 self.statistics.triggers_ignored_now.store(0, Relaxed);
+                // The camera may have another address than last time.
+                *connected = None;
                 self.connect(&stream, connected);
                 *acquisition = Some(Acquisition::new(number, started, stream, self));
             }
@@ -213,6 +220,7 @@ impl Streamer {
             ExposureMode::Timed => running.stream.settings.exposure(),
             ExposureMode::TriggerWidth => Duration::from_nanos(edge.width_ns),
         };
+        let delay = running.stream.settings.delay;
         let fault = self.injector.as_mut().and_then(|injector| injector.on_edge(&edge));
         match fault.map(|fault| fault.kind) {
             Some(Kind::TriggerIgnored) => return,
@@ -229,7 +237,24 @@ impl Streamer {
                 rogue.harass(fault);
             }
         }
-        self.trigger(running, edge.time, exposure, edge.instant, fault);
+        let fall = edge.time + Duration::from_nanos(edge.width_ns);
+        let starts: &[Instant] = match running.stream.settings.edge {
+            Edge::Rising => &[edge.time],
+            Edge::Falling => &[fall],
+            Edge::Any => &[edge.time, fall],
+        };
+        for start in starts {
+            for number in 0..running.stream.settings.burst {
+                let later = running.stream.settings.free_run_period().saturating_mul(number);
+                self.trigger(
+                    running,
+                    *start + delay + later,
+                    exposure,
+                    edge.instant,
+                    fault.filter(|_| number == 0),
+                );
+            }
+        }
     }
 
     /// From this edge on nothing is sent, for as many triggers as the fault says. What was exposed before goes out
@@ -288,16 +313,19 @@ impl Streamer {
         fault: Option<Fault>,
     ) {
         let rows = running.stream.layout.height;
+        let settings = &running.stream.settings;
+        (running.sensor.apart, running.sensor.pace) = (settings.apart, settings.pace);
         match running.sensor.trigger(time, exposure, rows) {
             Some(exposure) => {
-                let timestamp = self.clock.at(exposure.start + self.habits.stamp_late);
-                running.exposures.push_back(Shot { exposure, timestamp, instant, fault });
+                let timestamp = self.stamp(exposure);
+                let picture = self.picture(running, exposure);
+                running.exposures.push_back(Shot { exposure, timestamp, instant, fault, picture });
                 let period = self.injector.as_ref().and_then(Injector::period);
                 if let (Some(Kind::ExtraFrame), Some(period)) = (fault.map(|fault| fault.kind), period) {
                     let (start, end) = (exposure.start + period / 3, exposure.end + period / 3);
-                    let (exposure, timestamp) =
-                        (Exposure { start, end }, self.clock.at(start + self.habits.stamp_late));
-                    running.exposures.push_back(Shot { exposure, timestamp, instant, fault: None });
+                    let exposure = Exposure { start, end };
+                    let timestamp = self.stamp(exposure);
+                    running.exposures.push_back(Shot { exposure, timestamp, instant, fault: None, picture });
                 }
             }
             None => {
@@ -307,15 +335,41 @@ impl Streamer {
         }
     }
 
+    /// What the camera's clock shows where in a frame it takes the stamp.
+    fn stamp(&self, exposure: Exposure) -> u64 {
+        let at = match self.habits.stamp {
+            StampPoint::ExposureStart => exposure.start,
+            StampPoint::ExposureEnd => exposure.end,
+            StampPoint::ReadoutStart | StampPoint::LeaderSent => exposure.end + self.habits.readout_late,
+        };
+        self.clock.at(at + self.habits.stamp_late)
+    }
+
+    fn picture(&self, running: &mut Acquisition, exposure: Exposure) -> Picture {
+        let number = running.exposed;
+        running.exposed += 1;
+        let picture = running.stream.settings.picture;
+        // So near that no grey value of a picture tells: increments of exposures leave pictures as they are.
+        const NEAR: f64 = 0.05;
+        let length = (exposure.end - exposure.start).as_secs_f64();
+        let ratio = self.habits.nominal.map_or(1.0, |nominal| length / nominal.as_secs_f64().max(1e-9));
+        let ratio = if (ratio - 1.0).abs() <= NEAR { 1.0 } else { ratio };
+        picture.of_frame(number, ratio)
+    }
+
     /// Starts free-running exposures that are due, and sends at most one frame whose exposure has ended.
     fn advance(&mut self, running: &mut Acquisition) {
         let now = Instant::now();
-        running.free_run(now, &self.clock);
+        if let Some((exposure, instant)) = running.free_run(now) {
+            let (timestamp, picture) = (self.stamp(exposure), self.picture(running, exposure));
+            running.exposures.push_back(Shot { exposure, timestamp, instant, fault: None, picture });
+        }
         let due = running.exposures.front().is_some_and(|shot| shot.exposure.end + running.late <= now);
         if !due {
             return;
         }
-        let Some(Shot { exposure, timestamp, instant, fault }) = running.exposures.pop_front() else {
+        let Some(Shot { exposure, timestamp, instant, fault, picture }) = running.exposures.pop_front()
+        else {
             return;
         };
         if let Some(fault) = fault.filter(|fault| fault.kind == Kind::IdJump) {
@@ -327,10 +381,13 @@ impl Streamer {
             Some((from, form)) if instant >= from => running.stream.layout.with(form),
             _ => running.stream.layout,
         };
+        let timestamp = match self.habits.stamp {
+            StampPoint::LeaderSent => self.clock.at(now + self.habits.stamp_late),
+            _ => timestamp,
+        };
         let timestamp = if self.habits.no_stamps { 0 } else { timestamp };
-        let timestamp =
-            self.habits.clock.ticks(fault.map_or(timestamp, |fault| inject::stamp(timestamp, fault)));
-        let frame = Frame { block_id: running.next_block_id, timestamp, instant, layout };
+        let timestamp = self.habits.ticks(fault.map_or(timestamp, |fault| inject::stamp(timestamp, fault)));
+        let frame = Frame { block_id: running.next_block_id, timestamp, instant, layout, picture };
         running.next_block_id = frame.layout.ids.next_block_id(frame.block_id);
         running.frames_left = running.frames_left.map(|left| left.saturating_sub(1));
         let lag = now.saturating_duration_since(exposure.end).as_nanos();
@@ -355,13 +412,14 @@ impl Acquisition {
         Self {
             number,
             started,
-            sensor: Sensor::default(),
+            sensor: Sensor::new(camera.habits.readout_late),
             exposures: VecDeque::new(),
             next_block_id: camera.first_block_id,
             late: camera.habits.send_late,
             next_instant: 0,
             next_free_run: (!stream.settings.triggered && !stream.settings.acquisition_triggered)
                 .then_some(started),
+            exposed: 0,
             frames_left: stream.settings.frame_limit(),
             stream,
         }
@@ -373,19 +431,16 @@ impl Acquisition {
         instant
     }
 
-    fn free_run(&mut self, now: Instant, clock: &CameraClock) {
-        let Some(start) = self.next_free_run.filter(|start| *start <= now && self.exposures.is_empty())
-        else {
-            return;
-        };
+    /// The free-running exposure that is due, if one is, and the light it sees.
+    fn free_run(&mut self, now: Instant) -> Option<(Exposure, i64)> {
+        let start = self.next_free_run.filter(|start| *start <= now && self.exposures.is_empty())?;
         let settings = &self.stream.settings;
         let (exposure, period) = (settings.exposure(), settings.free_run_period());
         // A host that fell behind by more than a period does not catch up by a burst.
         let start = if now.saturating_duration_since(start) > period { now } else { start };
         self.next_free_run = Some(start + period);
         let instant = self.take_instant();
-        let exposure = Exposure { start, end: start + exposure };
-        self.exposures.push_back(Shot { exposure, timestamp: clock.at(start), instant, fault: None });
+        Some((Exposure { start, end: start + exposure }, instant))
     }
 
     /// How long the thread may sleep.

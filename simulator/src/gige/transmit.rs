@@ -5,9 +5,11 @@ use super::gvcp::ResendRequest;
 use super::gvsp::{self, IdMode, Layout, PayloadHeaders, Status};
 use super::inject;
 use super::net::Batch;
+use super::picture::Picture;
 use super::{PacketFilter, Statistics};
 use crate::faults::{Fault, Resend};
 use crate::images::ImageSource;
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::net::UdpSocket;
 use std::sync::atomic::Ordering::Relaxed;
@@ -25,18 +27,29 @@ pub struct Frame {
     pub instant: i64,
     /// How it is cut into packets.
     pub layout: Layout,
+    /// What becomes of the light.
+    pub picture: Picture,
+}
+
+impl Frame {
+    /// Its Mono8 pixels and how many a row has: where the image source keeps them, or made.
+    fn pixels<'a>(&self, source: &'a dyn ImageSource) -> (Cow<'a, [u8]>, usize) {
+        let pixels = source.pixels(self.instant);
+        if self.picture.is_plain() {
+            return (Cow::Borrowed(pixels), source.size().0);
+        }
+        (Cow::Owned(self.picture.image(pixels, source.size(), &self.layout)), self.layout.width as usize)
+    }
 }
 
 /// The image bytes `range` of the top-left crop of `layout`'s size, appended to `bytes`.
 fn crop(
-    source: &dyn ImageSource,
-    instant: i64,
+    (pixels, stride): (&[u8], usize),
     layout: &Layout,
     range: std::ops::Range<usize>,
     bytes: &mut Vec<u8>,
 ) {
-    let pixels = source.pixels(instant);
-    let (stride, width) = (source.size().0, layout.width as usize);
+    let width = layout.width as usize;
     if !layout.form.is_plain() {
         return bytes.extend(range.map(|at| formed(pixels, stride, layout, at)));
     }
@@ -137,6 +150,7 @@ pub fn resend(
         return refuse(request, socket, statistics);
     };
     let mut pixels = Vec::with_capacity(frame.layout.chunk);
+    let (image, stride) = frame.pixels(source);
     for id in request.first..=request.last.min(frame.layout.trailer_id()) {
         let packet = if id == 0 {
             gvsp::leader(&frame.layout, Status::Resent, frame.block_id, frame.timestamp)
@@ -144,7 +158,7 @@ pub fn resend(
             gvsp::trailer(&frame.layout, Status::Resent, frame.block_id)
         } else {
             pixels.clear();
-            crop(source, frame.instant, &frame.layout, frame.layout.range(id), &mut pixels);
+            crop((&image, stride), &frame.layout, frame.layout.range(id), &mut pixels);
             gvsp::resent_payload(&frame.layout, frame.block_id, id, &pixels)
         };
         match socket.send(&packet) {
@@ -193,9 +207,10 @@ impl Transmitter {
         headers.stamp(frame.block_id);
         let mut packets = Vec::with_capacity(layout.trailer_id() as usize + 1);
         packets.push(gvsp::leader(layout, Status::Ok, frame.block_id, frame.timestamp));
+        let (image, stride) = frame.pixels(&*self.source);
         for id in 1..=layout.payload_packets() {
             let mut packet = headers.get(id).to_vec();
-            crop(&*self.source, frame.instant, layout, layout.range(id), &mut packet);
+            crop((&image, stride), layout, layout.range(id), &mut packet);
             packets.push(packet);
         }
         packets.push(gvsp::trailer(layout, Status::Ok, frame.block_id));
@@ -216,11 +231,12 @@ impl Transmitter {
         }
         let Some((_, headers)) = &mut self.headers else { return };
         headers.stamp(frame.block_id);
-        let pixels = if layout.form.is_plain() && self.source.size().0 == layout.width as usize {
-            self.source.pixels(frame.instant).get(..layout.image_bytes()).unwrap_or(&[])
+        let (image, stride) = frame.pixels(&*self.source);
+        let pixels = if layout.form.is_plain() && stride == layout.width as usize {
+            image.get(..layout.image_bytes()).unwrap_or(&[])
         } else {
             self.cropped.clear();
-            crop(&*self.source, frame.instant, layout, 0..layout.image_bytes(), &mut self.cropped);
+            crop((&image, stride), layout, 0..layout.image_bytes(), &mut self.cropped);
             &self.cropped
         };
         let leader = gvsp::leader(layout, Status::Ok, frame.block_id, frame.timestamp);
