@@ -1,6 +1,9 @@
 //! An opened camera's features and registers, for what is decided about them whatever the library.
 
 use super::CameraError;
+use super::description::{Access, Bounds, Description, Kind};
+use super::state::{State, value_text};
+use crate::config::FeatureValue;
 
 /// Why a feature could not be read or set.
 #[derive(Debug)]
@@ -12,9 +15,21 @@ pub enum Failed {
 }
 
 /// Features and registers of an opened camera.
-pub trait Features {
+pub trait Features: Description {
     /// Whether its description names this feature.
     fn has(&self, feature: &str) -> bool;
+
+    /// Whether it is there as the camera is set now.
+    fn is_available(&self, feature: &str) -> bool;
+
+    /// Its value, by its own kind.
+    fn read(&self, feature: &str) -> Result<FeatureValue, Failed>;
+
+    /// Sets it; whole numbers, numbers and truth values are taken for each other where the feature's kind asks for it.
+    fn write(&self, feature: &str, value: &FeatureValue) -> Result<(), Failed>;
+
+    /// The limits of a number as the camera is set now.
+    fn bounds_now(&self, feature: &str) -> Bounds;
 
     /// A number.
     fn integer(&self, feature: &str) -> Result<i64, Failed>;
@@ -28,6 +43,9 @@ pub trait Features {
     /// Executes a command.
     fn execute(&self, feature: &str) -> Result<(), Failed>;
 
+    /// Whether a command that was executed is done; `None` where the camera does not say.
+    fn is_done(&self, command: &str) -> Option<bool>;
+
     /// The entries of an enumeration that the camera has now; none where it is not there.
     fn entries(&self, feature: &str) -> Vec<String>;
 
@@ -39,4 +57,40 @@ pub trait Features {
 
     /// Writes a bootstrap register.
     fn set_register(&self, address: u64, value: u32) -> Result<(), Failed>;
+}
+
+/// What was refused is not there; a camera that is lost is an error.
+pub fn answered<T>(read: Result<T, Failed>) -> Result<Option<T>, CameraError> {
+    match read {
+        Ok(value) => Ok(Some(value)),
+        Err(Failed::Refused(_)) => Ok(None),
+        Err(Failed::Lost(error)) => Err(error),
+    }
+}
+
+/// No camera has more that matters; what is beyond is left out.
+const FEATURES_MAX: usize = 2000;
+/// So is what is beyond so many bytes of names and values.
+const BYTES_MAX: usize = 128 << 10;
+
+/// What can be read now, behind the selectors as they stand.
+pub fn read_state(camera: &dyn Features) -> Result<State, CameraError> {
+    let mut state = State::new();
+    let mut bytes = 0;
+    for name in camera.names().into_iter().take(FEATURES_MAX) {
+        let readable = camera.feature(&name).is_some_and(|feature| {
+            feature.access != Access::Write && !matches!(feature.kind, Kind::Command | Kind::Other)
+        });
+        if !readable || !camera.is_available(&name) {
+            continue;
+        }
+        let Some(value) = answered(camera.read(&name))? else { continue };
+        let text = value_text(&value);
+        bytes += name.len() + text.len();
+        if bytes > BYTES_MAX {
+            break;
+        }
+        state.insert(name, text);
+    }
+    Ok(state)
 }

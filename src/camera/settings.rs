@@ -1,5 +1,7 @@
 //! Requested against applied GenICam settings.
 
+use super::contract::FrameContract;
+use super::state::State;
 use crate::config::{FeatureSetting, FeatureValue};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -13,6 +15,19 @@ pub struct AppliedSetting {
     pub requested: FeatureValue,
     /// As read back.
     pub actual: FeatureValue,
+}
+
+/// How a camera is set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SetUp {
+    /// What its frames must be.
+    pub contract: FrameContract,
+    /// What was set, in its order.
+    pub settings: Vec<AppliedSetting>,
+    /// What an operator should know: what was found otherwise and mended, what the camera rounded.
+    pub told: Vec<String>,
+    /// What must stay as it is while the session runs.
+    pub watched: State,
 }
 
 /// Cameras quantize floats (exposure in line times, gain in tenths of a decibel): this share of the
@@ -30,6 +45,19 @@ pub fn matches(setting: &FeatureSetting, actual: &FeatureValue) -> bool {
         (Float(a), Float(b)) => close(*a, *b),
         (Integer(a), Float(b)) => close(*a as f64, *b),
         _ => false,
+    }
+}
+
+/// Whether a camera has another value than the one that it should have.
+pub fn differs(wanted: &FeatureValue, actual: &FeatureValue) -> bool {
+    use FeatureValue::{Flag, Float, Integer, Text};
+    match (wanted, actual) {
+        (Flag(a), Integer(b)) => i64::from(*a) != *b,
+        (Float(a), Integer(b)) | (Integer(b), Float(a)) => (a - *b as f64).abs() > 0.5,
+        // A number that was read back and is read again is the same.
+        (Float(a), Float(b)) => (a - b).abs() > 1e-3 * a.abs().max(1.0),
+        (Text(a), Text(b)) => a != b,
+        (a, b) => a != b,
     }
 }
 

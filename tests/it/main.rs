@@ -63,6 +63,7 @@ mod merging;
 mod object_store;
 #[cfg(feature = "aravis")]
 mod plan_faults;
+mod profiles;
 mod recording;
 mod recording_commands;
 mod recording_damage;
