@@ -6,6 +6,7 @@
 pub mod board;
 pub mod calibrate;
 mod calibrate_live;
+mod camera_state;
 pub mod cameras;
 pub mod capture;
 pub mod check_config;

@@ -28,6 +28,8 @@ mod calibrate_command;
 mod calibrate_live;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
+mod camera_profiles;
+#[cfg(feature = "aravis")]
 mod chain;
 mod cluster;
 #[cfg(feature = "aravis")]
