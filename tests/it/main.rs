@@ -61,6 +61,8 @@ mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
+#[cfg(feature = "aravis")]
+mod matrix;
 mod merging;
 mod object_store;
 #[cfg(feature = "aravis")]
