@@ -2,7 +2,7 @@
 
 use super::CameraError;
 use super::description::{Access, Bounds, Description, Kind};
-use super::state::{State, value_text};
+use super::state::State;
 use crate::config::FeatureValue;
 
 /// Why a feature could not be read or set.
@@ -72,6 +72,18 @@ pub fn answered<T>(read: Result<T, Failed>) -> Result<Option<T>, CameraError> {
 const FEATURES_MAX: usize = 2000;
 /// So is what is beyond so many bytes of names and values.
 const BYTES_MAX: usize = 128 << 10;
+
+/// Longer texts are cut.
+const TEXT_MAX: usize = 200;
+
+/// A value as it is written down.
+pub fn value_text(value: &FeatureValue) -> String {
+    let text: String = value.to_string().chars().filter(|c| !c.is_control()).collect();
+    match text.char_indices().nth(TEXT_MAX) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text,
+    }
+}
 
 /// What can be read now, behind the selectors as they stand.
 pub fn read_state(camera: &dyn Features) -> Result<State, CameraError> {

@@ -1,13 +1,14 @@
 //! A camera is brought into a known state, set as the node file says, and asked whether it then is as a session needs it.
 //! Every problem is found, not the first alone.
 
+use super::CameraError;
 use super::description::{Access, list, nearest};
-use super::features::{Failed, Features, answered};
+use super::features::{Failed, Features, answered, value_text};
 use super::profile::{self, Amount, Must, Plan, Want, Wishes, Write};
-use super::settings::{AppliedSetting, SetUp, differs, matches};
-use super::state::{Change, State, value_text};
+use super::settings::{AppliedSetting, SetUp, matches};
+use super::state::{Change, State};
 use super::verify::verify;
-use super::{CameraError, write_amount};
+use super::write_amount::{self, differs};
 use crate::config::{FeatureSetting, FeatureValue};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -48,19 +48,6 @@ pub fn matches(setting: &FeatureSetting, actual: &FeatureValue) -> bool {
     }
 }
 
-/// Whether a camera has another value than the one that it should have.
-pub fn differs(wanted: &FeatureValue, actual: &FeatureValue) -> bool {
-    use FeatureValue::{Flag, Float, Integer, Text};
-    match (wanted, actual) {
-        (Flag(a), Integer(b)) => i64::from(*a) != *b,
-        (Float(a), Integer(b)) | (Integer(b), Float(a)) => (a - *b as f64).abs() > 0.5,
-        // A number that was read back and is read again is the same.
-        (Float(a), Float(b)) => (a - b).abs() > 1e-3 * a.abs().max(1.0),
-        (Text(a), Text(b)) => a != b,
-        (a, b) => a != b,
-    }
-}
-
 impl fmt::Display for FeatureValue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -4,7 +4,7 @@ use super::CameraError;
 use super::contract::{FrameContract, MONO8};
 use super::description::plain;
 use super::features::{Failed, Features};
-use super::profile::{FRAME_TRIGGERS, Wishes};
+use super::profile::{FRAME_TRIGGERS, Wishes, starts_a_frame};
 
 /// The contract that its frames must keep, or everything in which it differs from what is wanted, each with its remedy.
 /// `mono8` is what the camera calls Mono8.
@@ -13,7 +13,7 @@ pub fn verify(
     wanted: &Wishes,
     mono8: Option<&str>,
 ) -> Result<FrameContract, CameraError> {
-    let mut check = Check { camera, problems: Vec::new() };
+    let mut check = Check { camera, problems: Vec::new(), alone: false };
     let (width, height) = wanted.size;
     check.text(
         "PixelFormat",
@@ -45,6 +45,8 @@ pub fn verify(
 struct Check<'a> {
     camera: &'a dyn Features,
     problems: Vec<String>,
+    /// There is one trigger alone.
+    alone: bool,
 }
 
 impl Check<'_> {
@@ -94,6 +96,7 @@ impl Check<'_> {
     fn triggers(&mut self) -> Result<(), CameraError> {
         const SELECTOR: &str = "TriggerSelector";
         let entries = self.camera.entries(SELECTOR);
+        self.alone = entries.len() < 2;
         if entries.len() < 2 {
             let found = self.found("TriggerMode", self.camera.text("TriggerMode"), "On")?;
             let selector = entries.first().map_or(FRAME_TRIGGERS[0], String::as_str);
@@ -133,9 +136,9 @@ impl Check<'_> {
         let remedy = "say trigger_line, and set no trigger in `settings`";
         match on {
             [] => self.problems.push(format!("TriggerMode is Off, expected On: {remedy}")),
-            [(selector, _)] if !starts_a_frame(selector) => self.problems.push(format!(
+            [(selector, _)] if !starts_a_frame(selector, self.alone) => self.problems.push(format!(
                 "TriggerMode is On for {selector}, expected for {}: {remedy}",
-                FRAME_TRIGGERS.join(" or ")
+                FRAME_TRIGGERS[..3].join(" or ")
             )),
             [(selector, Some(source))] if source == "Software" => self.problems.push(format!(
                 "TriggerSource of {selector} is Software, expected the line of the HSU: say trigger_line"
@@ -155,8 +158,4 @@ impl Check<'_> {
 
 fn is_on(mode: &str) -> bool {
     ["on", "true", "enabled", "enable"].contains(&plain(mode).as_str())
-}
-
-fn starts_a_frame(selector: &str) -> bool {
-    FRAME_TRIGGERS.iter().any(|known| plain(known) == plain(selector))
 }

@@ -4,7 +4,6 @@ use super::CameraError;
 use super::description::{Bounds, Kind, list};
 use super::features::{Failed, Features, answered};
 use super::profile::{Amount, Scale, Write};
-use super::settings::differs;
 use crate::config::FeatureValue;
 
 /// What a write came to.
@@ -16,6 +15,19 @@ pub struct Done {
     pub actual: FeatureValue,
     /// What an operator should know of it.
     pub told: Option<String>,
+}
+
+/// Whether a camera has another value than the one that it should have.
+pub fn differs(wanted: &FeatureValue, actual: &FeatureValue) -> bool {
+    use FeatureValue::{Flag, Float, Integer, Text};
+    match (wanted, actual) {
+        (Flag(a), Integer(b)) => i64::from(*a) != *b,
+        (Float(a), Integer(b)) | (Integer(b), Float(a)) => (a - *b as f64).abs() > 0.5,
+        // A number that was read back and is read again is the same.
+        (Float(a), Float(b)) => (a - b).abs() > 1e-3 * a.abs().max(1.0),
+        (Text(a), Text(b)) => a != b,
+        (a, b) => a != b,
+    }
 }
 
 /// The bootstrap registers of GigE Vision with the frequency of the camera's clock.
@@ -72,13 +84,20 @@ fn whole(
             )));
         }
     }
-    if let Err(failed) = camera.write(name, value) {
+    let fixed = camera.feature(name).is_some_and(|feature| !feature.is_writable());
+    if !fixed && let Err(failed) = camera.write(name, value) {
         return refused(write, &value.to_string(), failed);
     }
     let actual = match camera.read(name) {
         Ok(actual) => actual,
         Err(failed) => return refused(write, &value.to_string(), failed),
     };
+    if differs(value, &actual) && fixed {
+        return Ok(Err(format!(
+            "{name} is {actual}, expected {value}, and can only be read{}",
+            change(write)
+        )));
+    }
     if differs(value, &actual) {
         return Ok(Err(format!("{name} is {actual}, although it was set to {value}{}", change(write))));
     }
@@ -192,8 +211,8 @@ fn per_unit(
             ),
         },
         Scale::Gain => match bounds.min {
-            // A factor of one adds nothing, and no camera attenuates by a whole decibel only.
-            Some(min) if (0.5..=1.5).contains(&min) => Ok(PerUnit::Factor),
+            // A factor of one adds nothing; below it are those that dim, and none is zero.
+            Some(min) if min > 0.0 && min <= 1.5 => Ok(PerUnit::Factor),
             Some(min) if min <= 0.0 => Ok(PerUnit::Times(1.0)),
             Some(min) => Ok(PerUnit::LeastAlone(min)),
             None => Ok(PerUnit::Times(1.0)),

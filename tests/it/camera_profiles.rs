@@ -2,15 +2,22 @@
 //! what cannot be is refused with all reasons at once; the state that a recording holds.
 
 use crate::lab::{
-    assert_contains, fourdbody, laboratory, options, say, small_rig, start_laboratory, start_nodes, text_of,
+    SIZE, assert_contains, fourdbody, laboratory, options, say, small_rig, start_laboratory, start_nodes,
+    text_of,
 };
+use crate::matrix::{judge, without_user_sets};
+use crate::profiles::tables;
 use crate::session_faults::check_frames;
 use fourdbody::camera::{AravisCameras, Camera, CameraBackend, CameraError, Wishes};
 use fourdbody::config::{FeatureSetting, FeatureValue, NodeConfig};
+use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
-use fourdbody_simulator::laboratory::Laboratory;
+use fourdbody_simulator::gige::{Habits, Make};
+use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use serde_json::Value;
+use std::path::Path;
 use std::process::Output;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 fn capture(laboratory: &Laboratory, name: &str) -> Output {
@@ -99,6 +106,82 @@ fn what_is_said_is_set_and_the_whole_state_is_recorded() {
     assert_contains(&text_of(&diff), &["h0_up", "ExposureTime", "-> 500"]);
     let nothing = fourdbody(&["cameras", "diff", "/nonexistent", &changed]);
     assert_eq!(nothing.status.code(), Some(2), "{}", text_of(&nothing));
+}
+
+/// Cameras of three makes, each left by somebody: told is what was mended and rounded, and every frame is right.
+#[test]
+fn cameras_of_other_makes_are_set_and_what_was_left_is_told() {
+    let Some(tables) = tables() else { return };
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let file = |name: &str| tables.join(format!("{name}.json"));
+    let make = |file: &Path, left: &[(&str, &str)]| {
+        let load = Make::load(file).expect("a table");
+        let left = left.iter().try_fold(load, |make, (feature, value)| make.left_over(feature, value));
+        Arc::new(left.expect("it has these features"))
+    };
+    // One that has no settings of delivery must be mended feature by feature.
+    let bare = without_user_sets(&file("flir_bfs_pge_88s6m"), dir.path());
+    let makes = [
+        (
+            "h0_up",
+            "Line1",
+            make(
+                &file("basler_aca1920_25gm"),
+                &[("TriggerMode[AcquisitionStart]", "On"), ("GainAuto", "Continuous")],
+            ),
+        ),
+        (
+            "h0_low",
+            "Line1",
+            make(&file("avt_mako_g507b"), &[("ExposureAuto", "Continuous"), ("ReverseX", "true")]),
+        ),
+        (
+            "h1_up",
+            "Line0",
+            make(
+                &bare,
+                &[("GammaEnable", "true"), ("ReverseX", "true"), ("AcquisitionFrameRateEnable", "true")],
+            ),
+        ),
+    ];
+    let step = Habits { exposure_step: Duration::from_micros(35), ..Habits::default() };
+    let options = LaboratoryOptions {
+        makes: makes.iter().map(|(id, _, make)| ((*id).to_owned(), Arc::clone(make))).collect(),
+        habits: [("h0_up".to_owned(), step)].into(),
+        make_settings: false,
+        ..options(small_rig(20.0), dir.path(), 223)
+    };
+    let laboratory = start_laboratory(&options);
+    for (id, line, _) in &makes {
+        say(&laboratory.nodes[0].path, id, &format!("trigger_line = {line:?}"));
+        say(&laboratory.nodes[0].path, id, "exposure_us = 1000.0");
+    }
+    let mut nodes = start_nodes(&laboratory);
+    let captured = capture(&laboratory, "makes");
+    assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    let reader = SessionReader::open(&dir.path().join("sessions/makes")).expect("readable");
+    for (number, camera) in (1..).zip(reader.cameras()).take(makes.len()) {
+        // The simulator exposes those of other makes for as long as they are set.
+        let (wrong, gaps) = judge(&reader, camera, number, SIZE);
+        assert_eq!((wrong, gaps), (None, Vec::new()), "{camera}");
+    }
+    let events = &reader.recordings()[0].events;
+    let told = |camera: &str| -> String {
+        let of = events.iter().filter(|event| {
+            event.kind == "camera_setting" && event.camera.as_ref().is_some_and(|id| id.as_str() == camera)
+        });
+        of.map(|event| format!("{}\n", event.message)).collect()
+    };
+    assert_contains(&told("h0_up"), &["exposure_us = 1000: the camera takes 1015 us (ExposureTimeAbs 1015)"]);
+    assert_contains(
+        &told("h1_up"),
+        &[
+            "GammaEnable was true and is set to false",
+            "ReverseX was true",
+            "AcquisitionFrameRateEnable was true",
+        ],
+    );
 }
 
 #[test]

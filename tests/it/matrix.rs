@@ -12,7 +12,9 @@ use fourdbody::camera::{AravisCameras, CameraBackend, CameraError, Wishes};
 use fourdbody::config::CameraWords;
 use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
-use fourdbody_simulator::gige::{CameraOptions, Form, Habits, Make, SimulatedCamera, StampPoint, TestImages};
+use fourdbody_simulator::gige::{
+    CameraOptions, Exposures, Form, Habits, Make, SimulatedCamera, StampPoint, TestImages,
+};
 use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::LaboratoryOptions;
 use serde_json::{Value, json};
@@ -28,7 +30,7 @@ const RATE_HZ: f64 = 20.0;
 const TRIGGERS: u64 = 16;
 const EXPOSURE_US: f64 = 1000.0;
 /// The cameras of the shipped rig, in its order.
-const CAMERAS: [&str; 8] = ["h0_up", "h0_low", "h1_up", "h1_low", "h2_up", "h2_low", "h3_up", "h3_low"];
+pub const CAMERAS: [&str; 8] = ["h0_up", "h0_low", "h1_up", "h1_low", "h2_up", "h2_low", "h3_up", "h3_low"];
 
 /// What a last user may have left, in the spellings of all tables; those that a camera has are set.
 const LEFT_OVER: [(&str, &[(&str, &str)]); 13] = [
@@ -113,7 +115,7 @@ fn line_of(table: &Table) -> String {
 }
 
 /// A copy of a table whose camera has no settings of delivery to go back to.
-fn without_user_sets(file: &Path, dir: &Path) -> PathBuf {
+pub fn without_user_sets(file: &Path, dir: &Path) -> PathBuf {
     let text = std::fs::read_to_string(file).expect("readable");
     let mut table: Value = serde_json::from_str(&text).expect("JSON");
     let features = table["features"].as_object_mut().expect("features");
@@ -165,6 +167,35 @@ fn cases(dir: &Path, whole: bool) -> Vec<Case> {
         }
     }
     cases
+}
+
+/// Cameras that are slow, or take other exposures than asked.
+fn slow_and_stepped() -> Vec<Case> {
+    let Some(tables) = tables() else { return Vec::new() };
+    let us = Duration::from_micros;
+    let habits = [
+        ("slow", Habits { command_ms: 400, answer_late_ms: 15, ..Habits::default() }),
+        ("exposures in steps", Habits { exposure_step: us(35), ..Habits::default() }),
+        (
+            "exposures in steps, read back as asked",
+            Habits { exposure_step: us(16), exposures: Exposures::Asked, ..Habits::default() },
+        ),
+        (
+            "exposures in steps beyond the tolerance",
+            Habits { exposure_step: us(300), exposures: Exposures::Clamped, ..Habits::default() },
+        ),
+    ];
+    let makes = [("basler_aca1920_25gm", "Line1"), ("flir_bfs_pge_88s6m", "Line0")];
+    let of = |(name, line): (&str, &str)| {
+        let make = Arc::new(Make::load(&tables.join(format!("{name}.json"))).expect("a table"));
+        habits.map(|(habit, habits)| Case {
+            name: format!("{name}, {habit}"),
+            make: Some(Arc::clone(&make)),
+            line: line.to_owned(),
+            habits,
+        })
+    };
+    makes.into_iter().flat_map(of).collect()
 }
 
 /// Frames that are something else than a session records, by what the camera says of itself or only by what it sends.
@@ -240,8 +271,13 @@ fn distance(image: &[u8], of: &[u8]) -> (f64, f64) {
 }
 
 /// What is wrong with the frames of a camera, by the simulator's truth; and its gaps, by cause.
-fn judge(session: &SessionReader, camera: &CameraId, number: u32) -> (Option<String>, Vec<String>) {
-    let truth = TestImages::new(SIZE.0, SIZE.1, number, TestImages::DISTINCT);
+pub fn judge(
+    session: &SessionReader,
+    camera: &CameraId,
+    number: u32,
+    size: (usize, usize),
+) -> (Option<String>, Vec<String>) {
+    let truth = TestImages::new(size.0, size.1, number, TestImages::DISTINCT);
     let mut gaps = Vec::new();
     for trigger in session.triggers() {
         let frame = match session.recorded_frame(camera, TriggerIndex(trigger)).expect("intact") {
@@ -303,12 +339,10 @@ fn record(group: &[Case], subnet: u8, dir: &Path) -> Vec<End> {
             })
             .collect();
     };
-    let complete = captured.status.code() == Some(0);
     let ends = group.iter().zip(1..).zip(reader.cameras()).map(|((_, number), camera)| {
-        match judge(&reader, camera, number) {
+        match judge(&reader, camera, number, SIZE) {
             (Some(wrong), _) => End::SilentlyWrong(wrong),
             (None, gaps) if !gaps.is_empty() => End::Told(gaps.join(", ")),
-            (None, _) if complete => End::Right,
             (None, _) => End::Right,
         }
     });
@@ -329,6 +363,7 @@ fn no_camera_is_silently_wrong() {
     if all.is_empty() {
         return;
     }
+    all.extend(slow_and_stepped());
     all.extend(variants());
     let mut ends: BTreeMap<String, End> = BTreeMap::new();
     let mut accepted = Vec::new();
@@ -375,10 +410,17 @@ fn no_camera_is_silently_wrong() {
         .map(|(name, end)| format!("{name}: {end:?}"))
         .collect();
     assert!(bad.is_empty(), "{}", bad.join("\n"));
-    // Frames that are not what their camera says are gaps; nothing else may lose any.
+    // Frames that are not what their camera says are gaps. A stamp that is taken when a busy host sends is as unsteady as the
+    // host, and what it leaves in doubt is given up. Nothing else may lose a frame.
     let lost: Vec<&String> = ends
         .iter()
-        .filter(|(name, end)| matches!(end, End::Told(_)) && !name.ends_with(", sent"))
+        .filter(|(name, end)| match end {
+            End::Told(gaps) => {
+                let doubt = gaps.split(", ").all(|gap| gap.ends_with("identity_mismatch"));
+                !(name.ends_with(", sent") || doubt && name.contains("stamped late"))
+            }
+            _ => false,
+        })
         .map(|(name, _)| name)
         .collect();
     assert!(lost.is_empty(), "{lost:?}");

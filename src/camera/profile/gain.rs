@@ -1,7 +1,7 @@
 //! Gain: decibels, a factor, or steps of a size that the camera does not state.
 
 use super::{Amount, Plan, Scale, Trouble, Wishes, Write, check_bounds, first_writable, none_of};
-use crate::camera::description::{Description, Feature, Kind, plain};
+use crate::camera::description::{Description, Kind, plain};
 
 const WORD: &str = "gain_db";
 /// In decibels or as a factor, newest first; then in steps.
@@ -29,9 +29,15 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
         Some(entry) => plan.writes.extend([select(&entry), set(&amount)]),
         None if entries.is_empty() => plan.writes.push(set(&amount)),
         None => {
+            let nothing = match &amount {
+                Amount::Near { scale, tolerance, unit, .. } => {
+                    Amount::Near { wanted: 0.0, scale: scale.clone(), tolerance: *tolerance, unit }
+                }
+                _ => Amount::Least,
+            };
             for entry in &entries {
                 let digital = plain(entry).contains("digital");
-                let amount = if digital { &Amount::Least } else { &amount };
+                let amount = if digital { &nothing } else { &amount };
                 plan.writes.extend([select(entry), set(amount).optional()]);
             }
             if let Some(entry) = entries.iter().find(|entry| !plain(entry).contains("digital")) {
@@ -49,30 +55,37 @@ fn gain(camera: &dyn Description, said_db: Option<f64>) -> Result<Option<(&'stat
     };
     if let Some((name, feature)) = GAINS.iter().find_map(float) {
         let near = |scale| Amount::Near { wanted: wanted_db, scale, tolerance: TOLERANCE_DB, unit: "dB" };
-        if is_decibels(&feature) {
-            check_bounds(name, &feature, wanted_db, WORD)?;
-            return Ok(Some((name, near(Scale::Times(1.0)))));
+        let unit = plain(feature.unit.as_deref().unwrap_or_default());
+        match unit.as_str() {
+            "db" | "decibel" | "decibels" => {
+                check_bounds(name, &feature, wanted_db, WORD)?;
+                return Ok(Some((name, near(Scale::Times(1.0)))));
+            }
+            "" | "x" | "times" | "factor" if feature.unit.as_deref() != Some("%") => {
+                return Ok(Some((name, near(Scale::Gain))));
+            }
+            _ if wanted_db == 0.0 => return Ok(Some((name, Amount::Least))),
+            _ => return Err(in_steps(name)),
         }
-        return Ok(Some((name, near(Scale::Gain))));
     }
     let whole = |name: &&'static str| {
         camera.feature(name).filter(|f| f.is_writable() && f.kind == Kind::Integer).map(|_| *name)
     };
     match STEPS.iter().find_map(whole) {
         Some(name) if wanted_db == 0.0 => Ok(Some((name, Amount::Least))),
-        Some(name) => Err(Trouble::new(
-            name,
-            format!(
-                "the camera counts its gain in steps ({name}) and does not say how many decibels one has: say gain_db = \
-                 0.0 for the least gain, or set [\"{name}\", STEPS] in `settings`"
-            ),
-        )),
+        Some(name) => Err(in_steps(name)),
         // A camera without gain has none.
         None if wanted_db == 0.0 => Ok(None),
         None => Err(none_of(camera, &GAINS, "is its gain", WORD)),
     }
 }
 
-fn is_decibels(feature: &Feature) -> bool {
-    feature.unit.as_deref().is_some_and(|unit| plain(unit) == "db")
+fn in_steps(name: &str) -> Trouble {
+    Trouble::new(
+        name,
+        format!(
+            "the camera counts its gain in steps ({name}) and does not say how many decibels one has: say gain_db = 0.0 \
+             for the least gain, or set [\"{name}\", STEPS] in `settings`, expected no other gain_db"
+        ),
+    )
 }

@@ -9,7 +9,7 @@ mod time;
 mod trigger;
 
 pub use must::{Must, Want, all as must_be};
-pub use trigger::{FRAME_TRIGGERS, frame_trigger};
+pub use trigger::{FRAME_TRIGGERS, frame_trigger, starts_a_frame};
 
 use super::description::{Access, Description, Feature, list, nearest};
 use crate::config::{CameraConfig, CameraWords, FeatureSetting, FeatureValue, NodeConfig, word_of};

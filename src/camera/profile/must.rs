@@ -30,7 +30,7 @@ pub struct Must {
 }
 
 /// A feature that is one or the other, without the vendor's letters.
-const SWITCHED_OFF: [(&str, bool); 26] = [
+const SWITCHED_OFF: [(&str, bool); 28] = [
     ("gammaenable", true),
     ("gammaenabled", true),
     ("gammacorrectionenable", true),
@@ -48,6 +48,8 @@ const SWITCHED_OFF: [(&str, bool); 26] = [
     ("acquisitionframerateenable", true),
     ("acquisitionframerateenabled", true),
     ("framerateenable", true),
+    ("acquisitionframeratemode", true),
+    ("sharpnessmode", false),
     ("multishotenable", true),
     ("multipleroirowsenable", true),
     ("streamholdenable", true),
@@ -75,7 +77,7 @@ const STRICT_AUTO: [&str; 11] = [
 ];
 
 /// Letters that vendors put before names of their own.
-const VENDORS: [&str; 6] = ["bsl", "bo", "pgr", "tz", "exp", "dev"];
+const VENDORS: [&str; 7] = ["bsl", "bo", "pgr", "tz", "exp", "dev", "mv"];
 
 /// Everything that must be so, in the order in which it is set: what unlocks others first.
 pub fn all(camera: &dyn Description, wishes: &Wishes) -> (Vec<Must>, Vec<Trouble>) {
@@ -127,7 +129,9 @@ fn text(entry: &str) -> Want {
 fn off(feature: &Feature) -> Option<Want> {
     match feature.kind {
         Kind::Boolean => Some(Want::Value(FeatureValue::Flag(false))),
-        Kind::Enumeration => feature.entry(&["Off", "Disabled", "Disable", "False", "None"]).map(text),
+        Kind::Enumeration => {
+            feature.entry(&["Off", "Disabled", "Disable", "False", "None", "Manual"]).map(text)
+        }
         // A switch that is a number, as before SFNC.
         Kind::Integer if feature.bounds.max == Some(1.0) => Some(Want::Value(FeatureValue::Integer(0))),
         _ => None,
@@ -177,7 +181,7 @@ fn rule(
         }
         "exposuremode" if !wishes.left_to_settings("exposure_us") => {
             let remedy = "set its exposure in `settings`, and say left_to_settings = [\"exposure_us\"]";
-            return needed(&["Timed"], remedy);
+            return needed(&["Timed", "Manual"], remedy);
         }
         "shuttermode" | "sensorshuttermode" => {
             feature.entry(&["Global", "GlobalShutter"]).map(|entry| must(name, text(entry), true))
@@ -240,6 +244,8 @@ fn is_wide_range(name: &str) -> bool {
 
 fn is_automatic(name: &str) -> bool {
     let automatic = name.ends_with("auto") || name.ends_with("autobalance");
-    automatic && !name.starts_with("chunk") && !name.starts_with("event") && !name.starts_with("focus")
+    // Not what drives a rate that is switched off, and not what no frame shows.
+    let other = ["chunk", "event", "focus", "acquisitionframerate"].iter().any(|o| name.starts_with(o));
+    automatic && !other
         || ["autogain", "autoexposure", "autogainenable", "autoexposureenable"].contains(&name)
 }

@@ -7,6 +7,8 @@ use crate::config::PacketDelay;
 /// Exposure as a time, in the order of standards, newest first.
 const EXPOSURES: [&str; 6] =
     ["ExposureTime", "ExposureTimeAbs", "ExposureTimeUs", "IntegrationTime", "ShutterTimeAbs", "ShutterTime"];
+/// Names that mean an exposure only where their unit is a time.
+const IN_A_UNIT: [&str; 4] = ["Exposure", "ExposureValue", "Shutter", "ShutterSpeed"];
 /// Exposure in ticks, and the features that may say how long a tick is.
 const RAW: &str = "ExposureTimeRaw";
 const TICKS: [&str; 4] =
@@ -65,6 +67,11 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
         check_bounds(name, &feature, wanted * scale, WORD)?;
         return Ok(near(name, Scale::Times(scale)));
     }
+    let in_a_unit = |name: &&'static str| time(name).filter(|(_, _, feature)| feature.unit.is_some());
+    if let Some((name, scale, feature)) = IN_A_UNIT.iter().find_map(in_a_unit) {
+        check_bounds(name, &feature, wanted * scale, WORD)?;
+        return Ok(near(name, Scale::Times(scale)));
+    }
     let raw = camera.feature(RAW).filter(|feature| feature.is_writable() && feature.is_number());
     let Some(raw) = raw else { return Err(none_of(camera, &EXPOSURES, "is its exposure", WORD)) };
     if let Some(scale) = raw.unit.as_deref().and_then(|unit| per_microsecond(Some(unit))) {
@@ -98,6 +105,9 @@ pub fn packet_delay(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) 
     };
     let names = ["GevSCPD", "GevSCPDelay", "StreamPacketsB2BDelay"];
     let Some((name, feature)) = first_writable(camera, &names) else {
+        if delay == PacketDelay::Auto && limit_rate(camera, wishes, plan) {
+            return;
+        }
         // No delay needs no feature; USB has no packets.
         if delay_us > 0.0 {
             plan.troubles.push(none_of(camera, &names, "is the time between two packets", WORD));
@@ -113,6 +123,26 @@ pub fn packet_delay(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) 
     };
     let amount = Amount::Near { wanted: delay_us, scale, tolerance: 1.0 + delay_us * 0.1, unit: "us" };
     plan.writes.push(Write::new(name, amount, WORD));
+}
+
+/// Cameras that pace their packets by bytes a second get as many as a frame needs in nine tenths of a period.
+fn limit_rate(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) -> bool {
+    if wishes.link.cameras < 2 {
+        return false;
+    }
+    let bytes_per_s = |name: &&'static str| {
+        let feature = camera.feature(name).filter(|f| f.is_writable() && f.is_number())?;
+        let unit = plain(feature.unit.as_deref().unwrap_or_default());
+        ["", "bps", "bytess", "bytespersecond"].contains(&unit.as_str()).then_some(*name)
+    };
+    let names = ["StreamBytesPerSecond", "DeviceLinkThroughputLimit"];
+    let Some(name) = names.iter().find_map(bytes_per_s) else { return false };
+    let (width, height) = wishes.size;
+    // Headers are a twentieth where packets are small.
+    let wanted = (width * height) as f64 * 1.05 * 1e9 / (0.9 * wishes.link.period_ns as f64);
+    let amount = Amount::Near { wanted, scale: Scale::Times(1.0), tolerance: 0.05 * wanted, unit: "bytes/s" };
+    plan.writes.push(Write::new(name, amount, "packet_delay_us"));
+    true
 }
 
 /// With k cameras in one network each leaves room for the packets of the others, as far as its frame then still fits into

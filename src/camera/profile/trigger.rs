@@ -5,7 +5,17 @@ use crate::camera::description::{Description, Feature, list, nearest, plain};
 use crate::config::{AUTO, Edge, FeatureValue};
 
 /// Selectors of the triggers that start a single frame, the first that a camera has being taken.
-pub const FRAME_TRIGGERS: [&str; 3] = ["FrameStart", "ExposureStart", "FrameBurstStart"];
+pub const FRAME_TRIGGERS: [&str; 7] =
+    ["FrameStart", "ExposureStart", "FrameBurstStart", "FrameTrigger", "ImageStart", "Frame", "Exposure"];
+
+/// Whether the trigger of this name starts a single frame. One that is alone does, whatever it is called, unless its name says
+/// that it starts or ends something else.
+pub fn starts_a_frame(entry: &str, alone: bool) -> bool {
+    let name = plain(entry);
+    let other = ["acquisition", "line", "exposureactive", "frameactive"].iter().any(|o| name.starts_with(o))
+        || name.ends_with("end");
+    FRAME_TRIGGERS.iter().any(|known| plain(known) == name) || alone && !other
+}
 
 const LINE: &str = "trigger_line";
 const MODE: &str = "TriggerMode";
@@ -19,6 +29,9 @@ pub fn frame_trigger(camera: &dyn Description) -> Result<Option<String>, Trouble
     match selector.entry(&FRAME_TRIGGERS) {
         Some(entry) => Ok(Some(entry.to_owned())),
         None if selector.entries.is_empty() => Ok(None),
+        None if selector.entries.len() == 1 && starts_a_frame(&selector.entries[0], true) => {
+            Ok(selector.entries.first().cloned())
+        }
         None => Err(Trouble::no_entry(
             SELECTOR,
             FRAME_TRIGGERS[0],
@@ -56,6 +69,10 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     };
     let selector = camera.feature(SELECTOR).filter(|selector| !is_fixed(selector));
     if let (Some(selector), Some(frame)) = (&selector, &frame) {
+        // Before SFNC one model of triggers stood beside another.
+        if let Some((name, feature)) = first_writable(camera, &["TriggerControlImplementation"]) {
+            plan.writes.extend(feature.entry(&["Standard"]).map(|e| Write::entry(name, e, LINE).optional()));
+        }
         // What else could be waited for is off; an entry that cannot be selected now is no trigger.
         for other in selector.entries.iter().filter(|other| *other != frame) {
             plan.writes.push(Write::entry(SELECTOR, other, LINE).optional());
@@ -66,7 +83,11 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     // A trigger that is on may lock its source.
     plan.writes.extend(off.map(|off| Write::entry(MODE, &off, LINE).optional()));
     match source(camera, wishes) {
-        Ok(write) => plan.writes.extend(write),
+        Ok(Some(write)) => {
+            input(camera, &write, plan);
+            plan.writes.push(write);
+        }
+        Ok(None) => {}
         Err(trouble) => plan.troubles.push(trouble),
     }
     match edge(camera, wishes) {
@@ -85,9 +106,29 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     plan.writes.push(Write::entry(MODE, &on, LINE));
 }
 
+/// The line is an input, and its signal is not turned round.
+fn input(camera: &dyn Description, source: &Write, plan: &mut Plan) {
+    let Amount::Value(FeatureValue::Text(line)) = &source.amount else { return };
+    let Some((selector, lines)) = first_writable(camera, &["LineSelector"]) else { return };
+    let Some(line) = lines.entry(&[line]) else { return };
+    plan.writes.push(Write::entry(selector, line, LINE).optional());
+    if let Some((mode, feature)) = first_writable(camera, &["LineMode"])
+        && let Some(entry) = feature.entry(&["Input"])
+    {
+        plan.writes.push(Write::entry(mode, entry, LINE).optional());
+    }
+    if let Some((inverter, _)) = first_writable(camera, &["LineInverter"]) {
+        plan.writes.push(Write::new(inverter, Amount::Value(FeatureValue::Flag(false)), LINE).optional());
+    }
+}
+
 /// Whether an entry of a trigger's source is the name of an input that a wire can be put to.
 fn is_line(entry: &str) -> bool {
     let name = plain(entry);
+    // JAI's `Line5_OptIn1`, for instance.
+    if name.strip_prefix("line").is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit())) {
+        return true;
+    }
     let stem = name.trim_end_matches(|c: char| c.is_ascii_digit());
     const STEMS: [&str; 20] = [
         "line",
@@ -165,7 +206,7 @@ fn source(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Tr
         let message = format!("{SOURCE} `{entry}` is no wire: expected the line that the HSU is wired to");
         return Err(Trouble::new(SOURCE, message));
     }
-    Ok((!is_fixed(&feature)).then(|| Write::entry(SOURCE, &entry, LINE)))
+    Ok(Some(Write::entry(SOURCE, &entry, LINE)))
 }
 
 fn edge(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Trouble> {
@@ -189,7 +230,7 @@ fn edge(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Trou
             format!("the camera has no {ACTIVATION}, asked for {WORD} = \"falling\": say \"rising\""),
         )),
         Some((name, feature)) => match feature.entry(names) {
-            Some(entry) => Ok((!is_fixed(&feature)).then(|| Write::entry(name, entry, WORD))),
+            Some(entry) => Ok(Some(Write::entry(name, entry, WORD))),
             None => {
                 let other = feature.entries.first().map_or("", String::as_str);
                 let remedy = format!(
@@ -219,7 +260,7 @@ fn overlap(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, T
         let remedy = format!("say {WORD} = {}", !wanted);
         return Err(Trouble::no_entry(name, names[0], &feature, &remedy));
     };
-    Ok((!is_fixed(&feature)).then(|| Write::entry(name, &entry, WORD)))
+    Ok(Some(Write::entry(name, &entry, WORD)))
 }
 
 /// Whether a feature is one of the trigger that is selected, and must be as it is for frames to be taken at the edge.
