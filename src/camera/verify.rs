@@ -3,7 +3,7 @@
 use super::CameraError;
 use super::contract::{FrameContract, MONO8};
 use super::description::plain;
-use super::features::{Failed, Features};
+use super::features::{Failed, Features, answered};
 use super::profile::{FRAME_TRIGGERS, Wishes, starts_a_frame};
 
 /// The contract that its frames must keep, or everything in which it differs from what is wanted, each with its remedy.
@@ -97,9 +97,13 @@ impl Check<'_> {
         const SELECTOR: &str = "TriggerSelector";
         let entries = self.camera.entries(SELECTOR);
         self.alone = entries.len() < 2;
-        if entries.len() < 2 {
+        // A selector that can only be read says which trigger there is.
+        let fixed = self.camera.feature(SELECTOR).is_some_and(|selector| !selector.is_writable());
+        if self.alone || fixed {
             let found = self.found("TriggerMode", self.camera.text("TriggerMode"), "On")?;
-            let selector = entries.first().map_or(FRAME_TRIGGERS[0], String::as_str);
+            let selected = if fixed { answered(self.camera.text(SELECTOR))? } else { None };
+            let selected = selected.or_else(|| entries.first().cloned());
+            let selector = selected.as_deref().unwrap_or(FRAME_TRIGGERS[0]);
             return match found.as_deref() {
                 None => Ok(()),
                 Some(mode) if is_on(mode) => self.one_trigger(&[(selector.to_owned(), self.source()?)]),

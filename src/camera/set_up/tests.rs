@@ -233,6 +233,17 @@ fn what_the_last_user_left_is_mended_and_told() {
 }
 
 #[test]
+fn a_selector_that_can_only_be_read_says_which_trigger_there_is() {
+    let mut fake = Fake::new();
+    fake.made.0.get_mut("TriggerSelector").expect("there").access = Access::Read;
+    let all = problems(set_up(&fake, &wanted())).join("\n");
+    assert!(all.contains("TriggerMode is On for AcquisitionStart, expected for FrameStart"), "{all}");
+    fake.values.borrow_mut().insert("TriggerSelector".to_owned(), text("FrameStart"));
+    set_up(&fake, &wanted()).expect("set up");
+    assert_eq!((fake.has_now("TriggerMode"), fake.has_now("TriggerSource")), (text("On"), text("Line1")));
+}
+
+#[test]
 fn settings_of_delivery_are_loaded_first() {
     let mut fake = Fake::new();
     fake.delivery = [("ExposureAuto", text("Off")), ("GammaEnable", FeatureValue::Flag(false))]
