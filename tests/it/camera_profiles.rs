@@ -89,8 +89,12 @@ fn what_is_said_is_set_and_the_whole_state_is_recorded() {
     let dumped = fourdbody(&["cameras", "dump", "--config", &config, "--json"]);
     std::fs::write(&file, &dumped.stdout).expect("writable");
     let (mut camera, mut wishes) = first_camera(&laboratory);
+    let set = camera.set_up(&wishes).expect("set up");
+    assert_eq!(camera.changed(&set.watched).expect("read"), []);
     wishes.words.exposure_us = Some(500.0);
     camera.set_up(&wishes).expect("set up");
+    let changed = camera.changed(&set.watched).expect("read");
+    assert_eq!(changed, [("ExposureTime".to_owned(), "1000".to_owned(), "500".to_owned())]);
     drop(camera);
     let changed = dir.path().join("changed.json");
     let dumped = fourdbody(&["cameras", "dump", "--config", &config, "--json"]);
