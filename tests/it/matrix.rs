@@ -251,8 +251,16 @@ fn set_up_alone(case: &Case, address: Ipv4Addr) -> Result<(), String> {
 /// Whether a refusal names a feature, says what was found or asked, and what to do.
 fn is_helpful(refusal: &str) -> bool {
     let remedies = ["say ", "set ", "use ", "switch ", "correct", "change ", "have the", "look ", "rig file"];
-    let found =
-        ["expected", "is not an entry of", "asked for", "no feature", "has no", "not available", "several"];
+    let found = [
+        "expected",
+        "is not an entry of",
+        "asked for",
+        "no feature",
+        "has no",
+        "nearest",
+        "not available",
+        "several",
+    ];
     let has = |line: &str, words: &[&str]| words.iter().any(|word| line.contains(word));
     refusal.lines().all(|line| has(line, &remedies) && has(line, &found))
 }
