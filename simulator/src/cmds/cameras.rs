@@ -31,9 +31,10 @@ pub struct Args {
     /// Edges per second on all trigger inputs; 0 for none.
     #[arg(long, default_value_t = 0.0)]
     trigger_hz: f64,
-    /// Be like the camera of this table: a JSON file of the features that its GenICam description shows.
+    /// Be like the camera of this table: a JSON file of the features that its GenICam description shows. Several are taken
+    /// in turn.
     #[arg(long, value_name = "FILE")]
-    like: Option<std::path::PathBuf>,
+    like: Vec<std::path::PathBuf>,
     /// The entry of TriggerSource that the trigger input is connected to; by default Line0, Line1 or what there is.
     #[arg(long, value_name = "LINE", requires = "like")]
     wired_to: Option<String>,
@@ -57,17 +58,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         let message = format!("--trigger-hz is {}, expected 0 to 10000", args.trigger_hz);
         return Err(Failure::new(Exit::Usage, message));
     }
-    let make = make(args).map_err(|message| Failure::new(Exit::Usage, message))?;
+    let makes = makes(args).map_err(|message| Failure::new(Exit::Usage, message))?;
     let mut cameras = Vec::new();
     let mut wires = Vec::new();
     for index in 0..args.count {
         let (wire, triggers) = unbounded();
-        cameras.push(start(
-            args,
-            index,
-            make.as_ref(),
-            if args.trigger_hz > 0.0 { triggers } else { never() },
-        )?);
+        cameras.push(start(args, index, &makes, if args.trigger_hz > 0.0 { triggers } else { never() })?);
         wires.push(wire);
     }
     for camera in &cameras {
@@ -104,8 +100,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 /// What the cameras are like.
-fn make(args: &Args) -> Result<Option<Arc<Make>>, String> {
-    let Some(path) = &args.like else { return Ok(None) };
+fn makes(args: &Args) -> Result<Vec<Arc<Make>>, String> {
+    args.like.iter().map(|path| make(args, path).map(Arc::new)).collect()
+}
+
+fn make(args: &Args, path: &std::path::Path) -> Result<Make, String> {
     let mut make = Make::load(path).map_err(|e| e.to_string())?;
     if let Some(line) = &args.wired_to {
         make = make.wired_to(line).map_err(|e| e.to_string())?;
@@ -116,13 +115,13 @@ fn make(args: &Args) -> Result<Option<Arc<Make>>, String> {
             .ok_or_else(|| format!("--left-over {left_over}: expected FEATURE=VALUE"))?;
         make = make.left_over(name, value).map_err(|e| e.to_string())?;
     }
-    Ok(Some(Arc::new(make)))
+    Ok(make)
 }
 
 fn start(
     args: &Args,
     index: u8,
-    make: Option<&Arc<Make>>,
+    makes: &[Arc<Make>],
     triggers: Receiver<TriggerEdge>,
 ) -> Result<SimulatedCamera, Failure> {
     let address = args.first.to_bits().checked_add(u32::from(index)).map(Ipv4Addr::from_bits);
@@ -131,7 +130,7 @@ fn start(
     let mut options = CameraOptions::new(&format!("SIM{index:04}"), address, Arc::new(images));
     options.user_name = format!("camera{index}");
     options.triggers = triggers;
-    options.make = make.cloned();
+    options.make = makes.iter().cycle().nth(usize::from(index)).cloned();
     // Every clock of its own, as in the laboratory.
     options.clock = ClockOptions {
         offset_ns: 1_000_000_000 * (1 + u64::from(index)),

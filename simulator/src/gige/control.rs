@@ -5,7 +5,7 @@ use super::gvcp::{self, Command, Request, ResendRequest, Status};
 use super::gvsp::Layout;
 use super::registers::{Effect, Registers};
 use super::settings::Settings;
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
 
 /// Control channel privilege: exclusive access.
@@ -50,6 +50,8 @@ pub enum Action {
     },
     /// Send stream packets again.
     Resend(ResendRequest),
+    /// Answer and send at this address from now on.
+    Move(Ipv4Addr),
 }
 
 /// The answer to a datagram, and what follows from it.
@@ -78,12 +80,24 @@ pub struct Control {
     /// The last write of the controller and its answer: a command that is repeated with its request id,
     /// because the acknowledge got lost, is answered again and not executed again.
     last_write: Option<(Vec<u8>, Vec<u8>)>,
+    /// Until then its controller is one that lives, wherever it is.
+    held_until: Option<Instant>,
 }
 
 impl Control {
     /// A device that nobody controls.
     pub fn new(registers: Registers) -> Self {
-        Self { registers, controller: None, acquiring: false, last_write: None }
+        Self { registers, controller: None, acquiring: false, last_write: None, held_until: None }
+    }
+
+    /// A device that another client controls until then.
+    #[must_use]
+    pub fn held(mut self, by: SocketAddrV4, until: Instant) -> Self {
+        self.controller = Some(Controller { address: by, exclusive: false, heard: until });
+        self.registers.privilege = CONTROL;
+        self.registers.controller = Some(by);
+        self.held_until = Some(until);
+        self
     }
 
     /// The acquisition ended by itself (single or multi-frame).
@@ -129,6 +143,13 @@ impl Control {
     pub fn expire(&mut self, now: Instant) -> Outcome {
         let timeout = Duration::from_millis(u64::from(self.registers.heartbeat_ms));
         let mut outcome = Outcome::default();
+        if self.held_until.is_some_and(|until| now >= until) {
+            self.held_until = None;
+            self.release(&mut outcome.actions);
+        }
+        if self.held_until.is_some() {
+            return outcome;
+        }
         if self.controller.as_ref().is_some_and(|c| now.saturating_duration_since(c.heard) > timeout) {
             self.release(&mut outcome.actions);
         }
@@ -173,6 +194,18 @@ impl Control {
     ) -> Option<Vec<u8>> {
         let id = request.id;
         match &request.command {
+            Command::ForceIp(force) => {
+                if !self.registers.can_move() {
+                    return Some(gvcp::force_ip_ack(id, Status::NotImplemented));
+                }
+                // Of another device, or of one that somebody controls: not for this one, and not a word.
+                if force.mac != self.registers.mac() || self.controller.is_some() {
+                    return None;
+                }
+                self.registers.move_to(force);
+                actions.push(Action::Move(force.address));
+                Some(gvcp::force_ip_ack(id, Status::Success))
+            }
             Command::Discovery => Some(gvcp::discovery_ack(id, &self.registers.discovery())),
             Command::ReadRegisters(addresses) => {
                 let (status, values) = self.read_registers(addresses, from);

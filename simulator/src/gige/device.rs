@@ -5,6 +5,7 @@ use super::control::{Action, Control, Outcome};
 use super::habits::Habits;
 use super::inject::Injector;
 use super::make::Make;
+use super::network::Network;
 use super::presence::Presence;
 use super::registers::{Identity, Registers};
 use super::rogue::Rogue;
@@ -25,6 +26,8 @@ use std::time::{Duration, Instant};
 const CONTROL_TICK: Duration = Duration::from_millis(50);
 /// Asked of the system for the stream's socket; it may give less.
 const SEND_BUFFER: i32 = 8 << 20;
+/// An answer that takes so long is announced.
+const PENDING: Duration = Duration::from_millis(100);
 /// Longest datagram a controller may send.
 const DATAGRAM: usize = 2048;
 
@@ -126,14 +129,27 @@ impl SimulatedCamera {
         let source_port = stream_socket.local_addr().map_or(0, |a| a.port());
         let power_on = {
             let (clock, make) = (Arc::clone(&clock), options.make.clone());
+            let network = match habits.link_local {
+                true => Network::link_local(options.address),
+                false => Network::new(options.address),
+            };
+            let [_, _, c, d] = options.address.octets();
+            let other = SocketAddrV4::new(Ipv4Addr::new(127, 253, c, d), gvcp::PORT);
             move || {
                 let (identity, clock) = (identity.clone(), Arc::clone(&clock));
                 let mut registers = match &make {
-                    Some(make) => Registers::of_make(identity, sensor, clock, habits, Arc::clone(make)),
+                    Some(make) => {
+                        let network = network.power_on();
+                        Registers::of_make(identity, sensor, clock, habits, Arc::clone(make), &network)
+                    }
                     None => Registers::new(identity, sensor, clock, habits),
                 };
                 registers.source_port = source_port;
-                Control::new(registers)
+                let control = Control::new(registers);
+                match habits.held_ms {
+                    0 => control,
+                    ms => control.held(other, Instant::now() + Duration::from_millis(ms)),
+                }
             }
         };
         let statistics = Arc::new(Statistics::default());
@@ -185,6 +201,8 @@ impl SimulatedCamera {
             orders: orders.clone(),
             running,
             acquisitions: 0,
+            answer_late: Duration::from_millis(habits.answer_late_ms),
+            address: options.address,
             late: options.faults.as_ref().map_or(Duration::ZERO, |faults| faults.plan.late),
             stop: Arc::clone(&stop),
         };
@@ -270,6 +288,10 @@ struct Controller {
     orders: Sender<Order>,
     running: Arc<AtomicU64>,
     acquisitions: u64,
+    /// How late writes are answered.
+    answer_late: Duration,
+    /// Where its sockets are bound.
+    address: Ipv4Addr,
     /// How late answers are to resend requests that shall be answered late.
     late: Duration,
     stop: Arc<AtomicBool>,
@@ -304,6 +326,11 @@ impl Controller {
         if boots != self.boots {
             self.boots = boots;
             self.control = (self.power_on)();
+            let network = self.control.registers.network();
+            let (address, away) = (network.now.0, network.away);
+            if !away && address != self.address {
+                self.move_to(address);
+            }
         }
         if let Some(usurper) = self.presence.take_usurper() {
             let outcome = self.control.hand_over(usurper, Instant::now());
@@ -313,7 +340,8 @@ impl Controller {
 
     fn serve(&mut self, buffer: &mut [u8]) {
         let Ok((length, SocketAddr::V4(from))) = self.socket.recv_from(buffer) else { return };
-        if self.presence.is_dark() {
+        // In another subnet, nothing that is meant for one camera finds it.
+        if self.presence.is_dark() || self.control.registers.network().away {
             return;
         }
         let Some(datagram) = buffer.get(..length) else { return };
@@ -326,11 +354,32 @@ impl Controller {
         self.carry_out(outcome, Some(from));
     }
 
-    /// A broadcast can only ask who is there; the answer comes from the camera's own address.
+    /// Binds another address; where that is not this host's, the camera stays where it is.
+    fn move_to(&mut self, address: Ipv4Addr) {
+        let bind = |port| UdpSocket::bind(SocketAddrV4::new(address, port));
+        let moved = bind(gvcp::PORT).and_then(|control| {
+            control.set_nonblocking(true)?;
+            let stream = bind(0)?;
+            net::replace(&self.stream_socket, &stream)?;
+            self.control.registers.source_port = stream.local_addr()?.port();
+            self.socket = control;
+            self.address = address;
+            Ok(())
+        });
+        if let Err(error) = moved {
+            tracing::warn!(%address, %error, "a camera cannot move there");
+        }
+    }
+
+    /// A broadcast can ask who is there, or give an address; the answer comes from the camera's own address.
     fn serve_broadcast(&mut self, index: usize, buffer: &mut [u8]) {
         let Some(socket) = self.broadcasts.get(index) else { return };
         let Ok((length, SocketAddr::V4(from))) = socket.recv_from(buffer) else { return };
         let Some(datagram) = buffer.get(..length).filter(|_| !self.presence.is_dark()) else { return };
+        if self.control.registers.can_move() && discovery::forces_ip(datagram, from) {
+            let outcome = self.control.handle(datagram, from, Instant::now());
+            return self.carry_out(outcome, Some(from));
+        }
         if let Some(answer) = discovery::answer(datagram, from, &self.control.registers) {
             let _ = self.socket.send_to(&answer, from);
         }
@@ -380,12 +429,21 @@ impl Controller {
                     let _ = net::set_do_not_fragment(&self.stream_socket, do_not_fragment);
                     let _ = self.stream_socket.send_to(&gvsp::test_packet(packet_size), destination);
                 }
+                Action::Move(address) if address != self.address => self.move_to(address),
+                Action::Move(_) => {}
                 Action::Resend(request) => {
                     self.resend(&request);
                 }
             }
         }
         if let (Some(answer), Some(from)) = (outcome.answer, from) {
+            if let Some(id) = gvcp::answers_write(&answer).filter(|_| !self.answer_late.is_zero()) {
+                if self.answer_late >= PENDING {
+                    let ms = u16::try_from(self.answer_late.as_millis()).unwrap_or(u16::MAX);
+                    let _ = self.socket.send_to(&gvcp::pending_ack(id, ms), from);
+                }
+                std::thread::sleep(self.answer_late);
+            }
             let _ = self.socket.send_to(&answer, from);
         }
     }

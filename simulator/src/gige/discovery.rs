@@ -29,3 +29,9 @@ pub fn answer(datagram: &[u8], from: SocketAddrV4, registers: &Registers) -> Opt
     let due = request.command == Command::Discovery && from.ip().is_loopback();
     due.then(|| gvcp::discovery_ack(request.id, &registers.discovery()))
 }
+
+/// Whether it gives a camera of this host an address.
+pub fn forces_ip(datagram: &[u8], from: SocketAddrV4) -> bool {
+    let request = Request::decode(datagram);
+    from.ip().is_loopback() && matches!(request, Ok(Request { command: Command::ForceIp(_), .. }))
+}

@@ -3,6 +3,8 @@
 //! A command is an 8-byte header (key 0x42, flags, command, length, request id) and its payload; an
 //! acknowledge is status, command + 1, length, request id, payload. All big-endian (GigE Vision 2.x, part 2).
 
+use std::net::Ipv4Addr;
+
 /// UDP port on which every GigE Vision device listens.
 pub const PORT: u16 = 3956;
 /// Longest payload of a GVCP packet (576-byte IP datagram without IP, UDP and GVCP headers).
@@ -18,11 +20,15 @@ const FLAG_ACK: u8 = 0x01;
 const FLAG_EXTENDED_ID: u8 = 0x10;
 
 const DISCOVERY: u16 = 0x0002;
+const FORCE_IP: u16 = 0x0004;
 const PACKET_RESEND: u16 = 0x0040;
 const READ_REGISTER: u16 = 0x0080;
 const WRITE_REGISTER: u16 = 0x0082;
 const READ_MEMORY: u16 = 0x0084;
 const WRITE_MEMORY: u16 = 0x0086;
+const PENDING_ACK: u16 = 0x0089;
+/// Bytes of a FORCEIP payload.
+const FORCE_IP_SIZE: usize = 56;
 
 /// Status codes that this device answers with (GigE Vision 2.x, table "status codes").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -88,6 +94,38 @@ pub enum Command {
     },
     /// Send stream packets again.
     PacketResend(ResendRequest),
+    /// Whoever has this MAC shall have this address.
+    ForceIp(ForceIp),
+}
+
+/// Where a device shall move to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ForceIp {
+    /// Whose MAC, 48 bits.
+    pub mac: u64,
+    /// Its new address.
+    pub address: Ipv4Addr,
+    /// Of its subnet.
+    pub mask: Ipv4Addr,
+    /// Of its subnet.
+    pub gateway: Ipv4Addr,
+}
+
+impl ForceIp {
+    fn payload(&self) -> Vec<u8> {
+        let mut bytes = self.mac.to_be_bytes().to_vec();
+        for word in [self.address, self.mask, self.gateway] {
+            bytes.extend([0; 12]);
+            bytes.extend(word.octets());
+        }
+        bytes
+    }
+
+    fn decode(payload: &[u8]) -> Option<Self> {
+        let word = |at| be32(payload, at).map(Ipv4Addr::from_bits);
+        let mac = u64::from(be16(payload, 2)?) << 32 | u64::from(be32(payload, 4)?);
+        Some(Self { mac, address: word(20)?, mask: word(36)?, gateway: word(52)? })
+    }
 }
 
 /// One GVCP command with what its header says about the answer.
@@ -183,6 +221,7 @@ impl Request {
             Command::WriteMemory { address, data } => {
                 (WRITE_MEMORY, [&address.to_be_bytes(), &data[..]].concat())
             }
+            Command::ForceIp(force) => (FORCE_IP, force.payload()),
             Command::PacketResend(request) => {
                 if request.extended {
                     flags |= FLAG_EXTENDED_ID;
@@ -251,6 +290,10 @@ fn decode_payload(code: u16, flags: u8, payload: &[u8]) -> Result<Command, Statu
         WRITE_MEMORY if payload.len() > 4 => {
             Ok(Command::WriteMemory { address: word(0)?, data: payload[4..].to_vec() })
         }
+        // Without what a FORCEIP holds it is nothing that a device knows.
+        FORCE_IP if payload.len() == FORCE_IP_SIZE => {
+            ForceIp::decode(payload).map(Command::ForceIp).ok_or(Status::InvalidHeader)
+        }
         PACKET_RESEND => ResendRequest::decode(flags & FLAG_EXTENDED_ID != 0, payload)
             .map(Command::PacketResend)
             .ok_or(Status::InvalidHeader),
@@ -274,6 +317,23 @@ fn acknowledge(status: Status, command: u16, id: u16, payload: &[u8]) -> Vec<u8>
 /// DISCOVERY_ACK: the first [`DISCOVERY_SIZE`] bytes of the bootstrap registers.
 pub fn discovery_ack(id: u16, bootstrap: &[u8; DISCOVERY_SIZE]) -> Vec<u8> {
     acknowledge(Status::Success, DISCOVERY + 1, id, bootstrap)
+}
+
+/// FORCEIP_ACK: nothing but its status.
+pub fn force_ip_ack(id: u16, status: Status) -> Vec<u8> {
+    acknowledge(status, FORCE_IP + 1, id, &[])
+}
+
+/// PENDING_ACK: the answer to request `id` takes so many ms.
+pub fn pending_ack(id: u16, milliseconds: u16) -> Vec<u8> {
+    let time = milliseconds.to_be_bytes();
+    acknowledge(Status::Success, PENDING_ACK, id, &[0, 0, time[0], time[1]])
+}
+
+/// The request id of an answer to a write, which is what can take a camera long.
+pub fn answers_write(answer: &[u8]) -> Option<u16> {
+    let code = be16(answer, 2)?;
+    [WRITE_REGISTER + 1, WRITE_MEMORY + 1].contains(&code).then(|| be16(answer, 6))?
 }
 
 /// READREG_ACK: the values read, up to the first that failed.

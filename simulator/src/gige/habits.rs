@@ -37,6 +37,8 @@ pub struct Habits {
     pub answer_late_ms: u64,
     /// Another client has control for so many ms after power-on.
     pub held_ms: u64,
+    /// It has a link-local address until somebody gives it another; for cameras of other makes.
+    pub link_local: bool,
 }
 
 /// Where in a frame a camera takes its stamp.
@@ -142,6 +144,7 @@ impl Habits {
                 command_ms: table.command_ms,
                 answer_late_ms: table.answer_late_ms,
                 held_ms: table.held_ms,
+                link_local: table.link_local,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -183,6 +186,8 @@ struct Table {
     answer_late_ms: u64,
     #[serde(default)]
     held_ms: u64,
+    #[serde(default)]
+    link_local: bool,
     // Which make it is: read by `Make::parse`.
     #[serde(default, rename = "like")]
     _like: Option<String>,

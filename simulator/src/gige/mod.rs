@@ -24,6 +24,7 @@ mod inject;
 pub mod make;
 pub mod map;
 mod net;
+pub mod network;
 pub mod picture;
 mod presence;
 pub mod registers;

@@ -59,6 +59,17 @@ pub fn bind_shared(address: SocketAddrV4) -> io::Result<UdpSocket> {
     if result == 0 { Ok(UdpSocket::from(socket)) } else { Err(io::Error::last_os_error()) }
 }
 
+/// Puts another socket into the place of one that is shared by threads.
+///
+/// # Errors
+/// As the system says.
+pub fn replace(socket: &UdpSocket, other: &UdpSocket) -> io::Result<()> {
+    // SAFETY: both descriptors are open and owned by sockets that outlive the call; `socket` owns the copy from now on, as
+    // it owned what the system closes here.
+    let result = unsafe { libc::dup3(other.as_raw_fd(), socket.as_raw_fd(), libc::O_CLOEXEC) };
+    if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
+}
+
 /// Asks for a larger send buffer; the system may give less.
 pub fn set_send_buffer(socket: &UdpSocket, bytes: i32) -> io::Result<()> {
     set_option(socket, libc::SOL_SOCKET, libc::SO_SNDBUF, bytes)

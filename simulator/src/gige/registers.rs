@@ -4,11 +4,12 @@
 //! camera's own features, declared to the world by [`super::genicam`].
 
 use super::clock::CameraClock;
-use super::gvcp::{DISCOVERY_SIZE, Status};
+use super::gvcp::{DISCOVERY_SIZE, ForceIp, Status};
 use super::gvsp::{FORMATS, Form, IdMode};
 use super::habits::{ClockHabit, Habits};
 use super::make::{Firmware, Make};
 use super::map::{Access, Id, Register, find};
+use super::network::Network;
 use super::sensor;
 use super::settings::{AcquisitionMode, ExposureMode, Settings, TriggerSource};
 use super::{VENDOR, genicam};
@@ -31,6 +32,8 @@ const HEARTBEAT_MIN: u32 = 500;
 /// GVCP capability: user-defined name, serial number, the controller's port and address, PACKETRESEND,
 /// WRITEMEM, concatenation.
 const GVCP_CAPABILITY: u32 = 1 << 31 | 1 << 30 | 1 << 27 | 1 << 2 | 1 << 1 | 1;
+/// GVCP capability: PENDING_ACK.
+const PENDING_ACKS: u32 = 1 << 5;
 /// GVSP capability: stream source port register, 16-bit block ids.
 const GVSP_CAPABILITY: u32 = 1 << 31 | 1 << 30;
 /// GVSP configuration: 64-bit block ids are on.
@@ -76,6 +79,8 @@ pub struct Registers {
     habits: Habits,
     /// Of a camera that is like a table says; else its features are those of [`super::map`].
     firmware: Option<Firmware>,
+    /// Address, subnet mask and gateway of a camera that can be moved; in its memory.
+    network: Network,
     /// The clock as it was latched, ns.
     latched: u64,
     /// Control channel privilege as others read it.
@@ -113,6 +118,7 @@ impl Registers {
             xml: genicam::xml(&identity.model, habits.clock),
             habits,
             firmware: None,
+            network: Network::new(identity.address),
             identity,
             sensor,
             clock,
@@ -139,6 +145,7 @@ impl Registers {
         clock: Arc<CameraClock>,
         habits: Habits,
         make: Arc<Make>,
+        network: &Network,
     ) -> Self {
         let firmware = Firmware::new(make, sensor, habits);
         let mut xml = firmware.description().into_bytes();
@@ -146,7 +153,28 @@ impl Registers {
         let settings = firmware.settings();
         let packet_size = firmware.first_packet_size();
         let plain = Self::new(identity, sensor, clock, habits);
-        Self { firmware: Some(firmware), xml, settings, packet_size, ..plain }
+        Self { firmware: Some(firmware), xml, settings, packet_size, network: network.clone(), ..plain }
+    }
+
+    /// Its MAC: a locally administered one that holds its first address, unique on this host.
+    pub fn mac(&self) -> u64 {
+        0x0200_0000_0000_u64 | u64::from(self.identity.address.to_bits())
+    }
+
+    /// Whether it can be given another address.
+    pub fn can_move(&self) -> bool {
+        self.firmware.is_some()
+    }
+
+    /// Takes another address until power-off.
+    pub fn move_to(&mut self, force: &ForceIp) {
+        self.network.now = (force.address, force.mask, force.gateway);
+        self.network.away = false;
+    }
+
+    /// Its addresses.
+    pub fn network(&self) -> &Network {
+        &self.network
     }
 
     /// Does what has become due by now.
@@ -224,6 +252,9 @@ impl Registers {
             let in_xml = self.xml_word(address).is_some();
             return Err(if in_xml { Status::WriteProtect } else { Status::InvalidAddress });
         };
+        if self.firmware.is_some() && data.len() >= 4 && self.network.write(register.id, data) {
+            return Ok((4, None));
+        }
         if register.access == Access::ReadOnly {
             return Err(Status::WriteProtect);
         }
@@ -453,8 +484,10 @@ impl Registers {
 
     fn integer(&self, id: Id) -> u32 {
         let settings = &self.settings;
-        // A locally administered MAC that holds the address: unique on this host.
-        let mac = 0x0200_0000_0000_u64 | u64::from(self.identity.address.to_bits());
+        let mac = self.mac();
+        if let Some(value) = self.firmware.as_ref().and_then(|_| self.network.word(id)) {
+            return value;
+        }
         match id {
             Id::Version => 2 << 16,
             // Big-endian, transmitter, UTF-8.
@@ -466,6 +499,7 @@ impl Registers {
             Id::IpAddress | Id::PersistentAddress => self.identity.address.to_bits(),
             Id::SubnetMask | Id::PersistentMask => 0xff00_0000,
             Id::GvspCapability => GVSP_CAPABILITY,
+            Id::GvcpCapability if self.firmware.is_some() => GVCP_CAPABILITY | PENDING_ACKS,
             Id::GvcpCapability => GVCP_CAPABILITY,
             Id::Heartbeat => self.heartbeat_ms,
             Id::TickFrequencyHigh => (self.habits.clock.frequency().unwrap_or(0) >> 32) as u32,

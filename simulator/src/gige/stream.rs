@@ -171,6 +171,8 @@ impl Streamer {
                 let local = stream.destination.is_some_and(|to| to.ip().is_loopback());
                 self.transmitter.set_segmented(local && segmentation::loopback_cuts_before_receivers());
                 self.statistics.triggers_ignored_now.store(0, Relaxed);
+                // The camera may have another address than last time.
+                *connected = None;
                 self.connect(&stream, connected);
                 *acquisition = Some(Acquisition::new(number, started, stream, self));
             }

@@ -9,7 +9,7 @@ mod formats;
 mod places;
 mod rules;
 mod setup;
-mod table;
+pub mod table;
 mod working;
 
 pub use firmware::Firmware;
@@ -218,6 +218,34 @@ impl Make {
     /// Its features.
     pub fn table(&self) -> &Table {
         &self.table
+    }
+
+    /// Address and length of the register in which a feature lies.
+    pub fn register(&self, name: &str) -> Option<(u32, u32)> {
+        let index = self.table.find(name)?;
+        Some(match self.links[index] {
+            Some(link) => (link.address, link.length),
+            None => (places::value(index), places::length(self.table.features[index].kind)),
+        })
+    }
+
+    /// The bytes of a value in the register of a feature that is the camera's own.
+    ///
+    /// # Errors
+    /// What was expected.
+    pub fn bytes(&self, name: &str, text: &str) -> Result<Vec<u8>, String> {
+        let index = self.table.find(name).ok_or_else(|| format!("no feature {name}"))?;
+        let kind = self.table.features[index].kind;
+        Ok(match (kind, self.parse(index, text)?) {
+            (Kind::Float, value) => value.number().to_be_bytes().to_vec(),
+            (Kind::Integer, value) => (value.number() as i64).to_be_bytes().to_vec(),
+            (_, firmware::Value::Text(text)) => {
+                let mut bytes = text.into_bytes();
+                bytes.resize(bytes.len().next_multiple_of(4), 0);
+                bytes
+            }
+            (_, value) => (value.number() as i64 as u32).to_be_bytes().to_vec(),
+        })
     }
 
     /// The code in the register of an enumeration for an entry.
