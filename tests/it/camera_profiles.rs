@@ -188,6 +188,35 @@ fn cameras_of_other_makes_are_set_and_what_was_left_is_told() {
     );
 }
 
+/// Cameras whose trigger or exposure no rule knows: `settings` stand for those words, and all else is as for others.
+#[test]
+fn what_no_rule_knows_is_left_to_settings() {
+    let Some(tables) = tables() else { return };
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let load = |name: &str| Arc::new(Make::load(&tables.join(format!("{name}.json"))).expect("a table"));
+    let makes = [("h0_up", "pco1600"), ("h0_low", "jai_rm_6740ge")];
+    let options = LaboratoryOptions {
+        makes: makes.iter().map(|(id, name)| ((*id).to_owned(), load(name))).collect(),
+        make_settings: false,
+        ..options(small_rig(20.0), dir.path(), 229)
+    };
+    let laboratory = start_laboratory(&options);
+    let file = &laboratory.nodes[0].path;
+    say(file, "h0_up", "trigger_line = \"ExtTrig\"");
+    say(file, "h0_up", "settings = [[\"TriggerActivation\", \"None\"]]");
+    say(file, "h0_low", "left_to_settings = [\"trigger_line\", \"exposure_us\"]");
+    say(file, "h0_low", "settings = [[\"ExposureMode\", \"AsyncProgrammable\"]]");
+    let mut nodes = start_nodes(&laboratory);
+    let captured = capture(&laboratory, "settings");
+    assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    let reader = SessionReader::open(&dir.path().join("sessions/settings")).expect("readable");
+    for (number, camera) in (1..).zip(reader.cameras()).take(makes.len()) {
+        let (wrong, gaps) = judge(&reader, camera, number, SIZE);
+        assert_eq!((wrong, gaps), (None, Vec::new()), "{camera}");
+    }
+}
+
 #[test]
 fn all_problems_of_all_cameras_are_told_at_once() {
     let dir = tempfile::tempdir().expect("a temporary directory");
