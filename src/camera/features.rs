@@ -25,7 +25,8 @@ pub trait Features: Description {
     /// Its value, by its own kind.
     fn read(&self, feature: &str) -> Result<FeatureValue, Failed>;
 
-    /// Sets it; whole numbers, numbers and truth values are taken for each other where the feature's kind asks for it.
+    /// Sets it; whole numbers, numbers and truth values are taken for each other where the feature's kind asks for it. A
+    /// command is executed, whatever the value; one that is locked is refused.
     fn write(&self, feature: &str, value: &FeatureValue) -> Result<(), Failed>;
 
     /// The limits of a number as the camera is set now.
@@ -40,7 +41,7 @@ pub trait Features: Description {
     /// Sets an enumeration.
     fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed>;
 
-    /// Executes a command.
+    /// Executes a command that is never locked.
     fn execute(&self, feature: &str) -> Result<(), Failed>;
 
     /// Whether a command that was executed is done; `None` where the camera does not say.

@@ -71,12 +71,12 @@ impl Work<'_> {
     /// Ends an acquisition that the last user left, and loads the settings of delivery.
     fn known_state(&mut self) -> Result<(), CameraError> {
         if self.camera.has("AcquisitionStop") {
-            answered(self.camera.execute("AcquisitionStop"))?;
+            answered(self.camera.write("AcquisitionStop", &FeatureValue::Flag(true)))?;
         }
         let Some((select, load)) = profile::known_state(self.camera) else { return Ok(()) };
         let Amount::Value(value) = &select.amount else { return Ok(()) };
         answered(self.camera.write(&select.feature, value))?;
-        match self.camera.execute(load) {
+        match self.camera.write(load, &FeatureValue::Flag(true)) {
             Ok(()) => self.wait_for_load(load),
             Err(Failed::Lost(error)) => Err(error),
             Err(Failed::Refused(why)) => {

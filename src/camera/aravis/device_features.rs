@@ -230,7 +230,7 @@ impl Features for AravisCamera {
     }
 
     fn execute(&self, feature: &str) -> Result<(), Failed> {
-        self.device.execute_command(feature).map_err(|e| self.not_set(&e))
+        self.device.execute_command(feature).map_err(|e| self.failed(&e))
     }
 
     fn is_done(&self, command: &str) -> Option<bool> {

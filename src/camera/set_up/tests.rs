@@ -119,6 +119,10 @@ impl Features for Fake {
         if known.access == Access::Read || self.stubborn.contains(&feature) {
             return Err(Failed::Refused("access denied".to_owned()));
         }
+        if feature == "UserSetLoad" {
+            self.values.borrow_mut().extend(self.delivery.clone());
+            return Ok(());
+        }
         let value = match (value, known.kind) {
             (FeatureValue::Float(us), Kind::Float) if feature == "ExposureTime" && self.line_us > 0.0 => {
                 FeatureValue::Float((us / self.line_us).ceil() * self.line_us)
@@ -155,13 +159,7 @@ impl Features for Fake {
     }
 
     fn execute(&self, feature: &str) -> Result<(), Failed> {
-        match feature {
-            "UserSetLoad" => {
-                self.values.borrow_mut().extend(self.delivery.clone());
-                Ok(())
-            }
-            _ => Err(Failed::Refused("no such command".to_owned())),
-        }
+        Err(Failed::Refused(format!("{feature} is no such command")))
     }
 
     fn is_done(&self, _command: &str) -> Option<bool> {
