@@ -1,6 +1,7 @@
 //! `fourdbody-sim cameras`: simulated cameras by themselves, for any GigE Vision program.
 
-use crate::gige::{CameraOptions, ClockOptions, Make, SimulatedCamera, TestImages, process_cpu_time};
+use crate::gige::make::Table;
+use crate::gige::{CameraOptions, ClockOptions, Habits, Make, SimulatedCamera, TestImages, process_cpu_time};
 use crate::wire::TriggerEdge;
 use crossbeam_channel::{Receiver, never, unbounded};
 use fourdbody::base::Exit;
@@ -41,6 +42,12 @@ pub struct Args {
     /// A feature that the last user left set, until UserSetLoad: GammaEnable=true, TriggerMode[AcquisitionStart]=On.
     #[arg(long, value_name = "FEATURE=VALUE", requires = "like")]
     left_over: Vec<String>,
+    /// A feature, or an entry of one, that the table has and these cameras do not: PixelFormat[Mono8].
+    #[arg(long, value_name = "FEATURE", requires = "like")]
+    without: Vec<String>,
+    /// A habit, as a line of a [[habit]] table: 'stamp = "exposure_end"'.
+    #[arg(long, value_name = "LINE")]
+    habit: Vec<String>,
     /// Lose one packet of so many, to see resend requests at work.
     #[arg(long)]
     lose_one_in: Option<std::num::NonZeroU64>,
@@ -105,7 +112,11 @@ fn makes(args: &Args) -> Result<Vec<Arc<Make>>, String> {
 }
 
 fn make(args: &Args, path: &std::path::Path) -> Result<Make, String> {
-    let mut make = Make::load(path).map_err(|e| e.to_string())?;
+    let mut table = Table::load(path).map_err(|e| e.to_string())?;
+    for name in &args.without {
+        table = table.without(name).map_err(|e| e.to_string())?;
+    }
+    let mut make = Make::new(table).map_err(|e| e.to_string())?;
     if let Some(line) = &args.wired_to {
         make = make.wired_to(line).map_err(|e| e.to_string())?;
     }
@@ -116,6 +127,12 @@ fn make(args: &Args, path: &std::path::Path) -> Result<Make, String> {
         make = make.left_over(name, value).map_err(|e| e.to_string())?;
     }
     Ok(make)
+}
+
+fn habits(args: &Args) -> Result<Habits, Failure> {
+    let text = format!("[[habit]]\ncamera = \"\"\n{}", args.habit.join("\n"));
+    let habits = Habits::parse(&text).map_err(|e| Failure::new(Exit::Usage, e))?;
+    Ok(habits.into_values().next().unwrap_or_default())
 }
 
 fn start(
@@ -130,6 +147,7 @@ fn start(
     let mut options = CameraOptions::new(&format!("SIM{index:04}"), address, Arc::new(images));
     options.user_name = format!("camera{index}");
     options.triggers = triggers;
+    options.habits = habits(args)?;
     options.make = makes.iter().cycle().nth(usize::from(index)).cloned();
     // Every clock of its own, as in the laboratory.
     options.clock = ClockOptions {

@@ -39,6 +39,10 @@ pub struct Habits {
     pub held_ms: u64,
     /// It has a link-local address until somebody gives it another; for cameras of other makes.
     pub link_local: bool,
+    /// Its clock counts ticks of so many ns, whatever `clock` says; 0: as that says.
+    pub tick_ns: u64,
+    /// Block ids have 64 bits after power-on.
+    pub extended_ids: bool,
 }
 
 /// Where in a frame a camera takes its stamp.
@@ -119,6 +123,20 @@ impl ClockHabit {
 pub struct HabitError(String);
 
 impl Habits {
+    /// What the registers say of its clock's frequency, Hz.
+    pub fn frequency(&self) -> Option<u64> {
+        match (self.clock.frequency()?, self.tick_ns) {
+            (0, _) => Some(0),
+            (frequency, 0) => Some(frequency),
+            (_, tick_ns) => Some(1_000_000_000 / tick_ns),
+        }
+    }
+
+    /// Ticks of its clock in so many ns.
+    pub fn ticks(&self, ns: u64) -> u64 {
+        ns.checked_div(self.tick_ns).unwrap_or_else(|| self.clock.ticks(ns))
+    }
+
     /// Reads the tables `[[habit]]` of a TOML text: the habits of each camera that is named.
     ///
     /// # Errors
@@ -145,6 +163,8 @@ impl Habits {
                 answer_late_ms: table.answer_late_ms,
                 held_ms: table.held_ms,
                 link_local: table.link_local,
+                tick_ns: table.tick_ns,
+                extended_ids: table.extended_ids,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -188,6 +208,10 @@ struct Table {
     held_ms: u64,
     #[serde(default)]
     link_local: bool,
+    #[serde(default)]
+    tick_ns: u64,
+    #[serde(default)]
+    extended_ids: bool,
     // Which make it is: read by `Make::parse`.
     #[serde(default, rename = "like")]
     _like: Option<String>,
@@ -195,6 +219,8 @@ struct Table {
     _wired_to: Option<String>,
     #[serde(default, rename = "left_over")]
     _left_over: Option<toml::Table>,
+    #[serde(default, rename = "without")]
+    _without: Vec<String>,
     power_on: Option<FormTable>,
     frames: Option<FormTable>,
 }

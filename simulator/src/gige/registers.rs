@@ -132,7 +132,7 @@ impl Registers {
             packet_size: 9000,
             do_not_fragment: true,
             packet_delay: 0,
-            ids: IdMode::Standard,
+            ids: if habits.extended_ids { IdMode::Extended } else { IdMode::Standard },
             settings,
             triggers_ignored: 0,
         }
@@ -433,7 +433,7 @@ impl Registers {
         let Some((register, offset)) = find(address) else { return self.xml_word(address) };
         if matches!(register.id, Id::TickFrequencyHigh | Id::TickFrequencyLow) {
             // Not every camera says.
-            self.habits.clock.frequency()?;
+            self.habits.frequency()?;
         }
         match register.length {
             4 => Some(self.integer(register.id).to_be_bytes()),
@@ -502,10 +502,10 @@ impl Registers {
             Id::GvcpCapability if self.firmware.is_some() => GVCP_CAPABILITY | PENDING_ACKS,
             Id::GvcpCapability => GVCP_CAPABILITY,
             Id::Heartbeat => self.heartbeat_ms,
-            Id::TickFrequencyHigh => (self.habits.clock.frequency().unwrap_or(0) >> 32) as u32,
-            Id::TickFrequencyLow => (self.habits.clock.frequency().unwrap_or(0) & 0xffff_ffff) as u32,
-            Id::TimestampHigh => (self.habits.clock.ticks(self.latched) >> 32) as u32,
-            Id::TimestampLow => (self.habits.clock.ticks(self.latched) & 0xffff_ffff) as u32,
+            Id::TickFrequencyHigh => (self.habits.frequency().unwrap_or(0) >> 32) as u32,
+            Id::TickFrequencyLow => (self.habits.frequency().unwrap_or(0) & 0xffff_ffff) as u32,
+            Id::TimestampHigh => (self.habits.ticks(self.latched) >> 32) as u32,
+            Id::TimestampLow => (self.habits.ticks(self.latched) & 0xffff_ffff) as u32,
             Id::NanosecondsHigh => (self.latched >> 32) as u32,
             Id::NanosecondsLow => (self.latched & 0xffff_ffff) as u32,
             Id::GvspConfiguration if self.ids == IdMode::Extended => EXTENDED_IDS_BIT,

@@ -385,8 +385,7 @@ impl Streamer {
             _ => timestamp,
         };
         let timestamp = if self.habits.no_stamps { 0 } else { timestamp };
-        let timestamp =
-            self.habits.clock.ticks(fault.map_or(timestamp, |fault| inject::stamp(timestamp, fault)));
+        let timestamp = self.habits.ticks(fault.map_or(timestamp, |fault| inject::stamp(timestamp, fault)));
         let frame = Frame { block_id: running.next_block_id, timestamp, instant, layout, picture };
         running.next_block_id = frame.layout.ids.next_block_id(frame.block_id);
         running.frames_left = running.frames_left.map(|left| left.saturating_sub(1));

@@ -1,7 +1,7 @@
 //! Frames: which triggers give one, when it is stamped, and what a state that somebody left makes of it.
 
 use crate::bench::{Bench, HEIGHT, OK, WIDTH, any};
-use fourdbody_simulator::gige::{Habits, StampPoint, TestImages};
+use fourdbody_simulator::gige::{Habits, Make, StampPoint, TestImages};
 use std::time::Duration;
 
 const PERIOD: Duration = Duration::from_millis(20);
@@ -234,4 +234,32 @@ fn offsets_and_wide_pixels_are_in_the_frame() {
     let frame = bench.frame().expect("a frame");
     assert_eq!((frame.format, frame.width, frame.bytes.len()), (0x010c_0047, 32, 48 * HEIGHT));
     assert_eq!(frame.bytes[0], bench.light(0)[16]);
+}
+
+#[test]
+fn clocks_count_in_their_own_ticks_and_ids_have_their_own_width() {
+    let habits = Habits { tick_ns: 16, ..Habits::default() };
+    let mut bench = Bench::new((2, 60), any(&[]), habits);
+    bench.triggered();
+    let edge = bench.pulses(1, PERIOD, WIDTH_OF_PULSE);
+    let frame = bench.frame().expect("a frame");
+    assert_eq!(frame.timestamp, bench.camera.clock().at(edge) / 16);
+    assert_eq!(bench.read(0x093c, 8), Ok(62_500_000u64.to_be_bytes().to_vec()));
+    let habits = Habits { extended_ids: true, ..Habits::default() };
+    let mut bench = Bench::new((2, 61), any(&[]), habits);
+    assert_eq!(bench.read(0x0960, 4), Ok(vec![0x40, 0, 0, 0]));
+}
+
+#[test]
+fn a_camera_can_lack_what_its_table_has() {
+    let table = any(&[]).table().clone();
+    assert!(table.clone().without("Width").is_err() && table.clone().without("PixelFormat[Mono7]").is_err());
+    let table = table.without("PixelFormat[Mono8]").and_then(|t| t.without("GevTimestampValue"));
+    let make = Make::new(table.expect("both are there")).expect("a make");
+    assert!(make.register("GevTimestampValue").is_none());
+    let mut bench = Bench::new((2, 62), make, Habits::default());
+    assert_eq!(bench.integer("PixelFormat"), 0x010c_0047, "the first that is left");
+    bench.triggered();
+    bench.pulses(1, PERIOD, WIDTH_OF_PULSE);
+    assert_eq!(bench.frame().expect("a frame").format, 0x010c_0047);
 }

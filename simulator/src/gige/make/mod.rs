@@ -68,14 +68,12 @@ impl Make {
                     .for_each(|s| s.push(selector));
             }
         }
-        for index in 0..count {
-            let known = std::mem::take(&mut selectors[index]);
-            selectors[index] = known.into_iter().filter(|selector| selects(&table, *selector)).collect();
+        for known in &mut selectors {
+            known.retain(|selector| selects(&table, *selector));
         }
         // What selects its own selector would never come to an end.
         for index in 0..count {
-            let known = selectors[index].clone();
-            selectors[index].retain(|_| false);
+            let known = std::mem::take(&mut selectors[index]);
             for selector in known {
                 if selector != index && !reaches(&selectors, selector, index, count) {
                     selectors[index].push(selector);
@@ -109,17 +107,21 @@ impl Make {
     pub fn parse_all(text: &str, dir: &Path) -> Result<BTreeMap<String, Arc<Self>>, TableError> {
         let file: File = toml::from_str(text).map_err(|e| TableError(format!("[[habit]] {e}")))?;
         let mut makes = BTreeMap::new();
-        for Row { camera, like, wired_to, left_over } in file.habit {
+        for Row { camera, like, wired_to, left_over, without } in file.habit {
             let wrong = |e: TableError| TableError(format!("[[habit]] camera {camera:?}: {e}"));
             let Some(like) = like else {
-                if wired_to.is_some() || !left_over.is_empty() {
+                if wired_to.is_some() || !left_over.is_empty() || !without.is_empty() {
                     return Err(wrong(TableError(
-                        "wired_to and left_over belong to a camera with like".to_owned(),
+                        "wired_to, left_over and without belong to a camera with like".to_owned(),
                     )));
                 }
                 continue;
             };
-            let mut make = Self::load(&dir.join(like)).map_err(wrong)?;
+            let mut table = Table::load(&dir.join(like)).map_err(wrong)?;
+            for name in &without {
+                table = table.without(name).map_err(wrong)?;
+            }
+            let mut make = Self::new(table).map_err(wrong)?;
             if let Some(line) = wired_to {
                 make = make.wired_to(&line).map_err(wrong)?;
             }
@@ -290,4 +292,6 @@ struct Row {
     wired_to: Option<String>,
     #[serde(default)]
     left_over: toml::Table,
+    #[serde(default)]
+    without: Vec<String>,
 }

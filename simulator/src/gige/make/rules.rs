@@ -225,7 +225,7 @@ pub fn default_entry(table: &Table, feature: &Feature) -> usize {
     let there = |entry: &&String| entry_implemented(table, feature, entry);
     let find = |name: &&str| feature.entries.iter().position(|entry| entry == *name);
     let first = feature.entries.iter().position(|entry| there(&entry)).unwrap_or(0);
-    wanted.iter().find_map(|name| find(&name)).unwrap_or(first)
+    wanted.iter().find_map(find).unwrap_or(first)
 }
 
 /// Entries that name a line of the trigger source, the likeliest input of a wire first.

@@ -86,6 +86,9 @@ pub struct Table {
     pub features: Vec<Feature>,
 }
 
+/// Features without which there are no frames.
+const NEEDED: [&str; 5] = ["Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"];
+
 /// Why a table cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
@@ -115,12 +118,41 @@ impl Table {
             features.push(row.feature(name, &names)?);
         }
         let table = Self { vendor: file.vendor, model: file.model, features };
-        for needed in ["Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"] {
+        for needed in NEEDED {
             if table.find(needed).is_none() {
                 return Err(TableError(format!("expected a feature {needed}, which every camera has")));
             }
         }
         Ok(table)
+    }
+
+    /// The same camera without a feature, or without an entry of one, `PixelFormat[Mono8]`.
+    ///
+    /// # Errors
+    /// What it does not have, or cannot do without.
+    pub fn without(mut self, name: &str) -> Result<Self, TableError> {
+        let wrong = |what: &str| TableError(format!("without {name:?}: {what}"));
+        let (feature, entry) = match name.strip_suffix(']').and_then(|name| name.split_once('[')) {
+            Some((feature, entry)) => (feature, Some(entry)),
+            None => (name, None),
+        };
+        let index = self.find(feature).ok_or_else(|| wrong("this camera has no such feature"))?;
+        match entry {
+            Some(entry) => {
+                let entries = &mut self.features[index].entries;
+                let count = entries.len();
+                entries.retain(|known| known != entry);
+                if entries.len() == count || entries.is_empty() {
+                    return Err(wrong("expected one of several entries"));
+                }
+            }
+            None if NEEDED.contains(&feature) => return Err(wrong("every camera has it")),
+            None => {
+                self.features.remove(index);
+                self.features.iter_mut().for_each(|other| other.selects.retain(|name| name != feature));
+            }
+        }
+        Ok(self)
     }
 
     /// Where a feature is in the list.
