@@ -72,7 +72,7 @@ pub fn answered<T>(read: Result<T, Failed>) -> Result<Option<T>, CameraError> {
 /// No camera has more that matters; what is beyond is left out.
 const FEATURES_MAX: usize = 2000;
 /// So is what is beyond so many bytes of names and values.
-const BYTES_MAX: usize = 128 << 10;
+const BYTES_MAX: usize = 64 << 10;
 
 /// Longer texts are cut.
 const TEXT_MAX: usize = 200;
@@ -106,4 +106,18 @@ pub fn read_state(camera: &dyn Features) -> Result<State, CameraError> {
         state.insert(name, text);
     }
     Ok(state)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::value_text;
+    use crate::config::FeatureValue;
+
+    #[test]
+    fn values_are_written_down_short_and_on_one_line() {
+        let text = |text: String| value_text(&FeatureValue::Text(text));
+        assert_eq!(text("a\u{1b}b\nc".to_owned()), "abc");
+        assert_eq!(text("\u{e4}".repeat(1000)), format!("{}...", "\u{e4}".repeat(200)));
+        assert_eq!(value_text(&FeatureValue::Float(0.1)), "0.1");
+    }
 }
