@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 
 /// A camera takes its settings of delivery within this.
 const LOAD_PATIENCE: Duration = Duration::from_secs(5);
+/// One that does not say when it has them is given so long: what is set before that would be lost.
+const LOAD_SETTLES: Duration = Duration::from_millis(700);
 
 /// Sets a camera up.
 ///
@@ -90,6 +92,9 @@ impl Work<'_> {
 
     /// Some cameras refuse everything while they load.
     fn wait_for_load(&mut self, load: &str) -> Result<(), CameraError> {
+        if self.camera.is_done(load).is_none() {
+            std::thread::sleep(LOAD_SETTLES);
+        }
         let deadline = Instant::now() + LOAD_PATIENCE;
         let is_done = || -> Result<bool, CameraError> {
             if let Some(done) = self.camera.is_done(load) {

@@ -249,11 +249,8 @@ impl Features for AravisCamera {
             }
             child = property.next_sibling();
         }
-        let register = register?;
-        let is_readable = register
-            .dynamic_cast_ref::<aravis::GcFeatureNode>()
-            .is_none_or(|node| node.actual_access_mode() != aravis::GcAccessMode::Wo);
-        let value = register.dynamic_cast_ref::<aravis::GcInteger>().filter(|_| is_readable)?.value().ok()?;
+        // Some that are said to be write-only can be read all the same.
+        let value = register?.dynamic_cast_ref::<aravis::GcInteger>()?.value().ok()?;
         Some(value != started?)
     }
 
