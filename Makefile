@@ -21,7 +21,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-worker poses noise light validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-worker matrix poses noise light validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -78,6 +78,11 @@ bench-reconstruct: packages
 
 bench-worker: demo
 	scripts/bench-worker.sh
+
+# Every table of a real camera in every state: target/matrix/summary.json.
+matrix: packages
+	FOURDBODY_MATRIX=$(CURDIR)/target/matrix/summary.json \
+	  $(CARGO) test -p fourdbody --test it -- matrix:: --nocapture
 
 poses: packages
 	$(CARGO) build --release --workspace

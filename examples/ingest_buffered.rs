@@ -10,7 +10,7 @@
 use crossbeam_channel::{Receiver, bounded};
 use fourdbody::base::ids::SessionName;
 use fourdbody::camera::{
-    AravisCameras, Camera, CameraBackend, FrameContract, Received, StreamOptions, Transfer,
+    AravisCameras, Camera, CameraBackend, FrameContract, Received, StreamOptions, Transfer, Wishes,
 };
 use fourdbody::config::NodeConfig;
 use fourdbody::host::frame_memory::Block;
@@ -44,7 +44,7 @@ impl Cameras {
         let mut opened = Vec::new();
         for camera in &config.cameras {
             let mut device = backend.open(&camera.address)?;
-            device.apply(&camera.settings)?;
+            device.set_up(&Wishes::of(config, camera))?;
             opened.push(device);
         }
         let (sender, frames) = bounded(config.buffers_per_camera * opened.len());

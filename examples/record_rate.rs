@@ -39,6 +39,7 @@ fn header() -> RecordingHeader {
         height: HEIGHT,
         device: String::new(),
         settings: Vec::new(),
+        state: std::collections::BTreeMap::new(),
     };
     RecordingHeader {
         session: SessionName::from("rate"),

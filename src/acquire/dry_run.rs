@@ -36,7 +36,7 @@ impl Sink for DryRun {
                 true
             }
             ToWriter::Event(event) => {
-                self.noted.note(&event.kind);
+                self.noted.note(&event);
                 true
             }
             ToWriter::Clock(_) | ToWriter::End(_) => true,

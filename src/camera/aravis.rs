@@ -13,15 +13,14 @@
 use super::canary::Canaries;
 use super::contract::{Breach, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
-use super::features::{Failed, Features};
-use super::settings::{AppliedSetting, matches};
-use super::verify::verify;
+use super::features::{Failed, read_state};
+use super::set_up::{changed, set_up};
 use super::{
-    Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, FrameStream,
-    Received, StreamOptions, Transfer, Wanted,
+    Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, Change,
+    FrameStream, Received, SetUp, State, StreamOptions, Transfer, Wishes,
 };
 use crate::base::ids::BlockId;
-use crate::config::{FeatureSetting, FeatureValue, SocketMode};
+use crate::config::SocketMode;
 use crate::host::frame_memory::{Block, ROOM_BYTES};
 use crate::host::realtime;
 use aravis::prelude::*;
@@ -34,6 +33,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+mod device_features;
 mod filter;
 
 /// The cameras that Aravis can reach.
@@ -115,144 +115,11 @@ fn link_error(doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
     move |e| CameraError::Link { doing, detail: e.to_string() }
 }
 
-/// Whether the camera did not answer at all, as opposed to refusing.
-fn is_silence(error: &glib::Error) -> bool {
-    use aravis::DeviceError::{NotConnected, Timeout, TransferError};
-    [Timeout, NotConnected, TransferError].iter().any(|kind| error.matches(*kind))
-}
-
-/// Whether the camera refused because we are not its controller.
-fn is_refusal(error: &glib::Error) -> bool {
-    use aravis::DeviceError::{NotController, ProtocolErrorAccessDenied};
-    [NotController, ProtocolErrorAccessDenied].iter().any(|kind| error.matches(*kind))
-}
-
 impl AravisCamera {
-    /// What it means that something could not be read or set.
-    fn failed(&self, error: &glib::Error) -> Failed {
-        let detail = error.to_string();
-        if is_silence(error) {
-            Failed::Lost(CameraError::Link { doing: "reading its features", detail })
-        } else if is_refusal(error) {
-            Failed::Lost(CameraError::NotOurs { holder: holder(&self.device), detail })
-        } else {
-            Failed::Refused(detail)
-        }
-    }
-
     /// What a GigE camera says of its control privilege: 0 when nobody has it.
     fn privilege(&self) -> Option<u32> {
         const PRIVILEGE: u64 = 0x0a00;
         Some(self.device.downcast_ref::<aravis::GvDevice>()?.read_register(PRIVILEGE).ok()?.1)
-    }
-
-    fn set(&self, setting: &FeatureSetting) -> Result<(), glib::Error> {
-        let name = setting.feature.as_str();
-        match &setting.value {
-            FeatureValue::Flag(value) => self.device.set_boolean_feature_value(name, *value),
-            FeatureValue::Text(value) => self.device.set_string_feature_value(name, value),
-            FeatureValue::Float(value) => self.device.set_float_feature_value(name, *value),
-            // `1000` may be meant for a float feature such as ExposureTime.
-            FeatureValue::Integer(value) if self.is_float(name) => {
-                self.device.set_float_feature_value(name, *value as f64)
-            }
-            FeatureValue::Integer(value) => self.device.set_integer_feature_value(name, *value),
-        }
-    }
-
-    fn read_back(&self, setting: &FeatureSetting) -> Result<FeatureValue, glib::Error> {
-        let name = setting.feature.as_str();
-        match &setting.value {
-            FeatureValue::Flag(_) => self.device.boolean_feature_value(name).map(FeatureValue::Flag),
-            FeatureValue::Text(_) => {
-                self.device.string_feature_value(name).map(|s| FeatureValue::Text(s.to_string()))
-            }
-            FeatureValue::Float(_) => self.device.float_feature_value(name).map(FeatureValue::Float),
-            FeatureValue::Integer(_) if self.is_float(name) => {
-                self.device.float_feature_value(name).map(FeatureValue::Float)
-            }
-            FeatureValue::Integer(_) => self.device.integer_feature_value(name).map(FeatureValue::Integer),
-        }
-    }
-
-    fn is_float(&self, name: &str) -> bool {
-        self.device.feature(name).is_some_and(|node| node.is::<aravis::GcFloat>())
-    }
-
-    fn set_and_read(&self, setting: &FeatureSetting) -> Result<AppliedSetting, CameraError> {
-        if self.device.feature(&setting.feature).is_none() {
-            return Err(difference(setting, "the camera has no such feature".to_owned()));
-        }
-        self.set(setting).map_err(|e| self.refused(setting, "the camera refused it", &e))?;
-        let actual = self.expect(setting, "")?;
-        Ok(AppliedSetting { feature: setting.feature.clone(), requested: setting.value.clone(), actual })
-    }
-
-    /// Reads a setting back; `when` ends the sentence that says what is there instead.
-    fn expect(&self, setting: &FeatureSetting, when: &str) -> Result<FeatureValue, CameraError> {
-        let actual =
-            self.read_back(setting).map_err(|e| self.refused(setting, "reading it back failed", &e))?;
-        match matches(setting, &actual) {
-            true => Ok(actual),
-            false => Err(difference(setting, format!("the camera has {actual}{when}"))),
-        }
-    }
-
-    /// What it means that a setting could not be made or read.
-    fn refused(&self, setting: &FeatureSetting, what: &str, error: &glib::Error) -> CameraError {
-        if is_silence(error) {
-            return CameraError::Link { doing: "setting its features", detail: error.to_string() };
-        }
-        // One that was restarted has no controller, and the next heartbeat has not told us yet.
-        if is_refusal(error) && self.privilege() == Some(0) {
-            return CameraError::NotOurs { holder: None, detail: error.to_string() };
-        }
-        difference(setting, format!("{what} ({error})"))
-    }
-}
-
-fn difference(setting: &FeatureSetting, found: String) -> CameraError {
-    CameraError::Setting { feature: setting.feature.clone(), requested: setting.value.to_string(), found }
-}
-
-impl Features for AravisCamera {
-    fn has(&self, feature: &str) -> bool {
-        self.device.feature(feature).is_some()
-    }
-
-    fn integer(&self, feature: &str) -> Result<i64, Failed> {
-        self.device.integer_feature_value(feature).map_err(|e| self.failed(&e))
-    }
-
-    fn text(&self, feature: &str) -> Result<String, Failed> {
-        self.device.string_feature_value(feature).map(|text| text.to_string()).map_err(|e| self.failed(&e))
-    }
-
-    fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed> {
-        self.device.set_string_feature_value(feature, value).map_err(|e| self.failed(&e))
-    }
-
-    fn execute(&self, feature: &str) -> Result<(), Failed> {
-        self.device.execute_command(feature).map_err(|e| self.failed(&e))
-    }
-
-    fn entries(&self, feature: &str) -> Vec<String> {
-        let entries = self.has(feature).then(|| {
-            self.device.dup_available_enumeration_feature_values_as_strings(feature).unwrap_or_default()
-        });
-        entries.into_iter().flatten().map(|entry| entry.to_string()).collect()
-    }
-
-    fn has_registers(&self) -> bool {
-        self.device.is::<aravis::GvDevice>()
-    }
-
-    fn register(&self, address: u64) -> Result<u32, Failed> {
-        self.device.read_register(address).map(|(_, value)| value).map_err(|e| self.failed(&e))
-    }
-
-    fn set_register(&self, address: u64, value: u32) -> Result<(), Failed> {
-        self.device.write_register(address, value).map(drop).map_err(|e| self.failed(&e))
     }
 }
 
@@ -272,21 +139,16 @@ impl Camera for AravisCamera {
         Some(CameraError::NotOurs { holder, detail: "its control channel was lost".to_owned() })
     }
 
-    fn apply(&mut self, settings: &[FeatureSetting]) -> Result<Vec<AppliedSetting>, CameraError> {
-        let applied = settings.iter().map(|setting| self.set_and_read(setting)).collect::<Result<_, _>>()?;
-        // What is set later may change what was set before.
-        for (i, setting) in settings.iter().enumerate() {
-            if setting.is_selector() {
-                self.set(setting).map_err(|e| self.refused(setting, "the camera refused it again", &e))?;
-            } else if !settings[i + 1..].iter().any(|later| later.feature == setting.feature) {
-                self.expect(setting, " after all settings were made")?;
-            }
-        }
-        Ok(applied)
+    fn set_up(&mut self, wishes: &Wishes) -> Result<SetUp, CameraError> {
+        set_up(self, wishes)
     }
 
-    fn verify(&mut self, wanted: &Wanted) -> Result<FrameContract, CameraError> {
-        verify(self, wanted)
+    fn state(&mut self) -> Result<State, CameraError> {
+        read_state(self)
+    }
+
+    fn changed(&mut self, watched: &State) -> Result<Vec<Change>, CameraError> {
+        changed(self, watched)
     }
 
     fn image_size(&mut self) -> Result<(usize, usize), CameraError> {

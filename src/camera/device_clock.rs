@@ -4,7 +4,7 @@
 //! What features are called does not say in which unit they count, and a tick frequency may be 0, wrong or absent. So a
 //! way to read the clock counts only when it keeps time with the host; none is guessed.
 
-use super::features::{Failed, Features};
+use super::features::{Failed, Features, answered};
 use super::{CameraClockSample, CameraError};
 use crate::base::time::monotonic_ns;
 use std::time::{Duration, Instant};
@@ -33,22 +33,30 @@ pub struct DeviceClock {
 enum Reading {
     /// A command and the number that it latches.
     Features { latch: &'static str, value: &'static str },
+    /// A command and the two halves that it latches.
+    Halves { latch: &'static str, high: &'static str, low: &'static str },
     /// The bootstrap registers.
     Registers,
 }
 
 impl Reading {
     /// In the order in which they are tried: SFNC 2, GigE Vision 1, USB3 Vision, bootstrap.
-    const ALL: [Self; 4] = [
+    const ALL: [Self; 5] = [
         Self::Features { latch: "TimestampLatch", value: "TimestampLatchValue" },
         Self::Features { latch: "GevTimestampControlLatch", value: "GevTimestampValue" },
         Self::Features { latch: "TimestampLatch", value: "Timestamp" },
+        Self::Halves {
+            latch: "GevTimestampControlLatch",
+            high: "GevTimestampValueHigh",
+            low: "GevTimestampValueLow",
+        },
         Self::Registers,
     ];
 
     fn name(self) -> &'static str {
         match self {
             Self::Features { value, .. } => value,
+            Self::Halves { high, .. } => high,
             Self::Registers => "the bootstrap registers' timestamp",
         }
     }
@@ -56,6 +64,7 @@ impl Reading {
     fn is_there(self, camera: &dyn Features) -> bool {
         match self {
             Self::Features { latch, value } => camera.has(latch) && camera.has(value),
+            Self::Halves { latch, high, low } => [latch, high, low].iter().all(|name| camera.has(name)),
             Self::Registers => camera.has_registers(),
         }
     }
@@ -67,9 +76,15 @@ impl Reading {
         if matches!(self, Self::Features { latch: "TimestampLatch", .. }) {
             units.push(NANOSECONDS);
         }
-        if matches!(self, Self::Features { .. }) && camera.has(FEATURE) {
+        if !matches!(self, Self::Registers) && camera.has(FEATURE) {
             let frequency = answered(camera.integer(FEATURE))?;
             units.extend(frequency.and_then(|frequency| u64::try_from(frequency).ok()));
+        }
+        if let Self::Halves { .. } = self {
+            const HALVES: [&str; 2] = ["GevTimestampTickFrequencyHigh", "GevTimestampTickFrequencyLow"];
+            if HALVES.iter().all(|name| camera.has(name)) {
+                units.extend(answered(halves(camera, HALVES))?);
+            }
         }
         if camera.has_registers() {
             units.extend(answered(wide(camera, FREQUENCY))?);
@@ -87,31 +102,29 @@ impl Reading {
     fn ticks(self, camera: &dyn Features) -> Result<(u64, u64, u64), Failed> {
         let before = monotonic_ns(Instant::now());
         match self {
-            Self::Features { latch, .. } => camera.execute(latch)?,
+            Self::Features { latch, .. } | Self::Halves { latch, .. } => camera.execute(latch)?,
             Self::Registers => camera.set_register(CONTROL, LATCH)?,
         }
         let after = monotonic_ns(Instant::now());
         let ticks = match self {
             // The sign is the transport's, not the clock's.
             Self::Features { value, .. } => camera.integer(value)?.cast_unsigned(),
+            Self::Halves { high, low, .. } => halves(camera, [high, low])?,
             Self::Registers => wide(camera, VALUE)?,
         };
         Ok((before, ticks, after))
     }
 }
 
+/// A number in two features of 32 bits.
+fn halves(camera: &dyn Features, [high, low]: [&str; 2]) -> Result<u64, Failed> {
+    let half = |name| camera.integer(name).map(|half| half.cast_unsigned() & 0xffff_ffff);
+    Ok(half(high)? << 32 | half(low)?)
+}
+
 /// A pair of registers.
 fn wide(camera: &dyn Features, [high, low]: [u64; 2]) -> Result<u64, Failed> {
     Ok(u64::from(camera.register(high)?) << 32 | u64::from(camera.register(low)?))
-}
-
-/// What was refused is not there; a camera that is lost is an error.
-fn answered<T>(read: Result<T, Failed>) -> Result<Option<T>, CameraError> {
-    match read {
-        Ok(value) => Ok(Some(value)),
-        Err(Failed::Refused(_)) => Ok(None),
-        Err(Failed::Lost(error)) => Err(error),
-    }
 }
 
 /// The first way to read a camera's clock that keeps time with the host's, or why there is none.

@@ -9,25 +9,34 @@ mod aravis;
 #[cfg(feature = "aravis")]
 mod canary;
 mod contract;
+pub mod description;
 #[cfg(feature = "aravis")]
 mod device_clock;
 #[cfg(feature = "aravis")]
 mod features;
+pub mod profile;
 mod quiet;
+#[cfg(feature = "aravis")]
+mod set_up;
 mod settings;
 #[cfg(feature = "aravis")]
 mod source_filter;
+mod state;
 #[cfg(feature = "aravis")]
 mod verify;
+#[cfg(feature = "aravis")]
+mod write_amount;
 
 #[cfg(feature = "aravis")]
 pub use self::aravis::AravisCameras;
 pub use contract::{Breach, FrameContract, FrameForm, MONO8, Payload};
+pub use profile::Wishes;
 pub use quiet::quiet_stream;
-pub use settings::{AppliedSetting, matches};
+pub use settings::{AppliedSetting, SetUp, matches};
+pub use state::{Change, State, differences};
 
 use crate::base::ids::BlockId;
-use crate::config::{FeatureSetting, SocketMode};
+use crate::config::SocketMode;
 use crate::host::frame_memory::Block;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -95,20 +104,10 @@ pub enum CameraError {
         /// What Aravis said.
         detail: String,
     },
-    /// A feature could not be set or did not take the value.
-    #[error("feature {feature}: asked for {requested}, {found}; correct the node file's settings")]
-    Setting {
-        /// SFNC name.
-        feature: String,
-        /// As configured.
-        requested: String,
-        /// What the camera has or said.
-        found: String,
-    },
-    /// What it would send is not what a session records.
-    #[error("its frames would not be those of a session:\n  {}", problems.join("\n  "))]
-    Contract {
-        /// Each difference, with its remedy.
+    /// It cannot be set as the node file says, or would not send what a session records.
+    #[error("it cannot be used as it is:\n  {}", problems.join("\n  "))]
+    SetUp {
+        /// Each with its feature, its value and its remedy.
         problems: Vec<String>,
     },
     /// Communication failed.
@@ -121,15 +120,6 @@ pub enum CameraError {
         /// What Aravis said.
         detail: String,
     },
-}
-
-/// What a session needs of a camera.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Wanted {
-    /// Columns and rows that the rig has for it.
-    pub size: (usize, usize),
-    /// Its frames are those of the HSU's triggers; a bench may let cameras run by themselves.
-    pub triggered: bool,
 }
 
 /// How a stream is to be set up.
@@ -213,15 +203,17 @@ pub trait Camera: Send {
         None
     }
 
-    /// Sets features in order, selectors included, and reads each back behind the selectors as they then are. What no
-    /// later setting names again is read once more when all are set. A difference is an error.
-    fn apply(&mut self, settings: &[FeatureSetting]) -> Result<Vec<AppliedSetting>, CameraError>;
-
-    /// Asks its features, whatever was set, whether it sends what a session records.
+    /// Brings it into a known state, sets it as the node file says, and asks it whether it then is as a session needs it.
     ///
     /// # Errors
-    /// [`CameraError::Contract`] with every difference, and with what cannot be found out.
-    fn verify(&mut self, wanted: &Wanted) -> Result<FrameContract, CameraError>;
+    /// [`CameraError::SetUp`] with every problem.
+    fn set_up(&mut self, wishes: &Wishes) -> Result<SetUp, CameraError>;
+
+    /// Everything that can be read of it.
+    fn state(&mut self) -> Result<State, CameraError>;
+
+    /// What is not as it was when it was set up ([`SetUp::watched`]).
+    fn changed(&mut self, watched: &State) -> Result<Vec<Change>, CameraError>;
 
     /// Columns and rows of its images as set now.
     fn image_size(&mut self) -> Result<(usize, usize), CameraError>;

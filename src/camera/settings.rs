@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Requested against applied GenICam settings.
 
+use super::contract::FrameContract;
+use super::state::State;
 use crate::config::{FeatureSetting, FeatureValue};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -14,6 +16,19 @@ pub struct AppliedSetting {
     pub requested: FeatureValue,
     /// As read back.
     pub actual: FeatureValue,
+}
+
+/// How a camera is set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SetUp {
+    /// What its frames must be.
+    pub contract: FrameContract,
+    /// What was set, in its order.
+    pub settings: Vec<AppliedSetting>,
+    /// What an operator should know: what was found otherwise and mended, what the camera rounded.
+    pub told: Vec<String>,
+    /// What must stay as it is while the session runs.
+    pub watched: State,
 }
 
 /// Cameras quantize floats (exposure in line times, gain in tenths of a decibel): this share of the

@@ -1,40 +1,53 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether a camera, as it is set now, sends what a session records: asked of its features, whatever a node file sets.
 
+use super::CameraError;
 use super::contract::{FrameContract, MONO8};
-use super::features::{Failed, Features};
-use super::{CameraError, Wanted};
+use super::description::plain;
+use super::features::{Failed, Features, answered};
+use super::profile::{FRAME_TRIGGERS, Wishes, starts_a_frame};
 
-/// Selectors of the triggers that start a single frame.
-const FRAME_TRIGGERS: [&str; 3] = ["FrameStart", "ExposureStart", "FrameBurstStart"];
-
-/// The contract that its frames must keep, or everything in which it differs from `wanted`, each with its remedy.
-pub fn verify(camera: &dyn Features, wanted: &Wanted) -> Result<FrameContract, CameraError> {
-    let mut check = Check { camera, problems: Vec::new() };
+/// The contract that its frames must keep, or everything in which it differs from what is wanted, each with its remedy.
+/// `mono8` is what the camera calls Mono8.
+pub fn verify(
+    camera: &dyn Features,
+    wanted: &Wishes,
+    mono8: Option<&str>,
+) -> Result<FrameContract, CameraError> {
+    let mut check = Check { camera, problems: Vec::new(), alone: false };
     let (width, height) = wanted.size;
-    check.text("PixelFormat", MONO8.1)?;
-    let set = |feature: &str, value: usize| format!("set [\"{feature}\", {value}], or correct the rig");
-    check.integer("Width", width, &set("Width", width))?;
-    check.integer("Height", height, &set("Height", height))?;
-    let remedy =
-        "switch off what it appends to its images (chunks, padding of rows): [\"ChunkModeActive\", false]";
+    check.text(
+        "PixelFormat",
+        mono8.unwrap_or(MONO8.1),
+        "say pixel = \"mono8\", and set no other in `settings`",
+    )?;
+    let remedy = "set no other in `settings`, or correct the rig file";
+    check.integer("Width", width, remedy)?;
+    check.integer("Height", height, remedy)?;
+    let remedy = "switch off what it appends to its images (chunks, padding of rows), by its own feature in `settings`";
     check.integer("PayloadSize", width * height, remedy)?;
     if wanted.triggered {
         if camera.has("AcquisitionMode") {
-            check.text("AcquisitionMode", "Continuous")?;
+            check.text("AcquisitionMode", "Continuous", "set no other in `settings`")?;
         }
-        check.triggers()?;
+        // A camera whose trigger is set up by features of its own is told by its silence before the start, and by
+        // the rhythm of the warm-up.
+        if camera.has("TriggerMode") || !wanted.left_to_settings("trigger_line") {
+            check.triggers()?;
+        }
     }
     let offset = (check.offset("OffsetX")?, check.offset("OffsetY")?);
     match check.problems.is_empty() {
         true => Ok(FrameContract { size: wanted.size, offset }),
-        false => Err(CameraError::Contract { problems: check.problems }),
+        false => Err(CameraError::SetUp { problems: check.problems }),
     }
 }
 
 struct Check<'a> {
     camera: &'a dyn Features,
     problems: Vec<String>,
+    /// There is one trigger alone.
+    alone: bool,
 }
 
 impl Check<'_> {
@@ -55,12 +68,10 @@ impl Check<'_> {
         }
     }
 
-    fn text(&mut self, feature: &str, expected: &str) -> Result<(), CameraError> {
+    fn text(&mut self, feature: &str, expected: &str, remedy: &str) -> Result<(), CameraError> {
         let found = self.found(feature, self.camera.text(feature), expected)?;
         if let Some(found) = found.filter(|found| found != expected) {
-            self.problems.push(format!(
-                "{feature} is {found}, expected {expected}: set [\"{feature}\", \"{expected}\"]"
-            ));
+            self.problems.push(format!("{feature} is {found}, expected {expected}: {remedy}"));
         }
         Ok(())
     }
@@ -86,12 +97,17 @@ impl Check<'_> {
     fn triggers(&mut self) -> Result<(), CameraError> {
         const SELECTOR: &str = "TriggerSelector";
         let entries = self.camera.entries(SELECTOR);
-        if entries.len() < 2 {
+        self.alone = entries.len() < 2;
+        // A selector that can only be read says which trigger there is.
+        let fixed = self.camera.feature(SELECTOR).is_some_and(|selector| !selector.is_writable());
+        if self.alone || fixed {
             let found = self.found("TriggerMode", self.camera.text("TriggerMode"), "On")?;
-            let selector = entries.first().map_or(FRAME_TRIGGERS[0], String::as_str);
+            let selected = if fixed { answered(self.camera.text(SELECTOR))? } else { None };
+            let selected = selected.or_else(|| entries.first().cloned());
+            let selector = selected.as_deref().unwrap_or(FRAME_TRIGGERS[0]);
             return match found.as_deref() {
                 None => Ok(()),
-                Some("On") => self.one_trigger(&[(selector.to_owned(), self.source()?)]),
+                Some(mode) if is_on(mode) => self.one_trigger(&[(selector.to_owned(), self.source()?)]),
                 Some(_) => self.one_trigger(&[]),
             };
         }
@@ -100,7 +116,7 @@ impl Check<'_> {
         for entry in entries {
             // An entry that cannot be selected, or has no mode of its own, is no trigger that could be on.
             match self.camera.set_text(SELECTOR, &entry).and_then(|()| self.camera.text("TriggerMode")) {
-                Ok(mode) if mode == "On" => on.push((entry, self.source()?)),
+                Ok(mode) if is_on(&mode) => on.push((entry, self.source()?)),
                 Ok(_) | Err(Failed::Refused(_)) => {}
                 Err(Failed::Lost(error)) => return Err(error),
             }
@@ -122,17 +138,15 @@ impl Check<'_> {
     }
 
     fn one_trigger(&mut self, on: &[(String, Option<String>)]) -> Result<(), CameraError> {
-        let remedy =
-            "set [\"TriggerMode\", \"On\"] behind its TriggerSelector, and \"Off\" behind every other";
+        let remedy = "say trigger_line, and set no trigger in `settings`";
         match on {
             [] => self.problems.push(format!("TriggerMode is Off, expected On: {remedy}")),
-            [(selector, _)] if !FRAME_TRIGGERS.contains(&selector.as_str()) => self.problems.push(format!(
+            [(selector, _)] if !starts_a_frame(selector, self.alone) => self.problems.push(format!(
                 "TriggerMode is On for {selector}, expected for {}: {remedy}",
-                FRAME_TRIGGERS.join(" or ")
+                FRAME_TRIGGERS[..3].join(" or ")
             )),
             [(selector, Some(source))] if source == "Software" => self.problems.push(format!(
-                "TriggerSource of {selector} is Software, expected the line of the HSU: set [\"TriggerSource\", \"Line0\"] \
-                 or as the line is called"
+                "TriggerSource of {selector} is Software, expected the line of the HSU: say trigger_line"
             )),
             [_] => {}
             several => {
@@ -145,4 +159,8 @@ impl Check<'_> {
         }
         Ok(())
     }
+}
+
+fn is_on(mode: &str) -> bool {
+    ["on", "true", "enabled", "enable"].contains(&plain(mode).as_str())
 }

@@ -269,15 +269,23 @@ fn random_id(now: Duration) -> u64 {
 fn prepare_all(nodes: Nodes<'_>, statuses: &[NodeStatus], request: &SessionRequest) -> Result<(), Fault> {
     std::thread::scope(|scope| {
         let asked: Vec<_> = nodes.iter().map(|node| scope.spawn(move || node.prepare(request))).collect();
-        let mut first = Ok(());
+        let mut all: Option<Fault> = None;
         for (thread, status) in asked.into_iter().zip(statuses) {
             let answer =
                 thread.join().unwrap_or_else(|_| Err(Fault::new(Exit::Failure, "preparing panicked")));
             let answer = answer
                 .map_err(|f| Fault { exit: f.exit, message: format!("node {}: {}", status.node, f.message) });
-            first = first.and(answer);
+            // What is wrong on one node is no reason not to say what is wrong on the other.
+            if let Err(fault) = answer {
+                all = Some(match all {
+                    None => fault,
+                    Some(first) => {
+                        Fault { exit: first.exit, message: format!("{}\n{}", first.message, fault.message) }
+                    }
+                });
+            }
         }
-        first
+        all.map_or(Ok(()), Err)
     })
 }
 

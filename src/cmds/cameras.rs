@@ -1,21 +1,41 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `fourdbody cameras`: what answers to discovery.
+//! `fourdbody cameras`: what answers to discovery; its subcommands: the whole state of cameras.
 
+use super::camera_state;
 use super::failure::Failure;
 use crate::base::Exit;
 
-/// List the cameras that answer to discovery, without opening any.
+/// List the cameras that answer to discovery, without opening any; with a subcommand: the whole state of cameras.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody cameras --json")]
+#[command(args_conflicts_with_subcommands = true)]
+#[command(
+    after_help = "Examples:\n  fourdbody cameras --json\n  fourdbody cameras dump --config /etc/fourdbody/node.toml"
+)]
 pub struct Args {
+    #[command(subcommand)]
+    about: Option<About>,
     /// Print JSON instead of a table.
     #[arg(long)]
     json: bool,
 }
 
+#[derive(clap::Subcommand)]
+enum About {
+    Dump(camera_state::DumpArgs),
+    Diff(camera_state::DiffArgs),
+}
+
 /// Runs the command.
-#[cfg(feature = "aravis")]
 pub fn run(args: &Args) -> Result<Exit, Failure> {
+    match &args.about {
+        Some(About::Dump(args)) => camera_state::dump(args),
+        Some(About::Diff(args)) => camera_state::diff(args),
+        None => list(args),
+    }
+}
+
+#[cfg(feature = "aravis")]
+fn list(args: &Args) -> Result<Exit, Failure> {
     use crate::camera::CameraBackend;
     let mut list = crate::camera::AravisCameras.list();
     list.sort_by(|a, b| a.address.cmp(&b.address));
@@ -34,9 +54,14 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// Runs the command.
 #[cfg(not(feature = "aravis"))]
-pub fn run(_args: &Args) -> Result<Exit, Failure> {
+fn list(_args: &Args) -> Result<Exit, Failure> {
+    Err(cannot_see_cameras())
+}
+
+/// Why a binary without Aravis does not do what needs cameras.
+#[cfg(not(feature = "aravis"))]
+pub(super) fn cannot_see_cameras() -> Failure {
     let message = "this binary was built without the feature `aravis` and cannot see cameras; build it with default features";
-    Err(Failure::new(Exit::Usage, message))
+    Failure::new(Exit::Usage, message)
 }

@@ -255,6 +255,7 @@ impl Import<'_> {
             height: camera.device.height as u32,
             device: "imported images".to_owned(),
             settings: Vec::new(),
+            state: std::collections::BTreeMap::new(),
         });
         RecordingHeader {
             session: self.name.clone(),

@@ -9,6 +9,7 @@ mod api;
 mod node;
 mod rig;
 mod section;
+mod words;
 mod worker;
 
 pub use api::{ApiConfig, PeerConfig, SocketConfig, TlsConfig};
@@ -18,6 +19,7 @@ pub use node::{
 };
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
+pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, Pixel, word_of};
 pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 
 use std::fmt;

@@ -5,6 +5,7 @@
 use super::api::{ApiConfig, read_api};
 use super::rig::Rig;
 use super::section::Section;
+use super::words::{CameraWords, read_settings, word_of};
 use super::{ConfigError, Problem, read_table};
 use crate::base::ids::{CameraId, NodeId};
 use serde::{Deserialize, Serialize};
@@ -51,7 +52,9 @@ pub struct CameraConfig {
     pub id: CameraId,
     /// Aravis device id or IP address.
     pub address: String,
-    /// Set in this order before every session and read back; a difference refuses the session.
+    /// What is said in the node file's own words, its own before the common ones.
+    pub words: CameraWords,
+    /// Raw settings, the common ones first: set in this order after what the words say, and read back.
     pub settings: Vec<FeatureSetting>,
 }
 
@@ -186,11 +189,13 @@ struct Acquisition {
     when_full: WhenFull,
     on_camera_lost: OnLoss,
     on_link_lost: OnLoss,
+    words: CameraWords,
     settings: Vec<FeatureSetting>,
 }
 
 fn read_acquisition(section: Section<'_>) -> Acquisition {
     const ON_LOSS: [(&str, OnLoss); 2] = [("continue", OnLoss::Continue), ("abort", OnLoss::Abort)];
+    let words = CameraWords::read(&section);
     let acquisition = Acquisition {
         buffers_per_camera: section.integer_or("buffers_per_camera", 16..=4096, 64) as usize,
         packet_bytes: section.integer_or("packet_bytes", 576..=65_000, 9000) as u32,
@@ -203,7 +208,8 @@ fn read_acquisition(section: Section<'_>) -> Acquisition {
         ),
         on_camera_lost: section.choice_or_first("on_camera_lost", &ON_LOSS),
         on_link_lost: section.choice_or_first("on_link_lost", &ON_LOSS),
-        settings: read_settings(&section),
+        settings: read_settings(&section, &words),
+        words,
     };
     section.finish();
     acquisition
@@ -245,9 +251,8 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         section.finish();
         results
     });
-    let common = acquisition.as_ref().map_or(&[][..], |acquisition| &acquisition.settings);
     let cameras: Vec<CameraConfig> =
-        root.sections("camera").into_iter().map(|s| read_camera(s, common)).collect();
+        root.sections("camera").into_iter().map(|s| read_camera(s, acquisition.as_ref())).collect();
     let rig = match Rig::load(&rig_path) {
         Ok(rig) => Some(rig),
         Err(error) => {
@@ -304,67 +309,21 @@ fn read_realtime(section: Section<'_>) -> Realtime {
     Realtime { priority: u8::try_from(priority).unwrap_or(0), cpus, lock_memory }
 }
 
-fn read_camera(section: Section<'_>, common: &[FeatureSetting]) -> CameraConfig {
+fn read_camera(section: Section<'_>, common: Option<&Acquisition>) -> CameraConfig {
     let id = CameraId(section.name("id"));
     let address = section.text("address");
-    let own = read_settings(&section);
-    let settings = with_common(own, common, &section);
+    let own = CameraWords::read(&section);
+    let mut settings = read_settings(&section, &own);
+    let mut words = own;
+    if let Some(common) = common {
+        // What a camera says of itself stands above what is said of all.
+        let unsaid =
+            |setting: &&FeatureSetting| word_of(&setting.feature).is_none_or(|word| !section.has(word));
+        settings = common.settings.iter().filter(unsaid).cloned().chain(settings).collect();
+        words = words.or(&common.words);
+    }
     section.finish();
-    CameraConfig { id, address, settings }
-}
-
-/// A camera's own list, whole and in its order, stands where the first of the common settings stood that it names; the
-/// others that it names are left out. Where it names none, it comes last.
-fn with_common(
-    own: Vec<FeatureSetting>,
-    common: &[FeatureSetting],
-    section: &Section<'_>,
-) -> Vec<FeatureSetting> {
-    let names = |setting: &FeatureSetting| own.iter().any(|mine| mine.feature == setting.feature);
-    // Which of several is meant cannot be told without their selectors.
-    let mut said = BTreeSet::new();
-    for setting in common.iter().filter(|setting| names(setting) && !setting.is_selector()) {
-        let feature = &setting.feature;
-        let times = |list: &[FeatureSetting]| list.iter().filter(|other| other.feature == *feature).count();
-        if times(common) > 1 && times(&own) < times(common) && said.insert(feature) {
-            section.problem(
-                "settings",
-                format!(
-                    "the common list sets {feature} {} times, this one {}: which of them is meant? Expected it as often, each \
-                     time behind its selector",
-                    times(common),
-                    times(&own)
-                ),
-            );
-        }
-    }
-    let place = common.iter().position(names).unwrap_or(common.len());
-    let after = common[place..].iter().filter(|setting| !names(setting)).cloned().collect::<Vec<_>>();
-    common[..place].iter().cloned().chain(own).chain(after).collect()
-}
-
-fn read_settings(section: &Section<'_>) -> Vec<FeatureSetting> {
-    let mut settings = Vec::new();
-    for (i, entry) in section.list("settings").iter().enumerate() {
-        let pair = entry.as_array().map(Vec::as_slice);
-        let value = match pair {
-            Some([toml::Value::String(_), toml::Value::Boolean(b)]) => Some(FeatureValue::Flag(*b)),
-            Some([toml::Value::String(_), toml::Value::Integer(i)]) => Some(FeatureValue::Integer(*i)),
-            Some([toml::Value::String(_), toml::Value::Float(x)]) => Some(FeatureValue::Float(*x)),
-            Some([toml::Value::String(_), toml::Value::String(t)]) => Some(FeatureValue::Text(t.clone())),
-            _ => None,
-        };
-        match (pair, value) {
-            (Some([toml::Value::String(feature), _]), Some(value)) => {
-                settings.push(FeatureSetting { feature: feature.clone(), value });
-            }
-            _ => section.problem(
-                &format!("settings[{i}]"),
-                format!("expected [\"FeatureName\", value], found {entry}"),
-            ),
-        }
-    }
-    settings
+    CameraConfig { id, address, words, settings }
 }
 
 fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[CameraConfig]) {
@@ -384,6 +343,18 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
             let message = format!("{} is not a camera of node {node} in the rig", camera.id);
             root.problem(&format!("camera[{i}].id"), message);
         }
+        let known = rig.cameras().find(|(_, known)| known.id == camera.id).map(|(_, known)| &known.device);
+        for (word, said, of_rig) in [
+            ("width", camera.words.width, known.map(|device| device.width)),
+            ("height", camera.words.height, known.map(|device| device.height)),
+        ] {
+            if let (Some(said), Some(of_rig)) = (said, of_rig)
+                && usize::try_from(said) != Ok(of_rig)
+            {
+                let message = format!("is {said} for {}, expected the {of_rig} of the rig file", camera.id);
+                root.problem(&format!("camera[{i}].{word}"), message);
+            }
+        }
         if camera.address.starts_with(|c: char| c.is_ascii_digit())
             && camera.address.parse::<IpAddr>().is_err()
         {
@@ -399,43 +370,68 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
 
 #[cfg(test)]
 mod tests {
-    use super::{FeatureSetting, FeatureValue, with_common};
+    use super::{Acquisition, CameraConfig, read_acquisition, read_camera};
     use crate::config::section::Section;
+    use crate::config::{CameraWords, Edge, PacketDelay};
     use std::cell::RefCell;
 
-    fn list(text: &str) -> Vec<FeatureSetting> {
-        let pair = |pair: &str| {
-            let (feature, value) = pair.split_once('=').expect("feature=value");
-            FeatureSetting { feature: feature.to_owned(), value: FeatureValue::Text(value.to_owned()) }
-        };
-        text.split_whitespace().map(pair).collect()
+    /// A camera beside the common words, and the key paths of all problems.
+    fn read(common: &str, own: &str) -> (CameraConfig, Vec<String>) {
+        let [common, own] = [common, own].map(|text| text.parse::<toml::Table>().expect("TOML"));
+        let problems = RefCell::default();
+        let common: Acquisition = read_acquisition(Section::root(&common, &problems));
+        let camera = read_camera(Section::root(&own, &problems), Some(&common));
+        (camera, problems.into_inner().into_iter().map(|problem| problem.key).collect())
     }
 
-    /// The list that a camera gets, and the problems with it.
-    fn merged(common: &str, own: &str) -> (String, usize) {
-        let (table, problems) = (toml::Table::new(), RefCell::default());
-        let all = with_common(list(own), &list(common), &Section::root(&table, &problems));
-        let words: Vec<String> = all.iter().map(|s| format!("{}={}", s.feature, s.value)).collect();
-        (words.join(" "), problems.into_inner().len())
+    const OWN: &str = "id = \"h0_up\"\naddress = \"10.0.0.2\"\n";
+
+    #[test]
+    fn a_cameras_own_words_stand_above_the_common_ones() {
+        let common = "trigger_line = \"Line0\"\nexposure_us = 1000\noverlap = false\npacket_delay_us = \"auto\"\n\
+                      settings = [[\"LineSelector\", \"Line0\"], [\"GainRaw\", 3]]";
+        let own = format!(
+            "{OWN}trigger_line = \"Line1\"\ntrigger_edge = \"falling\"\ngain_db = 6\nsettings = [[\"LineSelector\", \"Line1\"]]"
+        );
+        let (camera, problems) = read(common, &own);
+        assert_eq!(problems, [""; 0]);
+        assert_eq!(
+            camera.words,
+            CameraWords {
+                trigger_line: Some("Line1".to_owned()),
+                trigger_edge: Some(Edge::Falling),
+                exposure_us: Some(1000.0),
+                gain_db: Some(6.0),
+                overlap: Some(false),
+                packet_delay: Some(PacketDelay::Auto),
+                ..CameraWords::default()
+            }
+        );
+        // Common settings come first; one that a word of the camera's own says is left out.
+        let settings: Vec<String> =
+            camera.settings.iter().map(|s| format!("{} {}", s.feature, s.value)).collect();
+        assert_eq!(settings, ["LineSelector Line0", "LineSelector Line1"]);
     }
 
     #[test]
-    fn a_list_of_its_own_keeps_its_order_and_its_selectors() {
-        let common = "Width=1920 TriggerSelector=FrameStart TriggerMode=On TriggerSource=Line0 Gain=0";
-        let basler =
-            "TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSelector=FrameStart TriggerMode=On";
-        for (own, expected) in [
-            ("", common.to_owned()),
-            (basler, format!("Width=1920 {basler} TriggerSource=Line0 Gain=0")),
-            ("TriggerSource=Line1", common.replace("Line0", "Line1")),
-            ("Black=1", format!("{common} Black=1")),
-            ("Gain=3 Width=640", common.replace("Width=1920", "Gain=3 Width=640").replace(" Gain=0", "")),
-        ] {
-            assert_eq!(merged(common, own), (expected, 0), "{own}");
-        }
-        assert_eq!(merged("", basler), (basler.to_owned(), 0));
-        // Which of the two modes is meant?
-        assert_eq!(merged(basler, "TriggerMode=Off").1, 1);
-        assert_eq!(merged(basler, basler), (basler.to_owned(), 0));
+    fn words_that_are_wrong_or_said_twice_are_problems_with_key_paths() {
+        let own = format!(
+            "{OWN}trigger_edge = \"up\"\nexposure_us = -1\npixel = \"rgb8\"\npacket_delay_us = \"soon\"\n\
+             left_to_settings = [\"colour\"]\ngain_db = 0\nexposure = 5\nsettings = [[\"Gain\", 0.0], [\"X\"]]"
+        );
+        let (_, problems) = read("", &own);
+        assert_eq!(
+            problems,
+            [
+                "trigger_edge",
+                "exposure_us",
+                "pixel",
+                "packet_delay_us",
+                "left_to_settings[0]",
+                "settings[0]",
+                "settings[1]",
+                "exposure"
+            ]
+        );
     }
 }

@@ -214,6 +214,11 @@ impl<'a> Section<'a> {
         self.required(key, "a table").and_then(|value| self.section_of(key, value))
     }
 
+    /// An optional value of any kind.
+    pub fn value(&self, key: &'static str) -> Option<&'a Value> {
+        self.get(key)
+    }
+
     /// An optional sub-table.
     pub fn optional_section(&self, key: &'static str) -> Option<Section<'a>> {
         self.get(key).and_then(|value| self.section_of(key, value))

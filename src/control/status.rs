@@ -249,7 +249,7 @@ pub struct CameraSettings {
     pub address: String,
     /// Columns and rows of its images, by the rig.
     pub size: [usize; 2],
-    /// Set in this order before every session.
+    /// What the node file says, in its words and in raw settings; a word stands under its own name.
     pub configured: Vec<FeatureSetting>,
     /// As read back when a session was last prepared; none before the first.
     pub read_back: Option<Vec<AppliedSetting>>,

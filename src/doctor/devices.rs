@@ -5,7 +5,7 @@ use super::load::Load;
 use super::{Check, Finding};
 use crate::base::ids::CameraId;
 use crate::base::time::monotonic_ns;
-use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity, FrameContract, Wanted};
+use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity, SetUp, Wishes};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::control::status::NodeStatus;
 use crate::hsu::{Hsu, HsuTimeouts};
@@ -22,8 +22,8 @@ const CLOCK_READINGS: usize = 8;
 pub struct OpenedCamera {
     /// Who it is.
     pub identity: CameraIdentity,
-    /// What its frames are after all settings were set and read back.
-    pub contract: Result<FrameContract, CameraError>,
+    /// What it is set to.
+    pub set_up: Result<SetUp, CameraError>,
     /// The packet size that arrives.
     pub packet_bytes: Result<Option<u32>, CameraError>,
     /// The shortest way to its clock and back, ns, or why it has none that can be read.
@@ -44,15 +44,13 @@ pub struct CameraFacts {
 impl CameraFacts {
     /// Opens the camera, tries it, and lets go of it. Its settings stay as the node file has them.
     pub fn gather(camera: &CameraConfig, config: &NodeConfig, backend: &mut dyn CameraBackend) -> Self {
-        let device = config.rig.cameras().find(|(_, known)| known.id == camera.id);
-        let size = device.map_or((0, 0), |(_, c)| (c.device.width, c.device.height));
-        let wanted = Wanted { size, triggered: config.cameras_are_triggered() };
+        let wishes = Wishes::of(config, camera);
         Self {
             id: camera.id.clone(),
             address: camera.address.clone(),
             opened: backend.open(&camera.address).map(|mut opened| OpenedCamera {
                 identity: opened.identity().clone(),
-                contract: opened.apply(&camera.settings).and_then(|_| opened.verify(&wanted)),
+                set_up: opened.set_up(&wishes),
                 packet_bytes: opened.test_packet_size(config.packet_bytes),
                 clock: read_clock(opened.as_mut()),
             }),
@@ -86,16 +84,15 @@ pub fn judge_camera(facts: &CameraFacts, load: &Load) -> Vec<Finding> {
     let CameraIdentity { vendor, model, serial } = &opened.identity;
     let name = format!("{vendor} {model}, serial number {serial}, at {}, under our control", facts.address);
     let expected = "every setting of the node file to be taken, and frames as a session records them";
-    let settings = match &opened.contract {
-        Ok(contract) => {
+    let settings = match &opened.set_up {
+        Ok(SetUp { contract, told, .. }) => {
             let (width, height) = contract.size;
-            check(": settings").ok(format!("taken and read back, {width} x {height} Mono8"))
+            let told: String = told.iter().map(|told| format!("; {told}")).collect();
+            check(": settings").ok(format!("taken and read back, {width} x {height} Mono8{told}"))
         }
-        Err(CameraError::Contract { problems }) => check(": settings").failed(
-            problems.join("; "),
-            expected,
-            "correct the node file's settings as named",
-        ),
+        Err(CameraError::SetUp { problems }) => {
+            check(": settings").failed(problems.join("; "), expected, "correct the node file as named")
+        }
         Err(error) => {
             let (found, advice) = split(error);
             check(": settings").failed(found, expected, advice)
@@ -303,6 +300,7 @@ pub fn judge_hsu(facts: &HsuFacts, load: &Load) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::{FrameContract, State};
     use crate::doctor::Grade;
 
     fn camera() -> CameraFacts {
@@ -311,7 +309,12 @@ mod tests {
             address: "192.168.10.2".to_owned(),
             opened: Ok(OpenedCamera {
                 identity: CameraIdentity::default(),
-                contract: Ok(FrameContract { size: (1920, 1200), offset: (0, 0) }),
+                set_up: Ok(SetUp {
+                    contract: FrameContract { size: (1920, 1200), offset: (0, 0) },
+                    settings: Vec::new(),
+                    told: Vec::new(),
+                    watched: State::new(),
+                }),
                 packet_bytes: Ok(Some(9000)),
                 clock: Ok(Ok(200_000)),
             }),
@@ -334,10 +337,7 @@ mod tests {
         let link = || CameraError::Link { doing: "reading its clock", detail: "Timeout".to_owned() };
         assert_eq!(grades(&camera()), [Good; 4]);
         let problems = vec!["PixelFormat is Mono16".to_owned()];
-        assert_eq!(
-            opened(|c| c.contract = Err(CameraError::Contract { problems })),
-            [Good, Failed, Good, Good]
-        );
+        assert_eq!(opened(|c| c.set_up = Err(CameraError::SetUp { problems })), [Good, Failed, Good, Good]);
         assert_eq!(opened(|c| c.packet_bytes = Ok(Some(1500))), [Good, Good, Failed, Good]);
         // USB cameras have neither packets nor, some, a clock.
         assert_eq!(opened(|c| c.packet_bytes = Ok(None)), [Good; 4]);

@@ -240,6 +240,7 @@ fn noise_header(config: &NodeConfig) -> RecordingHeader {
         height: camera.device.height as u32,
         device: String::new(),
         settings: Vec::new(),
+        state: std::collections::BTreeMap::new(),
     });
     RecordingHeader {
         session: SessionName::from("doctor"),

@@ -7,7 +7,7 @@ use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::RecorderCommand;
 use crate::base::clock_fit::RESET_RUN;
 use crate::base::time::HostClock;
-use crate::camera::{CameraError, StreamOptions, Wanted, quiet_stream};
+use crate::camera::{CameraError, StreamOptions, quiet_stream};
 use crate::host::frame_memory::Pool;
 use crate::record::{ClockSample, GapCause, NodeEvent};
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
@@ -57,8 +57,6 @@ pub struct AttendantSetup {
     pub backend: SharedBackend,
     /// How its stream is set up.
     pub options: StreamOptions,
-    /// Its frames are those of the HSU's triggers.
-    pub triggered: bool,
     /// Its receiver's setup, for another one.
     pub receiver: ReceiverSetup,
     /// Buffers of a stream.
@@ -99,7 +97,7 @@ impl CameraKeeper {
         let (orders, inbox) = bounded(8);
         let name = format!("attend-{}", setup.receiver.camera);
         let thread = std::thread::Builder::new().name(name).spawn(move || {
-            let mut work = Work { setup, receiver: Some(receiver), owned: None, holder: None };
+            let mut work = Work { setup, receiver: Some(receiver), owned: None, holder: None, set: 0 };
             work.run(&inbox);
             let counters = work.receiver.take().map(Receiver::stop).unwrap_or_default();
             (work.setup.camera, counters)
@@ -136,6 +134,8 @@ struct Work {
     /// Who was found in control of it at the last attempt, and who was said to be.
     owned: Option<String>,
     holder: Option<String>,
+    /// How many settings it was given when it was last back.
+    set: usize,
 }
 
 impl Work {
@@ -219,8 +219,7 @@ impl Work {
                 let camera = self.setup.receiver.camera;
                 let text = format!(
                     "{} settings set and read back, fresh stream of {} buffers",
-                    self.setup.camera.config.settings.len(),
-                    self.setup.blocks
+                    self.set, self.setup.blocks
                 );
                 self.note("camera_back", text);
                 drop(self.setup.reports.send(Report::Back { camera }));
@@ -267,9 +266,10 @@ impl Work {
             self.note("camera_refused", reason.clone());
             return Err(reason);
         }
-        camera.apply(&config.settings).map_err(text)?;
-        let wanted = Wanted { size: self.setup.camera.size, triggered: self.setup.triggered };
-        self.setup.options.contract = camera.verify(&wanted).map_err(text)?;
+        let set_up = camera.set_up(&self.setup.camera.wishes).map_err(text)?;
+        self.setup.options.contract = set_up.contract;
+        self.setup.camera.watched = set_up.watched;
+        self.set = set_up.settings.len();
         let (pool, pixel_bytes, count) = (&self.setup.pool, self.setup.pixel_bytes, self.setup.blocks);
         let blocks = || pool.take(pixel_bytes, count);
         let (mut stream, quiet) = quiet_stream(camera.as_mut(), blocks, &self.setup.options).map_err(text)?;

@@ -9,8 +9,8 @@ use crate::base::ids::CameraId;
 use crate::base::time::HostClock;
 use crate::base::{Exit, Fault};
 use crate::camera::{
-    AppliedSetting, Camera, CameraBackend, CameraError, CameraIdentity, FrameContract, StreamOptions, Wanted,
-    quiet_stream,
+    AppliedSetting, Camera, CameraBackend, CameraError, CameraIdentity, Change, FrameContract, SetUp, State,
+    StreamOptions, Wishes, quiet_stream,
 };
 use crate::config::{CameraConfig, NodeConfig};
 use crate::control::status::{CameraStatus, HsuStatus};
@@ -35,6 +35,10 @@ pub struct OpenCamera {
     pub size: (usize, usize),
     /// What its frames must be, as it was last verified.
     pub contract: FrameContract,
+    /// What the node file says of it.
+    pub wishes: Wishes,
+    /// What must stay as it is while a session runs.
+    pub watched: State,
     /// While it is not open: when it is looked for again.
     next_try: Instant,
 }
@@ -46,14 +50,26 @@ impl OpenCamera {
     }
 
     /// Sets and reads back all features, and asks whether what it then sends is what a session records.
-    fn set_up(&mut self, triggered: bool) -> Result<PreparedCamera, CameraError> {
+    fn set_up(&mut self) -> Result<PreparedCamera, CameraError> {
         let not_open = CameraError::Link { doing: "setting its features", detail: "not open".to_owned() };
         let camera = self.camera.as_mut().ok_or(not_open)?;
-        let settings = camera.apply(&self.config.settings)?;
-        let contract = camera.verify(&Wanted { size: self.size, triggered })?;
-        let (id, identity) = (self.config.id.clone(), camera.identity().clone());
+        let SetUp { contract, settings, told, watched } = camera.set_up(&self.wishes)?;
+        let (id, identity, state) = (self.config.id.clone(), camera.identity().clone(), camera.state()?);
         self.contract = contract;
-        Ok(PreparedCamera { id, size: self.size, identity, settings })
+        self.watched = watched;
+        Ok(PreparedCamera { id, size: self.size, identity, settings, told, state })
+    }
+
+    /// What is not as it was set, where the camera can be asked.
+    fn changed(&mut self) -> Vec<Change> {
+        let Some(camera) = self.camera.as_mut().filter(|camera| camera.is_alive()) else { return Vec::new() };
+        match camera.changed(&self.watched) {
+            Ok(changed) => changed,
+            Err(error) => {
+                tracing::warn!(camera = %self.config.id, "its settings cannot be read again: {error}");
+                Vec::new()
+            }
+        }
     }
 
     /// Everything but the open camera, which moves to the copy.
@@ -65,6 +81,8 @@ impl OpenCamera {
             problem: None,
             size: self.size,
             contract: self.contract,
+            wishes: self.wishes.clone(),
+            watched: self.watched.clone(),
             next_try: self.next_try,
         }
     }
@@ -92,6 +110,10 @@ pub struct PreparedCamera {
     pub identity: CameraIdentity,
     /// Settings as read back.
     pub settings: Vec<AppliedSetting>,
+    /// What was found otherwise and mended, and what the camera rounded.
+    pub told: Vec<String>,
+    /// Everything that could be read of it.
+    pub state: State,
 }
 
 /// How often one of the cameras that do not answer is looked for while the node is idle: it blocks for 2.5 s.
@@ -128,6 +150,8 @@ impl Devices {
                 problem: not_yet(),
                 size,
                 contract: FrameContract { size, offset: (0, 0) },
+                wishes: Wishes::of(config, camera),
+                watched: State::new(),
                 next_try: Instant::now(),
             }
         };
@@ -273,13 +297,12 @@ impl Devices {
             self.slots[i].camera = None;
             self.open(i)?;
         }
-        let triggered = self.config.cameras_are_triggered();
-        let mut set_up = self.slots[i].set_up(triggered);
+        let mut set_up = self.slots[i].set_up();
         if matches!(set_up, Err(CameraError::NotOurs { holder: None, .. })) {
             // It was restarted since it was opened.
             self.slots[i].camera = None;
             self.open(i)?;
-            set_up = self.slots[i].set_up(triggered);
+            set_up = self.slots[i].set_up();
         }
         let id = &self.slots[i].config.id;
         set_up.map_err(|error| Fault::new(Exit::Device, format!("camera {id}: {error}")))
@@ -307,6 +330,12 @@ impl Devices {
             Some((slot.config.id.clone(), slot.camera.as_ref()?.why_no_clock()?.to_owned()))
         };
         self.slots.iter().filter_map(why).collect()
+    }
+
+    /// What is not as it was when each camera was set up for the session.
+    pub fn changed_settings(&mut self) -> Vec<(CameraId, Vec<Change>)> {
+        let all = self.slots.iter_mut().map(|slot| (slot.config.id.clone(), slot.changed()));
+        all.filter(|(_, changed)| !changed.is_empty()).collect()
     }
 
     /// Creates a fresh stream with a receiver on every camera, starts every acquisition, and puts every camera into
@@ -339,7 +368,6 @@ impl Devices {
                 camera: slot.hand_over(),
                 backend: self.backend.clone(),
                 options: stream_options(&self.config, slot.contract),
-                triggered: self.config.cameras_are_triggered(),
                 receiver: setup.clone(),
                 blocks: self.config.buffers_per_camera,
                 pool: self.pool.clone(),
@@ -394,6 +422,7 @@ impl Devices {
                 None => Some("the camera stopped answering; check its power and cable".to_owned()),
             };
             slot.camera = camera.camera;
+            slot.watched = camera.watched;
             counters.push(counted);
         }
         counters

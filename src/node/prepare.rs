@@ -17,7 +17,7 @@ use crate::config::FeatureSetting;
 use crate::matcher::{Matcher, Start};
 use crate::record::{
     CameraHeader, ClockSample, HsuIdentity, NOT_ASKED, NodeEvent, RecordError, Recording, RecordingHeader,
-    WriterOptions,
+    SETTING_CHANGED, WriterOptions,
 };
 use crossbeam_channel::{bounded, unbounded};
 use std::path::Path;
@@ -46,6 +46,7 @@ impl Node {
                 camera.identity.vendor, camera.identity.model, camera.identity.serial
             ),
             settings: camera.settings.iter().map(read_back).collect(),
+            state: camera.state.clone(),
         };
         let request = &session.request;
         let header = RecordingHeader {
@@ -147,6 +148,19 @@ impl Node {
             };
             drop(to_recorder.send(RecorderCommand::Event(event)));
         }
+        for (camera, told) in
+            session.cameras.iter().flat_map(|c| c.told.iter().map(move |told| (&c.id, told)))
+        {
+            tracing::warn!(%camera, kind = "camera_setting", "{told}");
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: "camera_setting".to_owned(),
+                camera: Some(camera.clone()),
+                trigger: None,
+                message: told.clone(),
+            };
+            drop(to_recorder.send(RecorderCommand::Event(event)));
+        }
         session.to_recorder = Some(to_recorder.clone());
         let receivers: Vec<ReceiverSetup> = (0..cameras)
             .map(|camera| ReceiverSetup {
@@ -215,6 +229,19 @@ impl Node {
                 trigger: None,
                 message: counters_text(&counters),
             };
+            session.tell(RecorderCommand::Event(event));
+        }
+        for (camera, changed) in self.devices.changed_settings() {
+            let changes: Vec<String> =
+                changed.iter().map(|(name, was, is)| format!("{name} was {was}, is {is}")).collect();
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: SETTING_CHANGED.to_owned(),
+                camera: Some(camera.clone()),
+                trigger: None,
+                message: changes.join("; "),
+            };
+            tracing::warn!(%camera, kind = SETTING_CHANGED, "{}", event.message);
             session.tell(RecorderCommand::Event(event));
         }
         // A camera that was asked whether it still answers is found lost 2.5 s later, while this thread waited for its

@@ -108,7 +108,8 @@ pub fn cameras(recording: &RecordingReader) -> Vec<CameraDescription> {
             }
             let there = outcomes.range(start..).count() as u64;
             CameraDescription {
-                header: header.clone(),
+                // The whole state of a camera is `fourdbody cameras dump`'s.
+                header: CameraHeader { state: BTreeMap::new(), ..header.clone() },
                 frames: counted.frames,
                 gaps: counted.gaps,
                 first_gaps,

@@ -5,6 +5,7 @@
 use crate::base::ids::{CameraId, NodeId, SessionName, TriggerIndex};
 use crate::config::FeatureSetting;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fmt;
 
 /// `format` in the header metadata.
@@ -105,6 +106,9 @@ pub struct CameraHeader {
     pub device: String,
     /// Settings as read back from the camera after they were set.
     pub settings: Vec<FeatureSetting>,
+    /// Everything that could be read of it when it was prepared, as text; none in older recordings.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub state: BTreeMap<String, String>,
 }
 
 /// Who counted the triggers.

@@ -42,7 +42,7 @@ pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
 pub use unfinished::{Interrupted, interrupted};
 pub(crate) use verdict::CameraTally;
-pub use verdict::{CameraVerdict, Noted, SessionEnd, Status, UNCONFIRMED, Verdict};
+pub use verdict::{CameraVerdict, Noted, SETTING_CHANGED, SessionEnd, Status, UNCONFIRMED, Verdict};
 #[cfg(test)]
 pub(crate) use writer::tests::header as two_cameras;
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
 
-use super::layout::{GapCause, MAX_TRIGGERS, RecordingHeader};
+use super::layout::{GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader};
 use crate::base::ids::{CameraId, TriggerIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -14,7 +14,8 @@ use std::ops::Range;
 pub enum Status {
     /// Every camera has a frame for every trigger that was asked for.
     Complete,
-    /// As [`Self::Complete`], but of some frames one witness alone says which trigger they are of.
+    /// As [`Self::Complete`], but of some frames one witness alone says which trigger they are of, or how they were taken
+    /// is in doubt, because a camera's settings changed.
     Unconfirmed,
     /// Something is missing, and it is known what and why.
     Incomplete,
@@ -74,6 +75,9 @@ pub struct Verdict {
     /// Cameras of which one witness alone says which trigger some frames are of. Each is an event in the recording.
     #[serde(default)]
     pub unconfirmed: u64,
+    /// Settings that were not as they had been set when the session ended, each with its camera.
+    #[serde(default)]
+    pub changed: Vec<String>,
     /// Why the session was aborted.
     pub aborted: Option<String>,
 }
@@ -112,6 +116,7 @@ impl Verdict {
             cameras: named.map(|(camera, tally)| tally.verdict(&camera.id)).collect(),
             refused: noted.refused,
             unconfirmed: noted.unconfirmed,
+            changed: noted.changed,
             aborted: end.aborted,
         };
         verdict.status = verdict.judge();
@@ -125,7 +130,11 @@ impl Verdict {
         if self.aborted.is_some() {
             Status::Aborted
         } else if asked && counted && self.gaps() == 0 && self.refused == 0 {
-            if self.unconfirmed == 0 { Status::Complete } else { Status::Unconfirmed }
+            if self.unconfirmed == 0 && self.changed.is_empty() {
+                Status::Complete
+            } else {
+                Status::Unconfirmed
+            }
         } else {
             Status::Incomplete
         }
@@ -150,6 +159,9 @@ impl fmt::Display for Verdict {
             let cameras = self.unconfirmed;
             write!(f, "; of {cameras} cameras one witness alone says which trigger some frames are of")?;
         }
+        if !self.changed.is_empty() {
+            write!(f, "; settings changed while it ran: {}", self.changed.join("; "))?;
+        }
         if let Some(reason) = &self.aborted {
             write!(f, "; {reason}")?;
         }
@@ -168,20 +180,31 @@ pub const UNCONFIRMED: &str = "identity_unconfirmed";
 /// Kind of the events that name an outcome which was refused.
 pub const REFUSED: &str = "refused";
 
+/// Kind of the events that name the settings of a camera that changed while the session ran.
+pub const SETTING_CHANGED: &str = "setting_changed";
+/// So many of them are in a verdict.
+const CHANGED_MAX: usize = 16;
+
 /// What a recording's events say of its outcomes.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Noted {
     /// Events of kind [`REFUSED`].
     pub refused: u64,
     /// Events of kind [`UNCONFIRMED`].
     pub unconfirmed: u64,
+    /// Events of kind [`SETTING_CHANGED`], with their cameras.
+    pub changed: Vec<String>,
 }
 
 impl Noted {
     /// Takes an event into account.
-    pub fn note(&mut self, kind: &str) {
-        self.refused += u64::from(kind == REFUSED);
-        self.unconfirmed += u64::from(kind == UNCONFIRMED);
+    pub fn note(&mut self, event: &NodeEvent) {
+        self.refused += u64::from(event.kind == REFUSED);
+        self.unconfirmed += u64::from(event.kind == UNCONFIRMED);
+        if event.kind == SETTING_CHANGED && self.changed.len() < CHANGED_MAX {
+            let camera = event.camera.as_ref().map_or("", CameraId::as_str);
+            self.changed.push(format!("{camera}: {}", event.message));
+        }
     }
 }
 
@@ -310,7 +333,9 @@ impl CameraTally {
 
 #[cfg(test)]
 mod tests {
-    use super::TriggerSet;
+    use super::{Noted, SETTING_CHANGED, Status, TriggerSet, Verdict};
+    use crate::base::ids::CameraId;
+    use crate::record::layout::NodeEvent;
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
@@ -331,6 +356,35 @@ mod tests {
             let expected: Vec<u64> = (0..end).filter(|i| !model.contains(i)).collect();
             prop_assert_eq!(absent, expected);
         }
+    }
+
+    #[test]
+    fn a_setting_that_changed_is_in_the_verdict_by_name() {
+        let mut noted = Noted::default();
+        let event = |kind: &str| NodeEvent {
+            host_time_ns: 0,
+            kind: kind.to_owned(),
+            camera: Some(CameraId::from("h0_up")),
+            trigger: None,
+            message: "Gain was 0, is 6".to_owned(),
+        };
+        let verdict = |noted: &Noted| Verdict {
+            status: Status::Incomplete,
+            triggers: 3,
+            triggers_expected: Some(3),
+            triggers_emitted: Some(3),
+            cameras: Vec::new(),
+            refused: 0,
+            unconfirmed: 0,
+            changed: noted.changed.clone(),
+            aborted: None,
+        };
+        noted.note(&event("camera_setting"));
+        assert_eq!(verdict(&noted).judge(), Status::Complete);
+        (0..100).for_each(|_| noted.note(&event(SETTING_CHANGED)));
+        assert_eq!(verdict(&noted).judge(), Status::Unconfirmed);
+        assert!(verdict(&noted).to_string().contains("h0_up: Gain was 0, is 6"));
+        assert_eq!(noted.changed.len(), 16, "bounded");
     }
 
     #[test]

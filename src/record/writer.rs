@@ -321,7 +321,7 @@ impl Recording {
 
     /// Records an event. One of kind `refused` (recovery repeats those of its source) counts as in the verdict.
     pub fn event(&mut self, event: &NodeEvent) -> Result<(), RecordError> {
-        self.noted.note(&event.kind);
+        self.noted.note(event);
         self.json(JsonChannel::Events, self.newest(), event.host_time_ns, event)
     }
 
@@ -355,7 +355,7 @@ impl Recording {
         let _ = self.sync();
         let _ = self.settle_all();
         let closed = self.join_closing();
-        let verdict = Verdict::of(&self.header, &self.tallies, triggers, self.noted, end);
+        let verdict = Verdict::of(&self.header, &self.tallies, triggers, self.noted.clone(), end);
         let result = closed.and(self.close(&verdict));
         result.map_err(|source| RecordError::Unfinished {
             path: self.dir.clone(),

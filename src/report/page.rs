@@ -159,7 +159,8 @@ fn camera_box(page: &mut String, camera: &CameraReport) {
             write!(page, "<img alt=\"camera {id}\" src=\"data:image/png;base64,{}\">", STANDARD.encode(png));
     }
     let _ = write!(page, "<figcaption><b>{id}</b>");
-    let exposure = camera.described.header.settings.iter().find(|setting| setting.feature == "ExposureTime");
+    let exposure =
+        camera.described.header.settings.iter().find(|setting| setting.feature.starts_with("ExposureTime"));
     if let Some(setting) = exposure {
         let value = serde_json::to_value(&setting.value).unwrap_or_default();
         let _ = write!(page, "<br>exposure {value} us");
@@ -280,6 +281,7 @@ mod tests {
             cameras: Vec::new(),
             refused: 0,
             unconfirmed: 0,
+            changed: Vec::new(),
             aborted: None,
         };
         NodeReport {

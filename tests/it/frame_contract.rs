@@ -2,7 +2,9 @@
 //! What a frame is, and what a camera's clock is: cameras that send something else than their features say, that are set
 //! to something else than a session records, or whose clock has another unit, beside ones that do not.
 
-use crate::lab::{assert_contains, fourdbody, options, small_rig, start_laboratory, start_nodes, text_of};
+use crate::lab::{
+    WORDS, assert_contains, fourdbody, options, small_rig, start_laboratory, start_nodes, text_of,
+};
 use crate::session_faults::check_frames;
 use fourdbody::record::{ClockSample, GapCause, NodeEvent, SessionReader};
 use fourdbody_simulator::gige::{ClockHabit, Form, Habits};
@@ -91,15 +93,14 @@ fn frames_that_are_no_plain_mono8_of_their_size_are_gaps_that_say_so() {
 /// Replaces the settings of all cameras of a node's file, by their place; `common` become those of `[acquisition]`.
 fn set(file: &Path, common: &str, own: impl Fn(usize) -> String) {
     let text = std::fs::read_to_string(file).expect("a node file");
-    let mut parts = text.split("settings = [\n");
+    let mut parts = text.split(WORDS);
     let mut changed = parts.next().expect("its head").replacen(
         "[acquisition]\n",
         &format!("[acquisition]\nsettings = [{common}]\n"),
         1,
     );
     for (place, part) in parts.enumerate() {
-        let (_, rest) = part.split_once("\n]\n").expect("a list's end");
-        changed += &format!("settings = [{}]\n{rest}", own(place));
+        changed += &format!("settings = [{}]\n{part}", own(place));
     }
     std::fs::write(file, changed).expect("writable");
 }
@@ -122,7 +123,12 @@ fn what_a_session_needs_is_asked_of_cameras_and_lists_keep_their_order() {
     // The trigger of the acquisition is left on, that of the frame off: in another order it would be right.
     let wrong = r#", ["TriggerSelector", "FrameStart"], ["TriggerMode", "Off"],
         ["TriggerSelector", "AcquisitionStart"], ["TriggerMode", "On"]"#;
-    let own = |place| if place < 3 { String::new() } else { format!("{COMMON}{wrong}") };
+    let own = |place| match place {
+        0 => r#"["PixelFormat", "Mono16"]"#.to_owned(),
+        2 => r#"["TriggerMode", "Off"]"#.to_owned(),
+        3 => format!("{COMMON}{wrong}"),
+        _ => String::new(),
+    };
     set(&laboratory.nodes[0].path, "", own);
     let nodes = start_nodes(&laboratory);
     let refused = capture(&laboratory, 5, "refused");
@@ -132,7 +138,7 @@ fn what_a_session_needs_is_asked_of_cameras_and_lists_keep_their_order() {
         &text,
         &[
             "camera h0_up: ",
-            "PixelFormat is Mono16, expected Mono8: set [\"PixelFormat\", \"Mono8\"]",
+            "PixelFormat is Mono16, expected Mono8: say pixel = \"mono8\"",
             "PayloadSize is 128000, expected 64000",
             "camera h0_low: ",
             "PayloadSize is 64016, expected 64000: switch off what it appends",
@@ -213,11 +219,13 @@ fn a_clock_is_read_in_its_own_unit_or_not_at_all() {
     assert_eq!(
         trigger,
         [
+            "TriggerSelector FrameStart",
+            "TriggerMode On",
+            "TriggerSource Line0",
             "TriggerSelector AcquisitionStart",
             "TriggerMode Off",
             "TriggerSelector FrameStart",
             "TriggerMode On",
-            "TriggerSource Line0"
         ]
     );
 }

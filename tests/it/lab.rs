@@ -65,7 +65,8 @@ pub fn start_laboratory(options: &LaboratoryOptions) -> Laboratory {
     start(options, SIZE)
 }
 
-fn start(options: &LaboratoryOptions, size: (usize, usize)) -> Laboratory {
+/// Starts a laboratory whose sensors have this size.
+pub fn start(options: &LaboratoryOptions, size: (usize, usize)) -> Laboratory {
     // A packet socket sees the traffic of other tests on this host for a moment after it is made.
     let options = &LaboratoryOptions { socket: SocketMode::Standard, ..options.clone() };
     let mut number = 0;
@@ -73,7 +74,43 @@ fn start(options: &LaboratoryOptions, size: (usize, usize)) -> Laboratory {
         number += 1;
         Arc::new(TestImages::new(size.0, size.1, number, TestImages::DISTINCT)) as _
     };
-    Laboratory::start(options, images).expect("the laboratory starts")
+    let laboratory = Laboratory::start(options, images).expect("the laboratory starts");
+    laboratory.nodes.iter().for_each(|node| say_in_words(&node.path));
+    laboratory
+}
+
+/// What a test's node file says of each of the simulator's own cameras.
+pub const WORDS: &str = "trigger_line = \"Line0\"\n";
+
+/// Has a node file say in its own words what the simulator lists for its own cameras; the exposure is the rig's.
+fn say_in_words(file: &Path) {
+    let text = std::fs::read_to_string(file).expect("a node file");
+    let mut parts = text.split("settings = [\n");
+    let mut said = parts.next().expect("its head").to_owned();
+    for part in parts {
+        let (list, rest) = part.split_once("\n]\n").expect("a list's end");
+        let own = list.lines().count() == 9 && list.contains("[\"TriggerSource\", \"Line0\"]");
+        said += &if own { format!("{WORDS}{rest}") } else { format!("settings = [\n{part}") };
+    }
+    std::fs::write(file, said).expect("writable");
+}
+
+/// Has a node file say something of a camera, after its address.
+pub fn say(file: &Path, camera: &str, words: &str) {
+    let text = std::fs::read_to_string(file).expect("a node file");
+    let (before, after) = text.split_once(&format!("id = \"{camera}\"\n")).expect("the camera");
+    let (address, after) = after.split_once('\n').expect("its address");
+    // What is said anew is not said twice.
+    let key = words.split(' ').next().unwrap_or_default();
+    let after: Vec<&str> = match after.split_once("[[camera]]") {
+        Some((own, others)) => vec![own, "[[camera]]", others],
+        None => vec![after],
+    };
+    let own: String =
+        after[0].lines().filter(|line| !line.starts_with(key)).map(|line| format!("{line}\n")).collect();
+    let rest: String = after[1..].concat();
+    let text = format!("{before}id = \"{camera}\"\n{address}\n{words}\n{own}{rest}");
+    std::fs::write(file, text).expect("writable");
 }
 
 /// A node's process; killed when dropped.

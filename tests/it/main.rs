@@ -29,6 +29,8 @@ mod calibrate_command;
 mod calibrate_live;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
+mod camera_profiles;
+#[cfg(feature = "aravis")]
 mod chain;
 mod cluster;
 #[cfg(feature = "aravis")]
@@ -60,10 +62,13 @@ mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
+#[cfg(feature = "aravis")]
+mod matrix;
 mod merging;
 mod object_store;
 #[cfg(feature = "aravis")]
 mod plan_faults;
+mod profiles;
 mod recording;
 mod recording_commands;
 mod recording_damage;

@@ -29,6 +29,7 @@ pub fn header(node: &str, cameras: &[&str], triggers: Option<u64>) -> RecordingH
         height: HEIGHT,
         device: "test".to_owned(),
         settings: Vec::new(),
+        state: std::collections::BTreeMap::new(),
     };
     RecordingHeader {
         session: SessionName::from("walk-01"),

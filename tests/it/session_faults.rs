@@ -2,7 +2,9 @@
 //! Devices that fail in the middle of a session: what is lost is accounted for, the rest is right, and what comes back
 //! goes on at the right trigger.
 
-use crate::lab::{NodeProcess, fourdbody, laboratory, laboratory_of, start_capture, start_nodes, text_of};
+use crate::lab::{
+    NodeProcess, WORDS, fourdbody, laboratory, laboratory_of, start_capture, start_nodes, text_of,
+};
 use fourdbody::base::ids::TriggerIndex;
 use fourdbody::data::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
@@ -216,8 +218,8 @@ fn a_camera_that_runs_by_itself_is_refused() {
     let path = &laboratory.nodes[0].path;
     let text = std::fs::read_to_string(path).expect("written by the laboratory");
     // The first camera of the file.
-    std::fs::write(path, text.replacen("[\"TriggerMode\", \"On\"]", "[\"TriggerMode\", \"Off\"]", 1))
-        .expect("writable");
+    let off = "settings = [[\"TriggerMode\", \"Off\"]]\n";
+    std::fs::write(path, text.replacen(WORDS, off, 1)).expect("writable");
     let _nodes = start_nodes(&laboratory);
     let output = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "5", "--name", "free"]);
     assert_eq!(output.status.code(), Some(5), "{}", text_of(&output));

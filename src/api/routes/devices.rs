@@ -32,7 +32,7 @@ async fn settings(State(shared): State<Shared>) -> Json<Settings> {
             .cameras()
             .find(|(_, known)| known.id == camera.id)
             .map_or([0, 0], |(_, known)| [known.device.width, known.device.height]),
-        configured: camera.settings.clone(),
+        configured: camera.words.spoken().into_iter().chain(camera.settings.iter().cloned()).collect(),
         read_back: shared.node.telemetry.applied_to(&camera.id),
     };
     Json(Settings {

@@ -92,6 +92,7 @@ fn cameras_from_frames(rig_text: &str, scans: &[SegmentScan]) -> Option<Vec<Came
         height: *height,
         device: String::new(),
         settings: Vec::new(),
+        state: std::collections::BTreeMap::new(),
     };
     let mut cameras: Vec<CameraHeader> = seen.into_iter().map(camera).take(MAX_CAMERAS).collect();
     let mut ids = BTreeSet::new();

@@ -13,7 +13,7 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
     let stored = recording.verdict.as_ref();
     let emitted = stored.and_then(|verdict| verdict.triggers_emitted);
     let mut noted = Noted::default();
-    recording.events.iter().for_each(|event| noted.note(&event.kind));
+    recording.events.iter().for_each(|event| noted.note(event));
     let mut verdict = Verdict {
         status: Status::Incomplete,
         triggers: recording.known_end().max(emitted.unwrap_or(0)),
@@ -22,6 +22,7 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
         cameras: recording.counted(),
         refused: noted.refused,
         unconfirmed: noted.unconfirmed,
+        changed: noted.changed,
         aborted: stored.and_then(|verdict| verdict.aborted.clone()),
     };
     verdict.status = verdict.judge();

@@ -30,6 +30,7 @@ pub(crate) fn header(expected_triggers: Option<u64>) -> RecordingHeader {
         height: SIDE,
         device: String::new(),
         settings: Vec::new(),
+        state: std::collections::BTreeMap::new(),
     };
     RecordingHeader {
         session: SessionName::from("s"),

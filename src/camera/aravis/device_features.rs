@@ -1,0 +1,276 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Features and registers of a camera that Aravis has opened.
+
+use super::{AravisCamera, holder};
+use crate::camera::CameraError;
+use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
+use crate::camera::features::{Failed, Features};
+use crate::config::FeatureValue;
+use aravis::prelude::*;
+use glib::prelude::{Cast, IsA, ObjectExt};
+use std::collections::BTreeSet;
+
+/// No camera has more features.
+const FEATURES_MAX: usize = 5000;
+/// Limits beyond this are none.
+const UNBOUNDED: f64 = 1e300;
+/// Aravis gives the least number where there is no step.
+const NO_STEP: f64 = 1e-12;
+
+/// Whether the camera did not answer at all, as opposed to refusing.
+pub(super) fn is_silence(error: &glib::Error) -> bool {
+    use aravis::DeviceError::{NotConnected, Timeout, TransferError};
+    [Timeout, NotConnected, TransferError].iter().any(|kind| error.matches(*kind))
+}
+
+/// Whether the camera refused because we are not its controller, or because the feature is locked.
+fn is_refusal(error: &glib::Error) -> bool {
+    use aravis::DeviceError::{NotController, ProtocolErrorAccessDenied};
+    [NotController, ProtocolErrorAccessDenied].iter().any(|kind| error.matches(*kind))
+}
+
+impl AravisCamera {
+    /// What it means that something could not be read.
+    fn failed(&self, error: &glib::Error) -> Failed {
+        let detail = error.to_string();
+        if is_silence(error) {
+            Failed::Lost(CameraError::Link { doing: "reading its features", detail })
+        } else if is_refusal(error) {
+            Failed::Lost(CameraError::NotOurs { holder: holder(&self.device), detail })
+        } else {
+            Failed::Refused(detail)
+        }
+    }
+
+    /// What it means that something could not be set: a feature may be locked, which is no loss of control.
+    fn not_set(&self, error: &glib::Error) -> Failed {
+        let detail = error.to_string();
+        if is_silence(error) {
+            return Failed::Lost(CameraError::Link { doing: "setting its features", detail });
+        }
+        // One that was restarted has no controller, and the next heartbeat has not told us yet.
+        if is_refusal(error) && self.privilege() == Some(0) {
+            return Failed::Lost(CameraError::NotOurs { holder: None, detail });
+        }
+        Failed::Refused(detail)
+    }
+
+    fn node(&self, feature: &str) -> Option<aravis::GcFeatureNode> {
+        self.device.feature(feature)?.downcast().ok()
+    }
+}
+
+fn kind_of(node: &aravis::GcFeatureNode) -> Kind {
+    if node.is::<aravis::GcEnumeration>() {
+        Kind::Enumeration
+    } else if node.is::<aravis::GcBoolean>() {
+        Kind::Boolean
+    } else if node.is::<aravis::GcCommand>() {
+        Kind::Command
+    } else if node.is::<aravis::GcFloat>() {
+        Kind::Float
+    } else if node.is::<aravis::GcInteger>() {
+        Kind::Integer
+    } else if node.is::<aravis::GcString>() {
+        Kind::Text
+    } else {
+        Kind::Other
+    }
+}
+
+fn unit_of(node: &aravis::GcFeatureNode) -> Option<String> {
+    let float = node.dynamic_cast_ref::<aravis::GcFloat>().and_then(|node| node.unit());
+    let whole = || node.dynamic_cast_ref::<aravis::GcInteger>().and_then(|node| node.unit());
+    float.or_else(whole).map(|unit| unit.to_string()).filter(|unit| !unit.is_empty())
+}
+
+/// The entries that the camera has at all; which of them it has now is another question.
+fn entries_of(node: &aravis::GcFeatureNode) -> Vec<String> {
+    let Some(node) = node.downcast_ref::<aravis::GcEnumeration>() else { return Vec::new() };
+    let there = node.entries().into_iter().filter(|entry| entry.is_implemented().unwrap_or(true));
+    there.filter_map(|entry| Some(entry.name()?.to_string())).collect()
+}
+
+impl Description for AravisCamera {
+    fn names(&self) -> Vec<String> {
+        fn walk<T: IsA<aravis::Device>>(
+            device: &T,
+            category: &str,
+            seen: &mut BTreeSet<String>,
+            names: &mut Vec<String>,
+        ) {
+            let Some(node) = device.feature(category) else { return };
+            let Ok(node) = node.downcast::<aravis::GcCategory>() else { return };
+            for name in node.features() {
+                let name = name.to_string();
+                if names.len() >= FEATURES_MAX || !seen.insert(name.clone()) {
+                    continue;
+                }
+                let is_category = device.feature(&name).is_some_and(|node| node.is::<aravis::GcCategory>());
+                match is_category {
+                    true => walk(device, &name, seen, names),
+                    false => names.push(name),
+                }
+            }
+        }
+        let mut names = Vec::new();
+        walk(&self.device, "Root", &mut BTreeSet::new(), &mut names);
+        names
+    }
+
+    fn feature(&self, name: &str) -> Option<Feature> {
+        let node = self.node(name)?;
+        if !node.is_implemented().unwrap_or(true) {
+            return None;
+        }
+        Some(Feature {
+            kind: kind_of(&node),
+            access: match node.actual_access_mode() {
+                aravis::GcAccessMode::Ro => Access::Read,
+                aravis::GcAccessMode::Wo => Access::Write,
+                _ => Access::ReadWrite,
+            },
+            unit: unit_of(&node),
+            // They depend on how the camera is set: asked when something is written.
+            bounds: Bounds::default(),
+            entries: entries_of(&node),
+        })
+    }
+}
+
+impl Features for AravisCamera {
+    fn has(&self, feature: &str) -> bool {
+        self.device.feature(feature).is_some()
+    }
+
+    fn is_available(&self, feature: &str) -> bool {
+        let Some(node) = self.node(feature) else { return false };
+        node.is_implemented().unwrap_or(true) && node.is_available().unwrap_or(true)
+    }
+
+    fn read(&self, feature: &str) -> Result<FeatureValue, Failed> {
+        let node = self.node(feature).ok_or_else(|| Failed::Refused("it has no such feature".to_owned()))?;
+        let device = &self.device;
+        let value = match kind_of(&node) {
+            Kind::Boolean => device.boolean_feature_value(feature).map(FeatureValue::Flag),
+            Kind::Integer => device.integer_feature_value(feature).map(FeatureValue::Integer),
+            Kind::Float => device.float_feature_value(feature).map(FeatureValue::Float),
+            Kind::Enumeration | Kind::Text => {
+                device.string_feature_value(feature).map(|text| FeatureValue::Text(text.to_string()))
+            }
+            Kind::Command | Kind::Other => return Err(Failed::Refused("it has no value".to_owned())),
+        };
+        value.map_err(|error| self.failed(&error))
+    }
+
+    fn write(&self, feature: &str, value: &FeatureValue) -> Result<(), Failed> {
+        let node = self.node(feature).ok_or_else(|| Failed::Refused("it has no such feature".to_owned()))?;
+        let (device, kind) = (&self.device, kind_of(&node));
+        let wrong = || Err(Failed::Refused(format!("{value} is no value of its kind")));
+        let set = match (value, kind) {
+            (_, Kind::Command) => device.execute_command(feature),
+            (FeatureValue::Flag(value), Kind::Boolean) => device.set_boolean_feature_value(feature, *value),
+            (FeatureValue::Flag(value), Kind::Integer) => {
+                device.set_integer_feature_value(feature, i64::from(*value))
+            }
+            (FeatureValue::Integer(value), Kind::Float) => {
+                device.set_float_feature_value(feature, *value as f64)
+            }
+            (FeatureValue::Integer(value), Kind::Integer | Kind::Enumeration) => {
+                device.set_integer_feature_value(feature, *value)
+            }
+            (FeatureValue::Float(value), Kind::Float) => device.set_float_feature_value(feature, *value),
+            (FeatureValue::Float(value), Kind::Integer) if value.fract() == 0.0 => {
+                device.set_integer_feature_value(feature, *value as i64)
+            }
+            (FeatureValue::Text(value), Kind::Enumeration | Kind::Text) => {
+                device.set_string_feature_value(feature, value)
+            }
+            _ => return wrong(),
+        };
+        set.map_err(|error| self.not_set(&error))
+    }
+
+    fn bounds_now(&self, feature: &str) -> Bounds {
+        let Some(node) = self.node(feature) else { return Bounds::default() };
+        match kind_of(&node) {
+            Kind::Float => {
+                let limits = self.device.float_feature_bounds(feature).ok();
+                let finite = |limit: f64| (limit.abs() < UNBOUNDED).then_some(limit);
+                let step = self.device.float_feature_increment(feature).ok().filter(|step| *step > NO_STEP);
+                Bounds {
+                    min: limits.and_then(|(min, _)| finite(min)),
+                    max: limits.and_then(|(_, max)| finite(max)),
+                    step,
+                }
+            }
+            Kind::Integer => {
+                let limits = self.device.integer_feature_bounds(feature).ok();
+                let stated = |limit: i64| (limit != i64::MIN && limit != i64::MAX).then_some(limit as f64);
+                let step = self.device.integer_feature_increment(feature).ok().map(|step| step as f64);
+                Bounds {
+                    min: limits.and_then(|(min, _)| stated(min)),
+                    max: limits.and_then(|(_, max)| stated(max)),
+                    step,
+                }
+            }
+            _ => Bounds::default(),
+        }
+    }
+
+    fn integer(&self, feature: &str) -> Result<i64, Failed> {
+        self.device.integer_feature_value(feature).map_err(|e| self.failed(&e))
+    }
+
+    fn text(&self, feature: &str) -> Result<String, Failed> {
+        self.device.string_feature_value(feature).map(|text| text.to_string()).map_err(|e| self.failed(&e))
+    }
+
+    fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed> {
+        self.device.set_string_feature_value(feature, value).map_err(|e| self.not_set(&e))
+    }
+
+    fn execute(&self, feature: &str) -> Result<(), Failed> {
+        self.device.execute_command(feature).map_err(|e| self.failed(&e))
+    }
+
+    fn is_done(&self, command: &str) -> Option<bool> {
+        // GenICam: a command is done when its register has another value than the one that started it.
+        let node = self.device.feature(command)?;
+        let (mut register, mut started) = (None, None);
+        let mut child = node.first_child();
+        while let Some(property) = child {
+            let name = property.node_name().map(|name| name.to_string()).unwrap_or_default();
+            if let Some(property) = property.downcast_ref::<aravis::GcPropertyNode>() {
+                match name.as_str() {
+                    "pValue" => register = property.linked_node(),
+                    "CommandValue" | "pCommandValue" => started = property.int64().ok(),
+                    _ => {}
+                }
+            }
+            child = property.next_sibling();
+        }
+        // Some that are said to be write-only can be read all the same.
+        let value = register?.dynamic_cast_ref::<aravis::GcInteger>()?.value().ok()?;
+        Some(value != started?)
+    }
+
+    fn entries(&self, feature: &str) -> Vec<String> {
+        let entries = self.has(feature).then(|| {
+            self.device.dup_available_enumeration_feature_values_as_strings(feature).unwrap_or_default()
+        });
+        entries.into_iter().flatten().map(|entry| entry.to_string()).collect()
+    }
+
+    fn has_registers(&self) -> bool {
+        self.device.is::<aravis::GvDevice>()
+    }
+
+    fn register(&self, address: u64) -> Result<u32, Failed> {
+        self.device.read_register(address).map(|(_, value)| value).map_err(|e| self.failed(&e))
+    }
+
+    fn set_register(&self, address: u64, value: u32) -> Result<(), Failed> {
+        self.device.write_register(address, value).map(drop).map_err(|e| self.failed(&e))
+    }
+}

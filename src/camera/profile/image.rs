@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Pixel form and size of the images.
+
+use super::{Amount, Plan, Trouble, Wishes, Write, check_bounds, first_writable, is_fixed};
+use crate::camera::description::{Description, Feature};
+use crate::config::FeatureValue;
+
+/// Names under which an image of 8-bit grey is known.
+const MONO8: [&str; 8] = ["Mono8", "Mono8bit", "Monochrome8", "Grey8", "Gray8", "Y8", "MonoPacked8", "Luma8"];
+
+pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
+    if !wishes.left_to_settings("pixel") {
+        match pixel_format(camera) {
+            Ok((entry, writes)) => {
+                plan.pixel_format = Some(entry);
+                plan.writes.extend(writes);
+            }
+            Err(trouble) => plan.troubles.push(trouble),
+        }
+    }
+    // The place on the sensor comes first: it bounds the size.
+    for offset in ["OffsetX", "OffsetY"] {
+        if camera.feature(offset).is_some_and(|feature| feature.is_writable() && feature.is_number()) {
+            plan.writes.push(Write::new(offset, Amount::Value(FeatureValue::Integer(0)), "").optional());
+        }
+    }
+    for (name, word, size) in [("Width", "width", wishes.size.0), ("Height", "height", wishes.size.1)] {
+        if !wishes.left_to_settings(word) {
+            match length(camera, name, word, size) {
+                Ok(write) => plan.writes.extend(write),
+                Err(trouble) => plan.troubles.push(trouble),
+            }
+        }
+    }
+}
+
+fn pixel_format(camera: &dyn Description) -> Result<(String, Vec<Write>), Trouble> {
+    const NAME: &str = "PixelFormat";
+    let Some(feature) = camera.feature(NAME) else {
+        let message =
+            "the camera has no PixelFormat, and what its images are cannot be known: expected Mono8";
+        return Err(Trouble::new(NAME, message));
+    };
+    let Some(entry) = feature.entry(&MONO8) else {
+        let remedy = "a session records 8-bit grey alone: use a camera that sends it";
+        return Err(Trouble::no_entry(NAME, MONO8[0], &feature, remedy));
+    };
+    let entry = entry.to_owned();
+    if !is_fixed(&feature) {
+        return Ok((entry.clone(), vec![Write::entry(NAME, &entry, "pixel")]));
+    }
+    // Before SFNC 1.4 the format followed from two other features.
+    let mut writes = Vec::new();
+    for (name, wanted) in [("PixelCoding", ["Mono"]), ("PixelSize", ["Bpp8"])] {
+        if let Some((name, feature)) = first_writable(camera, &[name])
+            && let Some(wanted) = feature.entry(&wanted)
+        {
+            writes.push(Write::entry(name, wanted, "pixel"));
+        }
+    }
+    Ok((entry, writes))
+}
+
+fn length(
+    camera: &dyn Description,
+    name: &str,
+    word: &'static str,
+    size: usize,
+) -> Result<Option<Write>, Trouble> {
+    let Some(feature) = camera.feature(name) else {
+        return Err(Trouble::new(name, format!("the camera has no {name}: expected one of {size}")));
+    };
+    // One that cannot be set is read when all is done.
+    if is_fixed(&feature) {
+        return Ok(None);
+    }
+    check_bounds(name, &feature, size as f64, "").map_err(|trouble| Trouble {
+        message: format!("{}: the rig file has this size for it", trouble.message),
+        ..trouble
+    })?;
+    check_step(name, &feature, size)?;
+    Ok(Some(Write::new(name, Amount::Value(FeatureValue::Integer(size as i64)), word)))
+}
+
+fn check_step(name: &str, feature: &Feature, size: usize) -> Result<(), Trouble> {
+    let (Some(step), Some(min)) = (feature.bounds.step, feature.bounds.min) else { return Ok(()) };
+    let over = (size as f64 - min) % step;
+    if step <= 1.0 || over == 0.0 {
+        return Ok(());
+    }
+    let below = size as f64 - over;
+    Err(Trouble::new(
+        name,
+        format!(
+            "{name} goes in steps of {step} from {min}, and {size} is none of them: have the rig file say {below} or {}",
+            below + step
+        ),
+    ))
+}

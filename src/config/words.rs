@@ -1,0 +1,228 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a node file says of a camera in words of its own, whatever its features are called: common to all cameras
+//! (`[acquisition]`) and of one (`[[camera]]`).
+
+use super::node::{FeatureSetting, FeatureValue};
+use super::section::Section;
+use serde::{Deserialize, Serialize};
+
+/// A trigger line or a packet delay that is found out.
+pub const AUTO: &str = "auto";
+
+/// The edge of the trigger line that starts a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Edge {
+    /// From low to high.
+    Rising,
+    /// From high to low.
+    Falling,
+}
+
+/// The time between two packets of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum PacketDelay {
+    /// So long that cameras which share a network can send at once.
+    Auto,
+    /// Microseconds.
+    Microseconds(f64),
+}
+
+/// What is said; `None`: nothing.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct CameraWords {
+    /// The camera's input that the HSU is wired to, or [`AUTO`].
+    pub trigger_line: Option<String>,
+    /// The edge that starts a frame.
+    pub trigger_edge: Option<Edge>,
+    /// Exposure, microseconds.
+    pub exposure_us: Option<f64>,
+    /// By how much the camera's nearest exposure may differ, microseconds.
+    pub exposure_tolerance_us: Option<f64>,
+    /// Gain, decibels.
+    pub gain_db: Option<f64>,
+    /// The form of a pixel; there is one.
+    pub pixel: Option<Pixel>,
+    /// Columns; those of the rig.
+    pub width: Option<u64>,
+    /// Rows; those of the rig.
+    pub height: Option<u64>,
+    /// Whether a trigger may come while the frame before it is read out.
+    pub overlap: Option<bool>,
+    /// The time between two packets.
+    pub packet_delay: Option<PacketDelay>,
+    /// Words that the raw settings stand for, by features that no rule knows.
+    #[serde(default)]
+    pub left_to_settings: Vec<String>,
+}
+
+/// The forms of a pixel that a session records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pixel {
+    /// 8 bits of grey.
+    Mono8,
+}
+
+/// The words, each with the features that it sets: what a list of raw settings names is not set by its word.
+pub const FEATURES_OF_WORDS: [(&str, &[&str]); 9] = [
+    ("trigger_line", &["TriggerMode", "TriggerSource"]),
+    ("trigger_edge", &["TriggerActivation"]),
+    ("exposure_us", &["ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw"]),
+    ("gain_db", &["Gain", "GainAbs", "GainRaw"]),
+    ("pixel", &["PixelFormat"]),
+    ("width", &["Width"]),
+    ("height", &["Height"]),
+    ("overlap", &["TriggerOverlap"]),
+    ("packet_delay_us", &["GevSCPD"]),
+];
+
+/// The word that sets this feature.
+pub fn word_of(feature: &str) -> Option<&'static str> {
+    FEATURES_OF_WORDS.iter().find(|(_, features)| features.contains(&feature)).map(|(word, _)| *word)
+}
+
+impl CameraWords {
+    /// Reads the words of a section.
+    pub(super) fn read(section: &Section<'_>) -> Self {
+        const EDGES: [(&str, Edge); 2] = [("rising", Edge::Rising), ("falling", Edge::Falling)];
+        // Asked for, and so known, whether it is there or not.
+        let said = |key| section.value(key).is_some();
+        let number = |key, range| said(key).then(|| section.number(key, range));
+        let whole = |key| said(key).then(|| section.integer(key, 1..=65_536));
+        Self {
+            trigger_line: said("trigger_line").then(|| section.text("trigger_line")),
+            trigger_edge: said("trigger_edge").then(|| section.choice("trigger_edge", &EDGES)),
+            exposure_us: number("exposure_us", 0.1..=10_000_000.0),
+            exposure_tolerance_us: number("exposure_tolerance_us", 0.0..=1_000_000.0),
+            gain_db: number("gain_db", 0.0..=100.0),
+            pixel: said("pixel").then(|| section.choice("pixel", &[("mono8", Pixel::Mono8)])),
+            width: whole("width"),
+            height: whole("height"),
+            overlap: said("overlap").then(|| section.flag_or("overlap", true)),
+            packet_delay: said("packet_delay_us").then(|| read_packet_delay(section)),
+            left_to_settings: read_left(section),
+        }
+    }
+
+    /// These words, and for what they do not say the common ones.
+    pub fn or(self, common: &Self) -> Self {
+        Self {
+            trigger_line: self.trigger_line.or_else(|| common.trigger_line.clone()),
+            trigger_edge: self.trigger_edge.or(common.trigger_edge),
+            exposure_us: self.exposure_us.or(common.exposure_us),
+            exposure_tolerance_us: self.exposure_tolerance_us.or(common.exposure_tolerance_us),
+            gain_db: self.gain_db.or(common.gain_db),
+            pixel: self.pixel.or(common.pixel),
+            width: self.width.or(common.width),
+            height: self.height.or(common.height),
+            overlap: self.overlap.or(common.overlap),
+            packet_delay: self.packet_delay.or(common.packet_delay),
+            left_to_settings: common.left_to_settings.iter().cloned().chain(self.left_to_settings).collect(),
+        }
+    }
+
+    /// What is said, each word under its own name.
+    pub fn spoken(&self) -> Vec<FeatureSetting> {
+        let text = |text: &str| FeatureValue::Text(text.to_owned());
+        let edge = |edge| text(if edge == Edge::Rising { "rising" } else { "falling" });
+        let whole = |number: u64| FeatureValue::Integer(i64::try_from(number).unwrap_or(i64::MAX));
+        let delay = |delay| match delay {
+            PacketDelay::Auto => text(AUTO),
+            PacketDelay::Microseconds(delay) => FeatureValue::Float(delay),
+        };
+        let words = [
+            ("trigger_line", self.trigger_line.as_deref().map(text)),
+            ("trigger_edge", self.trigger_edge.map(edge)),
+            ("exposure_us", self.exposure_us.map(FeatureValue::Float)),
+            ("exposure_tolerance_us", self.exposure_tolerance_us.map(FeatureValue::Float)),
+            ("gain_db", self.gain_db.map(FeatureValue::Float)),
+            ("pixel", self.pixel.map(|Pixel::Mono8| text("mono8"))),
+            ("width", self.width.map(whole)),
+            ("height", self.height.map(whole)),
+            ("overlap", self.overlap.map(FeatureValue::Flag)),
+            ("packet_delay_us", self.packet_delay.map(delay)),
+        ];
+        let said = |(word, value): (&str, Option<FeatureValue>)| {
+            Some(FeatureSetting { feature: word.to_owned(), value: value? })
+        };
+        words.into_iter().filter_map(said).collect()
+    }
+
+    /// Whether this word is said.
+    fn says(&self, word: &str) -> bool {
+        match word {
+            "trigger_line" => self.trigger_line.is_some(),
+            "trigger_edge" => self.trigger_edge.is_some(),
+            "exposure_us" => self.exposure_us.is_some(),
+            "gain_db" => self.gain_db.is_some(),
+            "pixel" => self.pixel.is_some(),
+            "width" => self.width.is_some(),
+            "height" => self.height.is_some(),
+            "overlap" => self.overlap.is_some(),
+            "packet_delay_us" => self.packet_delay.is_some(),
+            _ => false,
+        }
+    }
+}
+
+fn read_left(section: &Section<'_>) -> Vec<String> {
+    const KEY: &str = "left_to_settings";
+    let known = FEATURES_OF_WORDS.map(|(word, _)| word);
+    let mut left = Vec::new();
+    for (i, value) in section.list(KEY).iter().enumerate() {
+        match value.as_str().filter(|word| known.contains(word)) {
+            Some(word) => left.push(word.to_owned()),
+            None => {
+                let expected = known.join(", ");
+                section.problem(&format!("{KEY}[{i}]"), format!("expected one of {expected}, found {value}"));
+            }
+        }
+    }
+    left
+}
+
+fn read_packet_delay(section: &Section<'_>) -> PacketDelay {
+    const KEY: &str = "packet_delay_us";
+    let expected = "expected microseconds from 0 to 100000, or \"auto\"";
+    match section.value(KEY) {
+        Some(toml::Value::String(text)) if text == AUTO => return PacketDelay::Auto,
+        Some(value) => {
+            let number = value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64));
+            match number.filter(|delay| (0.0..=100_000.0).contains(delay)) {
+                Some(delay) => return PacketDelay::Microseconds(delay),
+                None => section.problem(KEY, format!("{expected}, found {value}")),
+            }
+        }
+        None => {}
+    }
+    PacketDelay::Auto
+}
+
+/// Reads a list of raw settings, and tells what `words` of the same section say already.
+pub(super) fn read_settings(section: &Section<'_>, words: &CameraWords) -> Vec<FeatureSetting> {
+    let mut settings = Vec::new();
+    for (i, entry) in section.list("settings").iter().enumerate() {
+        let key = format!("settings[{i}]");
+        let pair = entry.as_array().map(Vec::as_slice);
+        let value = match pair {
+            Some([toml::Value::String(_), toml::Value::Boolean(b)]) => Some(FeatureValue::Flag(*b)),
+            Some([toml::Value::String(_), toml::Value::Integer(i)]) => Some(FeatureValue::Integer(*i)),
+            Some([toml::Value::String(_), toml::Value::Float(x)]) => Some(FeatureValue::Float(*x)),
+            Some([toml::Value::String(_), toml::Value::String(t)]) => Some(FeatureValue::Text(t.clone())),
+            _ => None,
+        };
+        let (Some([toml::Value::String(feature), _]), Some(value)) = (pair, value) else {
+            section.problem(&key, format!("expected [\"FeatureName\", value], found {entry}"));
+            continue;
+        };
+        if let Some(word) = word_of(feature).filter(|word| words.says(word)) {
+            section.problem(
+                &key,
+                format!("{feature} is what {} sets: say one of the two", section.path_of(word)),
+            );
+        }
+        settings.push(FeatureSetting { feature: feature.clone(), value });
+    }
+    settings
+}
