@@ -22,7 +22,7 @@ export FOURDBODY_COMPUTE_NODE=$PWD/target/compute-node/fourdbody
 (
     nice -n 19 "$cargo" test --workspace --lib && nice -n 19 "$cargo" test --workspace --test it -- "${computing[@]}"
 ) >"$log" 2>&1 &
-RUST_TEST_THREADS=$((2 * $(nproc))) "$cargo" test --workspace --test it -- "${computing[@]/#/--skip=}"
+RUST_TEST_THREADS=$((2 * $(nproc))) "$cargo" test --workspace --test it --test makes -- "${computing[@]/#/--skip=}"
 waiting=$?
 wait $!
 computed=$?
