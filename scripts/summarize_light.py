@@ -40,8 +40,9 @@ def main():
             figures.append(total.figures())
             ratios += ratio(score)
         worst = {
-            "wrong_share": max((f["wrong_order_share"] for f in figures), default=None),
-            "complete": min((f["completeness_of_usable_whole_fringes"] for f in figures), default=None),
+            "wrong_share": max((f["wrong_order_share"] for f in figures), default=0.0),
+            # What is refused has no wrong point, and is not complete.
+            "complete": 0.0 if refused else min(f["completeness_of_usable_whole_fringes"] for f in figures),
             "robust_mm": max((f["robust_mm"] for f in figures), default=None),
             "p95_mm": max((f["p95_mm"] for f in figures), default=None),
             "uncertainty_ratio_least": min(ratios, default=None),

@@ -93,6 +93,25 @@ def noise(s):
     return table(["", *(name.removeprefix("poses_").replace("_", " ") for name in names)], rows)
 
 
+def light(s):
+    """A row a scenario: the worst of its runs."""
+    rows = []
+    for name in (re.fullmatch(r"(.+)_runs", key) for key in s):
+        if not name:
+            continue
+        row = name[1]
+        refused = f"{s[f'{row}_refused']} of {s[f'{row}_runs']}"
+        if s[f"{row}_robust_mm"] is None:
+            rows.append([row, refused, "", "", "", "", ""])
+            continue
+        shares = [wrong(s[f"{row}_wrong_share"]), complete(s[f"{row}_complete"])]
+        distances = [most(s[f"{row}_{key}"], 3) for key in ("robust_mm", "p95_mm")]
+        ratios = [most(s[f"{row}_uncertainty_ratio_{end}"], 2) for end in ("least", "most")]
+        rows.append([row, refused, *shares, *distances, " to ".join(ratios)])
+    head = ["row", "refused", "wrong %", "of whole fringes %", "robust mm", "p95 mm", "error over prediction"]
+    return table(head, rows)
+
+
 def demo(s):
     distances = ["merged_robust_mm", "merged_p95_mm", "merged_rms_mm", "merged_rms_right_order_mm"]
     return table(
@@ -223,6 +242,7 @@ def same_recording(commit):
 # By target, with what says whether the summary is of this version.
 WRITERS = {
     "poses": (poses, same_algorithm),
+    "light": (light, same_algorithm),
     "noise": (noise, same_algorithm),
     "demo": (demo, same_algorithm),
     "validate": (validate, same_algorithm),
