@@ -63,7 +63,7 @@ fn parse_mm(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("expected millimetres above 0, found {text:?}"))
 }
 
-/// A turn that is not this many times its own uncertainty may be none.
+/// What is not this many times its own uncertainty may be nothing.
 const SURE: f64 = 4.0;
 
 /// Cameras that differ by less need no second look, rad; looks at most.
@@ -152,20 +152,14 @@ impl Check {
             println!("{}", serde_json::json!({ "stands": stands, "most_mm": self.most_mm, "drift": drift }));
         } else {
             println!(
-                "{:<20} {:>10} {:>12} {:>14}   about x, y, z (+-), degree",
-                "device", "degree", "+-", "mm at the body"
+                "{:<20} {:>10} {:>20}   about x, y, z (+-), degree",
+                "device", "degree", "mm at the body (+-)"
             );
             for turn in &drift.devices {
                 let each = turn.turn_deg.iter().zip(turn.sigma_deg);
                 let each: Vec<String> = each.map(|(x, s)| format!("{x:.4} ({s:.4})")).collect();
-                println!(
-                    "{:<20} {:>10.4} {:>12.4} {:>14.3}   {}",
-                    turn.device,
-                    turn.angle_deg,
-                    sigma(turn),
-                    turn.at_body_mm,
-                    each.join(", ")
-                );
+                let at_body = format!("{:.3} ({:.3})", turn.at_body_mm, turn.at_body_sigma_mm);
+                println!("{:<20} {:>10.4} {at_body:>20}   {}", turn.device, turn.angle_deg, each.join(", "));
             }
             let [before, after] = drift.differ_rad;
             println!(
@@ -194,13 +188,8 @@ impl Check {
     }
 }
 
-/// The turn's own uncertainty, degree.
-fn sigma(turn: &Turn) -> f64 {
-    turn.sigma_deg.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
 fn is_sure(turn: &Turn) -> bool {
-    turn.angle_deg > SURE * sigma(turn)
+    turn.at_body_mm > SURE * turn.at_body_sigma_mm
 }
 
 /// The phase maps of a trigger that there are.

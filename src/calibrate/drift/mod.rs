@@ -17,7 +17,10 @@ use serde::Serialize;
 use sightings::{Sighting, distance, place};
 
 /// Mounts turn by so much, as a rule: standard deviation of each angle, degree.
-const PRIOR_DEG: f64 = 0.03;
+const PRIOR_DEG: f64 = 0.01;
+
+/// Places near each other err alike: the standard deviations are so many times those of places that each err for themselves.
+const ALIKE: f64 = 5.0;
 
 /// Differences of two cameras scatter by so much at least, rad.
 const LEAST_SCALE_RAD: f64 = 0.01;
@@ -45,8 +48,10 @@ pub struct Turn {
     pub sigma_deg: [f64; 3],
     /// The angle, degree.
     pub angle_deg: f64,
-    /// How far that moves what it sees, or lights, in the middle of the volume, mm.
+    /// How far that moves what it sees in the middle of the volume, or what a projector lights there, across its fringes, mm.
     pub at_body_mm: f64,
+    /// Standard deviation of that, mm.
+    pub at_body_sigma_mm: f64,
 }
 
 /// What the cameras say about all devices.
@@ -217,7 +222,8 @@ impl<'a> Search<'a> {
             let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
             for (s, difference) in sightings.iter().zip(differences) {
                 let Some((difference, slopes)) = difference.zip(self.slopes(s, &stand)) else { continue };
-                let weight = 1.0 / (1.0 + (difference / (2.0 * scale)).powi(2)) / (scale * scale);
+                let robust = 1.0 / (1.0 + (difference / (2.0 * scale)).powi(2));
+                let weight = robust / (ALIKE * scale).powi(2);
                 for &(i, a) in &slopes {
                     right[i] -= weight * a * difference;
                     for &(k, b) in &slopes {
@@ -251,12 +257,17 @@ impl<'a> Search<'a> {
         let (min, max) = (self.calibration.volume_min_m, self.calibration.volume_max_m);
         let middle = (Vector3::from(min) + Vector3::from(max)) / 2.0;
         let from = self.devices[device].world_from_device.isometry().inverse_transform_point(&middle.into());
+        // Along its fringes a projector's light may move as it likes: nobody measures with that, or sees it.
+        let matters = |shift: Vector3<f64>| if device < cameras { shift.norm() } else { shift.x.abs() };
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+        let sigmas = axes.iter().zip(sigma).map(|(axis, sigma)| matters(axis.cross(&from.coords)) * sigma);
         Turn {
             device: name,
             turn_deg: (*turn).map(f64::to_degrees).into(),
             sigma_deg: std::array::from_fn(|axis| sigma[axis].to_degrees()),
             angle_deg: turn.norm().to_degrees(),
-            at_body_mm: turn.cross(&from.coords).norm() * 1e3,
+            at_body_mm: matters(turn.cross(&from.coords)) * 1e3,
+            at_body_sigma_mm: sigmas.map(|x| x * x).sum::<f64>().sqrt() * 1e3,
         }
     }
 }
