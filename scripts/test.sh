@@ -1,7 +1,7 @@
 #!/bin/bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# All tests of the workspace. Those with nodes, cameras and clocks mostly wait: more of them run at once than there are
-# processors. Those that only compute run beside them, with the time that these leave, and are told at the end.
+# All tests of the workspace. Those with nodes, cameras and clocks mostly wait, and need a processor at once when they do
+# not. Those that only compute run beside them, with the time that these leave, and are told at the end.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 # Modules of tests/it without any clock; whatever is not named here is taken to have one.
@@ -22,7 +22,7 @@ export FOURDBODY_COMPUTE_NODE=$PWD/target/compute-node/fourdbody
 (
     nice -n 19 "$cargo" test --workspace --lib && nice -n 19 "$cargo" test --workspace --test it -- "${computing[@]}"
 ) >"$log" 2>&1 &
-RUST_TEST_THREADS=$((2 * $(nproc))) "$cargo" test --workspace --test it --test makes -- "${computing[@]/#/--skip=}"
+"$cargo" test --workspace --test it --test makes -- "${computing[@]/#/--skip=}"
 waiting=$?
 wait $!
 computed=$?

@@ -35,7 +35,7 @@ fn an_operator_is_led_to_a_calibration() {
     let mut rig = scene().rig().clone();
     rig.trigger_rate_hz = 10.0;
     let mut options = LaboratoryOptions::new(to_toml(&rig), dir.path());
-    options.first_address = Ipv4Addr::new(127, 0, 171, 11);
+    options.first_address = Ipv4Addr::new(127, 0, 233, 11);
     options.first_port = 0;
     options.reserve_mib = 1;
     options.socket = SocketMode::Standard;
