@@ -281,7 +281,7 @@ fn turned_devices_are_told_and_make_no_wrong_orders() {
     let Some(scene) = scene() else { return };
     let truth = calibration(&scene);
     let mut turned = truth.clone();
-    for (told, degrees) in [(false, 0.004), (true, 0.03)] {
+    for (told, degrees) in [(false, 0.002), (true, 0.005), (true, 0.03)] {
         for (i, (head, truth)) in turned.heads.iter_mut().zip(&truth.heads).enumerate() {
             let pose = *truth.cameras[0].device.world_from_device.isometry();
             let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
