@@ -4,7 +4,7 @@
 # frames, each scored against its truth. Table on the screen and in target/poses/table.md, figures in
 # target/poses/summary.json; light is kept for the next run, clouds are not.
 # BATTERY=held_out_again takes seven others instead (target/held_out_again), which nothing is chosen with: what the figures
-# are worth elsewhere. BATTERY=held_out takes those that were such until a483f0a. BATTERY=bodies takes other motions and heights.
+# are worth elsewhere. BATTERY=held_out takes others, which an earlier solver was chosen with. BATTERY=bodies takes other motions and heights.
 # Settings: BATTERY, POSES ("arms_crossed walking ..."), MARKERS ("zero_mean=0.3 darkened=0.8"), METHOD (joint or
 # paper), OUT, KEEP=1 (keeps the clouds and draws where they are right, wrong or missing).
 set -euo pipefail

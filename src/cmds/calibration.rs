@@ -49,8 +49,7 @@ struct Check {
     /// What a device may have moved at the body, mm.
     #[arg(long, value_name = "MM", default_value_t = 0.2, value_parser = parse_mm)]
     most_mm: f64,
-    /// Write the calibration with these turns here: one that surely fits the session better than the old one. Its clouds
-    /// name it.
+    /// Write the calibration with these turns here; its origin says so. Not written where the turns do not settle.
     #[arg(long, value_name = "FILE")]
     corrected: Option<PathBuf>,
     /// Print the result as JSON.
@@ -66,7 +65,7 @@ fn parse_mm(text: &str) -> Result<f64, String> {
 /// What is not this many times its own uncertainty may be nothing.
 const SURE: f64 = 4.0;
 
-/// Cameras that differ by less need no second look, rad; looks at most.
+/// A calibration whose cameras differ by less is near enough for its turns to be believed, rad; looks at most.
 const SETTLED_RAD: f64 = 0.1;
 const ROUNDS: usize = 3;
 
@@ -102,8 +101,15 @@ impl Check {
             now = drift.corrected(&now, "");
             let first_rad = *first_rad.get_or_insert(before);
             rounds += 1;
-            if before < SETTLED_RAD || rounds == ROUNDS {
+            if before < SETTLED_RAD {
                 break drift.since(&calibration, &now, first_rad);
+            }
+            if rounds == ROUNDS {
+                let message = format!(
+                    "{}: expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad after {ROUNDS} looks ({first_rad:.3} by the calibration): devices have turned too far to be measured; calibrate again",
+                    self.session.display()
+                );
+                return Err(Failure::new(Exit::Corrupt, message));
             }
         };
         if let Some(path) = &self.corrected {

@@ -27,6 +27,7 @@ mod browser;
 mod calibrate_command;
 #[cfg(feature = "aravis")]
 mod calibrate_live;
+mod calibration_check;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod camera_profiles;

@@ -66,19 +66,14 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// The device that has moved what is at the body most.
-    pub fn most(&self) -> Option<&Turn> {
-        self.devices.iter().max_by(|a, b| a.at_body_mm.total_cmp(&b.at_body_mm))
-    }
-
     /// The same of what another calibration says, after this one was corrected step by step: all turns from that one, as sure as the
     /// last.
     pub fn since(mut self, first: &Calibration, corrected: &Calibration, first_rad: f64) -> Self {
         let (from, to) = (Search::new(first), Search::new(corrected));
         for (i, device) in self.devices.iter_mut().enumerate() {
             let [a, b] = [&from, &to].map(|x| x.devices[i].world_from_device.isometry().rotation);
-            let sigma = DVector::from_fn(3, |axis, _| device.sigma_deg[axis].to_radians());
-            *device = from.turn(i, &(a.inverse() * b).scaled_axis(), sigma.as_slice());
+            let sigma = device.sigma_deg.map(f64::to_radians);
+            *device = from.turn(i, &(a.inverse() * b).scaled_axis(), &sigma);
         }
         self.differ_rad[0] = first_rad;
         self

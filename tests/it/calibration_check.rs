@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `fourdbody calibration check` on photographs that are not ours: a rig that stands, and one whose devices have turned.
+
+use crate::shared_scene::{calibration, scene};
+use fourdbody::data::Calibration;
+use fourdbody::geometry::Pose;
+use nalgebra::{UnitQuaternion, Vector3};
+use std::path::Path;
+use std::process::Command;
+
+/// Exit code, and what is printed of the drift.
+fn check(images: &Path, calibration: &Path, corrected: &Path) -> (Option<i32>, serde_json::Value) {
+    let ran = Command::new(env!("CARGO_BIN_EXE_fourdbody"))
+        .args(["calibration", "check", "--json"])
+        .arg(images)
+        .arg("--calibration")
+        .arg(calibration)
+        .arg("--corrected")
+        .arg(corrected)
+        .output()
+        .expect("the program runs");
+    (ran.status.code(), serde_json::from_slice(&ran.stdout).unwrap_or_default())
+}
+
+#[test]
+fn devices_that_have_turned_are_told_and_their_turns_taken_off() {
+    let Some(scene) = scene() else { return };
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let [stated, corrected, unused] = ["stated", "corrected", "unused"].map(|name| dir.path().join(name));
+    let images = scene.join("throw");
+    let truth = calibration(&scene);
+    truth.save(&stated).expect("written");
+    let (code, found) = check(&images, &stated, &unused);
+    assert_eq!((code, &found["stands"]), (Some(0), &true.into()), "{found}");
+
+    let mut turned = truth.clone();
+    for (i, camera) in turned.heads.iter_mut().flat_map(|head| &mut head.cameras).enumerate() {
+        let mut pose = *camera.device.world_from_device.isometry();
+        let by = f64::to_radians(if i % 2 == 0 { 0.01 } else { -0.01 });
+        pose.rotation *= UnitQuaternion::from_scaled_axis(Vector3::y() * by);
+        camera.device.world_from_device = Pose::new(pose);
+    }
+    turned.save(&stated).expect("written");
+    let (code, found) = check(&images, &stated, &corrected);
+    assert_eq!((code, &found["stands"]), (Some(4), &false.into()), "{found}");
+    let differ = |i: usize| found["drift"]["differ_rad"][i].as_f64().expect("a number");
+    assert!(differ(0) > 4.0 * differ(1), "{found}");
+    let devices = found["drift"]["devices"].as_array().expect("a list");
+    for (i, device) in devices.iter().take(turned.cameras().count()).enumerate() {
+        // What is found takes the turn back.
+        let expected = if i % 2 == 0 { -0.01 } else { 0.01 };
+        let about_y = device["turn_deg"][1].as_f64().expect("a number");
+        assert!((about_y - expected).abs() < 0.003, "{device}");
+    }
+    assert!(Calibration::load(&corrected).is_ok_and(|x| x.origin.ends_with("throw")));
+    let (code, found) = check(&images, &corrected, &unused);
+    assert_eq!((code, &found["stands"]), (Some(0), &true.into()), "{found}");
+}
