@@ -12,6 +12,7 @@
 #   make poses     fringe orders on 224 camera frames of moving mannequins; BATTERY=held_out_again or bodies: of others
 #   make noise     the same with half a grey value of noise (NOISE_DN)
 #   make light     striped shirts, tattoos, little and too much light, defocus, devices that have turned
+#   make real      photographs that others took, against what others make of many (fetched, or named as skipped)
 #   make validate  the paper's section 5: calibrated, Table 3, girths, spacing, beside the paper's figures
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make deb       the Debian package, in target/debian; scripts/try-package.sh tries it in a clean Debian
@@ -21,7 +22,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-worker matrix poses noise light validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-worker matrix poses noise light real validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -95,6 +96,11 @@ noise: packages
 light: packages
 	$(CARGO) build --release --workspace
 	scripts/light.sh
+
+real: packages
+	@scripts/install-packages.sh python3-venv
+	$(CARGO) build --release --bin fourdbody --example wrapped_phase
+	scripts/real.sh
 
 validate: packages
 	$(CARGO) build --release --workspace

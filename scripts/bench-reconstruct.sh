@@ -2,16 +2,13 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # How long reconstruction takes, and how good it is: recorded frames (rendered light, imported into MCAP sessions; no cameras),
 # from mapping a frame to points with normals in memory. Figures in target/bench-reconstruct/summary.json.
-# Settings: SCENES, INSTANTS (120, one second, of the first scene; 2 of the others), REPEAT (3), PEERS=0 (without the other programs), POSES=1 (also scripts/poses.sh), OUT, DATA (the shared
-# data, for real photographs).
+# Settings: SCENES, INSTANTS (120, one second, of the first scene; 2 of the others), REPEAT (3), PEERS=0 (without the other programs), POSES=1 (also scripts/poses.sh), OUT.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 bin=${BIN:-target/release}
 out=${OUT:-target/bench-reconstruct}
 scenes=${SCENES:-"demo arms_crossed turntable plane sphere torso"}
 repeat=${REPEAT:-3}
-data=${DATA:-../shared/data}
-[ -d "$data/real" ] || data=../../shared/data
 commit=$(git rev-parse HEAD) # what was built; a commit made during the run is not
 
 . scripts/laboratory.sh
@@ -96,12 +93,6 @@ if [ "${PEERS:-1}" != 0 ]; then
         echo "skipped: the other programs could not be installed"
     else
         $python benches/peers/compare.py "${targets[@]}" --ours "$example" --out "$out/peers.json"
-        if [ -d "$data/real" ]; then
-            step "real photographs of $data/real: one against twelve"
-            $python benches/peers/real.py --data "$data/real" --ours "$example" --out "$out/real.json"
-        else
-            echo "skipped: the shared photographs are not beside the project"
-        fi
     fi
 fi
 if [ "${POSES:-0}" = 1 ]; then
@@ -111,4 +102,4 @@ fi
 
 step "figures, kept in $out/summary.json"
 python3 scripts/summarize_reconstruct.py --runs "$out/runs" --scores "$out/scores" --body "${scenes%% *}" \
-    --commit "$commit" --peers "$out/peers.json" --real "$out/real.json" --out "$out/summary.json"
+    --commit "$commit" --peers "$out/peers.json" --out "$out/summary.json"

@@ -19,7 +19,7 @@ P
 }
 complete "$@" && exit 0
 cache=${FOURDBODY_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/fourdbody}/python-$(sha256sum <<<"$*" | head -c 12)
-mkdir -p "$cache" && rm -rf "$dir" && ln -s "$cache" "$dir" || exit 0
+mkdir -p "$cache" "$(dirname "$dir")" && rm -rf "$dir" && ln -s "$cache" "$dir" || exit 0
 exec 9>"$cache.lock"
 flock 9
 complete "$@" && exit 0

@@ -109,16 +109,9 @@ def add_peers(summary, path):
                         summary[f"{key}_{figure}"] = row[figure]
 
 
-def add_real(summary, path):
-    for name, set_ in json.loads(path.read_text()).items():
-        for method, row in set_["methods"].items():
-            for figure in ("rms_rad", "robust_rad", "coverage"):
-                summary[f"real_{word(name)}_{word(method)}_{figure}"] = row[figure]
-
-
 def main():
     parser = argparse.ArgumentParser()
-    for name in ("runs", "scores", "peers", "real", "out"):
+    for name in ("runs", "scores", "peers", "out"):
         parser.add_argument(f"--{name}", type=Path, required=True)
     parser.add_argument("--body", required=True)
     parser.add_argument("--commit", required=True)
@@ -136,9 +129,8 @@ def main():
     pairs = [(1e-6 * summary[f"{s}_points_per_frame"], summary[f"{s}_ms_per_frame_1_thread_least"]) for s in scenes]
     if len(pairs) > 1:
         summary["ms_per_million_points"], summary["ms_per_frame_without_points"] = slope_and_base(pairs)
-    for path, add in ((args.peers, add_peers), (args.real, add_real)):
-        if path.exists():
-            add(summary, path)
+    if args.peers.exists():
+        add_peers(summary, args.peers)
     args.out.write_text(json.dumps(summary, indent=2) + "\n")
     for key, value in summary.items():
         print(f"{key:<72} {value:.4g}" if isinstance(value, float) else f"{key:<72} {value}")

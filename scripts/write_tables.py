@@ -112,6 +112,35 @@ def light(s):
     return table(head, rows)
 
 
+def real(s):
+    """A row an object: clouds of single photographs where there are two cameras, else phases."""
+    rows = []
+    for name in (re.fullmatch(r"(.+)_photographs_refused", key) for key in s):
+        if not name:
+            continue
+        row = name[1]
+        both = [f"{most(s[f'{row}_{key}_robust'], 2)}" for key in ("left_to_right_mm", "left_to_right_reference_mm")]
+        phase = f"{most(s[f'{row}_phase_rad_robust'], 3)}"
+        refused = f"{s[f'{row}_photographs_refused']} of {s[f'{row}_photographs']}"
+        shares = [wrong(s[f"{row}_wrong_order_share"]), complete(s[f"{row}_complete"])]
+        rows.append([row.replace("_", " "), refused, *shares, phase, *both])
+    head = ["object", "refused", "wrong %", "of the reference %", "phase rad", "left to right mm", "the reference's mm"]
+    text = table(head, rows) if rows else ""
+    rows = []
+    for name in (re.fullmatch(r"one_of_twelve_(.+)_fourdbody_rms_where_points_rad", key) for key in s):
+        if not name:
+            continue
+        ours, points, rows_of = (
+            f"one_of_twelve_{name[1]}_{method}"
+            for method in ("fourdbody", "fourdbody_what_becomes_points", "scipy_fourier_of_rows")
+        )
+        on_points = [most(s[f"{method}_rms_where_points_rad"], 3) for method in (ours, rows_of)]
+        everywhere = [most(s[f"{method}_rms_rad"], 3) for method in (ours, rows_of)]
+        rows.append([name[1].replace("_", " "), complete(s[f"{points}_coverage"]), *on_points, complete(s[f"{ours}_coverage"]), *everywhere])
+    head = ["object", "points, of the mask %", "rad there", "Fourier of rows there", "phase, of the mask %", "rad", "Fourier of rows"]
+    return text + ("\n" if text and rows else "") + (table(head, rows) if rows else "")
+
+
 def demo(s):
     distances = ["merged_robust_mm", "merged_p95_mm", "merged_rms_mm", "merged_rms_right_order_mm"]
     return table(
@@ -244,6 +273,7 @@ WRITERS = {
     "poses": (poses, same_algorithm),
     "light": (light, same_algorithm),
     "noise": (noise, same_algorithm),
+    "real": (real, same_algorithm),
     "demo": (demo, same_algorithm),
     "validate": (validate, same_algorithm),
     "bench-ingest": (bench_ingest, same_recording),

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """One photograph's wrapped phase against twelve: ours, OpenCV's and the Fourier methods', on photographs that others took.
 
-python real.py --data DIR --ours EXAMPLE --out real.json. DIR has a folder per object with twelve photographs (`*00h.bmp` to
-`*11h.bmp`, frame k with the extra phase 2 pi k / 12) and reference.npz (`phase`, `modulation`, `mask`). The score is modulo
-a constant and the sign. Their fringes are 21-22 px long, ours are made for 5 to 24: each photograph is scored as it is, and
-with its columns averaged in pairs, which makes fringes of the length that our instrument sees."""
+PYTHONPATH=benches/peers python cfpe.py --data DIR... --ours EXAMPLE --out cfpe.json. DIR is a clone of github.com/yongleex/CFPE,
+or has a folder per object with reference.npz (`mask`). Of each object there are twelve photographs (`*00h.bmp` to `*11h.bmp`,
+frame k with the extra phase 2 pi k / 12). The score is modulo a constant and the sign. Their fringes are 21-22 px long, ours
+are made for 5 to 24: each photograph is scored as it is, and with its columns averaged in pairs, which makes fringes of the
+length that our instrument sees."""
 
 import argparse
 import json
@@ -18,6 +19,8 @@ import numpy as np
 import methods
 
 POINTS = "fourdbody, what becomes points"
+# Least modulation, grey values, of what counts as the object where nobody has drawn a mask.
+DARK = 12.0
 
 
 def ours(program, image, period):
@@ -31,6 +34,29 @@ def ours(program, image, period):
             return [np.full(image.shape, np.nan)] * 2
         with np.load(maps) as file:
             return [file[name].astype(float) for name in ("wrapped", "kept")]
+
+
+def objects(places):
+    """Name, photographs and mask (`None` where nobody has drawn one) of each object."""
+    found = {}
+    for place in places:
+        for folder in sorted(path.parent for path in place.glob("*/reference.npz")):
+            with np.load(folder / "reference.npz") as file:
+                found[folder.name] = sorted(folder.glob("*[01][0-9]h.bmp")), file["mask"]
+        for first in sorted((place / "data/recordings/2").glob("*00h.bmp")):
+            number = first.name[:2]
+            steps = [first.with_name(f"{number}{k:02}h.bmp") for k in range(12)]
+            # What somebody has drawn a mask for is in the other folder.
+            if all(first.name not in [path.name for path in paths] for paths, _ in found.values()):
+                found[f"cfpe_{number}"] = steps, None
+    return found
+
+
+def of_twelve(photographs):
+    """Phase and modulation of one object by least squares over all steps."""
+    steps = np.stack([cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(float) for path in photographs])
+    turned = (steps * np.exp(-1j * methods.TAU * np.arange(12) / 12)[:, None, None]).mean(0)
+    return np.angle(turned), 2 * np.abs(turned)
 
 
 def halved(image):
@@ -80,15 +106,14 @@ def mean_rows(all_rows):
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--data", type=Path, nargs="+", required=True)
     parser.add_argument("--ours", required=True)
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     report = {}
-    for folder in sorted(path.parent for path in args.data.glob("*/reference.npz")):
-        with np.load(folder / "reference.npz") as file:
-            phase, mask = file["phase"].astype(float), file["mask"]
-        photographs = sorted(folder.glob("*[01][0-9]h.bmp"))
+    for object_name, (photographs, mask) in objects(args.data).items():
+        phase, modulation = of_twelve(photographs)
+        mask = modulation >= DARK if mask is None else mask
         for name, half in (("as it is", False), ("columns in pairs", True)):
             true = halved_phase(phase) if half else phase
             where = mask[:, 0::2] & mask[:, 1::2] if half else mask
@@ -102,11 +127,11 @@ def main():
                 shifted = methods.wrap(true + methods.TAU * k / 12)
                 rows.append(score(image, shifted, where, inner, period, args.ours))
             mean = mean_rows(rows)
-            report[f"{folder.name}, {name}"] = {
+            report[f"{object_name}, {name}"] = {
                 "photographs": len(rows), "period_px": period, "mask_px": int(where.sum()), "inner_px": int(inner.sum()),
                 "methods": mean,
             }
-            print(f"\n{folder.name}, {name}: {len(rows)} photographs, period {period:.1f} px, {where.sum()} px of mask, {inner.sum()} inner")
+            print(f"\n{object_name}, {name}: {len(rows)} photographs, period {period:.1f} px, {where.sum()} px of mask, {inner.sum()} inner")
             print(f"{'':<30} {'rms':>7} {'robust':>7} {'p95':>7} {'cover %':>8} | {'where ours: rms':>15} {'robust':>7} | {'where points: rms':>17} {'robust':>7} | {'inner: rms':>10} {'robust':>7} {'cover %':>8}")
             for method, row in mean.items():
                 print(
