@@ -8,9 +8,8 @@
 //!
 //! With `--period` the photograph need not be from our instrument: a camera and a projector side by side are made up for
 //! it, whose fringes run along the image's rows' normal with this period; there is then no use in the absolute phase.
-//! OUT has `wrapped` and `absolute` (f32, rad, NaN where unknown) for the whole frame, and `kept`: the phase of every pixel that would
-//! become a point if its fringe order were known, which without a marker is none. Prints one JSON object: the stages, ms, median and
-//! least of seven runs after one.
+//! OUT has `wrapped` and `absolute` (f32, rad, NaN where unknown) for the whole frame; without a marker nothing is absolute.
+//! Prints one JSON object: the stages, ms, median and least of seven runs after one.
 
 use fourdbody::base::ids::CameraId;
 use fourdbody::base::image::{Mono8, Plane, read_png_grey};
@@ -65,10 +64,7 @@ fn main() -> Result<(), Failure> {
     let pipeline = Pipeline::new(Triangulator::new(pair), Method::Joint, true);
     let result = pipeline.run(Mono8::from(&image));
     let maps = result.maps.ok_or_else(|| format!("{:?}", result.outcome))?;
-    let prepared =
-        pipeline.prepare(Mono8::from(&image)).map_err(|refused| format!("{:?}", refused.outcome))?;
-    let kept = pipeline.finish(prepared.without_orders()).maps.ok_or("the pipeline keeps no maps")?;
-    write(Path::new(out), &[("wrapped", &maps, "Wm"), ("absolute", &maps, "Fm"), ("kept", &kept, "Fm")])?;
+    write(Path::new(out), &maps, &[("wrapped", "Wm"), ("absolute", "Fm")])?;
     let figure = |times: &mut Vec<f64>| {
         times.sort_by(f64::total_cmp);
         serde_json::json!({"median_ms": times[times.len() / 2], "least_ms": times[0]})
@@ -128,10 +124,10 @@ fn example() -> Result<Calibration, Failure> {
     Ok(Calibration::new(&rig, "nominal".to_owned(), heads.collect()))
 }
 
-/// Writes maps as arrays of the whole frame: the arrays' names, and which map of which they are.
-fn write(path: &Path, arrays: &[(&str, &Maps, &str)]) -> Result<(), Failure> {
+/// Writes maps as arrays of the whole frame: the arrays' names, and which maps they are.
+fn write(path: &Path, maps: &Maps, arrays: &[(&str, &str)]) -> Result<(), Failure> {
     let mut file = NpzWriter::create(path)?;
-    for &(array, maps, map) in arrays {
+    for &(array, map) in arrays {
         let plane = maps.planes.iter().find(|(name, _)| *name == map).map(|(_, plane)| plane);
         let plane = plane.ok_or_else(|| format!("the pipeline keeps no map {map}"))?;
         let (width, height) = maps.frame;

@@ -28,7 +28,7 @@ def main():
                 summary[f"{name}_{key}_{figure}".rstrip("_")] = number
     for name, row in found.get("cfpe", {}).items():
         for method, figures in row["methods"].items():
-            for figure in ("rms_rad", "robust_rad", "coverage", "rms_where_points_rad", "robust_where_points_rad"):
+            for figure in ("rms_rad", "robust_rad", "coverage", "rms_where_ours_rad", "robust_where_ours_rad"):
                 word = re.sub(r"\W+", "_", f"{name}_{method}").lower()
                 summary[f"one_of_twelve_{word}_{figure}"] = figures[figure]
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")

@@ -127,17 +127,15 @@ def real(s):
     head = ["object", "refused", "wrong %", "of the reference %", "phase rad", "left to right mm", "the reference's mm"]
     text = table(head, rows) if rows else ""
     rows = []
-    for name in (re.fullmatch(r"one_of_twelve_(.+)_fourdbody_rms_where_points_rad", key) for key in s):
+    for name in (re.fullmatch(r"one_of_twelve_(.+)_fourdbody_rms_rad", key) for key in s):
         if not name:
             continue
-        ours, points, rows_of = (
-            f"one_of_twelve_{name[1]}_{method}"
-            for method in ("fourdbody", "fourdbody_what_becomes_points", "scipy_fourier_of_rows")
-        )
-        on_points = [most(s[f"{method}_rms_where_points_rad"], 3) for method in (ours, rows_of)]
-        everywhere = [most(s[f"{method}_rms_rad"], 3) for method in (ours, rows_of)]
-        rows.append([name[1].replace("_", " "), complete(s[f"{points}_coverage"]), *on_points, complete(s[f"{ours}_coverage"]), *everywhere])
-    head = ["object", "points, of the mask %", "rad there", "Fourier of rows there", "phase, of the mask %", "rad", "Fourier of rows"]
+        methods = [f"one_of_twelve_{name[1]}_{method}" for method in ("fourdbody", "scipy_fourier_of_rows")]
+        errors = [
+            most(s[f"{method}_{kind}_where_ours_rad"], 3) for kind in ("rms", "robust") for method in methods
+        ]
+        rows.append([name[1].replace("_", " "), complete(s[f"{methods[0]}_coverage"]), *errors])
+    head = ["one of twelve", "of the mask %", "rms rad", "Fourier's", "robust rad", "Fourier's"]
     return text + ("\n" if text and rows else "") + (table(head, rows) if rows else "")
 
 

@@ -18,22 +18,21 @@ import numpy as np
 
 import methods
 
-POINTS = "fourdbody, what becomes points"
 # Least modulation, grey values, of what counts as the object where nobody has drawn a mask.
 DARK = 12.0
 
 
 def ours(program, image, period):
-    """The wrapped phase of all pixels that have one, and the phase of those that become points."""
+    """The wrapped phase of all pixels that have one."""
     with tempfile.TemporaryDirectory() as folder:
         picture, maps = Path(folder) / "image.png", Path(folder) / "maps.npz"
         cv2.imwrite(str(picture), image)
         answer = subprocess.run([program, picture, maps, "--period", str(period)], capture_output=True, text=True)
         if answer.returncode != 0:
             print(f"fourdbody refuses a photograph: {answer.stderr.strip()}")
-            return [np.full(image.shape, np.nan)] * 2
+            return np.full(image.shape, np.nan)
         with np.load(maps) as file:
-            return [file[name].astype(float) for name in ("wrapped", "kept")]
+            return file["wrapped"].astype(float)
 
 
 def objects(places):
@@ -78,15 +77,15 @@ def nominal_period(phase, mask):
 
 def score(image, phase, mask, inner, period, program):
     """Rows of figures by method."""
-    found = dict(zip(("fourdbody", POINTS), ours(program, image, period)))
+    found = {"fourdbody": ours(program, image, period)}
     for name, method in methods.DEMODULATIONS.items():
         found[name] = method(image, period)
-    known = [mask & np.isfinite(found[name]) for name in ("fourdbody", POINTS)]
+    known = mask & np.isfinite(found["fourdbody"])
     rows = {}
     for name, wrapped in found.items():
         error = methods.phase_error(wrapped, phase, mask)
         rows[name] = methods.figures(error, mask)
-        for key, where in (("where_ours", known[0]), ("where_points", known[1]), ("inner", inner)):
+        for key, where in (("where_ours", known), ("inner", inner)):
             rows[name][f"rms_{key}_rad"] = methods.figures(error, where)["rms_rad"]
             rows[name][f"robust_{key}_rad"] = methods.figures(error, where)["robust_rad"]
         rows[name]["inner_coverage"] = methods.figures(error, inner)["coverage"]
@@ -132,12 +131,12 @@ def main():
                 "methods": mean,
             }
             print(f"\n{object_name}, {name}: {len(rows)} photographs, period {period:.1f} px, {where.sum()} px of mask, {inner.sum()} inner")
-            print(f"{'':<30} {'rms':>7} {'robust':>7} {'p95':>7} {'cover %':>8} | {'where ours: rms':>15} {'robust':>7} | {'where points: rms':>17} {'robust':>7} | {'inner: rms':>10} {'robust':>7} {'cover %':>8}")
+            print(f"{'':<30} {'rms':>7} {'robust':>7} {'p95':>7} {'cover %':>8} | {'where ours: rms':>15} {'robust':>7} | {'inner: rms':>10} {'robust':>7} {'cover %':>8}")
             for method, row in mean.items():
                 print(
                     f"{method:<30} {row['rms_rad']:>7.4f} {row['robust_rad']:>7.4f} {row['p95_rad']:>7.4f} {100 * row['coverage']:>8.2f} | "
                     f"{row['rms_where_ours_rad']:>15.4f} {row['robust_where_ours_rad']:>7.4f} | "
-                    f"{row['rms_where_points_rad']:>17.4f} {row['robust_where_points_rad']:>7.4f} | {row['rms_inner_rad']:>10.4f} "
+                    f"{row['rms_inner_rad']:>10.4f} "
                     f"{row['robust_inner_rad']:>7.4f} {100 * row['inner_coverage']:>8.2f}"
                 )
     args.out.write_text(json.dumps(report, indent=2) + "\n")

@@ -112,11 +112,6 @@ impl Orders {
         Self { patches, shift }
     }
 
-    /// Keeps all phases as they are.
-    pub(super) fn forget(&mut self) {
-        self.shift.fill(0.0);
-    }
-
     /// Adds the orders to the phases.
     pub(super) fn apply(&self, phase: &mut Plane<f32>) {
         simd::dispatch(

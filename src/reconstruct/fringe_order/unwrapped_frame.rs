@@ -44,13 +44,6 @@ pub struct UnwrappedFrame {
 }
 
 impl UnwrappedFrame {
-    /// Phases as they are within each patch, whatever their fringe orders: for comparisons of phases alone.
-    #[must_use]
-    pub fn without_orders(mut self) -> Self {
-        self.orders.forget();
-        self
-    }
-
     /// Fringe period Pm, px.
     pub fn period(&self) -> &Plane<f32> {
         &self.period
