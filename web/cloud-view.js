@@ -6,8 +6,10 @@ const VERTEX = `#version 300 es
 layout(location = 0) in vec3 place;      // tenths of a millimetre
 layout(location = 1) in vec3 normal;     // 127ths
 layout(location = 2) in float intensity; // 0 to 1
+layout(location = 3) in float sigma;     // hundredths of a millimetre; 0: not known
 uniform mat4 view;
 uniform float size;
+uniform int paint;                       // a place in PAINTS
 out vec3 colour;
 void main() {
   vec4 at = view * vec4(place * 1e-4, 1.0);
@@ -16,7 +18,14 @@ void main() {
   // Lit from the upper left of the room, as bright as the cameras saw it.
   float light = 0.45 + 0.55 * max(0.0, dot(normalize(normal), normalize(vec3(0.5, -0.6, 0.7))));
   colour = mix(vec3(0.35, 0.62, 0.85), vec3(0.95, 0.93, 0.9), clamp(1.6 * intensity, 0.0, 1.0)) * light;
+  if (paint == 1) colour = 0.5 + 0.5 * normalize(normal);
+  // From blue, none, over yellow to red, half a millimetre and more; grey where it is not known.
+  float share = clamp(sigma / 50.0, 0.0, 1.0);
+  vec3 warm = share < 0.5 ? mix(vec3(0.2, 0.4, 0.9), vec3(0.95, 0.9, 0.4), 2.0 * share) : mix(vec3(0.95, 0.9, 0.4), vec3(0.9, 0.2, 0.15), 2.0 * share - 1.0);
+  if (paint == 2) colour = (sigma > 0.0 ? warm : vec3(0.5)) * light;
 }`;
+
+const PAINTS = ["intensity", "normals", "uncertainty"];
 
 const FRAGMENT = `#version 300 es
 precision mediump float;
@@ -24,7 +33,10 @@ in vec3 colour;
 out vec4 pixel;
 void main() { pixel = vec4(colour, 1.0); }`;
 
-/** Draws clouds on a canvas; the mouse, a finger or the arrow keys turn it, the wheel, + and - move it. */
+/**
+ * Draws clouds on a canvas; the mouse, a finger or the arrow keys turn it, the wheel, + and - move it.
+ * `onPick` gets the point (metres) under a click, or null; `onDraw` is called after each picture.
+ */
 export class CloudView {
   constructor(canvas) {
     this.canvas = canvas;
@@ -34,6 +46,8 @@ export class CloudView {
     this.height = 0.15;
     this.distance = 2.5;
     this.middle = [0, 0, 1];
+    this.painted = 0;
+    this.onPick = this.onDraw = () => {};
     if (this.gl) this.prepare();
     this.listen();
     new ResizeObserver(() => this.draw()).observe(canvas);
@@ -44,8 +58,8 @@ export class CloudView {
     return Boolean(this.gl);
   }
 
-  /** Shows these arrays of points, one a node, together. */
-  show(arrays) {
+  /** Shows these arrays of points, one a node, together; from where the last cloud was seen, if so wanted. */
+  show(arrays, fromThere = false) {
     if (!this.gl) return 0;
     const length = arrays.reduce((sum, array) => sum + array.byteLength, 0);
     const bytes = new Uint8Array(length);
@@ -55,7 +69,8 @@ export class CloudView {
       end += array.byteLength;
     }
     this.points = Math.floor(length / POINT_BYTES);
-    this.middle = middleOf(new DataView(bytes.buffer), this.points) ?? this.middle;
+    this.places = new DataView(bytes.buffer);
+    if (!fromThere) this.middle = middleOf(this.places, this.points) ?? this.middle;
     const { gl } = this;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
     gl.bufferData(gl.ARRAY_BUFFER, bytes, gl.STATIC_DRAW);
@@ -77,7 +92,7 @@ export class CloudView {
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
     gl.useProgram(program);
-    this.uniforms = { view: gl.getUniformLocation(program, "view"), size: gl.getUniformLocation(program, "size") };
+    this.uniforms = Object.fromEntries(["view", "size", "paint"].map((name) => [name, gl.getUniformLocation(program, name)]));
     this.buffer = gl.createBuffer();
     gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
     const attribute = (place, count, kind, normalized, offset) => {
@@ -87,6 +102,7 @@ export class CloudView {
     attribute(0, 3, gl.SHORT, false, 0);
     attribute(1, 3, gl.BYTE, false, 6);
     attribute(2, 1, gl.UNSIGNED_BYTE, true, 9);
+    attribute(3, 1, gl.UNSIGNED_BYTE, false, 11);
     gl.enable(gl.DEPTH_TEST);
     gl.clearColor(0, 0, 0, 1);
   }
@@ -104,7 +120,9 @@ export class CloudView {
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       gl.uniformMatrix4fv(this.uniforms.view, false, this.matrix(canvas.width / canvas.height));
       gl.uniform1f(this.uniforms.size, canvas.height * 0.006);
+      gl.uniform1i(this.uniforms.paint, this.painted);
       if (this.points) gl.drawArrays(gl.POINTS, 0, this.points);
+      this.onDraw();
     });
   }
 
@@ -130,6 +148,39 @@ export class CloudView {
     return new Float32Array([0, 1, 2, 3].flatMap((column) => rows.map((row) => row[column])));
   }
 
+  /** Colours points by one of PAINTS. */
+  paint(what) {
+    this.painted = Math.max(0, PAINTS.indexOf(what));
+    this.draw();
+  }
+
+  /** Where a point (metres) is seen, CSS pixels from the canvas's upper left corner; null behind the eye. */
+  project(point) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const m = this.matrix(width / height);
+    const row = (i) => m[i] * point[0] + m[4 + i] * point[1] + m[8 + i] * point[2] + m[12 + i];
+    const away = row(3);
+    return away > 0 ? [(width * (1 + row(0) / away)) / 2, (height * (1 - row(1) / away)) / 2] : null;
+  }
+
+  /** The nearest to the eye of the points within a few pixels of a place on the canvas, metres; null where there is none. */
+  pointAt(x, y) {
+    const reach = 6;
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const m = this.matrix(width / height).map((value, i) => value * (i < 12 ? 1e-4 : 1));
+    let [best, found] = [Infinity, null];
+    for (let i = 0; i < this.points; i++) {
+      const [a, b, c] = [0, 2, 4].map((byte) => this.places.getInt16(i * POINT_BYTES + byte, true));
+      const away = m[3] * a + m[7] * b + m[11] * c + m[15];
+      if (away <= 0 || away >= best) continue;
+      const u = (width * (1 + (m[0] * a + m[4] * b + m[8] * c + m[12]) / away)) / 2;
+      const v = (height * (1 - (m[1] * a + m[5] * b + m[9] * c + m[13]) / away)) / 2;
+      if (Math.hypot(u - x, v - y) > reach) continue;
+      [best, found] = [away, [a, b, c].map((value) => value * 1e-4)];
+    }
+    return found;
+  }
+
   turn(azimuth, height) {
     this.azimuth += azimuth;
     this.height = Math.min(1.5, Math.max(-1.5, this.height + height));
@@ -143,8 +194,16 @@ export class CloudView {
 
   listen() {
     const { canvas } = this;
-    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+    let moved = 0;
+    canvas.addEventListener("pointerdown", (event) => {
+      moved = 0;
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      if (moved < 4) this.onPick(this.points ? this.pointAt(event.offsetX, event.offsetY) : null);
+    });
     canvas.addEventListener("pointermove", (event) => {
+      moved += Math.abs(event.movementX) + Math.abs(event.movementY);
       if (event.buttons & 1) this.turn(-event.movementX * 0.008, event.movementY * 0.008);
     });
     canvas.addEventListener("wheel", (event) => {

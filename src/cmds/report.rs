@@ -2,16 +2,19 @@
 //! `fourdbody report`: a session on one page.
 
 use super::failure::Failure;
+use super::progress::Progress;
 use crate::base::Exit;
-use crate::report::{gather, render};
-use std::path::PathBuf;
+use crate::report::{END, Playing, gather, render};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
 
 /// Write a page about a session: verdict, gaps over time, light per camera, latencies, points, a turning cloud.
 ///
-/// The page is one HTML file that needs no network. Checksums are not computed: see `fourdbody verify`.
+/// The page is one HTML file that needs no network. Checksums are not computed: see `fourdbody verify`. With --play it has
+/// all frame sets of --clouds and plays them.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Exit code 0: the page tells all of it; 2: there is no recording; 4: a recording, or all of it, cannot be read, and the page says so.\n\nExample:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html"
+    after_help = "Exit code 0: the page tells all of it; 2: there is no recording; 4: a recording, or all of it, cannot be read, and the page says so.\n\nExample:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --play --out walk-01.html"
 )]
 pub struct Args {
     /// A session, a recording of one node, or a single segment.
@@ -22,6 +25,12 @@ pub struct Args {
     /// The page.
     #[arg(long, value_name = "HTML")]
     out: PathBuf,
+    /// Play all frame sets instead of showing one cloud.
+    #[arg(long, requires = "clouds")]
+    play: bool,
+    /// Points of all played frame sets together, MiB before they are packed; fewer of each where there are many.
+    #[arg(long, value_name = "MIB", default_value_t = 512, requires = "play", value_parser = clap::value_parser!(u64).range(1..=4096))]
+    play_mib: u64,
     /// Print what was written as JSON: {"page": PATH, "bytes": N, "unreadable": [...]}.
     #[arg(long)]
     json: bool,
@@ -30,16 +39,39 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let report = gather(&args.session, args.clouds.as_deref())?;
-    let page = render(&report);
-    std::fs::write(&args.out, &page)
+    let playing = match &args.clouds {
+        Some(clouds) if args.play => {
+            Some(Playing::open(clouds, args.play_mib << 20).map_err(|e| Failure::new(Exit::Corrupt, e))?)
+        }
+        _ => None,
+    };
+    let page = render(&report, playing.as_ref());
+    let bytes = write(&args.out, &page, playing.as_ref())
         .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
     if args.json {
         let unreadable: Vec<String> = report.unreadable.iter().map(ToString::to_string).collect();
-        let told = serde_json::json!({ "page": args.out, "bytes": page.len(), "unreadable": unreadable });
+        let told = serde_json::json!({ "page": args.out, "bytes": bytes, "unreadable": unreadable });
         println!("{told}");
     } else {
-        println!("{}: {} KiB, opens in any browser", args.out.display(), page.len() / 1024);
+        println!("{}: {} KiB, opens in any browser", args.out.display(), bytes / 1024);
     }
     report.unreadable.iter().for_each(|one| eprintln!("NOT READABLE  {one}"));
     Ok(if report.unreadable.is_empty() { Exit::Done } else { Exit::Corrupt })
+}
+
+/// Writes the page; its size, bytes. A page that is begun and not finished is removed.
+fn write(path: &Path, page: &str, playing: Option<&Playing>) -> Result<u64, String> {
+    let written = || {
+        let file = std::fs::File::create(path).map_err(|e| e.to_string())?;
+        let mut out = BufWriter::new(file);
+        out.write_all(page.as_bytes()).map_err(|e| e.to_string())?;
+        if let Some(playing) = playing {
+            let progress = Progress::of("frame sets", "sets");
+            playing.write(&mut out, |done, of| progress.at(done, of))?;
+        }
+        out.write_all(END.as_bytes()).map_err(|e| e.to_string())?;
+        let file = out.into_inner().map_err(|e| e.to_string())?;
+        Ok(file.metadata().map_err(|e| e.to_string())?.len())
+    };
+    written().inspect_err(|_| drop(std::fs::remove_file(path)))
 }

@@ -235,7 +235,7 @@ impl Inner {
             let cloud = made.and_then(|()| read_cloud(&out, trigger).map_err(Ended::Failed));
             // What is left of a look that failed is of no use either.
             let _ = std::fs::remove_dir_all(&out);
-            let bytes = Arc::new(encode(&cloud?));
+            let bytes = Arc::new(encode(&cloud?, POINTS_MAX));
             self.change(name, |look| {
                 look.triggers.push(trigger);
                 look.clouds.insert(trigger, bytes);
@@ -304,9 +304,10 @@ fn spread(triggers: std::ops::Range<u64>, count: usize) -> Vec<u64> {
 }
 
 /// Points for a browser, little-endian, [`POINT_BYTES`] each: x, y, z as i16 in tenths of a millimetre, the normal as three
-/// i8 in 127ths, intensity as u8 in 255ths, and the camera's number and a zero. A cloud of more than [`POINTS_MAX`] points is thinned evenly.
-pub fn encode(cloud: &Cloud) -> Vec<u8> {
-    let step = cloud.len().div_ceil(POINTS_MAX).max(1);
+/// i8 in 127ths, intensity as u8 in 255ths, the camera's number, and the standard uncertainty in hundredths of a millimetre
+/// (1 to 255; 0 where it is not known). A cloud of more than `most` points is thinned evenly.
+pub fn encode(cloud: &Cloud, most: usize) -> Vec<u8> {
+    let step = cloud.len().div_ceil(most.max(1)).max(1);
     let mut bytes = Vec::with_capacity(cloud.len() / step * POINT_BYTES + POINT_BYTES);
     for i in (0..cloud.len()).step_by(step) {
         let place = cloud.position_m[i].map(|x| (x * 1e4).round() as i16);
@@ -314,7 +315,7 @@ pub fn encode(cloud: &Cloud) -> Vec<u8> {
         bytes.extend(cloud.normal[i].map(|x| (x * 127.0).round() as i8 as u8));
         bytes.push((cloud.intensity[i] * 255.0).round() as u8);
         bytes.push(cloud.camera.get(i).copied().unwrap_or(0));
-        bytes.push(0);
+        bytes.push(cloud.sigma_m.get(i).map_or(0, |sigma| (sigma * 1e5).round().clamp(1.0, 255.0) as u8));
     }
     bytes
 }
@@ -342,7 +343,7 @@ mod tests {
             camera: vec![7],
             sigma_m: Vec::new(),
         };
-        let bytes = encode(&cloud);
+        let bytes = encode(&cloud, POINTS_MAX);
         let number = |i: usize| i16::from_le_bytes([bytes[i], bytes[i + 1]]);
         assert_eq!([number(0), number(2), number(4)], [1234, -15_000, 20_000]);
         assert_eq!(bytes[6..], [0, 127, 129, 128, 7, 0]);
@@ -357,7 +358,7 @@ mod tests {
             intensity: vec![0.0; n],
             ..Cloud::default()
         };
-        let points = encode(&cloud).len() / POINT_BYTES;
+        let points = encode(&cloud, POINTS_MAX).len() / POINT_BYTES;
         assert!(points <= POINTS_MAX && points > POINTS_MAX / 2, "{points}");
     }
 }

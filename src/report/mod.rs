@@ -4,8 +4,10 @@
 //! The page is one HTML file that needs nothing else: pictures, points and the script that turns them are inside.
 
 mod page;
+mod play;
 
-pub use page::render;
+pub use page::{END, render};
+pub use play::Playing;
 
 use crate::acquire::preview::Sample;
 use crate::base::ids::TriggerIndex;
@@ -13,7 +15,7 @@ use crate::batch::collect_shards;
 use crate::batch::result::Clouds;
 use crate::batch::summary::TriggerSummary;
 use crate::data::FrameSource;
-use crate::preview::quick_look::encode;
+use crate::preview::quick_look::{POINTS_MAX, encode};
 use crate::preview::{Light, measure, upright_png};
 use crate::record::describe::{self, CameraDescription, EventKind};
 use crate::record::{
@@ -182,5 +184,5 @@ fn cloud_of(result: &Path) -> Result<Option<(u64, Vec<u8>)>, String> {
     let clouds = Clouds::open(result)?;
     let Some((trigger, place)) = clouds.merged.iter().nth(clouds.merged.len() / 2) else { return Ok(None) };
     let (_, cloud) = clouds.load(place)?;
-    Ok(Some((*trigger, encode(&cloud))))
+    Ok(Some((*trigger, encode(&cloud, POINTS_MAX))))
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report's HTML: one file, nothing from anywhere else.
 
-use super::{CameraReport, NodeReport, Report};
+use super::{CameraReport, NodeReport, Playing, Report};
 use crate::record::Status;
 use crate::telemetry::Grade;
 use crate::telemetry::thresholds::{DURABLE_P99, WRITE_P99};
@@ -11,10 +11,14 @@ use std::fmt::Write;
 
 /// The script that turns clouds, as the console has it.
 const CLOUD_VIEW: &str = include_str!("../../web/cloud-view.js");
+const PLAYER: &str = include_str!("../../web/player.js");
 const STYLE: &str = include_str!("../../web/report.css");
 
-/// The page.
-pub fn render(report: &Report) -> String {
+/// What stands behind the page, and behind the frame sets where it plays them.
+pub const END: &str = "</body></html>\n";
+
+/// The page, up to [`END`]. With `playing` a player stands in it, whose frame sets are to follow.
+pub fn render(report: &Report, playing: Option<&Playing>) -> String {
     let mut page = String::new();
     let title = escape(&report.session);
     let (word, kind) = verdict(report);
@@ -37,17 +41,21 @@ pub fn render(report: &Report) -> String {
         let _ = write!(page, "<dt>{name}</dt><dd>{value}</dd>");
     }
     page.push_str("</dl>\n");
-    if let Some((trigger, points)) = &report.cloud {
-        let _ = writeln!(
-            page,
-            "<h2>Cloud of trigger {trigger}</h2><canvas id=\"cloud\" tabindex=\"0\" \
-             aria-label=\"point cloud; turn with the mouse or the arrow keys\"></canvas>"
-        );
-        let _ = writeln!(
-            page,
-            "<script type=\"application/octet-stream\" id=\"points\">{}</script>",
-            STANDARD.encode(points)
-        );
+    match (playing, &report.cloud) {
+        (Some(playing), _) => player(&mut page, report.trigger_rate_hz, playing),
+        (None, Some((trigger, points))) => {
+            let _ = writeln!(
+                page,
+                "<h2>Cloud of trigger {trigger}</h2><canvas id=\"cloud\" tabindex=\"0\" \
+                 aria-label=\"point cloud; turn with the mouse or the arrow keys\"></canvas>"
+            );
+            let _ = writeln!(
+                page,
+                "<script type=\"application/octet-stream\" id=\"points\">{}</script>",
+                STANDARD.encode(points)
+            );
+        }
+        (None, None) => {}
     }
     report.nodes.iter().for_each(|node| node_section(&mut page, report, node));
     for one in &report.unreadable {
@@ -58,23 +66,61 @@ pub fn render(report: &Report) -> String {
             escape(&one.to_string())
         );
     }
-    let _ = write!(
-        page,
-        "<script type=\"module\">\n{}\n{SHOW}</script>\n</body></html>\n",
-        CLOUD_VIEW.replace("export class", "class")
-    );
+    let _ = writeln!(page, "<script>\n{DATES}</script>");
+    if playing.is_none() && report.cloud.is_some() {
+        let _ = writeln!(page, "<script>{}\n{SHOW}</script>", cloud_view());
+    }
     page
 }
 
-/// Dates in the reader's own time, and the cloud.
-const SHOW: &str = r#"
-for (const time of document.querySelectorAll("time")) time.textContent = new Date(Number(time.dataset.ns) / 1e6).toLocaleString();
-const points = document.getElementById("points");
-if (points) {
-  const bytes = Uint8Array.from(atob(points.textContent), (c) => c.charCodeAt(0));
-  const canvas = document.getElementById("cloud");
-  canvas.dataset.points = String(new CloudView(canvas).show([bytes.buffer]));
+/// The class that draws clouds, for a script that is no module.
+fn cloud_view() -> String {
+    CLOUD_VIEW.replace("export class", "class")
 }
+
+/// What plays the frame sets. Its script runs as soon as it is read, before the frame sets are.
+fn player(page: &mut String, trigger_rate_hz: f64, playing: &Playing) {
+    let triggers: Vec<String> = playing.triggers().map(|trigger| trigger.to_string()).collect();
+    let speeds = [1, 2, 4, 8, 16].map(|slow| {
+        let chosen = if slow == 4 { " selected" } else { "" };
+        format!("<option value=\"{}\"{chosen}>1/{slow}</option>", 1.0 / f64::from(slow))
+    });
+    let colours = ["intensity", "normals", "uncertainty"].map(|what| format!("<option>{what}</option>"));
+    let _ = write!(
+        page,
+        "<section id=\"player\" data-rate=\"{trigger_rate_hz}\" data-triggers=\"{}\"><h2>The body</h2>\
+         <div class=\"stage\"><canvas id=\"cloud\" tabindex=\"0\" aria-label=\"point cloud: arrow keys, plus and minus turn and \
+         move it; space plays, comma and full stop step; click two points to measure\"></canvas>\
+         <i class=\"picked\" hidden></i><i class=\"picked\" hidden></i></div>\
+         <div class=\"controls\"><button name=\"play\">Play</button>\
+         <input name=\"place\" type=\"range\" min=\"0\" max=\"{}\" value=\"0\" aria-label=\"frame set\">\
+         <label>speed <select name=\"speed\">{}</select></label>\
+         <label>colour <select name=\"colour\">{}</select></label><output></output></div>\
+         <p><output></output></p><p class=\"soft\">At most {} points of each frame set, in tenths of a millimetre. Click \
+         two points for their distance.</p></section>\n<script>{}\n{PLAYER}\n{PLAY}</script>\n",
+        triggers.join(","),
+        triggers.len().saturating_sub(1),
+        speeds.concat(),
+        colours.concat(),
+        playing.points_each(),
+        cloud_view()
+    );
+}
+
+/// Dates in the reader's own time.
+const DATES: &str = r#"
+for (const time of document.querySelectorAll("time")) time.textContent = new Date(Number(time.dataset.ns) / 1e6).toLocaleString();
+"#;
+
+/// The one cloud.
+const SHOW: &str = r#"
+const bytes = Uint8Array.from(atob(document.getElementById("points").textContent), (c) => c.charCodeAt(0));
+const canvas = document.getElementById("cloud");
+canvas.dataset.points = String(new CloudView(canvas).show([bytes.buffer]));
+"#;
+
+const PLAY: &str = r#"
+const player = new Player(document.getElementById("player"), new CloudView(document.getElementById("cloud")));
 "#;
 
 /// The session in a word, and how good that is.

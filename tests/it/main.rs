@@ -69,6 +69,8 @@ mod merging;
 mod object_store;
 #[cfg(feature = "aravis")]
 mod plan_faults;
+#[cfg(feature = "aravis")]
+mod player;
 mod profiles;
 mod recording;
 mod recording_commands;

@@ -28,7 +28,7 @@ const CAMERAS: [&str; 2] = ["h0_up", "h0_low"];
 const SIZE: (usize, usize) = (1920, 1200);
 
 /// Centre and radius of the ball, m.
-const BALL: ([f64; 3], f64) = ([0.05, -0.02, 1.03], 0.2);
+pub const BALL: ([f64; 3], f64) = ([0.05, -0.02, 1.03], 0.2);
 
 /// A ball with the marker on it, as both cameras of the first head see it.
 fn light() -> &'static [Plane<u8>; 2] {
@@ -84,7 +84,7 @@ impl Place {
 }
 
 /// The paths as arguments.
-fn run(words: &[&str], paths: &[(&str, &Path)]) -> Output {
+pub fn run(words: &[&str], paths: &[(&str, &Path)]) -> Output {
     let mut args: Vec<String> = words.iter().map(|word| (*word).to_owned()).collect();
     for (option, path) in paths {
         args.extend([(*option).to_owned(), path.display().to_string()].into_iter().filter(|x| !x.is_empty()));
