@@ -219,7 +219,8 @@ def turned_back(devices, images, program, work, step):
     others = [k for k in range(0, len(images["left"]), SHIFTS) if k not in scored(images, step)]
     pair, before = write_pair(work, images, others, devices, 0)
     after = work / "corrected.json"
-    answer = subprocess.run([program, "calibration", "check", pair, "--calibration", before, "--corrected", after, "--json"],
+    answer = subprocess.run([program, "calibration", "check", pair, "--calibration", before, "--corrected", after,
+                             "--frame-sets", str(len(others)), "--json"],
                             capture_output=True, text=True)
     if not after.exists():
         print(f"fourdbody does not tell how the devices have turned: {answer.stderr.strip()}")
