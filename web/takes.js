@@ -1,7 +1,7 @@
 // The takes on the disks, newest first: verdict, causes, rating and note, and a search.
 
 import { $, count, make, text } from "/elements.js";
-import { node } from "/node-client.js";
+import { Refused, node } from "/node-client.js";
 import { openLook } from "/quick-look.js";
 import { nodes, sessionsUnderWay, told } from "/told.js";
 import { causesOf, kindOf, worstOf } from "/verdict.js";
@@ -21,11 +21,11 @@ export async function refreshTakes() {
   const lists = await Promise.all(all.map(({ peer, status }) => (status ? node.sessions(peer, LISTED, search).catch(() => null) : null)));
   if (search !== $("search").value.trim()) return;
   if (search !== known.search) Object.assign(known, { search, lists: new Map() });
-  all.forEach(({ name, peer }, i) => {
+  all.forEach(({ name }, i) => {
     if (lists[i]) known.lists.set(name, lists[i]);
     for (const entry of known.lists.get(name) ?? []) {
       const session = found.get(entry.name) ?? { name: entry.name, created_ns: entry.created_ns, parts: [] };
-      session.parts.push({ node: name, peer, entry });
+      session.parts.push({ node: name, entry });
       found.set(entry.name, session);
     }
   });
@@ -57,7 +57,7 @@ function sumUp({ name, created_ns, parts }, silent) {
   if (unknown.length) causes.push(`what node ${unknown.join(", ")} has of it is not known now`);
   const { subject, note } = parts[0].entry;
   const remark = parts.map(({ entry }) => entry.remark).find(Boolean) ?? {};
-  return { name, created_ns, word, kind: unknown.length && word === "complete" ? "warn" : kindOf(word), frames, expected, causes, subject, note, remark, peers: parts.map(({ peer }) => peer) };
+  return { name, created_ns, word, kind: unknown.length && word === "complete" ? "warn" : kindOf(word), frames, expected, causes, subject, note, remark };
 }
 
 function row(take) {
@@ -87,11 +87,20 @@ function remarkOf(take) {
   const look = make("button", { type: "button", textContent: "Look", onclick: () => openLook(take.name, true) });
   look.setAttribute("aria-label", `quick look at ${take.name}`);
   const mark = () => RATINGS.forEach(([rating], i) => buttons[i].setAttribute("aria-pressed", String(remark.rating === rating)));
-  async function keep(change) {
+  let kept = Promise.resolve();
+  /** One after the other: what was said last is what stays. */
+  function keep(change) {
     Object.assign(remark, change);
     mark();
-    const kept = await Promise.allSettled(take.peers.map((peer) => node.remark(peer, take.name, remark)));
-    text(problem, kept.filter(({ status }) => status === "rejected").map(({ reason }) => `not kept: ${reason.message}`).join("; "));
+    const said = { ...remark };
+    kept = kept.then(() => tell(said));
+  }
+  async function tell(said) {
+    const told = await Promise.allSettled(nodes().map(({ peer }) => node.remark(peer, take.name, said)));
+    const failed = told.flatMap(({ reason }) => reason ?? []);
+    // A node that has no part of the take has nothing to keep.
+    const wrong = failed.filter((error) => !(error instanceof Refused && error.status === 404) || failed.length === told.length);
+    text(problem, wrong.map((error) => `not kept: ${error.message}`).join("; "));
   }
   mark();
   return make("div", {}, make("div", { className: "remark", role: "group" }, ...buttons, note, look), problem);
