@@ -57,7 +57,11 @@ inside fourdbody token list --tokens /var/lib/fourdbody/tokens
 doctor=$(grep -A1 '^sudo prlimit' docs/guide/installing.md | tr -d '\\\n' | sed 's/^sudo //')
 inside $doctor >"$root/tmp/doctor.txt" || true
 cat "$root/tmp/doctor.txt"
-! grep -iE 'packet socket|real-time|locked memory' "$root/tmp/doctor.txt" | grep -iE '^ *(bad|unfit|error)'
+grep -qE '^ok +packet socket' "$root/tmp/doctor.txt"
+if grep -E '^(warning|failed) +(real-time priority|memory lock)' "$root/tmp/doctor.txt"; then
+    echo "error: the guide's command for doctor has not the rights of the service" >&2
+    exit 1
+fi
 
 step "an upgrade keeps the configuration"
 echo "# mine" >>"$root/etc/fourdbody/rig.toml"

@@ -10,10 +10,9 @@ import { losses, showStage } from "/stage.js";
 import { refreshTakes } from "/takes.js";
 import { refreshPictures, showTiles } from "/tiles.js";
 import { showTimeLine } from "/time-line.js";
-import { isPreview, nodes, take, told } from "/told.js";
+import { GONE_S, isPreview, nodes, silence_s, take, told } from "/told.js";
 
 const POLL_MS = 300;
-const GONE_S = 1.6;
 
 /** Shows everything anew: ages grow although nothing is told. */
 function show() {
@@ -29,7 +28,7 @@ function show() {
 }
 
 function watchConnection() {
-  const silent = performance.now() / 1000 - told.at.status;
+  const silent = silence_s();
   const gone = silent > GONE_S;
   $("gone").hidden = !gone;
   $("console").classList.toggle("stale", gone);

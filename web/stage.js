@@ -1,7 +1,7 @@
 // State and verdict in letters that are read from three metres.
 
 import { $, count, text } from "/elements.js";
-import { isPreview, lossOf, nodes, problems, sessionsUnderWay, told } from "/told.js";
+import { GONE_S, isPreview, lossOf, nodes, problems, sessionsUnderWay, silence_s, told } from "/told.js";
 import { lastVerdict } from "/verdict.js";
 
 /** Triggers as seconds. */
@@ -13,6 +13,7 @@ function clock(triggers, asked) {
 
 /** Where everything stands: {kind, word, clock, detail, share}. */
 export function state() {
+  if (silence_s() > GONE_S) return { kind: "bad", word: "NO ANSWER", detail: `node ${told.status.node} gives none: nothing here is current` };
   const trouble = problems();
   const more = trouble.length ? [trouble.join("\n")] : [];
   const capture = told.capture;

@@ -3,7 +3,13 @@
 /** A status that is older than this is told with its age; devices that do not answer hold a node up for some seconds. */
 export const OLD_S = 3;
 
+/** A page whose own node has not answered for so long shows nothing that is current. */
+export const GONE_S = 1.6;
+
 const now = () => performance.now() / 1000;
+
+/** For how long the node that served this page has not answered, s. */
+export const silence_s = () => now() - told.at.status;
 
 /** `at`: when each was told. `last`: each node's last status, by name, with the time; it stays when the node is gone. */
 export const told = { status: null, peers: [], capture: null, role: "view", at: { status: now(), peers: now(), capture: now() }, last: new Map() };

@@ -99,6 +99,7 @@ fn an_operator_sees_what_happens() {
     log_out_and_in(&browser, dir.path());
     nodes[0].kill();
     browser.wait("told that the node is gone", "return !document.getElementById('gone').hidden");
+    browser.wait_word("NO ANSWER");
     browser.keep("node-gone");
 }
 
