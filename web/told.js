@@ -83,6 +83,7 @@ export function problems() {
 
 /** Why nothing can be started now; null when it can. A part of the rig is enough where that is asked for. */
 export function notReady(partial) {
+  if (silence_s() > GONE_S) return `node ${told.status.node} does not answer`;
   const [first] = problems();
   if (first) return first;
   const known = nodes();

@@ -221,7 +221,7 @@ pub fn new_token(dir: &Path, name: &str, role: &str, replace: bool) {
     assert!(output.status.success(), "{}", text_of(&output));
 }
 
-/// Gives each of the two nodes a list of its own, with one operator (`NODE/otto.token`) and the other node, and starts
+/// Gives each node a list of its own, with one operator (`NODE/otto.token`) and the other node, and starts
 /// them. The files of the operator's tokens, in the nodes' order, as `--token-file` takes them.
 pub fn start_with_own_tokens(laboratory: &Laboratory, dir: &Path) -> (Vec<NodeProcess>, String) {
     let of = |node: &str| dir.join(node).join("otto.token");
@@ -243,7 +243,9 @@ pub fn start_with_own_tokens(laboratory: &Laboratory, dir: &Path) -> (Vec<NodePr
         nodes.push(node);
     }
     nodes.iter_mut().for_each(|node| drop(node.wait_ready()));
-    (nodes, format!("{},{}", of("a").display(), of("b").display()))
+    let files: Vec<String> =
+        laboratory.nodes.iter().map(|n| of(n.node.as_str()).display().to_string()).collect();
+    (nodes, files.join(","))
 }
 
 fn free_port() -> u16 {

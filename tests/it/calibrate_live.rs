@@ -52,7 +52,7 @@ fn an_operator_is_led_to_a_calibration() {
         Arc::new(Walk([dark.clone(), dark].into_iter().chain(good).collect()))
     })
     .expect("the laboratory starts");
-    // Each node has a token of its own for the operator.
+    // A node takes nobody without a token of its own.
     let (_nodes, tokens) = start_with_own_tokens(&laboratory, dir.path());
 
     let (rig_file, out) = (dir.path().join("rig-nominal.toml"), dir.path().join("calibration.json"));

@@ -100,6 +100,7 @@ fn an_operator_sees_what_happens() {
     nodes[0].kill();
     browser.wait("told that the node is gone", "return !document.getElementById('gone').hidden");
     browser.wait_word("NO ANSWER");
+    browser.wait("nothing can be begun", "return document.getElementById('start').disabled");
     browser.keep("node-gone");
 }
 
