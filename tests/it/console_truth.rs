@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the console says is so: in a real browser, before real nodes whose devices and processes fail. About a minute.
+//! What the console says is so: in a real browser, before real nodes whose devices and processes fail. Two minutes on two
+//! busy cores.
 
 use crate::browser::Browser;
 use crate::lab::{NodeProcess, SIZE, options, small_rig, start, start_nodes};
