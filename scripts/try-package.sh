@@ -49,6 +49,20 @@ for unit in fourdbody-node fourdbody-worker; do
 done
 inside fourdbody check-config /etc/fourdbody/node.toml /etc/fourdbody/worker.toml
 
+step "the guide's own words: tokens for the service, and is this host fit"
+# Only sudo is missing in a minimal Debian; the doctor's verdict is on a host without cards and HSU.
+grep -E '^sudo -u fourdbody fourdbody token new' docs/guide/installing.md | sed 's/^sudo -u fourdbody //' >"$root/tmp/guide.sh"
+inside setpriv --reuid=fourdbody --regid=fourdbody --init-groups sh -e /tmp/guide.sh
+inside fourdbody token list --tokens /var/lib/fourdbody/tokens
+doctor=$(grep -A1 '^sudo prlimit' docs/guide/installing.md | tr -d '\\\n' | sed 's/^sudo //')
+inside $doctor >"$root/tmp/doctor.txt" || true
+cat "$root/tmp/doctor.txt"
+grep -qE '^ok +packet socket' "$root/tmp/doctor.txt"
+if grep -E '^(warning|failed) +(real-time priority|memory lock)' "$root/tmp/doctor.txt"; then
+    echo "error: the guide's command for doctor has not the rights of the service" >&2
+    exit 1
+fi
+
 step "an upgrade keeps the configuration"
 echo "# mine" >>"$root/etc/fourdbody/rig.toml"
 inside dpkg -i --force-confold /tmp/fourdbody.deb >/dev/null

@@ -37,6 +37,7 @@ const look = (peer, session) => at(peer, `/sessions/${encodeURIComponent(session
 
 export const node = {
   login: (token) => post("/login", { token }),
+  logout: () => post("/logout"),
   identity: () => get("/identity"),
   status: () => get("/status"),
   peers: () => get("/peers"),
@@ -48,7 +49,8 @@ export const node = {
   /** A blob, or null before the first picture. */
   picture: (peer, camera) =>
     ask(at(peer, `/previews/${encodeURIComponent(camera)}`)).then((answer) => (answer.status === 204 ? null : answer.blob())),
-  sessions: (peer) => get(at(peer, "/sessions")),
+  sessions: (peer, limit, search) => get(at(peer, `/sessions?limit=${limit}&search=${encodeURIComponent(search)}`)),
+  remark: (peer, session, remark) => post(at(peer, `/sessions/${encodeURIComponent(session)}/remark`), remark),
   look: (peer, session) => get(look(peer, session)),
   askLook: (peer, session) => post(look(peer, session)),
   cloud: (peer, session, trigger) => ask(`${look(peer, session)}/${trigger}`, {}, 20000).then((answer) => answer.arrayBuffer()),

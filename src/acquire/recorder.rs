@@ -109,6 +109,8 @@ pub struct Progress {
     pub high_water: AtomicU64,
     /// Most frames that were in the ring at any time.
     pub ring_high_water: AtomicU64,
+    /// Frames in the ring now.
+    pub ring: AtomicU64,
     /// Frames dropped because the ring was full.
     pub dropped: AtomicU64,
     /// How long frames took.
@@ -138,6 +140,7 @@ impl Progress {
             writer_turns: AtomicU64::new(0),
             high_water: AtomicU64::new(0),
             ring_high_water: AtomicU64::new(0),
+            ring: AtomicU64::new(0),
             dropped: AtomicU64::new(0),
             latencies: Latencies::default(),
         }

@@ -13,7 +13,7 @@ use crate::record::{
 };
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -77,8 +77,8 @@ impl Sink for Recording {
 /// The matching thread's end.
 pub(super) struct Ring {
     items: Option<Sender<ToWriter>>,
-    /// Frames in it.
-    frames: Arc<AtomicUsize>,
+    /// Whose `ring` counts the frames in it.
+    progress: Arc<Progress>,
     capacity: usize,
     /// Small records that found no room: their gaps are accounted for at the end.
     pub(super) refused: u64,
@@ -94,18 +94,18 @@ impl Ring {
         events: Sender<RecorderEvent>,
     ) -> std::io::Result<Self> {
         let (items, inbox) = bounded(capacity + SMALL_RECORDS);
-        let frames = Arc::new(AtomicUsize::new(0));
-        let writer = Writer { sink, inbox, frames: Arc::clone(&frames), progress, events, failed: false };
+        progress.ring.store(0, Ordering::Relaxed);
+        let writer = Writer { sink, inbox, progress: Arc::clone(&progress), events, failed: false };
         let thread = std::thread::Builder::new().name("writer".to_owned()).spawn(move || {
             crate::host::realtime::enter_configured("writer");
             writer.run()
         })?;
-        Ok(Self { items: Some(items), frames, capacity, refused: 0, writer: Some(thread) })
+        Ok(Self { items: Some(items), progress, capacity, refused: 0, writer: Some(thread) })
     }
 
     /// Frames in the ring.
     pub(super) fn len(&self) -> usize {
-        self.frames.load(Ordering::Relaxed)
+        usize::try_from(self.progress.ring.load(Ordering::Relaxed)).unwrap_or(usize::MAX)
     }
 
     /// Whether so many frames fit now. Only this end adds, so that what fits now fits.
@@ -115,7 +115,7 @@ impl Ring {
 
     /// Passes an admitted frame on.
     pub(super) fn frame(&mut self, frame: ReadyFrame) {
-        self.frames.fetch_add(1, Ordering::Relaxed);
+        self.progress.ring.fetch_add(1, Ordering::Relaxed);
         self.small(ToWriter::Frame(frame));
     }
 
@@ -126,7 +126,7 @@ impl Ring {
         {
             self.refused += 1;
             if let ToWriter::Frame(_) = error.into_inner() {
-                self.frames.fetch_sub(1, Ordering::Relaxed);
+                self.progress.ring.fetch_sub(1, Ordering::Relaxed);
             }
         }
     }
@@ -147,7 +147,6 @@ impl Ring {
 struct Writer {
     sink: Box<dyn Sink>,
     inbox: Receiver<ToWriter>,
-    frames: Arc<AtomicUsize>,
     progress: Arc<Progress>,
     events: Sender<RecorderEvent>,
     failed: bool,
@@ -187,7 +186,7 @@ impl Writer {
             // The recording has accounted for a frame that it could not write.
             None => self.progress.gap(camera, GapCause::DroppedDisk),
         }
-        self.frames.fetch_sub(1, Ordering::Relaxed);
+        self.progress.ring.fetch_sub(1, Ordering::Relaxed);
         self.progress.latencies.written.record(entered.elapsed());
         self.progress.latencies.total.record(taken.elapsed());
         self.judge(written);

@@ -130,6 +130,17 @@ impl Auth {
         }
     }
 
+    /// The same for a login, in the words of somebody who has typed a token.
+    pub(super) fn refused_login(&self, link: &Link) -> Refusal {
+        let refusal = self.refused(link);
+        if refusal.status != StatusCode::UNAUTHORIZED {
+            return refusal;
+        }
+        let message = "this node does not know the token: see that all of it was copied, and that it is one of this node; \
+                       whoever runs the node makes another with `fourdbody token new`";
+        Refusal::new(StatusCode::UNAUTHORIZED, message)
+    }
+
     /// Who asks, and what proves to them that this node knows their token, where they showed it by a proof.
     fn identify(&self, link: &Link, request: &Request, cookie: &str) -> Option<(Caller, Option<String>)> {
         let headers = request.headers();

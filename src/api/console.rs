@@ -8,19 +8,47 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 
+const HTML: &str = "text/html; charset=utf-8";
+const STYLE: &str = "text/css; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const ICON: &str = "image/svg+xml";
+
+/// Files of `web/` that are served under their own names.
+macro_rules! served {
+    ($($kind:ident $name:literal),+ $(,)?) => {
+        [$((concat!("/", $name), $kind, include_str!(concat!("../../web/", $name)))),+]
+    };
+}
+
 /// The files of `web/`, with where they are served and as what.
-const FILES: [(&str, &str, &str); 6] = [
-    ("/", "text/html; charset=utf-8", include_str!("../../web/index.html")),
-    ("/console.css", "text/css; charset=utf-8", include_str!("../../web/console.css")),
-    ("/console.js", "text/javascript; charset=utf-8", include_str!("../../web/console.js")),
-    ("/node-client.js", "text/javascript; charset=utf-8", include_str!("../../web/node-client.js")),
-    ("/cloud-view.js", "text/javascript; charset=utf-8", include_str!("../../web/cloud-view.js")),
-    ("/icon.svg", "image/svg+xml", include_str!("../../web/icon.svg")),
+const FILES: [(&str, &str, &str); 20] = served![
+    HTML "subject.html",
+    STYLE "console.css",
+    STYLE "tiles.css",
+    STYLE "subject.css",
+    SCRIPT "cloud-view.js",
+    SCRIPT "console.js",
+    SCRIPT "controls.js",
+    SCRIPT "elements.js",
+    SCRIPT "header.js",
+    SCRIPT "node-client.js",
+    SCRIPT "quick-look.js",
+    SCRIPT "sound.js",
+    SCRIPT "stage.js",
+    SCRIPT "subject.js",
+    SCRIPT "takes.js",
+    SCRIPT "tiles.js",
+    SCRIPT "time-line.js",
+    SCRIPT "told.js",
+    SCRIPT "verdict.js",
+    ICON "icon.svg",
 ];
+/// What is there when nothing is named.
+const PAGE: (&str, &str, &str) = ("/", HTML, include_str!("../../web/index.html"));
 
 /// Their routes.
 pub(super) fn pages() -> Router<Shared> {
-    FILES.into_iter().fold(Router::new(), |router, (path, kind, text)| {
+    FILES.into_iter().chain([PAGE]).fold(Router::new(), |router, (path, kind, text)| {
         let answer = move || async move { file(kind, text) };
         router.route(path, get(answer))
     })

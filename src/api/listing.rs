@@ -6,8 +6,10 @@
 //! answered by one look.
 
 use crate::base::ids::NodeId;
+use crate::capture::numbering::free_in;
 use crate::record::catalogue::{CatalogueEntry, entry};
 use crate::record::node_dir;
+use crate::record::remark::Remark;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -25,8 +27,9 @@ const PAUSE: Duration = Duration::from_millis(250);
 pub type Told = Option<String>;
 
 enum Ask {
-    Newest(usize, oneshot::Sender<Told>),
+    Newest(usize, String, oneshot::Sender<Told>),
     One(String, oneshot::Sender<Told>),
+    Free(String, oneshot::Sender<Result<String, String>>),
 }
 
 /// Asks the thread; it ends when the last of these is dropped.
@@ -52,12 +55,20 @@ impl Listing {
         Ok(Self { asks })
     }
 
-    /// The newest so many recordings, newest first.
+    /// The newest so many recordings, newest first; those that have this text in name, subject or notes.
     ///
     /// # Errors
     /// Too many ask.
-    pub async fn newest(&self, limit: usize) -> Result<Told, Busy> {
-        self.ask(|reply| Ask::Newest(limit, reply)).await
+    pub async fn newest(&self, limit: usize, search: &str) -> Result<Told, Busy> {
+        self.ask(|reply| Ask::Newest(limit, search.to_lowercase(), reply)).await
+    }
+
+    /// The first name from this one on under which nothing is recorded; or what is wrong with it.
+    ///
+    /// # Errors
+    /// Too many ask.
+    pub async fn free(&self, wanted: String) -> Result<Result<String, String>, Busy> {
+        self.ask(|reply| Ask::Free(wanted, reply)).await
     }
 
     /// The recording of this name.
@@ -68,7 +79,7 @@ impl Listing {
         self.ask(|reply| Ask::One(name, reply)).await
     }
 
-    async fn ask(&self, ask: impl FnOnce(oneshot::Sender<Told>) -> Ask) -> Result<Told, Busy> {
+    async fn ask<T>(&self, ask: impl FnOnce(oneshot::Sender<T>) -> Ask) -> Result<T, Busy> {
         let (reply, answer) = oneshot::channel();
         match self.asks.try_send(ask(reply)) {
             Ok(()) => answer.await.map_err(|_| Busy),
@@ -81,6 +92,8 @@ impl Listing {
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Stamp {
     made: SystemTime,
+    /// When somebody last said what they think of it.
+    remarked: Option<SystemTime>,
     /// Of the files, while it is not closed.
     bytes: u64,
     written: Option<SystemTime>,
@@ -90,6 +103,8 @@ struct Known {
     stamp: Stamp,
     created_ns: u64,
     closed: bool,
+    /// What is searched, in small letters.
+    text: String,
     json: String,
 }
 
@@ -111,17 +126,18 @@ impl Index {
             self.look();
             for ask in asks {
                 // Whoever asked may be gone.
-                let _ = match ask {
-                    Ask::Newest(limit, reply) => reply.send(Some(self.newest(limit))),
-                    Ask::One(name, reply) => reply.send(self.one(&name)),
-                };
+                match ask {
+                    Ask::Newest(limit, search, reply) => drop(reply.send(Some(self.newest(limit, &search)))),
+                    Ask::One(name, reply) => drop(reply.send(self.one(&name))),
+                    Ask::Free(name, reply) => drop(reply.send(free_in(&self.sessions_dir, &name))),
+                }
             }
             looked = Instant::now();
         }
     }
 
-    fn newest(&self, limit: usize) -> String {
-        let mut known: Vec<&Known> = self.known.values().collect();
+    fn newest(&self, limit: usize, search: &str) -> String {
+        let mut known: Vec<&Known> = self.known.values().filter(|k| k.text.contains(search)).collect();
         known.sort_by_key(|known| std::cmp::Reverse(known.created_ns));
         let listed: Vec<&str> = known.into_iter().take(limit).map(|known| known.json.as_str()).collect();
         format!("[{}]", listed.join(","))
@@ -146,10 +162,13 @@ impl Index {
         found.truncate(LISTED_MAX);
         let mut before = std::mem::take(&mut self.known);
         for (made, name) in found {
+            let session = self.sessions_dir.join(&name);
+            let remarked = Remark::written(&session, &self.node);
+            let same = |known: &Known| known.stamp.made == made && known.stamp.remarked == remarked;
             let known = match before.remove(&name) {
-                Some(known) if known.closed && known.stamp.made == made => Some(known),
+                Some(known) if known.closed && same(&known) => Some(known),
                 known => {
-                    let stamp = stamp(&node_dir(&self.sessions_dir.join(&name), &self.node), made);
+                    let stamp = stamp(&node_dir(&session, &self.node), made, remarked);
                     known.filter(|known| known.stamp == stamp).or_else(|| self.read(&name, stamp))
                 }
             };
@@ -160,15 +179,18 @@ impl Index {
     fn read(&self, name: &str, stamp: Stamp) -> Option<Known> {
         let entry: CatalogueEntry = entry(&self.sessions_dir, &self.node, name)?;
         let json = serde_json::to_string(&entry).ok()?;
-        Some(Known { stamp, created_ns: entry.created_ns, closed: entry.verdict.is_some(), json })
+        let remark = entry.remark.and_then(|remark| remark.note);
+        let texts = [Some(entry.name), entry.subject, entry.note, remark];
+        let text = texts.into_iter().flatten().collect::<Vec<_>>().join("\n").to_lowercase();
+        Some(Known { stamp, created_ns: entry.created_ns, closed: entry.verdict.is_some(), text, json })
     }
 }
 
-fn stamp(dir: &Path, made: SystemTime) -> Stamp {
+fn stamp(dir: &Path, made: SystemTime, remarked: Option<SystemTime>) -> Stamp {
     let files = std::fs::read_dir(dir).into_iter().flatten().flatten();
     let files: Vec<_> = files.filter_map(|file| file.metadata().ok()).collect();
     let bytes = files.iter().map(std::fs::Metadata::len).sum();
-    Stamp { made, bytes, written: files.iter().filter_map(|file| file.modified().ok()).max() }
+    Stamp { made, remarked, bytes, written: files.iter().filter_map(|file| file.modified().ok()).max() }
 }
 
 /// From now on this thread has what nobody else wants.
@@ -185,7 +207,7 @@ fn idle() {
 
 #[cfg(test)]
 mod tests {
-    use super::Index;
+    use super::{Index, Remark};
     use crate::base::ids::NodeId;
     use std::collections::BTreeMap;
 
@@ -198,13 +220,25 @@ mod tests {
             Index { sessions_dir: dir.path().to_owned(), node: NodeId::from("a"), known: BTreeMap::new() };
         let mut listed = || {
             index.look();
-            index.newest(10)
+            index.newest(10, "")
         };
         std::fs::write(node_dir.join("segment-000.mcap"), b"").expect("written");
         assert!(listed().contains(r#""name":"walk""#) && listed().contains(r#""bytes":0"#));
         std::fs::write(node_dir.join("segment-000.mcap"), b"12345").expect("written");
         assert!(listed().contains(r#""bytes":5"#), "{}", listed());
+        let remark = Remark { rating: None, note: Some("Left ARM".to_owned()) };
+        remark.save(&dir.path().join("walk"), &NodeId::from("a")).expect("writable");
+        assert!(listed().contains("Left ARM"), "{}", listed());
+        let mut found = |search: &str| {
+            index.look();
+            index.newest(10, search).contains("walk")
+        };
+        assert!(found("alk") && found("left arm") && !found("right"));
         std::fs::remove_dir_all(dir.path().join("walk")).expect("mine");
+        let mut listed = || {
+            index.look();
+            index.newest(10, "")
+        };
         assert_eq!(listed(), "[]");
         assert_eq!(index.one("../walk"), None);
     }

@@ -116,6 +116,7 @@ impl Shared {
             // The writer only assigns: what it left is whole.
             Err(poisoned) => poisoned.into_inner().clone(),
         };
+        status.age_s = status.published.map_or(0.0, |at| at.elapsed().as_secs_f64());
         status.warnings.extend(self.transport_warnings.iter().cloned());
         status.warnings.extend(self.auth.warning());
         status.warnings.extend(self.audit.warning());

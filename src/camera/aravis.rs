@@ -70,7 +70,7 @@ impl CameraBackend for AravisCameras {
 
     fn open(&mut self, address: &str) -> Result<Box<dyn Camera>, CameraError> {
         let not_found =
-            |e: glib::Error| CameraError::NotFound { address: address.to_owned(), detail: e.to_string() };
+            |e: glib::Error| CameraError::NotFound { address: address.to_owned(), detail: said(&e) };
         let camera = aravis::Camera::new(Some(address)).map_err(not_found)?;
         let device = camera
             .device()
@@ -112,7 +112,31 @@ struct AravisCamera {
 }
 
 fn link_error(doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
-    move |e| CameraError::Link { doing, detail: e.to_string() }
+    move |e| CameraError::Link { doing, detail: said(&e) }
+}
+
+/// What Aravis says, for people: without the GenICam nodes that it went through, `[Width] [WidthReg] ...`, which go to
+/// the log.
+fn said(error: &glib::Error) -> String {
+    let whole = error.message();
+    let short = without_nodes(whole);
+    if short != whole {
+        tracing::debug!("Aravis: {whole}");
+    }
+    short.to_owned()
+}
+
+/// A message without the names in brackets before it.
+fn without_nodes(message: &str) -> &str {
+    let mut text = message.trim();
+    while let Some((_, rest)) = text.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        // Where there is nothing but names they are all that is known.
+        if rest.trim().is_empty() {
+            return message.trim();
+        }
+        text = rest.trim_start();
+    }
+    text
 }
 
 impl AravisCamera {
@@ -458,5 +482,19 @@ impl Drop for AravisStream {
         }
         // Those on their way back would otherwise wait in the channel for the last frame that is still out.
         self.returns.try_iter().for_each(drop);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::without_nodes;
+
+    #[test]
+    fn people_are_not_told_the_nodes_of_genicam() {
+        let trace = "[GevTimestampValue] [GevTimestampReg] GigEVision read_memory timeout";
+        assert_eq!(without_nodes(trace), "GigEVision read_memory timeout");
+        assert_eq!(without_nodes("Device 'x' not found [1]"), "Device 'x' not found [1]");
+        assert_eq!(without_nodes("[Width]"), "[Width]");
+        assert_eq!(without_nodes(""), "");
     }
 }

@@ -34,6 +34,10 @@ pub struct CaptureState {
     pub takes: Vec<serde_json::Value>,
     /// Why the series ended with a failure.
     pub fault: Option<Fault>,
+    /// Where the operator ended it before its last take: what became of the take that was under way.
+    pub stopped: Option<String>,
+    /// The operator asked for an end.
+    pub asked_to_end: bool,
 }
 
 /// Runs captures.
@@ -80,6 +84,8 @@ impl Coordinator {
             running: true,
             takes: Vec::new(),
             fault: None,
+            stopped: None,
+            asked_to_end: false,
         });
         let this = self.clone();
         let run = move || this.run(&series, &control);
@@ -127,7 +133,11 @@ impl Coordinator {
         self.change(|state| {
             state.stage = None;
             state.running = false;
-            state.fault = ended.err().map(|(_, fault)| fault);
+            state.asked_to_end = control.was_asked();
+            match ended {
+                Ok(ended) => state.stopped = ended.stopped,
+                Err((_, fault)) => state.fault = Some(fault),
+            }
         });
     }
 

@@ -5,6 +5,7 @@
 pub mod coordinator;
 mod countdown;
 /// One node that takes part, over HTTP or in this process.
+pub mod numbering;
 pub mod participant;
 /// A node in a session looks after the other nodes of it.
 pub mod peer_watch;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node as whoever runs a session sees it: over the API, or from inside the node that coordinates.
 
+use super::numbering;
 use crate::base::{Exit, Fault};
 use crate::control::client::NodeClient;
 use crate::control::command::{Command, Reply, SharedStatus};
@@ -18,6 +19,8 @@ pub trait Participant: Send + Sync {
     fn status(&self) -> Result<NodeStatus, Fault>;
     /// Whether it takes connections at all, asked when it gave no status: a node that is only busy goes on.
     fn is_there(&self) -> bool;
+    /// The first name from this one on under which nothing is recorded there.
+    fn free_name(&self, wanted: &str) -> Result<String, Fault>;
     /// Prepares a session and waits until the node is ready.
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault>;
     /// Starts the train.
@@ -39,6 +42,10 @@ impl Participant for NodeClient {
 
     fn is_there(&self) -> bool {
         Self::is_there(self)
+    }
+
+    fn free_name(&self, wanted: &str) -> Result<String, Fault> {
+        Self::free_name(self, wanted)
     }
 
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault> {
@@ -92,6 +99,11 @@ impl Participant for LocalNode {
 
     fn is_there(&self) -> bool {
         true
+    }
+
+    fn free_name(&self, wanted: &str) -> Result<String, Fault> {
+        let sessions_dir = self.status()?.sessions_dir;
+        numbering::free_in(&sessions_dir, wanted).map_err(|e| Fault::new(Exit::Usage, e))
     }
 
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault> {

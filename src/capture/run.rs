@@ -51,18 +51,27 @@ pub const COUNTDOWN_MAX_S: u32 = 60;
 pub struct Control {
     stop: AtomicBool,
     abort: Mutex<Option<String>>,
+    /// Either was asked for at some time.
+    asked: AtomicBool,
 }
 
 impl Control {
     /// After the current trigger; what was recorded is a session as any other. Before the start: nothing is recorded.
     pub fn stop(&self) {
+        self.asked.store(true, Ordering::Release);
         self.stop.store(true, Ordering::Release);
     }
 
     /// Now; what was recorded is kept and says why it ended.
     pub fn abort(&self, reason: &str) {
+        self.asked.store(true, Ordering::Release);
         let mut abort = self.abort.lock().unwrap_or_else(PoisonError::into_inner);
         abort.get_or_insert_with(|| reason.to_owned());
+    }
+
+    /// Whether the operator asked for an end at any time, carried out or not.
+    pub fn was_asked(&self) -> bool {
+        self.asked.load(Ordering::Acquire)
     }
 
     /// Whether either was asked for; a stop is not forgotten.

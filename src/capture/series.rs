@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Several takes of the same: named in a row, with pauses, ended together.
 
+use super::numbering;
 use super::report::Captured;
 use super::run::{CaptureRequest, Control, Nodes, Stage, capture};
 use crate::base::{Exit, Fault};
@@ -20,6 +21,18 @@ pub struct Series {
     /// Seconds from the end of a take to the preparation of the next.
     #[serde(default)]
     pub pause_s: u32,
+    /// A name that a node has already gets the next free number instead of being refused.
+    #[serde(default)]
+    pub number: bool,
+}
+
+/// A series that came to its end.
+#[derive(Debug, Default)]
+pub struct Ended {
+    /// The takes, in their order.
+    pub takes: Vec<Captured>,
+    /// Where the operator ended it before its last take: what became of the take that was under way.
+    pub stopped: Option<String>,
 }
 
 fn one() -> u32 {
@@ -34,7 +47,7 @@ pub const PAUSE_MAX_S: u32 = 3600;
 impl Series {
     /// A single take.
     pub fn single(wish: CaptureRequest) -> Self {
-        Self { wish, takes: 1, pause_s: 0 }
+        Self { wish, takes: 1, pause_s: 0, number: false }
     }
 
     /// What is asked for, or what is wrong with it.
@@ -53,34 +66,45 @@ impl Series {
         Ok(())
     }
 
-    /// The wish of take 1, 2, ...
-    fn take(&self, number: u32) -> CaptureRequest {
+    /// The wish of take 1, 2, ...; `last` is the name of the take before it.
+    fn take(&self, nodes: Nodes<'_>, number: u32, last: Option<&str>) -> Result<CaptureRequest, Fault> {
         let mut wish = self.wish.clone();
-        if let Some(name) = wish.name.as_mut().filter(|_| self.takes > 1) {
+        let Some(name) = wish.name.as_mut() else { return Ok(wish) };
+        if self.takes > 1 {
             *name = format!("{name}-{number:02}");
         }
-        wish
+        if self.number && !wish.dry_run {
+            // After a take whose name was taken, the numbers go on from there.
+            let wanted = last.filter(|_| self.takes > 1).map_or_else(|| name.clone(), numbering::next);
+            *name = numbering::free_on_all(nodes, &wanted)?;
+        }
+        Ok(wish)
     }
 }
 
 /// Runs all takes. `progress` gets the number of the take and how far it is. A take that fails ends the series: what went
-/// before it is returned with the fault. Stopping a take ends the series after it.
+/// before it is returned with the fault. Stopping a take ends the series after it; one that is stopped before it has
+/// recorded anything is no fault of a series that has recorded others.
 pub fn run(
     nodes: Nodes<'_>,
     series: &Series,
     control: &Control,
     mut progress: impl FnMut(u32, &Stage),
     mut taken: impl FnMut(&Captured),
-) -> Result<Vec<Captured>, (Vec<Captured>, Fault)> {
-    let mut done = Vec::new();
+) -> Result<Ended, (Vec<Captured>, Fault)> {
+    let mut done: Vec<Captured> = Vec::new();
     if let Err(fault) = series.check() {
         return Err((done, fault));
     }
-    for number in 1..=series.takes {
+    let of = series.takes;
+    for number in 1..=of {
         let mut stopped = false;
-        let captured = capture(nodes, &series.take(number), control, |stage| {
-            stopped |= *stage == Stage::Stopping;
-            progress(number, stage);
+        let wish = series.take(nodes, number, done.last().map(Captured::name));
+        let captured = wish.and_then(|wish| {
+            capture(nodes, &wish, control, |stage| {
+                stopped |= *stage == Stage::Stopping;
+                progress(number, stage);
+            })
         });
         match captured {
             Ok(captured) => {
@@ -88,16 +112,25 @@ pub fn run(
                 let aborted = captured.verdict() == "aborted";
                 done.push(captured);
                 if stopped || aborted {
-                    break;
+                    let after = (number < of).then(|| format!("ended after take {number} of {of}"));
+                    return Ok(Ended { takes: done, stopped: after.filter(|_| control.was_asked()) });
                 }
+            }
+            Err(fault) if control.was_asked() && !done.is_empty() => {
+                let message = format!(
+                    "take {number} of {of} was ended before it recorded anything ({})",
+                    fault.message
+                );
+                return Ok(Ended { takes: done, stopped: Some(message) });
             }
             Err(fault) => return Err((done, fault)),
         }
-        if number < series.takes && !rest(Duration::from_secs(series.pause_s.into()), control) {
-            break;
+        if number < of && !rest(Duration::from_secs(series.pause_s.into()), control) {
+            let message = format!("ended after take {number} of {of}");
+            return Ok(Ended { takes: done, stopped: Some(message) });
         }
     }
-    Ok(done)
+    Ok(Ended { takes: done, stopped: None })
 }
 
 /// `false` when the series was ended meanwhile.
@@ -119,20 +152,24 @@ mod tests {
     fn takes_are_numbered_only_where_there_are_several() {
         let wish =
             CaptureRequest { name: Some("walk".to_owned()), triggers: Some(5), ..CaptureRequest::default() };
-        let name = |takes, number| Series { wish: wish.clone(), takes, pause_s: 0 }.take(number).name;
-        assert_eq!(name(1, 1).as_deref(), Some("walk"));
-        assert_eq!(name(3, 2).as_deref(), Some("walk-02"));
-        assert_eq!(Series { wish: CaptureRequest::default(), takes: 3, pause_s: 0 }.take(2).name, None);
+        let series = |wish, takes| Series { takes, ..Series::single(wish) };
+        let name = |wish: &CaptureRequest, takes, number| {
+            series(wish.clone(), takes).take(&[], number, None).expect("no node to ask").name
+        };
+        assert_eq!(name(&wish, 1, 1).as_deref(), Some("walk"));
+        assert_eq!(name(&wish, 3, 2).as_deref(), Some("walk-02"));
+        assert_eq!(name(&CaptureRequest::default(), 3, 2), None);
     }
 
     #[test]
     fn a_series_without_an_end_is_refused() {
         let wish = |triggers| CaptureRequest { triggers, ..CaptureRequest::default() };
-        assert!(Series { wish: wish(None), takes: 2, pause_s: 0 }.check().is_err());
-        assert!(Series { wish: wish(Some(0)), takes: 2, pause_s: 0 }.check().is_err());
-        assert!(Series { wish: wish(Some(3)), takes: TAKES_MAX + 1, pause_s: 0 }.check().is_err());
-        assert!(Series { wish: wish(Some(3)), takes: 0, pause_s: 0 }.check().is_err());
-        assert!(Series { wish: wish(Some(3)), takes: 2, pause_s: 0 }.check().is_ok());
+        let series = |triggers, takes| Series { takes, ..Series::single(wish(triggers)) };
+        assert!(series(None, 2).check().is_err());
+        assert!(series(Some(0), 2).check().is_err());
+        assert!(series(Some(3), TAKES_MAX + 1).check().is_err());
+        assert!(series(Some(3), 0).check().is_err());
+        assert!(series(Some(3), 2).check().is_ok());
         assert!(Series::single(wish(None)).check().is_ok());
     }
 }

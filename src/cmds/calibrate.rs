@@ -2,6 +2,7 @@
 //! `fourdbody calibrate`: from photographs of the board to `calibration.json`.
 
 use super::calibrate_live::{self, Live};
+use super::connect::Shown;
 use super::failure::{Failure, tell_lost};
 use super::reconstruct::open_source;
 use crate::base::Exit;
@@ -9,6 +10,7 @@ use crate::base::ids::CameraId;
 use crate::calibrate::joined::Joined;
 use crate::calibrate::stages::{Rigging, StageError};
 use crate::calibrate::{Board, Vertical, advice, compare, report, run as stages};
+use crate::capture::participant::Participant;
 use crate::config::Rig;
 use crate::data::{Calibration, FrameSource};
 use std::path::PathBuf;
@@ -34,6 +36,8 @@ pub struct Args {
     /// With --live: the nodes' URLs, separated by commas.
     #[arg(long, value_name = "URL,URL", value_delimiter = ',')]
     nodes: Vec<String>,
+    #[command(flatten)]
+    credentials: Shown,
     /// With --live: sessions are named NAME-p001 and so on.
     #[arg(long, value_name = "NAME", default_value = "calibration")]
     name: String,
@@ -70,7 +74,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let nominal = Calibration::nominal(&rig);
     let cameras: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
     let source = if args.live {
-        let live = Live { nodes: &args.nodes, base: args.name.clone(), triggers: args.triggers };
+        let nodes = args.credentials.clients(&args.nodes)?;
+        let nodes = nodes.into_iter().map(|node| Box::new(node) as Box<dyn Participant>).collect();
+        let live = Live { nodes, base: args.name.clone(), triggers: args.triggers };
         calibrate_live::run(&live, &nominal, &board)?
     } else {
         let mut joined = Joined::default();

@@ -2,11 +2,10 @@
 //! `fourdbody calibrate --live`: leads an operator through the positions of the board, one small session each.
 
 use super::capture::stop_on_ctrl_c;
-use super::connect::by_environment;
 use super::failure::Failure;
 use super::reconstruct::open_source;
+use crate::base::Exit;
 use crate::base::ids::CameraId;
-use crate::base::{Exit, Fault};
 use crate::calibrate::guide::Guide;
 use crate::calibrate::joined::Joined;
 use crate::calibrate::{Board, Finding, Position, views};
@@ -17,9 +16,9 @@ use std::io::BufRead;
 use std::sync::Arc;
 
 /// How the captures are made.
-pub struct Live<'a> {
-    /// The nodes' URLs.
-    pub nodes: &'a [String],
+pub struct Live {
+    /// The nodes.
+    pub nodes: Vec<Box<dyn Participant>>,
     /// Sessions are named BASE-p001 and so on.
     pub base: String,
     /// Triggers per position: white first, then fringes.
@@ -27,7 +26,7 @@ pub struct Live<'a> {
 }
 
 /// Asks for positions until everything is there or the operator ends it; gives their frames as one source.
-pub fn run(live: &Live<'_>, nominal: &Calibration, board: &Board) -> Result<Joined, Failure> {
+pub fn run(live: &Live, nominal: &Calibration, board: &Board) -> Result<Joined, Failure> {
     let cameras: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
     let mut guide = Guide::new(nominal, board);
     let mut joined = Joined::default();
@@ -95,20 +94,18 @@ fn say(line: &str) {
 
 /// Captures one position and opens its recordings.
 fn one_session(
-    live: &Live<'_>,
+    live: &Live,
     number: usize,
     cameras: &[CameraId],
     control: &Control,
 ) -> Result<Vec<Box<dyn FrameSource>>, Failure> {
-    let client = |url: &String| by_environment(url).map(|client| Box::new(client) as Box<dyn Participant>);
-    let nodes = live.nodes.iter().map(client).collect::<Result<Vec<_>, Fault>>()?;
     let wish = CaptureRequest {
         triggers: Some(live.triggers),
         name: Some(format!("{}-p{number:03}", live.base)),
         note: Some("calibration, one position of the board".to_owned()),
         ..CaptureRequest::default()
     };
-    let captured = capture(&nodes, &wish, control, |_| ())?;
+    let captured = capture(&live.nodes, &wish, control, |_| ())?;
     let open = |directory: std::path::PathBuf| {
         open_source(&directory, cameras).map_err(|e| {
             let message = format!(

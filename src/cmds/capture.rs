@@ -70,7 +70,7 @@ impl Args {
             countdown_s: self.countdown,
             on_behalf_of: None,
         };
-        Series { wish, takes: self.takes, pause_s: self.pause }
+        Series { wish, takes: self.takes, pause_s: self.pause, number: false }
     }
 }
 
@@ -99,7 +99,10 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         }
     };
     let (takes, fault) = match series::run(&nodes, &args.series(), &control, show, tell) {
-        Ok(takes) => (takes, None),
+        Ok(ended) => {
+            ended.stopped.iter().for_each(|told| eprintln!("{told}"));
+            (ended.takes, None)
+        }
         Err((takes, fault)) => (takes, Some(fault)),
     };
     if show_progress && fault.is_some() {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How commands reach nodes: URLs, a token, and whom to believe.
 
-use crate::base::Fault;
+use crate::base::{Exit, Fault};
 use crate::control::client::{Credentials, NodeClient};
 use std::path::PathBuf;
 
@@ -14,34 +14,51 @@ pub struct Connect {
     /// The nodes' URLs (http://HOST:PORT, https://HOST:PORT or unix:/PATH), separated by commas.
     #[arg(long, value_name = "URL,URL", value_delimiter = ',', required = true)]
     pub nodes: Vec<String>,
-    /// The file with your token, mode 0600; by default the one that FOURDBODY_TOKEN_FILE names. A comma between several: one
-    /// for each node.
-    #[arg(long, value_name = "FILE", value_delimiter = ',')]
+    /// What to show them.
+    #[command(flatten)]
+    pub credentials: Shown,
+}
+
+/// What is shown to nodes, and whom to believe.
+#[derive(clap::Args)]
+pub struct Shown {
+    /// The file with your token, mode 0600; a comma between several, one for each node in their order. By default what
+    /// FOURDBODY_TOKEN_FILE names in the same way.
+    #[arg(long, value_name = "FILE,FILE", value_delimiter = ',')]
     token_file: Vec<PathBuf>,
     /// With https: the certificates to believe (PEM), by default the system's.
     #[arg(long, value_name = "FILE")]
     ca: Option<PathBuf>,
 }
 
-/// A client that shows the token of the environment, if there is one.
-pub fn by_environment(url: &str) -> Result<NodeClient, Fault> {
-    NodeClient::with(url, &Credentials { token_file: token_of_environment(), ca: None })
-}
-
-fn token_of_environment() -> Option<PathBuf> {
-    std::env::var_os(TOKEN_FILE).map(PathBuf::from)
+fn tokens_of_environment() -> Vec<PathBuf> {
+    let named = std::env::var(TOKEN_FILE).unwrap_or_default();
+    named.split(',').filter(|file| !file.is_empty()).map(PathBuf::from).collect()
 }
 
 impl Connect {
     /// A client for each node, in the order given.
     pub fn clients(&self) -> Result<Vec<NodeClient>, Fault> {
-        let default = token_of_environment();
+        self.credentials.clients(&self.nodes)
+    }
+}
+
+impl Shown {
+    /// A client for each of these nodes, in the order given.
+    pub fn clients(&self, nodes: &[String]) -> Result<Vec<NodeClient>, Fault> {
+        let files =
+            if self.token_file.is_empty() { tokens_of_environment() } else { self.token_file.clone() };
+        // One file for all, or one for each.
+        if files.len() > 1 && files.len() != nodes.len() {
+            let (found, expected) = (files.len(), nodes.len());
+            let message =
+                format!("{found} token files for {expected} nodes; expected one for all, or one for each");
+            return Err(Fault::new(Exit::Usage, message));
+        }
         let client = |(i, url): (usize, &String)| {
-            // One file for all, or one for each.
-            let own = self.token_file.get(i).or(self.token_file.last());
-            let token_file = own.cloned().or_else(|| default.clone());
+            let token_file = files.get(i).or(files.last()).cloned();
             NodeClient::with(url, &Credentials { token_file, ca: self.ca.clone() })
         };
-        self.nodes.iter().enumerate().map(client).collect()
+        nodes.iter().enumerate().map(client).collect()
     }
 }

@@ -17,7 +17,7 @@ use std::time::Duration;
 /// (perhaps with warnings), 1 the host is unfit, 2 configuration, 5 a device failed.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  sudo -u fourdbody fourdbody doctor --config /etc/fourdbody/node.toml --disk-seconds 10"
+    after_help = "Example, with the user and the rights of the service:\n  sudo prlimit --rtprio=70 --memlock=unlimited setpriv --reuid=fourdbody --regid=fourdbody --init-groups \\\n    --inh-caps=+net_raw --ambient-caps=+net_raw fourdbody doctor --config /etc/fourdbody/node.toml --disk-seconds 10"
 )]
 pub struct Args {
     /// The node file; without it only the host is examined, for four cameras of 1920 x 1200 at 120 Hz.

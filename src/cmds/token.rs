@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 /// its user. A running node notices changes within a second.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody token new --tokens /etc/fourdbody/tokens --role operate --name anna --file anna.token\n  fourdbody status --nodes https://node-a.lab:7401 --token-file anna.token\n  fourdbody token new --tokens /etc/fourdbody/tokens --role operate --name anna --file anna.token --replace\n  fourdbody token revoke --tokens /etc/fourdbody/tokens --name anna"
+    after_help = "Example, for the node of the service:\n  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token\n  fourdbody status --nodes https://node-a.lab:7401 --token-file anna.token\n  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token --replace\n  sudo -u fourdbody fourdbody token revoke --tokens /var/lib/fourdbody/tokens --name anna"
 )]
 pub struct Args {
     #[command(subcommand)]

@@ -3,8 +3,9 @@
 
 use super::proof::{self, Asked};
 use super::request::SessionRequest;
-use super::status::{Challenge, NodeStatus, SessionCommand, path};
+use super::status::{Challenge, FreeName, NodeStatus, SessionCommand, path};
 use super::tokens::{SecretHash, read_secret};
+use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::Bytes;
@@ -122,6 +123,14 @@ impl NodeClient {
     /// The node's status.
     pub fn status(&self) -> Result<NodeStatus, Fault> {
         self.get(path::STATUS)
+    }
+
+    /// The first name from this one on under which nothing is recorded there.
+    pub fn free_name(&self, wanted: &str) -> Result<String, Fault> {
+        // A name that leads elsewhere in the path is none of a session.
+        let wanted = SessionName::parse(wanted).map_err(|e| Fault::new(Exit::Usage, e))?;
+        let free: FreeName = self.get(&path::FREE_NAME.replace("{name}", wanted.as_str()))?;
+        Ok(free.name)
     }
 
     /// Prepares a session and waits until the node is ready.

@@ -12,6 +12,7 @@ use crate::record::Interrupted;
 use crate::telemetry::{Family, Judgement};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::time::Instant;
 use utoipa::ToSchema;
 
 /// Everything that a node tells of itself.
@@ -54,6 +55,12 @@ pub struct NodeStatus {
     /// The worker that reconstructs on this machine, where there is one.
     #[serde(default)]
     pub worker: Option<WorkerStatus>,
+    /// How old all this is, s: a device that does not answer keeps the node's thread for some seconds.
+    #[serde(default)]
+    pub age_s: f64,
+    /// When the node's thread last said all this.
+    #[serde(skip)]
+    pub published: Option<Instant>,
 }
 
 /// What a worker does.
@@ -126,6 +133,12 @@ pub struct SessionStatus {
     pub triggers: u64,
     /// Progress per camera, in the rig's order.
     pub cameras: Vec<CameraProgress>,
+    /// Frames that wait for the writer now.
+    #[serde(default)]
+    pub ring_frames: u64,
+    /// Frames that can wait for the writer; beyond that they are lost.
+    #[serde(default)]
+    pub ring_capacity: u64,
     /// Most frames that waited for the writer at any time.
     pub ring_high_water_frames: u64,
     /// From the ring until the writer had taken the frame.
@@ -295,6 +308,13 @@ pub struct CaptureBegun {
     pub number: u64,
 }
 
+/// A name under which nothing is recorded at the node.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct FreeName {
+    /// The name that was asked for, or the first number after it that is free.
+    pub name: String,
+}
+
 /// Why a session is given up.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -334,6 +354,10 @@ pub mod path {
     pub const SESSIONS: &str = "/api/v1/sessions";
     /// GET: one recording.
     pub const SESSION: &str = "/api/v1/sessions/{name}";
+    /// GET [`super::FreeName`]: this name, or the first number after it that is free.
+    pub const FREE_NAME: &str = "/api/v1/sessions/{name}/free";
+    /// POST [`crate::record::remark::Remark`]: what people think of a recording.
+    pub const REMARK: &str = "/api/v1/sessions/{name}/remark";
     /// GET: how far the look is; POST: asks for one.
     pub const QUICK_LOOK: &str = "/api/v1/sessions/{name}/quick-look";
     /// GET: points.
@@ -346,6 +370,8 @@ pub mod path {
     pub const PEER_PICTURE: &str = "/api/v1/peers/{peer}/previews/{camera}";
     /// GET: what another node has recorded.
     pub const PEER_SESSIONS: &str = "/api/v1/peers/{peer}/sessions";
+    /// POST [`crate::record::remark::Remark`]: the same for another node's recording.
+    pub const PEER_REMARK: &str = "/api/v1/peers/{peer}/sessions/{name}/remark";
     /// GET: how far another node's look is; POST: asks it for one.
     pub const PEER_QUICK_LOOK: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look";
     /// GET: points.

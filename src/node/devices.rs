@@ -194,15 +194,23 @@ impl Devices {
         self.next_hsu_retry = Instant::now() + HSU_RETRY_INTERVAL;
     }
 
-    /// Between sessions: notices lost devices, and looks for missing ones now and then. Opens at most one
-    /// device per call, because an absent one blocks.
-    pub fn look_after(&mut self) {
+    /// Between sessions: notices devices that were lost since, and says whether there are any. Asks none, so that it
+    /// does not wait.
+    pub fn notice_lost(&mut self) -> bool {
+        let mut found = false;
         for slot in &mut self.slots {
             if slot.camera.as_ref().is_some_and(|camera| !camera.is_alive()) {
                 slot.camera = None;
                 slot.problem = Some("the camera stopped answering; check its power and cable".to_owned());
+                found = true;
             }
         }
+        found
+    }
+
+    /// Between sessions: looks for missing devices now and then. Opens at most one device per call, because an absent
+    /// one blocks.
+    pub fn look_after(&mut self) {
         if self.hsu.is_none() && Instant::now() >= self.next_hsu_retry {
             drop(self.connect_hsu());
             self.next_hsu_retry = Instant::now() + HSU_RETRY_INTERVAL;

@@ -63,6 +63,8 @@ impl NodeThread {
             session: None,
             judgements: Vec::new(),
             worker: None,
+            age_s: 0.0,
+            published: None,
         }));
         let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);
         let taps = Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone())));
@@ -185,6 +187,10 @@ impl Node {
         }
         self.take(Event::Tick);
         if self.machine.phase() == Phase::Idle {
+            // Looking for one device may take seconds: what is known of the others is told before.
+            if self.devices.notice_lost() {
+                self.publish();
+            }
             self.devices.look_after();
         }
         self.in_session(Session::tell_warnings);
@@ -221,11 +227,12 @@ impl Node {
         let dir = self.config.sessions_dir.join(name.as_str()).join(format!("node-{}", self.config.node));
         tracing::info!(session = request.name, triggers = request.triggers, "preparing");
         self.pending = Some(reply);
-        let session = Session::new(request.clone(), dir, self.config.cameras.len());
+        let mut session = Session::new(request.clone(), dir, self.config.cameras.len());
+        session.ring_capacity = self.ring_frames();
         self.telemetry.begin(Current {
             progress: Arc::clone(&session.progress),
             disk: None,
-            ring_capacity: self.ring_frames(),
+            ring_capacity: session.ring_capacity,
         });
         self.session = Some(session);
         self.take(Event::Prepare(request));
@@ -395,6 +402,7 @@ impl Node {
         status.warnings = realtime::warnings().into_iter().map(|warning| warning.message).collect();
         status.free_bytes = free;
         status.session = session;
+        status.published = Some(Instant::now());
     }
 }
 

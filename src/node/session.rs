@@ -44,6 +44,8 @@ pub(crate) struct Session {
     /// When a trigger was last reported.
     pub(crate) listened: Option<Instant>,
     pub(crate) outcome: Option<Outcome>,
+    /// Frames that fit into the ring.
+    pub(crate) ring_capacity: u64,
     /// How many of the process's warnings are in the recording.
     warnings_told: usize,
 }
@@ -73,6 +75,7 @@ impl Session {
             silence: SilenceWatch::new(cameras),
             listened: None,
             outcome: None,
+            ring_capacity: 0,
             warnings_told: 0,
         }
     }
@@ -136,6 +139,8 @@ impl Session {
             triggers_asked: self.request.triggers,
             triggers: load(&self.progress.triggers),
             cameras: cameras.collect(),
+            ring_frames: load(&self.progress.ring),
+            ring_capacity: self.ring_capacity,
             ring_high_water_frames: load(&self.progress.high_water),
             written: self.progress.latencies.written.summary(),
             total: self.progress.latencies.total.summary(),

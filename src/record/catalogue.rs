@@ -5,6 +5,7 @@
 
 use super::layout::{KEY_JSON, VERDICT_METADATA};
 use super::metadata::read_header;
+use super::remark::Remark;
 use super::scan::metadata_by_index;
 use super::segment_file::SegmentFile;
 use super::session::{RecordingFiles, find, node_dir, unfinished};
@@ -36,6 +37,9 @@ pub struct CatalogueEntry {
     pub subject: Option<String>,
     /// Free text.
     pub note: Option<String>,
+    /// What people think of it, once they have said so.
+    #[serde(default)]
+    pub remark: Option<Remark>,
     /// What it amounts to; `None` when it was not finished.
     pub verdict: Option<Verdict>,
     /// Why it counts as unfinished, or what is wrong with it.
@@ -48,7 +52,9 @@ pub fn entry(sessions_dir: &Path, node: &NodeId, name: &str) -> Option<Catalogue
     crate::base::ids::SessionName::parse(name).ok()?;
     let path = node_dir(&sessions_dir.join(name), node);
     let made = modified(&path)?;
-    Some(describe(path, made))
+    let mut entry = describe(path, made);
+    entry.remark = Remark::load(&sessions_dir.join(name), node);
+    Some(entry)
 }
 
 fn modified(path: &Path) -> Option<SystemTime> {
@@ -67,6 +73,7 @@ fn describe(path: PathBuf, made: SystemTime) -> CatalogueEntry {
         cameras: Vec::new(),
         subject: None,
         note: None,
+        remark: None,
         verdict: None,
         problem: unfinished(&path),
         path,

@@ -17,6 +17,7 @@ mod partial;
 mod protobuf;
 mod reader;
 pub mod recover;
+pub mod remark;
 mod scan;
 mod segment;
 mod segment_file;

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node's process without devices, for tests of its API alone; and a client that says whatever a test wants.
 
-use crate::lab::{FOURDBODY, fourdbody, small_rig, text_of};
+use crate::lab::{FOURDBODY, NodeProcess, fourdbody, small_rig, text_of};
 use fourdbody::api::AuditLine;
 use fourdbody::control::client::{Credentials, NodeClient};
+use fourdbody_simulator::laboratory::Laboratory;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::os::unix::net::UnixStream;
@@ -218,6 +219,33 @@ pub fn new_token(dir: &Path, name: &str, role: &str, replace: bool) {
     args.extend(replace.then_some("--replace"));
     let output = fourdbody(&args);
     assert!(output.status.success(), "{}", text_of(&output));
+}
+
+/// Gives each node a list of its own, with one operator (`NODE/otto.token`) and the other node, and starts
+/// them. The files of the operator's tokens, in the nodes' order, as `--token-file` takes them.
+pub fn start_with_own_tokens(laboratory: &Laboratory, dir: &Path) -> (Vec<NodeProcess>, String) {
+    let of = |node: &str| dir.join(node).join("otto.token");
+    for node in ["a", "b"] {
+        std::fs::create_dir(dir.join(node)).expect("writable");
+        new_token(&dir.join(node), "otto", "operate", false);
+        new_token(&dir.join(node), "peer", "peer", false);
+    }
+    let mut nodes = Vec::new();
+    for (file, other) in laboratory.nodes.iter().zip(["b", "a"]) {
+        let text = std::fs::read_to_string(&file.path).expect("written");
+        let text = text.replacen("[api]\n", &format!("[api]\ntokens = \"{}/tokens\"\n", file.node), 1);
+        let peer = format!("[[api.peers]]\ntoken_file = \"{other}/peer.token\"\n");
+        std::fs::write(&file.path, text.replace("[[api.peers]]\n", &peer)).expect("writable");
+        let mut node = NodeProcess::start(&file.path, file.port);
+        let credentials = Credentials { token_file: Some(of(file.node.as_str())), ca: None };
+        let url = format!("http://127.0.0.1:{}", file.port);
+        node.client = NodeClient::with(&url, &credentials).expect("a client");
+        nodes.push(node);
+    }
+    nodes.iter_mut().for_each(|node| drop(node.wait_ready()));
+    let files: Vec<String> =
+        laboratory.nodes.iter().map(|n| of(n.node.as_str()).display().to_string()).collect();
+    (nodes, files.join(","))
 }
 
 fn free_port() -> u16 {

@@ -2,7 +2,7 @@
 //! A session where everybody must show who they are: the operator to the nodes, the nodes to each other. The audit logs
 //! say afterwards who did what, and at which trigger.
 
-use crate::api_node::new_token;
+use crate::api_node::{new_token, start_with_own_tokens};
 use crate::lab::{
     NodeProcess, fourdbody, laboratory, options, small_rig, start_laboratory, start_nodes, text_of,
 };
@@ -157,4 +157,24 @@ fn a_hostile_client_costs_the_recording_nothing() {
     // By and by its connections end.
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
     assert!(!nodes[0].log().contains("panicked"));
+}
+
+/// Each node has a list of its own: one token opens one of them, a token for each opens both.
+#[test]
+fn a_capture_shows_each_node_its_own_token() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 181, 20.0);
+    let (_nodes, tokens) = start_with_own_tokens(&laboratory, dir.path());
+    let urls = laboratory.urls();
+    let capture = |files: &str| {
+        fourdbody(&["capture", "--nodes", &urls, "--triggers", "6", "--name", "own", "--token-file", files])
+    };
+    let (first, _) = tokens.split_once(',').expect("two files");
+    let one = capture(first);
+    assert_ne!(one.status.code(), Some(0), "{}", text_of(&one));
+    let three = capture(&format!("{tokens},{first}"));
+    assert_eq!(three.status.code(), Some(2), "{}", text_of(&three));
+    assert!(text_of(&three).contains("3 token files for 2 nodes"), "{}", text_of(&three));
+    let each = capture(&tokens);
+    assert_eq!(each.status.code(), Some(0), "{}", text_of(&each));
 }

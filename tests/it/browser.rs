@@ -83,6 +83,12 @@ impl Browser {
         begin.elapsed()
     }
 
+    /// Waits until the verdict begins like this.
+    pub fn wait_verdict(&self, word: &str) -> Duration {
+        let script = "return document.getElementById('verdict-word').textContent";
+        self.wait(word, &format!("{script}.startsWith({word:?})"))
+    }
+
     /// Waits until the big word begins like this.
     pub fn wait_word(&self, word: &str) -> Duration {
         self.wait(word, &format!("return document.getElementById('word').textContent.startsWith({word:?})"))
@@ -114,6 +120,37 @@ impl Browser {
         ]);
         let mouse = json!([{ "type": "pointer", "id": "mouse", "actions": actions }]);
         self.ask(Method::POST, "/actions", Some(json!({ "actions": mouse })));
+    }
+
+    /// Speaks to the browser itself (Chrome DevTools Protocol).
+    fn tell(&self, command: &str, parameters: Value) {
+        let body = json!({ "cmd": command, "params": parameters });
+        self.ask(Method::POST, "/goog/cdp/execute", Some(body));
+    }
+
+    /// Gives the page exactly this many pixels; `phone` is a screen that is touched.
+    pub fn resize(&self, (width, height): (u32, u32), phone: bool) {
+        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": phone });
+        self.tell("Emulation.setDeviceMetricsOverride", metrics);
+    }
+
+    /// Has the page know that its reader wants nothing to move.
+    pub fn reduce_motion(&self) {
+        let feature = json!({ "name": "prefers-reduced-motion", "value": "reduce" });
+        self.tell("Emulation.setEmulatedMedia", json!({ "features": [feature] }));
+    }
+
+    /// Waits until this element's text contains something.
+    pub fn wait_text(&self, id: &str, part: &str) -> Duration {
+        let script = format!("return document.getElementById({id:?}).textContent.includes({part:?})");
+        self.wait(&format!("{part:?} in {id}"), &script)
+    }
+
+    /// Left, top, width and height of an element on the screen.
+    pub fn place(&self, id: &str) -> Value {
+        self.run(&format!(
+            "const r = document.getElementById({id:?}).getBoundingClientRect(); return [r.x, r.y, r.width, r.height]"
+        ))
     }
 
     /// Keeps a picture of the page, where FOURDBODY_SCREENSHOTS names a directory.

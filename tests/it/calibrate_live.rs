@@ -2,8 +2,9 @@
 //! `calibrate --live` on a real node and simulated cameras: an operator is led through the positions of the board, each a
 //! session of its own, and a calibration comes out.
 
+use crate::api_node::start_with_own_tokens;
 use crate::board_photographs::{errors, good, scene};
-use crate::lab::{FOURDBODY, start_nodes};
+use crate::lab::FOURDBODY;
 use fourdbody::base::image::Plane;
 use fourdbody::config::SocketMode;
 use fourdbody::data::Calibration;
@@ -51,13 +52,14 @@ fn an_operator_is_led_to_a_calibration() {
         Arc::new(Walk([dark.clone(), dark].into_iter().chain(good).collect()))
     })
     .expect("the laboratory starts");
-    let _nodes = start_nodes(&laboratory);
+    // A node takes nobody without a token of its own.
+    let (_nodes, tokens) = start_with_own_tokens(&laboratory, dir.path());
 
     let (rig_file, out) = (dir.path().join("rig-nominal.toml"), dir.path().join("calibration.json"));
     std::fs::write(&rig_file, to_toml(scene().rig())).expect("writable");
     let mut walk = Command::new(FOURDBODY)
         .args(["calibrate", "--live", "--board", "config/board.toml", "--name", "walk", "--json"])
-        .args(["--nodes", &laboratory.urls(), "--rig"])
+        .args(["--nodes", &laboratory.urls(), "--token-file", &tokens, "--rig"])
         .arg(&rig_file)
         .arg("--out")
         .arg(&out)

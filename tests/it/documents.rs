@@ -156,3 +156,40 @@ fn tables_name_a_make_target() {
         assert!(makefile.contains(&rule), "no `make {target}`, which docs/validation.md has a table of");
     }
 }
+
+/// What the installation guide has an administrator type as the service's user: that user may write there, and has the
+/// rights that its unit gives. `scripts/try-package.sh` runs the commands in a clean Debian.
+#[test]
+fn the_guides_commands_have_the_rights_of_the_service() {
+    let unit = read("systemd/fourdbody-node.service");
+    let said = |key: &str| {
+        let line = unit.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_else(|| panic!("{key}"));
+        line.trim_start_matches('=').to_owned()
+    };
+    let guide = read("docs/guide/installing.md").replace("\\\n", " ");
+    let user = said("User");
+    let tokens: Vec<&str> = guide.lines().filter(|line| line.contains(" token new ")).collect();
+    assert!(!tokens.is_empty(), "the guide makes tokens");
+    for line in tokens {
+        assert!(line.starts_with(&format!("sudo -u {user} fourdbody token new ")), "{line}");
+        for option in ["--tokens", "--file"] {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let path = words.iter().position(|word| *word == option).and_then(|place| words.get(place + 1));
+            // /etc/fourdbody is root's, and where the administrator stands is theirs.
+            let own = format!("/var/lib/{}/", said("StateDirectory"));
+            assert!(path.is_some_and(|path| path.starts_with(&own)), "{option} in {line}");
+        }
+    }
+    let doctor =
+        guide.lines().find(|line| line.contains("fourdbody doctor --config")).expect("is this PC fit");
+    let capability = said("AmbientCapabilities").trim_start_matches("CAP_").to_lowercase();
+    for right in [
+        format!("--reuid={user}"),
+        format!("--rtprio={}", said("LimitRTPRIO")),
+        format!("--ambient-caps=+{capability}"),
+        format!("--inh-caps=+{capability}"),
+    ] {
+        assert!(doctor.contains(&right), "{right} in {doctor}");
+    }
+    assert!(said("LimitMEMLOCK") == "infinity" && doctor.contains("--memlock=unlimited"), "{doctor}");
+}

@@ -136,10 +136,41 @@ fn a_node_runs_takes_and_dry_runs_for_whoever_asks() {
         let verified = fourdbody(&["verify", &dir.path().join("sessions").join(name).display().to_string()]);
         assert_eq!(verified.status.code(), Some(0), "{}", text_of(&verified));
     }
+    a_name_that_is_taken(client);
+    a_stop_before_take_two(client);
+    for name in ["walk-03", "walk-04", "pair-01"] {
+        std::fs::remove_dir_all(dir.path().join("sessions").join(name)).expect("recorded");
+    }
     let listed: Value = client.get(path::SESSIONS).expect("a list");
     let names: Vec<&str> =
         listed.as_array().into_iter().flatten().filter_map(|entry| entry["name"].as_str()).collect();
     assert_eq!(names, ["walk-02", "walk-01"]);
+}
+
+/// Refused as it stands; numbered where that is asked for, and the numbers go on with the takes.
+fn a_name_that_is_taken(client: &NodeClient) {
+    begin(client, &json!({ "wish": { "name": "walk-01", "triggers": 4 } }));
+    assert_contains(&ended(client)["fault"]["message"].to_string(), &["walk-01"]);
+    begin(client, &json!({ "wish": { "name": "walk", "triggers": 4 }, "takes": 2, "number": true }));
+    let numbered = ended(client);
+    let takes = numbered["takes"].as_array().into_iter().flatten();
+    let names: Vec<&str> = takes.filter_map(|take| take["name"].as_str()).collect();
+    assert_eq!((names.as_slice(), &numbered["fault"]), (["walk-03", "walk-04"].as_slice(), &Value::Null));
+}
+
+/// What was recorded before is what counts; that the rest did not come is said, and is no failure.
+fn a_stop_before_take_two(client: &NodeClient) {
+    begin(client, &json!({ "wish": { "name": "pair", "triggers": 4, "countdown_s": 5 }, "takes": 2 }));
+    let second = |state: &Value| state["take"] == 2 && state["stage"]["stage"] == "counting_down";
+    capture_that(client, "counting down to take 2", second);
+    client.post(path::CAPTURE_STOP, &(), PATIENCE).expect("stopped");
+    let pair = ended(client);
+    assert_eq!(
+        (&pair["fault"], &pair["takes"][0]["verdict"]),
+        (&Value::Null, &"complete".into()),
+        "{pair:#}"
+    );
+    assert_contains(&pair["stopped"].to_string(), &["take 2 of 2", "before it recorded anything"]);
 }
 
 #[test]

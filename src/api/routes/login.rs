@@ -48,7 +48,9 @@ async fn login(
         let message = "this node has no tokens (api.tokens): nobody needs to log in";
         return Err(Refusal::new(StatusCode::CONFLICT, message));
     }
-    let Some((name, role)) = shared.auth.bearer(token.trim()) else { return Err(shared.auth.refused(&link)) };
+    let Some((name, role)) = shared.auth.bearer(token.trim()) else {
+        return Err(shared.auth.refused_login(&link));
+    };
     if role == Role::Peer {
         return Err(Refusal::new(
             StatusCode::FORBIDDEN,

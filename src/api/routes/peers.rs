@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the other nodes tell, passed on: a browser may only talk to the node that its page came from.
 
+use super::sessions::Choice;
 use crate::api::Shared;
+use crate::api::body::Body;
 use crate::api::refusal::Refusal;
 use crate::api::services::Peer;
-use crate::base::Fault;
+use crate::base::{Exit, Fault};
 use crate::control::status::{PeerState, path};
+use crate::record::remark::Remark;
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::{Path, Query, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::time::Duration;
@@ -20,6 +23,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(get_previews))
         .routes(routes!(get_picture))
         .routes(routes!(get_sessions))
+        .routes(routes!(remark))
         .routes(routes!(get_quick_look, ask_quick_look))
         .routes(routes!(get_cloud))
 }
@@ -74,9 +78,27 @@ async fn get_picture(
 }
 
 /// What another node has recorded.
-#[utoipa::path(get, path = path::PEER_SESSIONS, tag = "peers", params(PeerName), responses(PassedOn))]
-async fn get_sessions(State(shared): State<Shared>, Path(peer): Path<String>) -> Result<Response, Refusal> {
-    ask(&shared, &peer, Method::GET, path::SESSIONS).await
+#[utoipa::path(get, path = path::PEER_SESSIONS, tag = "peers", params(PeerName, Choice), responses(PassedOn))]
+async fn get_sessions(
+    State(shared): State<Shared>,
+    Path(peer): Path<String>,
+    Query(choice): Query<Choice>,
+) -> Result<Response, Refusal> {
+    let wanted = format!("{}?limit={}&search={}", path::SESSIONS, choice.limit, encoded(&choice.search));
+    ask(&shared, &peer, Method::GET, &wanted).await
+}
+
+/// Keeps what somebody thinks of another node's recording.
+#[utoipa::path(post, path = path::PEER_REMARK, tag = "peers", params(PeerName, SessionName), request_body = Remark,
+    responses(PassedOn))]
+async fn remark(
+    State(shared): State<Shared>,
+    Path((peer, name)): Path<(String, String)>,
+    Body(remark): Body<Remark>,
+) -> Result<Response, Refusal> {
+    let wanted = path::REMARK.replace("{name}", plain(&name)?);
+    let body = serde_json::to_vec(&remark).map_err(|e| Fault::new(Exit::Failure, e))?;
+    tell(&shared, &peer, Method::POST, &wanted, Some(body)).await
 }
 
 /// How far another node's look at a session is.
@@ -149,20 +171,42 @@ enum PassedOn {
     /// What the other node said to it.
     #[response(status = 409)]
     Conflict(Fault),
+    /// The other node failed at it.
+    #[response(status = 500)]
+    Failed(Fault),
     /// The other node does not answer.
     #[response(status = 503)]
     Unavailable(Fault),
 }
 
 async fn ask(shared: &Shared, peer: &str, method: Method, wanted: &str) -> Result<Response, Refusal> {
+    tell(shared, peer, method, wanted, None).await
+}
+
+async fn tell(
+    shared: &Shared,
+    peer: &str,
+    method: Method,
+    wanted: &str,
+    body: Option<Vec<u8>>,
+) -> Result<Response, Refusal> {
     let known = shared.services.peers.iter().find(|known| known.name.as_str() == peer);
     let known = known.ok_or_else(|| {
         Refusal::new(StatusCode::NOT_FOUND, format!("no node {peer:?} among api.peers of the node file"))
     })?;
-    let answer = known.client.ask_async(method, wanted, None, PATIENCE).await?;
+    let answer = known.client.ask_async(method, wanted, body, PATIENCE).await?;
     let mut headers = HeaderMap::new();
     headers.extend(answer.content_type.map(|kind| (header::CONTENT_TYPE, kind)));
     Ok((answer.status, headers, answer.body).into_response())
+}
+
+/// A text as a value of a query.
+fn encoded(text: &str) -> String {
+    let byte = |byte: u8| match byte.is_ascii_alphanumeric() {
+        true => char::from(byte).to_string(),
+        false => format!("%{byte:02X}"),
+    };
+    text.bytes().map(byte).collect()
 }
 
 /// A name that is one part of a path and leads nowhere else.
@@ -176,7 +220,12 @@ fn plain(name: &str) -> Result<&str, Refusal> {
 
 #[cfg(test)]
 mod tests {
-    use super::plain;
+    use super::{encoded, plain};
+
+    #[test]
+    fn a_search_is_one_value_of_a_query() {
+        assert_eq!(encoded("a&limit=1 ä"), "a%26limit%3D1%20%C3%A4");
+    }
 
     #[test]
     fn names_lead_nowhere_else() {

@@ -2,12 +2,16 @@
 //! What this node has recorded, and quick looks at it.
 
 use crate::api::Shared;
+use crate::api::body::Body;
 use crate::api::listing::{Busy, LISTED_MAX, Told};
 use crate::api::refusal::Refusal;
+use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
-use crate::control::status::path;
+use crate::control::status::{FreeName, path};
 use crate::preview::quick_look::Look;
 use crate::record::catalogue::CatalogueEntry;
+use crate::record::node_dir;
+use crate::record::remark::Remark;
 use axum::Json;
 use axum::extract::{Path, Query, State};
 use axum::http::{StatusCode, header};
@@ -20,6 +24,8 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
         .routes(routes!(get_sessions))
         .routes(routes!(get_session))
+        .routes(routes!(get_free_name))
+        .routes(routes!(remark))
         .routes(routes!(get_quick_look, ask_quick_look))
         .routes(routes!(get_cloud))
 }
@@ -27,11 +33,14 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
 /// Which sessions.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-struct Choice {
+pub(super) struct Choice {
     /// The newest so many, 1 to 1000.
     #[serde(default = "fifty")]
     #[param(minimum = 1, maximum = 1000)]
-    limit: usize,
+    pub(super) limit: usize,
+    /// Only those with this text in name, subject or notes, in small or capital letters.
+    #[serde(default)]
+    pub(super) search: String,
 }
 
 fn fifty() -> usize {
@@ -48,7 +57,7 @@ async fn get_sessions(
     State(shared): State<Shared>,
     Query(choice): Query<Choice>,
 ) -> Result<Response, Refusal> {
-    let listed = shared.services.listing.newest(choice.limit.clamp(1, LISTED_MAX)).await;
+    let listed = shared.services.listing.newest(choice.limit.clamp(1, LISTED_MAX), &choice.search).await;
     told(listed)?.ok_or_else(|| Refusal::new(StatusCode::NOT_FOUND, "no sessions"))
 }
 
@@ -60,6 +69,55 @@ async fn get_sessions(
         (status = 503, description = "Too many ask at the same time.", body = Fault)))]
 async fn get_session(State(shared): State<Shared>, Path(name): Path<String>) -> Result<Response, Refusal> {
     told(shared.services.listing.one(name.clone()).await)?.ok_or_else(|| not_found(&name))
+}
+
+/// This name, or the first number after it under which nothing is recorded here: `walk`, `walk-02`, and so on.
+#[utoipa::path(get, path = path::FREE_NAME, tag = "sessions", params(("name" = String, Path, description = "The name that is wanted.")),
+    responses(
+        (status = 200, description = "A free name.", body = FreeName),
+        (status = 409, description = "No session can have this name, or all its numbers are taken.", body = Fault),
+        (status = 503, description = "Too many ask at the same time.", body = Fault)))]
+async fn get_free_name(
+    State(shared): State<Shared>,
+    Path(wanted): Path<String>,
+) -> Result<Json<FreeName>, Refusal> {
+    let free = shared.services.listing.free(wanted).await;
+    let free = free.map_err(|busy| Refusal::from(Fault::new(Exit::Device, busy)))?;
+    let name = free.map_err(|reason| Refusal::from(Fault::new(Exit::Usage, reason)))?;
+    Ok(Json(FreeName { name }))
+}
+
+/// Keeps what somebody thinks of a recording, beside it: a rating and a note. What was kept before gives way.
+#[utoipa::path(post, path = path::REMARK, tag = "sessions", request_body = Remark,
+    params(("name" = String, Path, description = "The session's name.")),
+    responses(
+        (status = 204, description = "It is on the disk."),
+        (status = 404, description = "This node has no such session.", body = Fault),
+        (status = 409, description = "The note is no line of printable text.", body = Fault),
+        (status = 500, description = "It cannot be written.", body = Fault)))]
+async fn remark(
+    State(shared): State<Shared>,
+    Path(name): Path<String>,
+    Body(remark): Body<Remark>,
+) -> Result<StatusCode, Refusal> {
+    remark.check().map_err(|reason| Refusal::from(Fault::new(Exit::Usage, reason)))?;
+    // A session's name is one component of a path: nothing else is written to.
+    let parsed = SessionName::parse(&name).map_err(|_| not_found(&name))?;
+    let (sessions_dir, node) = (shared.config.sessions_dir.clone(), shared.config.node.clone());
+    let session = sessions_dir.join(parsed.as_str());
+    let written = tokio::task::spawn_blocking(move || {
+        let there = node_dir(&session, &node).is_dir();
+        there.then(|| remark.save(&session, &node))
+    });
+    let failed = |e: &dyn std::fmt::Display| {
+        Refusal::from(Fault::new(Exit::Failure, format!("what is thought of {name} cannot be written: {e}")))
+    };
+    match written.await {
+        Ok(Some(Ok(()))) => Ok(StatusCode::NO_CONTENT),
+        Ok(Some(Err(error))) => Err(failed(&error)),
+        Ok(None) => Err(not_found(&name)),
+        Err(error) => Err(failed(&error)),
+    }
 }
 
 /// How far the look at a session is. Every session is looked at when it has been recorded, where that is configured.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Features and registers of a camera that Aravis has opened.
 
-use super::{AravisCamera, holder};
+use super::{AravisCamera, holder, said};
 use crate::camera::CameraError;
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
 use crate::camera::features::{Failed, Features};
@@ -32,7 +32,7 @@ fn is_refusal(error: &glib::Error) -> bool {
 impl AravisCamera {
     /// What it means that something could not be read.
     fn failed(&self, error: &glib::Error) -> Failed {
-        let detail = error.to_string();
+        let detail = said(error);
         if is_silence(error) {
             Failed::Lost(CameraError::Link { doing: "reading its features", detail })
         } else if is_refusal(error) {
@@ -44,7 +44,7 @@ impl AravisCamera {
 
     /// What it means that something could not be set: a feature may be locked, which is no loss of control.
     fn not_set(&self, error: &glib::Error) -> Failed {
-        let detail = error.to_string();
+        let detail = said(error);
         if is_silence(error) {
             return Failed::Lost(CameraError::Link { doing: "setting its features", detail });
         }

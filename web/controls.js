@@ -1,0 +1,79 @@
+// What the operator does: record, stop, preview, dry run, abort; by mouse and by keys. The buttons never move.
+
+import { $, text } from "/elements.js";
+import { node } from "/node-client.js";
+import { notReady, sessionsUnderWay, told } from "/told.js";
+
+let refused = null; // why the last button did not do what it says
+let afterwards = async () => {};
+
+/** What is done after each request. */
+export const onAct = (doing) => (afterwards = doing);
+
+function series(extra = {}) {
+  const filled = (id) => $(id).value.trim() || null;
+  const seconds = filled("seconds");
+  return {
+    wish: { name: filled("name"), subject: filled("subject"), note: filled("note"), duration_s: seconds ? Number(seconds) : null, countdown_s: Number(filled("countdown") ?? 0), partial: $("partial").checked, ...extra },
+    takes: Number(filled("takes") ?? 1),
+    pause_s: 0,
+    // A name that is taken gets the next number.
+    number: true,
+  };
+}
+
+async function act(doing) {
+  refused = null;
+  try {
+    await doing();
+  } catch (error) {
+    refused = error.message;
+  }
+  await afterwards();
+}
+
+export function showControls() {
+  const running = Boolean(told.capture?.running) || sessionsUnderWay().length > 0;
+  const may = told.role !== "view";
+  const missing = running ? null : notReady($("partial").checked);
+  for (const id of ["start", "look", "dry"]) $(id).disabled = running || !may || missing !== null;
+  for (const id of ["stop", "abort"]) $(id).disabled = !running || !may;
+  const looks = may ? null : "this token may look only (role view)";
+  text($("why"), refused ?? looks ?? missing ?? "");
+  $("why").title = $("why").textContent;
+  $("why").className = refused || missing ? "bad" : "";
+  if (!running && $("abort-question").open) $("abort-question").close();
+}
+
+$("capture").addEventListener("submit", (event) => {
+  event.preventDefault();
+  if (!$("start").disabled) act(() => node.begin(series()));
+});
+$("stop").addEventListener("click", () => act(() => node.stop()));
+$("look").addEventListener("click", () => act(() => node.begin({ wish: { dry_run: true, note: "preview" }, takes: 1 })));
+$("dry").addEventListener("click", () => $("capture").reportValidity() && act(() => node.begin(series({ dry_run: true }))));
+$("abort").addEventListener("click", () => $("abort-question").showModal());
+$("abort-question").addEventListener("close", () => {
+  if ($("abort-question").returnValue === "abort") act(() => node.abort("aborted at the console"));
+  $("abort-question").returnValue = "";
+});
+
+const KEYS = { r: "start", s: "stop", p: "look", d: "dry", a: "abort", m: "mute" };
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey || $("console").hidden) return;
+  if ($("abort-question").open) {
+    if (event.key === "y") $("abort-yes").click();
+    return;
+  }
+  if (event.target.matches("input, textarea")) {
+    if (event.key === "Escape") event.target.blur();
+    return;
+  }
+  if (event.key === "/") {
+    event.preventDefault();
+    $("search").focus();
+  }
+  if (KEYS[event.key]) $(KEYS[event.key]).click();
+});
+
+$("subject-screen").addEventListener("click", () => window.open("/subject.html", "fourdbody-subject"));

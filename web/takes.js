@@ -1,0 +1,113 @@
+// The takes on the disks, newest first: verdict, causes, rating and note, and a search.
+
+import { $, count, make, text } from "/elements.js";
+import { Refused, node } from "/node-client.js";
+import { openLook } from "/quick-look.js";
+import { nodes, sessionsUnderWay, told } from "/told.js";
+import { causesOf, kindOf, worstOf } from "/verdict.js";
+
+const LISTED = 200;
+const RATINGS = [["good", "Good"], ["doubtful", "Doubtful"], ["bad", "Bad"]];
+
+/** What is shown, as text: so that the list is made anew only when it has changed. */
+let listed = "";
+/** What each node listed last, for the search that is on: it stays when the node does not answer. */
+const known = { search: "", lists: new Map() };
+
+export async function refreshTakes() {
+  const search = $("search").value.trim();
+  const found = new Map();
+  const all = nodes();
+  const lists = await Promise.all(all.map(({ peer, status }) => (status ? node.sessions(peer, LISTED, search).catch(() => null) : null)));
+  if (search !== $("search").value.trim()) return;
+  if (search !== known.search) Object.assign(known, { search, lists: new Map() });
+  all.forEach(({ name }, i) => {
+    if (lists[i]) known.lists.set(name, lists[i]);
+    for (const entry of known.lists.get(name) ?? []) {
+      const session = found.get(entry.name) ?? { name: entry.name, created_ns: entry.created_ns, parts: [] };
+      session.parts.push({ node: name, entry });
+      found.set(entry.name, session);
+    }
+  });
+  const silent = all.filter((_, i) => !lists[i]).map(({ name }) => name);
+  const takes = [...found.values()].sort((a, b) => b.created_ns - a.created_ns).slice(0, LISTED).map((session) => sumUp(session, silent));
+  const now = JSON.stringify([takes, search]);
+  // Nobody loses what they are writing, nor the button that they are about to press.
+  if (now === listed || $("session-rows").contains(document.activeElement)) return;
+  listed = now;
+  const none = make("li", { className: "none", textContent: search ? `nothing recorded has ${JSON.stringify(search)} in name, subject or note` : "nothing recorded yet" });
+  $("session-rows").replaceChildren(...(takes.length ? takes.map(row) : [none]));
+}
+
+function sumUp({ name, created_ns, parts }, silent) {
+  const now = sessionsUnderWay().some((session) => session.name === name);
+  const words = parts.map(({ entry }) => entry.verdict?.status ?? "unfinished");
+  const missing = nodes().map(({ name }) => name).filter((name) => !parts.some((part) => part.node === name));
+  const unknown = missing.filter((name) => silent.includes(name));
+  const alone = missing.length > unknown.length;
+  const word = now ? "recording" : alone && worstOf(words) === "complete" ? "partial" : worstOf(words);
+  const verdicts = parts.flatMap(({ node: from, entry }) => (entry.verdict ? [{ from, verdict: entry.verdict }] : []));
+  const frames = verdicts.reduce((sum, { verdict }) => sum + verdict.cameras.reduce((frames, camera) => frames + camera.frames, 0), 0);
+  const expected = verdicts.reduce((sum, { verdict }) => sum + Math.max(verdict.triggers, verdict.triggers_expected ?? 0) * verdict.cameras.length, 0);
+  const causes = verdicts.flatMap(({ from, verdict }) => causesOf(verdict).map((cause) => `node ${from}: ${cause}`));
+  if (!now) {
+    for (const { node: from, entry } of parts) if (!entry.verdict) causes.push(`node ${from}: ${entry.problem ?? "not finished"}`);
+    if (alone) causes.push(`recorded by node ${parts.map(({ node: from }) => from).join(", ")} only`);
+  }
+  if (unknown.length) causes.push(`what node ${unknown.join(", ")} has of it is not known now`);
+  const { subject, note } = parts[0].entry;
+  const remark = parts.map(({ entry }) => entry.remark).find(Boolean) ?? {};
+  return { name, created_ns, word, kind: unknown.length && word === "complete" ? "warn" : kindOf(word), frames, expected, causes, subject, note, remark };
+}
+
+function row(take) {
+  const head = make("p", { className: "head" },
+    make("span", { className: "verdict", textContent: take.word.toUpperCase() }),
+    make("span", { className: "name", textContent: take.name }));
+  const facts = [new Date(take.created_ns / 1e6).toLocaleString([], { dateStyle: "short", timeStyle: "short" }), take.subject, take.expected ? `${take.frames} of ${count(take.expected, "frame")}` : "", take.note];
+  const item = make("li", { className: take.kind }, head, make("p", { className: "facts", textContent: facts.filter(Boolean).join(" · ") }));
+  if (take.causes.length) item.append(make("p", { className: "causes", textContent: take.causes.join("; ") }));
+  item.append(remarkOf(take));
+  item.dataset.name = take.name;
+  return item;
+}
+
+/** Rating, note and quick look of a take. */
+function remarkOf(take) {
+  const may = told.role !== "view";
+  const remark = { rating: take.remark.rating ?? null, note: take.remark.note ?? null };
+  const problem = make("p", { className: "causes", role: "alert" });
+  const buttons = RATINGS.map(([rating, label]) => {
+    const button = make("button", { type: "button", textContent: label, disabled: !may, onclick: () => keep({ rating: remark.rating === rating ? null : rating }) });
+    button.setAttribute("aria-label", `rate ${take.name} ${rating}`);
+    return button;
+  });
+  const note = make("input", { value: remark.note ?? "", placeholder: "note on this take", maxLength: 500, disabled: !may, onchange: () => keep({ note: note.value.trim() || null }) });
+  note.setAttribute("aria-label", `note on ${take.name}`);
+  const look = make("button", { type: "button", textContent: "Look", onclick: () => openLook(take.name, true) });
+  look.setAttribute("aria-label", `quick look at ${take.name}`);
+  const mark = () => RATINGS.forEach(([rating], i) => buttons[i].setAttribute("aria-pressed", String(remark.rating === rating)));
+  let kept = Promise.resolve();
+  /** One after the other: what was said last is what stays. */
+  function keep(change) {
+    Object.assign(remark, change);
+    mark();
+    const said = { ...remark };
+    kept = kept.then(() => tell(said));
+  }
+  async function tell(said) {
+    const told = await Promise.allSettled(nodes().map(({ peer }) => node.remark(peer, take.name, said)));
+    const failed = told.flatMap(({ reason }) => reason ?? []);
+    // A node that has no part of the take has nothing to keep.
+    const wrong = failed.filter((error) => !(error instanceof Refused && error.status === 404) || failed.length === told.length);
+    text(problem, wrong.map((error) => `not kept: ${error.message}`).join("; "));
+  }
+  mark();
+  return make("div", {}, make("div", { className: "remark", role: "group" }, ...buttons, note, look), problem);
+}
+
+let waiting = null;
+$("search").addEventListener("input", () => {
+  clearTimeout(waiting);
+  waiting = setTimeout(() => refreshTakes().catch(() => {}), 250);
+});

@@ -1,0 +1,100 @@
+// What the nodes told last, how old that is, and what follows from it. Everything that is shown comes from here.
+
+/** A status that is older than this is told with its age; devices that do not answer hold a node up for some seconds. */
+export const OLD_S = 3;
+
+/** A page whose own node has not answered for so long shows nothing that is current. */
+export const GONE_S = 1.6;
+
+const now = () => performance.now() / 1000;
+
+/** For how long the node that served this page has not answered, s. */
+export const silence_s = () => now() - told.at.status;
+
+/** `at`: when each was told. `last`: each node's last status, by name, with the time; it stays when the node is gone. */
+export const told = { status: null, peers: [], capture: null, role: "view", at: { status: now(), peers: now(), capture: now() }, last: new Map() };
+
+export function take(what, value) {
+  told[what] = value;
+  told.at[what] = now();
+  if (what === "status") told.last.set(value.node, { status: value, at: now() });
+  if (what === "peers") for (const { name, status } of value) if (status) told.last.set(name, { status, at: now() });
+}
+
+/** All nodes as {name, peer, status, last, age_s, problem}, this one first. `status` is null where there is no current
+ * one; `last` is what was heard last. */
+export function nodes() {
+  const here = told.status ? [{ name: told.status.node, peer: "", status: told.status, problem: null }] : [];
+  const others = told.peers.map((peer) => ({ name: peer.name, peer: peer.name, status: peer.status, problem: peer.problem }));
+  return [...here, ...others].map((node) => {
+    const heard = told.last.get(node.name);
+    const unheard_s = heard ? now() - heard.at : Infinity;
+    const gone = !node.status || unheard_s > 2 * OLD_S;
+    return { ...node, status: gone ? null : node.status, last: heard?.status ?? null, age_s: heard ? heard.status.age_s + unheard_s : Infinity };
+  });
+}
+
+export const sessionsUnderWay = () =>
+  nodes().filter(({ status }) => status?.session && !status.session.outcome).map(({ status }) => status.session);
+
+/** How a node's session goes for a camera, while one is under way. */
+const progressOf = (status, id) =>
+  status?.session && !status.session.outcome ? status.session.cameras.find((camera) => camera.id === id) : null;
+
+/** Frames that a camera owes, as far as can be said now: gaps, and every trigger since which a silent one was not heard. */
+export function lossOf(status, id) {
+  const camera = progressOf(status, id);
+  if (!camera) return 0;
+  const owed = camera.silent ? Math.max(0, status.session.triggers - camera.frames - camera.gaps) : 0;
+  return camera.gaps + owed;
+}
+
+/** What is wrong with a camera in one sentence; null where nothing is. A session notices within three triggers that a
+ * camera is silent, its driver some seconds later. */
+export function cameraProblem({ name, status, age_s }, camera) {
+  if (!status) return Number.isFinite(age_s) ? `no word of node ${name} for ${Math.floor(age_s)} s` : `no word of node ${name}`;
+  if (camera.problem) return camera.problem;
+  return progressOf(status, camera.id)?.silent ? "silent: nothing heard" : null;
+}
+
+/** Everything that is wrong now, each in one sentence with its place; what is wrong with several cameras is said once. */
+export function problems() {
+  const found = [];
+  const cameras = new Map();
+  for (const node of nodes()) {
+    const { name, status, age_s } = node;
+    if (!status) {
+      const since = Number.isFinite(age_s) ? ` (${Math.floor(age_s)} s)` : "";
+      found.push(`node ${name} does not answer${since}: is its PC on, and \`fourdbody node\` running there?`);
+      continue;
+    }
+    if (age_s > 2 * OLD_S) found.push(`node ${name} is busy with its devices: what it says is ${Math.floor(age_s)} s old`);
+    for (const camera of status.cameras) {
+      const problem = cameraProblem(node, camera);
+      if (!problem) continue;
+      const words = problem.replace(`camera ${camera.id} is `, "").replace(`camera ${camera.id}: `, "");
+      cameras.set(words, [...(cameras.get(words) ?? []), camera.id]);
+    }
+    if (status.hsu.problem) found.push(`HSU at node ${name}: ${status.hsu.problem}`);
+  }
+  const each = [...cameras].map(([problem, ids]) => `${ids.length > 1 ? "cameras" : "camera"} ${ids.join(", ")}: ${problem}`);
+  return [...each, ...found];
+}
+
+/** Why nothing can be started now; null when it can. A part of the rig is enough where that is asked for. */
+export function notReady(partial) {
+  if (silence_s() > GONE_S) return `node ${told.status.node} does not answer`;
+  const [first] = problems();
+  if (first) return first;
+  const known = nodes();
+  const busy = known.find(({ status }) => status.phase !== "idle");
+  if (busy) return `node ${busy.name} is ${busy.status.phase}`;
+  const full = known.find(({ status }) => status.judgements.some(({ name, value }) => name === "disk_time_left" && value <= 0));
+  if (full) return `the disk of node ${full.name} is full: delete or move sessions`;
+  const absent = told.status.rig_nodes.filter((name) => !known.some((node) => node.name === name));
+  if (absent.length && !partial) return `node ${absent.join(", ")} of the rig is not among this node's peers; ask for a part of the rig`;
+  return null;
+}
+
+/** A dry run without an end is what the preview button asks for. */
+export const isPreview = (capture) => capture.series.wish.dry_run && !capture.series.wish.duration_s && !capture.series.wish.triggers;

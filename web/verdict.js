@@ -1,0 +1,108 @@
+// What a take, a series or a session amounts to: a word, its kind, and every cause.
+
+import { count } from "/elements.js";
+import { isPreview, nodes, told } from "/told.js";
+
+/** From the worst to the best. */
+const WORDS = ["aborted", "unfinished", "incomplete", "unconfirmed", "partial", "complete"];
+const KINDS = { complete: "good", partial: "warn", unconfirmed: "warn", incomplete: "bad", recording: "warn" };
+export const kindOf = (word) => KINDS[word] ?? "bad";
+export const worstOf = (words) => WORDS.find((word) => words.includes(word)) ?? "aborted";
+
+/** Gaps of a camera in words: `12 unplugged, 3 late`. */
+const gapsOf = (camera) => Object.entries(camera.gaps).map(([cause, number]) => `${number} ${cause.replaceAll("_", " ")}`).join(", ");
+
+/** Why one node's verdict is not complete. */
+export function causesOf(verdict) {
+  const lines = verdict.cameras.filter((camera) => Object.keys(camera.gaps).length).map((camera) => `${camera.camera}: ${gapsOf(camera)}`);
+  if (verdict.unconfirmed) lines.push(`${count(verdict.unconfirmed, "camera")} with frames of one witness`);
+  lines.push(...(verdict.changed ?? []).map((changed) => `changed: ${changed}`));
+  if (verdict.refused) lines.push(`${count(verdict.refused, "frame")} refused`);
+  if (verdict.aborted) lines.push(`ended early: ${verdict.aborted}`);
+  return lines;
+}
+
+const framesOf = (verdict) => verdict.cameras.reduce((sum, camera) => sum + camera.frames, 0);
+const expectedOf = (verdict) => Math.max(verdict.triggers, verdict.triggers_expected ?? 0) * verdict.cameras.length;
+
+/** Frames and causes of a take, which has {node, session} of each node. */
+function sumUp(take) {
+  const sum = { name: take.name, word: take.verdict, frames: 0, expected: 0, causes: [] };
+  for (const { node, session } of take.nodes) {
+    const verdict = session.outcome?.recorded;
+    if (verdict) {
+      sum.frames += framesOf(verdict);
+      sum.expected += expectedOf(verdict);
+      sum.causes.push(...causesOf(verdict).map((cause) => `node ${node}: ${cause}`));
+    } else {
+      const written = session.cameras.reduce((frames, camera) => frames + camera.frames, 0);
+      sum.causes.push(`node ${node}: ${session.outcome?.failed?.message ?? "no verdict"}; ${count(written, "frame")} when last heard of`);
+    }
+  }
+  if (take.not_asked?.length) sum.causes.push(`node ${take.not_asked.join(", ")} was not asked`);
+  return sum;
+}
+
+/** A fault's message; what several nodes say in the same words is said once. */
+function saidOnce(message) {
+  const parts = message.split("; ").map((part) => part.match(/^node ([^:]+): (.*)$/s));
+  if (parts.length < 2 || parts.some((part) => !part || part[2] !== parts[0][2])) return message;
+  return `nodes ${parts.map((part) => part[1]).join(", ")}: ${parts[0][2]}`;
+}
+
+/** {kind, word, detail} of a series that has ended. */
+function ofCapture(capture) {
+  const { wish, takes: asked } = capture.series;
+  if (isPreview(capture) && !capture.fault) return { kind: "", word: "", detail: "the preview has ended; nothing was recorded" };
+  const takes = capture.takes.map(sumUp);
+  const sum = (key) => takes.reduce((total, take) => total + take[key], 0);
+  const lines = [];
+  if (capture.fault) {
+    const place = asked > 1 ? `take ${capture.take} of ${asked}: ` : "";
+    lines.push(`${place}${saidOnce(capture.fault.message)}`);
+    if (takes.length) lines.push(`kept: ${count(takes.length, "take")} before it`);
+  }
+  if (takes.length) {
+    const names = takes.map(({ name }) => name);
+    const which = names.length > 2 ? `${names[0]} … ${names.at(-1)}` : names.join(", ");
+    const of = asked > 1 ? `${takes.length} of ${count(asked, "take")}, ` : "";
+    lines.push(`${of}${sum("frames")} of ${count(sum("expected"), "frame")}: ${which}`);
+  }
+  if (wish.dry_run) lines.push("a dry run: nothing was recorded");
+  if (capture.stopped) lines.push(capture.stopped);
+  for (const take of takes) {
+    if (!take.causes.length) continue;
+    const head = takes.length > 1 ? `${take.name} ${take.word.toUpperCase()}: ` : "";
+    lines.push(...take.causes.map((cause) => head + cause));
+  }
+  if (capture.fault && !takes.length && capture.asked_to_end) return { kind: "warn", word: "STOPPED", detail: lines.join("\n") };
+  if (capture.fault) return { kind: "bad", word: "FAILED", detail: lines.join("\n") };
+  if (!takes.length) return { kind: "warn", word: "STOPPED", detail: capture.stopped ?? "nothing was recorded" };
+  const word = worstOf(takes.map((take) => take.word));
+  return { kind: kindOf(word), word: word.toUpperCase(), detail: lines.join("\n") };
+}
+
+/** The same of a session that was begun elsewhere, from what every node says of it. */
+function ofSession(name) {
+  const parts = nodes().filter(({ status }) => status?.session?.name === name && status.session.outcome);
+  const take = { name, nodes: parts.map(({ name: node, status }) => ({ node, session: status.session })) };
+  const words = take.nodes.map(({ session }) => session.outcome.recorded?.status ?? "aborted");
+  const missing = parts[0].status.session.nodes.filter((node) => !parts.some((part) => part.name === node));
+  if (missing.length) words.push("unfinished");
+  take.verdict = worstOf(words);
+  if (take.nodes.every(({ session }) => session.outcome.failed)) {
+    return { kind: "bad", word: "FAILED", detail: `${name}: ${[...new Set(take.nodes.map(({ session }) => session.outcome.failed.message))].join("; ")}` };
+  }
+  const { word, frames, expected, causes } = sumUp(take);
+  const lines = [`${name}, begun elsewhere: ${frames} of ${count(expected, "frame")}`, ...causes, ...missing.map((node) => `node ${node}: no verdict yet`)];
+  return { kind: kindOf(word), word: word.toUpperCase(), detail: lines.join("\n") };
+}
+
+/** The verdict that stays until the next session; null before the first. */
+export function lastVerdict() {
+  const capture = told.capture;
+  const session = told.status?.session;
+  const ours = capture && session && (capture.takes.some((take) => take.name === session.name) || session.outcome?.failed || session.dry_run);
+  if (session?.outcome && !ours) return ofSession(session.name);
+  return capture ? ofCapture(capture) : null;
+}
