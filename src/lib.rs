@@ -54,6 +54,10 @@ pub mod hsu;
 pub mod matcher;
 /// Directional clouds to merged clouds.
 pub mod merge;
+/// This host's network interfaces, and the cameras that answer on them.
+pub mod network;
+/// A new bench, step by step, to a node file.
+pub mod new_bench;
 /// One session on one node: the state machine and the threads that carry it out.
 pub mod node;
 /// Pictures of the cameras while they run, and quick looks at what was recorded.

@@ -47,8 +47,8 @@ pub struct LaboratoryOptions {
     pub habits: BTreeMap<String, Habits>,
     /// Makes that cameras are like, by the cameras' names; the others are the simulator's own.
     pub makes: BTreeMap<String, Arc<Make>>,
-    /// Node files list the settings of such cameras, as somebody writes them who knows them; else nodes must find them.
-    pub make_settings: bool,
+    /// Node files say what such cameras need, as somebody writes it who knows them; else tests or commands must.
+    pub make_words: bool,
     /// Faults of the cameras; what was injected is written to `faults.jsonl` in the run directory.
     pub faults: Option<FaultPlan>,
     /// Disks that misbehave, one for each node that it names; what they did is written to `faults.jsonl` as well. Needs
@@ -56,6 +56,8 @@ pub struct LaboratoryOptions {
     pub disk: Option<DiskPlan>,
     /// The cameras' images go on from session to session instead of starting anew with each.
     pub carry_on: bool,
+    /// The cameras have their names in the rig as names of their own.
+    pub user_names: bool,
     /// The nodes know each other.
     pub peers: bool,
     /// What the nodes take quick looks with.
@@ -79,10 +81,11 @@ impl LaboratoryOptions {
             packet_bytes: 9000,
             habits: BTreeMap::new(),
             makes: BTreeMap::new(),
-            make_settings: true,
+            make_words: true,
             faults: None,
             disk: None,
             carry_on: false,
+            user_names: true,
             peers: true,
             calibration: None,
         }
@@ -166,7 +169,9 @@ impl Laboratory {
             let address = camera_address(options, number);
             let (wire, triggers) = unbounded();
             let mut setup = CameraOptions::new(&format!("SIM{number:04}"), address, images(&camera.id));
-            setup.user_name = camera.id.to_string();
+            if options.user_names {
+                setup.user_name = camera.id.to_string();
+            }
             setup.triggers = triggers;
             setup.first_block_id = options.first_block_id;
             setup.habits = options.habits.get(camera.id.as_str()).copied().unwrap_or_default();
@@ -343,25 +348,18 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
     if let Some(calibration) = &options.calibration {
         let _ = write!(text, "\n[quick_look]\ncalibration = {}\n", quoted(&absolute(calibration)));
     }
-    for (number, (head, camera)) in (0u32..).zip(rig.cameras()) {
+    for (number, (_, camera)) in (0u32..).zip(rig.cameras()) {
         if camera.node != *node {
             continue;
         }
-        let size = (camera.device.width, camera.device.height);
-        let exposure_us = head.exposure_ns as f64 / 1000.0;
-        let settings = match options.makes.get(camera.id.as_str()) {
-            None => own_settings(size, exposure_us),
-            Some(make) if options.make_settings => make
-                .session_settings(size, exposure_us)
-                .iter()
-                .map(|(feature, value)| format!("  [{feature:?}, {value}],\n"))
-                .collect(),
+        let words = match options.makes.get(camera.id.as_str()) {
+            None => OWN_WORDS.to_owned(),
+            Some(make) if options.make_words => make.session_words(),
             Some(_) => String::new(),
         };
-        let list = if settings.is_empty() { settings } else { format!("settings = [\n{settings}]\n") };
         let _ = write!(
             text,
-            "\n[[camera]]\nid = \"{}\"\naddress = \"{}\"\n{list}",
+            "\n[[camera]]\nid = \"{}\"\naddress = \"{}\"\n{words}",
             camera.id,
             camera_address(options, number)
         );
@@ -369,11 +367,5 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
     text
 }
 
-/// The settings of the simulator's own cameras.
-fn own_settings((width, height): (usize, usize), exposure_us: f64) -> String {
-    format!(
-        "  [\"PixelFormat\", \"Mono8\"],\n  [\"Width\", {width}],\n  [\"Height\", {height}],\n  \
-         [\"TriggerSelector\", \"FrameStart\"],\n  [\"TriggerMode\", \"On\"],\n  [\"TriggerSource\", \"Line0\"],\n  \
-         [\"TriggerActivation\", \"RisingEdge\"],\n  [\"ExposureTime\", {exposure_us:?}],\n  [\"Gain\", 0.0],\n"
-    )
-}
+/// What a node's file says of the simulator's own cameras; the exposure is the rig's.
+const OWN_WORDS: &str = "trigger_line = \"Line0\"\n";

@@ -14,6 +14,7 @@ use super::canary::Canaries;
 use super::contract::{Breach, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
 use super::features::{Failed, read_state};
+use super::profile::trigger_lines;
 use super::set_up::{changed, set_up};
 use super::{
     Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, Change,
@@ -165,6 +166,10 @@ impl Camera for AravisCamera {
 
     fn set_up(&mut self, wishes: &Wishes) -> Result<SetUp, CameraError> {
         set_up(self, wishes)
+    }
+
+    fn trigger_lines(&self) -> Vec<String> {
+        trigger_lines(self)
     }
 
     fn state(&mut self) -> Result<State, CameraError> {

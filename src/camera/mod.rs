@@ -209,6 +209,9 @@ pub trait Camera: Send {
     /// [`CameraError::SetUp`] with every problem.
     fn set_up(&mut self, wishes: &Wishes) -> Result<SetUp, CameraError>;
 
+    /// The inputs that a trigger's wire can be put to, as it calls them, the likeliest first.
+    fn trigger_lines(&self) -> Vec<String>;
+
     /// Everything that can be read of it.
     fn state(&mut self) -> Result<State, CameraError>;
 

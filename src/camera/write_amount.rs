@@ -207,7 +207,8 @@ fn per_unit(
         Scale::Clock => match tick_frequency(camera)? {
             Some(hz) => Ok(PerUnit::Times(hz as f64 / 1e6)),
             None => Err(
-                "it counts ticks, and the camera does not say how many a second has; set it in `settings`"
+                "it counts ticks, and the camera does not say how many a second has; set it in `settings`, \
+                 and say left_to_settings = [\"packet_delay_us\"]"
                     .to_owned(),
             ),
         },

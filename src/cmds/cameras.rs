@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cameras`: what answers to discovery; its subcommands: the whole state of cameras.
 
-use super::camera_state;
 use super::failure::Failure;
+use super::{camera_setup, camera_state};
 use crate::base::Exit;
 
-/// List the cameras that answer to discovery, without opening any; with a subcommand: the whole state of cameras.
+/// List the cameras that answer to discovery, without opening any; with a subcommand: set a new bench up, or the whole
+/// state of cameras.
 #[derive(clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
 #[command(
-    after_help = "Examples:\n  fourdbody cameras --json\n  fourdbody cameras dump --config /etc/fourdbody/node.toml"
+    after_help = "Examples:\n  fourdbody cameras --json\n  fourdbody cameras setup --config /etc/fourdbody/node.toml\n  fourdbody cameras dump --config /etc/fourdbody/node.toml"
 )]
 pub struct Args {
     #[command(subcommand)]
@@ -21,6 +22,7 @@ pub struct Args {
 
 #[derive(clap::Subcommand)]
 enum About {
+    Setup(Box<camera_setup::SetupArgs>),
     Dump(camera_state::DumpArgs),
     Diff(camera_state::DiffArgs),
 }
@@ -28,6 +30,7 @@ enum About {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.about {
+        Some(About::Setup(args)) => camera_setup::setup(args),
         Some(About::Dump(args)) => camera_state::dump(args),
         Some(About::Diff(args)) => camera_state::diff(args),
         None => list(args),

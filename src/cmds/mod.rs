@@ -8,6 +8,7 @@ pub mod board;
 pub mod calibrate;
 mod calibrate_live;
 pub mod calibration;
+mod camera_setup;
 mod camera_state;
 pub mod cameras;
 pub mod capture;

@@ -68,10 +68,16 @@ impl std::error::Error for ConfigError {}
 
 /// Reads a TOML file into a table.
 pub(crate) fn read_table(path: &Path) -> Result<toml::Table, ConfigError> {
-    let whole = |message: String| ConfigError {
-        path: path.to_owned(),
-        problems: vec![Problem { key: String::new(), message }],
-    };
-    let text = std::fs::read_to_string(path).map_err(|e| whole(format!("cannot be read: {e}")))?;
-    text.parse().map_err(|e: toml::de::Error| whole(format!("not valid TOML: {e}")))
+    let text = std::fs::read_to_string(path).map_err(|e| as_a_whole(path, format!("cannot be read: {e}")))?;
+    parse_table(&text, path)
+}
+
+/// A TOML file's text as a table.
+fn parse_table(text: &str, path: &Path) -> Result<toml::Table, ConfigError> {
+    text.parse().map_err(|e: toml::de::Error| as_a_whole(path, format!("not valid TOML: {e}")))
+}
+
+/// A problem with a whole file.
+fn as_a_whole(path: &Path, message: String) -> ConfigError {
+    ConfigError { path: path.to_owned(), problems: vec![Problem { key: String::new(), message }] }
 }

@@ -6,7 +6,7 @@ use super::api::{ApiConfig, read_api};
 use super::rig::Rig;
 use super::section::Section;
 use super::words::{CameraWords, read_settings, word_of};
-use super::{ConfigError, Problem, read_table};
+use super::{ConfigError, Problem, parse_table, read_table};
 use crate::base::ids::{CameraId, NodeId};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
@@ -161,9 +161,17 @@ pub struct NodeConfig {
 impl NodeConfig {
     /// Reads and validates a node file and the rig that it names.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let table = read_table(path)?;
+        Self::of(&read_table(path)?, path)
+    }
+
+    /// As [`Self::load`], of a text that is to become the file at `path`.
+    pub fn from_text(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        Self::of(&parse_table(text, path)?, path)
+    }
+
+    fn of(table: &toml::Table, path: &Path) -> Result<Self, ConfigError> {
         let problems = RefCell::default();
-        let config = read_node(Section::root(&table, &problems), path.parent().unwrap_or(Path::new(".")));
+        let config = read_node(Section::root(table, &problems), path.parent().unwrap_or(Path::new(".")));
         let problems: Vec<Problem> = problems.into_inner();
         match config {
             Some(config) if problems.is_empty() => Ok(config),
@@ -208,7 +216,7 @@ fn read_acquisition(section: Section<'_>) -> Acquisition {
         ),
         on_camera_lost: section.choice_or_first("on_camera_lost", &ON_LOSS),
         on_link_lost: section.choice_or_first("on_link_lost", &ON_LOSS),
-        settings: read_settings(&section, &words),
+        settings: read_settings(&section, &words, None),
         words,
     };
     section.finish();
@@ -313,7 +321,7 @@ fn read_camera(section: Section<'_>, common: Option<&Acquisition>) -> CameraConf
     let id = CameraId(section.name("id"));
     let address = section.text("address");
     let own = CameraWords::read(&section);
-    let mut settings = read_settings(&section, &own);
+    let mut settings = read_settings(&section, &own, common.map(|common| &common.words));
     let mut words = own;
     if let Some(common) = common {
         // What a camera says of itself stands above what is said of all.
@@ -389,7 +397,7 @@ mod tests {
     #[test]
     fn a_cameras_own_words_stand_above_the_common_ones() {
         let common = "trigger_line = \"Line0\"\nexposure_us = 1000\noverlap = false\npacket_delay_us = \"auto\"\n\
-                      settings = [[\"LineSelector\", \"Line0\"], [\"GainRaw\", 3]]";
+                      left_to_settings = [\"gain_db\"]\nsettings = [[\"LineSelector\", \"Line0\"], [\"GainRaw\", 3]]";
         let own = format!(
             "{OWN}trigger_line = \"Line1\"\ntrigger_edge = \"falling\"\ngain_db = 6\nsettings = [[\"LineSelector\", \"Line1\"]]"
         );
@@ -414,10 +422,26 @@ mod tests {
     }
 
     #[test]
+    fn raw_settings_name_a_words_feature_where_the_word_is_left_to_them() {
+        let left = "left_to_settings = [\"trigger_edge\"]\n";
+        let list = "settings = [[\"TriggerActivation\", \"None\"]]";
+        let (camera, problems) = read("", &format!("{OWN}{left}{list}"));
+        assert_eq!((camera.settings.len(), problems), (1, Vec::new()));
+        // Left for all cameras, and by none.
+        assert_eq!(read(left, &format!("{OWN}{list}")).1, [""; 0]);
+        assert_eq!(read("", &format!("{OWN}{list}")).1, ["settings[0]"]);
+        // One that says it itself leaves it to no list.
+        let (camera, problems) = read(&format!("{left}{list}"), &format!("{OWN}trigger_edge = \"falling\""));
+        assert_eq!(problems, [""; 0]);
+        assert!(camera.settings.is_empty() && camera.words.left_to_settings.is_empty(), "{camera:?}");
+    }
+
+    #[test]
     fn words_that_are_wrong_or_said_twice_are_problems_with_key_paths() {
         let own = format!(
             "{OWN}trigger_edge = \"up\"\nexposure_us = -1\npixel = \"rgb8\"\npacket_delay_us = \"soon\"\n\
-             left_to_settings = [\"colour\"]\ngain_db = 0\nexposure = 5\nsettings = [[\"Gain\", 0.0], [\"X\"]]"
+             left_to_settings = [\"colour\", \"gain_db\"]\ngain_db = 0\nexposure = 5\n\
+             settings = [[\"Gain\", 0.0], [\"X\"], [\"TriggerMode\", \"On\"]]"
         );
         let (_, problems) = read("", &own);
         assert_eq!(
@@ -428,8 +452,10 @@ mod tests {
                 "pixel",
                 "packet_delay_us",
                 "left_to_settings[0]",
+                "left_to_settings[1]",
                 "settings[0]",
                 "settings[1]",
+                "settings[2]",
                 "exposure"
             ]
         );

@@ -64,7 +64,7 @@ pub enum Pixel {
     Mono8,
 }
 
-/// The words, each with the features that it sets: what a list of raw settings names is not set by its word.
+/// The words, each with the features that it sets: raw settings name these only where the word is left to them.
 pub const FEATURES_OF_WORDS: [(&str, &[&str]); 9] = [
     ("trigger_line", &["TriggerMode", "TriggerSource"]),
     ("trigger_edge", &["TriggerActivation"]),
@@ -107,6 +107,9 @@ impl CameraWords {
 
     /// These words, and for what they do not say the common ones.
     pub fn or(self, common: &Self) -> Self {
+        // What a camera says of itself it does not leave to a list that is common.
+        let said: Vec<&str> =
+            FEATURES_OF_WORDS.iter().map(|(word, _)| *word).filter(|word| self.says(word)).collect();
         Self {
             trigger_line: self.trigger_line.or_else(|| common.trigger_line.clone()),
             trigger_edge: self.trigger_edge.or(common.trigger_edge),
@@ -118,7 +121,7 @@ impl CameraWords {
             height: self.height.or(common.height),
             overlap: self.overlap.or(common.overlap),
             packet_delay: self.packet_delay.or(common.packet_delay),
-            left_to_settings: common.left_to_settings.iter().cloned().chain(self.left_to_settings).collect(),
+            left_to_settings: left_to_settings(&said, self.left_to_settings, common),
         }
     }
 
@@ -166,12 +169,24 @@ impl CameraWords {
     }
 }
 
+/// Words left to settings: the common ones that a camera does not say, and its own.
+fn left_to_settings(said: &[&str], own: Vec<String>, common: &CameraWords) -> Vec<String> {
+    let unsaid = common.left_to_settings.iter().filter(|word| !said.contains(&word.as_str()));
+    let mut left: Vec<String> = unsaid.cloned().collect();
+    left.extend(own);
+    left
+}
+
 fn read_left(section: &Section<'_>) -> Vec<String> {
     const KEY: &str = "left_to_settings";
     let known = FEATURES_OF_WORDS.map(|(word, _)| word);
     let mut left = Vec::new();
     for (i, value) in section.list(KEY).iter().enumerate() {
         match value.as_str().filter(|word| known.contains(word)) {
+            Some(word) if section.has(word) => section.problem(
+                &format!("{KEY}[{i}]"),
+                format!("{} is said, too: say one of the two", section.path_of(word)),
+            ),
             Some(word) => left.push(word.to_owned()),
             None => {
                 let expected = known.join(", ");
@@ -199,8 +214,17 @@ fn read_packet_delay(section: &Section<'_>) -> PacketDelay {
     PacketDelay::Auto
 }
 
-/// Reads a list of raw settings, and tells what `words` of the same section say already.
-pub(super) fn read_settings(section: &Section<'_>, words: &CameraWords) -> Vec<FeatureSetting> {
+/// Reads a list of raw settings. What a word sets must be left to it, here (`words`) or for all cameras (`common`).
+pub(super) fn read_settings(
+    section: &Section<'_>,
+    words: &CameraWords,
+    common: Option<&CameraWords>,
+) -> Vec<FeatureSetting> {
+    let is_left = |word: &str| {
+        let here = words.left_to_settings.iter();
+        here.chain(common.iter().flat_map(|common| &common.left_to_settings)).any(|left| left == word)
+            && !words.says(word)
+    };
     let mut settings = Vec::new();
     for (i, entry) in section.list("settings").iter().enumerate() {
         let key = format!("settings[{i}]");
@@ -216,10 +240,14 @@ pub(super) fn read_settings(section: &Section<'_>, words: &CameraWords) -> Vec<F
             section.problem(&key, format!("expected [\"FeatureName\", value], found {entry}"));
             continue;
         };
-        if let Some(word) = word_of(feature).filter(|word| words.says(word)) {
+        if let Some(word) = word_of(feature).filter(|word| !is_left(word)) {
             section.problem(
                 &key,
-                format!("{feature} is what {} sets: say one of the two", section.path_of(word)),
+                format!(
+                    "{feature} is what {} sets: say that, or {} = [\"{word}\"]",
+                    section.path_of(word),
+                    section.path_of("left_to_settings")
+                ),
             );
         }
         settings.push(FeatureSetting { feature: feature.clone(), value });

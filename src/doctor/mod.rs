@@ -8,17 +8,28 @@
 
 pub mod devices;
 pub mod disk;
+pub mod firewall;
 pub mod host;
 mod load;
 pub mod network;
+pub mod reverse_path;
+pub mod subnets;
+pub mod usb;
 
 pub use load::Load;
 
 use crate::base::Exit;
 use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
+use crate::network::{Interface, discover, interfaces};
 use serde::Serialize;
+use std::collections::BTreeMap;
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::Path;
 use std::time::Duration;
+
+/// Cameras answer a broadcast within this.
+const DISCOVERY_PATIENCE: Duration = Duration::from_millis(700);
 
 /// What a finding is about: decides the exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -155,8 +166,14 @@ pub fn examine(
     let facts = host::HostFacts::gather(config.map(|config| &config.api));
     host::judge(&facts, &load).into_iter().for_each(&mut tell);
     let Some(config) = config else { return };
-    let paths = network::gather(config, backend.as_deref_mut());
+    // One camera that is known by its Aravis id alone, or is on USB, needs a list of all.
+    let by_id = config.cameras.iter().any(|camera| camera.address.parse::<IpAddr>().is_err());
+    let listed = backend.as_deref_mut().filter(|_| by_id).map_or_else(Vec::new, |backend| backend.list());
+    let all = interfaces();
+    let paths = network::gather(config, &listed, &all);
     network::judge(&paths, &load).into_iter().for_each(&mut tell);
+    examine_network(&paths, &all, &load, facts.packet_socket.is_ok()).into_iter().for_each(&mut tell);
+    usb::judge(&usb::gather(Path::new("/sys"), config, &listed)).into_iter().for_each(&mut tell);
     let held = matches!(facts.api_port, Some(host::PortUse::Node(_) | host::PortUse::Closed));
     // A test at full speed would take the disk from a session that may be running.
     let disk_time = if held { Duration::ZERO } else { disk_time };
@@ -176,6 +193,33 @@ pub fn examine(
     }
     let hsu = devices::HsuFacts::gather(config);
     devices::judge_hsu(&hsu, &load).into_iter().for_each(tell);
+}
+
+/// Subnets, filters and firewalls between the cameras and this program.
+fn examine_network(
+    paths: &[network::CameraPath],
+    all: &[Interface],
+    load: &Load,
+    packet_socket: bool,
+) -> Vec<Finding> {
+    let mut cameras: BTreeMap<String, Vec<Ipv4Addr>> = BTreeMap::new();
+    let mut used: Vec<Interface> = Vec::new();
+    for path in paths {
+        if let (network::Route::Direct(at), IpAddr::V4(address)) = (&path.route, path.address) {
+            cameras.entry(at.name.clone()).or_default().push(address);
+            if !used.contains(at) {
+                used.push(at.clone());
+            }
+        }
+    }
+    let answers = discover(all, DISCOVERY_PATIENCE);
+    let mut findings = subnets::judge(all, &used, &answers);
+    findings.extend(reverse_path::judge(&reverse_path::gather(Path::new("/proc"), &used), all));
+    let cameras: Vec<(String, Vec<Ipv4Addr>)> = cameras.into_iter().collect();
+    if !cameras.is_empty() {
+        findings.extend(firewall::judge(&firewall::gather(), &cameras, load, packet_socket));
+    }
+    findings
 }
 
 /// A number of bytes for people.

@@ -4,30 +4,19 @@
 use super::load::Load;
 use super::{Check, Finding};
 use crate::base::ids::CameraId;
-use crate::camera::CameraBackend;
+use crate::camera::CameraListing;
 use crate::config::NodeConfig;
+use crate::network::Interface;
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr};
-use std::path::Path;
-
-/// A network interface as the system describes it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Interface {
-    /// Its name.
-    pub name: String,
-    /// Largest IP packet, bytes.
-    pub mtu: Option<u32>,
-    /// Whether it has a link. The loopback's state is "unknown", which counts.
-    pub up: bool,
-    /// Mbit/s, where the driver knows.
-    pub speed_mbit: Option<u64>,
-}
 
 /// Where packets to an address leave this host.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Route {
     /// Directly through an interface.
     Direct(Interface),
+    /// Directly through one of several that are in one subnet: the system chooses, wherever the camera hangs.
+    Shared(Vec<String>),
     /// To a router behind an interface: no camera network.
     Gateway(String),
     /// Nowhere.
@@ -47,14 +36,9 @@ pub struct CameraPath {
     pub route: Route,
 }
 
-/// Finds the way to every Ethernet camera. Cameras that are configured by an Aravis id are looked for by
-/// discovery; what is not found there is left to the device checks.
-pub fn gather(config: &NodeConfig, backend: Option<&mut (dyn CameraBackend + '_)>) -> Vec<CameraPath> {
-    let by_id = config.cameras.iter().any(|camera| camera.address.parse::<IpAddr>().is_err());
-    let listed = match backend {
-        Some(backend) if by_id => backend.list(),
-        _ => Vec::new(),
-    };
+/// Finds the way to every Ethernet camera. Cameras that are configured by an Aravis id are looked for among those that
+/// discovery `listed`; what is not found there is left to the device checks.
+pub fn gather(config: &NodeConfig, listed: &[CameraListing], all: &[Interface]) -> Vec<CameraPath> {
     let table = std::fs::read_to_string("/proc/net/route").unwrap_or_default();
     let path = |camera: &crate::config::CameraConfig| {
         let found = || listed.iter().find(|l| l.id == camera.address && l.protocol != "USB3Vision");
@@ -64,29 +48,35 @@ pub fn gather(config: &NodeConfig, backend: Option<&mut (dyn CameraBackend + '_)
             id: camera.id.clone(),
             address,
             frame_bytes: frame.map_or(0, |(_, c)| (c.device.width * c.device.height) as u64),
-            route: route(&table, address),
+            route: route(&table, address, all),
         })
     };
     config.cameras.iter().filter_map(path).collect()
 }
 
-fn route(table: &str, address: IpAddr) -> Route {
+fn route(table: &str, address: IpAddr, all: &[Interface]) -> Route {
     // GigE Vision is IPv4 only.
     let IpAddr::V4(address) = address else { return Route::None };
     match find_route(table, address) {
-        Some((name, false)) => Route::Direct(describe(&name)),
-        Some((name, true)) => Route::Gateway(name),
+        Some((names, false)) => match names.as_slice() {
+            [name] => {
+                let known = all.iter().find(|at| at.name == *name).cloned();
+                Route::Direct(known.unwrap_or_else(|| Interface::describe(name, Vec::new())))
+            }
+            _ => Route::Shared(names),
+        },
+        Some((names, true)) => Route::Gateway(names.join(" or ")),
         None => Route::None,
     }
 }
 
-/// The interface of the most specific route in the text of `/proc/net/route`, and whether it leads to a
-/// gateway. Loopback addresses are in another table.
-fn find_route(table: &str, address: Ipv4Addr) -> Option<(String, bool)> {
+/// The interfaces of the most specific route in the text of `/proc/net/route`, that of the lowest metric first, and whether
+/// it leads to a gateway. Loopback addresses are in another table.
+fn find_route(table: &str, address: Ipv4Addr) -> Option<(Vec<String>, bool)> {
     const UP: u32 = 1;
     const GATEWAY: u32 = 2;
     if address.is_loopback() {
-        return Some(("lo".to_owned(), false));
+        return Some((vec!["lo".to_owned()], false));
     }
     let rows = table.lines().skip(1).filter_map(|line| {
         let fields: Vec<&str> = line.split_whitespace().collect();
@@ -98,21 +88,17 @@ fn find_route(table: &str, address: Ipv4Addr) -> Option<(String, bool)> {
         let fits = flags & UP != 0 && address.to_bits() & mask == target;
         fits.then(|| (mask, std::cmp::Reverse(metric), (*fields[0]).to_owned(), flags & GATEWAY != 0))
     });
-    rows.max().map(|(_, _, name, gateway)| (name, gateway))
-}
-
-fn describe(name: &str) -> Interface {
-    let read = |file: &str| {
-        let path = Path::new("/sys/class/net").join(name).join(file);
-        std::fs::read_to_string(path).ok().map(|text| text.trim().to_owned())
-    };
-    Interface {
-        name: name.to_owned(),
-        mtu: read("mtu").and_then(|text| text.parse().ok()),
-        up: read("operstate").is_some_and(|state| state == "up" || state == "unknown"),
-        // -1 where the driver does not know.
-        speed_mbit: read("speed").and_then(|text| text.parse().ok()).filter(|&speed| speed > 0),
+    let mut rows: Vec<_> = rows.collect();
+    rows.sort();
+    let (best, _, first, gateway) = rows.pop()?;
+    let mut names = vec![first];
+    // Of a router one is enough; a camera hangs on one of several interfaces.
+    for (mask, _, name, to_router) in rows.into_iter().rev() {
+        if !gateway && !to_router && mask == best && !names.contains(&name) {
+            names.push(name);
+        }
     }
+    Some((names, gateway))
 }
 
 /// The verdicts: one per camera on the way to it, one per interface on what it carries.
@@ -145,6 +131,15 @@ fn judge_path(path: &CameraPath, load: &Load) -> Finding {
             format!("{} lies behind a router ({name})", path.address),
             "an interface in the camera's network",
             "give an interface of this host an address in that network, or correct the camera's address",
+        ),
+        Route::Shared(names) => check.failed(
+            format!(
+                "{} are all in the subnet of {}: packets leave by one of them alone",
+                names.join(" and "),
+                path.address
+            ),
+            "one interface in the camera's subnet",
+            "give each interface a subnet of its own, with `ip address` and `fourdbody cameras setup`",
         ),
         Route::Direct(interface) => match interface.mtu {
             Some(mtu) if mtu >= packet => {
@@ -208,17 +203,21 @@ mod tests {
 
     #[test]
     #[cfg(target_endian = "little")]
-    fn the_most_specific_route_wins_then_the_lowest_metric() {
+    fn the_most_specific_route_wins_and_all_interfaces_of_its_subnet_are_named() {
+        let found =
+            |names: &[&str], gateway| Some((names.iter().map(|n| (*n).to_owned()).collect(), gateway));
         let to = |last| find_route(TABLE, Ipv4Addr::new(192, 168, 10, last));
-        assert_eq!(to(2), Some(("cam0".to_owned(), false)));
-        assert_eq!(to(200), Some(("cam2".to_owned(), false)));
-        assert_eq!(find_route(TABLE, Ipv4Addr::new(10, 0, 0, 1)), Some(("eth0".to_owned(), true)));
-        assert_eq!(find_route(TABLE, Ipv4Addr::new(127, 9, 9, 9)), Some(("lo".to_owned(), false)));
+        // The camera hangs on one of them, and metrics do not know on which.
+        assert_eq!(to(2), found(&["cam0", "cam1"], false));
+        assert_eq!(to(200), found(&["cam2"], false));
+        assert_eq!(find_route(TABLE, Ipv4Addr::new(10, 0, 0, 1)), found(&["eth0"], true));
+        assert_eq!(find_route(TABLE, Ipv4Addr::new(127, 9, 9, 9)), found(&["lo"], false));
         assert_eq!(find_route("", Ipv4Addr::new(10, 0, 0, 1)), None);
     }
 
     fn paths(mtu: u32, speed_mbit: Option<u64>, up: bool, cameras: u8) -> Vec<CameraPath> {
-        let interface = Interface { name: "cam0".to_owned(), mtu: Some(mtu), up, speed_mbit };
+        let subnets = Vec::new();
+        let interface = Interface { name: "cam0".to_owned(), mtu: Some(mtu), up, speed_mbit, subnets };
         let path = |n| CameraPath {
             id: CameraId(format!("c{n}")),
             address: [192, 168, 10, n].into(),
@@ -247,9 +246,11 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_behind_a_router_is_told() {
+    fn a_camera_behind_a_router_or_in_two_interfaces_subnet_is_told() {
         let mut lost = paths(9000, None, true, 1);
         lost[0].route = Route::Gateway("eth0".to_owned());
+        assert_eq!(grades(lost.clone()), [Grade::Failed]);
+        lost[0].route = Route::Shared(vec!["cam0".to_owned(), "cam1".to_owned()]);
         assert_eq!(grades(lost.clone()), [Grade::Failed]);
         lost[0].route = Route::None;
         assert_eq!(grades(lost), [Grade::Failed]);

@@ -22,5 +22,6 @@ pub use timing::{ArmRequest, HsuTiming, session_id, trigger_index};
 pub use unit::{ClockSample, Hsu, HsuTimeouts};
 
 pub use hsu_firmware_proto::{
-    EndReason, Fault, Identity, LinkId, Refusal, SessionId, State, Status, TriggerFlags, TriggerRecord,
+    EndReason, Fault, HeadTiming, Identity, LinkId, Refusal, SessionId, State, Status, Sync, TriggerFlags,
+    TriggerRecord,
 };

@@ -153,7 +153,7 @@ fn cameras_of_other_makes_are_set_and_what_was_left_is_told() {
     let options = LaboratoryOptions {
         makes: makes.iter().map(|(id, _, make)| ((*id).to_owned(), Arc::clone(make))).collect(),
         habits: [("h0_up".to_owned(), step)].into(),
-        make_settings: false,
+        make_words: false,
         ..options(small_rig(20.0), dir.path(), 223)
     };
     let laboratory = start_laboratory(&options);
@@ -198,12 +198,13 @@ fn what_no_rule_knows_is_left_to_settings() {
     let makes = [("h0_up", "pco1600"), ("h0_low", "jai_rm_6740ge")];
     let options = LaboratoryOptions {
         makes: makes.iter().map(|(id, name)| ((*id).to_owned(), load(name))).collect(),
-        make_settings: false,
+        make_words: false,
         ..options(small_rig(20.0), dir.path(), 229)
     };
     let laboratory = start_laboratory(&options);
     let file = &laboratory.nodes[0].path;
     say(file, "h0_up", "trigger_line = \"ExtTrig\"");
+    say(file, "h0_up", "left_to_settings = [\"trigger_edge\"]");
     say(file, "h0_up", "settings = [[\"TriggerActivation\", \"None\"]]");
     say(file, "h0_low", "left_to_settings = [\"trigger_line\", \"exposure_us\"]");
     say(file, "h0_low", "settings = [[\"ExposureMode\", \"AsyncProgrammable\"]]");

@@ -4,12 +4,14 @@
 //! What it thinks of the host that runs the tests is not tested here, only that it says something.
 
 use crate::lab::{NodeProcess, fourdbody, laboratory, text_of};
-use fourdbody_simulator::gige::SimulatedCamera;
+use crate::profiles::tables;
+use fourdbody_simulator::gige::{CameraOptions, Habits, Make, SimulatedCamera, TestImages};
 use fourdbody_simulator::hsu::{HsuOptions, SimulatedHsu};
 use fourdbody_simulator::laboratory::Laboratory;
 use hsu_firmware_proto::{Identity, NodeName};
 use serde_json::Value;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Runs it on node a and gives its exit code and its findings.
 fn examine(laboratory: &Laboratory, more: &[&str]) -> (Option<i32>, Vec<Value>) {
@@ -59,10 +61,39 @@ fn good_devices_pass_and_the_disk_is_measured() {
     assert_eq!(finding(&findings, "way to camera h1_low")["grade"], "ok");
     let speed = finding(&findings, "disk speed")["found"].as_str().expect("text");
     assert!(speed.contains("MB/s over"), "{speed}");
-    for host in ["packet socket", "net.core.rmem_max", "memory lock", "clock source", "disk space"] {
+    for host in [
+        "reverse-path filter of lo",
+        "packet socket",
+        "net.core.rmem_max",
+        "memory lock",
+        "clock source",
+        "disk space",
+    ] {
         finding(&findings, host);
     }
+    assert!(findings.iter().any(|f| f["check"].as_str().is_some_and(|name| name.starts_with("firewall"))));
     assert_no_trace(dir.path());
+}
+
+#[test]
+fn a_camera_in_a_wrong_subnet_is_named() {
+    let Some(tables) = tables() else { return };
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = laboratory(dir.path(), 241, 20.0);
+    let images = Arc::new(TestImages::new(64, 48, 1, TestImages::DISTINCT));
+    let mut camera = CameraOptions::new("AWAY", [127, 0, 241, 77].into(), images);
+    camera.make = Some(Arc::new(Make::load(&tables.join("basler_aca1920_25gm.json")).expect("a table")));
+    camera.habits = Habits { link_local: true, ..Habits::default() };
+    let _away = SimulatedCamera::start(camera).expect("its address is free");
+    let (_, findings) = examine(&laboratory, &["--disk-seconds", "0"]);
+    let of_it =
+        |f: &&Value| f["found"].as_str().is_some_and(|found| found.contains("AWAY at 169.254.241.77"));
+    let finding = findings.iter().find(of_it).unwrap_or_else(|| panic!("not named in {findings:#?}"));
+    assert_eq!(
+        (&finding["check"], &finding["grade"]),
+        (&"a camera in a wrong subnet".into(), &"warning".into())
+    );
+    assert!(finding["advice"].as_str().expect("text").contains("cameras setup"), "{finding}");
 }
 
 #[test]

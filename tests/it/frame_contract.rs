@@ -6,6 +6,7 @@ use crate::lab::{
     WORDS, assert_contains, fourdbody, options, small_rig, start_laboratory, start_nodes, text_of,
 };
 use crate::session_faults::check_frames;
+use fourdbody::config::FEATURES_OF_WORDS;
 use fourdbody::record::{ClockSample, GapCause, NodeEvent, SessionReader};
 use fourdbody_simulator::gige::{ClockHabit, Form, Habits};
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
@@ -90,17 +91,25 @@ fn frames_that_are_no_plain_mono8_of_their_size_are_gaps_that_say_so() {
     assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
 }
 
+/// A list of raw settings, with the words that are left to it.
+fn list(settings: &str) -> String {
+    let named =
+        |features: &[&str]| features.iter().any(|feature| settings.contains(&format!("[{feature:?}")));
+    let left = FEATURES_OF_WORDS.iter().filter(|(_, features)| named(features)).map(|(word, _)| *word);
+    format!("left_to_settings = {:?}\nsettings = [{settings}]\n", left.collect::<Vec<_>>())
+}
+
 /// Replaces the settings of all cameras of a node's file, by their place; `common` become those of `[acquisition]`.
 fn set(file: &Path, common: &str, own: impl Fn(usize) -> String) {
     let text = std::fs::read_to_string(file).expect("a node file");
     let mut parts = text.split(WORDS);
     let mut changed = parts.next().expect("its head").replacen(
         "[acquisition]\n",
-        &format!("[acquisition]\nsettings = [{common}]\n"),
+        &format!("[acquisition]\n{}", list(common)),
         1,
     );
     for (place, part) in parts.enumerate() {
-        changed += &format!("settings = [{}]\n{part}", own(place));
+        changed += &format!("{}{part}", list(&own(place)));
     }
     std::fs::write(file, changed).expect("writable");
 }

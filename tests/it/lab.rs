@@ -74,26 +74,11 @@ pub fn start(options: &LaboratoryOptions, size: (usize, usize)) -> Laboratory {
         number += 1;
         Arc::new(TestImages::new(size.0, size.1, number, TestImages::DISTINCT)) as _
     };
-    let laboratory = Laboratory::start(options, images).expect("the laboratory starts");
-    laboratory.nodes.iter().for_each(|node| say_in_words(&node.path));
-    laboratory
+    Laboratory::start(options, images).expect("the laboratory starts")
 }
 
-/// What a test's node file says of each of the simulator's own cameras.
+/// What a laboratory's node file says of each of the simulator's own cameras.
 pub const WORDS: &str = "trigger_line = \"Line0\"\n";
-
-/// Has a node file say in its own words what the simulator lists for its own cameras; the exposure is the rig's.
-fn say_in_words(file: &Path) {
-    let text = std::fs::read_to_string(file).expect("a node file");
-    let mut parts = text.split("settings = [\n");
-    let mut said = parts.next().expect("its head").to_owned();
-    for part in parts {
-        let (list, rest) = part.split_once("\n]\n").expect("a list's end");
-        let own = list.lines().count() == 9 && list.contains("[\"TriggerSource\", \"Line0\"]");
-        said += &if own { format!("{WORDS}{rest}") } else { format!("settings = [\n{part}") };
-    }
-    std::fs::write(file, said).expect("writable");
-}
 
 /// Has a node file say something of a camera, after its address.
 pub fn say(file: &Path, camera: &str, words: &str) {

@@ -67,6 +67,8 @@ mod lab;
 #[cfg(feature = "aravis")]
 mod matrix;
 mod merging;
+#[cfg(feature = "aravis")]
+mod new_bench;
 mod object_store;
 #[cfg(feature = "aravis")]
 mod plan_faults;

@@ -330,7 +330,7 @@ fn record(group: &[Case], subnet: u8, dir: &Path) -> Vec<End> {
             .filter_map(|(place, id)| Some(((*id).to_owned(), of(place)?.make.clone()?)))
             .collect(),
         habits: named.filter_map(|(place, id)| Some(((*id).to_owned(), of(place)?.habits))).collect(),
-        make_settings: false,
+        make_words: false,
         ..options(rig_of(RATE_HZ, SIZE), dir, subnet)
     };
     let laboratory = start(&options, SIZE);

@@ -218,7 +218,7 @@ fn a_camera_that_runs_by_itself_is_refused() {
     let path = &laboratory.nodes[0].path;
     let text = std::fs::read_to_string(path).expect("written by the laboratory");
     // The first camera of the file.
-    let off = "settings = [[\"TriggerMode\", \"Off\"]]\n";
+    let off = "left_to_settings = [\"trigger_line\"]\nsettings = [[\"TriggerMode\", \"Off\"]]\n";
     std::fs::write(path, text.replacen(WORDS, off, 1)).expect("writable");
     let _nodes = start_nodes(&laboratory);
     let output = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "5", "--name", "free"]);

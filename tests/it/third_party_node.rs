@@ -60,9 +60,8 @@ fn our_node_takes_no_frame_of_a_free_running_camera_for_a_triggers() {
     let node = format!(
         "format = 1\nnode = \"a\"\nrig = \"rig.toml\"\n[api]\nlisten = \"127.0.0.1:{port}\"\n\
          [hsu]\ndevice = \"{}\"\n[storage]\nsessions_dir = \"sessions\"\nreserve_mib = 1\n\
-         [acquisition]\nbuffers_per_camera = 32\npacket_bytes = 1400\nsocket = \"standard\"\nsilence_gate_ms = 0\nsettings = [\n\
-         [\"PixelFormat\", \"Mono8\"], [\"Width\", 512], [\"Height\", 512], [\"TriggerMode\", \"Off\"],\n\
-         [\"ExposureTimeAbs\", 10000.0]]\n[[camera]]\nid = \"h0_up\"\naddress = \"127.0.0.1\"\n",
+         [acquisition]\nbuffers_per_camera = 32\npacket_bytes = 1400\nsocket = \"standard\"\nsilence_gate_ms = 0\n\
+         exposure_us = 10000.0\nleft_to_settings = [\"trigger_line\"]\nsettings = [[\"TriggerMode\", \"Off\"]]\n[[camera]]\nid = \"h0_up\"\naddress = \"127.0.0.1\"\n",
         hsu.link(0).display()
     );
     let file = dir.path().join("node.toml");

@@ -86,7 +86,8 @@ fn in_steps(name: &str) -> Trouble {
         name,
         format!(
             "the camera counts its gain in steps ({name}) and does not say how many decibels one has: say gain_db = 0.0 \
-             for the least gain, or set [\"{name}\", STEPS] in `settings`, expected no other gain_db"
+             for the least gain, or left_to_settings = [\"gain_db\"] and [\"{name}\", STEPS] in `settings`, expected no other \
+             gain_db"
         ),
     )
 }

@@ -10,10 +10,10 @@ mod time;
 mod trigger;
 
 pub use must::{Must, Want, all as must_be};
-pub use trigger::{FRAME_TRIGGERS, frame_trigger, starts_a_frame};
+pub use trigger::{FRAME_TRIGGERS, frame_trigger, starts_a_frame, trigger_lines};
 
 use super::description::{Access, Description, Feature, list, nearest};
-use crate::config::{CameraConfig, CameraWords, FeatureSetting, FeatureValue, NodeConfig, word_of};
+use crate::config::{CameraConfig, CameraWords, FeatureSetting, FeatureValue, NodeConfig};
 use std::fmt;
 use std::net::Ipv4Addr;
 
@@ -22,7 +22,7 @@ use std::net::Ipv4Addr;
 pub struct Wishes {
     /// What the node file says in its own words.
     pub words: CameraWords,
-    /// Raw settings: what they name is not set by its word.
+    /// Raw settings, after the words.
     pub raw: Vec<FeatureSetting>,
     /// The exposure of the rig, for a file that does not say one; microseconds.
     pub exposure_us: f64,
@@ -74,7 +74,6 @@ impl Wishes {
     /// Whether a word is left to the raw settings.
     pub fn left_to_settings(&self, word: &str) -> bool {
         self.words.left_to_settings.iter().any(|left| left == word)
-            || self.raw.iter().any(|setting| word_of(&setting.feature) == Some(word))
     }
 
     /// The exposure that is wanted, microseconds.

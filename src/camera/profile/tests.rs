@@ -3,7 +3,7 @@
 
 use super::{Amount, Link, Plan, Scale, Want, Wishes, must_be, resolve};
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
-use crate::config::{AUTO, CameraWords, Edge, FeatureSetting, FeatureValue, PacketDelay};
+use crate::config::{AUTO, CameraWords, Edge, PacketDelay};
 use std::collections::BTreeMap;
 
 /// A description made up for a test.
@@ -235,14 +235,8 @@ fn edges_and_overlap_are_said_in_the_cameras_words() {
     let none = usual(&[("TriggerActivation", "TriggerActivation=None")]);
     assert!(trouble(&none, &wishes()).contains("[\"TriggerActivation\", \"None\"]"));
     let mut left = wishes();
-    left.raw = vec![FeatureSetting {
-        feature: "TriggerActivation".to_owned(),
-        value: FeatureValue::Text("None".to_owned()),
-    }];
-    assert!(
-        !short(&resolve(&none, &left)).contains("TriggerActivation"),
-        "the raw setting stands for the word"
-    );
+    left.words.left_to_settings = vec!["trigger_edge".to_owned()];
+    assert!(!short(&resolve(&none, &left)).contains("TriggerActivation"), "it is left to the settings");
     assert!(trouble(&usual(&[("TriggerActivation", "Width:int")]), &falling).contains("rising"));
     for (has, expected) in [
         ("TriggerOverlap=Off,PreviousFrame,ReadOut", "TriggerOverlap=ReadOut"),
@@ -299,6 +293,9 @@ fn packet_delays_are_counted_as_the_camera_counts() {
     assert!(paced.contains("StreamBytesPerSecond=322560012.9"), "{paced}");
     // 257 packets in nine tenths of 8.33 ms, three quarters of it for the others.
     assert!(short(&resolve(&with("GevSCPD:int"), &shared)).contains("GevSCPD=21.8us-in-ticks"));
+    // At a low rate three packets at 1 Gbit/s are enough.
+    shared.link.period_ns = 200_000_000;
+    assert!(short(&resolve(&with("GevSCPD:int"), &shared)).contains("GevSCPD=216.9us-in-ticks"));
 }
 
 fn musts(text: &str) -> Vec<(String, String)> {

@@ -86,7 +86,7 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
             RAW,
             format!(
                 "the camera counts its exposure in ticks ({RAW}), and none of its features says how long one is (looked \
-                 for {}): set [\"{RAW}\", TICKS] in `settings`",
+                 for {}): set [\"{RAW}\", TICKS] in `settings`, and say left_to_settings = [\"{WORD}\"]",
                 TICKS.join(", ")
             ),
         )),
@@ -146,8 +146,8 @@ fn limit_rate(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) -> boo
     true
 }
 
-/// With k cameras in one network each leaves room for the packets of the others, as far as its frame then still fits into
-/// nine tenths of a period.
+/// With k cameras in one network each leaves room for the packets of the others on the slowest link that cameras have, as far
+/// as its frame then still fits into nine tenths of a period.
 fn automatic_us(wishes: &Wishes) -> f64 {
     let Wishes { size: (width, height), link, .. } = wishes;
     if link.cameras < 2 || link.packet_bytes < 64 {
@@ -155,8 +155,13 @@ fn automatic_us(wishes: &Wishes) -> f64 {
     }
     /// IP, UDP and GVSP headers in each packet.
     const HEADERS: u32 = 36;
+    /// Ethernet's own, and the gap between packets, bytes.
+    const ETHERNET: u32 = 38;
+    /// 1 Gbit/s.
+    const BITS_PER_US: f64 = 1000.0;
     let packets = (width * height) as f64 / f64::from(link.packet_bytes - HEADERS);
     let each_us = 0.9 * link.period_ns as f64 / 1000.0 / packets;
     let share = (link.cameras - 1) as f64 / link.cameras as f64;
-    (each_us * share * 10.0).floor() / 10.0
+    let others_us = f64::from(link.packet_bytes + ETHERNET) * 8.0 / BITS_PER_US * (link.cameras - 1) as f64;
+    ((each_us * share).min(others_us) * 10.0).floor() / 10.0
 }

@@ -60,7 +60,7 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
         return;
     };
     let Some(on) = mode.entry(&["On", "True", "Enabled", "Enable"]).map(str::to_owned) else {
-        let remedy = "set the trigger up in `settings`";
+        let remedy = "set the trigger up in `settings`, and say left_to_settings = [\"trigger_line\"]";
         return plan.troubles.push(Trouble::no_entry(MODE, "On", &mode, remedy));
     };
     let off = mode.entry(&["Off", "False", "Disabled", "Disable"]).map(str::to_owned);
@@ -210,6 +210,14 @@ fn source(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Tr
     Ok(Some(Write::entry(SOURCE, &entry, LINE)))
 }
 
+/// The inputs that the HSU can be wired to: entries of the trigger's source that are lines, `Line0` and `Line1` first.
+pub fn trigger_lines(camera: &dyn Description) -> Vec<String> {
+    let Some(source) = camera.feature(SOURCE) else { return Vec::new() };
+    let mut lines: Vec<String> = source.entries.iter().filter(|entry| is_line(entry)).cloned().collect();
+    lines.sort_by_key(|line| !["line0", "line1"].contains(&plain(line).as_str()));
+    lines
+}
+
 fn edge(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Trouble> {
     const WORD: &str = "trigger_edge";
     if wishes.left_to_settings(WORD) {
@@ -235,7 +243,8 @@ fn edge(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Trou
             None => {
                 let other = feature.entries.first().map_or("", String::as_str);
                 let remedy = format!(
-                    "if it is the right one as it is, set [\"{name}\", \"{other}\"] in `settings`, and leave {WORD} out"
+                    "if it is the right one as it is, set [\"{name}\", \"{other}\"] in `settings`, and say \
+                     left_to_settings = [\"{WORD}\"]"
                 );
                 Err(Trouble::no_entry(name, names[0], &feature, &remedy))
             }

@@ -1,69 +1,52 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The settings of a make for a session, as somebody writes them into a node's file who knows that camera.
+//! What a node's file says of a make, as somebody writes it who knows that camera: words, and raw settings for what no rule
+//! knows.
 
-use super::table::Kind;
 use super::{Make, rules};
 
-/// Entries of a trigger selector of which one starts frames, the likeliest first.
-const STARTS: &[&str] = &["FrameStart", "ExposureStart", "FrameBurstStart"];
-
 impl Make {
-    /// Features in their order, with their values as TOML has them.
-    pub fn session_settings(
-        &self,
-        (width, height): (usize, usize),
-        exposure_us: f64,
-    ) -> Vec<(String, String)> {
+    /// The lines of a `[[camera]]` table behind its address.
+    pub fn session_words(&self) -> String {
         let table = &self.table;
-        let mut list = Vec::new();
-        let mut set = |name: &str, value: String| {
-            if table.find(name).is_some() {
-                list.push((name.to_owned(), value));
+        let (mut said, mut left, mut settings) = (String::new(), Vec::new(), Vec::new());
+        match (&self.wire, table.find("TriggerMode").is_some()) {
+            (Some(wire), true) => said += &format!("trigger_line = {wire:?}\n"),
+            (None, true) => {}
+            (_, false) => left.push("trigger_line"),
+        }
+        let rises = |entry: &String| {
+            ["Rising", "Positive", "ActiveHigh"].iter().any(|start| entry.starts_with(start))
+        };
+        if let Some(edge) = table.feature("TriggerActivation")
+            && !edge.entries.iter().any(rises)
+            && let Some(entry) = edge.entries.first()
+        {
+            left.push("trigger_edge");
+            settings.push(("TriggerActivation", entry.clone()));
+        }
+        if !rules::EXPOSURE.iter().any(|name| table.find(name).is_some()) {
+            left.push("exposure_us");
+        }
+        if table.find("TriggerMode").is_none() {
+            for (name, starts) in rules::EXTERNAL {
+                let entries = table.feature(name).map_or(&[][..], |feature| &feature.entries);
+                // Programmable before presets: the rig's exposure is none of theirs.
+                let fits = |entry: &&String| starts.iter().any(|start| entry.starts_with(start));
+                let best = entries.iter().filter(fits).max_by_key(|entry| entry.ends_with("Programmable"));
+                settings.extend(best.map(|entry| (*name, entry.clone())));
             }
-        };
-        let has = |name: &str, entry: &str| {
-            table.feature(name).is_some_and(|feature| feature.entries.iter().any(|known| known == entry))
-        };
-        if has("PixelFormat", "Mono8") {
-            set("PixelFormat", "\"Mono8\"".to_owned());
         }
-        set("Width", width.to_string());
-        set("Height", height.to_string());
-        let start = STARTS.iter().find(|entry| has("TriggerSelector", entry));
-        for entry in ["AcquisitionStart", "FrameBurstStart"] {
-            if has("TriggerSelector", entry) && start != Some(&entry) {
-                set("TriggerSelector", format!("{entry:?}"));
-                set("TriggerMode", "\"Off\"".to_owned());
-            }
+        let list = |items: Vec<String>| items.join(", ");
+        if !left.is_empty() {
+            said += &format!(
+                "left_to_settings = [{}]\n",
+                list(left.iter().map(|word| format!("{word:?}")).collect())
+            );
         }
-        // A selector that cannot be written has one entry that counts.
-        let fixed = |name: &str| {
-            table.feature(name).is_some_and(|feature| rules::access(feature) == super::table::Access::Ro)
-        };
-        if let Some(start) = start.filter(|_| !fixed("TriggerSelector")) {
-            set("TriggerSelector", format!("{start:?}"));
+        if !settings.is_empty() {
+            let pairs = settings.iter().map(|(name, entry)| format!("[{name:?}, {entry:?}]"));
+            said += &format!("settings = [{}]\n", list(pairs.collect()));
         }
-        set("TriggerMode", "\"On\"".to_owned());
-        if let Some(wire) = &self.wire {
-            set("TriggerSource", format!("{wire:?}"));
-        }
-        if has("TriggerActivation", "RisingEdge") {
-            set("TriggerActivation", "\"RisingEdge\"".to_owned());
-        }
-        if has("TriggerOverlap", "ReadOut") && !fixed("TriggerOverlap") {
-            set("TriggerOverlap", "\"ReadOut\"".to_owned());
-        }
-        let number = |name: &str, value: f64| match table.feature(name).map(|feature| feature.kind) {
-            Some(Kind::Integer) => format!("{}", value.round() as i64),
-            _ => format!("{value:?}"),
-        };
-        if let Some(name) = rules::EXPOSURE.iter().find(|name| table.find(name).is_some()) {
-            set(name, number(name, exposure_us));
-        }
-        if let Some(name) = rules::GAIN.iter().find(|name| table.find(name).is_some()) {
-            let least = table.feature(name).map_or(0.0, |feature| rules::range(feature).min);
-            set(name, number(name, least));
-        }
-        list
+        said
     }
 }

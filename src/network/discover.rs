@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Asks every interface which cameras are there, by broadcast, and gives addresses to those in wrong subnets.
+
+use super::gvcp::{self, ForceIp, Reply};
+use super::interface::Interface;
+use std::fmt;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::os::fd::AsRawFd;
+use std::time::{Duration, Instant};
+
+/// A network card's own number, the lower 48 bits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Mac(pub u64);
+
+impl serde::Serialize for Mac {
+    fn serialize<S: serde::Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.collect_str(self)
+    }
+}
+
+impl fmt::Display for Mac {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [_, _, a, b, c, d, e, g] = self.0.to_be_bytes();
+        write!(f, "{a:02x}:{b:02x}:{c:02x}:{d:02x}:{e:02x}:{g:02x}")
+    }
+}
+
+/// One camera's answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Answer {
+    /// Its MAC.
+    pub mac: Mac,
+    /// The address that it has now.
+    pub address: Ipv4Addr,
+    /// Manufacturer.
+    pub vendor: String,
+    /// Model.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// The name that its user gave it; empty where none did.
+    pub user_name: String,
+    /// The interface on which it answered.
+    pub interface: String,
+}
+
+impl fmt::Display for Answer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { vendor, model, serial, address, mac, .. } = self;
+        write!(f, "{vendor} {model} {serial} at {address} ({mac})")
+    }
+}
+
+impl Answer {
+    /// Reads a discovery's payload: the first 0xf8 bytes of the bootstrap registers.
+    fn read(payload: &[u8], interface: &str) -> Option<Self> {
+        let word = |at: usize| Some(u32::from_be_bytes(*payload.get(at..)?.first_chunk()?));
+        let text = |at: usize, length: usize| {
+            let bytes = payload.get(at..at + length)?;
+            let end = bytes.iter().position(|byte| *byte == 0).unwrap_or(length);
+            let text = String::from_utf8_lossy(&bytes[..end]);
+            Some(text.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_owned())
+        };
+        Some(Self {
+            mac: Mac(u64::from(word(0x08)? & 0xffff) << 32 | u64::from(word(0x0c)?)),
+            address: Ipv4Addr::from_bits(word(0x24)?),
+            vendor: text(0x48, 32)?,
+            model: text(0x68, 32)?,
+            serial: text(0xd8, 16)?,
+            user_name: text(0xe8, 16)?,
+            interface: interface.to_owned(),
+        })
+    }
+}
+
+/// A socket whose broadcasts leave by this interface, and that hears answers which are broadcast, too.
+fn socket_on(interface: &Interface) -> io::Result<UdpSocket> {
+    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+    let name = interface.name.as_bytes();
+    // SAFETY: pointer and length describe the name, which outlives the call.
+    let bound = unsafe {
+        libc::setsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_SOCKET,
+            libc::SO_BINDTODEVICE,
+            name.as_ptr().cast(),
+            name.len() as libc::socklen_t,
+        )
+    };
+    // Linux before 5.7 wants a right for that: then the interface's address says where to.
+    let socket = match (bound, interface.subnets.first()) {
+        (0, _) | (_, None) => socket,
+        (_, Some(subnet)) => UdpSocket::bind((subnet.address, 0))?,
+    };
+    socket.set_broadcast(true)?;
+    Ok(socket)
+}
+
+/// Sends to everybody on the interface: the cameras of its subnets, and those that are in none of them.
+fn send_to_all(socket: &UdpSocket, interface: &Interface, packet: &[u8]) -> io::Result<()> {
+    let own = interface.subnets.iter().map(|subnet| subnet.broadcast());
+    let mut sent = Err(io::Error::from(io::ErrorKind::AddrNotAvailable));
+    for address in own.chain([Ipv4Addr::BROADCAST]) {
+        let one = socket.send_to(packet, (address, gvcp::PORT)).map(drop);
+        sent = if sent.is_ok() { sent } else { one };
+    }
+    sent
+}
+
+/// Takes answers to request `id` until `until`, or until `done` says so.
+fn listen(
+    socket: &UdpSocket,
+    id: u16,
+    until: Instant,
+    mut done: impl FnMut(Reply<'_>, SocketAddr) -> bool,
+) -> io::Result<()> {
+    let mut buffer = [0; 1024];
+    loop {
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Ok(());
+        }
+        socket.set_read_timeout(Some(left))?;
+        match socket.recv_from(&mut buffer) {
+            Ok((length, from)) => {
+                if let Some(reply) = gvcp::reply(&buffer[..length], id)
+                    && done(reply, from)
+                {
+                    return Ok(());
+                }
+            }
+            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {}
+            // Somebody's host refused a packet: not the one that is waited for.
+            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Asks on every interface who is there, and takes answers for `patience`; each camera once, by interface and MAC. An
+/// interface that cannot be asked is left out.
+pub fn discover(interfaces: &[Interface], patience: Duration) -> Vec<Answer> {
+    const ID: u16 = 0x4d42;
+    let ask = |interface: &Interface| -> io::Result<UdpSocket> {
+        let socket = socket_on(interface)?;
+        send_to_all(&socket, interface, &gvcp::discovery(ID))?;
+        Ok(socket)
+    };
+    let asked: Vec<(&Interface, UdpSocket)> =
+        interfaces.iter().filter_map(|interface| Some((interface, ask(interface).ok()?))).collect();
+    let until = Instant::now() + patience;
+    let mut found: Vec<Answer> = Vec::new();
+    for (interface, socket) in asked {
+        // Answers wait in their sockets while others are read; a moment for each is enough then.
+        let until = until.max(Instant::now() + Duration::from_millis(20));
+        let heard = listen(&socket, ID, until, |reply, _| {
+            if let Reply::Done(payload) = reply
+                && let Some(answer) = Answer::read(payload, &interface.name)
+                && !found.iter().any(|known| known.mac == answer.mac)
+            {
+                found.push(answer);
+            }
+            false
+        });
+        if let Err(error) = heard {
+            tracing::warn!(interface = interface.name, %error, "its answers cannot be read");
+        }
+    }
+    found.sort_by_key(|answer| (answer.interface.clone(), answer.mac));
+    found
+}
+
+/// Gives a camera an address, until its power is switched off; returns whether it said yes within `patience`.
+///
+/// # Errors
+/// As the system says.
+pub fn force_address(interface: &Interface, force: &ForceIp, patience: Duration) -> io::Result<bool> {
+    const ID: u16 = 0x4d43;
+    let socket = socket_on(interface)?;
+    send_to_all(&socket, interface, &gvcp::force_ip(ID, force))?;
+    let mut agreed = false;
+    listen(&socket, ID, Instant::now() + patience, |reply, _| {
+        agreed = matches!(reply, Reply::Done(_));
+        agreed
+    })?;
+    Ok(agreed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Answer, Mac};
+
+    #[test]
+    fn an_answer_is_read_from_the_bootstrap_registers() {
+        let mut payload = vec![0; 0xf8];
+        payload[0x08..0x10].copy_from_slice(&[0, 0, 0x00, 0x30, 0x53, 0x01, 0x02, 0x03]);
+        payload[0x24..0x28].copy_from_slice(&[169, 254, 3, 3]);
+        payload[0x48..0x4e].copy_from_slice(b"Basler");
+        payload[0xd8..0xdc].copy_from_slice(b"4\x1b12");
+        let answer = Answer::read(&payload, "cam0").expect("whole");
+        assert_eq!(answer.mac, Mac(0x0030_5301_0203));
+        assert_eq!(answer.to_string(), "Basler  412 at 169.254.3.3 (00:30:53:01:02:03)");
+        assert_eq!(Answer::read(&payload[..0xf0], "cam0"), None, "cut");
+    }
+}

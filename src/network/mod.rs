@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! This host's network interfaces, and the GigE Vision cameras that answer on them, whatever addresses they have.
+//!
+//! Aravis lists cameras by the addresses that they say; one in a wrong subnet cannot be opened, and nothing tells why.
+//! Here a camera is known by its MAC, and by the interface on which it answered.
+
+mod discover;
+mod gvcp;
+mod interface;
+mod registers;
+
+pub use discover::{Answer, Mac, discover, force_address};
+pub use gvcp::ForceIp;
+pub use interface::{Interface, Subnet, interfaces, shared_subnets};
+pub use registers::{KeptAddress, keep_address, read_kept_address};
