@@ -9,7 +9,7 @@ use super::lattice::Sighting;
 use super::marker_check::marker_is_there;
 use super::rows::ridge;
 use super::start::board_pose;
-use super::views::{DARK, Looked, Refusal, View};
+use super::views::{DARK, Looked, Phase, Refusal, View};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Plane;
 use crate::data::Calibration;
@@ -145,7 +145,7 @@ fn confirm(view: &View, image: &Plane<u8>, board: &Board) -> Confirmed {
     let mut confirmed = Confirmed { circles: vec![false; board.circles().len()], dark: 0, lit: 0 };
     for sighting in &view.sightings {
         let Some(around) = lightest(sighting, image, 1.5) else { continue };
-        if around < 2.0 * f64::from(DARK) {
+        if around < f64::from(DARK) {
             continue;
         }
         confirmed.lit += 1;
@@ -189,8 +189,8 @@ fn pair_up(
     pattern: &Pattern,
     Owner { id, camera, trigger, pair }: Owner<'_>,
     image: &Plane<u8>,
-    phase: Result<Plane<f32>, Refusal>,
-) -> Option<Finding> {
+    phase: Result<Phase, Refusal>,
+) -> Vec<Finding> {
     let after = positions.partition_point(|p| p.white < trigger);
     let finding = |place: Option<usize>, kind, left_out, message: String| Finding {
         camera: id.clone(),
@@ -211,70 +211,72 @@ fn pair_up(
     let seen = seen.map(|(place, c)| (*place, c.dark, c.lit));
     let found = [first, second].into_iter().flatten().find(|(_, confirmed)| confirmed.is_same_place());
     let Some((place, confirmed)) = found else {
-        return Some(match seen {
-            Some((place, dark, lit)) => finding(
+        let (place, kind, message) = match seen {
+            Some((place, _, lit)) if lit < LEAST_TO_JUDGE => (
+                Some(place),
+                Kind::TooDark,
+                format!(
+                    "only {lit} circles of the white frame are lit by the fringes, expected at least {LEAST_TO_JUDGE}: too dark, or the projector does not reach the board there. Expose longer"
+                ),
+            ),
+            Some((place, dark, lit)) => (
                 Some(place),
                 Kind::Moved,
-                true,
                 format!(
                     "only {dark} of {lit} circles of the white frame are at the same place in the fringes: the board moved between the two, or something stands before it. Hold it still, white first, then fringes"
                 ),
             ),
-            None => finding(
+            None => (
                 after.checked_sub(1),
                 Kind::Unpaired,
-                true,
                 "fringes without a usable white frame of the same position".to_owned(),
             ),
-        });
+        };
+        return vec![finding(place, kind, true, message)];
     };
-    let view = positions[place].views[camera].as_ref();
-    // The pipeline may have taken circles for the marker's dashes.
-    let phase = phase.and_then(|phase| match (view, pair) {
-        (Some(view), Some(pair)) if !marker_is_there(view, image, &phase, pair) => Err(Refusal::no_marker()),
-        _ => Ok(phase),
-    });
-    let phase = match phase {
+    let Phase { plane: phase, marker } = match phase {
         Ok(phase) => phase,
-        Err(refusal) if refusal.kind == Kind::NoMarker && confirmed.has_holes() => {
-            let message = format!(
-                "only {} of {} circles of the white frame are seen in the fringes, and the marker is not: is something in front of the board?",
-                confirmed.dark, confirmed.lit
-            );
-            return Some(finding(Some(place), Kind::Hidden, true, message));
-        }
-        Err(refusal) => return Some(refused(id, trigger, Some(place + 1), refusal)),
+        Err(refusal) => return vec![refused(id, trigger, Some(place + 1), refusal)],
     };
     let position = &mut positions[place];
     let swapped = position.white > trigger;
     let Some(view) = position.views[camera].as_mut().filter(|view| view.phase.is_none()) else {
         // A second frame with fringes of the same position adds little.
-        return None;
+        return Vec::new();
     };
     let (dark, lit, has_holes) = (confirmed.dark, confirmed.lit, confirmed.has_holes());
     if let Some(white) = view.white.take() {
         view.light = light_samples(view, &white, image, &phase, &confirmed.circles, board, pattern);
     }
-    if let Some(pair) = pair {
+    // The pipeline may have taken circles for the marker's dashes.
+    if let Some(pair) = pair.filter(|pair| marker && marker_is_there(view, image, &phase, pair)) {
+        view.marker = true;
         view.ridge = ridge(view, image, &phase, pair);
     }
+    let marker = view.marker;
     view.phase = Some(phase);
     view.confirmed = confirmed.circles;
     position.fringes = Some(trigger);
+    let used = |kind, message: String| finding(Some(place), kind, false, message);
+    let mut findings = Vec::new();
     if swapped {
-        return Some(finding(
-            Some(place),
+        findings.push(used(
             Kind::OrderSwapped,
-            false,
             "the fringes came before the white frame of their position, expected white first; paired by the circles".to_owned(),
         ));
     }
-    has_holes.then(|| {
+    if has_holes {
         let message = format!(
             "only {dark} of {lit} circles of the white frame are seen in the fringes: is something in front of the board?"
         );
-        finding(Some(place), Kind::Hidden, false, message)
-    })
+        findings.push(used(Kind::Hidden, message));
+    } else if !marker {
+        findings.push(used(
+            Kind::NoMarker,
+            "no marker in the fringes: the board gives their order. Is it the rig's pattern (`fourdbody pattern`), and does the marker fall on the board?".to_owned(),
+        ));
+    }
+    findings
 }
 
 /// Views that lack circles which lie in the image and in the light.

@@ -3,7 +3,9 @@
 
 use super::failure::Failure;
 use crate::base::Exit;
-use crate::report::{gather, render};
+use crate::preview::Exposure;
+use crate::report::{Report, gather, render};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Write a page about a session: verdict, gaps over time, light per camera, latencies, points, a turning cloud.
@@ -22,7 +24,8 @@ pub struct Args {
     /// The page.
     #[arg(long, value_name = "HTML")]
     out: PathBuf,
-    /// Print what was written as JSON: {"page": PATH, "bytes": N, "unreadable": [...]}.
+    /// Print what was written as JSON: {"page": PATH, "bytes": N, "exposure": {CAMERA: {"ev": N, "saturated": N}},
+    /// "unreadable": [...]}.
     #[arg(long)]
     json: bool,
 }
@@ -35,11 +38,22 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
     if args.json {
         let unreadable: Vec<String> = report.unreadable.iter().map(ToString::to_string).collect();
-        let told = serde_json::json!({ "page": args.out, "bytes": page.len(), "unreadable": unreadable });
+        let exposure: BTreeMap<String, Option<Exposure>> = exposures(&report).collect();
+        let told = serde_json::json!({ "page": args.out, "bytes": page.len(), "exposure": exposure, "unreadable": unreadable });
         println!("{told}");
     } else {
+        for (camera, exposure) in exposures(&report) {
+            let right = exposure.map_or("no fringes to tell by".to_owned(), |exposure| exposure.to_string());
+            println!("{camera}: right exposure: {right}");
+        }
         println!("{}: {} KiB, opens in any browser", args.out.display(), page.len() / 1024);
     }
     report.unreadable.iter().for_each(|one| eprintln!("NOT READABLE  {one}"));
     Ok(if report.unreadable.is_empty() { Exit::Done } else { Exit::Corrupt })
+}
+
+/// By camera, what exposure would be right.
+fn exposures(report: &Report) -> impl Iterator<Item = (String, Option<Exposure>)> {
+    let cameras = report.nodes.iter().flat_map(|node| &node.cameras);
+    cameras.map(|camera| (camera.described.header.id.to_string(), camera.exposure))
 }
