@@ -54,10 +54,11 @@ impl Rigging<'_> {
                 continue;
             }
             places.insert(which.position);
-            if self.has_marker(head, which.camera, which.position) {
+            let told = self.told(head, which, readings);
+            if told.len() >= LEAST_PHASE_POINTS {
                 let pose = model.boards[which.board];
                 let seen = |r: &Reading| (pose * r.point, r.column);
-                marked.push(spread(&readings).map(seen).collect::<Vec<SeenColumn>>());
+                marked.push(spread(&told).map(seen).collect::<Vec<SeenColumn>>());
             }
         }
         if places.len() < LEAST_PHASES {
@@ -72,23 +73,25 @@ impl Rigging<'_> {
         Ok(())
     }
 
-    fn has_marker(&self, head: usize, camera: usize, position: usize) -> bool {
-        let view = self.positions[position].views[self.first_camera(head) + camera].as_ref();
-        view.is_some_and(|view| view.marker)
+    /// Those whose fringe orders the view's own marker tells.
+    fn told(&self, head: usize, which: Which, readings: Vec<Reading>) -> Vec<Reading> {
+        let view = self.positions[which.position].views[self.first_camera(head) + which.camera].as_ref();
+        let marker = view.and_then(|view| view.phase.as_ref()).is_some_and(|phase| phase.marker);
+        readings.into_iter().filter(|reading| marker && reading.told).collect()
     }
 
     /// The views whose own markers say other orders than the board.
     pub(super) fn misread(&self, result: &HeadResult, excluded: &Excluded) -> Vec<Misread> {
         let period = self.nominal.pattern.period_px;
         let views = self.views_with_phase(result.head, &result.positions, excluded).into_iter();
-        let marked = views.filter(|which| self.has_marker(result.head, which.camera, which.position));
         let of_view = |which: Which| {
             let readings = self.readings(result.head, which, &result.all.model);
-            let excess = median(readings.iter().map(Reading::excess));
-            let fringes = (excess / period).round() as i64;
+            let told = self.told(result.head, which, readings);
+            // Without any it is no number, and comes to 0 fringes.
+            let fringes = (median(told.iter().map(Reading::excess)) / period).round() as i64;
             (fringes != 0).then_some(Misread { camera: which.camera, position: which.position, fringes })
         };
-        marked.filter_map(of_view).collect()
+        views.filter_map(of_view).collect()
     }
 
     pub(super) fn misread_finding(&self, head: usize, misread: &Misread) -> Finding {

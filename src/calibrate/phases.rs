@@ -9,7 +9,7 @@ use super::bundle::{Model, Observation};
 use super::consistency::Excluded;
 use super::ellipse::least_squares;
 use super::stages::{Rigging, project};
-use crate::base::image::Plane;
+use super::views::Phase;
 use crate::geometry::pattern::Pattern;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::{Isometry3, Matrix2, Point3, SVector, Vector2, Vector3};
@@ -31,10 +31,12 @@ pub(super) struct Reading {
     pub(super) point: Point3<f64>,
     /// The panel column that lights it by the projector's model, px.
     pub(super) expected: f64,
-    /// The one that its phase says, px: but for whole fringes, unless the view's marker tells.
+    /// The one that its phase says, px: but for whole fringes.
     pub(super) column: f64,
     /// Standard deviation of that, px.
     pub(super) sigma_px: f64,
+    /// Whether the marker of its frame tells the whole fringes.
+    pub(super) told: bool,
 }
 
 impl Reading {
@@ -101,8 +103,8 @@ impl Rigging<'_> {
             let ((x, column_x), (y, column_y)) = (along(Vector3::x())?, along(Vector3::y())?);
             let pixels = Matrix2::from_columns(&[x, y]).try_inverse()?;
             let slope = pixels.transpose() * Vector2::new(column_x, column_y);
-            let (column, sigma_px) = column_at(phase, pixel, slope.into(), &pair)?;
-            Some(Reading { point: *point, expected, column, sigma_px })
+            let (column, sigma_px, told) = column_at(phase, pixel, slope.into(), &pair)?;
+            Some(Reading { point: *point, expected, column, sigma_px, told })
         };
         let points = field_points(self.board);
         let seen = points.iter().filter(|(_, circles)| circles.iter().all(is_seen));
@@ -158,26 +160,28 @@ fn modulo_mean(values: impl Iterator<Item = f64>, period: f64) -> f64 {
     sum[1].atan2(sum[0]) * period / TAU
 }
 
-/// The panel column that lights the board at pixel (u, v), and its standard deviation, px. `slope`: how the column changes
-/// along u and v there. Which fringe of several is that of most of the window.
+/// The panel column that lights the board at pixel (u, v), its standard deviation, px, and whether the marker tells its whole
+/// fringes. `slope`: how the column changes along u and v there. Which fringe of several is that of most of the window.
 fn column_at(
-    phase: &Plane<f32>,
+    Phase { plane: phase, told, .. }: &Phase,
     [u, v]: [f64; 2],
     slope: [f64; 2],
     pair: &CameraProjector,
-) -> Option<(f64, f64)> {
+) -> Option<(f64, f64, bool)> {
     let (column, row) = (u.round() as i64, v.round() as i64);
     let inside = |at: i64, size: usize| at >= WINDOW && at + WINDOW < size as i64;
     if !(inside(column, phase.width()) && inside(row, phase.height())) {
         return None;
     }
     let slope = slope.map(|columns| columns * TAU / pair.pattern.period_px);
-    let mut rows = Vec::with_capacity(((2 * WINDOW + 1) * (2 * WINDOW + 1)) as usize);
+    let room = ((2 * WINDOW + 1) * (2 * WINDOW + 1)) as usize;
+    let (mut rows, mut is_told) = (Vec::with_capacity(room), Vec::with_capacity(room));
     for y in row - WINDOW..=row + WINDOW {
         for x in column - WINDOW..=column + WINDOW {
             let value = f64::from(phase.at(x as usize, y as usize));
             if !value.is_nan() {
                 rows.push((Vector3::new(1.0, x as f64 - u, y as f64 - v), value));
+                is_told.push(told.at(x as usize, y as usize));
             }
         }
     }
@@ -191,6 +195,7 @@ fn column_at(
     let each = turns.clone();
     let middle = turns.len() / 2;
     let most = *turns.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let told = each.iter().zip(&is_told).filter(|(own, told)| **told && **own == most).count();
     rows.iter_mut().zip(each).for_each(|((_, value), own)| *value -= TAU * (own - most));
     let fit: SVector<f64, 3> = least_squares(rows.iter().copied())?;
     let sum: f64 = rows.iter().map(|(row, value)| (row.dot(&fit) - value).powi(2)).sum();
@@ -202,7 +207,7 @@ fn column_at(
     // Neighbouring phases share most of their pixels: count one in so many as independent.
     let independent = rows.len() as f64 / pair.period_px.max(1.0) as f64;
     let sigma = rms.max(0.005) / independent.sqrt() * pair.pattern.period_px / TAU;
-    Some((pair.pattern.column(fit[0]), sigma))
+    Some((pair.pattern.column(fit[0]), sigma, 2 * told > rows.len()))
 }
 
 /// Points of the white field, as far from the circles as can be: between two and between four of them; with the numbers

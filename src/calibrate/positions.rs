@@ -17,7 +17,7 @@ use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Point3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 
 /// The board at one place: a white frame, and the frame with fringes that belongs to it.
@@ -58,10 +58,11 @@ pub fn arrange(
         views: (0..ids.len()).map(|_| None).collect(),
     };
     let mut positions: Vec<Position> = whites.iter().map(empty).collect();
-    let mut fringes = Vec::new();
+    let (mut fringes, mut dark) = (Vec::new(), Vec::new());
     for (trigger, camera, looked) in frames {
         match looked {
-            Looked::Missing(_) | Looked::Dark => {}
+            Looked::Missing(_) => {}
+            Looked::Dark => dark.push((trigger, camera)),
             Looked::Fringes { image, phase } => fringes.push((trigger, camera, image, phase)),
             Looked::White(view) => {
                 let Ok(place) = whites.binary_search(&trigger) else { continue };
@@ -81,10 +82,29 @@ pub fn arrange(
         let of = Owner { id: &ids[camera], camera, trigger, pair: pairs[camera].as_ref() };
         findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
     }
+    // One line for each view, however many dark frames there are.
+    let mut told = BTreeSet::new();
+    let dark = dark.into_iter().filter_map(|(t, camera)| dark_fringes(&positions, &ids[camera], camera, t));
+    findings.extend(dark.filter(|found| told.insert((found.camera.clone(), found.position))));
     let views = positions.iter_mut().flat_map(|p| &mut p.views).flatten();
     views.for_each(|view| view.white = None);
     findings.sort_by_key(|f| (f.trigger.is_none(), f.trigger));
     (positions, findings)
+}
+
+/// A dark frame after the white one of a view that has no fringes.
+fn dark_fringes(
+    positions: &[Position],
+    id: &CameraId,
+    camera: usize,
+    trigger: TriggerIndex,
+) -> Option<Finding> {
+    let place = positions.partition_point(|p| p.white < trigger).checked_sub(1)?;
+    let lacks = positions[place].views[camera].as_ref().is_some_and(|view| view.phase.is_none());
+    lacks.then(|| {
+        let message = "nothing is lit in the fringes, but the board in the white frame: expose longer, or look after the projector";
+        refused(id, trigger, Some(place + 1), Refusal { kind: Kind::TooDark, message: message.to_owned() })
+    })
 }
 
 fn refused(camera: &CameraId, trigger: TriggerIndex, position: Option<usize>, refusal: Refusal) -> Finding {
@@ -234,7 +254,7 @@ fn pair_up(
         };
         return vec![finding(place, kind, true, message)];
     };
-    let Phase { plane: phase, marker } = match phase {
+    let mut phase = match phase {
         Ok(phase) => phase,
         Err(refusal) => return vec![refused(id, trigger, Some(place + 1), refusal)],
     };
@@ -246,14 +266,15 @@ fn pair_up(
     };
     let (dark, lit, has_holes) = (confirmed.dark, confirmed.lit, confirmed.has_holes());
     if let Some(white) = view.white.take() {
-        view.light = light_samples(view, &white, image, &phase, &confirmed.circles, board, pattern);
+        view.light = light_samples(view, &white, image, &phase.plane, &confirmed.circles, board, pattern);
     }
     // The pipeline may have taken circles for the marker's dashes.
-    if let Some(pair) = pair.filter(|pair| marker && marker_is_there(view, image, &phase, pair)) {
-        view.marker = true;
-        view.ridge = ridge(view, image, &phase, pair);
+    let pair = pair.filter(|pair| phase.marker && marker_is_there(view, image, &phase.plane, pair));
+    if let Some(pair) = pair {
+        view.ridge = ridge(view, image, &phase.plane, pair);
     }
-    let marker = view.marker;
+    let marker = pair.is_some();
+    phase.marker = marker;
     view.phase = Some(phase);
     view.confirmed = confirmed.circles;
     position.fringes = Some(trigger);

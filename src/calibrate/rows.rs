@@ -114,7 +114,7 @@ fn see(view: &View, triangulator: &Triangulator, seen: &mut Vec<Seen>) {
     let Some(phase) = &view.phase else { return };
     let period = triangulator.pair().pattern.marker_period_px;
     let crossing = |pixel: &RidgePixel| {
-        let phase = f64::from(phase.at(pixel.u, pixel.v));
+        let phase = f64::from(phase.plane.at(pixel.u, pixel.v));
         let (row, distance) = triangulator.panel_row(pixel.u, pixel.v, phase)?;
         Some(Crossing { v: pixel.v, row, distance, light: pixel.light })
     };

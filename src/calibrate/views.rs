@@ -39,10 +39,8 @@ pub enum Light {
 pub struct View {
     /// The circles.
     pub sightings: Vec<Sighting>,
-    /// The phase over the frame with fringes, rad; NaN where it is not known. See [`Phase`].
-    pub phase: Option<Plane<f32>>,
-    /// Whether the frame with fringes shows the marker where its phase has it.
-    pub marker: bool,
+    /// The phase over the frame with fringes.
+    pub phase: Option<Phase>,
     /// By circle of the board: seen in the white frame and again in the frame with fringes. Empty without fringes.
     pub confirmed: Vec<bool>,
     /// The white frame, until the fringes were compared with it.
@@ -53,13 +51,15 @@ pub struct View {
     pub ridge: Vec<RidgePixel>,
 }
 
-/// The phase of a frame by itself, rad: absolute where its marker tells, elsewhere only up to whole turns, which may differ
-/// from patch to patch. The board tells which they are (`orders.rs`).
+/// The phase of a frame by itself, rad.
 #[derive(Debug, Clone)]
 pub struct Phase {
     /// NaN where there is none.
     pub plane: Plane<f32>,
-    /// Whether a marker was found.
+    /// Where the frame's own marker tells the fringe orders. Elsewhere whole turns may be lacking, others in each patch: the
+    /// board tells them (`orders.rs`).
+    pub told: Plane<bool>,
+    /// Whether the marker is where the phase has it.
     pub marker: bool,
 }
 
@@ -210,19 +210,22 @@ fn owned(image: Mono8<'_>) -> Plane<u8> {
 }
 
 fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Phase, Refusal> {
-    let prepared = pipeline.absolute(image).map_err(|refused| {
+    let (prepared, in_patches) = pipeline.absolute(image).map_err(|refused| {
         Refusal::new(Kind::NoPhase, format!("the fringes give no phase ({:?})", refused.outcome))
     })?;
     let mut plane = Plane::filled(image.width(), image.height(), f32::NAN);
+    let mut told = Plane::filled(image.width(), image.height(), false);
     let roi = prepared.roi;
     for v in 0..roi.height {
         // What lies beside the runs is any number.
-        for run in prepared.runs().row(v) {
-            let to = &mut plane.row_mut(roi.v + v)[roi.u..roi.u + roi.width];
-            to[run.columns()].copy_from_slice(&prepared.absolute.row(v)[run.columns()]);
+        for u in prepared.runs().row(v).iter().flat_map(|run| run.columns()) {
+            let absolute = prepared.absolute.at(u, v);
+            let phase = if absolute.is_nan() { in_patches.at(u, v) } else { absolute };
+            plane.set(roi.u + u, roi.v + v, phase);
+            told.set(roi.u + u, roi.v + v, !absolute.is_nan());
         }
     }
-    Ok(Phase { plane, marker: prepared.counts.marker > 0 })
+    Ok(Phase { plane, told, marker: prepared.counts.marker > 0 })
 }
 
 fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<View, Refusal> {
@@ -260,7 +263,6 @@ fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<V
     Ok(View {
         sightings,
         phase: None,
-        marker: false,
         confirmed: Vec::new(),
         white: Some(owned(image)),
         light: Vec::new(),

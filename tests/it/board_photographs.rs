@@ -265,9 +265,9 @@ impl Photographs {
         let (mut positions, findings) = self.arranged(scene, board);
         for &(position, camera, fringes) in misread {
             let view = positions[position].views[camera].as_mut().expect("a view");
-            assert!(view.marker, "position {position}, camera {camera}: no marker to be misread");
-            let phase = view.phase.as_mut().expect("a phase").as_mut_slice();
-            phase.iter_mut().for_each(|x| *x += std::f32::consts::TAU * fringes as f32);
+            let phase = view.phase.as_mut().expect("a phase");
+            assert!(phase.marker, "position {position}, camera {camera}: no marker to be misread");
+            phase.plane.as_mut_slice().iter_mut().for_each(|x| *x += std::f32::consts::TAU * fringes as f32);
         }
         solve(positions, findings, &scene.nominal, board, &Options::default())
     }

@@ -136,8 +136,13 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
     let (positions, findings) = views::look(&source, &nominal, &board).expect("usable");
     assert!(findings.is_empty(), "{findings:?}");
     assert_eq!(positions.len(), 9);
-    let views = positions.iter().flat_map(|p| &p.views).flatten().filter(|view| view.marker);
-    assert_eq!(views.count(), 36, "each view shows its marker");
+    let views = positions.iter().flat_map(|p| &p.views).flatten();
+    let phases = views.filter_map(|view| view.phase.as_ref());
+    assert_eq!(
+        phases.filter(|phase| phase.marker).count(),
+        36,
+        "each view has a phase, and shows its marker"
+    );
     let outcome = run::solve(positions, findings, &nominal, &board, &run::Options::default());
     let outcome = outcome.unwrap_or_else(|e| panic!("{e}"));
     assert!(outcome.findings.is_empty(), "{:?}", outcome.findings);

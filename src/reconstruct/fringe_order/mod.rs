@@ -117,11 +117,6 @@ impl Orders {
         self.shift.fill(0.0);
     }
 
-    /// Keeps the phases of patches without an order as they are.
-    pub(super) fn keep_the_uncertain(&mut self) {
-        self.shift.iter_mut().filter(|shift| shift.is_nan()).for_each(|shift| *shift = 0.0);
-    }
-
     /// Adds the orders to the phases.
     pub(super) fn apply(&self, phase: &mut Plane<f32>) {
         simd::dispatch(
