@@ -44,6 +44,13 @@ export function showTiles() {
   if ($("tiles").childElementCount !== ids.length) $("tiles").replaceChildren(...ids.map((id) => cameras.get(id).box));
 }
 
+/** By how much to change the exposure; nothing where it is as right as anybody can set it. */
+function exposureAdvice(exposure) {
+  if (!exposure || (Math.abs(exposure.ev) < 0.3 && exposure.saturated < 0.005)) return "";
+  const saturated = exposure.saturated >= 0.005 ? `: ${(100 * exposure.saturated).toFixed(0)} % saturated` : "";
+  return `exposure ${exposure.ev < 0 ? "" : "+"}${exposure.ev.toFixed(1)} EV${saturated}`;
+}
+
 function showTile(shown, from, camera) {
   const problem = cameraProblem(from, camera);
   const age = ageOf(shown);
@@ -54,8 +61,7 @@ function showTile(shown, from, camera) {
   text(shown.age, problem && age === null ? "▲" : problem ? `▲ ${old === "live" ? span(age) : old}` : old);
   text(shown.problem, problem ?? "");
   shown.problem.title = problem ?? "";
-  const advice = camera.advice ?? shown.fact?.advice ?? "";
-  text(shown.advice, problem ? "" : [advice].flat().join(", "));
+  text(shown.advice, problem ? "" : exposureAdvice(shown.fact?.light?.exposure));
   const lost = lossOf(from.last, camera.id);
   const running = from.last.session && !from.last.session.outcome;
   grade(shown.figures.lost, running ? String(lost) : "–", lost ? "bad" : "");

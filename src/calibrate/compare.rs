@@ -118,7 +118,7 @@ fn judge(rigging: &Rigging<'_>, fitted: &HeadResult, position: usize) -> Option<
     }
     for camera in 0..projector {
         let grid = Grid::fit(rigging, fitted, camera);
-        for o in rigging.phases(head, camera, projector, &[position], &model, &none) {
+        for o in rigging.phases(head, camera, &[position], &model, &none) {
             let board = &model.boards[0];
             let Some([column, _]) = project(&devices[projector], board, &o.point) else { continue };
             let Some(place) = Place::of(&model, camera, board, &o.point) else { continue };

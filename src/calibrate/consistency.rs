@@ -56,7 +56,7 @@ impl Excluded {
         bad.iter()
             .map(|&((camera, place), px)| {
                 let message = format!(
-                    "the phase contradicts the circles by {px:.2} panel px: the board moved between the white frame and the fringes, or the fringe order is wrong. Hold it still"
+                    "the phase contradicts the circles by {px:.2} panel px beside whole fringes: the board moved between the white frame and the fringes. Hold it still"
                 );
                 finding(rigging, result, camera, place, Kind::Moved, message)
             })

@@ -46,8 +46,12 @@ pub enum Kind {
     Hidden,
     /// Circles are larger or smaller than the board file says.
     CircleSize,
-    /// Fringes in which no marker was found.
+    /// Fringes in which no marker was found; their orders are those that the board gives.
     NoMarker,
+    /// Fringes whose marker is not where the board has it; likewise.
+    MarkerMisread,
+    /// Fringes too dark to find the circles in.
+    TooDark,
     /// Fringes that the phase pipeline refused.
     NoPhase,
     /// Fringes without a white frame of the same position.

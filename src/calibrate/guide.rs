@@ -77,7 +77,8 @@ impl<'a> Guide<'a> {
         let mut seen = Vec::new();
         for (place, head) in self.nominal.heads.iter().enumerate() {
             let views = &position.views[self.nominal.cameras_of(place)];
-            let whole = views.iter().flatten().filter(|view| view.phase.is_some()).count() == views.len();
+            let whole = views.iter().flatten().filter(|view| view.phase.is_some()).count() == views.len()
+                && views.iter().flatten().any(|view| view.phase.as_ref().is_some_and(|phase| phase.marker));
             let pose = views.first().and_then(|view| view.as_ref()).and_then(|view| {
                 let device = &head.cameras[0].device;
                 let pose = board_pose(self.board, &view.sightings, &device.lens)?;

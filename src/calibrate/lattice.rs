@@ -70,7 +70,9 @@ pub fn identify(spots: &[Spot], board: &Board) -> Result<Vec<Sighting>, NotIdent
     let Some(best) = best else {
         return Err(NotIdentified::NoMatch { large: large_count, spots: places.len() });
     };
-    let rivals: Vec<&Fit> = fits.iter().filter(|fit| fit.wrong <= best + MISJUDGED).collect();
+    // The more sizes are judged wrongly, the further behind must be what else would fit.
+    let ahead = MISJUDGED.max(best.saturating_sub(1));
+    let rivals: Vec<&Fit> = fits.iter().filter(|fit| fit.wrong <= best + ahead).collect();
     match rivals.as_slice() {
         [one] if one.turn >= 4 => Err(NotIdentified::Mirrored),
         [one] => Ok(places
@@ -220,7 +222,7 @@ fn sheared([x, y]: [i64; 2], [a, b]: [i64; 2]) -> [i64; 2] {
     [x + a * y, y + b * x]
 }
 
-/// All ways in which the sizes agree but for a few.
+/// All ways in which the sizes agree but for a few: two, or fewer than there are larger circles that agree.
 fn fits(places: &Places, large: &[bool], board: &Board) -> Vec<Fit> {
     let mut fits = Vec::new();
     for (shear, turn) in SHEARS.iter().flat_map(|shear| (0..8).map(move |turn| (*shear, turn))) {
@@ -237,8 +239,8 @@ fn fits(places: &Places, large: &[bool], board: &Board) -> Vec<Fit> {
                     circle.is_none_or(|circle| circle.large != *is)
                 };
                 let wrong = turned.iter().zip(large).filter(|pair| differs(*pair)).count();
-                let seen = turned.iter().zip(large).any(|(p, is)| *is && !differs((p, is)));
-                if wrong <= 2 * MISJUDGED && seen {
+                let right = turned.iter().zip(large).filter(|&(p, is)| *is && !differs((p, is))).count();
+                if right > 0 && (wrong <= 2 * MISJUDGED || wrong < right) {
                     fits.push(Fit { shear, turn, shift: [dx, dy], wrong });
                 }
             }

@@ -3,7 +3,8 @@
 //!
 //! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
 //! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
-//! fit, `bundle` adjusts lenses and poses, `rows` finds the panel's rows, which fringes do not tell, `stages` and `global` are
+//! fit, `bundle` adjusts lenses and poses, `phases` reads fringes at points of the board, `orders` tells which fringes they are,
+//! `rows` finds the panel's rows, which fringes do not tell, `stages` and `global` are
 //! the paper's three stages, `drift` says later how far devices have turned, `world` says where the floor is, `run` is all of it.
 //! `docs/design/calibration.md` has the definitions.
 
@@ -22,6 +23,8 @@ pub mod guide;
 pub mod joined;
 mod lattice;
 mod marker_check;
+mod orders;
+mod phases;
 mod placement;
 pub mod positions;
 pub mod report;

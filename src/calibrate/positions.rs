@@ -9,7 +9,7 @@ use super::lattice::Sighting;
 use super::marker_check::marker_is_there;
 use super::rows::ridge;
 use super::start::board_pose;
-use super::views::{DARK, Looked, Refusal, View};
+use super::views::{DARK, Looked, Phase, Refusal, View};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Plane;
 use crate::data::Calibration;
@@ -17,7 +17,7 @@ use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Point3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 
 /// The board at one place: a white frame, and the frame with fringes that belongs to it.
@@ -58,10 +58,11 @@ pub fn arrange(
         views: (0..ids.len()).map(|_| None).collect(),
     };
     let mut positions: Vec<Position> = whites.iter().map(empty).collect();
-    let mut fringes = Vec::new();
+    let (mut fringes, mut dark) = (Vec::new(), Vec::new());
     for (trigger, camera, looked) in frames {
         match looked {
-            Looked::Missing(_) | Looked::Dark => {}
+            Looked::Missing(_) => {}
+            Looked::Dark => dark.push((trigger, camera)),
             Looked::Fringes { image, phase } => fringes.push((trigger, camera, image, phase)),
             Looked::White(view) => {
                 let Ok(place) = whites.binary_search(&trigger) else { continue };
@@ -81,10 +82,29 @@ pub fn arrange(
         let of = Owner { id: &ids[camera], camera, trigger, pair: pairs[camera].as_ref() };
         findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
     }
+    // One line for each view, however many dark frames there are.
+    let mut told = BTreeSet::new();
+    let dark = dark.into_iter().filter_map(|(t, camera)| dark_fringes(&positions, &ids[camera], camera, t));
+    findings.extend(dark.filter(|found| told.insert((found.camera.clone(), found.position))));
     let views = positions.iter_mut().flat_map(|p| &mut p.views).flatten();
     views.for_each(|view| view.white = None);
     findings.sort_by_key(|f| (f.trigger.is_none(), f.trigger));
     (positions, findings)
+}
+
+/// A dark frame after the white one of a view that has no fringes.
+fn dark_fringes(
+    positions: &[Position],
+    id: &CameraId,
+    camera: usize,
+    trigger: TriggerIndex,
+) -> Option<Finding> {
+    let place = positions.partition_point(|p| p.white < trigger).checked_sub(1)?;
+    let lacks = positions[place].views[camera].as_ref().is_some_and(|view| view.phase.is_none());
+    lacks.then(|| {
+        let message = "nothing is lit in the fringes, but the board in the white frame: expose longer, or look after the projector";
+        refused(id, trigger, Some(place + 1), Refusal { kind: Kind::TooDark, message: message.to_owned() })
+    })
 }
 
 fn refused(camera: &CameraId, trigger: TriggerIndex, position: Option<usize>, refusal: Refusal) -> Finding {
@@ -145,7 +165,7 @@ fn confirm(view: &View, image: &Plane<u8>, board: &Board) -> Confirmed {
     let mut confirmed = Confirmed { circles: vec![false; board.circles().len()], dark: 0, lit: 0 };
     for sighting in &view.sightings {
         let Some(around) = lightest(sighting, image, 1.5) else { continue };
-        if around < 2.0 * f64::from(DARK) {
+        if around < f64::from(DARK) {
             continue;
         }
         confirmed.lit += 1;
@@ -189,8 +209,8 @@ fn pair_up(
     pattern: &Pattern,
     Owner { id, camera, trigger, pair }: Owner<'_>,
     image: &Plane<u8>,
-    phase: Result<Plane<f32>, Refusal>,
-) -> Option<Finding> {
+    phase: Result<Phase, Refusal>,
+) -> Vec<Finding> {
     let after = positions.partition_point(|p| p.white < trigger);
     let finding = |place: Option<usize>, kind, left_out, message: String| Finding {
         camera: id.clone(),
@@ -211,70 +231,73 @@ fn pair_up(
     let seen = seen.map(|(place, c)| (*place, c.dark, c.lit));
     let found = [first, second].into_iter().flatten().find(|(_, confirmed)| confirmed.is_same_place());
     let Some((place, confirmed)) = found else {
-        return Some(match seen {
-            Some((place, dark, lit)) => finding(
+        let (place, kind, message) = match seen {
+            Some((place, _, lit)) if lit < LEAST_TO_JUDGE => (
+                Some(place),
+                Kind::TooDark,
+                format!(
+                    "only {lit} circles of the white frame are lit by the fringes, expected at least {LEAST_TO_JUDGE}: too dark, or the projector does not reach the board there. Expose longer"
+                ),
+            ),
+            Some((place, dark, lit)) => (
                 Some(place),
                 Kind::Moved,
-                true,
                 format!(
                     "only {dark} of {lit} circles of the white frame are at the same place in the fringes: the board moved between the two, or something stands before it. Hold it still, white first, then fringes"
                 ),
             ),
-            None => finding(
+            None => (
                 after.checked_sub(1),
                 Kind::Unpaired,
-                true,
                 "fringes without a usable white frame of the same position".to_owned(),
             ),
-        });
+        };
+        return vec![finding(place, kind, true, message)];
     };
-    let view = positions[place].views[camera].as_ref();
-    // The pipeline may have taken circles for the marker's dashes.
-    let phase = phase.and_then(|phase| match (view, pair) {
-        (Some(view), Some(pair)) if !marker_is_there(view, image, &phase, pair) => Err(Refusal::no_marker()),
-        _ => Ok(phase),
-    });
-    let phase = match phase {
+    let mut phase = match phase {
         Ok(phase) => phase,
-        Err(refusal) if refusal.kind == Kind::NoMarker && confirmed.has_holes() => {
-            let message = format!(
-                "only {} of {} circles of the white frame are seen in the fringes, and the marker is not: is something in front of the board?",
-                confirmed.dark, confirmed.lit
-            );
-            return Some(finding(Some(place), Kind::Hidden, true, message));
-        }
-        Err(refusal) => return Some(refused(id, trigger, Some(place + 1), refusal)),
+        Err(refusal) => return vec![refused(id, trigger, Some(place + 1), refusal)],
     };
     let position = &mut positions[place];
     let swapped = position.white > trigger;
     let Some(view) = position.views[camera].as_mut().filter(|view| view.phase.is_none()) else {
         // A second frame with fringes of the same position adds little.
-        return None;
+        return Vec::new();
     };
     let (dark, lit, has_holes) = (confirmed.dark, confirmed.lit, confirmed.has_holes());
     if let Some(white) = view.white.take() {
-        view.light = light_samples(view, &white, image, &phase, &confirmed.circles, board, pattern);
+        view.light = light_samples(view, &white, image, &phase.plane, &confirmed.circles, board, pattern);
     }
+    // The pipeline may have taken circles for the marker's dashes.
+    let pair = pair.filter(|pair| phase.marker && marker_is_there(view, image, &phase.plane, pair));
     if let Some(pair) = pair {
-        view.ridge = ridge(view, image, &phase, pair);
+        view.ridge = ridge(view, image, &phase.plane, pair);
     }
+    let marker = pair.is_some();
+    phase.marker = marker;
     view.phase = Some(phase);
     view.confirmed = confirmed.circles;
     position.fringes = Some(trigger);
+    let used = |kind, message: String| finding(Some(place), kind, false, message);
+    let mut findings = Vec::new();
     if swapped {
-        return Some(finding(
-            Some(place),
+        findings.push(used(
             Kind::OrderSwapped,
-            false,
             "the fringes came before the white frame of their position, expected white first; paired by the circles".to_owned(),
         ));
     }
-    has_holes.then(|| {
+    if has_holes {
         let message = format!(
             "only {dark} of {lit} circles of the white frame are seen in the fringes: is something in front of the board?"
         );
-        finding(Some(place), Kind::Hidden, false, message)
-    })
+        findings.push(used(Kind::Hidden, message));
+    } else if !marker {
+        findings.push(used(
+            Kind::NoMarker,
+            "no marker in the fringes: the board gives their order. Is it the rig's pattern (`fourdbody pattern`), and does the marker fall on the board?".to_owned(),
+        ));
+    }
+    findings
 }
 
 /// Views that lack circles which lie in the image and in the light.

@@ -15,6 +15,7 @@
 
 use super::marker_check::ridges;
 use super::positions::Position;
+use super::stages::HeadResult;
 use super::views::View;
 use crate::base::image::Plane;
 use crate::data::{Calibration, PanelRows};
@@ -76,23 +77,28 @@ struct Seen {
     excess: f64,
 }
 
-/// Finds the panel's rows of the heads of `result`, which have the places `used` in `nominal`. Heads whose dashes do not
+/// Finds the panel's rows of the heads of `result`, which came of `heads`. Those whose dashes do not
 /// tell them keep none.
 pub(super) fn find_rows(
     result: &mut Calibration,
     nominal: &Calibration,
-    used: &[usize],
+    heads: &[HeadResult],
     positions: &[Position],
 ) {
-    let found: Vec<Option<PanelRows>> = used
+    let found: Vec<Option<PanelRows>> = heads
         .iter()
         .enumerate()
-        .map(|(kept, &place)| {
+        .map(|(kept, adjusted)| {
             let head = result.heads.get(kept)?;
             let mut seen = Vec::new();
-            for (camera, view) in head.cameras.iter().zip(nominal.cameras_of(place)) {
+            let cameras = head.cameras.iter().zip(nominal.cameras_of(adjusted.head)).enumerate();
+            for (number, (camera, view)) in cameras {
                 let triangulator = Triangulator::new(CameraProjector::new(head, camera, result).ok()?);
-                let views = positions.iter().filter_map(|position| position.views.get(view)?.as_ref());
+                // Where the marker was misread, other fringes were taken for it.
+                let is_misread =
+                    |place: usize| adjusted.misread.iter().any(|m| (m.camera, m.position) == (number, place));
+                let read = positions.iter().enumerate().filter(|(place, _)| !is_misread(*place));
+                let views = read.filter_map(|(_, position)| position.views.get(view)?.as_ref());
                 views.for_each(|view| see(view, &triangulator, &mut seen));
             }
             fit(&seen, result.pattern.marker_period_px, head.projector.height)
@@ -108,7 +114,7 @@ fn see(view: &View, triangulator: &Triangulator, seen: &mut Vec<Seen>) {
     let Some(phase) = &view.phase else { return };
     let period = triangulator.pair().pattern.marker_period_px;
     let crossing = |pixel: &RidgePixel| {
-        let phase = f64::from(phase.at(pixel.u, pixel.v));
+        let phase = f64::from(phase.plane.at(pixel.u, pixel.v));
         let (row, distance) = triangulator.panel_row(pixel.u, pixel.v, phase)?;
         Some(Crossing { v: pixel.v, row, distance, light: pixel.light })
     };

@@ -136,7 +136,7 @@ pub fn solve(
         software: concat!("fourdbody ", env!("CARGO_PKG_VERSION")).to_owned(),
         conventions: CONVENTIONS.to_owned(),
     });
-    find_rows(&mut result, nominal, &used, &positions);
+    find_rows(&mut result, nominal, &heads, &positions);
     result.valid = ValidVolume::of(volumes(&kept, &together));
     Ok(Outcome { calibration: result, findings, positions, heads, together, board_size_m: board.size_m })
 }

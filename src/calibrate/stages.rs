@@ -15,13 +15,12 @@ use super::bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prio
 use super::consistency::{Excluded, Limits};
 use super::ellipse::{Ellipse, image_of_circle};
 use super::findings::Finding;
+use super::orders::{LEAST_AGREEING, Misread};
 use super::positions::Position;
 use super::start::{board_pose, is_same_position};
-use super::views::{column_at, phase_observation};
 use super::world::WorldError;
 use crate::data::Calibration;
 use crate::geometry::Device;
-use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use std::f64::consts::TAU;
 
@@ -32,9 +31,9 @@ pub(super) const LEAST_POSITIONS: usize = 6;
 /// Fewest positions that each camera of a head must have seen itself.
 const LEAST_VIEWS: usize = 4;
 /// Fewest positions with a phase.
-const LEAST_PHASES: usize = 4;
-/// Points with a phase below which a position has none.
-const LEAST_PHASE_POINTS: usize = 30;
+pub(super) const LEAST_PHASES: usize = 4;
+/// Points with a phase below which a position, or a view, has none.
+pub(super) const LEAST_PHASE_POINTS: usize = 30;
 /// How often centres are corrected in stage 1.
 const CAMERA_ROUNDS: usize = 3;
 /// How often phases are sampled anew in stage 2.
@@ -74,6 +73,18 @@ pub enum StageError {
         head: String,
         /// How many.
         found: usize,
+    },
+    /// Markers do not tell the fringe orders.
+    #[error(
+        "head {head}: the markers in {agreeing} of {marked} frames with fringes agree on the fringe orders, expected at least {LEAST_AGREEING} and more than half of them. Project the rig's pattern (`fourdbody pattern`), sharp, and show the board where the marker falls on it"
+    )]
+    Markers {
+        /// The head.
+        head: String,
+        /// Frames whose markers agree.
+        agreeing: usize,
+        /// Frames that show a marker.
+        marked: usize,
     },
     /// All positions are nearly parallel.
     #[error(
@@ -223,7 +234,9 @@ pub struct HeadResult {
     pub circles: usize,
     /// By phase observation, the camera that saw it, as its place in the head.
     pub phase_cameras: Vec<usize>,
-    /// What was left out because it contradicts the rest.
+    /// Views whose markers are elsewhere than the board has them.
+    pub misread: Vec<Misread>,
+    /// What was left out because it contradicts the rest, and what looked wrong.
     pub findings: Vec<Finding>,
 }
 
@@ -246,7 +259,9 @@ impl Rigging<'_> {
             let worse = excluded.contradicting(self, &result);
             if worse.is_empty() {
                 self.check(&result, &Limits::default())?;
-                return Ok(HeadResult { findings, ..result });
+                let misread = self.misread(&result, &excluded);
+                findings.extend(misread.iter().map(|view| self.misread_finding(head, view)));
+                return Ok(HeadResult { misread, findings, ..result });
             }
             findings.extend(worse);
             excluded.check(self, head)?;
@@ -274,12 +289,13 @@ impl Rigging<'_> {
             model = adjusted.model.clone();
             stage1 = Some(adjusted);
         }
+        self.settle_orders(head, &positions, &mut model, excluded)?;
         let (mut last, mut phase_scale) = (None, 1.0);
         for _ in 0..PHASE_ROUNDS {
             let mut observations = self.corrected(&model, &circles);
             let mut phase_cameras = Vec::new();
             for camera in 0..cameras {
-                let phases = self.phases(head, camera, projector, &positions, &model, excluded);
+                let phases = self.phases(head, camera, &positions, &model, excluded);
                 phase_cameras.resize(phase_cameras.len() + phases.len(), camera);
                 observations.extend(
                     phases.into_iter().map(|o| Observation { sigma_px: o.sigma_px * phase_scale, ..o }),
@@ -303,6 +319,7 @@ impl Rigging<'_> {
             observations,
             circles,
             phase_cameras,
+            misread: Vec::new(),
             findings: Vec::new(),
         })
     }
@@ -413,42 +430,6 @@ impl Rigging<'_> {
         circles.iter().map(correct).collect()
     }
 
-    /// What the projector "saw" of the white field, through the phase in one camera's frames: between circles that
-    /// were seen in both frames, so that nothing stands in front of the point.
-    pub(super) fn phases(
-        &self,
-        head: usize,
-        camera: usize,
-        projector: usize,
-        positions: &[usize],
-        model: &Model,
-        excluded: &Excluded,
-    ) -> Vec<Observation> {
-        let nominal = &self.nominal.heads[head];
-        let Ok(pair) = CameraProjector::new(nominal, &nominal.cameras[camera], self.nominal) else {
-            return Vec::new();
-        };
-        let place = self.first_camera(head) + camera;
-        let points = field_points(self.board);
-        let mut all = Vec::new();
-        for (board, &position) in positions.iter().enumerate() {
-            let Some(view) = &self.positions[position].views[place] else { continue };
-            let Some(phase) = &view.phase else { continue };
-            if excluded.has_view(camera, position) || excluded.has_phase(camera, position) {
-                continue;
-            }
-            let is_seen = |circle: &usize| view.confirmed.get(*circle).is_some_and(|is| *is);
-            for (point, _) in points.iter().filter(|(_, circles)| circles.iter().all(is_seen)) {
-                let Some(pixel) = project(&model.devices[camera], &model.boards[board], point) else {
-                    continue;
-                };
-                let Some((column, sigma)) = column_at(phase, pixel, &pair) else { continue };
-                all.push(phase_observation(projector, board, *point, column, sigma));
-            }
-        }
-        all
-    }
-
     /// A projector that sees columns only: fy and cy are in no column and k3 is held, k2 and the tangential terms are
     /// loosely known, and nothing but the design says where it is along its rows.
     pub(super) fn priors(&self, head: usize) -> Vec<Prior> {
@@ -517,24 +498,4 @@ fn centre_shift(model: &Model, observation: &Observation, radius_m: f64) -> Opti
     let outline = Ellipse::fit(&points)?.centre;
     let image = device.lens.distort(centre.x / centre.z, centre.y / centre.z)?;
     Some([outline[0] - image[0], outline[1] - image[1]])
-}
-
-/// Points of the white field, as far from the circles as can be: between two and between four of them; with the numbers
-/// of those circles.
-fn field_points(board: &Board) -> Vec<(Point3<f64>, Vec<usize>)> {
-    let mean = |places: &[(usize, usize)]| {
-        let circles: Vec<usize> = places.iter().map(|&(column, row)| board.number(column, row)).collect();
-        let sum: Vector3<f64> = circles.iter().map(|c| Vector3::from(board.circles()[*c].centre_m)).sum();
-        (Point3::from(sum / circles.len() as f64), circles)
-    };
-    let mut points = Vec::new();
-    for row in 0..board.rows - 1 {
-        for column in 0..board.columns - 1 {
-            let (right, below, both) = ((column + 1, row), (column, row + 1), (column + 1, row + 1));
-            points.push(mean(&[(column, row), right, below, both]));
-            points.push(mean(&[(column, row), right]));
-            points.push(mean(&[(column, row), below]));
-        }
-    }
-    points
 }

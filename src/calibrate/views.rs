@@ -5,8 +5,6 @@
 //! [`look_at_frame`] judges a frame by itself, [`super::positions::arrange`] brings the frames of a position together.
 
 use super::board::Board;
-use super::bundle::Observation;
-use super::ellipse::least_squares;
 use super::findings::{Finding, Kind};
 use super::gamma::LightSample;
 use super::lattice::{Sighting, identify};
@@ -21,9 +19,8 @@ use crate::geometry::Device;
 use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
-use nalgebra::{Isometry3, Point3, SVector, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
-use std::f64::consts::TAU;
 use std::sync::Arc;
 
 /// What lights the board in a frame.
@@ -42,8 +39,8 @@ pub enum Light {
 pub struct View {
     /// The circles.
     pub sightings: Vec<Sighting>,
-    /// The absolute phase over the frame with fringes, rad; NaN where it is not known.
-    pub phase: Option<Plane<f32>>,
+    /// The phase over the frame with fringes.
+    pub phase: Option<Phase>,
     /// By circle of the board: seen in the white frame and again in the frame with fringes. Empty without fringes.
     pub confirmed: Vec<bool>,
     /// The white frame, until the fringes were compared with it.
@@ -52,6 +49,18 @@ pub struct View {
     pub light: Vec<LightSample>,
     /// The markers' ridges in the frame with fringes.
     pub ridge: Vec<RidgePixel>,
+}
+
+/// The phase of a frame by itself, rad.
+#[derive(Debug, Clone)]
+pub struct Phase {
+    /// NaN where there is none.
+    pub plane: Plane<f32>,
+    /// Where the frame's own marker tells the fringe orders. Elsewhere whole turns may be lacking, others in each patch: the
+    /// board tells them (`orders.rs`).
+    pub told: Plane<bool>,
+    /// Whether the marker is where the phase has it.
+    pub marker: bool,
 }
 
 /// What one frame shows.
@@ -67,8 +76,8 @@ pub enum Looked {
     Fringes {
         /// The frame itself, to find the circles again.
         image: Plane<u8>,
-        /// The absolute phase, or why there is none.
-        phase: Result<Plane<f32>, Refusal>,
+        /// The phase, or why there is none.
+        phase: Result<Phase, Refusal>,
     },
 }
 
@@ -84,13 +93,6 @@ pub struct Refusal {
 impl Refusal {
     fn new(kind: Kind, message: impl Into<String>) -> Self {
         Self { kind, message: message.into() }
-    }
-
-    pub(super) fn no_marker() -> Self {
-        Self::new(
-            Kind::NoMarker,
-            "fringes without a marker, so that their order is not known. Project the rig's pattern (`fourdbody pattern`)",
-        )
     }
 }
 
@@ -207,25 +209,23 @@ fn owned(image: Mono8<'_>) -> Plane<u8> {
     plane
 }
 
-fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Plane<f32>, Refusal> {
-    match pipeline.absolute(image) {
-        Ok(prepared) if prepared.counts.marker > 0 => {
-            let mut phase = Plane::filled(image.width(), image.height(), f32::NAN);
-            let roi = prepared.roi;
-            for v in 0..roi.height {
-                // What lies beside the runs is any number.
-                for run in prepared.runs().row(v) {
-                    let to = &mut phase.row_mut(roi.v + v)[roi.u..roi.u + roi.width];
-                    to[run.columns()].copy_from_slice(&prepared.absolute.row(v)[run.columns()]);
-                }
-            }
-            Ok(phase)
-        }
-        Ok(_) => Err(Refusal::no_marker()),
-        Err(refused) => {
-            Err(Refusal::new(Kind::NoPhase, format!("the fringes give no phase ({:?})", refused.outcome)))
+fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Phase, Refusal> {
+    let (prepared, in_patches) = pipeline.absolute(image).map_err(|refused| {
+        Refusal::new(Kind::NoPhase, format!("the fringes give no phase ({:?})", refused.outcome))
+    })?;
+    let mut plane = Plane::filled(image.width(), image.height(), f32::NAN);
+    let mut told = Plane::filled(image.width(), image.height(), false);
+    let roi = prepared.roi;
+    for v in 0..roi.height {
+        // What lies beside the runs is any number.
+        for u in prepared.runs().row(v).iter().flat_map(|run| run.columns()) {
+            let absolute = prepared.absolute.at(u, v);
+            let phase = if absolute.is_nan() { in_patches.at(u, v) } else { absolute };
+            plane.set(roi.u + u, roi.v + v, phase);
+            told.set(roi.u + u, roi.v + v, !absolute.is_nan());
         }
     }
+    Ok(Phase { plane, told, marker: prepared.counts.marker > 0 })
 }
 
 fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<View, Refusal> {
@@ -327,58 +327,4 @@ pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.filter(|x| !x.is_nan()).collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
-}
-
-/// Half the window in which the phase around a board point is fitted, px.
-const WINDOW: i64 = 8;
-/// Share of the window that must have a phase.
-const FILLED: f64 = 0.7;
-/// Periods around the marker that are left out: its modulation pulls the phase.
-const MARKER_PERIODS: f64 = 1.5;
-
-/// The panel column that lights the board at pixel (u, v), and its standard deviation, panel px.
-pub fn column_at(phase: &Plane<f32>, [u, v]: [f64; 2], pair: &CameraProjector) -> Option<(f64, f64)> {
-    let (column, row) = (u.round() as i64, v.round() as i64);
-    let inside = |at: i64, size: usize| at >= WINDOW && at + WINDOW < size as i64;
-    if !(inside(column, phase.width()) && inside(row, phase.height())) {
-        return None;
-    }
-    let mut rows = Vec::with_capacity(((2 * WINDOW + 1) * (2 * WINDOW + 1)) as usize);
-    for y in row - WINDOW..=row + WINDOW {
-        for x in column - WINDOW..=column + WINDOW {
-            let value = f64::from(phase.at(x as usize, y as usize));
-            if !value.is_nan() {
-                rows.push((Vector3::new(1.0, x as f64 - u, y as f64 - v), value));
-            }
-        }
-    }
-    let side = (2 * WINDOW + 1) as f64;
-    if (rows.len() as f64) < FILLED * side * side {
-        return None;
-    }
-    let fit: SVector<f64, 3> = least_squares(rows.iter().copied())?;
-    let sum: f64 = rows.iter().map(|(row, value)| (row.dot(&fit) - value).powi(2)).sum();
-    let rms = (sum / rows.len() as f64).sqrt();
-    // A step of the fringe order, or an edge, lies in the window.
-    if rms > 0.3 {
-        return None;
-    }
-    if pair.pattern.from_marker(fit[0]).abs() < TAU * MARKER_PERIODS {
-        return None;
-    }
-    // Neighbouring phases share most of their pixels: count one in so many as independent.
-    let independent = rows.len() as f64 / pair.period_px.max(1.0) as f64;
-    let sigma = rms.max(0.005) / independent.sqrt() * pair.pattern.period_px / TAU;
-    Some((pair.pattern.column(fit[0]), sigma))
-}
-
-/// A phase observation of the projector.
-pub fn phase_observation(
-    projector: usize,
-    board: usize,
-    point: nalgebra::Point3<f64>,
-    column: f64,
-    sigma_px: f64,
-) -> Observation {
-    Observation { device: projector, board, point, measured: [column, 0.0], sigma_px, columns_only: true }
 }

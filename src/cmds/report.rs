@@ -4,7 +4,9 @@
 use super::failure::Failure;
 use super::progress::Progress;
 use crate::base::Exit;
-use crate::report::{END, Playing, gather, render};
+use crate::preview::Exposure;
+use crate::report::{END, Playing, Report, gather, render};
+use std::collections::BTreeMap;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -31,7 +33,8 @@ pub struct Args {
     /// Points of all played frame sets together, MiB before they are packed; fewer of each where there are many.
     #[arg(long, value_name = "MIB", default_value_t = 512, requires = "play", value_parser = clap::value_parser!(u64).range(1..=4096))]
     play_mib: u64,
-    /// Print what was written as JSON: {"page": PATH, "bytes": N, "unreadable": [...]}.
+    /// Print what was written as JSON: {"page": PATH, "bytes": N, "exposure": {CAMERA: {"ev": N, "saturated": N}},
+    /// "unreadable": [...]}.
     #[arg(long)]
     json: bool,
 }
@@ -50,9 +53,14 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
     if args.json {
         let unreadable: Vec<String> = report.unreadable.iter().map(ToString::to_string).collect();
-        let told = serde_json::json!({ "page": args.out, "bytes": bytes, "unreadable": unreadable });
+        let exposure: BTreeMap<String, Option<Exposure>> = exposures(&report).collect();
+        let told = serde_json::json!({ "page": args.out, "bytes": bytes, "exposure": exposure, "unreadable": unreadable });
         println!("{told}");
     } else {
+        for (camera, exposure) in exposures(&report) {
+            let right = exposure.map_or("no fringes to tell by".to_owned(), |exposure| exposure.to_string());
+            println!("{camera}: right exposure: {right}");
+        }
         println!("{}: {} KiB, opens in any browser", args.out.display(), bytes / 1024);
     }
     report.unreadable.iter().for_each(|one| eprintln!("NOT READABLE  {one}"));
@@ -74,4 +82,10 @@ fn write(path: &Path, page: &str, playing: Option<&Playing>) -> Result<u64, Stri
         Ok(file.metadata().map_err(|e| e.to_string())?.len())
     };
     written().inspect_err(|_| drop(std::fs::remove_file(path)))
+}
+
+/// By camera, what exposure would be right.
+fn exposures(report: &Report) -> impl Iterator<Item = (String, Option<Exposure>)> {
+    let cameras = report.nodes.iter().flat_map(|node| &node.cameras);
+    cameras.map(|camera| (camera.described.header.id.to_string(), camera.exposure))
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are there.
 
+use super::exposure::{Exposure, Peaks, WINDOW};
 use crate::acquire::preview::Sample;
 use crate::telemetry::Grade;
 use crate::telemetry::thresholds::{LIT, MODULATION, SATURATED};
@@ -13,7 +14,7 @@ pub struct Light {
     pub saturated: f64,
     /// Share of the frame that is lit, 0 to 1.
     pub lit: f64,
-    /// Median fringe amplitude of what is lit, grey values: half of the range over [`WINDOW`] columns.
+    /// Median fringe amplitude of what is lit, grey values: half of the range over 24 columns.
     pub modulation_dn: f64,
     /// The same as a share of the mean there (Michelson's contrast), 0 to 1.
     pub contrast: f64,
@@ -22,6 +23,9 @@ pub struct Light {
     pub focus: f64,
     /// The grey value that one lit pixel in a hundred exceeds.
     pub bright_dn: f64,
+    /// What exposure would be right; none without fringes.
+    #[serde(default)]
+    pub exposure: Option<Exposure>,
 }
 
 /// What the light's figures mean.
@@ -46,8 +50,6 @@ impl Light {
     }
 }
 
-/// Columns over which a fringe shows its whole range: the longest period of the rig is 24 px (docs of optics).
-pub const WINDOW: usize = 24;
 /// A window is lit whose brightest pixel is above this.
 const LIT_DN: u8 = 24;
 
@@ -75,6 +77,8 @@ pub fn measure(sample: &Sample) -> Light {
             }
         }
     }
+    let mut peaks = Peaks::default();
+    peaks.add(sample.width, &sample.pixels);
     let lit: u64 = amplitudes.iter().sum();
     let pixels: u64 = counts.iter().sum();
     let modulation_dn = quantile(&amplitudes, 0.5) / 2.0;
@@ -86,6 +90,7 @@ pub fn measure(sample: &Sample) -> Light {
         contrast: quantile(&contrasts, 0.5) / 200.0,
         focus: if modulation_dn > 0.0 { share(bend, bends).sqrt() / modulation_dn } else { 0.0 },
         bright_dn: quantile(&counts, 0.99),
+        exposure: peaks.exposure(),
     }
 }
 

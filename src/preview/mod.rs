@@ -4,10 +4,12 @@
 //! A thread of low priority renders what the taps of the recorder leave ([`crate::acquire::preview`]), at most four pictures
 //! a second and camera, and only while somebody asks for them. However many look, it renders once.
 
+mod exposure;
 mod light;
 mod picture;
 pub mod quick_look;
 
+pub use exposure::{Exposure, Peaks};
 pub use light::{Light, LightGrades, measure};
 pub use picture::upright_png;
 

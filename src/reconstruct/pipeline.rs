@@ -102,12 +102,14 @@ impl Pipeline {
         }
     }
 
-    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs. The error is that
-    /// of [`Pipeline::prepare`], or the refusal of a frame whose orders contradict each other.
-    pub fn absolute(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
+    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs. Then all phases as they
+    /// are within each patch, which may lack whole turns. The error is that of [`Pipeline::prepare`], or the refusal of a frame
+    /// whose orders contradict each other.
+    pub fn absolute(&self, image: Mono8<'_>) -> Result<(UnwrappedFrame, Plane<f32>), Box<Reconstruction>> {
         let mut prepared = self.ordered(image)?;
+        let in_patches = prepared.absolute.clone();
         std::mem::take(&mut prepared.orders).apply(&mut prepared.absolute);
-        Ok(prepared)
+        Ok((prepared, in_patches))
     }
 
     /// One frame whose orders no other camera has been asked for.

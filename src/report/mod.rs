@@ -16,7 +16,7 @@ use crate::batch::result::Clouds;
 use crate::batch::summary::TriggerSummary;
 use crate::data::FrameSource;
 use crate::preview::quick_look::{POINTS_MAX, encode};
-use crate::preview::{Light, measure, upright_png};
+use crate::preview::{Exposure, Light, Peaks, measure, upright_png};
 use crate::record::describe::{self, CameraDescription, EventKind};
 use crate::record::{
     GapRun, ReadError, RecordingReader, SessionReader, Unreadable, Verdict, WriteStatistics,
@@ -35,6 +35,8 @@ pub struct CameraReport {
     pub gaps: Vec<GapRun>,
     /// Light of some frames, with their triggers.
     pub light: Vec<(u64, Light)>,
+    /// What exposure would be right, by all of those frames; none without fringes.
+    pub exposure: Option<Exposure>,
     /// A frame of the middle, upright, PNG.
     pub picture: Option<Vec<u8>>,
     /// Points of each reconstructed trigger.
@@ -131,6 +133,7 @@ fn node(recording: &RecordingReader, points: &[Points]) -> NodeReport {
                 CameraReport {
                     points: own.map(|(trigger, _, points)| (*trigger, *points)).collect(),
                     light: samples.iter().map(|sample| (sample.trigger, measure(sample))).collect(),
+                    exposure: exposure(&samples),
                     picture: samples.get(samples.len() / 2).and_then(|sample| upright_png(sample).ok()),
                     described,
                     gaps,
@@ -138,6 +141,12 @@ fn node(recording: &RecordingReader, points: &[Points]) -> NodeReport {
             })
             .collect(),
     }
+}
+
+fn exposure(samples: &[Sample]) -> Option<Exposure> {
+    let mut peaks = Peaks::default();
+    samples.iter().for_each(|sample| peaks.add(sample.width, &sample.pixels));
+    peaks.exposure()
 }
 
 /// Some frames of a camera, spread over the session; fewer where there are gaps.

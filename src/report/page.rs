@@ -228,6 +228,9 @@ fn camera_box(page: &mut String, camera: &CameraReport) {
         let share = mean(|light| 100.0 * light.saturated);
         let _ = write!(page, "<br><span class=\"{}\">saturated {share:.2} %</span>", class(grade));
     }
+    if let Some(exposure) = &camera.exposure {
+        let _ = write!(page, "<br>right exposure: {exposure}");
+    }
     if !camera.points.is_empty() {
         let counts: Vec<u64> = camera.points.iter().map(|(_, points)| *points).collect();
         let (low, high) = (counts.iter().min().unwrap_or(&0), counts.iter().max().unwrap_or(&0));

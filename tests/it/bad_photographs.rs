@@ -222,25 +222,89 @@ fn a_hand_before_a_third_of_the_board_is_named() {
     }
 }
 
+/// The board gives the fringe orders, as long as some markers agree on them.
 #[test]
-fn fringes_without_marker_are_left_out_or_refused() {
+fn fringes_without_marker_are_used_as_long_as_others_have_one() {
     let plain = crate::board_photographs::Scene::new(7, 2).without_marker();
     let mut photographs = good();
     let poses = crate::board_photographs::poses();
-    for (position, pose) in poses.iter().enumerate().take(5) {
+    for (position, pose) in poses.iter().enumerate() {
         let images = plain.photograph(*pose, Light::Fringes, 2 * position as u64 + 1);
         for (camera, image) in images.into_iter().enumerate() {
             photographs.set(2 * position as u64 + 1, camera, image);
         }
-        if position == 0 {
+        if [0, 4].contains(&position) {
             let outcome = good_outcome(&photographs);
-            let expected = ["h0_up", "h0_low"].map(|camera| (camera, Some(1), Kind::NoMarker));
+            let without =
+                (1..=position + 1).flat_map(|p| ["h0_up", "h0_low"].map(|camera| (camera, Some(p))));
+            let expected: Vec<_> = without.map(|(camera, p)| (camera, p, Kind::NoMarker)).collect();
             assert_eq!(named(&outcome.findings), expected);
+            assert!(outcome.findings.iter().all(|finding| !finding.left_out), "{:?}", outcome.findings);
         }
     }
     let (error, findings) = refusal(&photographs);
-    assert_eq!(error, StageError::Phases { head: "h0".to_owned(), found: 3 });
-    assert_eq!(findings.iter().filter(|f| f.kind == Kind::NoMarker).count(), 10);
+    assert_eq!(error, StageError::Markers { head: "h0".to_owned(), agreeing: 0, marked: 0 });
+    assert_eq!(findings.iter().filter(|f| f.kind == Kind::NoMarker).count(), 16);
+}
+
+/// Markers misread by whole fringes: the calibration is the same, and nothing is called motion.
+#[test]
+fn markers_misread_by_any_number_of_fringes_cost_no_view() {
+    let right = good_outcome(&good());
+    let same = |misread: &[(usize, usize, i32)]| {
+        let outcome = good().calibrate_misread(misread).unwrap_or_else(|e| panic!("{misread:?}: {e}"));
+        let camera = |camera| ["h0_up", "h0_low"][camera];
+        let mut expected: Vec<_> =
+            misread.iter().map(|&(p, c, _)| (camera(c), Some(p + 1), Kind::MarkerMisread)).collect();
+        let mut found = named(&outcome.findings);
+        expected.sort_by_key(|(camera, position, _)| (*position, *camera));
+        found.sort_by_key(|(camera, position, _)| (*position, *camera));
+        assert_eq!(found, expected);
+        // One by one, since the order of findings is another.
+        for (finding, (_, _, fringes)) in
+            outcome.findings.iter().zip(misread).take(usize::from(misread.len() == 1))
+        {
+            assert!(finding.message.contains(&format!("read {fringes} fringes")), "{finding}");
+        }
+        let (found, right) = (&outcome.together.all, &right.together.all);
+        for ((a, b), sigma) in found.model.devices.iter().zip(&right.model.devices).zip(&right.device_sigma) {
+            let shift = a.device_from_frame.translation.vector - b.device_from_frame.translation.vector;
+            let moved = (0..3).map(|axis| shift[axis].abs() / sigma[12 + axis].max(1e-6)).fold(0.0, f64::max);
+            let focal = (a.lens.fx - b.lens.fx).abs() / sigma[0];
+            assert!(focal < 0.3 && moved < 0.3, "{misread:?}: {focal} and {moved} standard deviations off");
+        }
+    };
+    // 2, 89 and 124 fringes, and 10, 25 and 81, are what other photographs had.
+    for (i, fringes) in [1, -1, 2, 10, 25, -41, 81, 89, 124].into_iter().enumerate() {
+        same(&[(i % 8, i % 2, fringes)]);
+    }
+    // Seven of sixteen, each by another number.
+    same(&[(0, 0, 89), (0, 1, 2), (1, 0, -3), (3, 1, 124), (4, 0, 41), (6, 1, -82), (7, 0, 1)]);
+}
+
+/// Nine of sixteen: nobody can tell who is right.
+#[test]
+fn markers_that_disagree_by_majority_are_refused() {
+    let misread: Vec<_> = (0..9).map(|i| (i / 2, i % 2, 7 * i as i32 - 40)).collect();
+    match good().calibrate_misread(&misread) {
+        Err(CalibrateError::Stage { error: StageError::Markers { agreeing: 7, marked: 16, .. }, .. }) => {}
+        other => panic!("must be refused, found {other:?}"),
+    }
+}
+
+/// All over, and but for the first columns.
+#[test]
+fn fringes_that_are_too_dark_to_compare_are_not_called_motion() {
+    for lit in [0, 120] {
+        let mut photographs = good();
+        photographs.change(&[7], &[0], |image| {
+            let mut out = image.clone();
+            (0..out.height()).for_each(|v| out.row_mut(v)[lit..].iter_mut().for_each(|p| *p /= 10));
+            out
+        });
+        let outcome = good_outcome(&photographs);
+        assert_eq!(named(&outcome.findings), [("h0_up", Some(4), Kind::TooDark)], "{lit} columns are lit");
+    }
 }
 
 #[test]
@@ -271,6 +335,18 @@ fn a_board_that_moved_before_its_fringes_is_named() {
             assert!(found.contains(&(camera, Some(6), Kind::Moved)), "moved by {shift_m} m: {found:?}");
         }
         assert!(found.iter().all(|(_, position, _)| *position == Some(6)), "{found:?}");
+        if shift_m > 0.01 {
+            continue;
+        }
+        // Also where the marker is misread, whatever whole fringes there are on top of the motion.
+        for fringes in [1, -2, 89] {
+            let misread = photographs.calibrate_misread(&[(5, 0, fringes), (5, 1, fringes)]);
+            let outcome = misread.unwrap_or_else(|e| panic!("{e}"));
+            let found = named(&outcome.findings);
+            for camera in ["h0_up", "h0_low"] {
+                assert!(found.contains(&(camera, Some(6), Kind::Moved)), "{fringes} fringes: {found:?}");
+            }
+        }
     }
 }
 

@@ -3,10 +3,10 @@
 
 use fourdbody::base::ids::{CameraId, TriggerIndex};
 use fourdbody::base::image::Plane;
-use fourdbody::calibrate::Board;
 use fourdbody::calibrate::positions::arrange;
 use fourdbody::calibrate::run::{CalibrateError, Options, Outcome, solve};
 use fourdbody::calibrate::views::{Looked, look_at_frame, pipelines};
+use fourdbody::calibrate::{Board, Finding, Position};
 use fourdbody::config::Rig;
 use fourdbody::data::{Calibration, Frame};
 use fourdbody::geometry::pattern::Marker;
@@ -249,8 +249,26 @@ impl Photographs {
     }
 
     pub fn calibrate_in(&self, scene: &Scene, board: &Board) -> Result<Outcome, CalibrateError> {
+        let (positions, findings) = self.arranged(scene, board);
+        solve(positions, findings, &scene.nominal, board, &Options::default())
+    }
+
+    /// The positions before anything is calibrated.
+    fn arranged(&self, scene: &Scene, board: &Board) -> (Vec<Position>, Vec<Finding>) {
         let frames = self.looked.iter().map(|((t, c), looked)| (TriggerIndex(*t), *c, looked.clone()));
-        let (positions, findings) = arrange(frames.collect(), &scene.nominal, board);
+        arrange(frames.collect(), &scene.nominal, board)
+    }
+
+    /// With markers that are read so many fringes from where they are: position, camera, fringes.
+    pub fn calibrate_misread(&self, misread: &[(usize, usize, i32)]) -> Result<Outcome, CalibrateError> {
+        let (scene, board) = (scene(), &scene().board);
+        let (mut positions, findings) = self.arranged(scene, board);
+        for &(position, camera, fringes) in misread {
+            let view = positions[position].views[camera].as_mut().expect("a view");
+            let phase = view.phase.as_mut().expect("a phase");
+            assert!(phase.marker, "position {position}, camera {camera}: no marker to be misread");
+            phase.plane.as_mut_slice().iter_mut().for_each(|x| *x += std::f32::consts::TAU * fringes as f32);
+        }
         solve(positions, findings, &scene.nominal, board, &Options::default())
     }
 }

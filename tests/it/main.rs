@@ -92,6 +92,7 @@ mod service;
 #[cfg(feature = "aravis")]
 mod session_faults;
 mod shared_calibration;
+mod shared_exposure;
 mod shared_scene;
 mod simd_paths;
 mod slurm;

@@ -30,7 +30,16 @@ fn a_page_tells_what_is_missing_and_shows_every_camera() {
     let text = std::fs::read_to_string(&page).expect("written");
     assert_contains(
         &text,
-        &["incomplete", "Node a", "Node b", "h1_up", "unplugged", "class=\"gap\"", "modulation"],
+        &[
+            "incomplete",
+            "Node a",
+            "Node b",
+            "h1_up",
+            "unplugged",
+            "class=\"gap\"",
+            "modulation",
+            "right exposure",
+        ],
     );
     assert_eq!(text.matches("data:image/png;base64,").count(), 8);
     for outside in ["http://", "https://"] {

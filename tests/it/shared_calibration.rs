@@ -134,10 +134,18 @@ fn two_heads_are_calibrated_from_the_shared_photographs() {
     let ids: Vec<_> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
     let source = PngSource::open(&scene.join("calibration"), &ids).expect("images");
     let (positions, findings) = views::look(&source, &nominal, &board).expect("usable");
-    findings.iter().for_each(|f| println!("{f:?}"));
+    assert!(findings.is_empty(), "{findings:?}");
     assert_eq!(positions.len(), 9);
+    let views = positions.iter().flat_map(|p| &p.views).flatten();
+    let phases = views.filter_map(|view| view.phase.as_ref());
+    assert_eq!(
+        phases.filter(|phase| phase.marker).count(),
+        36,
+        "each view has a phase, and shows its marker"
+    );
     let outcome = run::solve(positions, findings, &nominal, &board, &run::Options::default());
     let outcome = outcome.unwrap_or_else(|e| panic!("{e}"));
+    assert!(outcome.findings.is_empty(), "{:?}", outcome.findings);
     let heads = &outcome.heads;
     for head in heads {
         println!(

@@ -6,10 +6,12 @@
 //! lights it. Everything is dense, because a rig has a few hundred parameters.
 
 mod observe;
+mod one_device;
 
 use crate::geometry::Lens;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use observe::{BLOCK, linearize, predict};
+pub(super) use one_device::{SeenColumn, column_error, fit_columns};
 
 /// Of a lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
 pub const LENS_PARAMETERS: usize = 9;

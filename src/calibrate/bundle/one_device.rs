@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! One device alone, from columns at which it sees points whose places are known: roughly, and whatever share of a view is
+//! some fringes off.
+
+use super::observe::{linearize, predict};
+use super::{DEVICE_PARAMETERS, DeviceModel, Model, Observation, moved};
+use nalgebra::{DVector, Isometry3, Point3, SMatrix, SVector};
+
+/// How far off the start may be: focal length as a share, principal point (px), first radial term, turns (rad), and shifts (m)
+/// across and along the view. What columns do not tell is held.
+const FOCAL: f64 = 0.03;
+const CENTRE_PX: f64 = 20.0;
+const RADIAL: f64 = 0.1;
+const TURN: f64 = 0.05;
+const SHIFT_M: f64 = 0.05;
+/// Rounds of least squares.
+const ROUNDS: usize = 8;
+/// How well a column is known at best, px: what is sought is whole fringes.
+const LEAST_PX: f64 = 0.05;
+
+/// A point of the common frame, m, and the column at which it is seen, px.
+pub type SeenColumn = (Point3<f64>, f64);
+
+/// Predicted minus seen column, px; NaN behind the device.
+pub fn column_error(device: &DeviceModel, (point, column): &SeenColumn) -> f64 {
+    let model = Model { devices: vec![*device], boards: vec![Isometry3::identity()] };
+    predict(&model, &observation(*point, *column)).map_or(f64::NAN, |[u, _]| u - column)
+}
+
+fn observation(point: Point3<f64>, column: f64) -> Observation {
+    Observation { device: 0, board: 0, point, measured: [column, 0.0], sigma_px: 1.0, columns_only: true }
+}
+
+/// The device near `start` that explains most columns best (Cauchy's weights); `start` itself without any.
+pub fn fit_columns(start: &DeviceModel, seen: &[SeenColumn]) -> DeviceModel {
+    let mut off = [0.0; DEVICE_PARAMETERS];
+    off[0] = FOCAL * start.lens.fx;
+    off[2] = CENTRE_PX;
+    off[4] = RADIAL;
+    off[9..12].fill(TURN);
+    (off[12], off[14]) = (SHIFT_M, SHIFT_M);
+    let free: Vec<Option<usize>> = (0..DEVICE_PARAMETERS).map(Some).collect();
+    let first = Model { devices: vec![*start], boards: Vec::new() };
+    let mut change = SVector::<f64, DEVICE_PARAMETERS>::zeros();
+    for _ in 0..ROUNDS {
+        let device = moved(&first, &free, &DVector::from_column_slice(change.as_slice())).devices[0];
+        let model = Model { devices: vec![device], boards: vec![Isometry3::identity()] };
+        let linear: Vec<_> = seen.iter().filter_map(|s| linearize(&model, &observation(s.0, s.1))).collect();
+        let mut sizes: Vec<f64> = linear.iter().map(|l| l.residual[0].abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let Some(middle) = sizes.get(sizes.len() / 2) else { break };
+        let scale = (2.0 * middle).max(LEAST_PX);
+        let mut normal = SMatrix::<f64, DEVICE_PARAMETERS, DEVICE_PARAMETERS>::zeros();
+        let mut right = SVector::<f64, DEVICE_PARAMETERS>::zeros();
+        for (i, off) in off.iter().enumerate() {
+            // Held, or as likely as said; one column in LEAST_PX is the unit.
+            let weight = if *off > 0.0 { (LEAST_PX / off).powi(2) } else { 1e12 };
+            normal[(i, i)] = weight;
+            right[i] = -weight * change[i];
+        }
+        for l in &linear {
+            let weight = 1.0 / (1.0 + (l.residual[0] / scale).powi(2));
+            let row = l.jacobian.fixed_view::<1, DEVICE_PARAMETERS>(0, 0).transpose();
+            normal += weight * row * row.transpose();
+            right -= weight * l.residual[0] * row;
+        }
+        let Some(factor) = normal.cholesky() else { break };
+        change += factor.solve(&right);
+    }
+    moved(&first, &free, &DVector::from_column_slice(change.as_slice())).devices[0]
+}
