@@ -2,9 +2,10 @@
 //! The standard uncertainty of every phase, from what the frame itself shows.
 //!
 //! - **Noise.** Fourth differences of the phase along the column know nothing of slope and curvature: they are noise.
-//!   Their median among pixels of equal light, times the amplitude B, gives the noise of one row by light: shot and
-//!   read noise, fixed pattern and rounding together, without anything being stated of the sensor. The mean of n rows
-//!   divides it by `sqrt(n)`.
+//!   They are taken between rows whose means have no row in common, so that a texture of the skin, which neighbouring
+//!   rows share and no mean takes off, is in them like the noise of the sensor. Their median among pixels of equal
+//!   light, times the amplitude B, gives the noise of a mean by light: texture, shot and read noise, fixed pattern and
+//!   rounding together, without anything being stated of sensor or skin. Means of fewer rows have more of it.
 //! - **Shape.** What windows and rows do where neither light nor slope is constant is taken off to first order
 //!   (`shading`, `curvature`); what is left grows with the misfit of the window, beyond the misfit that most pixels
 //!   of equal light have from noise and from harmonics, which do no harm.
@@ -18,6 +19,7 @@ use super::FrameMaps;
 use crate::base::image::Plane;
 use crate::data::encode_sigma;
 use crate::reconstruct::kernels::simd;
+use crate::reconstruct::phase::demodulate;
 use crate::reconstruct::phase::window_quality::{self, Windows};
 
 /// Classes of light, and their width in DN.
@@ -27,13 +29,20 @@ const CLASS_DN: f32 = 16.0;
 /// Pixels that a class needs for its noise to be taken from it.
 const MIN_PIXELS: u32 = 200;
 
-/// Variance of one row's phase over the median square of a fourth difference of means of five rows: these are
-/// `[1, -3, 3, -1, 0, -1, 3, -3, 1] / 5` of the rows, and the median of a squared normal number is 0.4549.
-const PER_MEDIAN: f32 = 1.0 / (1.6 * 0.4549);
+/// Weights of a fourth difference; rows from one of its phases to the next, whose means of [`demodulate::ROWS`] do not
+/// overlap.
+const WEIGHTS: [f32; 5] = [1.0, -4.0, 6.0, -4.0, 1.0];
+const LAG: usize = demodulate::ROWS;
 
-/// Fourth differences beyond this are steps, rad; pixels of more misfit than this are at edges.
-const MAX_DIFFERENCE: f32 = 0.5;
+/// The median of a squared normal number is 0.4549.
+const PER_MEDIAN: f32 = 1.0 / 0.4549;
+
+/// Fourth differences beyond this are steps, rad.
+const MAX_DIFFERENCE: f32 = 2.0;
+
+/// Pixels of more misfit than this are at edges, unless what it is of the light, DN, may be noise.
 const MAX_MISFIT: f32 = 0.05;
+const MAX_NOISE_DN: f32 = 1.0;
 
 /// Mean square of the residual over its lower quartile, for three degrees of freedom.
 const PER_QUARTILE: f32 = 3.0 / 1.2125;
@@ -69,14 +78,14 @@ pub fn sigma_codes(
     marker_rows: f32,
 ) -> Plane<u8> {
     let (width, height) = (absolute.width(), absolute.height());
-    let noise = Noise::of(absolute, windows);
+    let rows = averaged_rows(windows);
+    let noise = Noise::of(absolute, windows, &rows);
     let mut sigma_codes = Plane::filled(width, height, 0u8);
     simd::dispatch(
         #[inline(always)]
         || {
-            let mut rows = vec![0f32; width];
             for v in 0..height {
-                averaged_rows(windows, v, &mut rows);
+                let rows = rows.row(v);
                 let (phase, misfit) = (absolute.row(v), windows.misfit.row(v));
                 let (strength, light) = (windows.strength.row(v), windows.light.row(v));
                 let (zone, expected) = (zone.row(v), expected.row(v));
@@ -85,7 +94,7 @@ pub fn sigma_codes(
                         continue;
                     }
                     let amplitude = window_quality::amplitude(strength[u]).max(0.1);
-                    let rows = if zone[u] != 0 { marker_rows.max(1.0) } else { rows[u] };
+                    let rows = if zone[u] != 0 { marker_rows.max(1.0) } else { f32::from(rows[u]) };
                     let [variance, usual] =
                         noise.at(window_quality::light(light[u])).map(|x| x / (amplitude * amplitude));
                     let random = (variance / rows).sqrt();
@@ -104,21 +113,28 @@ pub fn sigma_codes(
     sigma_codes
 }
 
-/// How many rows went into each phasor of row `v`.
-#[inline(always)]
-fn averaged_rows(windows: &Windows, v: usize, rows: &mut [f32]) {
-    rows.fill(1.0);
+/// How many rows went into each phasor.
+fn averaged_rows(windows: &Windows) -> Plane<u8> {
     let misfit = &windows.misfit;
-    let own = misfit.row(v);
-    for k in 1..=ROWS_EACH_SIDE.min(v).min(misfit.height() - 1 - v) {
-        let (above, below) = (misfit.row(v - k), misfit.row(v + k));
-        let (light_above, light_below) = (windows.light.row(v - k), windows.light.row(v + k));
-        for (u, rows) in rows.iter_mut().enumerate() {
-            let known = (light_above[u] > 0) & (light_below[u] > 0);
-            let takes_part = known & (above[u].max(below[u]) <= own[u] + MORE_MISFIT);
-            *rows += if takes_part { 2.0 } else { 0.0 };
-        }
-    }
+    let mut rows = Plane::filled(misfit.width(), misfit.height(), 1u8);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..misfit.height() {
+                let (own, rows) = (misfit.row(v), rows.row_mut(v));
+                for k in 1..=ROWS_EACH_SIDE.min(v).min(misfit.height() - 1 - v) {
+                    let (above, below) = (misfit.row(v - k), misfit.row(v + k));
+                    let (light_above, light_below) = (windows.light.row(v - k), windows.light.row(v + k));
+                    for (u, rows) in rows.iter_mut().enumerate() {
+                        let known = (light_above[u] > 0) & (light_below[u] > 0);
+                        let takes_part = known & (above[u].max(below[u]) <= own[u] + MORE_MISFIT);
+                        *rows += if takes_part { 2 } else { 0 };
+                    }
+                }
+            }
+        },
+    );
+    rows
 }
 
 /// By light: variance of one row's phase, rad^2, and usual mean square of the misfit, both times the square of the
@@ -128,19 +144,26 @@ struct Noise([[f32; 2]; CLASSES]);
 type Counts = [[u32; BINS]; CLASSES];
 
 impl Noise {
-    fn of(absolute: &Plane<f32>, windows: &Windows) -> Self {
+    /// `rows`: how many each phase is the mean of.
+    fn of(absolute: &Plane<f32>, windows: &Windows, rows: &Plane<u8>) -> Self {
         let (mut differences, mut residuals): (Counts, Counts) = ([[0; BINS]; CLASSES], [[0; BINS]; CLASSES]);
-        for v in 2..absolute.height().saturating_sub(2) {
-            let rows: [&[f32]; 5] = std::array::from_fn(|k| absolute.row(v + k - 2));
+        const REACH: usize = WEIGHTS.len() / 2 * LAG;
+        for v in REACH..absolute.height().saturating_sub(REACH) {
+            let phases: [&[f32]; WEIGHTS.len()] = std::array::from_fn(|k| absolute.row(v + k * LAG - REACH));
+            let counts: [&[u8]; WEIGHTS.len()] = std::array::from_fn(|k| rows.row(v + k * LAG - REACH));
             let (strength, light) = (windows.strength.row(v), windows.light.row(v));
             let misfit = windows.misfit.row(v);
             for u in 0..absolute.width() {
-                let difference = rows[0][u] + rows[4][u] - 4.0 * (rows[1][u] + rows[3][u]) + 6.0 * rows[2][u];
+                let difference: f32 = WEIGHTS.iter().zip(phases).map(|(w, phase)| w * phase[u]).sum();
+                let amplitude = window_quality::amplitude(strength[u]);
+                let level = (misfit[u] < MAX_MISFIT) | (misfit[u] * amplitude < MAX_NOISE_DN);
                 // Not so for NaN.
-                if (difference.abs() < MAX_DIFFERENCE) & (misfit[u] < MAX_MISFIT) {
-                    let power = window_quality::amplitude(strength[u]).powi(2);
+                if (difference.abs() < MAX_DIFFERENCE) & level {
+                    // Of one row, if rows were independent: what it is divided by again.
+                    let share: f32 = WEIGHTS.iter().zip(counts).map(|(w, n)| w * w / f32::from(n[u])).sum();
+                    let power = amplitude * amplitude;
                     let class = class(window_quality::light(light[u]));
-                    differences[class][bin(difference * difference * power)] += 1;
+                    differences[class][bin(difference * difference / share * power)] += 1;
                     residuals[class][bin(misfit[u] * misfit[u] * power)] += 1;
                 }
             }
