@@ -356,7 +356,7 @@ mod tests {
             (vec![None, Some(Complete)], "\"bad\">unfinished"),
             (vec![], "\"bad\">unfinished"),
         ] {
-            let page = render(&report(nodes.iter().copied().map(node).collect()));
+            let page = render(&report(nodes.iter().copied().map(node).collect()), None);
             assert!(page.contains(&format!("<span class={heading}</span></h1>")), "{nodes:?}");
         }
     }
@@ -368,7 +368,7 @@ mod tests {
             note: Some("\"><img src=x onerror='alert(2)'>".to_owned()),
             ..report(Vec::new())
         };
-        let page = render(&report);
+        let page = render(&report, None);
         assert!(!page.contains("<script>alert") && !page.contains("<img src=x"), "{page}");
         assert!(page.contains("&lt;script&gt;alert(1)"));
         assert!(page.contains("24 at 120 Hz: 0.20 s"));
