@@ -36,6 +36,7 @@ mod chain;
 mod cluster;
 #[cfg(feature = "aravis")]
 mod console;
+#[cfg(feature = "aravis")]
 mod console_truth;
 mod crafted_files;
 mod crash;
