@@ -21,18 +21,19 @@ pub struct Move {
     pub to: Subnet,
 }
 
-/// New addresses for all cameras whose own lie in no subnet of the interface on which they answered: the first of that subnet
-/// that nobody has, out of `network` where one is wanted.
+/// New addresses for all cameras of `found` whose own lie in no subnet of the interface on which they answered: the first of
+/// that subnet that no camera of `everybody` has, out of `network` where one is wanted.
 ///
 /// # Errors
 /// Cameras for which there is no address.
 pub fn moves(
     found: &[Answer],
+    everybody: &[Answer],
     interfaces: &[Interface],
     network: Option<Subnet>,
 ) -> Result<Vec<Move>, Vec<String>> {
     let own = interfaces.iter().flat_map(|interface| interface.subnets.iter().map(|subnet| subnet.address));
-    let mut taken: BTreeSet<Ipv4Addr> = own.chain(found.iter().map(|answer| answer.address)).collect();
+    let mut taken: BTreeSet<Ipv4Addr> = own.chain(everybody.iter().map(|answer| answer.address)).collect();
     let (mut moves, mut problems) = (Vec::new(), Vec::new());
     for answer in found {
         let Some(interface) = interfaces.iter().find(|interface| interface.name == answer.interface) else {
@@ -144,17 +145,19 @@ mod tests {
             answer(2, [169, 254, 3, 3], "cam0"),
             answer(3, [192, 168, 10, 9], "cam1"),
         ];
+        // One that is no part of this node has an address all the same.
+        let everybody = [&found[..], &[answer(4, [192, 168, 10, 3], "cam0")]].concat();
         let to = |network: Option<&str>| {
             let network = network.map(|text| text.parse().expect("a network"));
-            moves(&found, &interfaces, network)
+            moves(&found, &everybody, &interfaces, network)
                 .map(|moves| moves.iter().map(|m| (m.mac.0, m.to.to_string())).collect::<Vec<_>>())
         };
-        let expected = vec![(2, "192.168.10.3/24".to_owned()), (3, "192.168.11.2/24".to_owned())];
+        let expected = vec![(2, "192.168.10.4/24".to_owned()), (3, "192.168.11.2/24".to_owned())];
         assert_eq!(to(None), Ok(expected));
         // One that is wanted within the subnet; none for the other interface.
         let problems = to(Some("192.168.10.64/28")).expect_err("not for cam1");
         assert!(problems.len() == 1 && problems[0].contains("cam1"), "{problems:?}");
         let full = [interface("cam0", "192.168.10.1/31")];
-        assert!(moves(&found[1..2], &full, None).is_err());
+        assert!(moves(&found[1..2], &found, &full, None).is_err());
     }
 }

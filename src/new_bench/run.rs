@@ -80,7 +80,8 @@ pub fn set_up(
         .filter(|(_, camera)| camera.node == begun.node)
         .map(|(number, camera)| (camera.id.clone(), number))
         .collect();
-    let answers = who_answers(options, &interfaces, operator);
+    let everybody = who_answers(&interfaces, operator);
+    let answers = those_meant(options, &everybody);
     let listed = backend.list();
     let mut found: Vec<Found> = answers.iter().map(Found::of_network).collect();
     found.extend(listed.iter().filter_map(Found::of_bus));
@@ -91,12 +92,12 @@ pub fn set_up(
     no_shared_subnet(&roles, &found, &interfaces)?;
 
     let mut work = Work { begun, interfaces, roles, found, told: Vec::new(), problems: Vec::new() };
-    work.addresses(&answers, options.network, operator)?;
+    work.addresses((&answers, &everybody), options.network, operator)?;
     work.measure(options, backend, operator)
 }
 
-/// Everybody who answers and is meant.
-fn who_answers(options: &Options, interfaces: &[Interface], operator: &mut dyn Operator) -> Vec<Answer> {
+/// Everybody who answers.
+fn who_answers(interfaces: &[Interface], operator: &mut dyn Operator) -> Vec<Answer> {
     let names: Vec<String> = interfaces
         .iter()
         .map(|at| {
@@ -105,15 +106,17 @@ fn who_answers(options: &Options, interfaces: &[Interface], operator: &mut dyn O
         })
         .collect();
     operator.tell(&format!("who is there: asking on {}", names.join(", ")));
-    let mut answers = discover(interfaces, PATIENCE);
-    if let Some(network) = options.network {
-        answers.retain(|answer| {
-            let found = Found::of_network(answer);
-            network.contains(answer.address)
-                || options.claims.iter().any(|claim| found.is_known_as(&claim.who))
-        });
-    }
-    answers
+    discover(interfaces, PATIENCE)
+}
+
+/// Those in the wanted network, and those that were named.
+fn those_meant(options: &Options, everybody: &[Answer]) -> Vec<Answer> {
+    let is_meant = |answer: &&Answer| {
+        let found = Found::of_network(answer);
+        options.network.is_none_or(|network| network.contains(answer.address))
+            || options.claims.iter().any(|claim| found.is_known_as(&claim.who))
+    };
+    everybody.iter().filter(is_meant).cloned().collect()
 }
 
 /// Cameras of one head that only their order tells apart: somebody must be there, or have said so.
@@ -169,14 +172,14 @@ impl Work {
     /// Gives cameras in wrong subnets addresses, and has all keep theirs.
     fn addresses(
         &mut self,
-        answers: &[Answer],
+        (answers, everybody): (&[Answer], &[Answer]),
         network: Option<Subnet>,
         operator: &mut dyn Operator,
     ) -> Result<(), Fault> {
         let ours: Vec<Answer> =
             self.roles.iter().filter_map(|role| answers.get(role.camera)).cloned().collect();
-        let moves =
-            addresses::moves(&ours, &self.interfaces, network).map_err(|problems| device(&problems))?;
+        let moves = addresses::moves(&ours, everybody, &self.interfaces, network)
+            .map_err(|problems| device(&problems))?;
         for next in &moves {
             let question = format!(
                 "the camera {} is in a wrong subnet: give it {} on {}?",
