@@ -3,9 +3,7 @@
 
 use crate::config::{NodeConfig, SocketMode};
 use crate::host::frame_memory::ROOM_BYTES;
-
-/// IP, UDP and GVSP headers of a payload packet with 16-bit block ids, bytes.
-const HEADERS: u64 = 36;
+use crate::network::wire;
 
 /// The load of one node.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,7 +57,7 @@ impl Load {
 
     /// Packets of one frame, with leader and trailer.
     pub fn packets(&self, frame_bytes: u64) -> u64 {
-        frame_bytes.div_ceil(u64::from(self.packet_bytes).saturating_sub(HEADERS).max(1)) + 2
+        wire::packets(frame_bytes, self.packet_bytes)
     }
 
     /// Packets that arrive together after one trigger.
@@ -69,9 +67,7 @@ impl Load {
 
     /// What one camera's link carries, bits per second, headers included.
     pub fn link_bits_per_s(&self, frame_bytes: u64) -> f64 {
-        // Ethernet adds preamble, header, checksum and gap: 38 bytes a packet.
-        let wire = frame_bytes + self.packets(frame_bytes) * (HEADERS + 38);
-        wire as f64 * 8.0 * self.rate_hz
+        wire::bytes(frame_bytes, self.packet_bytes) as f64 * 8.0 * self.rate_hz
     }
 
     /// Memory of the frame pools, bytes.

@@ -5,7 +5,7 @@ use super::gvcp::{self, ForceIp, Reply};
 use super::interface::Interface;
 use std::fmt;
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{Ipv4Addr, UdpSocket};
 use std::os::fd::AsRawFd;
 use std::time::{Duration, Instant};
 
@@ -113,7 +113,7 @@ fn listen(
     socket: &UdpSocket,
     id: u16,
     until: Instant,
-    mut done: impl FnMut(Reply<'_>, SocketAddr) -> bool,
+    mut done: impl FnMut(Reply<'_>) -> bool,
 ) -> io::Result<()> {
     let mut buffer = [0; 1024];
     loop {
@@ -123,9 +123,9 @@ fn listen(
         }
         socket.set_read_timeout(Some(left))?;
         match socket.recv_from(&mut buffer) {
-            Ok((length, from)) => {
+            Ok((length, _)) => {
                 if let Some(reply) = gvcp::reply(&buffer[..length], id)
-                    && done(reply, from)
+                    && done(reply)
                 {
                     return Ok(());
                 }
@@ -154,7 +154,7 @@ pub fn discover(interfaces: &[Interface], patience: Duration) -> Vec<Answer> {
     for (interface, socket) in asked {
         // Answers wait in their sockets while others are read; a moment for each is enough then.
         let until = until.max(Instant::now() + Duration::from_millis(20));
-        let heard = listen(&socket, ID, until, |reply, _| {
+        let heard = listen(&socket, ID, until, |reply| {
             if let Reply::Done(payload) = reply
                 && let Some(answer) = Answer::read(payload, &interface.name)
                 && !found.iter().any(|known| known.mac == answer.mac)
@@ -171,20 +171,16 @@ pub fn discover(interfaces: &[Interface], patience: Duration) -> Vec<Answer> {
     found
 }
 
-/// Gives a camera an address, until its power is switched off; returns whether it said yes within `patience`.
+/// Gives a camera an address, until its power is switched off, and waits for its answer, `patience` at most. Whether it has the
+/// address now says [`discover`].
 ///
 /// # Errors
 /// As the system says.
-pub fn force_address(interface: &Interface, force: &ForceIp, patience: Duration) -> io::Result<bool> {
+pub fn force_address(interface: &Interface, force: &ForceIp, patience: Duration) -> io::Result<()> {
     const ID: u16 = 0x4d43;
     let socket = socket_on(interface)?;
     send_to_all(&socket, interface, &gvcp::force_ip(ID, force))?;
-    let mut agreed = false;
-    listen(&socket, ID, Instant::now() + patience, |reply, _| {
-        agreed = matches!(reply, Reply::Done(_));
-        agreed
-    })?;
-    Ok(agreed)
+    listen(&socket, ID, Instant::now() + patience, |reply| matches!(reply, Reply::Done(_)))
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ mod discover;
 mod gvcp;
 mod interface;
 mod registers;
+pub mod wire;
 
 pub use discover::{Answer, Mac, discover, force_address};
 pub use gvcp::ForceIp;

@@ -3,6 +3,7 @@
 
 use crate::camera::{Camera, CameraError};
 use crate::config::PacketDelay;
+use crate::network::wire;
 
 /// Larger ones are no standard, and save little.
 const LARGEST: u32 = 9000;
@@ -36,19 +37,11 @@ pub struct Burst {
     pub period_ns: u64,
 }
 
-/// Ethernet's preamble, header, checksum and gap; and IP, UDP and GVSP headers.
-const ETHERNET: f64 = 38.0;
-const HEADERS: u32 = 36;
-
 impl Burst {
-    fn packets(&self) -> f64 {
-        (self.frame_bytes as f64 / f64::from(self.packet_bytes.saturating_sub(HEADERS).max(1))).ceil() + 2.0
-    }
-
     /// Bits a second on the link.
     pub fn bits_per_s(&self) -> f64 {
-        let headers = self.packets() * (f64::from(HEADERS) + ETHERNET);
-        self.cameras as f64 * (self.frame_bytes as f64 + headers) * 8.0 * 1e9 / self.period_ns as f64
+        let bytes = wire::bytes(self.frame_bytes as u64, self.packet_bytes) * self.cameras as u64;
+        bytes as f64 * 8.0 * 1e9 / self.period_ns as f64
     }
 
     /// The time between two packets of a camera: those of the others fit in between, and a frame still fits into nine tenths
@@ -58,9 +51,10 @@ impl Burst {
             return None;
         }
         let Some(speed) = speed_mbit.filter(|speed| *speed > 0) else { return Some(PacketDelay::Auto) };
-        let packet_us = (f64::from(self.packet_bytes) + ETHERNET) * 8.0 / speed as f64;
+        let packet_us = (u64::from(self.packet_bytes) + wire::ETHERNET) as f64 * 8.0 / speed as f64;
         let wanted = packet_us * (self.cameras - 1) as f64;
-        let room = 0.9 * self.period_ns as f64 / 1000.0 / self.packets() - packet_us;
+        let packets = wire::packets(self.frame_bytes as u64, self.packet_bytes) as f64;
+        let room = 0.9 * self.period_ns as f64 / 1000.0 / packets - packet_us;
         Some(PacketDelay::Microseconds((wanted.min(room.max(0.0)) * 10.0).floor() / 10.0))
     }
 }

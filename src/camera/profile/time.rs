@@ -4,6 +4,7 @@
 use super::{Amount, Plan, Scale, Trouble, Wishes, Write, check_bounds, first_writable, none_of};
 use crate::camera::description::{Description, plain};
 use crate::config::PacketDelay;
+use crate::network::wire;
 
 /// Exposure as a time, in the order of standards, newest first.
 const EXPOSURES: [&str; 6] =
@@ -153,15 +154,12 @@ fn automatic_us(wishes: &Wishes) -> f64 {
     if link.cameras < 2 || link.packet_bytes < 64 {
         return 0.0;
     }
-    /// IP, UDP and GVSP headers in each packet.
-    const HEADERS: u32 = 36;
-    /// Ethernet's own, and the gap between packets, bytes.
-    const ETHERNET: u32 = 38;
     /// 1 Gbit/s.
     const BITS_PER_US: f64 = 1000.0;
-    let packets = (width * height) as f64 / f64::from(link.packet_bytes - HEADERS);
+    let packets = (width * height) as f64 / (u64::from(link.packet_bytes) - wire::HEADERS) as f64;
     let each_us = 0.9 * link.period_ns as f64 / 1000.0 / packets;
     let share = (link.cameras - 1) as f64 / link.cameras as f64;
-    let others_us = f64::from(link.packet_bytes + ETHERNET) * 8.0 / BITS_PER_US * (link.cameras - 1) as f64;
+    let others_us = (u64::from(link.packet_bytes) + wire::ETHERNET) as f64 * 8.0 / BITS_PER_US
+        * (link.cameras - 1) as f64;
     ((each_us * share).min(others_us) * 10.0).floor() / 10.0
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Chains of rules, and what becomes of a camera's packet in them: it goes from rule to rule until one decides.
 
+use crate::network::Subnet;
 use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
 
@@ -51,8 +52,8 @@ pub enum Condition {
     Interface(Vec<String>),
     /// It is UDP.
     Udp(bool),
-    /// It comes from one of these networks: address and bits.
-    From(Vec<(Ipv4Addr, u8)>),
+    /// It comes from one of these networks.
+    From(Vec<Subnet>),
     /// It goes to one of these ports.
     ToPorts(Vec<(u16, u16)>),
     /// It belongs to no connection that is known.
@@ -73,10 +74,7 @@ impl Condition {
                 }))
             }
             Self::Udp(udp) | Self::New(udp) => Holds::of(*udp),
-            Self::From(networks) => Holds::of(networks.iter().any(|(address, bits)| {
-                let mask = u32::MAX.checked_shl(32 - u32::from(*bits)).unwrap_or(0);
-                address.to_bits() & mask == packet.from.to_bits() & mask
-            })),
+            Self::From(networks) => Holds::of(networks.iter().any(|network| network.contains(packet.from))),
             Self::ToPorts(ranges) => {
                 let (first, last) = CHOSEN;
                 if ranges.iter().any(|(from, to)| *from <= first && last <= *to) {

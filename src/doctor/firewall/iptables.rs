@@ -2,6 +2,7 @@
 //! Rules as `iptables-save` prints them: the table `filter`.
 
 use super::chains::{Chain, Chains, Condition, Rule, Verdict};
+use crate::network::Subnet;
 
 /// Reads what the program printed.
 ///
@@ -80,9 +81,8 @@ fn read_rule(words: &[&str]) -> Option<Rule> {
     Some(Rule { conditions, verdict: verdict? })
 }
 
-fn network(text: &str) -> Option<(std::net::Ipv4Addr, u8)> {
-    let (address, bits) = text.split_once('/').unwrap_or((text, "32"));
-    Some((address.parse().ok()?, bits.parse().ok().filter(|bits| *bits <= 32)?))
+fn network(text: &str) -> Option<Subnet> {
+    if text.contains('/') { text.parse().ok() } else { format!("{text}/32").parse().ok() }
 }
 
 fn ports(text: &str) -> Option<Vec<(u16, u16)>> {

@@ -2,8 +2,8 @@
 //! Rules as `nft -j list ruleset` prints them (libnftables-json(5)).
 
 use super::chains::{Chain, Chains, Condition, Rule, Verdict};
+use crate::network::Subnet;
 use serde_json::{Value, json};
-use std::net::Ipv4Addr;
 
 /// Reads what the program printed.
 ///
@@ -122,13 +122,12 @@ fn condition(of: &Value) -> Condition {
     }
 }
 
-fn network(value: &Value) -> Option<(Ipv4Addr, u8)> {
-    if let Some(text) = value.as_str() {
-        return Some((text.parse().ok()?, 32));
-    }
-    let prefix = value.get("prefix")?;
-    let bits = u8::try_from(prefix["len"].as_u64()?).ok().filter(|bits| *bits <= 32)?;
-    Some((prefix["addr"].as_str()?.parse().ok()?, bits))
+fn network(value: &Value) -> Option<Subnet> {
+    let (address, bits) = match value.as_str() {
+        Some(address) => (address, 32),
+        None => (value["prefix"]["addr"].as_str()?, value["prefix"]["len"].as_u64()?),
+    };
+    format!("{address}/{bits}").parse().ok()
 }
 
 fn ports(value: &Value) -> Option<(u16, u16)> {

@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a frame takes on a link: its packets, and the bytes around them.
+
+/// IP, UDP and GVSP headers of a payload packet with 16-bit block ids, bytes: a part of the packet's size.
+pub const HEADERS: u64 = 36;
+/// Ethernet's preamble, header, checksum and gap, bytes a packet.
+pub const ETHERNET: u64 = 38;
+
+/// Packets of a frame, with leader and trailer. `packet_bytes`: of the IP packet.
+pub fn packets(frame_bytes: u64, packet_bytes: u32) -> u64 {
+    frame_bytes.div_ceil(u64::from(packet_bytes).saturating_sub(HEADERS).max(1)) + 2
+}
+
+/// Bytes of a frame on an Ethernet link, with everything around its packets.
+pub fn bytes(frame_bytes: u64, packet_bytes: u32) -> u64 {
+    frame_bytes + packets(frame_bytes, packet_bytes) * (HEADERS + ETHERNET)
+}
