@@ -39,12 +39,12 @@ async function refreshCapture() {
   const before = told.capture;
   take("capture", await node.capture());
   const taken = told.capture?.takes ?? [];
-  const new_one = before && (before.number !== told.capture?.number ? taken.length > 0 : taken.length > before.takes.length);
-  if (new_one || (before?.running && !told.capture?.running)) {
+  const isNew = before && (before.number !== told.capture?.number ? taken.length > 0 : taken.length > before.takes.length);
+  if (isNew || (before?.running && !told.capture?.running)) {
     show();
     await refreshTakes();
     const last = taken.at(-1);
-    if (new_one && !last.dry_run) openLook(last.name);
+    if (isNew && !last.dry_run) openLook(last.name);
   }
 }
 

@@ -4,7 +4,7 @@ import { $, count, make, text } from "/elements.js";
 import { Refused, node } from "/node-client.js";
 import { openLook } from "/quick-look.js";
 import { nodes, sessionsUnderWay, told } from "/told.js";
-import { causesOf, kindOf, worstOf } from "/verdict.js";
+import { causesOf, expectedOf, framesOf, kindOf, worstOf } from "/verdict.js";
 
 const LISTED = 200;
 const RATINGS = [["good", "Good"], ["doubtful", "Doubtful"], ["bad", "Bad"]];
@@ -47,8 +47,8 @@ function sumUp({ name, created_ns, parts }, silent) {
   const alone = missing.length > unknown.length;
   const word = now ? "recording" : alone && worstOf(words) === "complete" ? "partial" : worstOf(words);
   const verdicts = parts.flatMap(({ node: from, entry }) => (entry.verdict ? [{ from, verdict: entry.verdict }] : []));
-  const frames = verdicts.reduce((sum, { verdict }) => sum + verdict.cameras.reduce((frames, camera) => frames + camera.frames, 0), 0);
-  const expected = verdicts.reduce((sum, { verdict }) => sum + Math.max(verdict.triggers, verdict.triggers_expected ?? 0) * verdict.cameras.length, 0);
+  const frames = verdicts.reduce((sum, { verdict }) => sum + framesOf(verdict), 0);
+  const expected = verdicts.reduce((sum, { verdict }) => sum + expectedOf(verdict), 0);
   const causes = verdicts.flatMap(({ from, verdict }) => causesOf(verdict).map((cause) => `node ${from}: ${cause}`));
   if (!now) {
     for (const { node: from, entry } of parts) if (!entry.verdict) causes.push(`node ${from}: ${entry.problem ?? "not finished"}`);

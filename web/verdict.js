@@ -22,8 +22,8 @@ export function causesOf(verdict) {
   return lines;
 }
 
-const framesOf = (verdict) => verdict.cameras.reduce((sum, camera) => sum + camera.frames, 0);
-const expectedOf = (verdict) => Math.max(verdict.triggers, verdict.triggers_expected ?? 0) * verdict.cameras.length;
+export const framesOf = (verdict) => verdict.cameras.reduce((sum, camera) => sum + camera.frames, 0);
+export const expectedOf = (verdict) => Math.max(verdict.triggers, verdict.triggers_expected ?? 0) * verdict.cameras.length;
 
 /** Frames and causes of a take, which has {node, session} of each node. */
 function sumUp(take) {

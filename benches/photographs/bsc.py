@@ -255,7 +255,7 @@ def one_object(images, devices, program, work, step):
                 cloud = here / "out" / "clouds" / f"{camera}_{index:06}.ply"
                 clouds[camera, middle] = read_ply(cloud) if cloud.exists() and len(read_ply(cloud)) else None
                 refused += clouds[camera, middle] is None
-    errors, agreement, theirs, counts = [], [], [], np.zeros(4)
+    errors, agreement, theirs, counts, wrong = [], [], [], np.zeros(4), []
     for middle in middles:
         phase = {camera: many_photographs_phase(images[camera], middle)[0] for camera in CAMERAS}
         truth = {}
@@ -272,7 +272,8 @@ def one_object(images, devices, program, work, step):
             both = np.isfinite(at[:, 2])
             panel = [devices["projector"].project(p[both])[:, 0] for p in (points, at)]
             error = (panel[0] - panel[1]) / PERIOD * TAU
-            counts[1:] += [both.sum(), (np.abs(error) > np.pi).sum(), len(points)]
+            wrong.append(int((np.abs(error) > np.pi).sum()))
+            counts[1:] += [both.sum(), wrong[-1], len(points)]
             errors.append(error[np.abs(error) <= np.pi])
         if clouds["left", middle] is not None and clouds["right", middle] is not None:
             sides = [1e3 * np.stack([clouds[c, middle][k] for k in "xyz"], 1).astype(float) for c in CAMERAS]
@@ -285,7 +286,7 @@ def one_object(images, devices, program, work, step):
     return {
         "photographs": 2 * len(middles), "photographs_refused": refused, "reference_points": int(counts[0]),
         "complete": float(counts[1] / counts[0]), "wrong_order_share": float(counts[2] / max(counts[1], 1)),
-        "points": int(counts[3]), "phase_rad": spread(joined(errors)),
+        "wrong_in_worst_photograph_share": max(wrong, default=0) / max(sum(wrong), 1), "points": int(counts[3]), "phase_rad": spread(joined(errors)),
         "left_to_right_mm": spread(joined(agreement)), "left_to_right_reference_mm": spread(joined(theirs)),
     }
 

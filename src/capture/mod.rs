@@ -4,8 +4,8 @@
 /// Captures that a node runs for its console.
 pub mod coordinator;
 mod countdown;
-/// One node that takes part, over HTTP or in this process.
 pub mod numbering;
+/// One node that takes part, over HTTP or in this process.
 pub mod participant;
 /// A node in a session looks after the other nodes of it.
 pub mod peer_watch;

@@ -65,7 +65,7 @@ impl Peaks {
         let mut ranges = [0u64; 256];
         windows().for_each(|window| ranges[usize::from(range(window).1)] += 1);
         let Some(largest) = quantile(&ranges, 1.0 - STRAY) else { return };
-        let least = (OF_LARGEST * largest as f64).max(f64::from(LEAST_RANGE_DN));
+        let least = (OF_LARGEST * largest).max(f64::from(LEAST_RANGE_DN));
         for window in windows() {
             window.iter().for_each(|&x| self.pixels[usize::from(x)] += 1);
             let (low, range) = range(window);
@@ -83,8 +83,8 @@ impl Peaks {
 
     /// The exposure that would be right; `None` where no fringes were seen.
     pub fn exposure(&self) -> Option<Exposure> {
-        let peak = quantile(&self.peaks, 1.0 - BRIGHTER)? as f64;
-        let dark = quantile(&self.pixels, DARK)? as f64;
+        let peak = quantile(&self.peaks, 1.0 - BRIGHTER)?;
+        let dark = quantile(&self.pixels, DARK)?;
         let ev = ((PEAK_DN - dark).max(1.0) / (peak - dark).max(1.0)).log2();
         Some(Exposure { ev, saturated: self.saturated as f64 / self.body.max(1) as f64 })
     }
@@ -108,14 +108,15 @@ fn cut_peak(low: u8, cut: usize) -> f64 {
     low + 2.0 * (255.0 - low) / above.max(0.25)
 }
 
-/// The place below or at which this share of the counted lie.
-fn quantile(counts: &[u64], share: f64) -> Option<usize> {
+/// The value below or at which this share of the counted lie; `None` without any.
+pub(super) fn quantile(counts: &[u64], share: f64) -> Option<f64> {
     let wanted = (counts.iter().sum::<u64>() as f64 * share).ceil() as u64;
     let mut below = 0;
-    counts.iter().position(|count| {
+    let found = counts.iter().position(|count| {
         below += count;
         *count > 0 && below >= wanted
-    })
+    });
+    found.map(|value| value as f64)
 }
 
 impl fmt::Display for Exposure {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are there.
 
-use super::exposure::{Exposure, Peaks, WINDOW};
+use super::exposure::{Exposure, Peaks, WINDOW, quantile};
 use crate::acquire::preview::Sample;
 use crate::telemetry::Grade;
 use crate::telemetry::thresholds::{LIT, MODULATION, SATURATED};
@@ -81,31 +81,17 @@ pub fn measure(sample: &Sample) -> Light {
     peaks.add(sample.width, &sample.pixels);
     let lit: u64 = amplitudes.iter().sum();
     let pixels: u64 = counts.iter().sum();
-    let modulation_dn = quantile(&amplitudes, 0.5) / 2.0;
+    let modulation_dn = quantile(&amplitudes, 0.5).unwrap_or(0.0) / 2.0;
     let share = |part: u64, whole: u64| if whole == 0 { 0.0 } else { part as f64 / whole as f64 };
     Light {
         saturated: share(counts[255], pixels),
         lit: share(lit, windows),
         modulation_dn,
-        contrast: quantile(&contrasts, 0.5) / 200.0,
+        contrast: quantile(&contrasts, 0.5).unwrap_or(0.0) / 200.0,
         focus: if modulation_dn > 0.0 { share(bend, bends).sqrt() / modulation_dn } else { 0.0 },
-        bright_dn: quantile(&counts, 0.99),
+        bright_dn: quantile(&counts, 0.99).unwrap_or(0.0),
         exposure: peaks.exposure(),
     }
-}
-
-/// The value below or at which this share of the counted lie; 0 without any.
-fn quantile(counts: &[u64], share: f64) -> f64 {
-    let total: u64 = counts.iter().sum();
-    let wanted = (total as f64 * share).ceil() as u64;
-    let mut below = 0;
-    for (value, count) in counts.iter().enumerate() {
-        below += count;
-        if *count > 0 && below >= wanted {
-            return value as f64;
-        }
-    }
-    0.0
 }
 
 #[cfg(test)]
