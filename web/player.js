@@ -94,7 +94,8 @@ class Player {
     }
   }
 
-  /** Shows a frame set as soon as it is unpacked, unless another one is wanted by then. */
+  /** Shows a frame set as soon as it is unpacked, unless another one is wanted by then; while it plays, what comes late is shown
+   * all the same, as long as nothing later is. */
   async seek(place) {
     const asked = performance.now();
     this.wanted = place;
@@ -104,7 +105,8 @@ class Player {
       return;
     }
     const points = await set;
-    if (this.wanted !== place) return;
+    const late = this.playing && place > this.shown && place < this.wanted;
+    if (this.wanted !== place && !late) return;
     this.show(place, points);
     this.root.dataset.seekMs = (performance.now() - asked).toFixed(1);
   }
@@ -140,11 +142,13 @@ class Player {
     const tick = (now) => {
       if (this.playing !== run) return;
       const due = run.from + (Math.max(0, now - run.since) / 1000) * Number(this.speed.value);
-      let place = this.wanted;
+      const before = this.wanted;
+      let place = before;
       while (place + 1 < this.triggers.length && this.seconds[place + 1] <= due) place++;
-      // What is not unpacked in time is left out; what comes soon is unpacked now.
-      for (let soon = place; soon <= place + AHEAD && soon < this.triggers.length; soon++) this.get(soon);
-      if (place !== this.wanted) this.seek(place);
+      // What comes next, at the pace that this machine keeps, is unpacked now.
+      const pace = Math.max(1, place - before);
+      for (let soon = 1; soon <= AHEAD && place + soon * pace < this.triggers.length; soon++) this.get(place + soon * pace);
+      if (place !== before) this.seek(place);
       if (place + 1 < this.triggers.length) requestAnimationFrame(tick);
       else this.pause();
     };
