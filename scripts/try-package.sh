@@ -39,6 +39,8 @@ step "install: $(basename "$package")"
 cp "$package" "$root/tmp/fourdbody.deb"
 inside apt-get update -qq
 inside apt-get purge -y -qq fourdbody >/dev/null 2>&1 || true
+# What a run that did not come to its end has left there.
+rm -rf "$root/var/lib/fourdbody" "$root/etc/fourdbody"
 inside apt-get install -y -qq --no-install-recommends /tmp/fourdbody.deb >/dev/null
 inside fourdbody --version
 inside id fourdbody
@@ -55,10 +57,17 @@ grep -E '^sudo -u fourdbody fourdbody token new' docs/guide/installing.md | sed 
 inside setpriv --reuid=fourdbody --regid=fourdbody --init-groups sh -e /tmp/guide.sh
 inside fourdbody token list --tokens /var/lib/fourdbody/tokens
 doctor=$(grep -A1 '^sudo prlimit' docs/guide/installing.md | tr -d '\\\n' | sed 's/^sudo //')
+# Some containers let even root raise no limit (no CAP_SYS_RESOURCE): then what the limits are for cannot be tried.
+limits=yes
+if ! prlimit --rtprio=70 --memlock=unlimited true 2>/dev/null; then
+    limits=
+    doctor=$(sed -E 's/prlimit( --[a-z]+=[a-z0-9]+)+ //' <<<"$doctor")
+    echo "not tried: this place raises no limits, so the doctor's verdict on real-time priority and locked memory is left out"
+fi
 inside $doctor >"$root/tmp/doctor.txt" || true
 cat "$root/tmp/doctor.txt"
 grep -qE '^ok +packet socket' "$root/tmp/doctor.txt"
-if grep -E '^(warning|failed) +(real-time priority|memory lock)' "$root/tmp/doctor.txt"; then
+if [ -n "$limits" ] && grep -E '^(warning|failed) +(real-time priority|memory lock)' "$root/tmp/doctor.txt"; then
     echo "error: the guide's command for doctor has not the rights of the service" >&2
     exit 1
 fi
