@@ -357,6 +357,12 @@ impl Unit {
                 Ok(())
             }
             Phase::Running(_) | Phase::Finished { .. } => self.expect_session(session),
+            // It waits for an edge: that is taken back, and the session ends without a trigger.
+            Phase::Armed if self.start_at.is_some() => {
+                self.expect_session(session)?;
+                self.finish(EndReason::Stopped);
+                Ok(())
+            }
             Phase::Idle | Phase::Armed => Err(Refusal::NotRunning(state)),
         }
     }
