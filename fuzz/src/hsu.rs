@@ -84,6 +84,8 @@ impl UnitOutputs for World {
         }
         self.last = Some(*trigger);
     }
+
+    fn session_output(&mut self, _: bool) {}
 }
 
 /// A script of messages, bytes on the line, passing time and frame syncs for a unit.

@@ -7,6 +7,7 @@
 
 use crate::codec::{DecodeError, Put, Take};
 use crate::ids::{NodeName, SessionId};
+use crate::inputs::Slope;
 use crate::timing::{Timing, TimingError};
 use crate::{LINKS, MAX_MESSAGE, version};
 
@@ -82,6 +83,13 @@ pub enum Request {
     Heartbeat,
     /// Closes the conversation in good order. Withdraws what this link had armed, unless it runs.
     Goodbye,
+    /// As [`Request::Start`], but the train starts at the next such edge of an input.
+    StartAtEdge(SessionId, Slope),
+    /// Asks for edges of the inputs again, up to [`crate::MAX_RECORDS`] of them.
+    QueryEdges {
+        /// Number of the first.
+        first: u64,
+    },
 }
 
 const HELLO: u8 = 0;
@@ -96,6 +104,8 @@ const QUERY_TRIGGERS: u8 = 8;
 const READ_STATUS: u8 = 9;
 const HEARTBEAT: u8 = 10;
 const GOODBYE: u8 = 11;
+const START_AT_EDGE: u8 = 12;
+const QUERY_EDGES: u8 = 13;
 
 /// A message that the unit cannot read, with the request id where it got that far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -137,6 +147,11 @@ impl HostToUnit {
                 put.i64(*first);
                 put.u16(*count);
             }
+            Request::StartAtEdge(session, slope) => {
+                put.bytes(&session.0);
+                slope.put(&mut put);
+            }
+            Request::QueryEdges { first } => put.u64(*first),
             Request::ReadTiming | Request::ReadStatus | Request::Heartbeat | Request::Goodbye => {}
         }
         put.length()
@@ -175,6 +190,8 @@ impl Request {
             Self::ReadStatus => READ_STATUS,
             Self::Heartbeat => HEARTBEAT,
             Self::Goodbye => GOODBYE,
+            Self::StartAtEdge(..) => START_AT_EDGE,
+            Self::QueryEdges { .. } => QUERY_EDGES,
         }
     }
 
@@ -204,6 +221,8 @@ impl Request {
             READ_STATUS => Self::ReadStatus,
             HEARTBEAT => Self::Heartbeat,
             GOODBYE => Self::Goodbye,
+            START_AT_EDGE => Self::StartAtEdge(SessionId(take.array()?), Slope::take(take)?),
+            QUERY_EDGES => Self::QueryEdges { first: take.u64()? },
             found => return Err(DecodeError::Kind { found }),
         })
     }

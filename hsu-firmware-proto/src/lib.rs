@@ -14,6 +14,7 @@ mod codec;
 pub mod frame;
 pub mod host_to_unit;
 pub mod ids;
+pub mod inputs;
 mod refusal;
 mod status;
 pub mod timing;
@@ -23,6 +24,7 @@ pub mod unit_to_host;
 pub use codec::DecodeError;
 pub use host_to_unit::{Arm, Hello, HostToUnit, Request};
 pub use ids::{LinkId, NodeName, SessionId};
+pub use inputs::{Edge, Edges, Slope};
 pub use timing::{HeadTiming, Sync, Timing, TimingError};
 pub use unit::{PAUSE_BEFORE, Unit, UnitOutputs};
 pub use unit_to_host::{
@@ -66,7 +68,13 @@ pub const MAX_HEADS: usize = 8;
 pub const LINKS: usize = 2;
 /// Triggers that the unit remembers for [`Request::QueryTriggers`]: 4.2 s at 120 Hz.
 pub const HISTORY: usize = 512;
-/// Triggers in one answer to [`Request::QueryTriggers`].
+/// Input lines that one unit has.
+pub const INPUTS: usize = 8;
+/// Edges of inputs that the unit remembers for [`Request::QueryEdges`].
+pub const EDGE_HISTORY: usize = 96;
+/// Edges that the unit keeps in a quarter of a second, all lines together; more are counted.
+pub const EDGES_KEPT: u8 = 64;
+/// Triggers in one answer to [`Request::QueryTriggers`], edges in one to [`Request::QueryEdges`].
 pub const MAX_RECORDS: usize = 12;
 /// Most warm-up triggers before a train.
 pub const MAX_WARM_UP: u32 = 10_000;

@@ -8,6 +8,7 @@
 
 use crate::codec::{DecodeError, Put, Take};
 use crate::ids::{LinkId, NodeName, SessionId};
+use crate::inputs::Edges;
 use crate::timing::{Timing, TimingError};
 use crate::{MAX_MESSAGE, MAX_RECORDS, version};
 use core::fmt;
@@ -178,6 +179,17 @@ pub enum UnitToHost {
     },
     /// Something is wrong.
     Fault(SessionId, Fault),
+    /// Answer to QueryEdges: what the unit still has, from the first asked for on; may be empty.
+    Edges {
+        /// Of the request.
+        request_id: u32,
+        /// Number of the edge that comes next.
+        next: u64,
+        /// A bit a line, as its last edge left it.
+        levels: u8,
+        /// The edges.
+        edges: Edges,
+    },
 }
 
 const WELCOME: u8 = 0x80;
@@ -191,6 +203,7 @@ const HEARTBEAT: u8 = 0x87;
 const TRIGGER: u8 = 0x88;
 const DONE: u8 = 0x89;
 const FAULT: u8 = 0x8a;
+const EDGES: u8 = 0x8b;
 
 impl UnitToHost {
     /// The request that this answers, if it is an answer.
@@ -202,6 +215,7 @@ impl UnitToHost {
             | Self::Timing(id, _)
             | Self::Clock { request_id: id, .. }
             | Self::Triggers(id, ..)
+            | Self::Edges { request_id: id, .. }
             | Self::Status(id, _) => Some(id),
             Self::Heartbeat(_) | Self::Trigger(..) | Self::Done { .. } | Self::Fault(..) => None,
         }
@@ -250,6 +264,11 @@ impl UnitToHost {
                 put.u8(code);
                 put.u64(value);
             }
+            Self::Edges { next, levels, edges, .. } => {
+                put.u64(*next);
+                put.u8(*levels);
+                edges.put(&mut put);
+            }
         }
         put.length()
     }
@@ -282,6 +301,7 @@ impl UnitToHost {
             Self::Trigger(..) => TRIGGER,
             Self::Done { .. } => DONE,
             Self::Fault(..) => FAULT,
+            Self::Edges { .. } => EDGES,
         }
     }
 
@@ -314,6 +334,12 @@ impl UnitToHost {
                 reason: EndReason::from_code(take.u8()?).ok_or(DecodeError::Value)?,
             },
             FAULT => Self::Fault(SessionId(take.array()?), take_fault(take)?),
+            EDGES => Self::Edges {
+                request_id: take.u32()?,
+                next: take.u64()?,
+                levels: take.u8()?,
+                edges: Edges::take(take)?,
+            },
             found => return Err(DecodeError::Kind { found }),
         })
     }

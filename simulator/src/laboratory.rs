@@ -56,6 +56,8 @@ pub struct LaboratoryOptions {
     pub disk: Option<DiskPlan>,
     /// The cameras' images go on from session to session instead of starting anew with each.
     pub carry_on: bool,
+    /// Inputs of the HSU that swing by themselves: line and frequency in Hz.
+    pub inputs: Vec<(u8, f64)>,
     /// The cameras have their names in the rig as names of their own.
     pub user_names: bool,
     /// The nodes know each other.
@@ -85,6 +87,7 @@ impl LaboratoryOptions {
             faults: None,
             disk: None,
             carry_on: false,
+            inputs: Vec::new(),
             user_names: true,
             peers: true,
             calibration: None,
@@ -203,8 +206,13 @@ impl Laboratory {
         let disks = mount_disks(options, &rig, truth)?;
         let nodes = write_node_files(options, &rig)?;
         let links = nodes.iter().map(|node| hsu_link(options, &node.node)).collect();
-        let mut setup =
-            HsuOptions { links, cameras: wires, carry_on: options.carry_on, ..HsuOptions::default() };
+        let mut setup = HsuOptions {
+            links,
+            cameras: wires,
+            carry_on: options.carry_on,
+            inputs: options.inputs.clone(),
+            ..HsuOptions::default()
+        };
         if let Some((plan, truth)) = faults.filter(|(plan, _)| !plan.hsu.is_empty()) {
             setup.line = Some(plan.hsu.line);
             let nodes = nodes.iter().map(|node| node.node.to_string()).collect();

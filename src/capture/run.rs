@@ -9,7 +9,7 @@ use super::participant::Participant;
 use super::peer_watch::UNSERVED_PATIENCE;
 use super::report::{Captured, ended_early, failure_of_all};
 use crate::base::{Exit, Fault};
-use crate::control::request::{Phase, SessionRequest};
+use crate::control::request::{Phase, SessionRequest, StartOn};
 use crate::control::status::{NodeStatus, Outcome, SessionStatus};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -32,6 +32,8 @@ pub struct CaptureRequest {
     pub subject: Option<String>,
     /// Free text.
     pub note: Option<String>,
+    /// The train starts at this edge of one of the HSU's inputs; nodes wait 120 s for it.
+    pub start_on: Option<StartOn>,
     /// Everything but the recording.
     pub dry_run: bool,
     /// A part of the rig is meant: without this all nodes of the rig take part.
@@ -96,6 +98,11 @@ pub enum Stage {
         /// Until the first trigger.
         left_s: u32,
     },
+    /// Every node is ready, and the HSU waits for an edge of an input.
+    AwaitingEdge {
+        /// Which.
+        edge: StartOn,
+    },
     /// Triggers are coming, or their frames are.
     Recording {
         /// Triggers so far.
@@ -125,6 +132,7 @@ impl fmt::Display for Stage {
             Self::CountingDown { left_s } => {
                 write!(f, "every node is ready; {left_s} s to the first trigger")
             }
+            Self::AwaitingEdge { edge } => write!(f, "every node is ready; waiting for a {edge}"),
             Self::Recording { triggers, asked: 0, frames, gaps } => {
                 write!(f, "trigger {triggers}: {frames} frames, {gaps} gaps")
             }
@@ -167,10 +175,7 @@ pub fn capture(
         let reason = control.take_abort();
         let reason = reason.unwrap_or_else(|| "stopped by the operator before the start".to_owned());
         abort_all(nodes, request.session_id, &reason);
-        return Err(Fault::new(
-            Exit::Failure,
-            format!("stopped before the start; nothing was recorded ({reason})"),
-        ));
+        return Err(not_begun(&reason));
     }
     let first = nodes.first().ok_or_else(|| Fault::new(Exit::Usage, "no nodes"))?;
     if let Err(refused) = first.start(request.session_id) {
@@ -184,9 +189,16 @@ pub fn capture(
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
     let captured = Captured::new(request.name, wish.dry_run, absent(&statuses), named.collect());
     match failure_of_all(captured.nodes()) {
+        Some(_) if request.start_on.is_some() && control.was_asked() => {
+            Err(not_begun("stopped by the operator before the edge came"))
+        }
         Some(fault) => Err(fault),
         None => Ok(captured),
     }
+}
+
+fn not_begun(reason: &str) -> Fault {
+    Fault::new(Exit::Failure, format!("stopped before the start; nothing was recorded ({reason})"))
 }
 
 fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault> {
@@ -242,6 +254,7 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<SessionRequ
         nodes,
         subject: wish.subject.clone(),
         note: wish.note.clone(),
+        start_on: wish.start_on,
         dry_run: wish.dry_run,
         on_behalf_of: wish.on_behalf_of.clone(),
     };
@@ -387,11 +400,15 @@ fn follow(
         let sum = |count: fn(&crate::control::status::CameraProgress) -> u64| -> u64 {
             latest.iter().flatten().flat_map(|s| &s.cameras).map(count).sum()
         };
-        progress(&Stage::Recording {
-            triggers: latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0),
-            asked: request.triggers,
-            frames: sum(|c| c.frames),
-            gaps: sum(|c| c.gaps),
+        let triggers = latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0);
+        progress(&match request.start_on.filter(|_| triggers == 0) {
+            Some(edge) => Stage::AwaitingEdge { edge },
+            None => Stage::Recording {
+                triggers,
+                asked: request.triggers,
+                frames: sum(|c| c.frames),
+                gaps: sum(|c| c.gaps),
+            },
         });
         std::thread::sleep(POLL);
     }

@@ -8,6 +8,7 @@ use crate::capture::participant::Participant;
 use crate::capture::report::Captured;
 use crate::capture::run::{CaptureRequest, Control};
 use crate::capture::series::{self, Series};
+use crate::control::request::StartOn;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -46,6 +47,9 @@ pub struct Args {
     /// Seconds from the moment at which every node is ready to the first trigger.
     #[arg(long, value_name = "S", default_value_t = 0)]
     countdown: u32,
+    /// Begin at an edge of one of the HSU's inputs, 0 to 7: a hand switch, or another device's start. Waits 120 s for it.
+    #[arg(long, value_name = "INPUT[:rising|:falling]")]
+    start_on: Option<StartOn>,
     /// Do all but write: triggers, frames and verdict are real, nothing is recorded.
     #[arg(long)]
     dry_run: bool,
@@ -65,6 +69,7 @@ impl Args {
             name: self.name.clone(),
             subject: self.subject.clone(),
             note: self.note.clone(),
+            start_on: self.start_on,
             dry_run: self.dry_run,
             partial: self.partial,
             countdown_s: self.countdown,

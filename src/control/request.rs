@@ -3,6 +3,8 @@
 
 use crate::base::ids::{NodeId, SessionName, check_text};
 use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
 
 /// What an operator asks for.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -21,6 +23,9 @@ pub struct SessionRequest {
     pub subject: Option<String>,
     /// Free text.
     pub note: Option<String>,
+    /// The train starts at this edge of one of the HSU's inputs, not at once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start_on: Option<StartOn>,
     /// Everything but the recording: frames are counted and judged, nothing is written.
     #[serde(default)]
     pub dry_run: bool,
@@ -35,7 +40,55 @@ impl SessionRequest {
         for (what, text) in [("subject", &self.subject), ("note", &self.note)] {
             text.as_ref().map_or(Ok(()), |text| check_text(what, text))?;
         }
+        if let Some(StartOn { line, .. }) = self.start_on.filter(|edge| edge.line >= StartOn::LINES) {
+            return Err(format!("input {line}; expected 0 to {}", StartOn::LINES - 1));
+        }
         SessionName::parse(&self.name)
+    }
+}
+
+/// An edge of one of the HSU's inputs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StartOn {
+    /// The input, 0 to 7.
+    #[schema(maximum = 7)]
+    pub line: u8,
+    /// From low to high.
+    #[serde(default = "rising")]
+    pub rising: bool,
+}
+
+fn rising() -> bool {
+    true
+}
+
+impl StartOn {
+    /// The HSU's inputs.
+    pub const LINES: u8 = 8;
+}
+
+impl fmt::Display for StartOn {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} edge of input {}", if self.rising { "rising" } else { "falling" }, self.line)
+    }
+}
+
+impl FromStr for StartOn {
+    type Err = String;
+
+    /// `2`, `2:rising` or `2:falling`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (line, rising) = match text.split_once(':') {
+            None => (text, true),
+            Some((line, "rising")) => (line, true),
+            Some((line, "falling")) => (line, false),
+            Some((_, edge)) => return Err(format!("edge {edge:?}; expected rising or falling")),
+        };
+        match line.parse() {
+            Ok(line) if line < Self::LINES => Ok(Self { line, rising }),
+            _ => Err(format!("input {line:?}; expected 0 to {}", Self::LINES - 1)),
+        }
     }
 }
 
@@ -55,4 +108,20 @@ pub enum Phase {
     Draining,
     /// The recording is being closed.
     Closing,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::StartOn;
+
+    #[test]
+    fn an_edge_is_read_as_people_write_it() {
+        let edge = |line, rising| Ok(StartOn { line, rising });
+        assert_eq!("2".parse(), edge(2, true));
+        assert_eq!("0:rising".parse(), edge(0, true));
+        assert_eq!("7:falling".parse(), edge(7, false));
+        for wrong in ["", "8", "-1", "2:up", "x:rising", ":falling"] {
+            assert!(wrong.parse::<StartOn>().is_err(), "{wrong:?}");
+        }
+    }
 }

@@ -3,6 +3,8 @@
 
 /// Frames to pictures.
 pub mod frames;
+/// Edges of the HSU's input lines.
+pub mod inputs;
 /// Clouds to files of other formats, many at a time.
 pub mod job;
 /// Triangle meshes.

@@ -19,9 +19,9 @@ mod unit;
 pub use error::HsuError;
 pub use event::{HsuEvent, LinkLoss};
 pub use timing::{ArmRequest, HsuTiming, session_id, trigger_index};
-pub use unit::{ClockSample, Hsu, HsuTimeouts};
+pub use unit::{ClockSample, Hsu, HsuTimeouts, InputEdges};
 
 pub use hsu_firmware_proto::{
-    EndReason, Fault, HeadTiming, Identity, LinkId, Refusal, SessionId, State, Status, Sync, TriggerFlags,
-    TriggerRecord,
+    EndReason, Fault, HeadTiming, Identity, LinkId, Refusal, SessionId, Slope, State, Status, Sync,
+    TriggerFlags, TriggerRecord,
 };

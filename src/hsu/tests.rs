@@ -73,6 +73,8 @@ impl UnitOutputs for Answers {
     }
 
     fn fire(&mut self, _: &TriggerRecord, _: &[HeadTiming]) {}
+
+    fn session_output(&mut self, _: bool) {}
 }
 
 /// What the far end does with each request that reaches it; `None`: its answer gets lost.

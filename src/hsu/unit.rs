@@ -9,7 +9,8 @@ use super::timing::{ArmRequest, HsuTiming, node_name};
 use crate::base::ids::NodeId;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use hsu_firmware_proto::{
-    Hello, Identity, Request, SessionId, State, Status, TriggerRecord, UnitToHost, Welcome, version,
+    Edges, Hello, Identity, Request, SessionId, Slope, State, Status, TriggerRecord, UnitToHost, Welcome,
+    version,
 };
 use std::io::{Read, Write};
 use std::path::Path;
@@ -48,6 +49,17 @@ pub struct ClockSample {
     pub received: Instant,
     /// The HSU's clock, ns.
     pub time_ns: u64,
+}
+
+/// What the unit says of its input lines.
+#[derive(Debug, Clone, Copy)]
+pub struct InputEdges {
+    /// Number of the edge that comes next.
+    pub next: u64,
+    /// A bit a line, as its last edge left it.
+    pub levels: u8,
+    /// The edges, in order.
+    pub edges: Edges,
 }
 
 /// A connected HSU. Dropping it says goodbye and closes the device.
@@ -194,6 +206,20 @@ impl Hsu {
     /// Starts the train; any one node may. The first trigger comes a period later.
     pub fn start(&self, session: SessionId) -> Result<(), HsuError> {
         self.command("the start", Request::Start(session))
+    }
+
+    /// Starts the train at the next such edge of an input; any one node may. [`Self::stop`] takes it back.
+    pub fn start_at_edge(&self, session: SessionId, slope: Slope) -> Result<(), HsuError> {
+        self.command("the start at an input", Request::StartAtEdge(session, slope))
+    }
+
+    /// Edges of the input lines from number `first` on, up to twelve of those that the unit still has (the last 96).
+    pub fn input_edges(&self, first: u64) -> Result<InputEdges, HsuError> {
+        const WHAT: &str = "a question for its inputs";
+        match self.conversation.ask(WHAT, Request::QueryEdges { first })?.message {
+            UnitToHost::Edges { next, levels, edges, .. } => Ok(InputEdges { next, levels, edges }),
+            other => Err(unexpected(WHAT, "edges", &other)),
+        }
     }
 
     /// Ends the train after the current trigger; [`HsuEvent::Done`] follows.

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The thread that keeps the link to the HSU during a session: reads its clock, and connects anew when the link was
+//! The thread that keeps the link to the HSU during a session: reads its clock and its input lines, and connects anew when the link was
 //! lost, so that the train's triggers go on being reported from where they broke off.
 
+use super::input_lines::InputLines;
 use crate::acquire::recorder::RecorderCommand;
 use crate::base::ids::NodeId;
 use crate::base::time::HostClock;
@@ -80,13 +81,28 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
     let mut hsu = Some(hsu);
     let mut missing = None;
     let mut next_clock = Instant::now() + CLOCK_INTERVAL;
+    let mut inputs = InputLines::default();
+    let mut look = |link: &Hsu| {
+        for event in inputs.look(link, clock.now()) {
+            drop(to_recorder.send(RecorderCommand::Event(event)));
+        }
+    };
+    if let Some(link) = &hsu {
+        look(link);
+    }
     loop {
         let patience = match hsu {
             Some(_) => next_clock.saturating_duration_since(Instant::now()),
             None => RETRY_INTERVAL,
         };
         match inbox.recv_timeout(patience) {
-            Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+            Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                // What came since the last look belongs to the session, too.
+                if let Some(link) = &hsu {
+                    look(link);
+                }
+                return;
+            }
             Ok(Order::Reconnect { next }) => {
                 // The old link must be closed before the device can be opened again.
                 hsu = None;
@@ -100,6 +116,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                 if let Ok(sample) = link.query_clock() {
                     drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
                 }
+                look(link);
             }
             (None, Some(next)) => match Hsu::connect(&device, &node, &HsuTimeouts::default()) {
                 Ok(link) => {

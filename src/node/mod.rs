@@ -6,6 +6,7 @@ mod camera_keeper;
 pub mod devices;
 mod events;
 mod hsu_keeper;
+mod input_lines;
 pub mod node_thread;
 mod prepare;
 mod session;

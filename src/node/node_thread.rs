@@ -14,7 +14,7 @@ use crate::control::command::{Command, Reply, SharedStatus};
 use crate::control::request::{Phase, SessionRequest};
 use crate::control::status::{NodeStatus, Outcome, SessionCommand};
 use crate::host::{heap, realtime};
-use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId};
+use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId, Slope};
 use crate::record::{NodeEvent, free_bytes};
 use crate::telemetry::{Current, Telemetry};
 use crossbeam_channel::{Receiver, Sender, bounded, never, select};
@@ -267,7 +267,7 @@ impl Node {
         let mut answer = Ok(());
         for action in self.machine.step(Event::Start, self.origin.elapsed()) {
             if action == Action::StartTrain {
-                answer = self.on_hsu(|hsu, session| hsu.start(session));
+                answer = self.start_on_hsu();
             }
         }
         answer
@@ -336,7 +336,7 @@ impl Node {
                 self.answer(Err(fault));
                 Ok(())
             }
-            Action::StartTrain => self.on_hsu(|hsu, session| hsu.start(session)),
+            Action::StartTrain => self.start_on_hsu(),
             Action::StopTrain => self.on_hsu(|hsu, session| hsu.stop(session)),
             Action::DisarmHsu => self.on_hsu(|hsu, session| hsu.disarm(session)),
             Action::StopStreams => {
@@ -365,6 +365,14 @@ impl Node {
         let Some(session) = &self.session else { return Ok(()) };
         let Some(hsu) = self.devices.hsu() else { return Err(hsu_missing()) };
         ask(hsu, hsu_session(session.request.session_id)).map_err(hsu_fault)
+    }
+
+    fn start_on_hsu(&self) -> Result<(), Fault> {
+        let edge = self.session.as_ref().and_then(|session| session.request.start_on);
+        match edge.and_then(|edge| Slope::new(edge.line, edge.rising)) {
+            Some(slope) => self.on_hsu(|hsu, session| hsu.start_at_edge(session, slope)),
+            None => self.on_hsu(|hsu, session| hsu.start(session)),
+        }
     }
 
     fn answer(&mut self, answer: Result<(), Fault>) {

@@ -305,6 +305,7 @@ mod tests {
             nodes: vec![NodeId::from("a"), NodeId::from("b")],
             subject: None,
             note: None,
+            start_on: None,
             dry_run: false,
             on_behalf_of: None,
         }

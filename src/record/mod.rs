@@ -10,6 +10,7 @@ pub mod describe;
 mod direct_io;
 mod disk_thread;
 pub mod envelope;
+mod input_edge;
 pub mod layout;
 mod metadata;
 mod open_chunk;
@@ -32,6 +33,7 @@ mod writer;
 
 pub use direct_io::{free_bytes, survive_file_limit};
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
+pub use input_edge::InputEdge;
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NOT_ASKED, NodeEvent,
     RecordingHeader, TriggerRecord, WarmUp,

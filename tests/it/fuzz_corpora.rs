@@ -129,6 +129,8 @@ impl UnitOutputs for Ear<'_> {
     }
 
     fn fire(&mut self, _: &TriggerRecord, _: &[HeadTiming]) {}
+
+    fn session_output(&mut self, _: bool) {}
 }
 
 const SESSION: SessionId = SessionId([7; 16]);

@@ -61,6 +61,8 @@ mod hsu_clock;
 #[cfg(feature = "aravis")]
 mod identity;
 #[cfg(feature = "aravis")]
+mod input_lines;
+#[cfg(feature = "aravis")]
 mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]

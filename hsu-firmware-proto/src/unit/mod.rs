@@ -2,8 +2,8 @@
 //! The unit's own behaviour, sans I/O: firmware and simulator run this same state machine.
 //!
 //! Inputs: messages ([`Unit::receive`]), time ([`Unit::tick`]), the projectors' frame sync
-//! ([`Unit::frame_sync`]), the firmware's supervision ([`Unit::hardware_fault`]). Outputs go through
-//! [`UnitOutputs`]. All times are nanoseconds of the unit's own clock, which must not run backwards.
+//! ([`Unit::frame_sync`]), edges of the input lines ([`Unit::input`]), the firmware's supervision
+//! ([`Unit::hardware_fault`]). Outputs go through [`UnitOutputs`]. All times are nanoseconds of the unit's own clock, which must not run backwards.
 //!
 //! ```text
 //! Idle --Arm--> Arming --Arm--> Armed --Start--> Running --count, Stop, Disarm--> Finished --Arm--> Arming
@@ -16,6 +16,7 @@
 //! goes on: the other node's frames are still good, and its host decides. Only a train without a count ends
 //! when no host is heard any more, because nobody could end it.
 
+mod start;
 mod train;
 
 pub use train::PAUSE_BEFORE;
@@ -23,6 +24,7 @@ pub use train::PAUSE_BEFORE;
 use crate::codec::DecodeError;
 use crate::host_to_unit::{Arm, Hello, HostToUnit, Request, Unreadable};
 use crate::ids::{LinkId, NodeName, SessionId};
+use crate::inputs::{Edges, Inputs, Slope};
 use crate::timing::{HeadTiming, Timing, TimingError};
 use crate::unit_to_host::{
     EndReason, Fault, Identity, Refusal, State, Status, TriggerFlags, TriggerRecord, TriggerRecords,
@@ -31,7 +33,7 @@ use crate::unit_to_host::{
 use crate::{HEARTBEAT_NS, LINKS, MAX_RECORDS, MAX_WARM_UP, version};
 use train::{History, Step, Train};
 
-/// What the unit does to the world. Both calls return at once.
+/// What the unit does to the world. All calls return at once.
 pub trait UnitOutputs {
     /// Puts a message on a link; `false` if the line has no room for it.
     fn send(&mut self, link: LinkId, message: &UnitToHost) -> bool;
@@ -39,6 +41,9 @@ pub trait UnitOutputs {
     /// Fires a trigger: with [`crate::Sync::Timer`] raises the projectors' sync line now; raises the camera
     /// line of head number h `heads[h].delay_ns` after `trigger.time_ns` and holds it for its exposure.
     fn fire(&mut self, trigger: &TriggerRecord, heads: &[HeadTiming]);
+
+    /// Sets the output that other devices of the laboratory see: high from trigger 0 until the train has ended.
+    fn session_output(&mut self, high: bool);
 }
 
 /// Silence limit until a timing is configured, ns.
@@ -83,6 +88,11 @@ pub struct Unit {
     spent: SessionId,
     phase: Phase,
     history: History,
+    inputs: Inputs,
+    /// The armed train starts at such an edge.
+    start_at: Option<Slope>,
+    /// Whether [`UnitOutputs::session_output`] is high.
+    output_high: bool,
     heartbeat_due_ns: u64,
     late: u32,
     faults: u32,
@@ -109,6 +119,9 @@ impl Unit {
             spent: SessionId::NONE,
             phase: Phase::Idle,
             history: History::new(),
+            inputs: Inputs::new(),
+            start_at: None,
+            output_high: false,
             heartbeat_due_ns: 0,
             late: 0,
             faults: 0,
@@ -249,7 +262,22 @@ impl Unit {
                 return Ok(UnitToHost::Triggers(id, session, records));
             }
             Request::Arm(arm) => self.arm(link, arm)?,
-            Request::Start(session) => self.start(session, now_ns)?,
+            Request::Start(session) => {
+                if self.may_start(session)? {
+                    self.begin_train(now_ns);
+                }
+            }
+            Request::StartAtEdge(session, slope) => {
+                if self.may_start(session)? {
+                    self.start_at = Some(slope);
+                }
+            }
+            Request::QueryEdges { first } => {
+                let mut edges = Edges::default();
+                self.inputs.query(first).all(|edge| edges.push(edge));
+                let (next, levels) = (self.inputs.next(), self.inputs.levels());
+                return Ok(UnitToHost::Edges { request_id: id, next, levels, edges });
+            }
             Request::Stop(session) => self.stop(session)?,
             Request::Disarm(session) => self.disarm(session)?,
             Request::Heartbeat => {}
@@ -314,33 +342,9 @@ impl Unit {
             }
         }
         self.links[link.index()].armed = true;
+        self.start_at = None;
         self.arm = Some(arm);
         self.phase = Phase::Armed;
-        self.news.state = true;
-        Ok(())
-    }
-
-    fn start(&mut self, session: SessionId, now_ns: u64) -> Result<(), Refusal> {
-        let (Some(arm), Some(timing)) = (self.arm, self.timing) else {
-            return Err(Refusal::NotAllArmed { armed_links: 0, expected: 0 });
-        };
-        match self.phase {
-            Phase::Armed => {
-                self.expect_session(session)?;
-                if !self.all_armed() {
-                    let expected = arm.expected.iter().filter(|name| !name.is_none()).count() as u8;
-                    return Err(Refusal::NotAllArmed { armed_links: self.armed_links(), expected });
-                }
-            }
-            // Both hosts may ask.
-            Phase::Running(_) => return self.expect_session(session),
-            Phase::Idle | Phase::Finished { .. } => {
-                return Err(Refusal::NotAllArmed { armed_links: 0, expected: 0 });
-            }
-        }
-        let train = Train::start(&arm, &timing, now_ns);
-        self.history.restart(train.number());
-        self.phase = Phase::Running(train);
         self.news.state = true;
         Ok(())
     }
@@ -353,6 +357,12 @@ impl Unit {
                 Ok(())
             }
             Phase::Running(_) | Phase::Finished { .. } => self.expect_session(session),
+            // It waits for an edge: that is taken back, and the session ends without a trigger.
+            Phase::Armed if self.start_at.is_some() => {
+                self.expect_session(session)?;
+                self.finish(EndReason::Stopped);
+                Ok(())
+            }
             Phase::Idle | Phase::Armed => Err(Refusal::NotRunning(state)),
         }
     }
@@ -385,6 +395,7 @@ impl Unit {
             return;
         }
         self.links[link.index()].armed = false;
+        self.start_at = None;
         self.news.state = true;
         if self.armed_links() == 0 {
             self.phase = Phase::Idle;
@@ -427,6 +438,10 @@ impl Unit {
     fn fired(&mut self, record: TriggerRecord, out: &mut impl UnitOutputs) {
         let Some(timing) = &self.timing else { return };
         out.fire(&record, timing.heads());
+        if record.number == 0 {
+            self.output_high = true;
+            out.session_output(true);
+        }
         self.spent = self.session();
         self.history.push(record);
         if record.flags.contains(TriggerFlags::LATE) {
@@ -500,6 +515,9 @@ impl Unit {
     /// What happened, in this order: what is wrong, that the train is over, the state now.
     fn tell_news(&mut self, now_ns: u64, out: &mut impl UnitOutputs) {
         let news = core::mem::take(&mut self.news);
+        if news.done && core::mem::take(&mut self.output_high) {
+            out.session_output(false);
+        }
         if let Some(fault) = news.fault {
             self.send_known(&UnitToHost::Fault(self.session(), fault), out);
         }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Integration tests of the HSU protocol: golden bytes, framing properties, behaviour of the unit.
 mod framing;
+mod inputs;
 mod messages;
 mod unit;
 mod versioning;

@@ -8,14 +8,16 @@ use hsu_firmware_proto::{
 };
 use proptest::prelude::{any, prop, prop_assert, prop_assert_eq, prop_oneof, proptest};
 
-const PERIOD: u64 = 8_333_333;
+pub(crate) const PERIOD: u64 = 8_333_333;
 const SECOND: u64 = 1_000_000_000;
-const SESSION: SessionId = SessionId([1; 16]);
+pub(crate) const SESSION: SessionId = SessionId([1; 16]);
 
 #[derive(Default)]
-struct Outputs {
+pub(crate) struct Outputs {
     sent: Vec<(LinkId, UnitToHost)>,
     fired: Vec<TriggerRecord>,
+    /// Levels of the session's output, each with how many triggers had been fired.
+    pub(crate) output: Vec<(bool, usize)>,
     heads: usize,
     line_is_full: bool,
 }
@@ -32,13 +34,17 @@ impl UnitOutputs for Outputs {
         self.fired.push(*trigger);
         self.heads = heads.len();
     }
+
+    fn session_output(&mut self, high: bool) {
+        self.output.push((high, self.fired.len()));
+    }
 }
 
 /// A unit and its two hosts.
-struct Bench {
-    unit: Unit,
-    out: Outputs,
-    now: u64,
+pub(crate) struct Bench {
+    pub(crate) unit: Unit,
+    pub(crate) out: Outputs,
+    pub(crate) now: u64,
     next_beat: u64,
     id: u32,
 }
@@ -62,7 +68,7 @@ impl Bench {
     }
 
     /// Both have greeted and configured the same timing.
-    fn ready() -> Self {
+    pub(crate) fn ready() -> Self {
         let mut bench = Self::new();
         for (link, role) in [(LinkId::A, "a"), (LinkId::B, "b")] {
             bench.hello(link, role);
@@ -71,7 +77,7 @@ impl Bench {
         bench
     }
 
-    fn armed(trigger_count: u64, warm_up: u32) -> Self {
+    pub(crate) fn armed(trigger_count: u64, warm_up: u32) -> Self {
         let mut bench = Self::ready();
         for link in LinkId::ALL {
             bench.ack(link, Request::Arm(arm_of(SESSION, trigger_count, warm_up)));
@@ -79,7 +85,7 @@ impl Bench {
         bench
     }
 
-    fn running(trigger_count: u64, warm_up: u32) -> Self {
+    pub(crate) fn running(trigger_count: u64, warm_up: u32) -> Self {
         let mut bench = Self::armed(trigger_count, warm_up);
         bench.ack(LinkId::A, Request::Start(SESSION));
         bench
@@ -90,7 +96,7 @@ impl Bench {
         self.ask(link, Request::Hello(Hello { min: 1, current: 1, role }))
     }
 
-    fn ask(&mut self, link: LinkId, request: Request) -> UnitToHost {
+    pub(crate) fn ask(&mut self, link: LinkId, request: Request) -> UnitToHost {
         self.id += 1;
         self.ask_as(link, self.id, request)
     }
@@ -110,13 +116,13 @@ impl Bench {
     }
 
     #[track_caller]
-    fn ack(&mut self, link: LinkId, request: Request) {
+    pub(crate) fn ack(&mut self, link: LinkId, request: Request) {
         let answer = self.ask(link, request);
         assert!(matches!(answer, UnitToHost::Ack(_)), "{answer:?}");
     }
 
     #[track_caller]
-    fn refusal(&mut self, link: LinkId, request: Request) -> Refusal {
+    pub(crate) fn refusal(&mut self, link: LinkId, request: Request) -> Refusal {
         match self.ask(link, request) {
             UnitToHost::Refused(_, refusal) => refusal,
             other => panic!("expected a refusal, found {other:?}"),
@@ -124,7 +130,7 @@ impl Bench {
     }
 
     /// Both hosts are alive, and time passes in these steps.
-    fn pass(&mut self, step: u64, steps: usize) {
+    pub(crate) fn pass(&mut self, step: u64, steps: usize) {
         for _ in 0..steps {
             self.now += step;
             self.unit.tick(self.now, &mut self.out);
@@ -164,7 +170,7 @@ impl Bench {
         }
     }
 
-    fn numbers(&self) -> Vec<i64> {
+    pub(crate) fn numbers(&self) -> Vec<i64> {
         self.out.fired.iter().map(|record| record.number).collect()
     }
 }

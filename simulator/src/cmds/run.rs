@@ -49,6 +49,9 @@ pub struct Args {
     /// Show what comes next in every session, instead of starting anew: a board that is moved between sessions.
     #[arg(long, requires = "frames", conflicts_with = "faults")]
     carry_on: bool,
+    /// An input of the HSU that swings by itself, 0 to 7, and how often a second; may be repeated.
+    #[arg(long, value_name = "INPUT:HZ", value_parser = swinging_input)]
+    input: Vec<(u8, f64)>,
     /// Only the cameras of this node, with a rig of their heads: half a laboratory.
     #[arg(long, value_name = "NODE", requires = "rig")]
     node: Option<String>,
@@ -72,6 +75,14 @@ pub struct Args {
     /// Stop after so many seconds.
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
+}
+
+fn swinging_input(text: &str) -> Result<(u8, f64), String> {
+    let parts = text.split_once(':').and_then(|(line, hz)| Some((line.parse().ok()?, hz.parse().ok()?)));
+    match parts {
+        Some((line @ 0..=7, hz)) if (0.001..=10_000.0).contains(&hz) => Ok((line, hz)),
+        _ => Err("expected an input, 0 to 7, and 0.001 to 10000 Hz, as in 2:1.5".to_owned()),
+    }
 }
 
 /// Runs the command.
@@ -99,6 +110,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.segment_mib = args.segment_mib.unwrap_or(options.segment_mib);
     options.packet_bytes = args.packet_bytes;
     options.carry_on = args.carry_on;
+    options.inputs.clone_from(&args.input);
     options.calibration =
         args.frames.as_ref().map(|frames| frames.join("calibration.json")).filter(|file| file.is_file());
     (options.faults, options.disk, options.habits) = fault_plans(args)?;

@@ -8,11 +8,11 @@ use crate::wire::TriggerEdge;
 use crossbeam_channel::{Sender, TrySendError};
 use hsu_firmware_proto::frame::{self, Decoder};
 use hsu_firmware_proto::{
-    HeadTiming, Identity, LinkId, MAX_MESSAGE, State, Sync, TriggerFlags, TriggerRecord, Unit, UnitOutputs,
-    UnitToHost,
+    HeadTiming, Identity, LinkId, MAX_MESSAGE, Slope, State, Sync, TriggerFlags, TriggerRecord, Unit,
+    UnitOutputs, UnitToHost,
 };
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Sleeping is only accurate to about this; the rest of the way to a trigger is spun.
@@ -27,6 +27,8 @@ pub(super) struct Engine {
     world: World,
     /// The projectors' own frame clock, for [`Sync::ProjectorFrame`].
     next_frame_ns: u64,
+    /// Inputs that swing by themselves: line, half a period in ns, when the next edge comes, whether it rises.
+    swinging: Vec<(u8, u64, u64, bool)>,
     /// What came in last; kept for its memory.
     input: Vec<u8>,
 }
@@ -81,6 +83,11 @@ impl UnitOutputs for World {
         line.queue(&framed[..length], Instant::now())
     }
 
+    fn session_output(&mut self, high: bool) {
+        let rises = !self.control.output_high.swap(high, Ordering::Relaxed) && high;
+        self.control.output_rises.fetch_add(u64::from(rises), Ordering::Relaxed);
+    }
+
     fn fire(&mut self, trigger: &TriggerRecord, heads: &[HeadTiming]) {
         self.control.fired.fetch_add(1, Ordering::Relaxed);
         let late = u64::from(trigger.flags.contains(TriggerFlags::LATE));
@@ -130,6 +137,7 @@ impl Engine {
                 deeds: Vec::new(),
             },
             next_frame_ns: 0,
+            swinging: options.inputs.iter().map(|&(line, hz)| (line, (5e8 / hz) as u64, 0, true)).collect(),
             input: Vec::new(),
         }
     }
@@ -149,6 +157,7 @@ impl Engine {
             let hangs = self.world.control.unresponsive.load(Ordering::Relaxed);
             if !hangs {
                 self.keep_time();
+                self.see_inputs();
                 self.do_deeds();
                 let now = Instant::now();
                 self.world.lines.iter_mut().for_each(|line| line.write(now));
@@ -162,6 +171,7 @@ impl Engine {
     fn restart(&mut self) {
         self.unit = Unit::new(self.identity);
         self.world.edges.clear();
+        self.world.session_output(false);
     }
 
     /// Carries out what was injected at the trigger that was just fired, and ends what is over.
@@ -211,11 +221,31 @@ impl Engine {
         }
     }
 
+    fn see_inputs(&mut self) {
+        let now_ns = self.world.clock.reading(Instant::now());
+        let pushed =
+            std::mem::take(&mut *self.world.control.inputs.lock().unwrap_or_else(PoisonError::into_inner));
+        for slope in pushed {
+            self.unit.input(slope, now_ns, &mut self.world);
+        }
+        for (line, half_ns, due_ns, rising) in &mut self.swinging {
+            if now_ns < *due_ns {
+                continue;
+            }
+            if let Some(slope) = Slope::new(*line, *rising) {
+                self.unit.input(slope, now_ns, &mut self.world);
+            }
+            *rising = !*rising;
+            *due_ns = now_ns.saturating_add(*half_ns);
+        }
+    }
+
     fn next_due(&self) -> Instant {
         let mut due = self.unit.next_due();
         if self.unit.timing().is_some_and(|timing| timing.sync == Sync::ProjectorFrame) {
             due = due.min(self.next_frame_ns);
         }
+        due = self.swinging.iter().fold(due, |due, (_, _, next_ns, _)| due.min(*next_ns));
         let due = self.world.clock.instant(due);
         self.world.edges.first().map_or(due, |(_, edge)| due.min(edge.time))
     }

@@ -14,12 +14,12 @@ pub use disturb::{Jitter, LineFaults};
 use crate::faults::HsuFaults;
 use crate::wire::TriggerEdge;
 use crossbeam_channel::Sender;
-use hsu_firmware_proto::{Identity, LINKS, NodeName};
+use hsu_firmware_proto::{Identity, LINKS, NodeName, Slope};
 use line::Line;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -82,6 +82,8 @@ pub struct HsuOptions {
     /// What the cameras are shown goes on from train to train instead of starting anew with each: the board of a
     /// calibration walk stands elsewhere in the next session.
     pub carry_on: bool,
+    /// Inputs that swing by themselves: line and frequency in Hz. More come by [`SimulatedHsu::input`].
+    pub inputs: Vec<(u8, f64)>,
 }
 
 impl Default for HsuOptions {
@@ -98,6 +100,7 @@ impl Default for HsuOptions {
             line: None,
             faults: None,
             carry_on: false,
+            inputs: Vec::new(),
         }
     }
 }
@@ -112,6 +115,10 @@ struct Control {
     fired: AtomicU64,
     late: AtomicU64,
     lost_edges: AtomicU64,
+    /// Edges of input lines that the unit has not seen yet.
+    inputs: Mutex<Vec<Slope>>,
+    output_high: AtomicBool,
+    output_rises: AtomicU64,
 }
 
 /// A unit that runs until it is dropped.
@@ -184,6 +191,20 @@ impl SimulatedHsu {
     /// Edges for which a camera's wire had no room: its end is not being read.
     pub fn lost_edges(&self) -> u64 {
         self.control.lost_edges.load(Ordering::Relaxed)
+    }
+
+    /// An edge of an input line.
+    ///
+    /// # Panics
+    /// If a unit has no such line.
+    pub fn input(&self, line: u8, rising: bool) {
+        let slope = Slope::new(line, rising).expect("a line of the unit");
+        self.control.inputs.lock().unwrap_or_else(PoisonError::into_inner).push(slope);
+    }
+
+    /// Whether the session's output is high, and how often it rose.
+    pub fn output(&self) -> (bool, u64) {
+        (self.control.output_high.load(Ordering::Relaxed), self.control.output_rises.load(Ordering::Relaxed))
     }
 
     /// Switches the unit off and removes its serial devices; the same as dropping it.

@@ -9,6 +9,7 @@ use crate::cmds::failure::{Failure, tell_lost};
 use crate::cmds::progress::Progress;
 use crate::data::FrameSource;
 use crate::export::frames::{self, FramePlan, FrameSummary, Picture};
+use crate::export::inputs;
 use crate::export::timing::{self, Rows};
 use crate::record::SessionReader;
 use std::ops::Range;
@@ -46,7 +47,11 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     } else {
         None
     };
-    report(args, &session, frames.as_ref(), rows);
+    let edges = match rows {
+        Some(_) => write_inputs(args, &session)?,
+        None => 0,
+    };
+    report(args, &session, frames.as_ref(), rows, edges);
     // Whoever chose among the cameras asked for nothing else.
     let damaged = (lost && args.cameras.is_empty())
         || frames.as_ref().is_some_and(|frames| !frames.problems.is_empty())
@@ -79,14 +84,36 @@ fn write_timing(
     Ok(rows)
 }
 
-fn report(args: &Args, session: &SessionReader, frames: Option<&FrameSummary>, rows: Option<Rows>) {
+/// How many edges came on the HSU's inputs; their table, if there are any.
+fn write_inputs(args: &Args, session: &SessionReader) -> Result<usize, Failure> {
+    let edges = inputs::edges(session);
+    if edges.is_empty() {
+        return Ok(0);
+    }
+    let path = args.out.join("inputs.csv");
+    write_whole(&path, |file| {
+        let mut out = std::io::BufWriter::new(file);
+        inputs::write(&mut out, session, &edges)?;
+        std::io::Write::flush(&mut out)
+    })
+    .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))?;
+    Ok(edges.len())
+}
+
+fn report(
+    args: &Args,
+    session: &SessionReader,
+    frames: Option<&FrameSummary>,
+    rows: Option<Rows>,
+    edges: usize,
+) {
     for problem in frames.iter().flat_map(|frames| &frames.problems) {
         eprintln!("{problem}");
     }
     if args.json {
         println!(
             "{}",
-            serde_json::json!({"frames": frames, "timing": rows, "unreadable": session.unreadable()})
+            serde_json::json!({"frames": frames, "timing": rows, "inputs": edges, "unreadable": session.unreadable()})
         );
         return;
     }
@@ -103,5 +130,8 @@ fn report(args: &Args, session: &SessionReader, frames: Option<&FrameSummary>, r
     if let Some(rows) = rows {
         let Rows { frames, gaps, damaged } = rows;
         println!("timing.csv: {frames} frames, {gaps} gaps, {damaged} damaged");
+        if edges > 0 {
+            println!("inputs.csv: {edges} edges of the HSU's inputs");
+        }
     }
 }

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Edges of the HSU's input lines in a recording: an event each, whose message is JSON.
+
+use super::layout::NodeEvent;
+use serde::{Deserialize, Serialize};
+
+/// An edge of an input line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct InputEdge {
+    /// Consecutive since the HSU was switched on, over all lines.
+    pub number: u64,
+    /// The HSU's input, from 0.
+    pub line: u8,
+    /// From low to high.
+    pub rising: bool,
+    /// When it came, HSU clock, ns.
+    pub hsu_time_ns: u64,
+    /// Edges of any line since the one before this that were too many to be kept.
+    pub skipped: u16,
+}
+
+/// Kind of the events that hold an [`InputEdge`].
+const KIND: &str = "hsu_input";
+
+impl InputEdge {
+    /// As an event; `host_time_ns` is when it was heard of.
+    pub fn event(&self, host_time_ns: u64) -> NodeEvent {
+        let message = serde_json::to_string(self).unwrap_or_default();
+        NodeEvent { host_time_ns, kind: KIND.to_owned(), camera: None, trigger: None, message }
+    }
+
+    /// From an event.
+    pub fn of(event: &NodeEvent) -> Option<Self> {
+        (event.kind == KIND).then(|| serde_json::from_str(&event.message).ok())?
+    }
+}
