@@ -52,6 +52,9 @@ pub struct Args {
     /// Only the cameras of this node, with a rig of their heads: half a laboratory.
     #[arg(long, value_name = "NODE", requires = "rig")]
     node: Option<String>,
+    /// Node files without an HSU: the node triggers its cameras by action commands. For a rig of one node.
+    #[arg(long, conflicts_with = "carry_on")]
+    actions: bool,
     /// Frame buffers per camera.
     #[arg(long, default_value_t = 32)]
     buffers: usize,
@@ -99,6 +102,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.segment_mib = args.segment_mib.unwrap_or(options.segment_mib);
     options.packet_bytes = args.packet_bytes;
     options.carry_on = args.carry_on;
+    options.trigger = args.actions.then(|| "source = \"action\"".to_owned());
     options.calibration =
         args.frames.as_ref().map(|frames| frames.join("calibration.json")).filter(|file| file.is_file());
     (options.faults, options.disk, options.habits) = fault_plans(args)?;
