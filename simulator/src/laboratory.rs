@@ -4,7 +4,7 @@
 
 use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::{CameraFaults, FaultPlan, HsuFaults, TruthLog};
-use crate::gige::{CameraError, CameraOptions, ClockOptions, Habits, Make, SimulatedCamera};
+use crate::gige::{ActionFilter, CameraError, CameraOptions, ClockOptions, Habits, Make, SimulatedCamera};
 use crate::hsu::{HsuOptions, SimulatedHsu};
 use crate::images::ImageSource;
 use crossbeam_channel::unbounded;
@@ -64,6 +64,10 @@ pub struct LaboratoryOptions {
     pub peers: bool,
     /// What the nodes take quick looks with.
     pub calibration: Option<PathBuf>,
+    /// Keys of the nodes' `[trigger]` tables, in place of an HSU.
+    pub trigger: Option<String>,
+    /// What the network makes of action commands, by the cameras' names.
+    pub action_fates: BTreeMap<String, ActionFilter>,
 }
 
 impl LaboratoryOptions {
@@ -91,6 +95,8 @@ impl LaboratoryOptions {
             user_names: true,
             peers: true,
             calibration: None,
+            trigger: None,
+            action_fates: BTreeMap::new(),
         }
     }
 }
@@ -178,6 +184,7 @@ impl Laboratory {
             setup.triggers = triggers;
             setup.first_block_id = options.first_block_id;
             setup.habits = options.habits.get(camera.id.as_str()).copied().unwrap_or_default();
+            setup.action_fates = options.action_fates.get(camera.id.as_str()).cloned();
             setup.make = options.makes.get(camera.id.as_str()).cloned();
             if setup.make.is_some() {
                 setup.habits.nominal = Some(Duration::from_nanos(head.exposure_ns));
@@ -332,12 +339,15 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
         "# Written by the simulator: node {node} of the simulated laboratory.\n\
          format = 1\nnode = \"{node}\"\nrig = \"rig.toml\"\n\n\
          [api]\nlisten = \"127.0.0.1:{port}\"\naudit = {}\n\n\
-         [hsu]\ndevice = {}\n\n\
+         {}\n\
          [storage]\nsessions_dir = {}\nreserve_mib = {}\nsegment_mib = {}\n\n\
          [acquisition]\nbuffers_per_camera = {}\npacket_bytes = {}\nsocket = \"{}\"\n",
         // Not on a disk that may be simulated, and not in the other node's file.
         quoted(&absolute(&options.run_dir.join(format!("audit-{node}.jsonl")))),
-        quoted(&absolute(&hsu_link(options, node))),
+        match &options.trigger {
+            Some(trigger) => format!("[trigger]\n{trigger}\n"),
+            None => format!("[hsu]\ndevice = {}\n", quoted(&absolute(&hsu_link(options, node)))),
+        },
         quoted(&absolute(&sessions_dir(options, node))),
         options.reserve_mib,
         options.segment_mib,
@@ -361,6 +371,7 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
             continue;
         }
         let words = match options.makes.get(camera.id.as_str()) {
+            None if options.trigger.is_some() => String::new(),
             None => OWN_WORDS.to_owned(),
             Some(make) if options.make_words => make.session_words(),
             Some(_) => String::new(),

@@ -224,6 +224,12 @@ impl Node {
                 format!("the session is for other nodes, this one is {}", self.config.node),
             );
         }
+        if let Some(edge) = request.start_on.filter(|_| self.config.trigger.action().is_some()) {
+            let message = format!(
+                "a start at the {edge}; expected an HSU, which has inputs: this node triggers by action commands"
+            );
+            return refuse(reply, message);
+        }
         let dir = self.config.sessions_dir.join(name.as_str()).join(format!("node-{}", self.config.node));
         tracing::info!(session = request.name, triggers = request.triggers, "preparing");
         self.pending = Some(reply);

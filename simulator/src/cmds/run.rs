@@ -55,6 +55,9 @@ pub struct Args {
     /// Only the cameras of this node, with a rig of their heads: half a laboratory.
     #[arg(long, value_name = "NODE", requires = "rig")]
     node: Option<String>,
+    /// Node files without an HSU: the node triggers its cameras by action commands. For a rig of one node.
+    #[arg(long, conflicts_with = "carry_on")]
+    actions: bool,
     /// Frame buffers per camera.
     #[arg(long, default_value_t = 32)]
     buffers: usize,
@@ -111,6 +114,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.packet_bytes = args.packet_bytes;
     options.carry_on = args.carry_on;
     options.inputs.clone_from(&args.input);
+    options.trigger = args.actions.then(|| "source = \"action\"".to_owned());
     options.calibration =
         args.frames.as_ref().map(|frames| frames.join("calibration.json")).filter(|file| file.is_file());
     (options.faults, options.disk, options.habits) = fault_plans(args)?;

@@ -1,8 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A camera's own clock: it starts somewhere, and it runs a little too fast or too slow.
+//! A camera's own clock: it starts somewhere, and it runs a little too fast or too slow, unless PTP sets it.
 
-use std::sync::atomic::{AtomicI64, Ordering};
-use std::time::Instant;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// The clock that PTP gives all cameras of this process: the time of day when it was first asked for, and on from there.
+fn common() -> (Instant, u64) {
+    static COMMON: OnceLock<(Instant, u64)> = OnceLock::new();
+    *COMMON.get_or_init(|| {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        (Instant::now(), u64::try_from(since.as_nanos()).unwrap_or(0))
+    })
+}
 
 /// Offset and drift of a camera's clock against the host's monotonic clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,6 +37,8 @@ pub struct CameraClock {
     first_ns: i64,
     offset_ns: AtomicI64,
     drift_ppb: i64,
+    /// PTP sets it.
+    common: AtomicBool,
 }
 
 impl CameraClock {
@@ -40,13 +52,40 @@ impl CameraClock {
             first_ns,
             offset_ns: offset_ns.into(),
             drift_ppb: (options.drift_ppm * 1000.0).round() as i64,
+            common: AtomicBool::new(false),
         }
     }
 
     /// Camera time, ns, at a host instant. Instants before the camera's start may show as 0.
     pub fn at(&self, instant: Instant) -> u64 {
+        if self.is_common() {
+            let (epoch, first_ns) = common();
+            let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+            return match instant.checked_duration_since(epoch) {
+                Some(after) => first_ns.saturating_add(ns(after)),
+                None => first_ns.saturating_sub(ns(epoch.saturating_duration_since(instant))),
+            };
+        }
         let shown = self.running(instant) + i128::from(self.offset_ns.load(Ordering::Relaxed));
         u64::try_from(shown.max(0)).unwrap_or(u64::MAX)
+    }
+
+    /// PTP sets it from now on, or does not any more.
+    pub fn set_common(&self, common: bool) {
+        self.common.store(common, Ordering::Relaxed);
+    }
+
+    /// Whether PTP sets it.
+    pub fn is_common(&self) -> bool {
+        self.common.load(Ordering::Relaxed)
+    }
+
+    /// When the clock that all cameras share shows this, ns; `None` where it is not set to that.
+    pub fn instant(&self, ns: u64) -> Option<Instant> {
+        let (epoch, first_ns) = common();
+        let after = Duration::from_nanos(ns.saturating_sub(first_ns));
+        let before = Duration::from_nanos(first_ns.saturating_sub(ns));
+        self.is_common().then(|| epoch.checked_add(after)?.checked_sub(before)).flatten()
     }
 
     /// Sets the clock to zero at a host instant (timestamp control register, bit "reset").
@@ -57,6 +96,7 @@ impl CameraClock {
 
     /// Starts it anew, as power-on does.
     pub fn restart(&self, instant: Instant) {
+        self.set_common(false);
         let offset = i128::from(self.first_ns) - self.running(instant);
         self.offset_ns.store(i64::try_from(offset).unwrap_or(i64::MIN), Ordering::Relaxed);
     }
@@ -75,7 +115,6 @@ impl CameraClock {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use std::time::Duration;
 
     #[test]
     fn offset_and_drift_show() {
@@ -85,6 +124,21 @@ mod tests {
         assert_eq!(clock.at(epoch + Duration::from_secs(1)), 1_000_000_500 - 20_000);
         clock.reset(epoch + Duration::from_secs(1));
         assert_eq!(clock.at(epoch + Duration::from_secs(1)), 0);
+    }
+
+    #[test]
+    fn clocks_that_ptp_sets_show_the_same_and_keep_their_own_time_apart_from_it() {
+        let epoch = Instant::now();
+        let clock = |offset_ns, drift_ppm| CameraClock::new(epoch, ClockOptions { offset_ns, drift_ppm });
+        let (a, b) = (clock(500, -20.0), clock(7_000_000_000, 35.0));
+        assert_eq!(a.instant(5), None, "nobody's clock but its own");
+        a.set_common(true);
+        b.set_common(true);
+        let later = epoch + Duration::from_secs(3);
+        assert_eq!(a.at(later), b.at(later));
+        assert_eq!(a.instant(a.at(later)), Some(later));
+        a.set_common(false);
+        assert_eq!(a.at(epoch), 500);
     }
 
     proptest! {

@@ -2,7 +2,7 @@
 //! The control channel of one camera: who controls it, what its commands do. No sockets, no threads:
 //! a datagram, its sender and the time go in; the answer and what follows from it come out.
 
-use super::gvcp::{self, Command, Request, ResendRequest, Status};
+use super::gvcp::{self, ActionCommand, Command, Request, ResendRequest, Status};
 use super::gvsp::Layout;
 use super::registers::{Effect, Registers};
 use super::settings::Settings;
@@ -40,6 +40,13 @@ pub enum Action {
     Stop,
     /// One software trigger.
     SoftwareTrigger,
+    /// The trigger of an action command.
+    ActionTrigger {
+        /// The command's id.
+        id: u16,
+        /// When.
+        time: Instant,
+    },
     /// Send a test packet of this size (IP and UDP headers counted in).
     TestPacket {
         /// Where to.
@@ -207,6 +214,7 @@ impl Control {
                 actions.push(Action::Move(force.address));
                 Some(gvcp::force_ip_ack(id, Status::Success))
             }
+            Command::Action(action) => self.act(id, *action, now, actions),
             Command::Discovery => Some(gvcp::discovery_ack(id, &self.registers.discovery())),
             Command::ReadRegisters(addresses) => {
                 let (status, values) = self.read_registers(addresses, from);
@@ -245,6 +253,31 @@ impl Control {
                 None
             }
         }
+    }
+
+    /// An action of others, or without a controller, is not for this device: not a word.
+    fn act(
+        &self,
+        id: u16,
+        action: ActionCommand,
+        now: Instant,
+        actions: &mut Vec<Action>,
+    ) -> Option<Vec<u8>> {
+        let [device_key, group_key, group_mask] = self.registers.action_keys;
+        let meant = device_key == action.device_key
+            && group_key == action.group_key
+            && group_mask & action.group_mask != 0;
+        if !meant || self.controller.is_none() {
+            return None;
+        }
+        let (status, time) = match action.at_ns.map(|ns| self.registers.common_instant(ns)) {
+            None => (Status::Success, now),
+            Some(None) => return Some(gvcp::action_ack(id, Status::NoReferenceTime)),
+            Some(Some(time)) if time > now => (Status::Success, time),
+            Some(Some(_)) => (Status::ActionLate, now),
+        };
+        actions.push(Action::ActionTrigger { id, time });
+        Some(gvcp::action_ack(id, status))
     }
 
     fn read_registers(&self, addresses: &[u32], from: SocketAddrV4) -> (Status, Vec<u32>) {

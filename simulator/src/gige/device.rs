@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One simulated camera: its sockets and its two threads (control, stream).
 
+use super::actions::{ActionFate, ActionFilter, Actions};
 use super::clock::{CameraClock, ClockOptions};
 use super::control::{Action, Control, Outcome};
 use super::habits::Habits;
@@ -61,6 +62,8 @@ pub struct CameraOptions {
     pub make: Option<Arc<Make>>,
     /// Faults to inject at triggers of the wire; none by default.
     pub faults: Option<CameraFaults>,
+    /// What the network makes of action commands to it.
+    pub action_fates: Option<ActionFilter>,
 }
 
 impl CameraOptions {
@@ -80,6 +83,7 @@ impl CameraOptions {
             habits: Habits::default(),
             make: None,
             faults: None,
+            action_fates: None,
         }
     }
 }
@@ -201,6 +205,7 @@ impl SimulatedCamera {
             statistics: Arc::clone(&statistics),
             orders: orders.clone(),
             running,
+            actions: Actions::new(options.action_fates),
             acquisitions: 0,
             answer_late: Duration::from_millis(habits.answer_late_ms),
             address: options.address,
@@ -288,6 +293,8 @@ struct Controller {
     statistics: Arc<Statistics>,
     orders: Sender<Order>,
     running: Arc<AtomicU64>,
+    /// Which action commands reach it, and which triggers they are.
+    actions: Actions,
     acquisitions: u64,
     /// How late writes are answered.
     answer_late: Duration,
@@ -351,8 +358,19 @@ impl Controller {
         }
         let ignored = self.statistics.triggers_ignored_now.load(Relaxed);
         self.control.registers.triggers_ignored = u32::try_from(ignored).unwrap_or(u32::MAX);
-        let outcome = self.control.handle(datagram, from, Instant::now());
-        self.carry_out(outcome, Some(from));
+        let arrivals = match self.actions.fate(datagram) {
+            ActionFate::Arrives => 1,
+            ActionFate::Lost => 0,
+            ActionFate::Twice => 2,
+            ActionFate::Late(late) => {
+                std::thread::sleep(late);
+                1
+            }
+        };
+        for _ in 0..arrivals {
+            let outcome = self.control.handle(datagram, from, Instant::now());
+            self.carry_out(outcome, Some(from));
+        }
     }
 
     /// Binds another address; where that is not this host's, the camera stays where it is.
@@ -410,7 +428,11 @@ impl Controller {
     fn carry_out(&mut self, outcome: Outcome, from: Option<SocketAddrV4>) {
         for action in outcome.actions {
             match action {
+                Action::ActionTrigger { id, time } => {
+                    let _ = self.orders.send(Order::Action(self.actions.edge(id, time)));
+                }
                 Action::Start(settings) => {
+                    self.actions.begin();
                     self.acquisitions += 1;
                     self.running.store(self.acquisitions, SeqCst);
                     let _ = self.orders.send(Order::Start(self.acquisitions, Instant::now(), settings));

@@ -8,7 +8,7 @@ use super::VENDOR;
 use super::gvsp::FORMATS;
 use super::habits::ClockHabit;
 use super::map::Id;
-use super::registers::{EXTENDED_IDS_BIT, PACKET_SIZE, PACKET_SIZE_STEP, WIDTH_MIN};
+use super::registers::{EXTENDED_IDS_BIT, PACKET_SIZE, PACKET_SIZE_STEP, PTP_STATES, WIDTH_MIN};
 use super::settings::{AcquisitionMode, EXPOSURE_US, ExposureMode, FRAME_RATE_MIN, GAIN_DB, TriggerSource};
 use std::fmt::Write;
 
@@ -230,6 +230,10 @@ impl Description {
         self.enumeration("TriggerActivation", Id::TriggerActivation, true, &[("RisingEdge", 0)]);
         self.command("TriggerSoftware", Id::TriggerSoftware, 1);
         self.integer("FrameTriggerMissedCount", Id::TriggersIgnored, Mode::Ro, false, Limits::None);
+        self.category("ActionControl");
+        self.integer("ActionDeviceKey", Id::ActionDeviceKey, Mode::Wo, false, Limits::None);
+        self.integer("ActionGroupKey", Id::ActionGroupKey, Mode::Rw, false, Limits::None);
+        self.integer("ActionGroupMask", Id::ActionGroupMask, Mode::Rw, false, Limits::None);
         self.category("AnalogControl");
         self.float("Gain", Id::Gain, "dB", &limits(GAIN_DB));
     }
@@ -249,6 +253,21 @@ impl Description {
             self.command("TimestampLatch", Id::TimestampControl, 2);
             self.wide("TimestampLatchValue", Id::NanosecondsHigh, Id::NanosecondsLow);
         }
+        self.feature("PtpEnable");
+        self.node(&format!(
+            "<Boolean Name=\"PtpEnable\">{LOCKED}<pValue>PtpEnableReg</pValue><OnValue>1</OnValue>\
+             <OffValue>0</OffValue></Boolean>"
+        ));
+        self.register("PtpEnableReg", Id::PtpEnable, Mode::Rw);
+        self.feature("PtpStatus");
+        let states: String = PTP_STATES
+            .iter()
+            .map(|(state, code)| format!("<EnumEntry Name=\"{state}\"><Value>{code}</Value></EnumEntry>"))
+            .collect();
+        self.node(&format!(
+            "<Enumeration Name=\"PtpStatus\">{states}<pValue>PtpStatusReg</pValue></Enumeration>"
+        ));
+        self.register("PtpStatusReg", Id::PtpStatus, Mode::Ro);
         self.feature("GevGVSPExtendedIDMode");
         self.node(&format!(
             "<Enumeration Name=\"GevGVSPExtendedIDMode\">{LOCKED}\

@@ -19,6 +19,7 @@ const HEADER: usize = 8;
 const KEY: u8 = 0x42;
 const FLAG_ACK: u8 = 0x01;
 const FLAG_EXTENDED_ID: u8 = 0x10;
+const FLAG_SCHEDULED: u8 = 0x80;
 
 const DISCOVERY: u16 = 0x0002;
 const FORCE_IP: u16 = 0x0004;
@@ -28,6 +29,7 @@ const WRITE_REGISTER: u16 = 0x0082;
 const READ_MEMORY: u16 = 0x0084;
 const WRITE_MEMORY: u16 = 0x0086;
 const PENDING_ACK: u16 = 0x0089;
+const ACTION: u16 = 0x0100;
 /// Bytes of a FORCEIP payload.
 const FORCE_IP_SIZE: usize = 56;
 
@@ -53,6 +55,10 @@ pub enum Status {
     PacketUnavailable = 0x800c,
     /// Header and datagram contradict each other.
     InvalidHeader = 0x800e,
+    /// No clock sets this device's, and so it has none by which to act.
+    NoReferenceTime = 0x8013,
+    /// The time of the action was past; it was done at once.
+    ActionLate = 0x8016,
 }
 
 /// Which packets of which block are asked for again.
@@ -97,6 +103,42 @@ pub enum Command {
     PacketResend(ResendRequest),
     /// Whoever has this MAC shall have this address.
     ForceIp(ForceIp),
+    /// Whoever has these keys shall act.
+    Action(ActionCommand),
+}
+
+/// Who shall act, and when.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ActionCommand {
+    /// Of the devices that are meant.
+    pub device_key: u32,
+    /// Of the group that is meant.
+    pub group_key: u32,
+    /// Bits, of which a device must have one.
+    pub group_mask: u32,
+    /// When, on the devices' common clock, ns; at once otherwise.
+    pub at_ns: Option<u64>,
+}
+
+impl ActionCommand {
+    fn payload(&self) -> Vec<u8> {
+        let keys = [self.device_key, self.group_key, self.group_mask];
+        let mut bytes: Vec<u8> = keys.iter().flat_map(|key| key.to_be_bytes()).collect();
+        bytes.extend(self.at_ns.iter().flat_map(|ns| ns.to_be_bytes()));
+        bytes
+    }
+
+    fn decode(scheduled: bool, payload: &[u8]) -> Option<Self> {
+        let word = |at| be32(payload, at);
+        if payload.len() != if scheduled { 20 } else { 12 } {
+            return None;
+        }
+        let at_ns = match scheduled {
+            true => Some(u64::from(word(12)?) << 32 | u64::from(word(16)?)),
+            false => None,
+        };
+        Some(Self { device_key: word(0)?, group_key: word(4)?, group_mask: word(8)?, at_ns })
+    }
 }
 
 /// Where a device shall move to.
@@ -223,6 +265,12 @@ impl Request {
                 (WRITE_MEMORY, [&address.to_be_bytes(), &data[..]].concat())
             }
             Command::ForceIp(force) => (FORCE_IP, force.payload()),
+            Command::Action(action) => {
+                if action.at_ns.is_some() {
+                    flags |= FLAG_SCHEDULED;
+                }
+                (ACTION, action.payload())
+            }
             Command::PacketResend(request) => {
                 if request.extended {
                     flags |= FLAG_EXTENDED_ID;
@@ -295,6 +343,9 @@ fn decode_payload(code: u16, flags: u8, payload: &[u8]) -> Result<Command, Statu
         FORCE_IP if payload.len() == FORCE_IP_SIZE => {
             ForceIp::decode(payload).map(Command::ForceIp).ok_or(Status::InvalidHeader)
         }
+        ACTION => ActionCommand::decode(flags & FLAG_SCHEDULED != 0, payload)
+            .map(Command::Action)
+            .ok_or(Status::InvalidHeader),
         PACKET_RESEND => ResendRequest::decode(flags & FLAG_EXTENDED_ID != 0, payload)
             .map(Command::PacketResend)
             .ok_or(Status::InvalidHeader),
@@ -323,6 +374,11 @@ pub fn discovery_ack(id: u16, bootstrap: &[u8; DISCOVERY_SIZE]) -> Vec<u8> {
 /// FORCEIP_ACK: nothing but its status.
 pub fn force_ip_ack(id: u16, status: Status) -> Vec<u8> {
     acknowledge(status, FORCE_IP + 1, id, &[])
+}
+
+/// ACTION_ACK: nothing but its status.
+pub fn action_ack(id: u16, status: Status) -> Vec<u8> {
+    acknowledge(status, ACTION + 1, id, &[])
 }
 
 /// PENDING_ACK: the answer to request `id` takes so many ms.
@@ -412,6 +468,23 @@ mod tests {
     }
 
     #[test]
+    fn actions_have_the_bytes_of_the_standard() {
+        // ACTION 0x0100: device key | group key | group mask, and with flag 0x80 a time, high word first
+        let at_once = [0x42, 1, 1, 0, 0, 12, 0, 9, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 3];
+        let action = ActionCommand { device_key: 1, group_key: 2, group_mask: 3, at_ns: None };
+        let request = Request { id: 9, ack: true, command: Command::Action(action) };
+        assert_eq!(Request::decode(&at_once), Ok(request));
+        let scheduled = [
+            0x42, 0x81, 1, 0, 0, 20, 0, 9, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 3, //
+            0, 0, 0, 1, 0, 0, 0, 7,
+        ];
+        let action = ActionCommand { at_ns: Some((1 << 32) + 7), ..action };
+        assert_eq!(Request::decode(&scheduled).map(|r| r.command), Ok(Command::Action(action)));
+        // ACTION_ACK 0x0101 with status 0x8016: late
+        assert_eq!(action_ack(9, Status::ActionLate), [0x80, 0x16, 1, 1, 0, 0, 0, 9]);
+    }
+
+    #[test]
     fn acknowledges_have_the_bytes_of_the_standard() {
         // status 0 | READREG_ACK 0x81 | 4 bytes | id | value
         assert_eq!(
@@ -448,6 +521,11 @@ mod tests {
             (any::<u32>(), 1..=MAX_MEMORY as u16)
                 .prop_map(|(address, count)| Command::ReadMemory { address, count }),
             (any::<u32>(), memory).prop_map(|(address, data)| Command::WriteMemory { address, data }),
+            (any::<(u32, u32, u32)>(), any::<Option<u64>>()).prop_map(
+                |((device_key, group_key, group_mask), at_ns)| {
+                    Command::Action(ActionCommand { device_key, group_key, group_mask, at_ns })
+                }
+            ),
             (any::<u16>(), any::<u64>(), any::<(u32, u32)>(), any::<bool>()).prop_map(
                 |(channel, block_id, (first, last), extended)| {
                     let (ids, packets) = if extended { (u64::MAX, u32::MAX) } else { (0xffff, 0x00ff_ffff) };
@@ -479,7 +557,7 @@ mod tests {
 
         #[test]
         fn no_payload_panics(
-            code in prop_oneof![Just(2u16), Just(0x40), Just(0x80), Just(0x82), Just(0x84), Just(0x86), any::<u16>()],
+            code in prop_oneof![Just(2u16), Just(0x40), Just(0x80), Just(0x82), Just(0x84), Just(0x86), Just(0x100), any::<u16>()],
             flags: u8,
             payload in proptest::collection::vec(any::<u8>(), 0..560),
         ) {

@@ -44,6 +44,8 @@ pub struct Habits {
     pub tick_ns: u64,
     /// Block ids have 64 bits after power-on.
     pub extended_ids: bool,
+    /// PTP never sets its clock: it listens for ever.
+    pub ptp_listens: bool,
 }
 
 /// Where in a frame a camera takes its stamp.
@@ -166,6 +168,7 @@ impl Habits {
                 link_local: table.link_local,
                 tick_ns: table.tick_ns,
                 extended_ids: table.extended_ids,
+                ptp_listens: table.ptp_listens,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -213,6 +216,8 @@ struct Table {
     tick_ns: u64,
     #[serde(default)]
     extended_ids: bool,
+    #[serde(default)]
+    ptp_listens: bool,
     // Which make it is: read by `Make::parse_all`.
     #[serde(default, rename = "like")]
     _like: Option<String>,

@@ -80,6 +80,7 @@ registers! {
     MessageChannels     0x0900  4 ReadOnly;
     StreamChannels      0x0904  4 ReadOnly;
     ActionSignals       0x0908  4 ReadOnly;
+    ActionDeviceKey     0x090c  4 ReadWrite;
     GvspCapability      0x092c  4 ReadOnly;
     MessageCapability   0x0930  4 ReadOnly;
     GvcpCapability      0x0934  4 ReadOnly;
@@ -100,6 +101,8 @@ registers! {
     SourcePort          0x0d1c  4 ReadOnly;
     StreamCapability    0x0d20  4 ReadOnly;
     StreamConfiguration 0x0d24  4 ReadWrite locked;
+    ActionGroupKey      0x9800  4 ReadWrite;
+    ActionGroupMask     0x9804  4 ReadWrite;
     // The camera's features, as its GenICam description declares them.
     SensorWidth         0x10000 4 ReadOnly;
     SensorHeight        0x10004 4 ReadOnly;
@@ -128,6 +131,8 @@ registers! {
     TriggersIgnored     0x10074 4 ReadOnly;
     NanosecondsHigh     0x10080 4 ReadOnly;
     NanosecondsLow      0x10084 4 ReadOnly;
+    PtpEnable           0x10090 4 ReadWrite locked;
+    PtpStatus           0x10094 4 ReadOnly;
 }
 
 /// The register that holds an address, and how far into it the address lies.

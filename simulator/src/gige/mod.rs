@@ -15,6 +15,7 @@
 
 #![deny(unsafe_code)]
 
+pub mod actions;
 pub mod clock;
 pub mod control;
 pub mod device;
@@ -39,6 +40,7 @@ mod stream;
 mod test_images;
 mod transmit;
 
+pub use actions::{ActionFate, ActionFilter};
 pub use clock::{CameraClock, ClockOptions};
 pub use device::{CameraOptions, SimulatedCamera};
 pub use gvsp::Form;

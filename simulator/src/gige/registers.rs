@@ -35,6 +35,10 @@ const HEARTBEAT_MIN: u32 = 500;
 const GVCP_CAPABILITY: u32 = 1 << 31 | 1 << 30 | 1 << 27 | 1 << 2 | 1 << 1 | 1;
 /// GVCP capability: PENDING_ACK.
 const PENDING_ACKS: u32 = 1 << 5;
+/// GVCP capability: IEEE 1588, scheduled ACTION, ACTION.
+const ACTIONS: u32 = 1 << 19 | 1 << 17 | 1 << 6;
+/// States of PTP, as IEEE 1588 numbers them.
+pub const PTP_STATES: [(&str, u32); 3] = [("Disabled", 3), ("Listening", 4), ("Slave", 9)];
 /// GVSP capability: stream source port register, 16-bit block ids.
 const GVSP_CAPABILITY: u32 = 1 << 31 | 1 << 30;
 /// GVSP configuration: 64-bit block ids are on.
@@ -108,6 +112,9 @@ pub struct Registers {
     pub settings: Settings,
     /// Triggers ignored since the acquisition started.
     pub triggers_ignored: u32,
+    /// Device key, group key and group mask of the actions that it takes; mask 0: none.
+    pub action_keys: [u32; 3],
+    ptp: bool,
 }
 
 impl Registers {
@@ -136,6 +143,8 @@ impl Registers {
             ids: if habits.extended_ids { IdMode::Extended } else { IdMode::Standard },
             settings,
             triggers_ignored: 0,
+            action_keys: [0; 3],
+            ptp: false,
         }
     }
 
@@ -323,11 +332,34 @@ impl Registers {
                 Ok(None)
             }
             Id::Privilege => Ok(Some(Effect::Privilege(value))),
+            // Of other makes the features would say so, and theirs do not act.
+            Id::ActionDeviceKey | Id::ActionGroupKey | Id::ActionGroupMask if self.firmware.is_some() => {
+                Err(Status::InvalidAddress)
+            }
+            Id::ActionDeviceKey => self.set_action_key(0, value),
+            Id::ActionGroupKey => self.set_action_key(1, value),
+            Id::ActionGroupMask => self.set_action_key(2, value),
+            Id::PtpEnable => {
+                accept(value <= 1)?;
+                self.ptp = value == 1;
+                self.clock.set_common(self.ptp && !self.habits.ptp_listens);
+                Ok(None)
+            }
             Id::HostPort | Id::PacketSize | Id::PacketDelay | Id::Destination | Id::GvspConfiguration => {
                 self.write_stream_channel(register.id, value)
             }
             _ => self.write_feature(register.id, value),
         }
+    }
+
+    fn set_action_key(&mut self, place: usize, value: u32) -> Result<Option<Effect>, Status> {
+        self.action_keys[place] = value;
+        Ok(None)
+    }
+
+    /// When the clock that it shares with others shows this, ns.
+    pub fn common_instant(&self, ns: u64) -> Option<Instant> {
+        self.clock.instant(ns)
     }
 
     /// Registers of the stream channel.
@@ -501,7 +533,17 @@ impl Registers {
             Id::SubnetMask | Id::PersistentMask => 0xff00_0000,
             Id::GvspCapability => GVSP_CAPABILITY,
             Id::GvcpCapability if self.firmware.is_some() => GVCP_CAPABILITY | PENDING_ACKS,
-            Id::GvcpCapability => GVCP_CAPABILITY,
+            Id::GvcpCapability => GVCP_CAPABILITY | ACTIONS,
+            Id::ActionSignals => 1,
+            // The device key can be written alone.
+            Id::ActionGroupKey => self.action_keys[1],
+            Id::ActionGroupMask => self.action_keys[2],
+            Id::PtpEnable => u32::from(self.ptp),
+            Id::PtpStatus => match (self.ptp, self.habits.ptp_listens) {
+                (false, _) => PTP_STATES[0].1,
+                (true, true) => PTP_STATES[1].1,
+                (true, false) => PTP_STATES[2].1,
+            },
             Id::Heartbeat => self.heartbeat_ms,
             Id::TickFrequencyHigh => (self.habits.frequency().unwrap_or(0) >> 32) as u32,
             Id::TickFrequencyLow => (self.habits.frequency().unwrap_or(0) & 0xffff_ffff) as u32,

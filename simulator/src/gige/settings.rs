@@ -62,6 +62,8 @@ coded! {
         Line0 = 0,
         /// The command `TriggerSoftware`.
         Software = 1,
+        /// Action commands that have the camera's keys.
+        Action0 = 2,
     }
 }
 
@@ -167,6 +169,11 @@ impl Settings {
     /// Whether an edge on the trigger input starts a frame.
     pub fn hears_edges(&self) -> bool {
         self.triggered && self.source == TriggerSource::Line0 && !self.acquisition_triggered
+    }
+
+    /// Whether an action command starts a frame.
+    pub fn hears_actions(&self) -> bool {
+        self.triggered && self.source == TriggerSource::Action0 && !self.acquisition_triggered
     }
 
     /// Exposure time, microseconds.

@@ -13,7 +13,7 @@ use super::presence::Presence;
 use super::rogue::Rogue;
 use super::segmentation;
 use super::sensor::{Exposure, Sensor};
-use super::settings::{Edge, ExposureMode};
+use super::settings::{Edge, ExposureMode, TriggerSource};
 use super::transmit::{Frame, History, Transmitter};
 use crate::faults::{Fault, Kind};
 use crate::wire::TriggerEdge;
@@ -36,6 +36,8 @@ pub enum Order {
     Stop,
     /// A software trigger at this time.
     SoftwareTrigger(Instant),
+    /// The trigger of an action command.
+    Action(TriggerEdge),
     /// End the thread.
     Quit,
 }
@@ -137,7 +139,7 @@ impl Streamer {
                                 return;
                             }
                         }
-                        self.on_edge(&mut acquisition, edge);
+                        self.on_edge(&mut acquisition, edge, TriggerSource::Line0);
                         None
                     }
                     // Nobody holds the other end of the wire any more.
@@ -191,6 +193,7 @@ impl Streamer {
                     self.trigger(running, time, exposure, instant, None);
                 }
             }
+            Order::Action(edge) => self.on_edge(acquisition, edge, TriggerSource::Action0),
             Order::Quit => return false,
         }
         true
@@ -209,9 +212,12 @@ impl Streamer {
         }
     }
 
-    fn on_edge(&mut self, acquisition: &mut Option<Acquisition>, edge: TriggerEdge) {
-        let listening =
-            acquisition.as_mut().filter(|a| a.stream.settings.hears_edges() && edge.time >= a.started);
+    fn on_edge(&mut self, acquisition: &mut Option<Acquisition>, edge: TriggerEdge, source: TriggerSource) {
+        let hears = |a: &Acquisition| match source {
+            TriggerSource::Action0 => a.stream.settings.hears_actions(),
+            _ => a.stream.settings.hears_edges(),
+        };
+        let listening = acquisition.as_mut().filter(|a| hears(a) && edge.time >= a.started);
         let Some(running) = listening else {
             self.statistics.edges_unheard.fetch_add(1, Relaxed);
             return;
@@ -239,6 +245,7 @@ impl Streamer {
         }
         let fall = edge.time + Duration::from_nanos(edge.width_ns);
         let starts: &[Instant] = match running.stream.settings.edge {
+            _ if source == TriggerSource::Action0 => &[edge.time],
             Edge::Rising => &[edge.time],
             Edge::Falling => &[fall],
             Edge::Any => &[edge.time, fall],

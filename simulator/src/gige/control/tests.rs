@@ -84,6 +84,48 @@ fn only_the_controller_writes() {
 }
 
 #[test]
+fn an_action_is_for_whoever_has_its_keys_and_a_controller() {
+    let (mut control, now) = device();
+    let action = ActionCommand { device_key: 1, group_key: 2, group_mask: 0b110, at_ns: None };
+    let act = |control: &mut Control, action: ActionCommand| {
+        let request = Request { id: 9, ack: true, command: Command::Action(action) };
+        let outcome = control.handle(&request.encode(), host(2000), now);
+        let status = outcome.answer.map(|answer| u16::from_be_bytes([answer[0], answer[1]]));
+        (status, outcome.actions)
+    };
+    let keys = [(Id::ActionDeviceKey, 1), (Id::ActionGroupKey, 2), (Id::ActionGroupMask, 0b011)];
+    let mut client = Client { control: &mut control, from: host(1000), now };
+    assert_eq!(client.write(Id::Privilege, CONTROL).0, OK);
+    keys.iter().for_each(|(id, key)| assert_eq!(client.write(*id, *key).0, OK));
+    let done = |time| vec![Action::ActionTrigger { id: 9, time }];
+    assert_eq!(act(&mut control, action), (Some(OK), done(now)));
+    for other in [
+        ActionCommand { device_key: 0, ..action },
+        ActionCommand { group_key: 3, ..action },
+        ActionCommand { group_mask: 0b100, ..action },
+    ] {
+        assert_eq!(act(&mut control, other), (None, vec![]), "{other:?} is not for this camera");
+    }
+    let scheduled = |at_ns| ActionCommand { at_ns: Some(at_ns), ..action };
+    let no_time = Some(Status::NoReferenceTime as u16);
+    assert_eq!(act(&mut control, scheduled(5)), (no_time, vec![]), "its clock is its own");
+    let mut client = Client { control: &mut control, from: host(1000), now };
+    assert_eq!(client.write(Id::PtpEnable, 1).0, OK);
+    let common = |time: Instant| {
+        let clock = CameraClock::new(time, ClockOptions::default());
+        clock.set_common(true);
+        clock.at(time)
+    };
+    let later = now + Duration::from_millis(5);
+    assert_eq!(act(&mut control, scheduled(common(later))), (Some(OK), done(later)));
+    let late = Some(Status::ActionLate as u16);
+    assert_eq!(act(&mut control, scheduled(common(now) - 1_000_000)), (late, done(now)));
+    let mut client = Client { control: &mut control, from: host(1000), now };
+    assert_eq!(client.write(Id::Privilege, 0).0, OK);
+    assert_eq!(act(&mut control, action), (None, vec![]), "nobody controls it");
+}
+
+#[test]
 fn a_silent_controller_loses_control_and_its_stream() {
     let (mut control, start) = device();
     let timeout = Duration::from_millis(3000);
@@ -289,6 +331,8 @@ proptest! {
         let register = &REGISTERS[index];
         let commands = [
             Id::Privilege, Id::TimestampControl, Id::AcquisitionStart, Id::AcquisitionStop, Id::TriggerSoftware,
+            // A secret.
+            Id::ActionDeviceKey,
         ];
         prop_assume!(register.length == 4 && register.access == Access::ReadWrite && !commands.contains(&register.id));
         // The test-packet bit reads as zero, and reserved bits of the packet size register stay zero.
