@@ -53,7 +53,7 @@ pub struct Args {
     #[arg(long, value_name = "INPUT:HZ", value_parser = swinging_input)]
     input: Vec<(u8, f64)>,
     /// Only the cameras of this node, with a rig of their heads: half a laboratory.
-    #[arg(long, value_name = "NODE", requires = "rig")]
+    #[arg(long, value_name = "NODE")]
     node: Option<String>,
     /// Frame buffers per camera.
     #[arg(long, default_value_t = 32)]
