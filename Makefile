@@ -8,6 +8,7 @@
 #   make bench-ingest          a node with four cameras at full rate, to disk (22 GB for a moment)
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
 #   make bench-reconstruct     milliseconds a frame, stage by stage, beside other programs (PEERS=0 leaves these out)
+#   make bench-live            the live body beside a recording: frame sets a second, light to screen, frames lost
 #   make bench-worker          frame sets an hour with reading, verifying and writing, beside the reconstruction itself
 #   make poses     fringe orders on 224 camera frames of moving mannequins; BATTERY=held_out_again or bodies: of others
 #   make noise     the same with half a grey value of noise (NOISE_DN)
@@ -22,7 +23,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-worker matrix poses noise light real validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-live bench-worker matrix poses noise light real validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -76,6 +77,10 @@ bench-reconstruct: packages
 	$(CARGO) build --release --workspace
 	$(CARGO) build --release --example wrapped_phase
 	scripts/bench-reconstruct.sh
+
+bench-live: demo
+	@scripts/install-packages.sh chromium chromium-driver python3
+	scripts/bench-live.sh
 
 bench-worker: demo
 	scripts/bench-worker.sh

@@ -211,6 +211,21 @@ def bench_worker(s):
     return table(["threads", "written", "frame sets an hour and core", "lost %", "most memory MiB"], rows)
 
 
+def bench_live(s):
+    rows = []
+    for end in ("", "_full_rate"):
+        rows.append([
+            f"{s[f'cameras{end}']} cameras at {s[f'trigger_rate_hz{end}']} Hz",
+            least(s[f"live_frame_sets_per_s{end}"], 1),
+            most(s[f"light_to_screen_median_ms{end}"], 0),
+            most(s[f"light_to_screen_p99_ms{end}"], 0),
+            s[f"frames_recorded{end}"],
+            s[f"frames_lost{end}"],
+            most(s[f"node_cpu_cores{end}"], 2),
+        ])
+    return table(["", "frame sets a second", "light to screen ms", "P99 ms", "frames recorded", "lost", "nodes' cores"], rows)
+
+
 def short(summaries, present):
     """README: a row whose summary is absent stays as it is."""
     rows = [
@@ -277,6 +292,7 @@ WRITERS = {
     "bench-ingest": (bench_ingest, same_recording),
     "bench-reconstruct": (bench_reconstruct, same_algorithm),
     "bench-worker": (bench_worker, same_algorithm),
+    "bench-live": (bench_live, same_algorithm),
 }
 
 

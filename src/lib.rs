@@ -50,6 +50,8 @@ pub mod geometry;
 pub mod host;
 /// The serial link to the hardware synchronization unit.
 pub mod hsu;
+/// The body of all cameras while they run.
+pub mod live;
 /// Which trigger a frame belongs to, by two witnesses.
 pub mod matcher;
 /// Directional clouds to merged clouds.

@@ -3,6 +3,7 @@
 import { onAct, showControls } from "/controls.js";
 import { $, span, text } from "/elements.js";
 import { showHeader } from "/header.js";
+import { showLiveBody } from "/live-body.js";
 import { Gone, Refused, node } from "/node-client.js";
 import { openLook, refreshLook } from "/quick-look.js";
 import { listen } from "/sound.js";
@@ -124,6 +125,7 @@ forever(async () => take("status", await node.status()), POLL_MS);
 forever(async () => take("peers", await node.peers()), POLL_MS);
 forever(refreshCapture, POLL_MS);
 forever(() => Promise.all(nodes().filter(({ status }) => status).map(({ peer }) => refreshPictures(peer).catch(() => {}))), POLL_MS);
+showLiveBody(() => !$("console").hidden);
 forever(refreshLook, 600);
 forever(refreshTakes, 5000);
 setInterval(show, 200);

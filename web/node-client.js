@@ -45,6 +45,13 @@ export const node = {
   begin: (series) => post("/capture", series),
   stop: () => post("/capture/stop"),
   abort: (reason) => post("/capture/abort", { reason }),
+  /** The next frame set of the live body after this number, with when its answer began; null where there is none yet. */
+  live: async (after) => {
+    const answer = await ask(`/live?after=${after}`);
+    const at = performance.now();
+    if (answer.status === 204) return null;
+    return { facts: JSON.parse(answer.headers.get("x-live")), at, points: await answer.arrayBuffer() };
+  },
   previews: (peer) => get(at(peer, "/previews")),
   /** A blob, or null before the first picture. */
   picture: (peer, camera) =>

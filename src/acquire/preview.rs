@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What previews see of the frames: now and then a quarter of one, copied where the writer's thread hands it on.
+//! What previews and the live body see of the frames: now and then a quarter of one, copied where the writer's thread hands it on.
 //!
 //! The cost is bounded whatever previews do: a camera's frame is copied only when one was asked for, every fourth row of
 //! it, into memory that is kept; nothing is waited for. Without a request it is one load of a flag a frame.
@@ -7,7 +7,7 @@
 use super::writer_queue::{Sink, ToWriter};
 use crate::base::ids::CameraId;
 use crate::record::{FrameMeta, RecordError, SessionEnd, Verdict};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, TryLockError};
 
 /// Every so many rows one is copied.
@@ -47,7 +47,8 @@ pub struct Taps {
 #[derive(Debug)]
 struct Tap {
     camera: CameraId,
-    wanted: AtomicBool,
+    /// One more than the first trigger that is wanted; 0: none.
+    wanted: AtomicU64,
     sample: Mutex<Slot>,
 }
 
@@ -61,7 +62,7 @@ struct Slot {
 impl Taps {
     /// For cameras in the order in which the recorder numbers them.
     pub fn new(cameras: impl IntoIterator<Item = CameraId>) -> Self {
-        let tap = |camera| Tap { camera, wanted: AtomicBool::new(false), sample: Mutex::default() };
+        let tap = |camera| Tap { camera, wanted: AtomicU64::new(0), sample: Mutex::default() };
         Self { taps: cameras.into_iter().map(tap).collect() }
     }
 
@@ -72,8 +73,13 @@ impl Taps {
 
     /// Asks for a sample of the next frame of a camera.
     pub fn ask(&self, camera: usize) {
+        self.ask_from(camera, 0);
+    }
+
+    /// Asks for a sample of the first frame from this trigger on.
+    pub fn ask_from(&self, camera: usize, trigger: u64) {
         if let Some(tap) = self.taps.get(camera) {
-            tap.wanted.store(true, Ordering::Release);
+            tap.wanted.store(trigger.saturating_add(1), Ordering::Release);
         }
     }
 
@@ -91,7 +97,8 @@ impl Taps {
     /// Leaves a sample of a frame if one is wanted. Never waits: while a preview takes the last one, the next frame will do.
     fn offer(&self, camera: usize, meta: &FrameMeta, pixels: &[u8]) {
         let Some(tap) = self.taps.get(camera) else { return };
-        if !tap.wanted.load(Ordering::Acquire) {
+        let wanted = tap.wanted.load(Ordering::Acquire);
+        if wanted == 0 || meta.trigger.0 < wanted - 1 {
             return;
         }
         let mut slot = match tap.sample.try_lock() {
@@ -99,23 +106,24 @@ impl Taps {
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
             Err(TryLockError::WouldBlock) => return,
         };
-        tap.wanted.store(false, Ordering::Release);
+        tap.wanted.store(0, Ordering::Release);
         let mut sample = slot.fresh.take().or_else(|| slot.spare.take()).unwrap_or_default();
         sample.fill(meta, pixels);
         slot.fresh = Some(sample);
     }
 }
 
-/// A sink whose frames previews may look at before they are passed on.
+/// A sink whose frames may be looked at before they are passed on: for previews, and for the live body.
 pub(super) struct Tapped {
     pub(super) sink: Box<dyn Sink>,
-    pub(super) taps: Arc<Taps>,
+    pub(super) taps: [Arc<Taps>; 2],
 }
 
 impl Sink for Tapped {
     fn write(&mut self, item: ToWriter) -> Result<(), RecordError> {
         if let ToWriter::Frame(frame) = &item {
-            self.taps.offer(frame.camera, &frame.meta, frame.block.pixels());
+            let pixels = frame.block.pixels();
+            self.taps.iter().for_each(|taps| taps.offer(frame.camera, &frame.meta, pixels));
         }
         self.sink.write(item)
     }
@@ -164,6 +172,11 @@ mod tests {
         taps.offer(0, &meta(4), &pixels);
         assert_eq!(taps.take(0, &mut None).map(|sample| sample.trigger), Some(4));
         assert_eq!(taps.take(0, &mut None), None);
+        taps.ask_from(0, 9);
+        taps.offer(0, &meta(8), &pixels);
+        assert_eq!(taps.take(0, &mut None), None, "too early");
+        taps.offer(0, &meta(10), &pixels);
+        assert_eq!(taps.take(0, &mut None).map(|sample| sample.trigger), Some(10));
         taps.ask(7);
         taps.offer(7, &meta(5), &pixels);
         assert_eq!(taps.take(7, &mut None), None, "a camera that is not there");

@@ -247,11 +247,11 @@ pub struct Channels {
 }
 
 impl Recorder {
-    /// Starts the threads. The handle is that of the first one, which waits for the second. Previews may look at the frames
-    /// through `taps`.
+    /// Starts the threads. The handle is that of the first one, which waits for the second. Previews and the live body look
+    /// at the frames through `taps`.
     pub fn start(
         destination: Destination,
-        taps: Arc<Taps>,
+        taps: [Arc<Taps>; 2],
         lanes: Vec<LaneSetup>,
         options: RecorderOptions,
         progress: Arc<Progress>,

@@ -173,6 +173,7 @@ fn api() -> OpenApiRouter<Shared> {
         .merge(routes::health::routes())
         .merge(routes::metrics::routes())
         .merge(routes::captures::routes())
+        .merge(routes::live::routes())
         .merge(routes::previews::routes())
         .merge(routes::sessions::routes())
         .merge(routes::peers::routes())

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the API offers beside the node's own session: captures on all nodes, previews, quick looks, the other nodes.
+//! What the API offers beside the node's own session: captures on all nodes, previews, the live body, quick looks, the
+//! other nodes.
 
 use super::listing::Listing;
 use crate::acquire::preview::Taps;
@@ -11,6 +12,7 @@ use crate::capture::peer_watch::PeerWatch;
 use crate::config::NodeConfig;
 use crate::control::client::{Credentials, NodeClient};
 use crate::control::command::{Command, SharedStatus};
+use crate::live::LiveBody;
 use crate::preview::Previews;
 use crate::preview::quick_look::{QuickLooks, Settings};
 use crate::worker::watch::WorkerWatch;
@@ -23,6 +25,8 @@ pub struct Services {
     pub coordinator: Coordinator,
     /// Pictures of this node's cameras.
     pub previews: Previews,
+    /// The body as all nodes see it now.
+    pub live: LiveBody,
     /// What this node has recorded.
     pub listing: Listing,
     /// Clouds of what this node has recorded.
@@ -49,7 +53,7 @@ impl Services {
         config: &NodeConfig,
         commands: Sender<Command>,
         status: SharedStatus,
-        taps: Arc<Taps>,
+        [previews, live]: [Arc<Taps>; 2],
     ) -> Result<Self, Fault> {
         let thread =
             |e: std::io::Error| Fault::new(crate::base::Exit::Failure, format!("cannot start a thread: {e}"));
@@ -80,9 +84,12 @@ impl Services {
             sets: quick_look.frame_sets,
             work_dir: config.sessions_dir.join(".quick-look"),
         });
+        let others = peers.iter().map(|peer| peer.client.clone()).collect();
+        let calibration = config.quick_look.as_ref().map(|quick_look| quick_look.calibration.clone());
         Ok(Self {
+            live: LiveBody::start(live, config.rig.trigger_rate_hz, calibration, others).map_err(thread)?,
             coordinator: Coordinator::new(cast),
-            previews: Previews::start(taps).map_err(thread)?,
+            previews: Previews::start(previews).map_err(thread)?,
             listing: Listing::start(config.sessions_dir.clone(), config.node.clone()).map_err(thread)?,
             quick_looks: QuickLooks::start(quick_look, status).map_err(thread)?,
             peers,

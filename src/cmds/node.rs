@@ -73,8 +73,10 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the audit log's thread: {e}")))?;
     tracing::info!(listen = listen.map(tracing::field::display), socket, "node is up");
     let quick_looks = shared.services.quick_looks.clone();
+    let live = shared.services.live.clone();
     let ended = runtime.block_on(serve(listeners, shared, &driver, notifier, &read, &mut signals));
     quick_looks.end();
+    live.end();
     match ended {
         Ended::Orderly(served) => {
             driver.shut_down();

@@ -191,6 +191,16 @@ impl NodeClient {
         runtime.block_on(self.ask_async(method, path, body, timeout))
     }
 
+    /// What a path gives as bytes; `None` where it has nothing yet.
+    pub fn fetch(&self, path: &str, timeout: Duration) -> Result<Option<Bytes>, Fault> {
+        let answer = self.ask(Method::GET, path, None, timeout)?;
+        match answer.status {
+            StatusCode::NO_CONTENT => Ok(None),
+            status if status.is_success() => Ok(Some(answer.body)),
+            _ => Err(self.fault(&answer)),
+        }
+    }
+
     /// [`Self::ask`] for callers on a tokio runtime.
     pub async fn ask_async(
         &self,

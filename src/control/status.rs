@@ -350,6 +350,10 @@ pub mod path {
     pub const PREVIEWS: &str = "/api/v1/previews";
     /// GET: a PNG.
     pub const PICTURE: &str = "/api/v1/previews/{camera}";
+    /// GET: the newest frame set as points.
+    pub const LIVE: &str = "/api/v1/live";
+    /// GET: every fourth row of this node's frames of a trigger, for another node.
+    pub const LIVE_ROWS: &str = "/api/v1/live/rows/{trigger}";
     /// GET: what the node has recorded.
     pub const SESSIONS: &str = "/api/v1/sessions";
     /// GET: one recording.

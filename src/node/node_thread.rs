@@ -28,7 +28,7 @@ use std::time::{Duration, Instant};
 pub struct NodeThread {
     commands: Sender<Command>,
     status: SharedStatus,
-    taps: Arc<Taps>,
+    taps: [Arc<Taps>; 2],
     telemetry: Arc<Telemetry>,
     stop: Sender<()>,
     thread: JoinHandle<()>,
@@ -67,14 +67,15 @@ impl NodeThread {
             published: None,
         }));
         let period = Duration::from_secs_f64(1.0 / config.rig.trigger_rate_hz);
-        let taps = Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone())));
+        let taps =
+            [(); 2].map(|()| Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone()))));
         let telemetry = Arc::new(Telemetry::default());
         let node = Node {
             machine: Machine::new(period),
             config,
             devices,
             session: None,
-            taps: Arc::clone(&taps),
+            taps: taps.clone(),
             telemetry: Arc::clone(&telemetry),
             pending: None,
             status: Arc::clone(&status),
@@ -96,9 +97,9 @@ impl NodeThread {
         Arc::clone(&self.status)
     }
 
-    /// Where previews get their samples.
-    pub fn taps(&self) -> Arc<Taps> {
-        Arc::clone(&self.taps)
+    /// Where previews, and where the live body get their samples.
+    pub fn taps(&self) -> [Arc<Taps>; 2] {
+        self.taps.clone()
     }
 
     /// What the node's threads count.
@@ -131,7 +132,7 @@ pub(crate) struct Node {
     pub(crate) devices: Devices,
     pub(crate) machine: Machine,
     pub(crate) session: Option<Session>,
-    pub(crate) taps: Arc<Taps>,
+    pub(crate) taps: [Arc<Taps>; 2],
     pub(crate) telemetry: Arc<Telemetry>,
     /// Whoever waits for the preparation.
     pending: Option<Reply>,

@@ -127,7 +127,7 @@ impl Node {
             |e: std::io::Error| Fault::new(Exit::Failure, format!("cannot start a thread: {e}"));
         let progress = Arc::clone(&session.progress);
         let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
-        let taps = Arc::clone(&self.taps);
+        let taps = self.taps.clone();
         let recorder = Recorder::start(
             destination,
             taps,

@@ -151,6 +151,13 @@ fn watch_previews(browser: &Browser) {
     browser.wait("pictures that move", &format!("{TRIGGERS} !== {first}"));
     let lit = "return [...document.querySelectorAll('.camera')].every((box) => box.querySelectorAll('dd')[1].classList.contains('good'))";
     browser.wait("fringes of a good modulation", lit);
+    let body = "const canvas = document.getElementById('live-canvas');
+        return !document.getElementById('live-body').hidden && canvas.dataset.cameras === '8' && Number(canvas.dataset.points) > 5000";
+    browser.wait("a live body of the cameras of both nodes", body);
+    browser.wait_text("live-detail", "8 cameras");
+    let number = browser.run("return document.getElementById('live-canvas').dataset.number");
+    let moved = format!("return document.getElementById('live-canvas').dataset.number !== {number}");
+    browser.wait("a live body that goes on", &moved);
     browser.keep("preview");
     browser.press("s");
     browser.wait_word("READY");

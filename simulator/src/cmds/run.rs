@@ -53,7 +53,7 @@ pub struct Args {
     #[arg(long, value_name = "INPUT:HZ", value_parser = swinging_input)]
     input: Vec<(u8, f64)>,
     /// Only the cameras of this node, with a rig of their heads: half a laboratory.
-    #[arg(long, value_name = "NODE", requires = "rig")]
+    #[arg(long, value_name = "NODE")]
     node: Option<String>,
     /// Node files without an HSU: the node triggers its cameras by action commands. For a rig of one node.
     #[arg(long, conflicts_with = "carry_on")]

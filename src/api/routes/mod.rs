@@ -5,6 +5,7 @@ pub(super) mod captures;
 pub(super) mod description;
 pub(super) mod devices;
 pub(super) mod health;
+pub(super) mod live;
 pub(super) mod login;
 pub(super) mod metrics;
 pub(super) mod peers;

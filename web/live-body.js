@@ -1,0 +1,82 @@
+// The body of all cameras as the nodes reconstruct it while cameras run: it turns slowly, and says how old it is and what
+// of it is not seen.
+
+import { CloudView } from "/cloud-view.js";
+import { $, text } from "/elements.js";
+import { Refused, node } from "/node-client.js";
+
+/** A body that is older is told in grey, and after some seconds more it is no longer shown. */
+const OLD_MS = 1000;
+const GONE_MS = 5000;
+/** One turn in half a minute. */
+const TURN = (2 * Math.PI) / 30;
+/** A camera of which less becomes points is named. */
+const POOR = 0.7;
+
+const section = $("live-body");
+const canvas = $("live-canvas");
+const view = new CloudView(canvas);
+const still = matchMedia("(prefers-reduced-motion: reduce)");
+let last = null;
+let held_until = 0;
+for (const event of ["pointerdown", "keydown", "wheel"]) canvas.addEventListener(event, () => (held_until = performance.now() + 10000));
+
+const shares = (cameras) => cameras.map(({ camera, lit, points, refused }) => ({ camera, share: lit ? points / lit : 0, lit, refused }));
+
+/** What is said of the body in words. */
+function said({ facts }, age_ms) {
+  const poor = shares(facts.cameras).filter(({ share, lit, refused }) => refused || (lit && share < POOR));
+  const of = poor.map(({ camera, share, refused, lit }) => (refused ? `${camera}: ${lit ? "refused" : "sees nobody"}` : `${camera}: ${Math.round(100 * share)} % of what is lit`));
+  const age = age_ms > OLD_MS ? `${(age_ms / 1000).toFixed(1)} s old` : `${Math.round(age_ms)} ms after the light`;
+  return [`${facts.cameras.length} cameras, ${facts.frame_sets_per_s.toFixed(1)} a second, ${age}`, ...of].join(" · ");
+}
+
+function show() {
+  const age_ms = last ? last.facts.age_ms + performance.now() - last.at : Infinity;
+  section.hidden = age_ms > GONE_MS;
+  if (section.hidden) return;
+  section.classList.toggle("old", age_ms > OLD_MS);
+  text($("live-detail"), said(last, age_ms));
+}
+
+/** Waits for the next frame set and shows it; throws where there will be none. */
+async function next() {
+  const answer = await node.live(last?.facts.number ?? 0);
+  if (!answer) return;
+  const first = !last || section.hidden;
+  last = { facts: answer.facts, at: answer.at };
+  section.hidden = false;
+  const points = view.show([answer.points], !first);
+  canvas.dataset.points = String(points);
+  view.onDraw = () => {
+    if (!last || canvas.dataset.number === String(last.facts.number)) return;
+    canvas.dataset.number = String(last.facts.number);
+    canvas.dataset.cameras = String(last.facts.cameras.length);
+    canvas.dataset.light_to_screen_ms = String(last.facts.age_ms + performance.now() - last.at);
+  };
+  show();
+}
+
+/** Shows the body for as long as the page is there and somebody is logged in. */
+export async function showLiveBody(isOpen) {
+  setInterval(show, 250);
+  let before = performance.now();
+  const turn = (now) => {
+    const passed = Math.min(now - before, 100) / 1000;
+    before = now;
+    if (!section.hidden && !still.matches && now > held_until) view.turn(TURN * passed, 0);
+    requestAnimationFrame(turn);
+  };
+  requestAnimationFrame(turn);
+  for (;;) {
+    let pause_ms = 0;
+    try {
+      if (isOpen() && !document.hidden) await next();
+      else pause_ms = 300;
+    } catch (error) {
+      // Without a calibration there will be none until the node is started anew.
+      pause_ms = error instanceof Refused && error.status === 409 ? 10000 : 1000;
+    }
+    await new Promise((resolve) => setTimeout(resolve, pause_ms));
+  }
+}
