@@ -201,6 +201,10 @@ impl Camera for AravisCamera {
         self.clock.as_ref()?.as_ref().err().map(String::as_str)
     }
 
+    fn ptp_status(&mut self) -> Result<Option<String>, CameraError> {
+        device_clock::ptp_status(self)
+    }
+
     fn test_packet_size(&mut self, bytes: u32) -> Result<Option<u32>, CameraError> {
         let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return Ok(None) };
         let error = link_error("testing the packet size");

@@ -195,6 +195,27 @@ impl DeviceClock {
     }
 }
 
+/// What a camera says of PTP; `None` where it says nothing.
+///
+/// # Errors
+/// The camera does not answer.
+pub fn ptp_status(camera: &dyn Features) -> Result<Option<String>, CameraError> {
+    for latch in ["PtpDataSetLatch", "GevIEEE1588DataSetLatch"] {
+        if camera.has(latch) {
+            // One that refuses tells its state as it is.
+            answered(camera.execute(latch))?;
+        }
+    }
+    for status in ["PtpStatus", "GevIEEE1588Status"] {
+        if camera.has(status)
+            && let Some(text) = answered(camera.text(status))?
+        {
+            return Ok(Some(text));
+        }
+    }
+    Ok(None)
+}
+
 #[cfg(test)]
 mod tests {
     use super::keeps_time;

@@ -227,6 +227,11 @@ pub trait Camera: Send {
     /// Why its clock cannot be read, once [`Self::sample_clock`] has found out.
     fn why_no_clock(&self) -> Option<&str>;
 
+    /// What it says of PTP: `Master`, `Slave`, `Listening` and others; `None` where it says nothing.
+    fn ptp_status(&mut self) -> Result<Option<String>, CameraError> {
+        Ok(None)
+    }
+
     /// Has the camera send test packets of `bytes` and gives the size that arrives: `bytes`, or the largest
     /// smaller one that does. `None` where the transport or the camera has no such test. No stream may exist.
     fn test_packet_size(&mut self, _bytes: u32) -> Result<Option<u32>, CameraError> {

@@ -310,6 +310,9 @@ impl Work<'_> {
             if named.contains(&feature.as_str()) || feature.ends_with("Selector") {
                 continue;
             }
+            if self.camera.feature(feature).is_some_and(|known| known.access == Access::Write) {
+                continue;
+            }
             if let Some(found) = answered(self.camera.read(feature))?
                 && differs(value, &found)
             {
@@ -349,6 +352,7 @@ impl Work<'_> {
         let set = self.set.keys().map(String::as_str).chain(of_musts.map(|must| must.feature.as_str()));
         for feature in set.filter(|feature| !feature.ends_with("Selector")) {
             if self.camera.is_available(feature)
+                && self.camera.feature(feature).is_some_and(|known| known.access != Access::Write)
                 && let Some(value) = answered(self.camera.read(feature))?
             {
                 watched.insert(feature.to_owned(), value_text(&value));

@@ -2,7 +2,7 @@
 //! One value is written as near to what is wanted as the camera can, and read back.
 
 use super::CameraError;
-use super::description::{Bounds, Kind, list};
+use super::description::{Access, Bounds, Kind, list};
 use super::features::{Failed, Features, answered};
 use super::profile::{Amount, Scale, Write};
 use crate::config::FeatureValue;
@@ -88,6 +88,10 @@ fn whole(
     let fixed = camera.feature(name).is_some_and(|feature| !feature.is_writable());
     if !fixed && let Err(failed) = camera.write(name, value) {
         return refused(write, &value.to_string(), failed);
+    }
+    if camera.feature(name).is_some_and(|feature| feature.access == Access::Write) {
+        // A key is secret: that it was taken is all that can be known.
+        return Ok(Ok(Done { requested: value.clone(), actual: value.clone(), told: None }));
     }
     let actual = match camera.read(name) {
         Ok(actual) => actual,

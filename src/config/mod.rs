@@ -9,6 +9,7 @@ mod api;
 mod node;
 mod rig;
 mod section;
+mod trigger;
 mod words;
 mod worker;
 
@@ -19,6 +20,7 @@ pub use node::{
 };
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
+pub use trigger::{ActionConfig, TriggerSource};
 pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, Pixel, word_of};
 pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 

@@ -5,6 +5,7 @@
 use super::api::{ApiConfig, read_api};
 use super::rig::Rig;
 use super::section::Section;
+use super::trigger::{TriggerSource, read_trigger};
 use super::words::{CameraWords, read_settings, word_of};
 use super::{ConfigError, Problem, parse_table, read_table};
 use crate::base::ids::{CameraId, NodeId};
@@ -126,8 +127,8 @@ pub struct NodeConfig {
     pub rig_text: String,
     /// How the control API is reached.
     pub api: ApiConfig,
-    /// Serial device of the link to the HSU.
-    pub hsu_device: PathBuf,
+    /// Where triggers come from.
+    pub trigger: TriggerSource,
     /// Sessions are directories below this one.
     pub sessions_dir: PathBuf,
     /// Never fill the disk beyond this many free bytes.
@@ -227,11 +228,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
     root.integer("format", FORMAT..=FORMAT);
     let node = NodeId(root.name("node"));
     let rig_path = base.join(root.text("rig"));
-    let hsu_device = root.section("hsu").map(|section| {
-        let device = PathBuf::from(section.text("device"));
-        section.finish();
-        device
-    });
+    let trigger = read_trigger(&root);
     let storage = root.section("storage").map(|section| {
         let values = (
             base.join(section.text("sessions_dir")),
@@ -271,6 +268,9 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
     let rig_text = std::fs::read_to_string(&rig_path).unwrap_or_default();
     if let Some(rig) = &rig {
         check_against_rig(&root, rig, &node, &cameras);
+        if let Some(trigger) = &trigger {
+            trigger.check(&root, rig, &cameras);
+        }
     }
     root.finish();
     let (sessions_dir, reserve_bytes, segment_bytes) = storage?;
@@ -283,7 +283,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         node,
         rig_text,
         api: api?,
-        hsu_device: hsu_device?,
+        trigger: trigger?,
         sessions_dir,
         reserve_bytes,
         segment_bytes,

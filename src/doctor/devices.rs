@@ -6,9 +6,9 @@ use super::{Check, Finding};
 use crate::base::ids::CameraId;
 use crate::base::time::monotonic_ns;
 use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity, SetUp, Wishes};
-use crate::config::{CameraConfig, NodeConfig};
+use crate::config::{ActionConfig, CameraConfig, NodeConfig};
 use crate::control::status::NodeStatus;
-use crate::hsu::{Hsu, HsuTimeouts};
+use crate::hsu::{HsuTimeouts, TriggerUnit};
 use std::ffi::CString;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::FileTypeExt;
@@ -217,7 +217,7 @@ impl HsuFacts {
     /// Looks at the device, greets the unit and reads its clock. Greeting takes back what this node has armed:
     /// not while a node runs.
     pub fn gather(config: &NodeConfig) -> Self {
-        let device = config.hsu_device.clone();
+        let device = config.trigger.device();
         let device_file = look_at_device(&device);
         let greeted = device_file.is_ok().then(|| greet(config).map_err(|e| e.to_string()));
         Self { device, device_file, greeted }
@@ -238,7 +238,7 @@ fn look_at_device(device: &Path) -> Result<(), String> {
 }
 
 fn greet(config: &NodeConfig) -> Result<GreetedHsu, crate::hsu::HsuError> {
-    let hsu = Hsu::connect(&config.hsu_device, &config.node, &HsuTimeouts::default())?;
+    let hsu = TriggerUnit::of(config).connect(&config.node, &HsuTimeouts::default())?;
     let readings = (0..CLOCK_READINGS).filter_map(|_| hsu.query_clock().ok());
     let round_trip_ns = readings.map(|r| monotonic_ns(r.received).saturating_sub(monotonic_ns(r.sent))).min();
     let [major, minor, patch] = hsu.identity().firmware;
@@ -250,6 +250,22 @@ fn greet(config: &NodeConfig) -> Result<GreetedHsu, crate::hsu::HsuError> {
         round_trip_ns,
         bad_frames: hsu.bad_frames(),
     })
+}
+
+/// What action commands instead of an HSU mean for a bench; that cameras take them is asked when a session is prepared.
+pub fn judge_actions(action: ActionConfig, cameras: usize) -> Finding {
+    let check = Check::device("triggers");
+    let what = format!(
+        "action commands to {cameras} cameras, no HSU: no projector is triggered, so what they show must stand still"
+    );
+    match action.ptp {
+        true => check.ok(format!("{what}; scheduled on the clock that PTP gives the cameras")),
+        false => check.warning(
+            format!("{what}; cameras act when the packet reaches them, and exposures of a trigger differ by its way"),
+            "actions that are scheduled (trigger.ptp = true)",
+            "use cameras with PTP, or an HSU, where what is seen moves",
+        ),
+    }
 }
 
 /// The verdicts on the HSU.
@@ -354,6 +370,14 @@ mod tests {
         let line = findings[0].to_string();
         assert!(line.starts_with("failed   camera h0_up: "), "{line}");
         assert!(line.contains("on 192.168.10.9:50123") && line.contains("close that program"), "{line}");
+    }
+
+    #[test]
+    fn action_commands_say_what_they_cannot_do() {
+        let keys = |ptp| ActionConfig { device_key: 1, group_key: 1, group_mask: 1, ptp };
+        assert_eq!(judge_actions(keys(true), 4).grade, Grade::Ok);
+        assert_eq!(judge_actions(keys(false), 4).grade, Grade::Warning);
+        assert!(judge_actions(keys(true), 4).found.contains("no projector is triggered"));
     }
 
     #[test]

@@ -191,8 +191,13 @@ pub fn examine(
         }
         None => tell(devices::cameras_not_examined()),
     }
-    let hsu = devices::HsuFacts::gather(config);
-    devices::judge_hsu(&hsu, &load).into_iter().for_each(tell);
+    match config.trigger.action() {
+        Some(action) => tell(devices::judge_actions(action, config.cameras.len())),
+        None => {
+            let hsu = devices::HsuFacts::gather(config);
+            devices::judge_hsu(&hsu, &load).into_iter().for_each(tell);
+        }
+    }
 }
 
 /// Subnets, filters and firewalls between the cameras and this program.

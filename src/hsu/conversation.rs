@@ -14,8 +14,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// The product name that an HSU of this project gives.
-const PRODUCT: &str = "fourdbody-hsu";
+/// The product names that an HSU of this project gives, and what plays its part.
+const PRODUCTS: [&str; 2] = ["fourdbody-hsu", super::action::PRODUCT];
 
 /// What commands and the keeper thread share.
 #[derive(Debug)]
@@ -85,7 +85,7 @@ impl Conversation {
             }
             Err(error) => return Err(error),
         };
-        if welcome.identity.name.as_str() != PRODUCT {
+        if !PRODUCTS.contains(&welcome.identity.name.as_str()) {
             let found = welcome.identity.name.as_str().to_owned();
             return Err(HsuError::WrongDevice { device: self.device.clone(), found });
         }

@@ -11,7 +11,7 @@ pub const PORT: u16 = 3956;
 
 const KEY: u8 = 0x42;
 /// An acknowledge is wanted.
-const ACKNOWLEDGE: u8 = 0x01;
+pub(super) const ACKNOWLEDGE: u8 = 0x01;
 /// Of a discovery: a device in another subnet may broadcast its answer.
 const BY_BROADCAST: u8 = 0x10;
 
@@ -33,7 +33,7 @@ pub struct ForceIp {
     pub mask: Ipv4Addr,
 }
 
-fn command(code: u16, flags: u8, id: u16, payload: &[u8]) -> Vec<u8> {
+pub(super) fn command(code: u16, flags: u8, id: u16, payload: &[u8]) -> Vec<u8> {
     let length = u16::try_from(payload.len()).unwrap_or(u16::MAX);
     let mut bytes = vec![KEY, flags];
     [code, length, id].iter().for_each(|word| bytes.extend(word.to_be_bytes()));

@@ -4,13 +4,15 @@
 //! Aravis lists cameras by the addresses that they say; one in a wrong subnet cannot be opened, and nothing tells why.
 //! Here a camera is known by its MAC, and by the interface on which it answered.
 
+mod action;
 mod discover;
 mod gvcp;
 mod interface;
 mod registers;
 pub mod wire;
 
+pub use action::{ActionKeys, ActionStatus, action, action_reply};
 pub use discover::{Answer, Mac, discover, force_address};
-pub use gvcp::ForceIp;
+pub use gvcp::{ForceIp, PORT as GVCP_PORT};
 pub use interface::{Interface, Subnet, interfaces, shared_subnets};
 pub use registers::{KeptAddress, keep_address, read_kept_address};

@@ -48,6 +48,12 @@ const FIRST: &str = "# Written by `fourdbody cameras setup`; check with `fourdbo
 /// The text is no TOML, or says something of another kind where a table belongs.
 pub fn begin(text: &str, given: &Given) -> Result<String, String> {
     let mut file = parse(text)?;
+    let source = file.get("trigger").and_then(|trigger| trigger.get("source")).and_then(Item::as_str);
+    if source == Some("action") {
+        return Err("trigger.source is \"action\": expected an HSU, by whose pulses lines are found, and action commands \
+                    come by none; write the cameras' ids and addresses into the file, and try them by a session"
+            .to_owned());
+    }
     let path = |path: &PathBuf| path.display().to_string();
     if text.trim().is_empty() {
         file.decor_mut().set_prefix(FIRST);
@@ -203,6 +209,10 @@ mod tests {
         assert!(text.contains("address = \"192.168.10.2\""), "{text}");
         assert!(text.contains("# set up: second") && !text.contains("first"), "{text}");
         assert!(!text.contains("listen"), "a node that listens on a socket alone stays so:\n{text}");
+        assert!(
+            begin("[trigger]\nsource = \"action\"", &Given::default())
+                .is_err_and(|why| why.contains("pulses"))
+        );
         assert!(begin("hsu = 3", &Given::default()).is_err() && begin("[", &Given::default()).is_err());
     }
 }

@@ -16,7 +16,7 @@ use crate::base::write_whole;
 use crate::base::{Exit, Fault};
 use crate::camera::{CameraBackend, Wishes};
 use crate::config::{NodeConfig, PacketDelay};
-use crate::hsu::{Hsu, HsuTimeouts, HsuTiming};
+use crate::hsu::{HsuTimeouts, HsuTiming, TriggerUnit};
 use crate::network::{Answer, Interface, Subnet, discover, interfaces, shared_subnets};
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -294,7 +294,7 @@ impl Work {
             let (wired, problems, told) = (None, Vec::new(), Vec::new());
             cameras.push(BenchCamera { found, camera, wishes, largest, wired, problems, told });
         }
-        let hsu = Hsu::connect(&config.hsu_device, &config.node, &HsuTimeouts::default());
+        let hsu = TriggerUnit::of(&config).connect(&config.node, &HsuTimeouts::default());
         match hsu {
             Ok(hsu) => {
                 let unit = Unit {

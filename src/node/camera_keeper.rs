@@ -5,10 +5,11 @@
 use super::devices::{OpenCamera, SharedBackend};
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::RecorderCommand;
-use crate::base::clock_fit::RESET_RUN;
+use crate::base::clock_fit::{Exchange, RESET_RUN};
 use crate::base::time::HostClock;
 use crate::camera::{CameraError, StreamOptions, quiet_stream};
 use crate::host::frame_memory::Pool;
+use crate::hsu::action::PtpClock;
 use crate::record::{ClockSample, GapCause, NodeEvent};
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::thread::JoinHandle;
@@ -69,6 +70,8 @@ pub struct AttendantSetup {
     pub to_recorder: Sender<RecorderCommand>,
     /// The node.
     pub reports: Sender<Report>,
+    /// The clock of all cameras, where this is the one by which it is known.
+    pub ptp: Option<PtpClock>,
 }
 
 /// A running attendant.
@@ -172,6 +175,9 @@ impl Work {
         };
         match camera.sample_clock() {
             Ok(Some(sample)) => {
+                if let Some(ptp) = &self.setup.ptp {
+                    ptp.read(&exchange(&sample));
+                }
                 let (id, clock) = (self.setup.camera.config.id.clone(), &self.setup.receiver.clock);
                 let sample = camera_sample(id, sample, clock);
                 drop(self.setup.to_recorder.send(RecorderCommand::Clock(sample)));
@@ -319,6 +325,15 @@ impl Work {
             message,
         };
         drop(self.setup.to_recorder.send(RecorderCommand::Event(event)));
+    }
+}
+
+/// A reading of a camera's clock on this host's monotonic clock.
+pub fn exchange(sample: &crate::camera::CameraClockSample) -> Exchange {
+    Exchange {
+        host_send_ns: sample.host_before_ns,
+        host_receive_ns: sample.host_after_ns,
+        device_ns: sample.camera_ns,
     }
 }
 

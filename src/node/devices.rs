@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node's devices: its cameras and its link to the HSU, kept open between sessions.
 
-use super::camera_keeper::{AttendantSetup, CLOCK_BURST, CameraKeeper, Report, camera_sample};
+use super::camera_keeper::{AttendantSetup, CLOCK_BURST, CameraKeeper, Report, camera_sample, exchange};
 use super::hsu_keeper::hsu_sample;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::RecorderCommand;
@@ -15,7 +15,8 @@ use crate::camera::{
 use crate::config::{CameraConfig, NodeConfig};
 use crate::control::status::{CameraStatus, HsuStatus};
 use crate::host::frame_memory::{Pool, block_bytes};
-use crate::hsu::{Hsu, HsuTimeouts, HsuTiming};
+use crate::hsu::action::PtpClock;
+use crate::hsu::{Hsu, HsuTimeouts, HsuTiming, TriggerUnit};
 use crate::record::ClockSample;
 use crossbeam_channel::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -124,6 +125,9 @@ const OWNED_RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// The HSU answers at once, or its absence is noticed in a second.
 const HSU_RETRY_INTERVAL: Duration = Duration::from_secs(3);
 
+/// The camera by whose clock the one that all share is known.
+const REFERENCE: usize = 0;
+
 /// All devices of the node.
 pub struct Devices {
     backend: SharedBackend,
@@ -132,6 +136,8 @@ pub struct Devices {
     pool: Pool,
     hsu: Option<Arc<Hsu>>,
     hsu_problem: Option<String>,
+    /// What fires the triggers.
+    unit: TriggerUnit,
     config: NodeConfig,
     next_hsu_retry: Instant,
 }
@@ -164,6 +170,7 @@ impl Devices {
             backend: SharedBackend(Arc::new(Mutex::new(backend))),
             hsu: None,
             hsu_problem: not_yet(),
+            unit: TriggerUnit::of(config),
             config: config.clone(),
             next_hsu_retry: Instant::now(),
         }
@@ -172,6 +179,20 @@ impl Devices {
     /// The link to the HSU, when it is up.
     pub fn hsu(&self) -> Option<&Arc<Hsu>> {
         self.hsu.as_ref()
+    }
+
+    /// What fires the triggers.
+    pub fn unit(&self) -> &TriggerUnit {
+        &self.unit
+    }
+
+    pub(super) fn slots_mut(&mut self) -> &mut [OpenCamera] {
+        &mut self.slots
+    }
+
+    /// The clock that the cameras share, where actions are scheduled by it.
+    fn ptp(&self) -> Option<PtpClock> {
+        self.unit.action()?.ptp.clone()
     }
 
     /// A link that was made anew.
@@ -257,17 +278,17 @@ impl Devices {
     }
 
     fn connect_hsu(&mut self) -> Result<(), Fault> {
-        match Hsu::connect(&self.config.hsu_device, &self.config.node, &HsuTimeouts::default()) {
+        match self.unit.connect(&self.config.node, &HsuTimeouts::default()) {
             Ok(hsu) => {
-                tracing::info!(device = %self.config.hsu_device.display(), identity = identity_text(&hsu), "HSU connected");
+                tracing::info!(device = %self.config.trigger.device().display(), identity = identity_text(&hsu), "HSU connected");
                 self.hsu = Some(Arc::new(hsu));
                 self.hsu_problem = None;
                 Ok(())
             }
             Err(error) => {
                 self.hsu_problem = Some(error.to_string());
-                let device = self.config.hsu_device.display();
-                Err(Fault::new(Exit::Device, format!("HSU at {device}: {error}")))
+                let device = self.config.trigger.device();
+                Err(Fault::new(Exit::Device, format!("HSU at {}: {error}", device.display())))
             }
         }
     }
@@ -289,9 +310,12 @@ impl Devices {
         if let Some(hsu) = &self.hsu
             && let Err(error) = hsu.configure(&HsuTiming::from_rig(&self.config.rig))
         {
-            let message = format!("HSU at {}: {error}", self.config.hsu_device.display());
+            let message = format!("HSU at {}: {error}", self.config.trigger.device().display());
             self.drop_hsu(message.clone());
             faults.push(Fault::new(Exit::Device, message));
+        }
+        if faults.is_empty() {
+            faults.extend(self.check_actions());
         }
         if faults.is_empty() {
             return Ok(prepared);
@@ -323,11 +347,17 @@ impl Devices {
             let samples = (0..CLOCK_BURST).filter_map(|_| hsu.query_clock().ok());
             all.extend(samples.map(|sample| hsu_sample(&sample, clock)));
         }
-        for slot in &mut self.slots {
+        let ptp = self.ptp();
+        for (place, slot) in self.slots.iter_mut().enumerate() {
             let Some(camera) = slot.camera.as_mut() else { continue };
             let samples = (0..CLOCK_BURST).filter_map(|_| camera.sample_clock().ok().flatten());
             let id = &slot.config.id;
-            all.extend(samples.map(|sample| camera_sample(id.clone(), sample, clock)));
+            for sample in samples {
+                if let Some(ptp) = ptp.as_ref().filter(|_| place == REFERENCE) {
+                    ptp.read(&exchange(&sample));
+                }
+                all.push(camera_sample(id.clone(), sample, clock));
+            }
         }
         all
     }
@@ -369,6 +399,7 @@ impl Devices {
             return Err(fault);
         }
         let mut attendants = Vec::new();
+        let ptp = self.ptp();
         for (receiver, setup) in running.into_iter().zip(receivers) {
             let slot = &mut self.slots[setup.camera];
             let setup = AttendantSetup {
@@ -381,6 +412,7 @@ impl Devices {
                 pool: self.pool.clone(),
                 to_recorder: to_recorder.clone(),
                 reports: reports.clone(),
+                ptp: ptp.clone().filter(|_| setup.camera == REFERENCE),
             };
             match CameraKeeper::start(setup, receiver) {
                 Ok(attendant) => attendants.push(attendant),
@@ -450,7 +482,7 @@ impl Devices {
     /// For the status.
     pub fn hsu_status(&self) -> HsuStatus {
         HsuStatus {
-            device: self.config.hsu_device.clone(),
+            device: self.config.trigger.device(),
             identity: self.hsu.as_deref().map(identity_text),
             problem: self.hsu_problem.clone(),
         }

@@ -5,10 +5,9 @@
 use crate::acquire::recorder::RecorderCommand;
 use crate::base::ids::NodeId;
 use crate::base::time::HostClock;
-use crate::hsu::{Hsu, HsuTimeouts, SessionId};
+use crate::hsu::{Hsu, HsuTimeouts, SessionId, TriggerUnit};
 use crate::record::ClockSample;
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -17,8 +16,8 @@ use std::time::{Duration, Instant};
 pub struct LinkSetup {
     /// The link as it is at the start.
     pub hsu: Arc<Hsu>,
-    /// The serial device.
-    pub device: PathBuf,
+    /// What it is a link to.
+    pub unit: TriggerUnit,
     /// Who we are.
     pub node: NodeId,
     /// The session that is being recorded.
@@ -76,7 +75,7 @@ impl HsuKeeper {
 }
 
 fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
-    let LinkSetup { hsu, device, node, session, clock, to_recorder, back } = setup;
+    let LinkSetup { hsu, unit, node, session, clock, to_recorder, back } = setup;
     let mut hsu = Some(hsu);
     let mut missing = None;
     let mut next_clock = Instant::now() + CLOCK_INTERVAL;
@@ -101,7 +100,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                     drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
                 }
             }
-            (None, Some(next)) => match Hsu::connect(&device, &node, &HsuTimeouts::default()) {
+            (None, Some(next)) => match unit.connect(&node, &HsuTimeouts::default()) {
                 Ok(link) => {
                     link.resume(session, next);
                     let link = Arc::new(link);

@@ -2,6 +2,7 @@
 //! One capture on one node: the pure state machine, and the driver that carries out its actions. And one capture on all
 //! nodes: what coordinates them, from the command line or from a node.
 
+mod actions;
 mod camera_keeper;
 pub mod devices;
 mod events;

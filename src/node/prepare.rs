@@ -103,6 +103,9 @@ impl Node {
         let Some(session) = &mut self.session else { return Ok(()) };
         let Some(destination) = session.destination.take() else { return Ok(()) };
         let samples = self.devices.clock_burst(&session.clock);
+        if let Some(action) = self.devices.unit().action() {
+            action.tally.begin();
+        }
         let period_ns = (1e9 / self.config.rig.trigger_rate_hz) as u64;
         let start = Start {
             period_ns,
@@ -177,7 +180,7 @@ impl Node {
         if let Some(hsu) = self.devices.hsu() {
             let setup = LinkSetup {
                 hsu: Arc::clone(hsu),
-                device: self.config.hsu_device.clone(),
+                unit: self.devices.unit().clone(),
                 node: self.config.node.clone(),
                 session: hsu_session(session.request.session_id),
                 clock: session.clock,
@@ -228,6 +231,20 @@ impl Node {
                 camera: Some(camera.id.clone()),
                 trigger: None,
                 message: counters_text(&counters),
+            };
+            session.tell(RecorderCommand::Event(event));
+        }
+        let tallies = self.devices.unit().action().map_or_else(Vec::new, |action| action.tally.counts());
+        for (camera, tally) in tallies {
+            if !tally.is_clean() {
+                tracing::warn!(%camera, kind = "action_commands", "{tally}");
+            }
+            let event = NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: "action_commands".to_owned(),
+                camera: Some(camera),
+                trigger: None,
+                message: tally.to_string(),
             };
             session.tell(RecorderCommand::Event(event));
         }

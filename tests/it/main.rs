@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Integration tests of the product: one binary, a module per subject.
 
+#[cfg(feature = "aravis")]
+mod action_triggers;
 mod analytic_scene;
 #[cfg(feature = "aravis")]
 mod any_camera;

@@ -238,6 +238,7 @@ fn set_up_alone(case: &Case, address: Ipv4Addr) -> Result<(), String> {
         exposure_us: EXPOSURE_US,
         size: SIZE,
         triggered: true,
+        action: None,
         link: Link { cameras: 1, packet_bytes: 9000, period_ns: 50_000_000 },
     };
     let mut opened = AravisCameras.open(&address.to_string()).map_err(|error| error.to_string())?;

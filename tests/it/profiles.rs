@@ -76,6 +76,7 @@ pub fn wishes(line: &str) -> Wishes {
         exposure_us: 1000.0,
         size: (1920, 1200),
         triggered: true,
+        action: None,
         link: Link { cameras: 1, packet_bytes: 9000, period_ns: 8_333_333 },
     }
 }

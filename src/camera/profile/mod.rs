@@ -3,17 +3,19 @@
 //!
 //! Names follow rules (SFNC 2, SFNC 1, GigE Vision before SFNC), not tables of models: docs/design/camera-profiles.md.
 
+mod action;
 mod gain;
 mod image;
 mod must;
 mod time;
 mod trigger;
 
+pub use action::PTP_SWITCHES;
 pub use must::{Must, Want, all as must_be};
 pub use trigger::{FRAME_TRIGGERS, frame_trigger, starts_a_frame, trigger_lines};
 
 use super::description::{Access, Description, Feature, list, nearest};
-use crate::config::{CameraConfig, CameraWords, FeatureSetting, FeatureValue, NodeConfig};
+use crate::config::{ActionConfig, CameraConfig, CameraWords, FeatureSetting, FeatureValue, NodeConfig};
 use std::fmt;
 use std::net::Ipv4Addr;
 
@@ -30,6 +32,8 @@ pub struct Wishes {
     pub size: (usize, usize),
     /// Its frames are those of the HSU's triggers; a bench may let cameras run by themselves.
     pub triggered: bool,
+    /// They are triggered by action commands instead of a line.
+    pub action: Option<ActionConfig>,
     /// The network between it and this host.
     pub link: Link,
 }
@@ -63,6 +67,7 @@ impl Wishes {
             exposure_us: head.map_or(0.0, |head| head.exposure_ns as f64 / 1000.0),
             size: device.map_or((0, 0), |device| (device.width, device.height)),
             triggered: config.cameras_are_triggered(),
+            action: config.trigger.action(),
             link: Link {
                 cameras: beside.count().max(1),
                 packet_bytes: config.packet_bytes,

@@ -169,6 +169,10 @@ fn rule(
     let known = |list: &[(&str, bool)]| {
         list.iter().find(|(other, _)| *other == whole || *other == own).map(|(_, strict)| *strict)
     };
+    // Actions are scheduled on the clock that PTP gives all cameras.
+    if wishes.action.is_some_and(|action| action.ptp) && super::PTP_SWITCHES.contains(&name) {
+        return Ok(None);
+    }
     if let Some(strict) = known(&SWITCHED_OFF) {
         return Ok(off(feature).map(|want| must(name, want, strict)));
     }

@@ -3,7 +3,7 @@
 
 use super::{Amount, Link, Plan, Scale, Want, Wishes, must_be, resolve};
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
-use crate::config::{AUTO, CameraWords, Edge, PacketDelay};
+use crate::config::{AUTO, ActionConfig, CameraWords, Edge, PacketDelay};
 use std::collections::BTreeMap;
 
 /// A description made up for a test.
@@ -65,6 +65,7 @@ pub(crate) fn wishes() -> Wishes {
         exposure_us: 1000.0,
         size: (1920, 1200),
         triggered: true,
+        action: None,
         link: Link { cameras: 1, packet_bytes: 9000, period_ns: 8_333_333 },
     }
 }
@@ -95,6 +96,71 @@ fn trouble(made: &Made, wishes: &Wishes) -> String {
     let plan = resolve(made, wishes);
     assert_eq!(plan.troubles.len(), 1, "{:?}", plan.troubles);
     plan.troubles[0].to_string()
+}
+
+/// With action commands as triggers.
+fn by_actions(ptp: bool) -> Wishes {
+    let action = ActionConfig { device_key: 1, group_key: 2, group_mask: 4, ptp };
+    Wishes { action: Some(action), words: CameraWords::default(), ..wishes() }
+}
+
+#[test]
+fn an_action_is_the_trigger_with_its_keys_and_the_clock_that_all_share() {
+    let trigger = |changes: &[(&str, &str)], ptp| {
+        let text = short(&resolve(&usual(changes), &by_actions(ptp)));
+        text.split_once("TriggerSelector=FrameStart TriggerMode=Off ").expect("a trigger").1.to_owned()
+    };
+    let keys = "ActionDeviceKey:int ActionGroupKey:int ActionGroupMask:int";
+    // FLIR: a selector that can only be read, and PTP before SFNC 2.3.
+    let flir = [
+        ("TriggerSource", "TriggerSource=Software,Line0,Action0"),
+        ("", keys),
+        ("ActionSelector", "ActionSelector=Action0!ro"),
+        ("GevIEEE1588", "GevIEEE1588:bool"),
+    ];
+    assert_eq!(
+        trigger(&flir, true),
+        "ActionDeviceKey=1 ActionGroupKey=2 ActionGroupMask=4 TriggerSource=Action0 GevIEEE1588=true TriggerMode=On"
+    );
+    // Basler: actions count from 1.
+    let basler = [
+        ("TriggerSource", "TriggerSource=Line1,Action1,Action2"),
+        ("", keys),
+        ("ActionSelector", "ActionSelector:int"),
+        ("PtpEnable", "PtpEnable:bool"),
+    ];
+    let musts = |ptp| must_be(&usual(&basler), &by_actions(ptp)).0;
+    let names_ptp = |ptp| musts(ptp).iter().any(|must| must.feature == "PtpEnable");
+    assert!(names_ptp(false) && !names_ptp(true), "PTP is switched off where nothing is scheduled by it");
+    assert_eq!(
+        trigger(&basler, false),
+        "ActionSelector=least ActionDeviceKey=1 ActionGroupKey=2 ActionGroupMask=4 TriggerSource=Action1 TriggerMode=On"
+    );
+    // AVT: PTP has a mode.
+    let avt = [
+        ("TriggerSource", "TriggerSource=Freerun,Line1,Action0,Action1"),
+        ("", keys),
+        ("PtpMode", "PtpMode=Off,Slave,Master,Auto"),
+    ];
+    assert!(trigger(&avt, true).contains("TriggerSource=Action0 PtpMode=Auto"));
+}
+
+#[test]
+fn a_camera_without_actions_keys_or_ptp_is_refused_by_name() {
+    let troubles = |changes: &[(&str, &str)], ptp| {
+        let plan = resolve(&usual(changes), &by_actions(ptp));
+        plan.troubles.iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    let keys = "ActionDeviceKey:int ActionGroupKey:int ActionGroupMask:int";
+    let source = ("TriggerSource", "TriggerSource=Line1,Action1");
+    let told = troubles(&[("", keys)], false);
+    assert!(
+        told.len() == 1 && told[0].contains("`Action0` is not an entry of TriggerSource: Line0, Software")
+    );
+    let told = troubles(&[source], false);
+    assert!(told.len() == 3 && told[0].starts_with("the camera has no ActionDeviceKey"), "{told:?}");
+    let told = troubles(&[source, ("", keys)], true);
+    assert!(told.len() == 1 && told[0].contains("say trigger.ptp = false"), "{told:?}");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The trigger: one that starts a frame, by the HSU's line, and no other.
+//! The trigger: one that starts a frame, by the HSU's line or by action commands, and no other.
 
+use super::action;
 use super::{Amount, Plan, Trouble, Wishes, Write, first_writable, is_fixed};
 use crate::camera::description::{Description, Feature, list, nearest, plain};
 use crate::config::{AUTO, Edge, FeatureValue};
@@ -43,7 +44,7 @@ pub fn frame_trigger(camera: &dyn Description) -> Result<Option<String>, Trouble
 }
 
 pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
-    let wanted = wishes.triggered || wishes.words.trigger_line.is_some();
+    let wanted = wishes.triggered || wishes.words.trigger_line.is_some() || wishes.action.is_some();
     if !wanted || wishes.left_to_settings(LINE) {
         return;
     }
@@ -83,6 +84,33 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     }
     // A trigger that is on may lock its source.
     plan.writes.extend(off.map(|off| Write::entry(MODE, &off, LINE).optional()));
+    match wishes.action {
+        Some(keys) => {
+            action::keys(camera, keys, plan);
+            match action::source(camera) {
+                Ok(write) => plan.writes.push(write),
+                Err(trouble) => plan.troubles.push(trouble),
+            }
+            if keys.ptp {
+                action::ptp(camera, plan);
+            }
+        }
+        None => by_line(camera, wishes, plan),
+    }
+    match overlap(camera, wishes) {
+        Ok(write) => plan.writes.extend(write),
+        Err(trouble) => plan.troubles.push(trouble),
+    }
+    if frame.as_deref().is_some_and(|frame| plain(frame) == "frameburststart") {
+        let one = Amount::Value(FeatureValue::Integer(1));
+        let count = first_writable(camera, &["AcquisitionBurstFrameCount", "TriggerFrameCount"]);
+        plan.writes.extend(count.map(|(name, _)| Write::new(name, one, LINE)));
+    }
+    plan.writes.push(Write::entry(MODE, &on, LINE));
+}
+
+/// The source is the HSU's line, and its edge.
+fn by_line(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     match source(camera, wishes) {
         Ok(Some(write)) => {
             input(camera, &write, plan);
@@ -95,16 +123,6 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
         Ok(write) => plan.writes.extend(write),
         Err(trouble) => plan.troubles.push(trouble),
     }
-    match overlap(camera, wishes) {
-        Ok(write) => plan.writes.extend(write),
-        Err(trouble) => plan.troubles.push(trouble),
-    }
-    if frame.as_deref().is_some_and(|frame| plain(frame) == "frameburststart") {
-        let one = Amount::Value(FeatureValue::Integer(1));
-        let count = first_writable(camera, &["AcquisitionBurstFrameCount", "TriggerFrameCount"]);
-        plan.writes.extend(count.map(|(name, _)| Write::new(name, one, LINE)));
-    }
-    plan.writes.push(Write::entry(MODE, &on, LINE));
 }
 
 /// The line is an input, and its signal is not turned round.

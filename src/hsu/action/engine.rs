@@ -1,0 +1,177 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The thread that plays the HSU's part: the unit's state machine, with action commands for wires.
+//!
+//! Its clock is this host's monotonic clock. Scheduled actions leave a while before their time: the state machine is
+//! told the trigger's time that early, and what it says of the trigger is held back until that time has come. So no
+//! report says of a trigger that will be that it was.
+
+use super::pipe::{PipeReader, PipeWriter, pipe};
+use super::{ActionSetup, PRODUCT, request_id};
+use crate::base::time::monotonic_ns;
+use crate::host::realtime;
+use crate::network::{GVCP_PORT, action, action_reply};
+use hsu_firmware_proto::frame::{self, Decoder};
+use hsu_firmware_proto::{
+    HeadTiming, Identity, LinkId, MAX_MESSAGE, NodeName, State, TriggerRecord, Unit, UnitOutputs, UnitToHost,
+};
+use std::collections::VecDeque;
+use std::io::{self, Write};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::time::{Duration, Instant};
+
+/// Sleeping is only accurate to about this; the rest of the way to a trigger is spun.
+const SPIN: Duration = Duration::from_micros(100);
+/// Longest sleep.
+const NAP: Duration = Duration::from_millis(10);
+
+/// Starts the thread; it ends when the writer is dropped.
+pub(super) fn start(setup: &ActionSetup) -> io::Result<(PipeReader, PipeWriter)> {
+    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+    socket.set_nonblocking(true)?;
+    let (input, writer) = pipe();
+    let (reader, output) = pipe();
+    let lead = if setup.ptp.is_some() { setup.lead } else { Duration::ZERO };
+    let wires = Wires { setup: setup.clone(), socket, output, told: VecDeque::new(), now_ns: 0, last_ns: 0 };
+    let lead_ns = u64::try_from(lead.as_nanos()).unwrap_or(0);
+    let unit = Unit::new(identity());
+    let engine = Engine { unit, wires, decoder: Decoder::new(), input, lead_ns, unit_ns: 0 };
+    std::thread::Builder::new().name("actions".to_owned()).spawn(move || engine.run())?;
+    Ok((reader, writer))
+}
+
+fn identity() -> Identity {
+    let number = |text: &str| text.parse().unwrap_or(0);
+    let firmware = [
+        number(env!("CARGO_PKG_VERSION_MAJOR")),
+        number(env!("CARGO_PKG_VERSION_MINOR")),
+        number(env!("CARGO_PKG_VERSION_PATCH")),
+    ];
+    Identity {
+        name: NodeName::new(PRODUCT).unwrap_or(NodeName::NONE),
+        unique_id: *b"action-commands.",
+        firmware,
+    }
+}
+
+struct Engine {
+    unit: Unit,
+    wires: Wires,
+    decoder: Decoder,
+    input: PipeReader,
+    /// Triggers are fired so long before their time.
+    lead_ns: u64,
+    /// The latest time that the unit was told: its clock must not run backwards.
+    unit_ns: u64,
+}
+
+/// What the unit acts on.
+struct Wires {
+    setup: ActionSetup,
+    socket: UdpSocket,
+    output: PipeWriter,
+    /// What the unit says by itself, and when it may be heard.
+    told: VecDeque<(u64, Vec<u8>)>,
+    /// What the unit takes for now.
+    now_ns: u64,
+    last_ns: u64,
+}
+
+impl UnitOutputs for Wires {
+    fn send(&mut self, link: LinkId, message: &UnitToHost) -> bool {
+        if link != LinkId::A {
+            return false;
+        }
+        let mut bytes = [0; MAX_MESSAGE];
+        let length = message.encode(&mut bytes);
+        let mut framed = [0; frame::MAX_FRAME];
+        let length = frame::encode(&bytes[..length], &mut framed);
+        let framed = &framed[..length];
+        if message.request_id().is_some() {
+            return self.output.write_all(framed).is_ok();
+        }
+        self.last_ns = self.last_ns.max(self.now_ns);
+        self.told.push_back((self.last_ns, framed.to_vec()));
+        true
+    }
+
+    fn fire(&mut self, trigger: &TriggerRecord, _: &[HeadTiming]) {
+        let id = request_id(trigger.number);
+        let at_ns = self.setup.ptp.as_ref().map(|ptp| ptp.at(trigger.time_ns));
+        let datagram = match at_ns {
+            None => Some(action(id, self.setup.keys, None)),
+            // Without the clock there is no time to say; the trigger is nobody's, and shows as a gap.
+            Some(at_ns) => at_ns.map(|at_ns| action(id, self.setup.keys, Some(at_ns))),
+        };
+        for (place, (_, address)) in self.setup.cameras.iter().enumerate() {
+            let sent = datagram
+                .as_ref()
+                .is_some_and(|bytes| self.socket.send_to(bytes, (*address, GVCP_PORT)).is_ok());
+            self.setup.tally.sent(place, id, sent);
+        }
+    }
+}
+
+impl Wires {
+    fn tell(&mut self, now_ns: u64) {
+        while let Some((_, framed)) = self.told.pop_front_if(|(at_ns, _)| *at_ns <= now_ns) {
+            // A host that does not read finds the hole by the numbers.
+            let _ = self.output.write_all(&framed);
+        }
+    }
+
+    fn take_answers(&self) {
+        let mut buffer = [0; 64];
+        while let Ok((length, SocketAddr::V4(from))) = self.socket.recv_from(&mut buffer) {
+            if let Some((id, status)) = action_reply(&buffer[..length]) {
+                self.setup.tally.answered(*from.ip(), id, status);
+            }
+        }
+    }
+}
+
+impl Engine {
+    fn run(mut self) {
+        realtime::enter_configured("actions");
+        loop {
+            self.keep_time();
+            self.wires.take_answers();
+            self.wires.tell(monotonic_ns(Instant::now()));
+            let Some(bytes) = self.input.wait(self.nap()) else { return };
+            let now_ns = monotonic_ns(Instant::now());
+            self.wires.now_ns = now_ns;
+            let Self { unit, wires, decoder, .. } = &mut self;
+            let bad = decoder.errors().total();
+            decoder.feed(&bytes, |message| unit.receive(LinkId::A, now_ns, message, wires));
+            unit.bad_frames(LinkId::A, decoder.errors().total().saturating_sub(bad));
+        }
+    }
+
+    /// Fires what is due. A trigger that leaves early enough has exactly its time; one that this thread was too late for
+    /// is moved, and the unit says that it is late.
+    fn keep_time(&mut self) {
+        let now_ns = monotonic_ns(Instant::now());
+        let due_ns = self.unit.next_due();
+        if due_ns > now_ns + self.lead_ns {
+            return;
+        }
+        self.unit_ns = self.unit_ns.max(due_ns.max(now_ns + self.lead_ns / 4));
+        self.wires.now_ns = self.unit_ns;
+        self.unit.tick(self.unit_ns, &mut self.wires);
+    }
+
+    /// How long nothing is due; the last of it before a trigger is spun.
+    fn nap(&self) -> Duration {
+        let now_ns = monotonic_ns(Instant::now());
+        let due_ns = self.unit.next_due().saturating_sub(self.lead_ns);
+        let told_ns = self.wires.told.front().map_or(u64::MAX, |(at_ns, _)| *at_ns);
+        let left = Duration::from_nanos(due_ns.min(told_ns).saturating_sub(now_ns)).min(NAP);
+        let exact = self.unit.state() == State::Running && self.lead_ns == 0 && due_ns < told_ns;
+        if exact && left <= SPIN {
+            while monotonic_ns(Instant::now()) < due_ns {
+                std::hint::spin_loop();
+            }
+            return Duration::ZERO;
+        }
+        if exact { left - SPIN } else { left }
+    }
+}
