@@ -14,7 +14,7 @@ use fourdbody::camera::{
 };
 use fourdbody::config::NodeConfig;
 use fourdbody::host::frame_memory::Block;
-use fourdbody::hsu::{ArmRequest, Hsu, HsuTimeouts, HsuTiming, session_id};
+use fourdbody::hsu::{ArmRequest, Hsu, HsuTimeouts, HsuTiming, TriggerUnit, session_id};
 use mcap::records::MessageHeader;
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -80,7 +80,7 @@ impl Cameras {
 }
 
 fn start_train(config: &NodeConfig, triggers: u64) -> Result<Hsu, Failure> {
-    let hsu = Hsu::connect(&config.hsu_device, &config.node, &HsuTimeouts::default())?;
+    let hsu = TriggerUnit::of(config).connect(&config.node, &HsuTimeouts::default())?;
     hsu.configure(&HsuTiming::from_rig(&config.rig))?;
     let session = session_id(&SessionName::from(format!("buffered-{}", std::process::id()).as_str()));
     hsu.arm(&ArmRequest { session, triggers: Some(triggers), warm_up: 0, nodes: vec![config.node.clone()] })?;
