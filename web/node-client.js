@@ -51,6 +51,7 @@ export const node = {
     ask(at(peer, `/previews/${encodeURIComponent(camera)}`)).then((answer) => (answer.status === 204 ? null : answer.blob())),
   sessions: (peer, limit, search) => get(at(peer, `/sessions?limit=${limit}&search=${encodeURIComponent(search)}`)),
   remark: (peer, session, remark) => post(at(peer, `/sessions/${encodeURIComponent(session)}/remark`), remark),
+  calibrationLights: (peer) => get(at(peer, "/calibration-lights")),
   look: (peer, session) => get(look(peer, session)),
   askLook: (peer, session) => post(look(peer, session)),
   cloud: (peer, session, trigger) => ask(`${look(peer, session)}/${trigger}`, {}, 20000).then((answer) => answer.arrayBuffer()),

@@ -74,6 +74,44 @@ pub struct WorkerStatus {
     pub set_aside: Vec<(String, String)>,
 }
 
+/// Whether a calibration still holds, as a light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CalibrationLight {
+    /// The devices stand as they were calibrated.
+    Green,
+    /// One has turned, but not surely by more than it may.
+    Amber,
+    /// One has turned by more than it may: calibrate again.
+    Red,
+    /// It is not known.
+    Grey,
+}
+
+/// What is known of the calibration during a session.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SessionLight {
+    /// The session's name.
+    pub session: String,
+    /// The id that its recordings share; `None`: whatever has this name.
+    pub session_id: Option<String>,
+    /// At a glance.
+    pub light: CalibrationLight,
+    /// In a sentence.
+    pub said: String,
+}
+
+/// What the worker of a node's machine has found of the calibration.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct CalibrationLights {
+    /// Whether the node file names a worker.
+    pub worker: bool,
+    /// The sessions recorded last first; then those that could not be looked at.
+    pub sessions: Vec<SessionLight>,
+    /// Of all other sessions nothing is known; why.
+    pub otherwise: String,
+}
+
 impl NodeStatus {
     /// What keeps the node from capturing, each with the device's name.
     pub fn problems(&self) -> Vec<String> {
@@ -362,6 +400,10 @@ pub mod path {
     pub const QUICK_LOOK: &str = "/api/v1/sessions/{name}/quick-look";
     /// GET: points.
     pub const QUICK_LOOK_CLOUD: &str = "/api/v1/sessions/{name}/quick-look/{trigger}";
+    /// GET: what the worker found of the calibration.
+    pub const CALIBRATION_LIGHTS: &str = "/api/v1/calibration-lights";
+    /// GET: the same of another node's worker.
+    pub const PEER_CALIBRATION_LIGHTS: &str = "/api/v1/peers/{peer}/calibration-lights";
     /// GET: the other nodes.
     pub const PEERS: &str = "/api/v1/peers";
     /// GET: pictures of another node's cameras.

@@ -2,6 +2,7 @@
 //! `fourdbody calibration check` on photographs that are not ours: a rig that stands, and one whose devices have turned.
 
 use crate::shared_scene::{calibration, scene};
+use fourdbody::calibrate::drift::history::{self, Verdict};
 use fourdbody::data::Calibration;
 use fourdbody::geometry::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -17,6 +18,8 @@ fn check(images: &Path, calibration: &Path, corrected: &Path) -> (Option<i32>, s
         .arg(calibration)
         .arg("--corrected")
         .arg(corrected)
+        .arg("--history")
+        .arg(calibration.with_file_name("history"))
         .output()
         .expect("the program runs");
     (ran.status.code(), serde_json::from_slice(&ran.stdout).unwrap_or_default())
@@ -55,4 +58,17 @@ fn devices_that_have_turned_are_told_and_their_turns_taken_off() {
     assert!(Calibration::load(&corrected).is_ok_and(|x| x.origin.ends_with("throw")));
     let (code, found) = check(&images, &corrected, &unused);
     assert_eq!((code, &found["stands"]), (Some(0), &true.into()), "{found}");
+    // All three looks are in the history, by calibration, and each device is in the plot.
+    let told = dir.path().join("history");
+    let mut verdicts: Vec<(Verdict, usize)> =
+        history::load(&told).iter().map(|one| (one.verdict, one.devices.len())).collect();
+    verdicts.sort_by_key(|(verdict, _)| *verdict as u8);
+    assert_eq!(
+        verdicts,
+        [(Verdict::Stands, 12), (Verdict::Stands, 12), (Verdict::CalibrateAgain, 12)],
+        "{:?}",
+        history::load(&told)
+    );
+    let plot = std::fs::read_to_string(told.join(history::PLOT)).expect("drawn");
+    assert!(plot.contains("camera h3_low: ") && plot.contains("projector h3: "), "{plot}");
 }

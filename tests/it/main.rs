@@ -28,6 +28,8 @@ mod calibrate_command;
 #[cfg(feature = "aravis")]
 mod calibrate_live;
 mod calibration_check;
+#[cfg(feature = "aravis")]
+mod calibration_light;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod camera_profiles;

@@ -26,6 +26,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(remark))
         .routes(routes!(get_quick_look, ask_quick_look))
         .routes(routes!(get_cloud))
+        .routes(routes!(get_calibration_lights))
 }
 
 /// A console asks again sooner than this.
@@ -130,6 +131,15 @@ async fn get_cloud(
 ) -> Result<Response, Refusal> {
     let wanted = path::QUICK_LOOK_CLOUD.replace("{name}", plain(&name)?);
     ask(&shared, &peer, Method::GET, &wanted.replace("{trigger}", &trigger.to_string())).await
+}
+
+/// What another node's worker has found of the calibration.
+#[utoipa::path(get, path = path::PEER_CALIBRATION_LIGHTS, tag = "peers", params(PeerName), responses(PassedOn))]
+async fn get_calibration_lights(
+    State(shared): State<Shared>,
+    Path(peer): Path<String>,
+) -> Result<Response, Refusal> {
+    ask(&shared, &peer, Method::GET, path::CALIBRATION_LIGHTS).await
 }
 
 /// Parts of these paths.
