@@ -21,7 +21,7 @@ macro_rules! served {
 }
 
 /// The files of `web/`, with where they are served and as what.
-const FILES: [(&str, &str, &str); 21] = served![
+const FILES: [(&str, &str, &str); 22] = served![
     HTML "subject.html",
     STYLE "console.css",
     STYLE "tiles.css",
@@ -31,6 +31,7 @@ const FILES: [(&str, &str, &str); 21] = served![
     SCRIPT "console.js",
     SCRIPT "controls.js",
     SCRIPT "elements.js",
+    SCRIPT "exposure.js",
     SCRIPT "header.js",
     SCRIPT "node-client.js",
     SCRIPT "quick-look.js",

@@ -114,6 +114,11 @@ impl Check {
         tell_lost(source.lost());
         let both = |id: &CameraId| source.cameras().contains(id);
         let cameras: Vec<CameraId> = calibrated.into_iter().filter(both).collect();
+        if cameras.is_empty() {
+            let message =
+                "expected cameras of the calibration in the session, found none; give that of its rig";
+            return Err(Failure::new(Exit::Usage, format!("{}: {message}", self.session.display())));
+        }
         if let Some(stated) = source.statement() {
             calibration.fits(&cameras, &stated).map_err(|e| Failure::new(Exit::Usage, e))?;
         }

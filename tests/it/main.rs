@@ -52,6 +52,8 @@ mod documents;
 mod endurance;
 mod export;
 #[cfg(feature = "aravis")]
+mod exposure;
+#[cfg(feature = "aravis")]
 mod faults;
 mod foreign_records;
 #[cfg(feature = "aravis")]
