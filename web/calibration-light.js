@@ -1,6 +1,6 @@
 // Whether the calibration held during a session, as the workers found it: a light that says in words what it means.
 
-import { make, text } from "/elements.js";
+import { $, make, text } from "/elements.js";
 import { node } from "/node-client.js";
 import { nodes } from "/told.js";
 
@@ -12,8 +12,11 @@ const lights = new Map();
 /** Asks the workers of all nodes. */
 export async function refreshLights() {
   await Promise.all(nodes().map(async ({ name, peer, status }) => {
-    if (status) await node.calibrationLights(peer).then((told) => lights.set(name, told), () => {});
+    if (status) await node.calibrationLights(peer).then((told) => lights.set(name, { ...told, peer }), () => {});
   }));
+  const kept = [...lights.values()].find(({ sessions }) => sessions.some(({ session_id }) => session_id));
+  $("calibration-plot").hidden = !kept;
+  if (kept) $("calibration-plot").href = node.calibrationPlot(kept.peer);
 }
 
 /** {light, word, said} of a session, which has the id that its recordings share. */

@@ -52,6 +52,7 @@ export const node = {
   sessions: (peer, limit, search) => get(at(peer, `/sessions?limit=${limit}&search=${encodeURIComponent(search)}`)),
   remark: (peer, session, remark) => post(at(peer, `/sessions/${encodeURIComponent(session)}/remark`), remark),
   expose: (peer, request) => post(at(peer, "/exposure"), request, 40000).then((answer) => answer.json()),
+  calibrationPlot: (peer) => API + at(peer, "/calibration-lights/plot"),
   calibrationLights: (peer) => get(at(peer, "/calibration-lights")),
   look: (peer, session) => get(look(peer, session)),
   askLook: (peer, session) => post(look(peer, session)),

@@ -448,6 +448,10 @@ pub mod path {
     pub const CALIBRATION_LIGHTS: &str = "/api/v1/calibration-lights";
     /// GET: the same of another node's worker.
     pub const PEER_CALIBRATION_LIGHTS: &str = "/api/v1/peers/{peer}/calibration-lights";
+    /// GET: the plot of the worker's history.
+    pub const CALIBRATION_PLOT: &str = "/api/v1/calibration-lights/plot";
+    /// GET: the same of another node's worker.
+    pub const PEER_CALIBRATION_PLOT: &str = "/api/v1/peers/{peer}/calibration-lights/plot";
     /// POST: exposure and gain of heads.
     pub const EXPOSURE: &str = "/api/v1/exposure";
     /// POST: the same at another node.

@@ -2,7 +2,7 @@
 //! What the worker of a node's machine does, for the node's status.
 
 use super::state::{Activity, OWN_DIR, WorkerState};
-use crate::calibrate::drift::history::{self, Checked, LINES, Verdict};
+use crate::calibrate::drift::history::{self, Checked, LINES, PLOT, Verdict};
 use crate::control::status::{CalibrationLight, CalibrationLights, SessionLight};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, Weak};
@@ -51,6 +51,12 @@ impl WorkerWatch {
     /// What it does, if there is one.
     pub fn state(&self) -> Option<WorkerState> {
         self.seen().state.clone()
+    }
+
+    /// Where the plot of its history is, once there is one.
+    pub fn plot(&self) -> Option<PathBuf> {
+        self.seen().written?;
+        self.results.as_ref().map(|results| results.join(OWN_DIR).join(PLOT))
     }
 
     /// What it has found of the calibration, session by session, the last so many; and why nothing is known of the others.

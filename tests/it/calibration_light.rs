@@ -5,6 +5,7 @@ use crate::browser::Browser;
 use crate::lab::{NodeProcess, SIZE, options, small_rig, start, start_nodes};
 use fourdbody::calibrate::drift::history::{Checked, History, Verdict};
 use fourdbody::worker::state::{Activity, OWN_DIR, WorkerState, now_ns};
+use hyper::{Method, StatusCode};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
@@ -39,6 +40,10 @@ fn a_session_has_a_light_with_words() {
     assert_eq!((&alone["worker"], &alone["sessions"]), (&json!(false), &json!([])), "{alone}");
     assert!(alone["otherwise"].as_str().is_some_and(|said| said.contains("names no worker")), "{alone}");
 
+    let plot = |node: &NodeProcess, path: &str| {
+        node.client.ask(Method::GET, path, None, Duration::from_secs(10)).expect("an answer")
+    };
+    assert_eq!(plot(&nodes[0], "/api/v1/calibration-lights/plot").status, StatusCode::NOT_FOUND);
     let browser = Browser::start();
     if let Some(browser) = &browser {
         browser.open(&format!("http://127.0.0.1:{}/", laboratory.nodes[0].port));
@@ -87,6 +92,23 @@ fn a_session_has_a_light_with_words() {
         );
         browser.wait(light, &shown);
         browser.keep(&format!("light-{light}"));
+    }
+    for (node, path) in
+        [(0, "/api/v1/calibration-lights/plot"), (1, "/api/v1/peers/a/calibration-lights/plot")]
+    {
+        let answer = plot(&nodes[node], path);
+        assert_eq!(answer.status, StatusCode::OK, "{path}");
+        assert_eq!(answer.content_type.expect("stated"), "image/svg+xml");
+        assert!(answer.body.starts_with(b"<svg ") && answer.body.ends_with(b"</svg>\n"), "{path}");
+    }
+    if let Some(browser) = &browser {
+        let href = "return document.getElementById('calibration-plot').href";
+        let href = browser.run(href).as_str().expect("a link").to_owned();
+        browser.open(&href);
+        browser.wait(
+            "drawn",
+            "return document.querySelector('title')?.textContent.startsWith('How far each device')",
+        );
     }
     if browser.is_none() {
         println!("the page was not looked at: no browser (Debian packages chromium and chromium-driver)");

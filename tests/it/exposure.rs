@@ -163,6 +163,14 @@ fn the_page_sets_it_and_the_preview_goes_on(laboratory: &Laboratory, nodes: &mut
         &format!("{row} return row.textContent.includes('1250 us') && row.textContent.includes('not as in the node file')"),
     );
     browser.keep("exposure-set");
+    for (size, phone) in [((1366, 768), false), ((390, 844), true), ((1920, 1080), false)] {
+        browser.resize(size, phone);
+        browser.keep(&format!("exposure-{}", size.0));
+        let whole = "const box = document.getElementById('exposure').getBoundingClientRect();
+            const cut = [...document.querySelectorAll('#exposure button, #exposure .facts')].filter((e) => e.scrollWidth > e.clientWidth + 1);
+            return box.left >= 0 && box.right <= innerWidth && box.top >= 0 && box.bottom <= innerHeight && cut.length === 0";
+        browser.wait(&format!("seen whole at {size:?}"), whole);
+    }
     browser.run("document.getElementById('exposure-close').click()");
     browser.wait_word("PREVIEW");
     browser.wait("triggers", "return parseFloat(document.getElementById('clock').textContent) > 0.1");

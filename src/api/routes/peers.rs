@@ -28,6 +28,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(get_quick_look, ask_quick_look))
         .routes(routes!(get_cloud))
         .routes(routes!(get_calibration_lights))
+        .routes(routes!(get_calibration_plot))
         .routes(routes!(expose))
 }
 
@@ -159,6 +160,15 @@ async fn get_calibration_lights(
     Path(peer): Path<String>,
 ) -> Result<Response, Refusal> {
     ask(&shared, &peer, Method::GET, path::CALIBRATION_LIGHTS).await
+}
+
+/// The plot of another node's worker.
+#[utoipa::path(get, path = path::PEER_CALIBRATION_PLOT, tag = "peers", params(PeerName), responses(PassedOn))]
+async fn get_calibration_plot(
+    State(shared): State<Shared>,
+    Path(peer): Path<String>,
+) -> Result<Response, Refusal> {
+    ask(&shared, &peer, Method::GET, path::CALIBRATION_PLOT).await
 }
 
 /// Parts of these paths.

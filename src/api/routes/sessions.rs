@@ -29,6 +29,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(get_quick_look, ask_quick_look))
         .routes(routes!(get_cloud))
         .routes(routes!(get_calibration_lights))
+        .routes(routes!(get_calibration_plot))
 }
 
 /// Which sessions.
@@ -170,6 +171,20 @@ async fn get_cloud(
     responses((status = 200, description = "What is known.", body = CalibrationLights)))]
 async fn get_calibration_lights(State(shared): State<Shared>) -> Json<CalibrationLights> {
     Json(shared.services.worker.lights(LIGHTS_MAX))
+}
+
+/// How far each device has moved what it sees since its calibration, over time: the plot of the worker of this node's machine.
+#[utoipa::path(get, path = path::CALIBRATION_PLOT, tag = "sessions",
+    responses(
+        (status = 200, description = "The plot.", content_type = "image/svg+xml", body = String),
+        (status = 404, description = "No worker has checked a session yet.", body = Fault)))]
+async fn get_calibration_plot(State(shared): State<Shared>) -> Result<Response, Refusal> {
+    let plot = shared.services.worker.plot();
+    // The results may lie on a share that takes its time.
+    let read = tokio::task::spawn_blocking(move || std::fs::read(plot?).ok()).await;
+    let none = || Refusal::new(StatusCode::NOT_FOUND, "no worker of this machine has checked a session yet");
+    let svg = read.ok().flatten().ok_or_else(none)?;
+    Ok(([(header::CONTENT_TYPE, "image/svg+xml")], svg).into_response())
 }
 
 fn not_found(name: &str) -> Refusal {
