@@ -2,6 +2,7 @@
 
 import { onAct, showControls } from "/controls.js";
 import { $, span, text } from "/elements.js";
+import { showExposure } from "/exposure.js";
 import { showHeader } from "/header.js";
 import { showLiveBody } from "/live-body.js";
 import { Gone, Refused, node } from "/node-client.js";
@@ -23,6 +24,7 @@ function show() {
   showTiles();
   showTimeLine();
   showControls();
+  showExposure();
   const lost = (losses() ?? []).reduce((sum, camera) => sum + camera.lost, 0);
   listen(told.capture, lost, told.capture && isPreview(told.capture));
   watchConnection();

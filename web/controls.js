@@ -58,13 +58,14 @@ $("abort-question").addEventListener("close", () => {
   $("abort-question").returnValue = "";
 });
 
-const KEYS = { r: "start", s: "stop", p: "look", d: "dry", a: "abort", m: "mute" };
+const KEYS = { r: "start", s: "stop", p: "look", d: "dry", a: "abort", e: "exposure-open", m: "mute" };
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || $("console").hidden) return;
   if ($("abort-question").open) {
     if (event.key === "y") $("abort-yes").click();
     return;
   }
+  if ($("exposure").open) return;
   if (event.target.matches("input, textarea")) {
     if (event.key === "Escape") event.target.blur();
     return;

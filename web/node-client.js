@@ -28,8 +28,8 @@ async function ask(path, options = {}, patience_ms = 4000) {
 }
 
 const get = (path) => ask(path).then((answer) => answer.json());
-const post = (path, body) =>
-  ask(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body ?? {}) });
+const post = (path, body, patience_ms) =>
+  ask(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body ?? {}) }, patience_ms);
 
 /** Path of what node `peer` tells; the empty name is the node that served this page. */
 const at = (peer, path) => (peer ? `/peers/${encodeURIComponent(peer)}${path}` : path);
@@ -58,6 +58,9 @@ export const node = {
     ask(at(peer, `/previews/${encodeURIComponent(camera)}`)).then((answer) => (answer.status === 204 ? null : answer.blob())),
   sessions: (peer, limit, search) => get(at(peer, `/sessions?limit=${limit}&search=${encodeURIComponent(search)}`)),
   remark: (peer, session, remark) => post(at(peer, `/sessions/${encodeURIComponent(session)}/remark`), remark),
+  expose: (peer, request) => post(at(peer, "/exposure"), request, 40000).then((answer) => answer.json()),
+  calibrationPlot: (peer) => API + at(peer, "/calibration-lights/plot"),
+  calibrationLights: (peer) => get(at(peer, "/calibration-lights")),
   look: (peer, session) => get(look(peer, session)),
   askLook: (peer, session) => post(look(peer, session)),
   cloud: (peer, session, trigger) => ask(`${look(peer, session)}/${trigger}`, {}, 20000).then((answer) => answer.arrayBuffer()),

@@ -89,6 +89,7 @@ export function showStage() {
   $("progress-bar").style.width = `${Math.min(100, 100 * (now.share ?? 0))}%`;
   const result = verdict();
   $("verdict").className = result.kind;
+  $("verdict").toggleAttribute("data-so-far", Boolean(result.so_far));
   text($("verdict-of"), result.word ? (result.so_far ? "so far" : "last session") : "");
   text($("verdict-word"), result.word);
   text($("verdict-detail"), result.detail.trim());

@@ -1,5 +1,6 @@
 // The takes on the disks, newest first: verdict, causes, rating and note, and a search.
 
+import { lamp, lightOf, refreshLights, showLight } from "/calibration-light.js";
 import { $, count, make, text } from "/elements.js";
 import { Refused, node } from "/node-client.js";
 import { openLook } from "/quick-look.js";
@@ -18,7 +19,10 @@ export async function refreshTakes() {
   const search = $("search").value.trim();
   const found = new Map();
   const all = nodes();
-  const lists = await Promise.all(all.map(({ peer, status }) => (status ? node.sessions(peer, LISTED, search).catch(() => null) : null)));
+  const [lists] = await Promise.all([
+    Promise.all(all.map(({ peer, status }) => (status ? node.sessions(peer, LISTED, search).catch(() => null) : null))),
+    refreshLights(),
+  ]);
   if (search !== $("search").value.trim()) return;
   if (search !== known.search) Object.assign(known, { search, lists: new Map() });
   all.forEach(({ name }, i) => {
@@ -31,6 +35,10 @@ export async function refreshTakes() {
   });
   const silent = all.filter((_, i) => !lists[i]).map(({ name }) => name);
   const takes = [...found.values()].sort((a, b) => b.created_ns - a.created_ns).slice(0, LISTED).map((session) => sumUp(session, silent));
+  // What is looked for hides no light: that of the last session is shown with its verdict.
+  const last = takes.find(({ word }) => word !== "recording");
+  if (!search) $("verdict-light").hidden = !last;
+  if (!search && last) showLight($("verdict-light"), last.light);
   const now = JSON.stringify([takes, search]);
   // Nobody loses what they are writing, nor the button that they are about to press.
   if (now === listed || $("session-rows").contains(document.activeElement)) return;
@@ -57,7 +65,8 @@ function sumUp({ name, created_ns, parts }, silent) {
   if (unknown.length) causes.push(`what node ${unknown.join(", ")} has of it is not known now`);
   const { subject, note } = parts[0].entry;
   const remark = parts.map(({ entry }) => entry.remark).find(Boolean) ?? {};
-  return { name, created_ns, word, kind: unknown.length && word === "complete" ? "warn" : kindOf(word), frames, expected, causes, subject, note, remark };
+  const light = lightOf(name, parts.map(({ entry }) => entry.session_id).find(Boolean));
+  return { name, created_ns, light, word, kind: unknown.length && word === "complete" ? "warn" : kindOf(word), frames, expected, causes, subject, note, remark };
 }
 
 function row(take) {
@@ -67,6 +76,7 @@ function row(take) {
   const facts = [new Date(take.created_ns / 1e6).toLocaleString([], { dateStyle: "short", timeStyle: "short" }), take.subject, take.expected ? `${take.frames} of ${count(take.expected, "frame")}` : "", take.note];
   const item = make("li", { className: take.kind }, head, make("p", { className: "facts", textContent: facts.filter(Boolean).join(" · ") }));
   if (take.causes.length) item.append(make("p", { className: "causes", textContent: take.causes.join("; ") }));
+  if (take.word !== "recording") item.append(lamp(take.light));
   item.append(remarkOf(take));
   item.dataset.name = take.name;
   return item;

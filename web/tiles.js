@@ -6,6 +6,8 @@ import { cameraProblem, lossOf, nodes } from "/told.js";
 
 /** A picture that is older than this is not what the camera sees now. */
 const LIVE_S = 2;
+/** Advice by an older picture is of other light. */
+const ADVICE_S = 60;
 const FIGURES = [["saturated", "saturated"], ["modulation", "modulation"], ["focus", "focus"], ["lost", "lost"]];
 
 const cameras = new Map();
@@ -29,6 +31,12 @@ function tile(id) {
 
 /** How old a camera's picture is now, s; null where there is none. */
 const ageOf = (shown) => (shown.fact?.number ? shown.fact.age_s + (performance.now() - shown.at) / 1000 : null);
+
+/** How right the exposure of a camera is by its newest picture; null where that is old, or has no fringes. */
+export function exposureOf(id) {
+  const shown = cameras.get(id);
+  return shown && ageOf(shown) !== null && ageOf(shown) < ADVICE_S ? (shown.fact.light?.exposure ?? null) : null;
+}
 
 /** Shows every camera of every node, those of a node that is gone as well. */
 export function showTiles() {

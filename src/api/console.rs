@@ -21,15 +21,17 @@ macro_rules! served {
 }
 
 /// The files of `web/`, with where they are served and as what.
-const FILES: [(&str, &str, &str); 21] = served![
+const FILES: [(&str, &str, &str); 23] = served![
     HTML "subject.html",
     STYLE "console.css",
     STYLE "tiles.css",
     STYLE "subject.css",
+    SCRIPT "calibration-light.js",
     SCRIPT "cloud-view.js",
     SCRIPT "console.js",
     SCRIPT "controls.js",
     SCRIPT "elements.js",
+    SCRIPT "exposure.js",
     SCRIPT "header.js",
     SCRIPT "live-body.js",
     SCRIPT "node-client.js",

@@ -144,7 +144,7 @@ impl Shared {
     }
 
     /// Has the node carry a command out; returns when it has, or why it has not.
-    pub async fn ask(&self, command: impl FnOnce(Reply) -> Command) -> Result<(), Refusal> {
+    pub async fn ask<T>(&self, command: impl FnOnce(Reply<T>) -> Command) -> Result<T, Refusal> {
         let (reply, answer) = oneshot::channel();
         let busy = |message: &str| Refusal {
             status: StatusCode::SERVICE_UNAVAILABLE,
@@ -170,6 +170,7 @@ fn api() -> OpenApiRouter<Shared> {
         .merge(routes::status::routes())
         .merge(routes::session::routes())
         .merge(routes::devices::routes())
+        .merge(routes::exposure::routes())
         .merge(routes::health::routes())
         .merge(routes::metrics::routes())
         .merge(routes::captures::routes())

@@ -14,7 +14,7 @@ const MAGNIFIED: f64 = 400.0;
 /// At most so many phases are drawn per projector.
 const MOST_PHASES: usize = 4000;
 /// Colours of positions, repeated.
-const COLOURS: [&str; 10] = [
+pub(super) const COLOURS: [&str; 10] = [
     "#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22",
     "#17becf",
 ];
@@ -65,7 +65,7 @@ pub fn page(outcome: &Outcome) -> String {
     out
 }
 
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

@@ -7,11 +7,12 @@ use super::reconstruct::open_source;
 use crate::base::Exit;
 use crate::base::ids::CameraId;
 use crate::batch::from_phase_maps::phase_path;
+use crate::batch::key::calibration_sha256;
 use crate::batch::run::{self, Plan};
-use crate::calibrate::drift::{self, Drift, Turn};
+use crate::calibrate::drift::history::{Checked, History, Verdict};
+use crate::calibrate::drift::{self, Drift};
 use crate::data::{Calibration, FrameSource, PhaseMap};
 use crate::formats::phase_file;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Look after a calibration.
@@ -52,6 +53,12 @@ struct Check {
     /// Write the calibration with these turns here; its origin says so. Not written where the turns do not settle.
     #[arg(long, value_name = "FILE")]
     corrected: Option<PathBuf>,
+    /// Number of threads [default: one per core].
+    #[arg(long, value_name = "N")]
+    jobs: Option<usize>,
+    /// Also add the result to the history in this directory, and draw its plot anew.
+    #[arg(long, value_name = "DIR")]
+    history: Option<PathBuf>,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -61,9 +68,6 @@ fn parse_mm(text: &str) -> Result<f64, String> {
     let number: Option<f64> = text.parse().ok().filter(|x: &f64| *x > 0.0 && x.is_finite());
     number.ok_or_else(|| format!("expected millimetres above 0, found {text:?}"))
 }
-
-/// What is not this many times its own uncertainty may be nothing.
-const SURE: f64 = 4.0;
 
 /// A calibration whose cameras differ by less is near enough for its turns to be believed, rad; looks at most.
 const SETTLED_RAD: f64 = 0.1;
@@ -84,78 +88,166 @@ impl Drop for Scratch {
     }
 }
 
+/// A session and the calibration that it is compared with.
+struct Compared {
+    calibration: Calibration,
+    source: Box<dyn FrameSource>,
+    /// The cameras that both have, in the calibration's order.
+    cameras: Vec<CameraId>,
+    scratch: Scratch,
+}
+
+/// Why there is no drift to tell.
+enum Unmeasured {
+    /// Devices have turned by more than can be measured.
+    TooFar(String),
+    /// The session does not tell.
+    NotKnown(String),
+    Failed(Failure),
+}
+
 impl Check {
     fn run(&self) -> Result<Exit, Failure> {
         let calibration = Calibration::load(&self.calibration).map_err(|e| Failure::new(Exit::Usage, e))?;
-        let cameras: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
-        let source = open_source(&self.session, &cameras)?;
+        let calibrated: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
+        let source = open_source(&self.session, &calibrated)?;
         tell_lost(source.lost());
+        let both = |id: &CameraId| source.cameras().contains(id);
+        let cameras: Vec<CameraId> = calibrated.into_iter().filter(both).collect();
+        if cameras.is_empty() {
+            let message =
+                "expected cameras of the calibration in the session, found none; give that of its rig";
+            return Err(Failure::new(Exit::Usage, format!("{}: {message}", self.session.display())));
+        }
         if let Some(stated) = source.statement() {
             calibration.fits(&cameras, &stated).map_err(|e| Failure::new(Exit::Usage, e))?;
         }
-        let (mut now, mut first_rad, mut rounds) = (calibration.clone(), None, 0);
-        // With turns that are nearly right fewer fringe orders are wrong, and the next ones are better.
-        let drift = loop {
-            let drift = self.look(source.as_ref(), &now)?;
-            let [before, _] = drift.differ_rad;
-            now = drift.corrected(&now, "");
-            let first_rad = *first_rad.get_or_insert(before);
-            rounds += 1;
-            if before < SETTLED_RAD {
-                break drift.since(&calibration, &now, first_rad);
-            }
-            if rounds == ROUNDS {
-                let message = format!(
-                    "{}: expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad after {ROUNDS} looks ({first_rad:.3} by the calibration): devices have turned too far to be measured; calibrate again",
-                    self.session.display()
-                );
-                return Err(Failure::new(Exit::Corrupt, message));
-            }
+        let unwritable = |dir: &Path, e: &std::io::Error| {
+            Failure::new(Exit::Failure, format!("the history in {}: {e}", dir.display()))
         };
+        let history = self.history.as_ref().map(|dir| History::open(dir).map_err(|e| unwritable(dir, &e)));
+        let history = history.transpose()?;
+        let scratch = match &history {
+            Some(history) => history.scratch(),
+            None => std::env::temp_dir().join(format!("fourdbody-check-{}", std::process::id())),
+        };
+        let compared = Compared { calibration, source, cameras, scratch: Scratch(scratch) };
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(self.jobs.unwrap_or(0))
+            .build()
+            .map_err(|e| Failure::new(Exit::Failure, e))?;
+        let measured = pool.install(|| self.measure(&compared));
+        if let Some((history, dir)) = history.zip(self.history.as_ref())
+            && let Some(checked) = self.checked(&compared, &measured)?
+        {
+            history.add(checked).map_err(|e| unwritable(dir, &e))?;
+        }
+        let told =
+            |message: String| Failure::new(Exit::Corrupt, format!("{}: {message}", self.session.display()));
+        let drift = measured.map_err(|unmeasured| match unmeasured {
+            Unmeasured::TooFar(message) | Unmeasured::NotKnown(message) => told(message),
+            Unmeasured::Failed(failure) => failure,
+        })?;
         if let Some(path) = &self.corrected {
             let seen_in = self.session.file_name().unwrap_or(self.session.as_os_str()).to_string_lossy();
-            let corrected = drift.corrected(&calibration, &seen_in);
+            let corrected = drift.corrected(&compared.calibration, &seen_in);
             corrected.save(path).map_err(|e| Failure::new(Exit::Failure, e))?;
         }
         self.tell(&drift)
     }
 
-    /// The drift from a calibration.
-    fn look(&self, source: &dyn FrameSource, calibration: &Calibration) -> Result<Drift, Failure> {
-        let corrupt = |e: &dyn std::fmt::Display| {
-            Failure::new(Exit::Corrupt, format!("{}: {e}", self.session.display()))
+    /// What the history is told; nothing of a check that failed.
+    fn checked(
+        &self,
+        compared: &Compared,
+        measured: &Result<Drift, Unmeasured>,
+    ) -> Result<Option<Checked>, Failure> {
+        let failed = |e: String| Failure::new(Exit::Failure, e);
+        let identity = compared.source.identity().map_err(failed)?;
+        let name = self.session.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let checked = |verdict, said: &str| Checked {
+            recorded_ns: compared.source.recorded_ns().unwrap_or(0),
+            session: identity.name.clone().unwrap_or(name),
+            session_id: identity.id.clone(),
+            calibration_sha256: String::new(),
+            verdict,
+            said: said.to_owned(),
+            most_mm: self.most_mm,
+            devices: Vec::new(),
         };
-        let scratch = Scratch(std::env::temp_dir().join(format!("fourdbody-check-{}", std::process::id())));
-        let cameras = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
-        let plan = self.plan(&scratch.0, cameras, source.triggers());
+        let checked = match measured {
+            Ok(drift) => checked(Verdict::Stands, "").measured(drift),
+            Err(Unmeasured::TooFar(message)) => checked(Verdict::CalibrateAgain, message),
+            Err(Unmeasured::NotKnown(message)) => checked(Verdict::NotKnown, message),
+            Err(Unmeasured::Failed(_)) => return Ok(None),
+        };
+        let calibration_sha256 = calibration_sha256(&compared.calibration).map_err(failed)?;
+        Ok(Some(Checked { calibration_sha256, ..checked }))
+    }
+
+    /// The drift, once the cameras agree with what was found.
+    fn measure(&self, compared: &Compared) -> Result<Drift, Unmeasured> {
+        let (mut now, mut first_rad, mut rounds) = (compared.calibration.clone(), None, 0);
+        // With turns that are nearly right fewer fringe orders are wrong, and the next ones are better.
+        loop {
+            let drift = self.look(compared, &now)?;
+            let [before, _] = drift.differ_rad;
+            now = drift.corrected(&now, "");
+            let first_rad = *first_rad.get_or_insert(before);
+            rounds += 1;
+            if before < SETTLED_RAD {
+                return Ok(drift.since(&compared.calibration, &now, first_rad));
+            }
+            if rounds == ROUNDS {
+                return Err(Unmeasured::TooFar(format!(
+                    "expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad after {ROUNDS} looks ({first_rad:.3} by the calibration): devices have turned too far to be measured; calibrate again"
+                )));
+            }
+        }
+    }
+
+    /// The drift from a calibration.
+    fn look(&self, compared: &Compared, calibration: &Calibration) -> Result<Drift, Unmeasured> {
+        let plan = self.plan(compared);
         let total = plan.shard_triggers().count();
         if total == 0 {
-            return Err(corrupt(&"expected frame sets, found none"));
+            return Err(Unmeasured::NotKnown("expected frame sets, found none".to_owned()));
         }
         let progress = Progress::of("looking", "frame sets");
+        let source = compared.source.as_ref();
         let (summary, _) =
             run::run(source, calibration, &plan, |done| progress.at(done as u64, total as u64))
-                .map_err(|e| Failure::new(Exit::Failure, e))?;
-        drift::estimate(calibration, plan.shard_triggers().map(|trigger| maps(&plan, trigger))).map_err(|e| {
+                .map_err(|e| Unmeasured::Failed(Failure::new(Exit::Failure, e)))?;
+        let found = plan.shard_triggers().map(|trigger| maps(&plan, calibration, trigger));
+        let drift = drift::estimate(calibration, found).map_err(|e| {
             let refused = summary.most_refused_for().map(|reason| format!("; frames are refused: {reason}"));
-            corrupt(&format!("{e}{}", refused.unwrap_or_default()))
-        })
+            Unmeasured::NotKnown(format!("{e}{}", refused.unwrap_or_default()))
+        });
+        // Phase maps of the next look have the same names.
+        let _ = std::fs::remove_dir_all(&plan.out);
+        drift
     }
 
     /// The frame sets to look at: their phases are kept as phase maps whatever they say of the calibration.
-    fn plan(&self, out: &Path, cameras: Vec<CameraId>, triggers: Range<u64>) -> Plan {
+    fn plan(&self, compared: &Compared) -> Plan {
+        let triggers = compared.source.triggers();
         let every = (triggers.end - triggers.start).div_ceil(self.frame_sets).max(1);
         let most_difference_rad = f32::INFINITY;
-        let shard = (triggers.start % every, every);
-        Plan { out: out.to_owned(), triggers, cameras, shard, most_difference_rad, ..Plan::default() }
+        // In the middle of each part: people stand still there.
+        let shard = ((triggers.start + every / 2) % every, every);
+        let (out, cameras) = (compared.scratch.0.clone(), compared.cameras.clone());
+        Plan { out, triggers, cameras, shard, most_difference_rad, ..Plan::default() }
     }
 
     fn tell(&self, drift: &Drift) -> Result<Exit, Failure> {
-        let moved: Vec<&Turn> =
-            drift.devices.iter().filter(|turn| turn.at_body_mm > self.most_mm && is_sure(turn)).collect();
+        let moved = drift.moved(self.most_mm);
+        let (verdict, said) = drift.verdict(self.most_mm);
         if self.json {
             let stands = moved.is_empty();
-            println!("{}", serde_json::json!({ "stands": stands, "most_mm": self.most_mm, "drift": drift }));
+            println!(
+                "{}",
+                serde_json::json!({ "stands": stands, "verdict": verdict, "said": said, "most_mm": self.most_mm, "drift": drift })
+            );
         } else {
             println!(
                 "{:<20} {:>10} {:>20}   about x, y, z (+-), degree",
@@ -172,19 +264,14 @@ impl Check {
                 "{} places that two cameras see: they differ by {before:.3} rad by the calibration, by {after:.3} rad with these turns",
                 drift.sightings
             );
+            if moved.is_empty() {
+                println!("{said}");
+            }
         }
         if moved.is_empty() {
             return Ok(Exit::Done);
         }
-        let named: Vec<String> = moved
-            .iter()
-            .map(|turn| {
-                format!(
-                    "{} has turned by {:.3} degree, {:.2} mm at the body",
-                    turn.device, turn.angle_deg, turn.at_body_mm
-                )
-            })
-            .collect();
+        let named: Vec<String> = moved.iter().map(ToString::to_string).collect();
         let message = format!(
             "expected devices that have moved what they see by at most {} mm, found: {}; calibrate again, or reconstruct with a --corrected calibration",
             self.most_mm,
@@ -194,14 +281,11 @@ impl Check {
     }
 }
 
-fn is_sure(turn: &Turn) -> bool {
-    turn.at_body_mm > SURE * turn.at_body_sigma_mm
-}
-
-/// The phase maps of a trigger that there are.
-fn maps(plan: &Plan, trigger: u64) -> Vec<(usize, PhaseMap)> {
-    let load = |(i, camera): (usize, &CameraId)| {
-        phase_file::load(&phase_path(&plan.out, camera.as_str(), trigger)).ok().map(|(_, map)| (i, map))
+/// The phase maps of a trigger that there are, by their camera's place in the calibration.
+fn maps(plan: &Plan, calibration: &Calibration, trigger: u64) -> Vec<(usize, PhaseMap)> {
+    let load = |(i, id): (usize, &CameraId)| {
+        phase_file::load(&phase_path(&plan.out, id.as_str(), trigger)).ok().map(|(_, map)| (i, map))
     };
-    plan.cameras.iter().enumerate().filter_map(load).collect()
+    let cameras = calibration.cameras().map(|(_, camera)| &camera.id).enumerate();
+    cameras.filter(|(_, id)| plan.cameras.contains(id)).filter_map(load).collect()
 }

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the API asks of the node's thread, and where it reads what that publishes.
 
-use super::request::SessionRequest;
-use super::status::{NodeStatus, SessionCommand};
+use super::request::{ExposureRequest, SessionRequest};
+use super::status::{ExposureSet, NodeStatus, SessionCommand};
 use crate::base::Fault;
 use std::sync::{Arc, RwLock};
 use tokio::sync::oneshot;
 
 /// Answers a command.
-pub type Reply = oneshot::Sender<Result<(), Fault>>;
+pub type Reply<T = ()> = oneshot::Sender<Result<T, Fault>>;
 
 /// What the API asks of the node.
 #[derive(Debug)]
@@ -21,6 +21,8 @@ pub enum Command {
     Stop(SessionCommand, Reply),
     /// Give the session up.
     Abort(SessionCommand, Reply),
+    /// Set exposure and gain.
+    Expose(ExposureRequest, Reply<ExposureSet>),
 }
 
 /// The node's status as last published by its thread.

@@ -92,6 +92,30 @@ impl FromStr for StartOn {
     }
 }
 
+/// Exposure and gain of the cameras of some heads.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ExposureRequest {
+    /// Heads of the rig; those without a camera at this node are the other nodes' business.
+    pub heads: Vec<String>,
+    /// Exposure, microseconds; without it that stays.
+    #[serde(default)]
+    pub exposure_us: Option<f64>,
+    /// Gain, decibels; without it that stays.
+    #[serde(default)]
+    pub gain_db: Option<f64>,
+    /// Whom the node that passes this on serves; the other node's audit log names them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub on_behalf_of: Option<String>,
+}
+
+impl ExposureRequest {
+    /// Whether it is about this head.
+    pub fn names(&self, head: &str) -> bool {
+        self.heads.iter().any(|name| name == head)
+    }
+}
+
 /// Where the node is in a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]

@@ -74,6 +74,44 @@ pub struct WorkerStatus {
     pub set_aside: Vec<(String, String)>,
 }
 
+/// Whether a calibration still holds, as a light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CalibrationLight {
+    /// The devices stand as they were calibrated.
+    Green,
+    /// One has turned, but not surely by more than it may.
+    Amber,
+    /// One has turned by more than it may: calibrate again.
+    Red,
+    /// It is not known.
+    Grey,
+}
+
+/// What is known of the calibration during a session.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SessionLight {
+    /// The session's name.
+    pub session: String,
+    /// The id that its recordings share; `None`: whatever has this name.
+    pub session_id: Option<String>,
+    /// At a glance.
+    pub light: CalibrationLight,
+    /// In a sentence.
+    pub said: String,
+}
+
+/// What the worker of a node's machine has found of the calibration.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct CalibrationLights {
+    /// Whether the node file names a worker.
+    pub worker: bool,
+    /// The sessions recorded last first; then those that could not be looked at.
+    pub sessions: Vec<SessionLight>,
+    /// Of all other sessions nothing is known; why.
+    pub otherwise: String,
+}
+
 impl NodeStatus {
     /// What keeps the node from capturing, each with the device's name.
     pub fn problems(&self) -> Vec<String> {
@@ -96,6 +134,50 @@ pub struct CameraStatus {
     pub identity: Option<CameraIdentity>,
     /// Why it is not usable; `None` when it is.
     pub problem: Option<String>,
+    /// What it is asked for.
+    #[serde(default)]
+    pub exposure: Option<ExposureNow>,
+}
+
+/// The exposure and gain that a camera is asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ExposureNow {
+    /// The camera's head.
+    pub head: String,
+    /// Exposure, microseconds; `None`: the node file leaves it to raw settings.
+    pub exposure_us: Option<f64>,
+    /// Gain, decibels; likewise.
+    pub gain_db: Option<f64>,
+    /// The longest exposure that ends within the trigger period, microseconds.
+    pub most_us: f64,
+    /// Set since the node was started, and not as in the node file.
+    pub differs: bool,
+}
+
+/// What was set.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ExposureSet {
+    /// The cameras of this node.
+    pub cameras: Vec<CameraExposure>,
+}
+
+/// Exposure and gain of a camera that was set.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CameraExposure {
+    /// Its name in the rig.
+    #[schema(value_type = String)]
+    pub id: CameraId,
+    /// Asked for, microseconds.
+    pub exposure_us: f64,
+    /// Asked for, decibels.
+    pub gain_db: f64,
+    /// The camera's own features of both, as asked for and as read back.
+    pub taken: Vec<AppliedSetting>,
+    /// What the camera rounded, and what was found otherwise and mended.
+    pub told: Vec<String>,
+    /// All that was set.
+    #[serde(skip)]
+    pub settings: Vec<AppliedSetting>,
 }
 
 /// The link to the HSU.
@@ -366,6 +448,18 @@ pub mod path {
     pub const QUICK_LOOK: &str = "/api/v1/sessions/{name}/quick-look";
     /// GET: points.
     pub const QUICK_LOOK_CLOUD: &str = "/api/v1/sessions/{name}/quick-look/{trigger}";
+    /// GET: what the worker found of the calibration.
+    pub const CALIBRATION_LIGHTS: &str = "/api/v1/calibration-lights";
+    /// GET: the same of another node's worker.
+    pub const PEER_CALIBRATION_LIGHTS: &str = "/api/v1/peers/{peer}/calibration-lights";
+    /// GET: the plot of the worker's history.
+    pub const CALIBRATION_PLOT: &str = "/api/v1/calibration-lights/plot";
+    /// GET: the same of another node's worker.
+    pub const PEER_CALIBRATION_PLOT: &str = "/api/v1/peers/{peer}/calibration-lights/plot";
+    /// POST: exposure and gain of heads.
+    pub const EXPOSURE: &str = "/api/v1/exposure";
+    /// POST: the same at another node.
+    pub const PEER_EXPOSURE: &str = "/api/v1/peers/{peer}/exposure";
     /// GET: the other nodes.
     pub const PEERS: &str = "/api/v1/peers";
     /// GET: pictures of another node's cameras.

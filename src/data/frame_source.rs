@@ -126,6 +126,11 @@ pub trait FrameSource: Sync {
         Ok(SessionIdentity { cameras, ..SessionIdentity::default() })
     }
 
+    /// When it was recorded, host clock, ns since 1970; `None` where the source does not know.
+    fn recorded_ns(&self) -> Option<u64> {
+        None
+    }
+
     /// The CRC-32 of a frame's pixels, row by row; `None` for a gap. Errors as in [`Self::frame`].
     fn pixels_crc(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Option<u32>, String> {
         Ok(self.frame(camera, trigger)?.pixels_crc())

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node's devices: its cameras and its link to the HSU, kept open between sessions.
 
+mod exposure;
+
 use super::camera_keeper::{AttendantSetup, CLOCK_BURST, CameraKeeper, Report, camera_sample, exchange};
 use super::hsu_keeper::hsu_sample;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
@@ -475,6 +477,7 @@ impl Devices {
             address: slot.config.address.clone(),
             identity: slot.identity.clone().filter(|_| slot.problem.is_none()),
             problem: slot.problem.clone(),
+            exposure: self.exposure_now(slot),
         };
         self.slots.iter().map(status).collect()
     }

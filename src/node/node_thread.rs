@@ -11,8 +11,8 @@ use crate::base::{Exit, Fault};
 use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
 use crate::control::command::{Command, Reply, SharedStatus};
-use crate::control::request::{Phase, SessionRequest};
-use crate::control::status::{NodeStatus, Outcome, SessionCommand};
+use crate::control::request::{ExposureRequest, Phase, SessionRequest};
+use crate::control::status::{ExposureSet, NodeStatus, Outcome, SessionCommand};
 use crate::host::{heap, realtime};
 use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId, Slope};
 use crate::record::{NodeEvent, free_bytes};
@@ -207,6 +207,7 @@ impl Node {
                 let reason = command.reason.clone().unwrap_or_else(|| "aborted by the operator".to_owned());
                 self.session_command(&command, reply, Event::Abort(reason));
             }
+            Command::Expose(request, reply) => drop(reply.send(self.expose(&request))),
         }
     }
 
@@ -243,6 +244,26 @@ impl Node {
         });
         self.session = Some(session);
         self.take(Event::Prepare(request));
+    }
+
+    /// Sets exposure and gain while nobody needs the cameras.
+    fn expose(&mut self, request: &ExposureRequest) -> Result<ExposureSet, Fault> {
+        let phase = self.machine.phase();
+        if phase != Phase::Idle {
+            return Err(Fault::new(
+                Exit::Usage,
+                format!(
+                    "the node is in a session ({phase:?}): exposure and gain are set between sessions; end it first"
+                ),
+            ));
+        }
+        let set = self.devices.expose(request)?;
+        for camera in &set.cameras {
+            let (exposure_us, gain_db) = (camera.exposure_us, camera.gain_db);
+            tracing::info!(camera = %camera.id, exposure_us, gain_db, "exposure and gain are set");
+            self.telemetry.applied(&camera.id, camera.settings.clone());
+        }
+        Ok(set)
     }
 
     /// Frames that fit into the ring of a session.

@@ -332,6 +332,10 @@ impl FrameSource for SessionReader {
         })
     }
 
+    fn recorded_ns(&self) -> Option<u64> {
+        self.recordings.iter().map(|recording| recording.header.created_ns).min()
+    }
+
     fn pixels_crc(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Option<u32>, String> {
         let (recording, place) = self.place(camera)?;
         Ok(recording.frame_meta(place, trigger)?.ok().map(|meta| meta.pixels_crc))

@@ -8,6 +8,7 @@ use super::task::{self, Ended, Interruption};
 use crate::base::{Exit, Fault, write_whole};
 use crate::batch::collect_shards;
 use crate::batch::key::{ALGORITHM, CALIBRATION_FILE, KEY_FILE, Key, calibration_sha256};
+use crate::calibrate::drift::history;
 use crate::config::{Output, WorkerConfig};
 use crate::data::Calibration;
 use crate::record::{free_bytes, node_dir};
@@ -303,6 +304,9 @@ impl Worker {
             Ok(cameras) => cameras,
             Err(reason) => return Outcome::SetAside(reason),
         };
+        if let Some(interruption) = self.check(job, &calibration) {
+            return Outcome::Interrupted(interruption);
+        }
         let args: Vec<OsString> = vec![
             "reconstruct".into(),
             dir.join("session").into(),
@@ -329,6 +333,38 @@ impl Worker {
                 self.last_words(job)
             )),
             other => self.outcome(job, other),
+        }
+    }
+
+    /// Whether the devices still stand where the session's calibration has them, for the history: said once, before the long work,
+    /// which does not depend on it.
+    fn check(&mut self, job: &mut Job, calibration: &Path) -> Option<Interruption> {
+        let own = self.config.results.join(OWN_DIR);
+        let known = Calibration::load(calibration).map_err(|e| e.to_string());
+        let sha256 = known.and_then(|known| calibration_sha256(&known)).ok()?;
+        let said =
+            |one: &history::Checked| one.session_id == job.session_id && one.calibration_sha256 == sha256;
+        if history::load(&own).iter().any(said) {
+            return None;
+        }
+        let args: Vec<OsString> = vec![
+            "calibration".into(),
+            "check".into(),
+            self.config.results.join(&job.session).join("session").into(),
+            "--calibration".into(),
+            calibration.into(),
+            "--history".into(),
+            own.into(),
+            "--jobs".into(),
+            self.config.threads().to_string().into(),
+        ];
+        match self.task(job, args) {
+            Ok(Ended::Interrupted(interruption)) => Some(interruption),
+            Ok(Ended::ByItself(Some(0 | 4))) => None,
+            other => {
+                tracing::warn!(session = job.session, ?other, "not checked: {}", self.last_words(job));
+                None
+            }
         }
     }
 

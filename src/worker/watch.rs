@@ -1,31 +1,41 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the worker of a node's machine does, for the node's status.
 
-use super::state::WorkerState;
-use std::path::PathBuf;
-use std::sync::{Arc, PoisonError, RwLock, Weak};
-use std::time::Duration;
+use super::state::{Activity, OWN_DIR, WorkerState};
+use crate::calibrate::drift::history::{self, Checked, LINES, PLOT, Verdict};
+use crate::control::status::{CalibrationLight, CalibrationLights, SessionLight};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, Weak};
+use std::time::{Duration, SystemTime};
 
-/// How often the worker's state is read.
+/// How often the worker's files are looked at.
 const POLL: Duration = Duration::from_secs(1);
 
-/// A thread that reads the worker's state: the disk or share where it is may take its time, and nothing must wait for it. It ends
-/// when this is dropped.
+/// A thread that reads the worker's files: the disk or share where they are may take its time, and nothing must wait for it. It
+/// ends when this is dropped.
 #[derive(Debug, Default)]
 pub struct WorkerWatch {
-    seen: Arc<RwLock<Option<WorkerState>>>,
+    results: Option<PathBuf>,
+    seen: Arc<RwLock<Seen>>,
+}
+
+#[derive(Debug, Default)]
+struct Seen {
+    state: Option<WorkerState>,
+    history: Vec<Checked>,
+    /// Of the history's lines: read again when they are others.
+    written: Option<(SystemTime, u64)>,
 }
 
 impl WorkerWatch {
     /// Begins to read; without results there is nothing to see.
     pub fn start(results: Option<PathBuf>) -> std::io::Result<Self> {
-        let watch = Self::default();
-        let Some(results) = results else { return Ok(watch) };
-        let seen: Weak<RwLock<Option<WorkerState>>> = Arc::downgrade(&watch.seen);
+        let watch = Self { results, ..Self::default() };
+        let Some(results) = watch.results.clone() else { return Ok(watch) };
+        let seen: Weak<RwLock<Seen>> = Arc::downgrade(&watch.seen);
         let run = move || {
             while let Some(seen) = seen.upgrade() {
-                let state = WorkerState::load(&results);
-                *seen.write().unwrap_or_else(PoisonError::into_inner) = state;
+                read(&results.join(OWN_DIR), WorkerState::load(&results), &seen);
                 drop(seen);
                 std::thread::sleep(POLL);
             }
@@ -34,8 +44,71 @@ impl WorkerWatch {
         Ok(watch)
     }
 
+    fn seen(&self) -> RwLockReadGuard<'_, Seen> {
+        self.seen.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// What it does, if there is one.
     pub fn state(&self) -> Option<WorkerState> {
-        self.seen.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.seen().state.clone()
+    }
+
+    /// Where the plot of its history is, once there is one.
+    pub fn plot(&self) -> Option<PathBuf> {
+        self.seen().written?;
+        self.results.as_ref().map(|results| results.join(OWN_DIR).join(PLOT))
+    }
+
+    /// What it has found of the calibration, session by session, the last so many; and why nothing is known of the others.
+    pub fn lights(&self, most: usize) -> CalibrationLights {
+        let seen = self.seen();
+        let checked = seen.history.iter().rev().take(most).map(|one| SessionLight {
+            session: one.session.clone(),
+            session_id: Some(one.session_id.clone()),
+            light: light(one.verdict),
+            said: one.said.clone(),
+        });
+        let unknown = |(session, reason): &(String, String)| SessionLight {
+            session: session.clone(),
+            session_id: None,
+            light: CalibrationLight::Grey,
+            said: format!("not looked at: {reason}"),
+        };
+        let state = seen.state.as_ref();
+        let waiting = state.into_iter().flat_map(|state| state.set_aside.iter().chain(&state.not_yet));
+        let otherwise = match (&self.results, state) {
+            (None, _) => "nobody looks: this node's file names no worker ([worker])".to_owned(),
+            (Some(results), None) => {
+                format!("nobody has looked: no worker has been at work on {}", results.display())
+            }
+            (_, Some(state)) if state.is_stale() || state.activity == Activity::Ended => {
+                "not looked at: the worker is not running".to_owned()
+            }
+            (_, Some(_)) => {
+                "not looked at yet: the worker comes to it when no node is in a session".to_owned()
+            }
+        };
+        let sessions = checked.chain(waiting.take(most).map(unknown)).collect();
+        CalibrationLights { worker: self.results.is_some(), sessions, otherwise }
+    }
+}
+
+fn light(verdict: Verdict) -> CalibrationLight {
+    match verdict {
+        Verdict::Stands => CalibrationLight::Green,
+        Verdict::Turned => CalibrationLight::Amber,
+        Verdict::CalibrateAgain => CalibrationLight::Red,
+        Verdict::NotKnown => CalibrationLight::Grey,
+    }
+}
+
+fn read(own: &Path, state: Option<WorkerState>, seen: &RwLock<Seen>) {
+    let written = std::fs::metadata(own.join(LINES)).and_then(|m| Ok((m.modified()?, m.len()))).ok();
+    let known = seen.read().unwrap_or_else(PoisonError::into_inner).written;
+    let history = (written != known).then(|| history::load(own));
+    let mut seen = seen.write().unwrap_or_else(PoisonError::into_inner);
+    seen.state = state;
+    if let Some(history) = history {
+        (seen.history, seen.written) = (history, written);
     }
 }

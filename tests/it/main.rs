@@ -30,6 +30,8 @@ mod calibrate_command;
 #[cfg(feature = "aravis")]
 mod calibrate_live;
 mod calibration_check;
+#[cfg(feature = "aravis")]
+mod calibration_light;
 mod calibration_uncertainty;
 #[cfg(feature = "aravis")]
 mod camera_profiles;
@@ -51,6 +53,8 @@ mod documents;
 #[cfg(feature = "aravis")]
 mod endurance;
 mod export;
+#[cfg(feature = "aravis")]
+mod exposure;
 #[cfg(feature = "aravis")]
 mod faults;
 mod foreign_records;

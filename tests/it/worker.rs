@@ -4,6 +4,7 @@
 use crate::cluster::{Fixture, TRIGGERS};
 use crate::crash::{Random, number};
 use crate::lab::{FOURDBODY, assert_contains, fourdbody, text_of};
+use fourdbody::calibrate::drift::history::{self, Verdict};
 use fourdbody::worker::state::{Activity, Job, Stage, WorkerState};
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
@@ -217,6 +218,17 @@ fn a_worker_that_is_killed_ten_times_gives_the_bytes_of_one_run() {
     assert_eq!((job.stage, job.done, job.of), (Stage::Done, TRIGGERS, TRIGGERS));
     assert_eq!((job.attempts, job.frames_without_cloud), (0, 1));
     assert!(job.points > 10_000, "{job:?}");
+    // The calibration was looked at, to the end and once: one head alone does not tell whether it stands.
+    let own = place.results().join(".worker");
+    let said = history::load(&own);
+    assert_eq!(said.len(), 1, "{said:?}");
+    assert_eq!((&said[0].session, &said[0].session_id), (&"walk".to_owned(), &job.session_id));
+    assert_eq!(said[0].verdict, Verdict::NotKnown, "{said:?}");
+    assert!(
+        said[0].recorded_ns > 0
+            && own.join(history::PLOT).is_file()
+            && !own.join("calibration-check").exists()
+    );
 }
 
 #[cfg(feature = "aravis")]

@@ -4,6 +4,7 @@
 pub(super) mod captures;
 pub(super) mod description;
 pub(super) mod devices;
+pub(super) mod exposure;
 pub(super) mod health;
 pub(super) mod live;
 pub(super) mod login;

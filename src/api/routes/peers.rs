@@ -2,11 +2,12 @@
 //! What the other nodes tell, passed on: a browser may only talk to the node that its page came from.
 
 use super::sessions::Choice;
-use crate::api::Shared;
 use crate::api::body::Body;
 use crate::api::refusal::Refusal;
 use crate::api::services::Peer;
+use crate::api::{Caller, Shared};
 use crate::base::{Exit, Fault};
+use crate::control::request::ExposureRequest;
 use crate::control::status::{PeerState, path};
 use crate::record::remark::Remark;
 use axum::Json;
@@ -26,10 +27,15 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(remark))
         .routes(routes!(get_quick_look, ask_quick_look))
         .routes(routes!(get_cloud))
+        .routes(routes!(get_calibration_lights))
+        .routes(routes!(get_calibration_plot))
+        .routes(routes!(expose))
 }
 
 /// A console asks again sooner than this.
 const PATIENCE: Duration = Duration::from_secs(3);
+/// Some cameras take seconds to be set up.
+const CAMERAS_PATIENCE: Duration = Duration::from_secs(30);
 
 /// The other nodes, and whether they answer.
 #[utoipa::path(get, path = path::PEERS, tag = "peers",
@@ -101,6 +107,21 @@ async fn remark(
     tell(&shared, &peer, Method::POST, &wanted, Some(body)).await
 }
 
+/// Sets exposure and gain of another node's cameras.
+#[utoipa::path(post, path = path::PEER_EXPOSURE, tag = "peers", params(PeerName), request_body = ExposureRequest,
+    responses(PassedOn))]
+async fn expose(
+    State(shared): State<Shared>,
+    Path(peer): Path<String>,
+    caller: Caller,
+    Body(mut request): Body<ExposureRequest>,
+) -> Result<Response, Refusal> {
+    request.on_behalf_of.get_or_insert(caller.name);
+    let body = serde_json::to_vec(&request).map_err(|e| Fault::new(Exit::Failure, e))?;
+    let asked = (Method::POST, path::EXPOSURE, Some(body));
+    pass_on(&shared, &peer, asked, CAMERAS_PATIENCE).await
+}
+
 /// How far another node's look at a session is.
 #[utoipa::path(get, path = path::PEER_QUICK_LOOK, tag = "peers", params(PeerName, SessionName), responses(PassedOn))]
 async fn get_quick_look(
@@ -130,6 +151,24 @@ async fn get_cloud(
 ) -> Result<Response, Refusal> {
     let wanted = path::QUICK_LOOK_CLOUD.replace("{name}", plain(&name)?);
     ask(&shared, &peer, Method::GET, &wanted.replace("{trigger}", &trigger.to_string())).await
+}
+
+/// What another node's worker has found of the calibration.
+#[utoipa::path(get, path = path::PEER_CALIBRATION_LIGHTS, tag = "peers", params(PeerName), responses(PassedOn))]
+async fn get_calibration_lights(
+    State(shared): State<Shared>,
+    Path(peer): Path<String>,
+) -> Result<Response, Refusal> {
+    ask(&shared, &peer, Method::GET, path::CALIBRATION_LIGHTS).await
+}
+
+/// The plot of another node's worker.
+#[utoipa::path(get, path = path::PEER_CALIBRATION_PLOT, tag = "peers", params(PeerName), responses(PassedOn))]
+async fn get_calibration_plot(
+    State(shared): State<Shared>,
+    Path(peer): Path<String>,
+) -> Result<Response, Refusal> {
+    ask(&shared, &peer, Method::GET, path::CALIBRATION_PLOT).await
 }
 
 /// Parts of these paths.
@@ -190,11 +229,20 @@ async fn tell(
     wanted: &str,
     body: Option<Vec<u8>>,
 ) -> Result<Response, Refusal> {
+    pass_on(shared, peer, (method, wanted, body), PATIENCE).await
+}
+
+async fn pass_on(
+    shared: &Shared,
+    peer: &str,
+    (method, wanted, body): (Method, &str, Option<Vec<u8>>),
+    patience: Duration,
+) -> Result<Response, Refusal> {
     let known = shared.services.peers.iter().find(|known| known.name.as_str() == peer);
     let known = known.ok_or_else(|| {
         Refusal::new(StatusCode::NOT_FOUND, format!("no node {peer:?} among api.peers of the node file"))
     })?;
-    let answer = known.client.ask_async(method, wanted, body, PATIENCE).await?;
+    let answer = known.client.ask_async(method, wanted, body, patience).await?;
     let mut headers = HeaderMap::new();
     headers.extend(answer.content_type.map(|kind| (header::CONTENT_TYPE, kind)));
     Ok((answer.status, headers, answer.body).into_response())

@@ -7,7 +7,7 @@ use crate::api::listing::{Busy, LISTED_MAX, Told};
 use crate::api::refusal::Refusal;
 use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
-use crate::control::status::{FreeName, path};
+use crate::control::status::{CalibrationLights, FreeName, path};
 use crate::preview::quick_look::Look;
 use crate::record::catalogue::CatalogueEntry;
 use crate::record::node_dir;
@@ -28,6 +28,8 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(remark))
         .routes(routes!(get_quick_look, ask_quick_look))
         .routes(routes!(get_cloud))
+        .routes(routes!(get_calibration_lights))
+        .routes(routes!(get_calibration_plot))
 }
 
 /// Which sessions.
@@ -42,6 +44,9 @@ pub(super) struct Choice {
     #[serde(default)]
     pub(super) search: String,
 }
+
+/// Sessions whose lights are told: as many as a console lists.
+const LIGHTS_MAX: usize = 200;
 
 fn fifty() -> usize {
     50
@@ -159,6 +164,27 @@ async fn get_cloud(
         Refusal::new(StatusCode::NOT_FOUND, message)
     })?;
     Ok(([(header::CONTENT_TYPE, "application/octet-stream")], cloud.as_ref().clone()).into_response())
+}
+
+/// Whether the calibration held, session by session, the last 200: what the worker of this node's machine has found.
+#[utoipa::path(get, path = path::CALIBRATION_LIGHTS, tag = "sessions",
+    responses((status = 200, description = "What is known.", body = CalibrationLights)))]
+async fn get_calibration_lights(State(shared): State<Shared>) -> Json<CalibrationLights> {
+    Json(shared.services.worker.lights(LIGHTS_MAX))
+}
+
+/// How far each device has moved what it sees since its calibration, over time: the plot of the worker of this node's machine.
+#[utoipa::path(get, path = path::CALIBRATION_PLOT, tag = "sessions",
+    responses(
+        (status = 200, description = "The plot.", content_type = "image/svg+xml", body = String),
+        (status = 404, description = "No worker has checked a session yet.", body = Fault)))]
+async fn get_calibration_plot(State(shared): State<Shared>) -> Result<Response, Refusal> {
+    let plot = shared.services.worker.plot();
+    // The results may lie on a share that takes its time.
+    let read = tokio::task::spawn_blocking(move || std::fs::read(plot?).ok()).await;
+    let none = || Refusal::new(StatusCode::NOT_FOUND, "no worker of this machine has checked a session yet");
+    let svg = read.ok().flatten().ok_or_else(none)?;
+    Ok(([(header::CONTENT_TYPE, "image/svg+xml")], svg).into_response())
 }
 
 fn not_found(name: &str) -> Refusal {

@@ -6,15 +6,19 @@
 //! weighted least squares (Gauss and Newton's steps, Cauchy's weights). That a device stands as calibrated, give or take
 //! [`PRIOR_DEG`], is known beforehand, so that what the body does not tell stays near zero, with an uncertainty that says so.
 
+pub mod history;
+mod plot;
 mod sightings;
 #[cfg(test)]
 mod tests;
 
 use crate::data::{Calibration, PhaseMap};
 use crate::geometry::{Device, Pose};
+use history::Verdict;
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
 use serde::Serialize;
 use sightings::{Sighting, distance, place};
+use std::fmt;
 
 /// Mounts turn by so much, as a rule: standard deviation of each angle, degree.
 const PRIOR_DEG: f64 = 0.01;
@@ -33,6 +37,15 @@ const LEAST_SIGHTINGS: usize = 500;
 
 /// More are not needed.
 const MOST_SIGHTINGS: usize = 60_000;
+
+/// What is not this many times its own uncertainty may be nothing.
+const SURE: f64 = 4.0;
+
+/// A device with a larger uncertainty, so many times, than what it may move is not known.
+const UNSURE: f64 = 2.0;
+
+/// A device that has moved this share of what it may has turned.
+const TURNED_SHARE: f64 = 0.5;
 
 /// An angle to differentiate by, rad.
 const STEP_RAD: f64 = 1e-5;
@@ -54,6 +67,16 @@ pub struct Turn {
     pub at_body_sigma_mm: f64,
 }
 
+impl fmt::Display for Turn {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { device, angle_deg, at_body_mm, at_body_sigma_mm, .. } = self;
+        write!(
+            f,
+            "{device} has turned by {angle_deg:.3} degree, {at_body_mm:.2} (+- {at_body_sigma_mm:.2}) mm at the body"
+        )
+    }
+}
+
 /// What the cameras say about all devices.
 #[derive(Debug, Clone, Serialize)]
 pub struct Drift {
@@ -66,6 +89,46 @@ pub struct Drift {
 }
 
 impl Drift {
+    /// The devices that have surely moved what they see by more than so many mm.
+    pub fn moved(&self, most_mm: f64) -> Vec<&Turn> {
+        let sure = |turn: &&Turn| turn.at_body_mm > SURE * turn.at_body_sigma_mm;
+        self.devices.iter().filter(|turn| turn.at_body_mm > most_mm).filter(sure).collect()
+    }
+
+    /// What it comes to where a device may move what it sees by so many mm, and the same in a sentence.
+    pub fn verdict(&self, most_mm: f64) -> (Verdict, String) {
+        let far = |a: &&Turn, b: &&Turn| a.at_body_mm.total_cmp(&b.at_body_mm);
+        let moved = self.moved(most_mm);
+        if let Some(furthest) = moved.iter().copied().max_by(far) {
+            let others = match moved.len() - 1 {
+                0 => String::new(),
+                n => format!(" ({n} more by less)"),
+            };
+            return (
+                Verdict::CalibrateAgain,
+                format!("calibrate again: {furthest}{others}; {most_mm} may be"),
+            );
+        }
+        let vague = |turn: &Turn| UNSURE * turn.at_body_sigma_mm > most_mm;
+        let vague: Vec<&str> = self.devices.iter().filter(|x| vague(x)).map(|x| x.device.as_str()).collect();
+        if !vague.is_empty() {
+            let which = vague.join(", ");
+            let said = format!(
+                "the session does not tell {most_mm} mm of {which}: record a body that all heads see"
+            );
+            return (Verdict::NotKnown, said);
+        }
+        match self.devices.iter().max_by(far) {
+            Some(furthest) if furthest.at_body_mm > TURNED_SHARE * most_mm => {
+                (Verdict::Turned, format!("{furthest}; {most_mm} may be"))
+            }
+            furthest => {
+                let furthest = furthest.map_or_else(String::new, |x| format!("; most of all, {x}"));
+                (Verdict::Stands, format!("devices stand{furthest}"))
+            }
+        }
+    }
+
     /// The same of what another calibration says, after this one was corrected step by step: all turns from that one, as sure as the
     /// last.
     pub fn since(mut self, first: &Calibration, corrected: &Calibration, first_rad: f64) -> Self {

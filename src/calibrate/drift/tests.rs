@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Turns that are known are found again, from the exact phases of a ball.
 
-use super::{Drift, estimate, turned};
+use super::history::Verdict;
+use super::{Drift, Turn, estimate, turned};
 use crate::config::Rig;
 use crate::data::{Calibration, PhaseMap, Run, STEPS_PER_FRINGE};
 use crate::geometry::Device;
@@ -117,4 +118,42 @@ fn a_rig_that_stands_is_said_to_stand() {
         estimate(&rig, std::iter::empty()).is_err_and(|e| e.contains("500")),
         "nothing is not a rig that stands"
     );
+}
+
+#[test]
+fn a_verdict_is_said_only_of_what_is_known_of_every_device() {
+    let drift = |moved: &[(f64, f64)]| Drift {
+        devices: moved
+            .iter()
+            .enumerate()
+            .map(|(i, &(at_body_mm, at_body_sigma_mm))| Turn {
+                device: format!("camera c{i}"),
+                turn_deg: [0.0; 3],
+                sigma_deg: [0.0; 3],
+                angle_deg: 0.0,
+                at_body_mm,
+                at_body_sigma_mm,
+            })
+            .collect(),
+        sightings: 1000,
+        differ_rad: [0.01; 2],
+    };
+    for (moved, verdict, said) in [
+        (&[(0.03, 0.02), (0.02, 0.02)][..], Verdict::Stands, "camera c0"),
+        (&[(0.03, 0.02), (0.14, 0.02)], Verdict::Turned, "camera c1"),
+        // More than it may, but not surely.
+        (&[(0.25, 0.08), (0.01, 0.02)], Verdict::Turned, "camera c0"),
+        (
+            &[(0.25, 0.02), (0.31, 0.02)],
+            Verdict::CalibrateAgain,
+            "camera c1 has turned by 0.000 degree, 0.31 (+- 0.02) mm at the body (1 more by less)",
+        ),
+        // Nothing has seen it.
+        (&[(0.03, 0.02), (0.0, 0.35)], Verdict::NotKnown, "of camera c1"),
+        (&[(0.31, 0.02), (0.0, 0.35)], Verdict::CalibrateAgain, "camera c0"),
+    ] {
+        let (found, words) = drift(moved).verdict(0.2);
+        assert_eq!(found, verdict, "{words}");
+        assert!(words.contains(said), "{words}");
+    }
 }

@@ -1,0 +1,137 @@
+// Exposure and gain of the heads: what is set, what would be right, and a form that sets it on all nodes at once.
+
+import { $, make, text } from "/elements.js";
+import { node } from "/node-client.js";
+import { exposureOf } from "/tiles.js";
+import { isPreview, nodes, told } from "/told.js";
+
+/** Rows of the form, by head. */
+const rows = new Map();
+let busy = false;
+
+/** Every head with what its cameras are asked for and are advised: {head, cameras, us, db, most_us, ev, differs}. */
+function heads() {
+  const found = new Map();
+  for (const { last } of nodes()) {
+    for (const { id, exposure } of last?.cameras ?? []) {
+      if (!exposure) continue;
+      const head = found.get(exposure.head) ?? { head: exposure.head, cameras: [], most_us: exposure.most_us, us: null, db: null, ev: null, differs: false };
+      head.cameras.push(id);
+      head.us ??= exposure.exposure_us;
+      head.db ??= exposure.gain_db;
+      head.differs ||= exposure.differs;
+      const advised = exposureOf(id);
+      // Nothing of either camera may saturate: the lesser advice is the head's.
+      if (advised) head.ev = Math.min(head.ev ?? Infinity, advised.ev);
+      found.set(exposure.head, head);
+    }
+  }
+  return [...found.values()].sort((a, b) => a.head.localeCompare(b.head));
+}
+
+/** What the advice comes to, us: within what the trigger period leaves. */
+const advised_us = ({ us, ev, most_us }) => Math.round(Math.min(us * 2 ** ev, most_us - 0.05) * 10) / 10;
+
+function row(head) {
+  const field = (label, unit) => {
+    const input = make("input", { type: "number", step: "any", min: "0", required: true });
+    input.setAttribute("aria-label", `${label} of head ${head}, ${unit}`);
+    return input;
+  };
+  const shown = { us: field("exposure", "us"), db: field("gain", "dB"), advice: make("button", { type: "button" }), set: make("button", { textContent: "Set", className: "go" }), now: make("p", { className: "facts" }), edited: false };
+  shown.set.setAttribute("aria-label", `set head ${head}`);
+  for (const input of [shown.us, shown.db]) input.addEventListener("input", () => (shown.edited = true));
+  shown.advice.addEventListener("click", () => {
+    shown.us.value = advised_us(heads().find((one) => one.head === head));
+    shown.edited = true;
+  });
+  shown.form = make("form", { className: "head-exposure" }, make("b", { textContent: head }), make("label", {}, "us ", shown.us), make("label", {}, "dB ", shown.db), shown.advice, shown.set, shown.now);
+  shown.form.dataset.head = head;
+  shown.form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    // What the node file leaves to raw settings is not said.
+    const { us, db } = heads().find((one) => one.head === head);
+    set(head, us === null ? null : Number(shown.us.value), db === null ? null : Number(shown.db.value));
+  });
+  return shown;
+}
+
+export function showExposure() {
+  if (!$("exposure").open) return;
+  const all = heads();
+  for (const head of all) {
+    if (!rows.has(head.head)) rows.set(head.head, row(head.head));
+    const shown = rows.get(head.head);
+    [shown.us.disabled, shown.db.disabled] = [head.us === null, head.db === null];
+    if (!shown.edited && head.us !== null) shown.us.value = head.us;
+    if (!shown.edited && head.db !== null) shown.db.value = head.db;
+    const known = head.ev !== null && head.us !== null;
+    const limited = known && head.us * 2 ** head.ev > head.most_us;
+    text(shown.advice, known ? `${head.ev < 0 ? "" : "+"}${head.ev.toFixed(1)} EV: ${advised_us(head)} us${limited ? " (the most)" : ""}` : "no advice yet");
+    shown.advice.disabled = !known;
+    shown.set.disabled = busy || told.role === "view";
+    const now = head.us === null ? "set by raw settings in the node file" : `${head.us} us, ${head.db ?? "?"} dB, at most ${head.most_us.toFixed(0)} us`;
+    text(shown.now, `${head.cameras.join(", ")}: ${now}${head.differs ? "; not as in the node file" : ""}`);
+  }
+  const forms = all.map(({ head }) => rows.get(head).form);
+  if ($("exposure-heads").childElementCount !== forms.length) $("exposure-heads").replaceChildren(...forms);
+}
+
+const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+
+/** Whether no node is in a session: asked now, since what was told a moment ago may be of another one. */
+async function isIdle() {
+  const [capture, status, peers] = await Promise.all([node.capture(), node.status(), node.peers()]);
+  return !capture?.running && [status, ...peers.map((peer) => peer.status)].every((one) => !one || one.phase === "idle");
+}
+
+/** A preview gives way for a moment: cameras are set while nothing is triggered. */
+async function withoutPreview(doing) {
+  const capture = await node.capture();
+  const preview = capture?.running && isPreview(capture);
+  if (preview) {
+    await node.stop();
+    for (let tries = 0; tries < 100 && !(await isIdle()); tries += 1) await pause(200);
+  }
+  try {
+    return await doing();
+  } finally {
+    if (preview) await node.begin({ wish: { dry_run: true, note: "preview" }, takes: 1 });
+  }
+}
+
+async function set(head, exposure_us, gain_db) {
+  busy = true;
+  text($("exposure-said"), `setting ${head} …`);
+  showExposure();
+  try {
+    // A node that is gone is asked, too: what it does not take is told.
+    const asked = nodes().filter(({ last }) => last?.cameras.some(({ exposure }) => exposure?.head === head));
+    const answers = await withoutPreview(() => Promise.allSettled(asked.map(({ peer }) => node.expose(peer, { heads: [head], exposure_us, gain_db }))));
+    const lines = answers.flatMap(({ value, reason }, i) => (reason ? [`node ${asked[i].name}: ${reason.message}`] : value.cameras.map(taken)));
+    const failed = answers.some(({ reason }) => reason);
+    const ids = answers.flatMap(({ value }) => value?.cameras.map(({ id }) => id) ?? []);
+    if (!failed) lines.push(`To keep it, say in the node file, at [[camera]] ${ids.join(", ")}: ${[["exposure_us", exposure_us], ["gain_db", gain_db]].filter(([, value]) => value !== null).map(([word, value]) => `${word} = ${value}`).join(", ")}`);
+    text($("exposure-said"), lines.join("\n"));
+    $("exposure-said").className = failed ? "bad" : "";
+    if (!failed) rows.get(head).edited = false;
+  } catch (error) {
+    text($("exposure-said"), error.message);
+    $("exposure-said").className = "bad";
+  } finally {
+    busy = false;
+    showExposure();
+  }
+}
+
+/** What a camera took, in its own features. */
+const taken = ({ id, exposure_us, gain_db, taken }) =>
+  `${id}: asked for ${exposure_us} us, ${gain_db} dB; taken ${taken.map(({ feature, actual }) => `${feature} ${typeof actual === "number" ? Math.round(actual * 100) / 100 : actual}`).join(", ")}`;
+
+$("exposure-open").addEventListener("click", () => {
+  for (const shown of rows.values()) shown.edited = false;
+  text($("exposure-said"), "");
+  $("exposure").showModal();
+  showExposure();
+});
+$("exposure-close").addEventListener("click", () => $("exposure").close());
