@@ -242,7 +242,8 @@ impl What {
                 MethodName::Paper => Method::Paper,
             },
             margin: self.margin,
-            most_difference_rad: fringe_order::MOST_RAD,
+            // A patch is so many rows higher, and what differs from its plane grows with it.
+            most_difference_rad: fringe_order::MOST_RAD * self.bin_rows as f32,
             bin_rows: self.bin_rows,
             formats: self.formats(),
             uncertainty: self.uncertainty,

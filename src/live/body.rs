@@ -100,7 +100,11 @@ impl Reconstructor {
         let mut views: Vec<View<'_>> = views.collect();
         let solved = match views.is_empty() {
             true => Ok(()),
-            false => fringe_order::solve(&mut views, fringe_order::MARGIN, fringe_order::MOST_RAD),
+            // A patch is so many rows of the frame higher, and what differs from its plane grows with it.
+            false => {
+                let most_rad = fringe_order::MOST_RAD * ROW_STEP as f32;
+                fringe_order::solve(&mut views, fringe_order::MARGIN, most_rad)
+            }
         };
         drop(views);
         let made: Vec<(CameraShare, Cloud)> = seen
