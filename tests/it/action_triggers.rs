@@ -2,12 +2,13 @@
 //! Sessions without an HSU: this node triggers its cameras by action commands (docs/design/action-triggers.md).
 
 use crate::lab::{
-    FOURDBODY, NodeProcess, assert_contains, fourdbody, options, say, small_rig, start_laboratory,
-    start_nodes, text_of,
+    FOURDBODY, NodeProcess, assert_contains, fourdbody, options, say, small_rig, start_capture,
+    start_laboratory, start_nodes, text_of,
 };
 use crate::session_faults::check_frames;
 use fourdbody::camera::{AravisCameras, CameraBackend, Wishes};
 use fourdbody::config::NodeConfig;
+use fourdbody::data::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
 use fourdbody_simulator::gige::{ActionFate, ActionFilter, Habits};
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
@@ -124,6 +125,43 @@ fn at_once_a_session_is_complete_and_keys_that_differ_are_refused_by_name() {
         &["camera h1_up: an action command with device key 1, group key 7", "ActionGroupKey"],
     );
     assert!(!text_of(&refused).contains("camera h1_low:"), "{}", text_of(&refused));
+}
+
+/// Takes some 12 s. The camera by whose clock the common one is known is away for a while.
+#[test]
+fn the_camera_whose_clock_is_read_is_lost_and_the_others_go_on() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let mut laboratory = start_laboratory(&bench(dir.path(), 86, ""));
+    let mut nodes = start_nodes(&laboratory);
+    let child = start_capture(&laboratory, "away");
+    let triggers = |node: &mut NodeProcess, at_least: u64| {
+        node.wait_until("more triggers", |s| s.session.as_ref().is_some_and(|s| s.triggers >= at_least));
+    };
+    triggers(&mut nodes[0], 10);
+    laboratory.unplug(0);
+    let lost = nodes[0].wait_until("one lost", |s| s.cameras[0].problem.is_some());
+    laboratory.plug(0).expect("its address is free");
+    nodes[0].wait_until("back", |s| s.cameras[0].problem.is_none());
+    let at = lost.session.map_or(0, |session| session.triggers);
+    triggers(&mut nodes[0], at + 40);
+    let stopped =
+        Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill is installed");
+    assert!(stopped.success());
+    let captured = child.wait_with_output().expect("it ends");
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    assert_eq!(captured.status.code(), Some(3), "{}", text_of(&captured));
+    let session = dir.path().join("sessions/away");
+    let verified = verify(&session);
+    assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+    // Every frame shows the trigger that it is filed under.
+    let gaps = check_frames(&session);
+    let (first, last) = (gaps[0].first().expect("a gap").0, gaps[0].last().expect("a gap").0);
+    assert!(first >= 9 && gaps[0].len() as u64 == last - first + 1, "one hole: {gaps:?}");
+    let reader = SessionReader::open(&session).expect("readable");
+    assert!(last + 5 < reader.triggers().end, "it came back: {gaps:?}");
+    let by_host = |cause: &GapCause| matches!(cause, GapCause::IdentityMismatch | GapCause::NodePaused);
+    let others = gaps[1..].iter().flatten();
+    assert!(others.clone().count() <= 6 && others.clone().all(|(_, cause)| by_host(cause)), "{gaps:?}");
 }
 
 /// Takes a second.
