@@ -114,6 +114,7 @@ impl SimulatedCamera {
         // A datagram that polling announced may yet be discarded by its checksum: reading must not wait for
         // the next one.
         control_socket.set_nonblocking(true).map_err(CameraError::Socket)?;
+        net::stamp_arrivals(&control_socket).map_err(CameraError::Socket)?;
         let stream_socket = Arc::new(bind(0)?);
         if let Err(error) = net::set_send_buffer(&stream_socket, SEND_BUFFER) {
             tracing::warn!(%error, "cannot enlarge the stream's send buffer");
@@ -347,7 +348,7 @@ impl Controller {
     }
 
     fn serve(&mut self, buffer: &mut [u8]) {
-        let Ok((length, SocketAddr::V4(from))) = self.socket.recv_from(buffer) else { return };
+        let Ok((length, from, mut arrived)) = net::receive(&self.socket, buffer) else { return };
         // In another subnet, nothing that is meant for one camera finds it.
         if self.presence.is_dark() || self.control.registers.network().away {
             return;
@@ -363,12 +364,14 @@ impl Controller {
             ActionFate::Lost => 0,
             ActionFate::Twice => 2,
             ActionFate::Late(late) => {
-                std::thread::sleep(late);
+                arrived += late;
                 1
             }
         };
+        // A real camera acts when the packet arrives, not when a thread of a busy host gets to run.
+        let now = if gvcp::is_action(datagram) { arrived } else { Instant::now() };
         for _ in 0..arrivals {
-            let outcome = self.control.handle(datagram, from, Instant::now());
+            let outcome = self.control.handle(datagram, from, now);
             self.carry_out(outcome, Some(from));
         }
     }
@@ -378,6 +381,7 @@ impl Controller {
         let bind = |port| UdpSocket::bind(SocketAddrV4::new(address, port));
         let moved = bind(gvcp::PORT).and_then(|control| {
             control.set_nonblocking(true)?;
+            net::stamp_arrivals(&control)?;
             let stream = bind(0)?;
             net::replace(&self.stream_socket, &stream)?;
             self.control.registers.source_port = stream.local_addr()?.port();

@@ -376,6 +376,11 @@ pub fn force_ip_ack(id: u16, status: Status) -> Vec<u8> {
     acknowledge(status, FORCE_IP + 1, id, &[])
 }
 
+/// Whether a datagram is an action command, right or wrong.
+pub fn is_action(datagram: &[u8]) -> bool {
+    datagram.first() == Some(&KEY) && be16(datagram, 2) == Some(ACTION)
+}
+
 /// ACTION_ACK: nothing but its status.
 pub fn action_ack(id: u16, status: Status) -> Vec<u8> {
     acknowledge(status, ACTION + 1, id, &[])

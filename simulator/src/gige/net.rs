@@ -6,7 +6,7 @@
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
-use std::time::Duration;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Most datagrams handed to the kernel at once.
 pub const BATCH: usize = 64;
@@ -94,6 +94,45 @@ pub fn prefer_huge_pages(memory: &mut [std::mem::MaybeUninit<u8>]) {
         // SAFETY: the pages lie within `memory`; the advice changes no content.
         unsafe { libc::madvise(at.cast(), last - first, libc::MADV_HUGEPAGE) };
     }
+}
+
+/// Has the kernel note when each datagram arrives, for [`receive`].
+pub fn stamp_arrivals(socket: &UdpSocket) -> io::Result<()> {
+    set_option(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, 1)
+}
+
+/// The next datagram: how long it is, its sender, and when it arrived, however late this thread gets to run.
+pub fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, SocketAddrV4, Instant)> {
+    // SAFETY: all-zero is a valid address and a valid `msghdr`: null pointers with zero lengths.
+    let (mut from, mut message): (libc::sockaddr_in, libc::msghdr) = unsafe { std::mem::zeroed() };
+    let mut control = [0u64; 8];
+    let mut part = libc::iovec { iov_base: buffer.as_mut_ptr().cast(), iov_len: buffer.len() };
+    message.msg_name = (&raw mut from).cast();
+    message.msg_namelen = size_of::<libc::sockaddr_in>() as libc::socklen_t;
+    (message.msg_iov, message.msg_iovlen) = (&raw mut part, 1);
+    message.msg_control = control.as_mut_ptr().cast();
+    message.msg_controllen = size_of_val(&control) as _;
+    // SAFETY: `message` points to places that outlive the call, with their lengths.
+    let length = unsafe { libc::recvmsg(socket.as_raw_fd(), &raw mut message, 0) };
+    let length = usize::try_from(length).map_err(|_| io::Error::last_os_error())?;
+    let now = Instant::now();
+    let mut arrived = now;
+    // SAFETY: the kernel has filled `control` with whole headers and said how much of it; data of a stamp is a
+    // `timespec`, which is read without alignment.
+    unsafe {
+        let header = libc::CMSG_FIRSTHDR(&raw const message);
+        if !header.is_null()
+            && ((*header).cmsg_level, (*header).cmsg_type) == (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS)
+        {
+            let stamp = libc::CMSG_DATA(header).cast::<libc::timespec>().read_unaligned();
+            let since = Duration::new(stamp.tv_sec.unsigned_abs(), u32::try_from(stamp.tv_nsec).unwrap_or(0));
+            // A time of day that was set meanwhile says nothing.
+            let age = SystemTime::now().duration_since(UNIX_EPOCH + since).unwrap_or_default();
+            arrived = now.checked_sub(age.min(Duration::from_secs(1))).unwrap_or(now);
+        }
+    }
+    let address = Ipv4Addr::from_bits(u32::from_be(from.sin_addr.s_addr));
+    Ok((length, SocketAddrV4::new(address, u16::from_be(from.sin_port)), arrived))
 }
 
 /// Waits until a socket has something to read, at most so long. Appends the indices of those that have.
@@ -275,6 +314,24 @@ mod tests {
                 assert_eq!(buffer[..length], [&header[..], &body[..length_of(i)]].concat());
             }
         }
+    }
+
+    #[test]
+    fn a_datagram_tells_when_it_arrived_and_not_when_it_was_read() {
+        let receiver = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        stamp_arrivals(&receiver).expect("stamps");
+        let sender = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        let before = Instant::now();
+        sender.send_to(&[1, 2, 3], receiver.local_addr().expect("an address")).expect("sent");
+        let sent = Instant::now();
+        std::thread::sleep(Duration::from_millis(20));
+        let mut buffer = [0; 8];
+        let (length, from, arrived) = receive(&receiver, &mut buffer).expect("a datagram");
+        assert_eq!(&buffer[..length], [1, 2, 3]);
+        assert_eq!(Some(from.port()), sender.local_addr().ok().map(|address| address.port()));
+        // Two clocks are read one after the other.
+        let slack = Duration::from_millis(5);
+        assert!(arrived + slack >= before && arrived <= sent + slack, "{:?}", arrived - before);
     }
 
     #[test]
