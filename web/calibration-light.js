@@ -30,10 +30,10 @@ export function lightOf(name, id) {
 }
 
 /** Shows a light: a sign of another shape for each, the word, and the sentence behind it. */
-export function showLight(element, { light, word, said }) {
+export function showLight(element, { name, light: { light, word, said } }) {
   element.className = `light ${light}`;
   element.title = said;
-  text(element, `calibration: ${word} (${said})`);
+  text(element, `calibration, ${name}: ${word} (${said})`);
 }
 
 /** The same in a list, where the sentence stands only where something is wrong. */

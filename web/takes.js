@@ -35,10 +35,11 @@ export async function refreshTakes() {
   });
   const silent = all.filter((_, i) => !lists[i]).map(({ name }) => name);
   const takes = [...found.values()].sort((a, b) => b.created_ns - a.created_ns).slice(0, LISTED).map((session) => sumUp(session, silent));
-  // What is looked for hides no light: that of the last session is shown with its verdict.
-  const last = takes.find(({ word }) => word !== "recording");
-  if (!search) $("verdict-light").hidden = !last;
-  if (!search && last) showLight($("verdict-light"), last.light);
+  // What is looked for hides no light: that of the last session is shown with its verdict, and says whose it is.
+  const [last] = takes;
+  const ended = last && last.word !== "recording";
+  if (!search) $("verdict-light").hidden = !ended;
+  if (!search && ended) showLight($("verdict-light"), last);
   const now = JSON.stringify([takes, search]);
   // Nobody loses what they are writing, nor the button that they are about to press.
   if (now === listed || $("session-rows").contains(document.activeElement)) return;

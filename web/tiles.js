@@ -22,7 +22,7 @@ function tile(id) {
   const labels = Object.fromEntries(FIGURES.map(([key, label]) => [key, make("dt", { textContent: label })]));
   for (const [key] of FIGURES) list.append(make("div", {}, labels[key], figures[key]));
   const problem = make("p", { className: "said problem" });
-  const advice = make("p", { className: "said advice" });
+  const advice = make("p", { className: "said advice", title: "opens exposure and gain (e)", onclick: () => $("exposure-open").click() });
   const box = make("figure", { className: "camera", id: `camera-${id}` },
     make("figcaption", { className: "title" }, make("span", { className: "name", textContent: id }), age),
     make("div", { className: "frame" }, empty, picture), list, problem, advice);

@@ -85,7 +85,7 @@ fn a_session_has_a_light_with_words() {
         let passed: Value = nodes[1].client.get("/api/v1/peers/a/calibration-lights").expect("an answer");
         assert_eq!(passed["sessions"], expected);
         let Some(browser) = &browser else { continue };
-        browser.wait_text("verdict-light", &format!("calibration: {word} ({said})"));
+        browser.wait_text("verdict-light", &format!("calibration, walk: {word} ({said})"));
         let shown = format!(
             "return document.getElementById('verdict-light').className === 'light {light}' &&
                 document.querySelector('[data-name=\"walk\"] .light.{light}').textContent.startsWith('calibration: {word}')"
