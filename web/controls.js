@@ -39,7 +39,7 @@ export function showControls() {
   for (const id of ["start", "look", "dry"]) $(id).disabled = running || !may || missing !== null;
   for (const id of ["stop", "abort"]) $(id).disabled = !running || !may;
   const looks = may ? null : "this token may look only (role view)";
-  text($("why"), refused ?? looks ?? missing ?? "");
+  text($("why"), refused ?? looks ?? missing ?? (running && told.noBody ? `no live body: ${told.noBody}` : ""));
   $("why").title = $("why").textContent;
   $("why").className = refused || missing ? "bad" : "";
   if (!running && $("abort-question").open) $("abort-question").close();

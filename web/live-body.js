@@ -4,6 +4,7 @@
 import { CloudView } from "/cloud-view.js";
 import { $, text } from "/elements.js";
 import { Refused, node } from "/node-client.js";
+import { told } from "/told.js";
 
 /** A body that is older is told in grey, and after some seconds more it is no longer shown. */
 const OLD_MS = 1000;
@@ -42,6 +43,7 @@ function show() {
 /** Waits for the next frame set and shows it; throws where there will be none. */
 async function next() {
   const answer = await node.live(last?.facts.number ?? 0);
+  told.noBody = null;
   if (!answer) return;
   const first = !last || section.hidden;
   last = { facts: answer.facts, at: answer.at };
@@ -75,7 +77,9 @@ export async function showLiveBody(isOpen) {
       else pause_ms = 300;
     } catch (error) {
       // Without a calibration there will be none until the node is started anew.
-      pause_ms = error instanceof Refused && error.status === 409 ? 10000 : 1000;
+      const never = error instanceof Refused && error.status === 409;
+      if (never) told.noBody = error.message;
+      pause_ms = never ? 10000 : 1000;
     }
     await new Promise((resolve) => setTimeout(resolve, pause_ms));
   }

@@ -11,8 +11,8 @@ const now = () => performance.now() / 1000;
 /** For how long the node that served this page has not answered, s. */
 export const silence_s = () => now() - told.at.status;
 
-/** `at`: when each was told. `last`: each node's last status, by name, with the time; it stays when the node is gone. */
-export const told = { status: null, peers: [], capture: null, role: "view", at: { status: now(), peers: now(), capture: now() }, last: new Map() };
+/** `at`: when each was told. `noBody`: why there is no live body and never will be. `last`: each node's last status, by name, with the time; it stays when the node is gone. */
+export const told = { status: null, peers: [], capture: null, role: "view", noBody: null, at: { status: now(), peers: now(), capture: now() }, last: new Map() };
 
 export function take(what, value) {
   told[what] = value;

@@ -5,35 +5,33 @@
 //! console is looked at asks the others for their rows of a trigger and reconstructs all cameras together.
 
 mod body;
+mod kept;
 pub mod rows;
 
 pub use body::{Body, CameraShare, POINTS_MAX, Reconstructor};
 
-use crate::acquire::preview::{Sample, Taps};
+use crate::acquire::preview::Taps;
 use crate::base::ids::CameraId;
 use crate::base::time::host_time_ns;
 use crate::control::client::NodeClient;
 use crate::control::status::path;
 use crate::data::Calibration;
 use crate::host::realtime;
+use kept::{Kept, Places};
 use rows::Rows;
 use serde::Serialize;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Frame sets a second that are sampled at most.
-const MOST_PER_S: f64 = 15.0;
 /// Whoever has not asked for so long does not look any more.
 const INTEREST: Duration = Duration::from_secs(2);
 /// How often threads look for what is new.
 const POLL: Duration = Duration::from_millis(4);
 /// Without interest.
 const REST: Duration = Duration::from_millis(100);
-/// Triggers whose rows are kept for other nodes.
-const KEPT: usize = 6;
 /// A frame set lacks what another node has not told by then.
 const PEER_PATIENCE: Duration = Duration::from_millis(400);
 /// Frame sets over which their rate is told.
@@ -73,18 +71,13 @@ pub struct LiveBody {
 
 struct Shared {
     taps: Arc<Taps>,
-    /// Triggers that are multiples of it are sampled.
-    stride: u64,
-    /// Frames so far apart are not of one session, ns.
-    apart_ns: u64,
     calibration: Option<PathBuf>,
     peers: Vec<NodeClient>,
     origin: Instant,
     /// When this node's rows were last wanted, and when its body was, ms after `origin`, plus one; 0: never.
     rows_asked: AtomicU64,
     body_asked: AtomicU64,
-    /// Rows of this node's cameras, by trigger, oldest first.
-    rows: Mutex<VecDeque<(u64, BTreeMap<usize, Arc<Sample>>)>>,
+    kept: Mutex<Kept>,
     shown: Mutex<Option<Arc<Shown>>>,
     problem: Mutex<Option<String>>,
     ended: AtomicBool,
@@ -99,17 +92,15 @@ impl LiveBody {
         peers: Vec<NodeClient>,
     ) -> std::io::Result<Self> {
         let has_calibration = calibration.is_some();
-        let stride = (trigger_rate_hz / MOST_PER_S).ceil().max(1.0) as u64;
+        let kept = Kept::new(taps.cameras().count(), trigger_rate_hz);
         let shared = Arc::new(Shared {
             taps,
-            stride,
-            apart_ns: (3e9 * stride as f64 / trigger_rate_hz).max(1e9) as u64,
             calibration,
             peers,
             origin: Instant::now(),
             rows_asked: AtomicU64::new(0),
             body_asked: AtomicU64::new(0),
-            rows: Mutex::default(),
+            kept: Mutex::new(kept),
             shown: Mutex::default(),
             problem: Mutex::default(),
             ended: AtomicBool::new(false),
@@ -134,8 +125,8 @@ impl LiveBody {
         self.shared.ended.store(true, Ordering::Release);
     }
 
-    /// The newest frame set after this number, and the wish for the next ones; `None` where there is none yet. The error says
-    /// why there never will be one.
+    /// The newest frame set if it is not the one of this number, and the wish for the next ones; `None` where there is none yet.
+    /// Numbers begin anew with the node. The error says why there never will be one.
     pub fn after(&self, number: u64) -> Result<Option<Arc<Shown>>, String> {
         if self.shared.calibration.is_none() {
             let message = "no calibration is configured; set quick_look.calibration in the node file";
@@ -146,17 +137,14 @@ impl LiveBody {
         if let Some(problem) = lock(&self.shared.problem).clone() {
             return Err(problem);
         }
-        Ok(lock(&self.shared.shown).clone().filter(|shown| shown.facts.number > number))
+        Ok(lock(&self.shared.shown).clone().filter(|shown| shown.facts.number != number))
     }
 
     /// The rows of this node's cameras of a trigger, and the wish for the next ones; `None` while none is there.
     pub fn rows(&self, trigger: u64) -> Option<Vec<u8>> {
         self.shared.note(&self.shared.rows_asked);
-        let found = self.shared.of(trigger)?;
-        // A camera that has nothing after its trigger's next ones has lost the frame.
-        let cameras = self.shared.taps.cameras().count();
-        let late = lock(&self.shared.rows).back().is_some_and(|(newest, _)| *newest > trigger);
-        (found.len() == cameras || late).then(|| rows::encode(trigger, &found))
+        let places = lock(&self.shared.kept).settled(trigger, self.shared.now_ns())?;
+        Some(rows::encode(trigger, &self.shared.named(&places)))
     }
 }
 
@@ -166,6 +154,10 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Shared {
+    fn now_ns(&self) -> u64 {
+        self.origin.elapsed().as_nanos() as u64
+    }
+
     fn note(&self, asked: &AtomicU64) {
         asked.store(self.origin.elapsed().as_millis() as u64 + 1, Ordering::Release);
     }
@@ -176,77 +168,33 @@ impl Shared {
         at != 0 && now.saturating_sub(at) < INTEREST.as_millis() as u64
     }
 
-    /// The rows that this node has of a trigger.
-    fn of(&self, trigger: u64) -> Option<Rows> {
-        let rows = lock(&self.rows);
-        let (_, cameras) = rows.iter().find(|(known, _)| *known == trigger)?;
+    /// Rows by the names of their cameras.
+    fn named(&self, places: &Places) -> Rows {
         let ids: Vec<&CameraId> = self.taps.cameras().collect();
-        Some(cameras.iter().map(|(place, sample)| (ids[*place].clone(), sample.as_ref().clone())).collect())
+        places.iter().map(|(place, sample)| (ids[*place].clone(), sample.as_ref().clone())).collect()
     }
 
     fn sample(&self) {
         let cameras = self.taps.cameras().count();
-        let mut asked = vec![false; cameras];
         while !self.ended.load(Ordering::Acquire) {
             if !self.is_wanted(&self.rows_asked) {
-                asked.fill(false);
+                lock(&self.kept).forget_wishes();
                 std::thread::sleep(REST);
                 continue;
             }
             for camera in 0..cameras {
-                if !asked[camera] {
-                    self.taps.ask(camera);
-                    asked[camera] = true;
+                let mut kept = lock(&self.kept);
+                let mut spare = kept.spare();
+                if let Some(sample) = self.taps.take(camera, &mut spare) {
+                    kept.keep(camera, sample, self.now_ns());
                 }
-                if let Some(sample) = self.taps.take(camera, &mut None) {
-                    let trigger = sample.trigger;
-                    self.taps.ask_from(camera, self.next_after(trigger));
-                    if trigger % self.stride == 0 {
-                        self.keep(camera, sample);
-                    }
+                kept.give_back(spare);
+                if let Some(trigger) = kept.wish(camera, self.now_ns()) {
+                    self.taps.ask_from(camera, trigger);
                 }
             }
             std::thread::sleep(POLL);
         }
-    }
-
-    fn next_after(&self, trigger: u64) -> u64 {
-        (trigger / self.stride + 1) * self.stride
-    }
-
-    fn keep(&self, camera: usize, sample: Sample) {
-        let mut rows = lock(&self.rows);
-        let trigger = sample.trigger;
-        // After a pause, or with numbers that begin anew, it is the next session.
-        let of_another = |(newest, cameras): &(u64, BTreeMap<usize, Arc<Sample>>)| {
-            let before_ns = cameras.values().map(|known| known.host_time_ns).max().unwrap_or_default();
-            trigger + 3 * self.stride <= *newest || before_ns + self.apart_ns < sample.host_time_ns
-        };
-        if rows.back().is_some_and(of_another) {
-            rows.clear();
-        }
-        let place = match rows.iter().position(|(known, _)| *known == trigger) {
-            Some(place) => place,
-            None => {
-                let place = rows.partition_point(|(known, _)| *known < trigger);
-                rows.insert(place, (trigger, BTreeMap::new()));
-                place
-            }
-        };
-        rows[place].1.insert(camera, Arc::new(sample));
-        while rows.len() > KEPT {
-            rows.pop_front();
-        }
-    }
-
-    /// The newest trigger of which this node has all cameras, or has given some up.
-    fn newest(&self, last: Option<u64>) -> Option<u64> {
-        let cameras = self.taps.cameras().count();
-        let rows = lock(&self.rows);
-        let whole = rows.iter().rev().find(|(_, found)| found.len() == cameras).map(|(trigger, _)| *trigger);
-        // Where a camera is away for good, what lies two strides back will not become whole.
-        let behind = rows.iter().rev().nth(2).map(|(trigger, _)| *trigger);
-        whole.max(behind).filter(|trigger| last != Some(*trigger))
     }
 
     fn reconstruct(&self) {
@@ -277,12 +225,14 @@ impl Shared {
                     Err(reason) => return self.fail(format!("{}: {reason}", calibration.display())),
                 }
             }
-            let (Some(made), Some(trigger)) = (&reconstructor, self.newest(last)) else {
+            let (Some(made), Some(trigger)) = (&reconstructor, lock(&self.kept).newest(last)) else {
                 std::thread::sleep(POLL);
                 continue;
             };
             last = Some(trigger);
-            let Some(mut rows) = self.of(trigger) else { continue };
+            let Some(places) = lock(&self.kept).of(trigger, self.now_ns()) else { continue };
+            let mut rows = self.named(&places);
+            drop(places);
             let host_time_ns = rows.values().map(|sample| sample.host_time_ns).min().unwrap_or_default();
             rows.extend(self.rows_of_peers(trigger));
             let Body { points, cameras } = pool.install(|| made.body(&rows));
