@@ -200,7 +200,7 @@ impl Shared {
     fn reconstruct(&self) {
         let Some(calibration) = &self.calibration else { return };
         let mut reconstructor = None;
-        let threads = std::thread::available_parallelism().map_or(1, |n| (n.get() / 2).max(1));
+        let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .thread_name(|n| format!("live-body-{n}"))
