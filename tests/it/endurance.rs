@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Many sessions in one process, and one session that is long: nothing grows, ids wrap unnoticed.
 
-use crate::lab::{fourdbody, laboratory_of, start_nodes, text_of};
+use crate::lab::{fourdbody, laboratory_of, start_nodes, text_of, turn};
 use fourdbody::base::ids::TriggerIndex;
 use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
@@ -44,6 +44,7 @@ const LEFT_KIB: u64 = 2048;
 /// `FOURDBODY_CYCLES` sessions of three triggers in the same two node processes.
 #[test]
 fn sessions_in_a_row_leave_nothing_behind() {
+    let _turn = turn();
     let cycles = asked("FOURDBODY_CYCLES", 20).max(4);
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory_of(dir.path(), 145, 100.0, (64, 48), 1);
@@ -72,6 +73,7 @@ fn sessions_in_a_row_leave_nothing_behind() {
 /// `FOURDBODY_TRIGGERS` triggers; the ids begin shortly before their wrap, so that a short run wraps as well.
 #[test]
 fn block_ids_wrap_within_a_session() {
+    let _turn = turn();
     let triggers = asked("FOURDBODY_TRIGGERS", 600);
     let dir = tempfile::tempdir().expect("a temporary directory");
     let laboratory = laboratory_of(dir.path(), 146, 200.0, (64, 48), 65_300);

@@ -2,7 +2,7 @@
 //! Real nodes while cameras and network misbehave by a plan: every injected fault must be accounted for, at its
 //! trigger and by its cause, and nothing else may be missing.
 
-use crate::lab::{fourdbody, options, small_rig, start_laboratory, start_nodes, text_of};
+use crate::lab::{fourdbody, options, small_rig, start_laboratory, start_nodes, text_of, turn};
 use fourdbody_simulator::faults::{FaultPlan, Injected, Kind, Shown, check, read_truth};
 use fourdbody_simulator::laboratory::{LaboratoryOptions, TRUTH_FILE};
 use std::collections::BTreeMap;
@@ -12,6 +12,7 @@ const TRIGGERS: usize = 300;
 
 /// Records a train with these faults; the truth and the session.
 fn recorded(dir: &Path, subnet: u8, plan: FaultPlan) -> (Vec<Injected>, PathBuf) {
+    let _turn = turn();
     let options = options(small_rig(40.0), dir, subnet);
     let options = LaboratoryOptions { buffers_per_camera: 64, faults: Some(plan), ..options };
     let laboratory = start_laboratory(&options);

@@ -9,7 +9,7 @@ use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// The product's binary.
@@ -96,6 +96,12 @@ pub fn say(file: &Path, camera: &str, words: &str) {
     let rest: String = after[1..].concat();
     let text = format!("{before}id = \"{camera}\"\n{address}\n{words}\n{own}{rest}");
     std::fs::write(file, text).expect("writable");
+}
+
+/// Laboratories that need two processors for themselves take turns: at once, each finds the other's time missing.
+pub fn turn() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A node's process; killed when dropped.
