@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Many sessions in one process, and one session that is long: nothing grows, ids wrap unnoticed.
 
-use crate::lab::{fourdbody, laboratory_of, start_nodes, text_of, turn};
+use crate::lab::{self, fourdbody, laboratory_of, start_nodes, text_of, turn};
 use fourdbody::base::ids::TriggerIndex;
 use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
@@ -47,14 +47,23 @@ fn sessions_in_a_row_leave_nothing_behind() {
     let _turn = turn();
     let cycles = asked("FOURDBODY_CYCLES", 20).max(4);
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory_of(dir.path(), 145, 100.0, (64, 48), 1);
+    let laboratory = laboratory_of(dir.path(), 145, 50.0, (64, 48), 1);
     let mut nodes = start_nodes(&laboratory);
+    // Where other tests hold the processors while clocks are compared, a session's frames are given up, and that is told.
+    let mut incomplete = Vec::new();
     let mut seen = Vec::new();
     for cycle in 0..cycles {
         let name = format!("cycle-{cycle}");
         let output =
             fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "3", "--name", &name]);
-        assert_eq!(output.status.code(), Some(0), "cycle {cycle}: {}", text_of(&output));
+        let logs = || nodes.iter().map(lab::NodeProcess::log).collect::<Vec<_>>().join("\n");
+        match output.status.code() {
+            Some(0) => {}
+            Some(3) => incomplete.push(text_of(&output)),
+            _ => panic!("cycle {cycle}: {}\n{}", text_of(&output), logs()),
+        }
+        let most = cycles / 10;
+        assert!(incomplete.len() as u64 <= most, "more than {most} of {cycles}: {incomplete:#?}\n{}", logs());
         nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
         std::fs::remove_dir_all(dir.path().join("sessions").join(&name)).expect("recorded");
         if cycle + 1 == cycles / 4 || cycle + 1 == cycles {
