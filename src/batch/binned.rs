@@ -81,13 +81,24 @@ impl Calibration {
     /// The calibration of frames of which so many rows, at least 1, were made one: their row r is the middle of the rows from r times
     /// `rows` on.
     #[must_use]
-    pub fn with_binned_rows(mut self, rows: usize) -> Self {
+    pub fn with_binned_rows(self, rows: usize) -> Self {
+        self.with_rows_apart(rows, |height| height / rows, (rows as f64 - 1.0) / 2.0)
+    }
+
+    /// The calibration of frames of which rows 0, n, 2 n, ... are there.
+    #[must_use]
+    pub fn with_every_nth_row(self, n: usize) -> Self {
+        self.with_rows_apart(n, |height| height.div_ceil(n), 0.0)
+    }
+
+    /// Rows so far apart, of which the first lies at `first`.
+    fn with_rows_apart(mut self, rows: usize, height: impl Fn(usize) -> usize, first: f64) -> Self {
         let n = rows as f64;
         for camera in self.heads.iter_mut().flat_map(|head| &mut head.cameras) {
             let device = &mut camera.device;
-            device.height /= rows;
+            device.height = height(device.height);
             device.lens.fy /= n;
-            device.lens.cy = (device.lens.cy - (n - 1.0) / 2.0) / n;
+            device.lens.cy = (device.lens.cy - first) / n;
         }
         self
     }
@@ -115,13 +126,17 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
         let whole = Calibration::nominal(&Rig::load(&path).expect("the shipped rig"));
         for rows in 1..=super::MOST_ROWS {
-            let less = whole.clone().with_binned_rows(rows);
-            for ((_, a), (_, b)) in whole.cameras().zip(less.cameras()) {
-                assert_eq!(b.device.height, a.device.height / rows);
-                for (u, v) in [(3.0, 0.0), (1100.0, 71.0), (1900.0, (b.device.height - 1) as f64)] {
-                    let of_rows = a.device.ray(u, v * rows as f64 + (rows as f64 - 1.0) / 2.0);
-                    let (expected, found) = (of_rows.expect("a ray"), b.device.ray(u, v).expect("a ray"));
-                    assert!((expected.at(2.0) - found.at(2.0)).norm() < 1e-9);
+            let middle = (rows as f64 - 1.0) / 2.0;
+            let binned = (whole.clone().with_binned_rows(rows), middle);
+            let single = (whole.clone().with_every_nth_row(rows), 0.0);
+            for (less, first) in [binned, single] {
+                for ((_, a), (_, b)) in whole.cameras().zip(less.cameras()) {
+                    assert_eq!(b.device.height, a.device.height / rows);
+                    for (u, v) in [(3.0, 0.0), (1100.0, 71.0), (1900.0, (b.device.height - 1) as f64)] {
+                        let of_rows = a.device.ray(u, v * rows as f64 + first);
+                        let (expected, found) = (of_rows.expect("a ray"), b.device.ray(u, v).expect("a ray"));
+                        assert!((expected.at(2.0) - found.at(2.0)).norm() < 1e-9);
+                    }
                 }
             }
         }

@@ -29,11 +29,9 @@ use crate::base::time::process_cpu_time;
 use crate::data::{Calibration, Cloud, Frame, FrameSource};
 use crate::formats::ply;
 use crate::merge::{self, Viewpoint};
-use crate::reconstruct::fringe_order::unwrapped_frame::UnwrappedFrame;
-use crate::reconstruct::fringe_order::{self, View};
-use crate::reconstruct::marker::epipolar_check::Dashes;
-use crate::reconstruct::outcome::{Reconstruction, WHY_ELSEWHERE};
-use crate::reconstruct::pipeline::{self, Method, Pipeline, Workspace};
+use crate::reconstruct::frame_set::{self, Stage};
+use crate::reconstruct::fringe_order;
+use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
@@ -203,60 +201,8 @@ impl From<KeyError> for RunError {
     }
 }
 
-/// A frame on its way.
-enum Stage {
-    /// The other cameras have a part in its fringe orders.
-    Unwrapped(Box<UnwrappedFrame>),
-    /// They have none: it is refused, or what has become of it is known already.
-    Made(Box<Reconstruction>),
-    /// No frame: outcome and reason.
-    Missing(&'static str, String),
-}
-
 /// The CRC-32 of a frame's pixels; `None` where there is no frame, an error where it is damaged.
 type Pixels = Result<Option<u32>, ()>;
-
-/// Where the markers of most cameras contradict the calibration, those of the others agree by chance.
-fn refuse_displaced_markers(stages: Vec<Stage>) -> Vec<Stage> {
-    let dashes = stages.iter().filter_map(|stage| match stage {
-        Stage::Unwrapped(prepared) => Some(&prepared.counts.dashes),
-        Stage::Made(result) => Some(&result.counts.dashes),
-        Stage::Missing(..) => None,
-    });
-    if !Dashes::most_contradict(dashes) {
-        return stages;
-    }
-    let reason = format!(
-        "the markers of most other cameras do not lie where the calibration has them; {WHY_ELSEWHERE}"
-    );
-    refuse(stages, &reason)
-}
-
-/// No clouds are made of any frame of a trigger, for this reason.
-fn refuse(stages: Vec<Stage>, reason: &str) -> Vec<Stage> {
-    let refuse = |stage| match stage {
-        Stage::Unwrapped(prepared) => Stage::Made(pipeline::refuse(*prepared, reason.to_owned())),
-        other => other,
-    };
-    stages.into_iter().map(refuse).collect()
-}
-
-/// The frames of all cameras of one trigger give each other their fringe orders.
-fn solve_fringe_orders(cameras: &[(usize, &Camera)], mut stages: Vec<Stage>, plan: &Plan) -> Vec<Stage> {
-    let views = cameras.iter().zip(&mut stages).filter_map(|((head, camera), stage)| match stage {
-        Stage::Unwrapped(prepared) => Some(View {
-            id: camera.id.as_str(),
-            triangulator: camera.pipeline.triangulator(),
-            head: *head,
-            prepared,
-        }),
-        _ => None,
-    });
-    match fringe_order::solve(&mut views.collect::<Vec<_>>(), plan.margin, plan.most_difference_rad) {
-        Ok(()) => stages,
-        Err(reason) => refuse(stages, &reason),
-    }
-}
 
 /// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers without a time of
 /// their own are placed by index at `rate_hz`.
@@ -418,10 +364,18 @@ impl Job<'_> {
         }
         let prepare = |(_, camera): &(usize, &Camera)| self.timed(|| self.prepare(camera, trigger));
         let prepared: Vec<(Stage, Pixels)> = cameras.par_iter().with_max_len(1).map(prepare).collect();
-        let (mut stages, pixels): (Vec<Stage>, Vec<Pixels>) = prepared.into_iter().unzip();
+        let (stages, pixels): (Vec<Stage>, Vec<Pixels>) = prepared.into_iter().unzip();
         let frames = frames_comment(cameras.iter().map(|(_, camera)| &camera.id).zip(pixels));
-        stages = refuse_displaced_markers(stages);
-        stages = self.timed(|| solve_fringe_orders(&cameras, stages, self.plan));
+        let seen: Vec<_> = cameras
+            .iter()
+            .map(|(head, camera)| frame_set::Camera {
+                id: camera.id.as_str(),
+                head: *head,
+                pipeline: &camera.pipeline,
+            })
+            .collect();
+        let Plan { margin, most_difference_rad, .. } = *self.plan;
+        let stages = self.timed(|| frame_set::settle(&seen, stages, margin, most_difference_rad));
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
             Stage::Unwrapped(prepared) => {
                 self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)), &frames)

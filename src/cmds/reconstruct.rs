@@ -242,8 +242,7 @@ impl What {
                 MethodName::Paper => Method::Paper,
             },
             margin: self.margin,
-            // A patch is so many rows higher, and what differs from its plane grows with it.
-            most_difference_rad: fringe_order::MOST_RAD * self.bin_rows as f32,
+            most_difference_rad: fringe_order::most_rad_of_rows(self.bin_rows),
             bin_rows: self.bin_rows,
             formats: self.formats(),
             uncertainty: self.uncertainty,

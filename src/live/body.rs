@@ -8,10 +8,10 @@ use crate::base::ids::CameraId;
 use crate::base::image::Mono8;
 use crate::data::{Calibration, Cloud};
 use crate::preview::quick_look;
-use crate::reconstruct::fringe_order::unwrapped_frame::UnwrappedFrame;
-use crate::reconstruct::fringe_order::{self, View};
-use crate::reconstruct::outcome::{Outcome, Reconstruction};
-use crate::reconstruct::pipeline::{self, Method, Pipeline, Workspace};
+use crate::reconstruct::frame_set::{self, Stage};
+use crate::reconstruct::fringe_order;
+use crate::reconstruct::outcome::Outcome;
+use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
@@ -55,15 +55,11 @@ struct Camera {
     pipeline: Pipeline,
 }
 
-enum Stage {
-    Unwrapped(Box<UnwrappedFrame>),
-    Made(Box<Reconstruction>),
-}
-
 impl Reconstructor {
     /// For the cameras of a calibration. Takes longer than many frames: each has its tables.
     pub fn new(calibration: Calibration) -> Result<Self, String> {
-        let calibration = of_every_fourth_row(calibration);
+        // Fringes run along the rows of the scene, across the columns of the image, so that few of them are lost.
+        let calibration = calibration.with_every_nth_row(ROW_STEP);
         let workspace = Arc::new(Workspace::default());
         let mut heads: Vec<&str> = Vec::new();
         let mut cameras = Vec::new();
@@ -81,49 +77,37 @@ impl Reconstructor {
 
     /// The body of one trigger, on the current rayon pool.
     pub fn body(&self, rows: &Rows) -> Body {
-        let seen: Vec<(&Camera, Mono8<'_>)> =
-            self.cameras.iter().filter_map(|camera| Some((camera, image(rows.get(&camera.id)?)?))).collect();
-        let prepare = |(camera, image): &(&Camera, Mono8<'_>)| match camera.pipeline.prepare(*image) {
-            Ok(prepared) => Stage::Unwrapped(Box::new(prepared)),
-            Err(made) => Stage::Made(made),
+        let prepare = |camera: &Camera| match rows.get(&camera.id).and_then(image) {
+            Some(image) => Stage::from(camera.pipeline.prepare(image)),
+            None => Stage::Missing("gap", String::new()),
         };
-        let mut stages: Vec<Stage> = seen.par_iter().map(prepare).collect();
-        let views = seen.iter().zip(&mut stages).filter_map(|((camera, _), stage)| match stage {
-            Stage::Unwrapped(prepared) => Some(View {
+        let stages: Vec<Stage> = self.cameras.par_iter().map(prepare).collect();
+        let seen: Vec<_> = self
+            .cameras
+            .iter()
+            .map(|camera| frame_set::Camera {
                 id: camera.id.as_str(),
-                triangulator: camera.pipeline.triangulator(),
                 head: camera.head,
-                prepared,
-            }),
-            Stage::Made(_) => None,
-        });
-        let mut views: Vec<View<'_>> = views.collect();
-        let solved = match views.is_empty() {
-            true => Ok(()),
-            // A patch is so many rows of the frame higher, and what differs from its plane grows with it.
-            false => {
-                let most_rad = fringe_order::MOST_RAD * ROW_STEP as f32;
-                fringe_order::solve(&mut views, fringe_order::MARGIN, most_rad)
-            }
-        };
-        drop(views);
-        let made: Vec<(CameraShare, Cloud)> = seen
-            .par_iter()
-            .zip(stages)
-            .map(|((camera, _), stage)| {
-                let made = match (stage, &solved) {
-                    (Stage::Made(made), _) => *made,
-                    (Stage::Unwrapped(prepared), Ok(())) => camera.pipeline.finish(*prepared),
-                    (Stage::Unwrapped(prepared), Err(reason)) => *pipeline::refuse(*prepared, reason.clone()),
-                };
-                let refused = match made.outcome {
-                    Outcome::Refused(reason) => Some(reason),
-                    Outcome::Cloud => None,
-                };
-                let (lit, points) = (made.counts.object, made.cloud.len());
-                (CameraShare { camera: camera.id.clone(), lit, points, refused }, made.cloud)
+                pipeline: &camera.pipeline,
             })
             .collect();
+        let most_rad = fringe_order::most_rad_of_rows(ROW_STEP);
+        let stages = frame_set::settle(&seen, stages, fringe_order::MARGIN, most_rad);
+        let finish = |(camera, stage): (&Camera, Stage)| {
+            let made = match stage {
+                Stage::Made(made) => *made,
+                Stage::Unwrapped(prepared) => camera.pipeline.finish(*prepared),
+                Stage::Missing(..) => return None,
+            };
+            let refused = match made.outcome {
+                Outcome::Refused(reason) => Some(reason),
+                Outcome::Cloud => None,
+            };
+            let (lit, points) = (made.counts.object, made.cloud.len());
+            Some((CameraShare { camera: camera.id.clone(), lit, points, refused }, made.cloud))
+        };
+        let made: Vec<(CameraShare, Cloud)> =
+            self.cameras.par_iter().zip(stages).filter_map(finish).collect();
         let most = POINTS_MAX / made.len().max(1);
         let mut body = Body::default();
         for (share, cloud) in made {
@@ -136,17 +120,4 @@ impl Reconstructor {
 
 fn image(sample: &Sample) -> Option<Mono8<'_>> {
     Mono8::new(sample.width, sample.pixels.len() / sample.width.max(1), &sample.pixels)
-}
-
-/// The calibration of frames of which rows 0, 4, 8, ... are there: fringes run along the rows of the scene, across the
-/// columns of the image, so that few of them are lost.
-fn of_every_fourth_row(mut calibration: Calibration) -> Calibration {
-    let n = ROW_STEP as f64;
-    for camera in calibration.heads.iter_mut().flat_map(|head| &mut head.cameras) {
-        let device = &mut camera.device;
-        device.height = device.height.div_ceil(ROW_STEP);
-        device.lens.fy /= n;
-        device.lens.cy /= n;
-    }
-    calibration
 }

@@ -144,7 +144,8 @@ impl LiveBody {
     pub fn rows(&self, trigger: u64) -> Option<Vec<u8>> {
         self.shared.note(&self.shared.rows_asked);
         let places = lock(&self.shared.kept).settled(trigger, self.shared.now_ns())?;
-        Some(rows::encode(trigger, &self.shared.named(&places)))
+        let ids: Vec<&CameraId> = self.shared.taps.cameras().collect();
+        Some(rows::encode(trigger, places.iter().map(|(place, sample)| (ids[*place], sample.as_ref()))))
     }
 }
 

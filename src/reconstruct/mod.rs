@@ -2,10 +2,12 @@
 //! One frame to one point cloud: the phase pipeline (paper, section 4.1).
 //!
 //! Knows nothing of cameras, networks or tokio, and builds without Aravis. The folders follow the paper's Figure 5, from
-//! the mask to the points; [`pipeline`] composes them for one frame. `docs/design/reconstruction.md` describes them.
+//! the mask to the points; [`pipeline`] composes them for one frame, [`frame_set`] for those of a trigger. `docs/design/reconstruction.md` describes them.
 
 /// Pixel counts that tell how a frame went.
 pub mod counts;
+/// The frames of all cameras of one trigger.
+pub mod frame_set;
 /// Fringe orders of all views of one instant.
 pub mod fringe_order;
 /// What the stages are computed with.

@@ -50,6 +50,12 @@ use unwrapped_frame::UnwrappedFrame;
 /// A patch whose label leads any other by less is refused, as a rule. Twice as much: docs/validation.md, *Other poses and skins*.
 pub const MARGIN: f32 = 1.0;
 
+/// [`MOST_RAD`] of frames of which each row stands for so many of the camera's: patches are as many times higher, and what
+/// differs from their planes grows with it.
+pub fn most_rad_of_rows(rows: usize) -> f32 {
+    MOST_RAD * rows as f32
+}
+
 /// A patch whose label leads by so much tells the other cameras what hides what.
 const CERTAIN: f32 = 1.0;
 
