@@ -3,10 +3,11 @@
 //! with the unit's time. Hosts ask for them a few times a second, so that the serial line cannot lose one.
 
 use crate::codec::{DecodeError, Put, Take};
-use crate::{EDGE_HISTORY, EDGES_KEPT, HEARTBEAT_NS, INPUTS, MAX_RECORDS};
+use crate::records::Records;
+use crate::{EDGE_HISTORY, EDGES_KEPT, HEARTBEAT_NS, INPUTS};
 
 /// An input line and the direction of its edge.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Slope {
     line: u8,
     /// From low to high.
@@ -41,7 +42,7 @@ impl Slope {
 }
 
 /// One edge as it happened.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Edge {
     /// Consecutive since power-up, over all lines.
     pub number: u64,
@@ -54,8 +55,7 @@ pub struct Edge {
 }
 
 impl Edge {
-    pub(crate) const NONE: Self =
-        Self { number: 0, time_ns: 0, slope: Slope { line: 0, rising: false }, skipped: 0 };
+    const NONE: Self = Self { number: 0, time_ns: 0, slope: Slope { line: 0, rising: false }, skipped: 0 };
 
     pub(crate) fn put(&self, put: &mut Put<'_>) {
         put.u64(self.number);
@@ -74,52 +74,8 @@ impl Edge {
     }
 }
 
-/// Up to [`MAX_RECORDS`] consecutive edges.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Edges {
-    records: [Edge; MAX_RECORDS],
-    length: u8,
-}
-
-impl Default for Edges {
-    fn default() -> Self {
-        Self { records: [Edge::NONE; MAX_RECORDS], length: 0 }
-    }
-}
-
-impl Edges {
-    /// Adds one; `false` if full.
-    pub fn push(&mut self, edge: Edge) -> bool {
-        match self.records.get_mut(usize::from(self.length)) {
-            Some(place) => {
-                *place = edge;
-                self.length += 1;
-                true
-            }
-            None => false,
-        }
-    }
-
-    /// The edges, in order.
-    pub fn as_slice(&self) -> &[Edge] {
-        &self.records[..usize::from(self.length)]
-    }
-
-    pub(crate) fn put(&self, put: &mut Put<'_>) {
-        put.u8(self.length);
-        self.as_slice().iter().for_each(|edge| edge.put(put));
-    }
-
-    pub(crate) fn take(take: &mut Take<'_>) -> Result<Self, DecodeError> {
-        let mut edges = Self::default();
-        for _ in 0..take.u8()? {
-            if !edges.push(Edge::take(take)?) {
-                return Err(DecodeError::Value);
-            }
-        }
-        Ok(edges)
-    }
-}
+/// Consecutive edges.
+pub type Edges = Records<Edge>;
 
 /// What the unit knows of its inputs.
 #[derive(Debug, Clone)]

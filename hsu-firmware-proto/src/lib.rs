@@ -15,6 +15,7 @@ pub mod frame;
 pub mod host_to_unit;
 pub mod ids;
 pub mod inputs;
+mod records;
 mod refusal;
 mod status;
 pub mod timing;
@@ -25,6 +26,7 @@ pub use codec::DecodeError;
 pub use host_to_unit::{Arm, Hello, HostToUnit, Request};
 pub use ids::{LinkId, NodeName, SessionId};
 pub use inputs::{Edge, Edges, Slope};
+pub use records::Records;
 pub use timing::{HeadTiming, Sync, Timing, TimingError};
 pub use unit::{PAUSE_BEFORE, Unit, UnitOutputs};
 pub use unit_to_host::{

@@ -8,9 +8,10 @@
 
 use crate::codec::{DecodeError, Put, Take};
 use crate::ids::{LinkId, NodeName, SessionId};
-use crate::inputs::Edges;
+use crate::inputs::{Edge, Edges};
+use crate::records::Records;
 use crate::timing::{Timing, TimingError};
-use crate::{MAX_MESSAGE, MAX_RECORDS, version};
+use crate::{MAX_MESSAGE, version};
 use core::fmt;
 
 pub use crate::refusal::Refusal;
@@ -76,31 +77,8 @@ pub struct TriggerRecord {
     pub flags: TriggerFlags,
 }
 
-/// Up to [`MAX_RECORDS`] consecutive triggers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct TriggerRecords {
-    records: [TriggerRecord; MAX_RECORDS],
-    length: u8,
-}
-
-impl TriggerRecords {
-    /// Adds one; `false` if full.
-    pub fn push(&mut self, record: TriggerRecord) -> bool {
-        match self.records.get_mut(usize::from(self.length)) {
-            Some(place) => {
-                *place = record;
-                self.length += 1;
-                true
-            }
-            None => false,
-        }
-    }
-
-    /// The triggers, in order.
-    pub fn as_slice(&self) -> &[TriggerRecord] {
-        &self.records[..usize::from(self.length)]
-    }
-}
+/// Consecutive triggers.
+pub type TriggerRecords = Records<TriggerRecord>;
 
 /// Something is wrong that no request asked about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -240,13 +218,12 @@ impl UnitToHost {
             }
             Self::Triggers(_, session, records) => {
                 put.bytes(&session.0);
-                put.u8(records.length);
-                records.as_slice().iter().for_each(|record| put_record(&mut put, record));
+                records.put(&mut put, put_record);
             }
             Self::Status(_, status) | Self::Heartbeat(status) => status.put(&mut put),
             Self::Trigger(session, record) => {
                 put.bytes(&session.0);
-                put_record(&mut put, record);
+                put_record(record, &mut put);
             }
             Self::Done { session, emitted, reason } => {
                 put.bytes(&session.0);
@@ -267,7 +244,7 @@ impl UnitToHost {
             Self::Edges { next, levels, edges, .. } => {
                 put.u64(*next);
                 put.u8(*levels);
-                edges.put(&mut put);
+                edges.put(&mut put, Edge::put);
             }
         }
         put.length()
@@ -317,12 +294,7 @@ impl UnitToHost {
             CLOCK => Self::Clock { request_id: take.u32()?, token: take.u64()?, time_ns: take.u64()? },
             TRIGGERS => {
                 let (id, session) = (take.u32()?, SessionId(take.array()?));
-                let mut records = TriggerRecords::default();
-                for _ in 0..take.u8()? {
-                    if !records.push(take_record(take)?) {
-                        return Err(DecodeError::Value);
-                    }
-                }
+                let records = Records::take(take, take_record)?;
                 Self::Triggers(id, session, records)
             }
             STATUS => Self::Status(take.u32()?, Status::take(take)?),
@@ -338,7 +310,7 @@ impl UnitToHost {
                 request_id: take.u32()?,
                 next: take.u64()?,
                 levels: take.u8()?,
-                edges: Edges::take(take)?,
+                edges: Records::take(take, Edge::take)?,
             },
             found => return Err(DecodeError::Kind { found }),
         })
@@ -370,7 +342,7 @@ fn take_welcome(take: &mut Take<'_>) -> Result<Welcome, DecodeError> {
     })
 }
 
-fn put_record(put: &mut Put<'_>, record: &TriggerRecord) {
+fn put_record(record: &TriggerRecord, put: &mut Put<'_>) {
     put.i64(record.number);
     put.u64(record.time_ns);
     put.u8(record.flags.0);

@@ -65,7 +65,7 @@ fn rising() -> bool {
 
 impl StartOn {
     /// The HSU's inputs.
-    pub const LINES: u8 = 8;
+    pub const LINES: u8 = crate::hsu::INPUTS as u8;
 }
 
 impl fmt::Display for StartOn {

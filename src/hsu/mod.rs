@@ -28,6 +28,6 @@ pub use trigger_unit::TriggerUnit;
 pub use unit::{ClockSample, Hsu, HsuTimeouts, InputEdges};
 
 pub use hsu_firmware_proto::{
-    EndReason, Fault, HeadTiming, Identity, LinkId, Refusal, SessionId, Slope, State, Status, Sync,
-    TriggerFlags, TriggerRecord,
+    EDGE_HISTORY, Edge, Edges, EndReason, Fault, HeadTiming, INPUTS, Identity, LinkId, Refusal, SessionId,
+    Slope, State, Status, Sync, TriggerFlags, TriggerRecord,
 };

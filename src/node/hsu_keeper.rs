@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The thread that keeps the link to the HSU during a session: reads its clock and its input lines, and connects anew when the link was
-//! lost, so that the train's triggers go on being reported from where they broke off.
+//! The thread that keeps the link to the HSU during a session: reads its clock and its input lines, and connects anew when
+//! the link was lost, so that the train's triggers go on being reported from where they broke off.
 
 use super::input_lines::InputLines;
 use crate::acquire::recorder::RecorderCommand;
@@ -82,7 +82,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
     let mut next_clock = Instant::now() + CLOCK_INTERVAL;
     let mut inputs = InputLines::default();
     let mut look = |link: &Hsu| {
-        for event in inputs.look(link, clock.now()) {
+        for event in inputs.look(|first| link.input_edges(first), clock.now()) {
             drop(to_recorder.send(RecorderCommand::Event(event)));
         }
     };
@@ -112,10 +112,11 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
         match (&hsu, missing) {
             (Some(link), _) if Instant::now() >= next_clock => {
                 next_clock = Instant::now() + CLOCK_INTERVAL;
+                // A unit that does not say the time is not waited for twice.
                 if let Ok(sample) = link.query_clock() {
                     drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
+                    look(link);
                 }
-                look(link);
             }
             (None, Some(next)) => match unit.connect(&node, &HsuTimeouts::default()) {
                 Ok(link) => {
