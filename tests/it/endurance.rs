@@ -47,9 +47,9 @@ fn sessions_in_a_row_leave_nothing_behind() {
     let _turn = turn();
     let cycles = asked("FOURDBODY_CYCLES", 20).max(4);
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory_of(dir.path(), 145, 50.0, (64, 48), 1);
+    let laboratory = laboratory_of(dir.path(), 145, 100.0, (64, 48), 1);
     let mut nodes = start_nodes(&laboratory);
-    // Where other tests hold the processors while clocks are compared, a session's frames are given up, and that is told.
+    // Beside other tests one session in twenty has lost a node's frames, why is not known; the loss was told each time.
     let mut incomplete = Vec::new();
     let mut seen = Vec::new();
     for cycle in 0..cycles {
@@ -59,11 +59,17 @@ fn sessions_in_a_row_leave_nothing_behind() {
         let logs = || nodes.iter().map(lab::NodeProcess::log).collect::<Vec<_>>().join("\n");
         match output.status.code() {
             Some(0) => {}
-            Some(3) => incomplete.push(text_of(&output)),
+            Some(3) => {
+                println!("cycle {cycle}: {}\n{}", text_of(&output), logs());
+                incomplete.push(cycle);
+            }
             _ => panic!("cycle {cycle}: {}\n{}", text_of(&output), logs()),
         }
         let most = cycles / 10;
-        assert!(incomplete.len() as u64 <= most, "more than {most} of {cycles}: {incomplete:#?}\n{}", logs());
+        assert!(
+            incomplete.len() as u64 <= most,
+            "cycles {incomplete:?} lost frames, expected {most} of {cycles} at most"
+        );
         nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
         std::fs::remove_dir_all(dir.path().join("sessions").join(&name)).expect("recorded");
         if cycle + 1 == cycles / 4 || cycle + 1 == cycles {
