@@ -198,8 +198,11 @@ fn together(pipelines: &[Pipeline], images: &[Plane<u8>]) -> Vec<Reconstruction>
     let views = pipelines.iter().zip([0, 0, 1]).zip(&mut prepared).filter_map(|((x, head), prepared)| {
         Some(View { id: "", triangulator: x.triangulator(), head, prepared: prepared.as_mut().ok()? })
     });
-    let said =
-        fringe_order::solve(&mut views.collect::<Vec<_>>(), fringe_order::MARGIN, fringe_order::MOST_RAD);
+    let said = fringe_order::solve(
+        &mut views.collect::<Vec<_>>(),
+        fringe_order::MARGIN,
+        fringe_order::MostDifference::of_rows(1),
+    );
     let finished = pipelines.iter().zip(prepared).map(|(x, prepared)| match prepared {
         Ok(prepared) => match &said {
             Ok(()) => x.finish(prepared),

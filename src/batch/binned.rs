@@ -8,8 +8,9 @@ use crate::data::{Calibration, Frame, FrameSource, LostPart, SessionIdentity, So
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// Rows that may be added up: the marker, which changes along the columns, must be left.
-pub const MOST_ROWS: usize = 4;
+/// Rows that may be added up: the marker, which changes along the columns, must be left, and a device that has turned must be noticed
+/// (docs/design/reconstruction.md, Fewer rows).
+pub const MOST_ROWS: usize = 3;
 
 /// A source whose frames are those of another one, so many rows of which make one.
 pub struct BinnedSource {

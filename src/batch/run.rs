@@ -30,7 +30,7 @@ use crate::data::{Calibration, Cloud, Frame, FrameSource};
 use crate::formats::ply;
 use crate::merge::{self, Viewpoint};
 use crate::reconstruct::frame_set::{self, Stage};
-use crate::reconstruct::fringe_order;
+use crate::reconstruct::fringe_order::{self, MostDifference};
 use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
@@ -90,8 +90,8 @@ pub struct Plan {
     pub method: Method,
     /// By how much a fringe order must lead any other.
     pub margin: f32,
-    /// Cameras that differ by more contradict the calibration, and the trigger is refused, rad.
-    pub most_difference_rad: f32,
+    /// Cameras that differ by more contradict the calibration, and the trigger is refused.
+    pub most_difference: MostDifference,
     /// Rows of the photographs that make one row of the source's frames ([`super::binned`]).
     pub bin_rows: usize,
     /// What is written, each once, in order.
@@ -114,7 +114,7 @@ impl Default for Plan {
             shard: (0, 1),
             method: Method::Joint,
             margin: fringe_order::MARGIN,
-            most_difference_rad: fringe_order::MOST_RAD,
+            most_difference: MostDifference::of_rows(1),
             bin_rows: 1,
             formats: vec![Format::Phase],
             uncertainty: false,
@@ -374,8 +374,8 @@ impl Job<'_> {
                 pipeline: &camera.pipeline,
             })
             .collect();
-        let Plan { margin, most_difference_rad, .. } = *self.plan;
-        let stages = self.timed(|| frame_set::settle(&seen, stages, margin, most_difference_rad));
+        let Plan { margin, most_difference, .. } = *self.plan;
+        let stages = self.timed(|| frame_set::settle(&seen, stages, margin, most_difference));
         let work = cameras.par_iter().with_max_len(1).zip(stages).map(|((_, camera), stage)| match stage {
             Stage::Unwrapped(prepared) => {
                 self.save(camera, trigger, self.timed(|| camera.pipeline.finish(*prepared)), &frames)

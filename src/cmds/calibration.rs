@@ -13,6 +13,7 @@ use crate::calibrate::drift::history::{Checked, History, Verdict};
 use crate::calibrate::drift::{self, Drift};
 use crate::data::{Calibration, FrameSource, PhaseMap};
 use crate::formats::phase_file;
+use crate::reconstruct::fringe_order::MostDifference;
 use std::path::{Path, PathBuf};
 
 /// Look after a calibration.
@@ -232,11 +233,10 @@ impl Check {
     fn plan(&self, compared: &Compared) -> Plan {
         let triggers = compared.source.triggers();
         let every = (triggers.end - triggers.start).div_ceil(self.frame_sets).max(1);
-        let most_difference_rad = f32::INFINITY;
         // In the middle of each part: people stand still there.
         let shard = ((triggers.start + every / 2) % every, every);
         let (out, cameras) = (compared.scratch.0.clone(), compared.cameras.clone());
-        Plan { out, triggers, cameras, shard, most_difference_rad, ..Plan::default() }
+        Plan { out, triggers, cameras, shard, most_difference: MostDifference::ANY, ..Plan::default() }
     }
 
     fn tell(&self, drift: &Drift) -> Result<Exit, Failure> {

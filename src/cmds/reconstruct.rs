@@ -15,7 +15,7 @@ use crate::batch::run::{self, Format, Plan, RunError};
 use crate::batch::summary::Summary;
 use crate::batch::timings::Timings;
 use crate::data::{Calibration, FrameSource, LostPart, SessionIdentity};
-use crate::reconstruct::fringe_order;
+use crate::reconstruct::fringe_order::{self, MostDifference};
 use crate::reconstruct::marker::epipolar_check::REMARKABLE_PX;
 use crate::reconstruct::pipeline::Method;
 use crate::record::SessionReader;
@@ -105,8 +105,8 @@ pub(super) struct What {
     /// Refuse points whose fringe order leads any other by less: more is refused, and less is wrong (docs/validation.md has the curve).
     #[arg(long, value_name = "T", default_value_t = fringe_order::MARGIN, value_parser = parse_margin)]
     margin: f32,
-    /// Make one row of so many, for a part of the time: 2 keeps the surface, 4 loses much of it (docs/design/reconstruction.md, Fewer
-    /// rows).
+    /// Make one row of so many, for a part of the time: 2 keeps the surface, 3 loses a part of it; with more nobody would see that a
+    /// device has turned (docs/design/reconstruction.md, Fewer rows).
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_bin_rows)]
     bin_rows: usize,
     /// What to write, separated by commas: `phase` maps in phases/, which all other commands read; `ply` point clouds in clouds/ and
@@ -242,7 +242,7 @@ impl What {
                 MethodName::Paper => Method::Paper,
             },
             margin: self.margin,
-            most_difference_rad: fringe_order::most_rad_of_rows(self.bin_rows),
+            most_difference: MostDifference::of_rows(self.bin_rows),
             bin_rows: self.bin_rows,
             formats: self.formats(),
             uncertainty: self.uncertainty,

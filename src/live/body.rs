@@ -9,7 +9,7 @@ use crate::base::image::Mono8;
 use crate::data::{Calibration, Cloud};
 use crate::preview::quick_look;
 use crate::reconstruct::frame_set::{self, Stage};
-use crate::reconstruct::fringe_order;
+use crate::reconstruct::fringe_order::{self, MostDifference};
 use crate::reconstruct::outcome::Outcome;
 use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
@@ -91,8 +91,8 @@ impl Reconstructor {
                 pipeline: &camera.pipeline,
             })
             .collect();
-        let most_rad = fringe_order::most_rad_of_rows(ROW_STEP);
-        let stages = frame_set::settle(&seen, stages, fringe_order::MARGIN, most_rad);
+        let most = MostDifference::of_rows(ROW_STEP);
+        let stages = frame_set::settle(&seen, stages, fringe_order::MARGIN, most);
         let finish = |(camera, stage): (&Camera, Stage)| {
             let made = match stage {
                 Stage::Made(made) => *made,

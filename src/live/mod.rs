@@ -6,9 +6,9 @@
 
 mod body;
 mod kept;
-pub mod rows;
+mod rows;
 
-pub use body::{Body, CameraShare, POINTS_MAX, Reconstructor};
+pub use body::CameraShare;
 
 use crate::acquire::preview::Taps;
 use crate::base::ids::CameraId;
@@ -17,6 +17,7 @@ use crate::control::client::NodeClient;
 use crate::control::status::path;
 use crate::data::Calibration;
 use crate::host::realtime;
+use body::{Body, Reconstructor};
 use kept::{Kept, Places};
 use rows::Rows;
 use serde::Serialize;

@@ -3,7 +3,7 @@
 //! orders.
 
 use super::fringe_order::unwrapped_frame::UnwrappedFrame;
-use super::fringe_order::{self, View};
+use super::fringe_order::{self, MostDifference, View};
 use super::marker::epipolar_check::Dashes;
 use super::outcome::{Reconstruction, WHY_ELSEWHERE};
 use super::pipeline::{self, Pipeline};
@@ -41,8 +41,8 @@ impl From<Result<UnwrappedFrame, Box<Reconstruction>>> for Stage {
 }
 
 /// Finds the fringe orders of all frames together, or refuses the frames. `cameras` and `stages` are in the same order;
-/// `margin` and `most_rad` as in [`fringe_order::solve`].
-pub fn settle(cameras: &[Camera<'_>], stages: Vec<Stage>, margin: f32, most_rad: f32) -> Vec<Stage> {
+/// `margin` and `most` as in [`fringe_order::solve`].
+pub fn settle(cameras: &[Camera<'_>], stages: Vec<Stage>, margin: f32, most: MostDifference) -> Vec<Stage> {
     let mut stages = refuse_displaced_markers(stages);
     let views = cameras.iter().zip(&mut stages).filter_map(|(camera, stage)| match stage {
         Stage::Unwrapped(prepared) => Some(View {
@@ -53,7 +53,7 @@ pub fn settle(cameras: &[Camera<'_>], stages: Vec<Stage>, margin: f32, most_rad:
         }),
         Stage::Made(_) | Stage::Missing(..) => None,
     });
-    match fringe_order::solve(&mut views.collect::<Vec<_>>(), margin, most_rad) {
+    match fringe_order::solve(&mut views.collect::<Vec<_>>(), margin, most) {
         Ok(()) => stages,
         Err(reason) => refuse(stages, &reason),
     }

@@ -3,7 +3,7 @@
 
 use super::counts::Counts;
 use super::fringe_order::unwrapped_frame::UnwrappedFrame;
-use super::fringe_order::{self, Orders, Regions, View};
+use super::fringe_order::{self, MostDifference, Orders, Regions, View};
 use super::kernels::buffer_pool::{PlanePools, Pool};
 use super::kernels::pixel_runs::Runs;
 use super::kernels::region_of_interest::Roi;
@@ -116,7 +116,7 @@ impl Pipeline {
     fn ordered(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let mut prepared = self.prepare(image)?;
         let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
-        match fringe_order::solve(&mut [view], fringe_order::MARGIN, fringe_order::MOST_RAD) {
+        match fringe_order::solve(&mut [view], fringe_order::MARGIN, MostDifference::of_rows(1)) {
             Ok(()) => Ok(prepared),
             Err(reason) => Err(refuse(prepared, reason)),
         }

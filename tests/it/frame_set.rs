@@ -40,8 +40,11 @@ pub fn clouds(photographs: &[Photograph]) -> Vec<Reconstruction> {
             let prepared = prepared.as_mut().ok()?;
             Some(View { id: "", triangulator: pipeline.triangulator(), head: x.head, prepared })
         });
-    let said =
-        fringe_order::solve(&mut views.collect::<Vec<_>>(), fringe_order::MARGIN, fringe_order::MOST_RAD);
+    let said = fringe_order::solve(
+        &mut views.collect::<Vec<_>>(),
+        fringe_order::MARGIN,
+        fringe_order::MostDifference::of_rows(1),
+    );
     let finished = pipelines.iter().zip(prepared).map(|(pipeline, prepared)| match prepared {
         Ok(prepared) => match &said {
             Ok(()) => pipeline.finish(prepared),

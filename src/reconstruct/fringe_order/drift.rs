@@ -33,7 +33,27 @@ const LEAST_SCALE_RAD: f64 = 0.02;
 const ROUNDS: usize = 6;
 
 /// Where two cameras differ by more, the calibration is not believed, as a rule, rad.
-pub const MOST_RAD: f32 = 0.2;
+const MOST_RAD: f32 = 0.2;
+
+/// By how much two cameras may differ where both see one surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MostDifference {
+    /// Everywhere: devices have turned, rad.
+    pub everywhere_rad: f32,
+    /// Single places about that, rad.
+    pub scatter_rad: f32,
+}
+
+impl MostDifference {
+    /// Whatever they differ by, it is believed.
+    pub const ANY: Self = Self { everywhere_rad: f32::INFINITY, scatter_rad: f32::INFINITY };
+
+    /// As a rule, where each row of the frames stands for so many of the camera's. Patches are as many times higher, and single
+    /// places differ from their planes by as much more; devices that have turned make the same difference.
+    pub fn of_rows(rows: usize) -> Self {
+        Self { everywhere_rad: MOST_RAD, scatter_rad: MOST_RAD * rows as f32 }
+    }
+}
 
 /// Differences of a block of cameras from a view, where both see one surface.
 #[derive(Debug, Clone)]
@@ -69,32 +89,34 @@ pub struct Turned {
 impl Turned {
     /// The camera that differs most from the others, where any two differ by too much: by what they differ everywhere, or by how much
     /// single places scatter about that.
-    pub fn most(differences: &[Vec<Differences>], most_rad: f32) -> Option<Self> {
+    pub fn most(differences: &[Vec<Differences>], most: MostDifference) -> Option<Self> {
         let mut of_each = vec![Vec::new(); differences.len()];
-        let mut scattered = true;
+        let (mut scattered, mut too_much) = (true, false);
         for (view, blocks) in differences.iter().enumerate() {
             let all = blocks.iter().flat_map(|block| block.middle.into_iter().zip(block.scale)).enumerate();
             for (camera, (middle, scale)) in all.filter(|x| x.1.1 > 0.0) {
                 let by = middle.abs().max(scale);
-                scattered &= middle.abs() <= most_rad;
+                let turned = middle.abs() > most.everywhere_rad;
+                scattered &= !turned;
+                too_much |= turned || scale > most.scatter_rad;
                 of_each[view].push(by);
                 of_each[camera].push(by);
             }
         }
-        let too_much = of_each.iter().flatten().any(|by| *by > most_rad);
         let median = |(camera, by): (usize, &mut Vec<f32>)| {
             by.sort_unstable_by(f32::total_cmp);
             by.get(by.len() / 2).map(|&by_rad| Self { camera, by_rad, scattered })
         };
         let each = of_each.iter_mut().enumerate().filter_map(median);
-        let most = each.max_by(|a, b| a.by_rad.total_cmp(&b.by_rad).then(b.camera.cmp(&a.camera)));
-        most.filter(|_| too_much)
+        let worst = each.max_by(|a, b| a.by_rad.total_cmp(&b.by_rad).then(b.camera.cmp(&a.camera)));
+        worst.filter(|_| too_much)
     }
 
     /// What a user is told.
-    pub fn message(&self, views: &[View<'_>], most_rad: f32) -> String {
+    pub fn message(&self, views: &[View<'_>], most: MostDifference) -> String {
         let View { id, triangulator, .. } = &views[self.camera];
         let pair = triangulator.pair();
+        let most_rad = if self.scattered { most.scatter_rad } else { most.everywhere_rad };
         let expected =
             format!("expected cameras that agree within {most_rad} rad where they see one surface");
         if self.scattered {
@@ -187,7 +209,7 @@ fn fit(seen: &[([f32; TERMS], f32)]) -> ([f32; TERMS], f32) {
 
 #[cfg(test)]
 mod tests {
-    use super::{Differences, MOST_RAD, Turned, fit};
+    use super::{Differences, MostDifference, Turned, fit};
 
     #[test]
     fn the_plane_is_that_of_most_places() {
@@ -217,11 +239,12 @@ mod tests {
             found.scale[..3].fill(0.02);
             found
         };
-        let of = |x: f32| {
+        let of = |x: f32, rows: usize| {
             let all = [[0.0, 0.03, x], [0.02, 0.0, x], [-x, x, 0.0]];
-            Turned::most(&all.map(|by| vec![differences(by)]), MOST_RAD)
+            Turned::most(&all.map(|by| vec![differences(by)]), MostDifference::of_rows(rows))
         };
-        assert_eq!(of(0.15).map(|x| x.camera), None);
-        assert_eq!(of(0.25).map(|x| x.camera), Some(2));
+        assert_eq!(of(0.15, 1).map(|x| x.camera), None);
+        assert_eq!(of(0.25, 1).map(|x| x.camera), Some(2));
+        assert_eq!(of(0.25, 4).map(|x| x.camera), Some(2), "fewer rows are no reason to differ everywhere");
     }
 }

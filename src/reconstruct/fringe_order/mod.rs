@@ -34,7 +34,7 @@ use super::kernels::simd;
 use super::triangulate::camera_projector::CameraProjector;
 use super::triangulate::triangulator::Triangulator;
 use crate::base::image::Plane;
-pub use drift::MOST_RAD;
+pub use drift::MostDifference;
 use drift::{Differences, Turned};
 use evidence::{BEYOND, NO_ORDER, OrderTable};
 use inference::Field;
@@ -49,12 +49,6 @@ use unwrapped_frame::UnwrappedFrame;
 
 /// A patch whose label leads any other by less is refused, as a rule. Twice as much: docs/validation.md, *Other poses and skins*.
 pub const MARGIN: f32 = 1.0;
-
-/// [`MOST_RAD`] of frames of which each row stands for so many of the camera's: patches are as many times higher, and what
-/// differs from their planes grows with it.
-pub fn most_rad_of_rows(rows: usize) -> f32 {
-    MOST_RAD * rows as f32
-}
 
 /// A patch whose label leads by so much tells the other cameras what hides what.
 const CERTAIN: f32 = 1.0;
@@ -155,7 +149,7 @@ impl Scene<'_> {
 
 /// Gives every patch of every view its fringe order, or refuses it: [`Pipeline::finish`] adds these to the phases, of which only what is
 /// certain is left: orders that lead any other by at least `margin`. All views must show the same instant; cameras that differ by more
-/// than `most_rad` contradict the calibration. The result does not depend on
+/// than `most` contradict the calibration. The result does not depend on
 /// threads.
 ///
 /// # Errors
@@ -163,15 +157,15 @@ impl Scene<'_> {
 /// The cameras contradict each other so much that the calibration cannot be believed: then there are no orders.
 ///
 /// [`Pipeline::finish`]: super::pipeline::Pipeline::finish
-pub fn solve(views: &mut [View<'_>], margin: f32, most_rad: f32) -> Result<(), String> {
+pub fn solve(views: &mut [View<'_>], margin: f32, most: MostDifference) -> Result<(), String> {
     let start = Instant::now();
     let all: Vec<Patches> =
         views.iter_mut().map(|view| std::mem::take(&mut view.prepared.orders.patches)).collect();
     let (results, said) = {
         let scenes = all.into_par_iter().enumerate();
         let scenes: Vec<Scene<'_>> = scenes.map(|(view, patches)| scene(views, view, patches)).collect();
-        let (found, turned) = label_all(&scenes, most_rad);
-        let said = turned.map_or(Ok(()), |turned| Err(turned.message(views, most_rad)));
+        let (found, turned) = label_all(&scenes, most);
+        let said = turned.map_or(Ok(()), |turned| Err(turned.message(views, most)));
         let results: Vec<Found> =
             scenes.into_iter().zip(found).map(|(scene, x)| (scene.patches, x.0, x.1)).collect();
         (results, said)
@@ -190,14 +184,14 @@ type Turns = (Vec<i32>, Vec<f32>);
 type Found = (Patches, Vec<i32>, Vec<f32>);
 
 /// The turns of each view, and the camera that contradicts the others, if there is one.
-fn label_all(scenes: &[Scene<'_>], most_rad: f32) -> (Vec<Turns>, Option<Turned>) {
+fn label_all(scenes: &[Scene<'_>], most: MostDifference) -> (Vec<Turns>, Option<Turned>) {
     let mut fields: Vec<Field<'_>> =
         (0..scenes.len()).into_par_iter().map(|i| Field::new(scenes, i)).collect();
     let mut turned = None;
     if let [field] = &mut fields[..] {
         one_view::infer(field);
     } else {
-        turned = infer_together(&mut fields, scenes, most_rad);
+        turned = infer_together(&mut fields, scenes, most);
     }
     let of = |field: Field<'_>| {
         ((0..field.graph.label.len()).map(|i| field.turns(i)).collect(), field.graph.margin)
@@ -206,7 +200,7 @@ fn label_all(scenes: &[Scene<'_>], most_rad: f32) -> (Vec<Turns>, Option<Turned>
 }
 
 /// At first nobody knows what hides what, and by how much the cameras differ; then they are asked again.
-fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], most_rad: f32) -> Option<Turned> {
+fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], most: MostDifference) -> Option<Turned> {
     let patches: usize = scenes.iter().map(|scene| scene.patches.all.len()).sum();
     let none = vec![vec![Differences::NONE; scenes.len().div_ceil(LANES)]; scenes.len()];
     let mut known = OrderTable { turns: vec![NO_ORDER; patches + BEYOND], differences: none };
@@ -225,7 +219,7 @@ fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], most_rad: f32)
             known.differences = fields.par_iter().map(|field| drift::of(field, scenes, &known)).collect();
         }
     }
-    Turned::most(&known.differences, most_rad)
+    Turned::most(&known.differences, most)
 }
 
 fn scene<'a>(views: &'a [View<'_>], number: usize, patches: Patches) -> Scene<'a> {
