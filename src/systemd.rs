@@ -18,7 +18,7 @@ fn turns(telemetry: &Telemetry, phase: Phase) -> Vec<u64> {
     let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
     let mut counts = vec![load(&telemetry.node_turns)];
     // While it prepares there is no recorder yet; while it closes, the last writes may take what the disk takes.
-    if matches!(phase, Phase::Ready | Phase::Running | Phase::Draining)
+    if matches!(phase, Phase::Ready | Phase::Holding | Phase::Running | Phase::Draining)
         && let Some(current) = telemetry.current()
     {
         counts.extend([load(&current.progress.recorder_turns), load(&current.progress.writer_turns)]);

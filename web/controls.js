@@ -10,11 +10,20 @@ let afterwards = async () => {};
 /** What is done after each request. */
 export const onAct = (doing) => (afterwards = doing);
 
+/** Seconds before Record and after Stop, where they are asked for. */
+function spans() {
+  const seconds = (id) => Number($(id).value.trim()) || null;
+  return { pre_trigger_s: seconds("before"), post_trigger_s: seconds("after") };
+}
+
+/** Whether frames are held until Record, by a capture of this node. */
+const holding = () => Boolean(told.capture?.running) && told.capture.stage?.stage === "holding";
+
 function series(extra = {}) {
   const filled = (id) => $(id).value.trim() || null;
   const seconds = filled("seconds");
   return {
-    wish: { name: filled("name"), subject: filled("subject"), note: filled("note"), duration_s: seconds ? Number(seconds) : null, countdown_s: Number(filled("countdown") ?? 0), partial: $("partial").checked, ...extra },
+    wish: { ...spans(), name: filled("name"), subject: filled("subject"), note: filled("note"), duration_s: seconds ? Number(seconds) : null, countdown_s: Number(filled("countdown") ?? 0), partial: $("partial").checked, ...extra },
     takes: Number(filled("takes") ?? 1),
     pause_s: 0,
     // A name that is taken gets the next number.
@@ -36,7 +45,9 @@ export function showControls() {
   const running = Boolean(told.capture?.running) || sessionsUnderWay().length > 0;
   const may = told.role !== "view";
   const missing = running ? null : notReady($("partial").checked);
-  for (const id of ["start", "look", "dry"]) $(id).disabled = running || !may || missing !== null;
+  for (const id of ["look", "dry"]) $(id).disabled = running || !may || missing !== null;
+  $("start").disabled = !may || (!holding() && (running || missing !== null));
+  text($("start-word"), !running && spans().pre_trigger_s ? "Hold" : "Record");
   for (const id of ["stop", "abort"]) $(id).disabled = !running || !may;
   const looks = may ? null : "this token may look only (role view)";
   text($("why"), refused ?? looks ?? missing ?? (running && told.noBody ? `no live body: ${told.noBody}` : ""));
@@ -47,11 +58,12 @@ export function showControls() {
 
 $("capture").addEventListener("submit", (event) => {
   event.preventDefault();
-  if (!$("start").disabled) act(() => node.begin(series()));
+  if ($("start").disabled) return;
+  act(() => (holding() ? node.record() : node.begin(series())));
 });
 $("stop").addEventListener("click", () => act(() => node.stop()));
 $("look").addEventListener("click", () => act(() => node.begin({ wish: { dry_run: true, note: "preview" }, takes: 1 })));
-$("dry").addEventListener("click", () => $("capture").reportValidity() && act(() => node.begin(series({ dry_run: true }))));
+$("dry").addEventListener("click", () => $("capture").reportValidity() && act(() => node.begin(series({ dry_run: true, pre_trigger_s: null }))));
 $("abort").addEventListener("click", () => $("abort-question").showModal());
 $("abort-question").addEventListener("close", () => {
   if ($("abort-question").returnValue === "abort") act(() => node.abort("aborted at the console"));

@@ -43,6 +43,7 @@ export const node = {
   peers: () => get("/peers"),
   capture: () => get("/capture"),
   begin: (series) => post("/capture", series),
+  record: () => post("/capture/record"),
   stop: () => post("/capture/stop"),
   abort: (reason) => post("/capture/abort", { reason }),
   /** The next frame set of the live body after this number, with when its answer began; null where there is none yet. */

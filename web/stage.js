@@ -21,6 +21,7 @@ export function state() {
   const [session] = sessionsUnderWay();
   if (session) {
     const running = session.triggers > 0;
+    if (session.held) return { kind: "look", word: "HOLDING", detail: `session ${session.name}, begun elsewhere; nothing is recorded yet` };
     const detail = [`session ${session.name}, begun elsewhere`, ...more].join("\n");
     if (!running) return { kind: "warn", word: "PREPARING", detail };
     const [kind, word] = session.dry_run ? ["look", "DRY RUN"] : ["live", "RECORDING"];
@@ -42,6 +43,7 @@ function underWay(capture, more) {
   if (at.stage === "counting_down") return { kind: "warn", word: String(at.left_s), detail: detail("every node is ready") };
   if (at.stage === "unanswered") return { kind: "warn", word: "WAITING", detail: detail(`no status from ${at.place} for ${at.since_s} s; its session goes on`) };
   if (at.stage === "awaiting_edge") return { kind: "warn", word: "WAITING", detail: detail(`for a ${at.edge.rising ? "rising" : "falling"} edge of the HSU's input ${at.edge.line}`) };
+  if (at.stage === "holding") return { kind: "look", word: "HOLDING", clock: clock(at.triggers, at.asked), detail: detail("nothing is recorded yet: Record keeps these seconds"), share: share(at.triggers, at.asked) };
   if (at.stage === "stopping") return { kind: "warn", word: "STOPPING", detail: detail("after the current trigger") };
   if (!at.triggers) return { kind: "warn", word: "STARTING", detail: detail("the cameras warm up") };
   const [kind, word] = isPreview(capture) ? ["look", "PREVIEW"] : wish.dry_run ? ["look", "DRY RUN"] : ["live", "RECORDING"];

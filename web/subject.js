@@ -20,7 +20,7 @@ function said(capture, rate) {
     ended = null;
     if (!at) return { kind: "", word: "REST", detail: `${capture.takes.length} of ${takes} done` };
     if (at.stage === "counting_down") return { kind: "count", word: String(at.left_s), detail: more };
-    if (at.stage !== "recording") return { kind: "", word: ["preparing", "awaiting_edge"].includes(at.stage) ? "GET READY" : "HOLD STILL", detail: more };
+    if (at.stage !== "recording") return { kind: "", word: ["preparing", "awaiting_edge", "holding"].includes(at.stage) ? "GET READY" : "HOLD STILL", detail: more };
     if (!at.triggers) return { kind: "", word: "GET READY", detail: more };
     const left = at.asked ? Math.max(0, (at.asked - at.triggers) / at.asked) : null;
     const seconds = at.asked ? `${Math.ceil((at.asked - at.triggers) / rate)} s` : more;

@@ -87,6 +87,8 @@ pub(super) struct Accounting {
     last_settled: Duration,
 }
 
+/// Kind of the event at the trigger at which Record was pressed.
+const RECORD_PRESSED: &str = "record_pressed";
 /// A turn that took longer did not work for all of it.
 const LONGEST_TURN: Duration = TICK.saturating_mul(2);
 /// So long readings of a camera's clock that were asked for may take.
@@ -197,7 +199,7 @@ impl Accounting {
                     self.table.insert(number, record.hsu_time_ns);
                     self.hsu.heard(record.hsu_time_ns, record.host_time_ns);
                 }
-                self.progress.triggers.store(self.table.len(), Ordering::Relaxed);
+                self.count_triggers();
                 self.ring.small(ToWriter::Trigger(record));
                 self.advance_all();
             }
@@ -226,6 +228,13 @@ impl Accounting {
                 lane.matcher.restart(!self.table.is_empty());
                 self.sets.expect(camera, true);
             }
+            RecorderCommand::Keep { first, pressed } => {
+                self.ring.keep(first, self.lanes.len());
+                self.count_triggers();
+                let message =
+                    format!("Record was pressed here; the recording begins at trigger {first} of the train");
+                self.event(RECORD_PRESSED, None, Some(pressed), message);
+            }
             RecorderCommand::Drain { emitted } => {
                 self.draining = true;
                 self.emitted = emitted.or(self.emitted);
@@ -233,6 +242,12 @@ impl Accounting {
             }
             _ => {}
         }
+    }
+
+    /// Triggers that are the recording's.
+    fn count_triggers(&self) {
+        let triggers = self.ring.first().map_or(0, |first| self.table.len().saturating_sub(first));
+        self.progress.triggers.store(triggers, Ordering::Relaxed);
     }
 
     fn clock_sample(&mut self, sample: ClockSample) {
@@ -263,6 +278,7 @@ impl Accounting {
     pub(super) fn advance_all(&mut self) {
         (0..self.lanes.len()).for_each(|camera| self.advance(camera, false));
         self.pass_sets_on(false);
+        self.ring.go_on();
     }
 
     /// Settles what can be decided of a camera's frames, in order; with `now`, all of them.
@@ -413,7 +429,7 @@ impl Accounting {
                     frame.since = Instant::now();
                     self.ring.frame(frame);
                 }
-                self.progress.ring_high_water.fetch_max(self.ring.len() as u64, Ordering::Relaxed);
+                self.progress.ring_high_water.fetch_max(self.progress.in_ring(), Ordering::Relaxed);
             }
             self.sets.recycle(set.frames);
         }
@@ -503,7 +519,6 @@ impl Accounting {
     }
 
     fn count_gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) {
-        self.progress.gap(camera, cause);
         self.ring.small(ToWriter::Gap(camera, trigger, cause));
     }
 

@@ -5,6 +5,7 @@ mod accounting;
 pub mod assembler;
 mod breaches;
 pub mod dry_run;
+mod hold;
 pub mod latencies;
 mod pause;
 pub mod preview;

@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What previews and the live body see of the frames: now and then a quarter of one, copied where the writer's thread hands it on.
+//! What previews and the live body see of the frames: now and then a quarter of one, copied where its set enters the ring.
 //!
 //! The cost is bounded whatever previews do: a camera's frame is copied only when one was asked for, every fourth row of
 //! it, into memory that is kept; nothing is waited for. Without a request it is one load of a flag a frame.
 
-use super::writer_queue::{Sink, ToWriter};
 use crate::base::ids::CameraId;
-use crate::record::{FrameMeta, RecordError, SessionEnd, Verdict};
+use crate::record::FrameMeta;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, TryLockError};
+use std::sync::{Mutex, TryLockError};
 
 /// Every so many rows one is copied.
 pub const ROW_STEP: usize = 4;
@@ -95,7 +94,7 @@ impl Taps {
     }
 
     /// Leaves a sample of a frame if one is wanted. Never waits: while a preview takes the last one, the next frame will do.
-    fn offer(&self, camera: usize, meta: &FrameMeta, pixels: &[u8]) {
+    pub(super) fn offer(&self, camera: usize, meta: &FrameMeta, pixels: &[u8]) {
         let Some(tap) = self.taps.get(camera) else { return };
         let wanted = tap.wanted.load(Ordering::Acquire);
         if wanted == 0 || meta.trigger.0 < wanted - 1 {
@@ -110,30 +109,6 @@ impl Taps {
         let mut sample = slot.fresh.take().or_else(|| slot.spare.take()).unwrap_or_default();
         sample.fill(meta, pixels);
         slot.fresh = Some(sample);
-    }
-}
-
-/// A sink whose frames may be looked at before they are passed on: for previews, and for the live body.
-pub(super) struct Tapped {
-    pub(super) sink: Box<dyn Sink>,
-    pub(super) taps: [Arc<Taps>; 2],
-}
-
-impl Sink for Tapped {
-    fn write(&mut self, item: ToWriter) -> Result<(), RecordError> {
-        if let ToWriter::Frame(frame) = &item {
-            let pixels = frame.block.pixels();
-            self.taps.iter().for_each(|taps| taps.offer(frame.camera, &frame.meta, pixels));
-        }
-        self.sink.write(item)
-    }
-
-    fn tick(&mut self) -> Result<(), RecordError> {
-        self.sink.tick()
-    }
-
-    fn finish(self: Box<Self>, end: SessionEnd) -> Result<Verdict, RecordError> {
-        self.sink.finish(end)
     }
 }
 

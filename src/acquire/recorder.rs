@@ -6,8 +6,9 @@
 
 use super::accounting::Accounting;
 use super::dry_run::DryRun;
+use super::hold::Hold;
 use super::latencies::Latencies;
-use super::preview::{Tapped, Taps};
+use super::preview::Taps;
 use super::receiver::Arrival;
 use super::writer_queue::{Ring, Sink};
 use crate::base::Fault;
@@ -47,6 +48,13 @@ pub enum RecorderCommand {
         camera: usize,
         /// The number of its fresh stream; frames of the ones before are not recorded any more.
         stream: u32,
+    },
+    /// Record was pressed: what is held from trigger `first` of the train on is the recording, which begins with it.
+    Keep {
+        /// The first.
+        first: u64,
+        /// The newest trigger of which all nodes had the frames when it was pressed.
+        pressed: u64,
     },
     /// No more triggers will come: wait for their frames, then say so.
     Drain {
@@ -89,8 +97,14 @@ pub enum RecorderEvent {
 /// Counters that others may look at while the recorder runs.
 #[derive(Debug)]
 pub struct Progress {
-    /// Triggers reported.
+    /// Triggers reported; where frames are held, those from the recording's first on.
     pub triggers: AtomicU64,
+    /// Where frames are held before Record: the oldest trigger that is.
+    pub held_from: AtomicU64,
+    /// One more than the newest.
+    pub held_to: AtomicU64,
+    /// Frames of all cameras that may be held.
+    pub held_room: AtomicU64,
     /// Packets (or whatever else shows that it sends) seen from each camera: the receivers count them.
     pub heard: Vec<AtomicU64>,
     /// Frames taken off each camera's stream, whatever became of them.
@@ -107,9 +121,9 @@ pub struct Progress {
     pub writer_turns: AtomicU64,
     /// Most frames that were waiting at any time, in the ring or before it.
     pub high_water: AtomicU64,
-    /// Most frames that were in the ring at any time.
+    /// Most frames that were in the ring at any time, beyond those that are held for Record.
     pub ring_high_water: AtomicU64,
-    /// Frames in the ring now.
+    /// Frames in the ring now, those that are held for Record among them.
     pub ring: AtomicU64,
     /// Frames dropped because the ring was full.
     pub dropped: AtomicU64,
@@ -118,6 +132,11 @@ pub struct Progress {
 }
 
 impl Progress {
+    /// Frames that wait for the writer, beyond those that are held for Record.
+    pub fn in_ring(&self) -> u64 {
+        self.ring.load(Ordering::Relaxed).saturating_sub(self.held_room.load(Ordering::Relaxed))
+    }
+
     /// Counts a gap record.
     pub(super) fn gap(&self, camera: usize, cause: GapCause) {
         if let Some((gaps, causes)) = self.gaps.get(camera).zip(self.causes.get(camera)) {
@@ -131,6 +150,9 @@ impl Progress {
         let zeros = || (0..cameras).map(|_| AtomicU64::new(0)).collect();
         Self {
             triggers: AtomicU64::new(0),
+            held_from: AtomicU64::new(0),
+            held_to: AtomicU64::new(0),
+            held_room: AtomicU64::new(0),
             heard: zeros(),
             received: zeros(),
             frames: zeros(),
@@ -154,6 +176,8 @@ pub struct RecorderOptions {
     pub period_ns: u64,
     /// Blocks of each camera: what all bounds derive from.
     pub buffers_per_camera: usize,
+    /// Triggers before Record whose frame sets are held at most; 0: nothing is held, the recording begins with the train.
+    pub held_sets: usize,
     /// What happens when the ring is full.
     pub when_full: WhenFull,
     /// How long a frame waits for the report of its trigger. Time in which the process stood still does not count.
@@ -180,6 +204,7 @@ impl RecorderOptions {
         Self {
             period_ns,
             buffers_per_camera,
+            held_sets: 0,
             when_full,
             report_patience: patience(REPORT_PERIODS),
             set_patience: patience(SET_PERIODS),
@@ -261,18 +286,21 @@ impl Recorder {
             Destination::Recording(recording) => recording,
             Destination::DryRun(run) => run,
         };
-        Self::start_with(Box::new(Tapped { sink, taps }), lanes, options, progress, channels)
+        Self::start_with(sink, taps, lanes, options, progress, channels)
     }
 
     pub(super) fn start_with(
         sink: Box<dyn Sink>,
+        taps: [Arc<Taps>; 2],
         lanes: Vec<LaneSetup>,
         options: RecorderOptions,
         progress: Arc<Progress>,
         Channels { arrivals, commands, events }: Channels,
     ) -> std::io::Result<JoinHandle<()>> {
-        let capacity = options.ring_sets() * lanes.len().max(1);
-        let ring = Ring::start(sink, capacity, Arc::clone(&progress), events.clone())?;
+        let cameras = lanes.len().max(1);
+        let room = (options.ring_sets() * cameras, options.held_sets * cameras);
+        let hold = (options.held_sets > 0).then(|| Hold::new(options.held_sets as u64));
+        let ring = Ring::start(sink, room, hold, taps, Arc::clone(&progress), events.clone())?;
         let accounting = Accounting::new(lanes, options, Arc::clone(&progress), ring, events);
         let recorder = Self { accounting, progress, arrivals, commands };
         std::thread::Builder::new().name("recorder".to_owned()).spawn(move || {

@@ -4,6 +4,8 @@
 //! Frames are admitted set by set: a set that does not fit as a whole is not admitted. Small records (triggers,
 //! gaps, clock samples, events) have room of their own, so that what explains a full ring still gets through.
 
+use super::hold::{Hold, Passed};
+use super::preview::Taps;
 use super::recorder::Progress;
 use crate::base::ids::TriggerIndex;
 use crate::base::{Exit, Fault};
@@ -77,30 +79,48 @@ impl Sink for Recording {
 /// The matching thread's end.
 pub(super) struct Ring {
     items: Option<Sender<ToWriter>>,
-    /// Whose `ring` counts the frames in it.
+    /// Where frames wait for Record.
+    hold: Option<Hold>,
+    /// Previews and the live body look at the frames that come in.
+    taps: [Arc<Taps>; 2],
+    /// Whose `ring` counts the frames in it, held ones too.
     progress: Arc<Progress>,
     capacity: usize,
+    /// As many may be with the writer's thread.
+    passed_on: usize,
     /// Small records that found no room: their gaps are accounted for at the end.
     pub(super) refused: u64,
     writer: Option<JoinHandle<()>>,
 }
 
 impl Ring {
-    /// Starts the writer's thread behind room for `capacity` frames.
+    /// Starts the writer's thread behind room for `capacity` frames, and for `hold` more of the triggers before Record.
     pub(super) fn start(
         sink: Box<dyn Sink>,
-        capacity: usize,
+        (capacity, held): (usize, usize),
+        hold: Option<Hold>,
+        taps: [Arc<Taps>; 2],
         progress: Arc<Progress>,
         events: Sender<RecorderEvent>,
     ) -> std::io::Result<Self> {
         let (items, inbox) = bounded(capacity + SMALL_RECORDS);
         progress.ring.store(0, Ordering::Relaxed);
+        progress.held_room.store(held as u64, Ordering::Relaxed);
         let writer = Writer { sink, inbox, progress: Arc::clone(&progress), events, failed: false };
         let thread = std::thread::Builder::new().name("writer".to_owned()).spawn(move || {
             crate::host::realtime::enter_configured("writer");
             writer.run()
         })?;
-        Ok(Self { items: Some(items), progress, capacity, refused: 0, writer: Some(thread) })
+        Ok(Self {
+            items: Some(items),
+            hold,
+            taps,
+            progress,
+            capacity: capacity + held,
+            passed_on: capacity,
+            refused: 0,
+            writer: Some(thread),
+        })
     }
 
     /// Frames in the ring.
@@ -116,11 +136,64 @@ impl Ring {
     /// Passes an admitted frame on.
     pub(super) fn frame(&mut self, frame: ReadyFrame) {
         self.progress.ring.fetch_add(1, Ordering::Relaxed);
+        let pixels = frame.block.pixels();
+        self.taps.iter().for_each(|taps| taps.offer(frame.camera, &frame.meta, pixels));
         self.small(ToWriter::Frame(frame));
     }
 
     /// Passes a small record on.
     pub(super) fn small(&mut self, item: ToWriter) {
+        let Some(hold) = &mut self.hold else { return self.send(item) };
+        match hold.take(item) {
+            Passed::On(item) => self.send(item),
+            Passed::Held(gone) => {
+                self.progress.ring.fetch_sub(gone as u64, Ordering::Relaxed);
+            }
+        }
+        self.tell_held();
+        self.go_on();
+    }
+
+    /// Record was pressed: the recording begins with trigger `first` of the train. What of it is not held any more is lost.
+    pub(super) fn keep(&mut self, first: u64, cameras: usize) {
+        let Some(hold) = &mut self.hold else { return };
+        let (older, lost) = hold.keep(first);
+        self.progress.ring.fetch_sub(older as u64, Ordering::Relaxed);
+        for trigger in lost {
+            for camera in 0..cameras {
+                self.small(ToWriter::Gap(camera, TriggerIndex(trigger), GapCause::DroppedRingFull));
+            }
+        }
+        self.tell_held();
+        self.go_on();
+    }
+
+    /// The trigger of the train that the recording begins with: 0, or `None` before Record.
+    pub(super) fn first(&self) -> Option<u64> {
+        self.hold.as_ref().map_or(Some(0), Hold::first)
+    }
+
+    fn tell_held(&self) {
+        if let Some(hold) = &self.hold {
+            let (oldest, end) = hold.held();
+            self.progress.held_from.store(oldest, Ordering::Relaxed);
+            self.progress.held_to.store(end, Ordering::Relaxed);
+        }
+    }
+
+    /// Passes on what was held, as far as the writer follows.
+    pub(super) fn go_on(&mut self) {
+        while self.items.as_ref().is_some_and(|items| items.len() < self.passed_on)
+            && let Some(item) = self.hold.as_mut().and_then(Hold::next)
+        {
+            self.send(item);
+        }
+    }
+
+    fn send(&mut self, item: ToWriter) {
+        if let ToWriter::Gap(camera, _, cause) = &item {
+            self.progress.gap(*camera, *cause);
+        }
         if let Some(items) = &self.items
             && let Err(error) = items.try_send(item)
         {
@@ -133,8 +206,19 @@ impl Ring {
 
     /// Lets everything be written, then closes the recording; or, without an end, leaves it.
     pub(super) fn close(mut self, end: Option<SessionEnd>) {
-        if let Some((items, end)) = self.items.take().zip(end) {
-            // A writer that is gone has said so.
+        if let Some((items, mut end)) = self.items.take().zip(end) {
+            while let Some(item) = self.hold.as_mut().and_then(Hold::next) {
+                if let ToWriter::Gap(camera, _, cause) = &item {
+                    self.progress.gap(*camera, *cause);
+                }
+                // A writer that is gone has said so.
+                drop(items.send(item));
+            }
+            // Nothing is of a recording whose beginning nobody named.
+            end.triggers_emitted = match self.first() {
+                Some(first) => end.triggers_emitted.map(|emitted| emitted.saturating_sub(first)),
+                None => Some(0),
+            };
             drop(items.send(ToWriter::End(end)));
         }
         self.items = None;

@@ -101,6 +101,11 @@ impl Coordinator {
         self.running_control().map(|control| control.stop())
     }
 
+    /// Keeps what is held, and records.
+    pub fn record(&self) -> Result<(), Fault> {
+        self.running_control().map(|control| control.record())
+    }
+
     /// Gives the capture up.
     pub fn abort(&self, reason: &str) -> Result<(), Fault> {
         self.running_control().map(|control| control.abort(reason))

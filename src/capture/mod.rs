@@ -2,6 +2,7 @@
 //! A capture: one session on all nodes, or a series of them, run from the command line or from a node's console.
 
 /// Captures that a node runs for its console.
+mod before_record;
 pub mod coordinator;
 mod countdown;
 pub mod numbering;

@@ -5,7 +5,7 @@ use super::numbering;
 use crate::base::{Exit, Fault};
 use crate::control::client::NodeClient;
 use crate::control::command::{Command, Reply, SharedStatus};
-use crate::control::request::SessionRequest;
+use crate::control::request::{KeepRequest, SessionRequest};
 use crate::control::status::{NodeStatus, SessionCommand};
 use crossbeam_channel::Sender;
 use std::sync::PoisonError;
@@ -25,6 +25,8 @@ pub trait Participant: Send + Sync {
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault>;
     /// Starts the train.
     fn start(&self, session_id: u64) -> Result<(), Fault>;
+    /// Records what is held, from a trigger on.
+    fn keep(&self, request: &KeepRequest) -> Result<(), Fault>;
     /// Ends the train after the current trigger.
     fn stop(&self, session_id: u64) -> Result<(), Fault>;
     /// Gives the session up.
@@ -54,6 +56,10 @@ impl Participant for NodeClient {
 
     fn start(&self, session_id: u64) -> Result<(), Fault> {
         Self::start(self, session_id)
+    }
+
+    fn keep(&self, request: &KeepRequest) -> Result<(), Fault> {
+        Self::keep(self, request)
     }
 
     fn stop(&self, session_id: u64) -> Result<(), Fault> {
@@ -112,6 +118,10 @@ impl Participant for LocalNode {
 
     fn start(&self, session_id: u64) -> Result<(), Fault> {
         self.ask(|reply| Command::Start(SessionCommand { session_id, reason: None }, reply))
+    }
+
+    fn keep(&self, request: &KeepRequest) -> Result<(), Fault> {
+        self.ask(|reply| Command::Keep(*request, reply))
     }
 
     fn stop(&self, session_id: u64) -> Result<(), Fault> {

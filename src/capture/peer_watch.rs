@@ -65,7 +65,7 @@ struct Watch {
 impl Watch {
     fn look(&mut self) {
         let Ok(status) = self.here.status() else { return };
-        let waits_for_all = matches!(status.phase, Phase::Ready | Phase::Running);
+        let waits_for_all = matches!(status.phase, Phase::Ready | Phase::Holding | Phase::Running);
         let Some(session) = status.session.as_ref().filter(|_| waits_for_all) else {
             self.session = None;
             return;
@@ -79,7 +79,15 @@ impl Watch {
             if !session.nodes.contains(name) {
                 continue;
             }
-            let reason = match judge(id, peer.status().ok().as_ref()) {
+            let told = peer.status().ok();
+            let theirs = told.as_ref().and_then(|status| status.session.as_ref()?.kept);
+            // Whoever passed Record on may be gone before all had heard it.
+            if let Some(keep) = theirs.filter(|keep| keep.session_id == id && session.held.is_some())
+                && let Err(fault) = self.here.keep(&keep)
+            {
+                tracing::warn!("Record, as node {name} has it: {}", fault.message);
+            }
+            let reason = match judge(id, told.as_ref()) {
                 Seen::InSession => {
                     *seen = Instant::now();
                     continue;

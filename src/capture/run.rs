@@ -4,6 +4,7 @@
 //! Two phases: nothing starts unless every node is ready, and the HSU itself refuses a start until every
 //! link has armed the same session. Whatever fails on the way, every node is told to give the session up.
 
+use super::before_record::Span;
 use super::countdown::{Watch, count_down};
 use super::participant::Participant;
 use super::peer_watch::UNSERVED_PATIENCE;
@@ -34,6 +35,11 @@ pub struct CaptureRequest {
     pub note: Option<String>,
     /// The train starts at this edge of one of the HSU's inputs; nodes wait 120 s for it.
     pub start_on: Option<StartOn>,
+    /// Seconds before Record that are kept: the train starts, and nothing is recorded before it. Then `duration_s` or `triggers` is
+    /// counted from Record.
+    pub pre_trigger_s: Option<f64>,
+    /// Seconds that are recorded after a stop.
+    pub post_trigger_s: Option<f64>,
     /// Everything but the recording.
     pub dry_run: bool,
     /// A part of the rig is meant: without this all nodes of the rig take part.
@@ -52,6 +58,7 @@ pub const COUNTDOWN_MAX_S: u32 = 60;
 #[derive(Debug, Default)]
 pub struct Control {
     stop: AtomicBool,
+    record: AtomicBool,
     abort: Mutex<Option<String>>,
     /// Either was asked for at some time.
     asked: AtomicBool,
@@ -62,6 +69,15 @@ impl Control {
     pub fn stop(&self) {
         self.asked.store(true, Ordering::Release);
         self.stop.store(true, Ordering::Release);
+    }
+
+    /// What is held is kept, and recorded with what comes. Nothing where nothing is held.
+    pub fn record(&self) {
+        self.record.store(true, Ordering::Release);
+    }
+
+    pub(crate) fn record_is_pressed(&self) -> bool {
+        self.record.load(Ordering::Acquire)
     }
 
     /// Now; what was recorded is kept and says why it ended.
@@ -103,6 +119,13 @@ pub enum Stage {
         /// Which.
         edge: StartOn,
     },
+    /// Triggers are coming, frames are held, and nothing is recorded before Record.
+    Holding {
+        /// Triggers that all nodes hold.
+        triggers: u64,
+        /// Those that are to be kept.
+        asked: u64,
+    },
     /// Triggers are coming, or their frames are.
     Recording {
         /// Triggers so far.
@@ -133,6 +156,9 @@ impl fmt::Display for Stage {
                 write!(f, "every node is ready; {left_s} s to the first trigger")
             }
             Self::AwaitingEdge { edge } => write!(f, "every node is ready; waiting for a {edge}"),
+            Self::Holding { triggers, asked } => {
+                write!(f, "{triggers} of {asked} triggers before Record are held; nothing is recorded yet")
+            }
             Self::Recording { triggers, asked: 0, frames, gaps } => {
                 write!(f, "trigger {triggers}: {frames} frames, {gaps} gaps")
             }
@@ -161,7 +187,8 @@ pub fn capture(
     mut progress: impl FnMut(&Stage),
 ) -> Result<Captured, Fault> {
     let statuses = nodes.iter().map(|node| node.status()).collect::<Result<Vec<_>, _>>()?;
-    let request = request(wish, &statuses)?;
+    let (request, mut span) = request(wish, &statuses)?;
+    control.record.store(false, Ordering::Release);
     progress(&Stage::Preparing);
     if let Err(fault) = prepare_all(nodes, &statuses, &request) {
         abort_all(nodes, request.session_id, "another node could not get ready");
@@ -185,12 +212,15 @@ pub fn capture(
     }
     let rate = statuses.first().map_or(1.0, |status| status.trigger_rate_hz);
     let train = Duration::try_from_secs_f64(request.triggers as f64 / rate).unwrap_or(Duration::MAX);
-    let sessions = follow(nodes, &request, train, control, &mut progress)?;
+    let sessions = follow(nodes, &request, train, &mut span, control, &mut progress)?;
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
     let captured = Captured::new(request.name, wish.dry_run, absent(&statuses), named.collect());
     match failure_of_all(captured.nodes()) {
         Some(_) if request.start_on.is_some() && control.was_asked() => {
             Err(not_begun("stopped by the operator before the edge came"))
+        }
+        Some(_) if !span.records() && control.was_asked() => {
+            Err(not_begun("stopped by the operator before Record was pressed"))
         }
         Some(fault) => Err(fault),
         None => Ok(captured),
@@ -201,7 +231,7 @@ fn not_begun(reason: &str) -> Fault {
     Fault::new(Exit::Failure, format!("stopped before the start; nothing was recorded ({reason})"))
 }
 
-fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<SessionRequest, Fault> {
+fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionRequest, Span), Fault> {
     let usage = |message: String| Fault::new(Exit::Usage, message);
     for (i, status) in statuses.iter().enumerate() {
         if status.phase != Phase::Idle {
@@ -247,19 +277,23 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<SessionRequ
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let name = wish.name.clone().unwrap_or_else(|| format!("session-{}", now.as_secs()));
     let nodes = statuses.iter().map(|status| status.node.clone()).collect();
+    let session_id = random_id(now);
+    let span = Span::new(wish, session_id, triggers, rate, statuses.len()).map_err(usage)?;
     let request = SessionRequest {
-        session_id: random_id(now),
+        session_id,
         name,
-        triggers,
+        // How many there are in all is known when Record is pressed.
+        triggers: if span.before() > 0 { 0 } else { triggers },
         nodes,
         subject: wish.subject.clone(),
         note: wish.note.clone(),
         start_on: wish.start_on,
+        pre_triggers: span.before(),
         dry_run: wish.dry_run,
         on_behalf_of: wish.on_behalf_of.clone(),
     };
     request.check().map_err(usage)?;
-    Ok(request)
+    Ok((request, span))
 }
 
 /// Nodes of the rig that are not among these.
@@ -336,15 +370,16 @@ fn follow(
     nodes: Nodes<'_>,
     request: &SessionRequest,
     train: Duration,
+    span: &mut Span,
     control: &Control,
     progress: &mut impl FnMut(&Stage),
 ) -> Result<Vec<SessionStatus>, Fault> {
     const POLL: Duration = Duration::from_millis(100);
     let mut seen = vec![Instant::now(); nodes.len()];
     let mut latest: Vec<Option<SessionStatus>> = vec![None; nodes.len()];
-    let (mut told, mut stopping, started) = (false, false, Instant::now());
+    let (mut told, mut stopping, mut triggers, started) = (false, false, 0, Instant::now());
     loop {
-        stopping |= control.stop.swap(false, Ordering::AcqRel);
+        stopping |= span.stops(control.stop.swap(false, Ordering::AcqRel), triggers);
         if stopping {
             progress(&Stage::Stopping);
             // Any link will do: the first node may be the one that is gone. Where none takes it, it is asked again.
@@ -386,6 +421,7 @@ fn follow(
                 },
             }
         }
+        span.pass_record_on(nodes, &latest, control);
         let ended = |s: &Option<SessionStatus>| s.as_ref().is_some_and(|s| s.outcome.is_some());
         if latest.iter().all(ended) {
             return Ok(latest.into_iter().flatten().collect());
@@ -400,10 +436,11 @@ fn follow(
         let sum = |count: fn(&crate::control::status::CameraProgress) -> u64| -> u64 {
             latest.iter().flatten().flat_map(|s| &s.cameras).map(count).sum()
         };
-        let triggers = latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0);
-        progress(&match request.start_on.filter(|_| triggers == 0) {
-            Some(edge) => Stage::AwaitingEdge { edge },
-            None => Stage::Recording {
+        triggers = latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0);
+        progress(&match (request.start_on.filter(|_| triggers == 0), span.held(&latest)) {
+            (Some(edge), _) => Stage::AwaitingEdge { edge },
+            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before() },
+            (None, None) => Stage::Recording {
                 triggers,
                 asked: request.triggers,
                 frames: sum(|c| c.frames),

@@ -50,6 +50,13 @@ pub struct Args {
     /// Begin at an edge of one of the HSU's inputs, 0 to 7: a hand switch, or another device's start. Waits 120 s for it.
     #[arg(long, value_name = "INPUT[:rising|:falling]")]
     start_on: Option<StartOn>,
+    /// Keep this many seconds before Record, which is Enter here: the train starts, frames are held in memory (1.1 GB a second
+    /// and node at full rate), nothing is written before. --duration and --triggers count from Record.
+    #[arg(long, value_name = "S", conflicts_with_all = ["start_on", "dry_run"])]
+    pre_trigger: Option<f64>,
+    /// Record this many seconds more after Ctrl-C; a second Ctrl-C ends at once.
+    #[arg(long, value_name = "S")]
+    post_trigger: Option<f64>,
     /// Do all but write: triggers, frames and verdict are real, nothing is recorded.
     #[arg(long)]
     dry_run: bool,
@@ -70,6 +77,8 @@ impl Args {
             subject: self.subject.clone(),
             note: self.note.clone(),
             start_on: self.start_on,
+            pre_trigger_s: self.pre_trigger,
+            post_trigger_s: self.post_trigger,
             dry_run: self.dry_run,
             partial: self.partial,
             countdown_s: self.countdown,
@@ -86,6 +95,10 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         nodes.into_iter().map(|node| Box::new(node) as Box<dyn Participant>).collect();
     let control = Arc::new(Control::default());
     stop_on_ctrl_c(&control)?;
+    if args.pre_trigger.is_some_and(|seconds| seconds > 0.0) {
+        eprintln!("Enter records: it keeps the last seconds, and what comes");
+        record_on_enter(&control);
+    }
     let show_progress = !args.json && std::io::IsTerminal::is_terminal(&std::io::stderr());
     let show = |take: u32, stage: &crate::capture::run::Stage| {
         if show_progress && args.takes > 1 {
@@ -137,6 +150,25 @@ fn print_json(takes: &[Captured], asked: u32) {
 
 fn print_directories(directories: &[PathBuf]) {
     directories.iter().for_each(|directory| println!("recording: {}", directory.display()));
+}
+
+/// Each line of standard input is Record. Where it ends there will be none.
+fn record_on_enter(control: &Arc<Control>) {
+    let control = Arc::clone(control);
+    std::thread::spawn(move || {
+        let mut pressed = false;
+        for line in std::io::stdin().lines() {
+            if line.is_err() {
+                break;
+            }
+            pressed = true;
+            control.record();
+        }
+        if !pressed {
+            eprintln!("standard input ended before Enter: Record cannot be pressed, the capture is stopped");
+            control.stop();
+        }
+    });
 }
 
 /// From here on Ctrl-C ends the capture, not the process; unless nobody has taken notice of the one before.

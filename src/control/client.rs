@@ -2,7 +2,7 @@
 //! The API's client, blocking: what `capture`, `status` and `doctor` use. Over TCP, TLS or a Unix socket.
 
 use super::proof::{self, Asked};
-use super::request::SessionRequest;
+use super::request::{KeepRequest, SessionRequest};
 use super::status::{Challenge, FreeName, NodeStatus, SessionCommand, path};
 use super::tokens::{SecretHash, read_secret};
 use crate::base::ids::SessionName;
@@ -141,6 +141,11 @@ impl NodeClient {
     /// Starts the train.
     pub fn start(&self, session_id: u64) -> Result<(), Fault> {
         self.post(path::START, &SessionCommand { session_id, reason: None }, TIMEOUT)
+    }
+
+    /// Records what is held, from a trigger on.
+    pub fn keep(&self, request: &KeepRequest) -> Result<(), Fault> {
+        self.post(path::KEEP, request, TIMEOUT)
     }
 
     /// Ends the train after the current trigger.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the API asks of the node's thread, and where it reads what that publishes.
 
-use super::request::{ExposureRequest, SessionRequest};
+use super::request::{ExposureRequest, KeepRequest, SessionRequest};
 use super::status::{ExposureSet, NodeStatus, SessionCommand};
 use crate::base::Fault;
 use std::sync::{Arc, RwLock};
@@ -17,6 +17,8 @@ pub enum Command {
     Prepare(SessionRequest, Reply),
     /// Start the train.
     Start(SessionCommand, Reply),
+    /// Record what is held, from a trigger on.
+    Keep(KeepRequest, Reply),
     /// End the train after the current trigger.
     Stop(SessionCommand, Reply),
     /// Give the session up.

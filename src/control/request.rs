@@ -26,12 +26,20 @@ pub struct SessionRequest {
     /// The train starts at this edge of one of the HSU's inputs, not at once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start_on: Option<StartOn>,
+    /// So many triggers before Record are kept: the train starts, frames are held in memory, and nothing is written before it.
+    /// 0: the recording begins with the train.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub pre_triggers: u64,
     /// Everything but the recording: frames are counted and judged, nothing is written.
     #[serde(default)]
     pub dry_run: bool,
     /// Whom the node that runs the capture serves; the other nodes' audit logs name them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub on_behalf_of: Option<String>,
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 impl SessionRequest {
@@ -43,8 +51,24 @@ impl SessionRequest {
         if let Some(StartOn { line, .. }) = self.start_on.filter(|edge| edge.line >= StartOn::LINES) {
             return Err(format!("input {line}; expected 0 to {}", StartOn::LINES - 1));
         }
+        if self.pre_triggers > 0 && (self.triggers > 0 || self.dry_run || self.start_on.is_some()) {
+            let expected = "expected no number of triggers, no dry run and no start at an edge with it";
+            return Err(format!("{} triggers before Record; {expected}", self.pre_triggers));
+        }
         SessionName::parse(&self.name)
     }
+}
+
+/// Record was pressed: the recording begins with a trigger of the past.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct KeepRequest {
+    /// The session.
+    pub session_id: u64,
+    /// The trigger of the train that becomes the recording's trigger 0: the same on all nodes.
+    pub first: u64,
+    /// The newest trigger of which every node had the frames when it was pressed.
+    pub pressed: u64,
 }
 
 /// An edge of one of the HSU's inputs.
@@ -126,7 +150,9 @@ pub enum Phase {
     Preparing,
     /// This node is armed; the HSU accepts a start once every node is.
     Ready,
-    /// Triggers are coming.
+    /// Triggers are coming, and the frames of the last seconds are held: nothing is recorded before Record.
+    Holding,
+    /// Triggers are coming, and are recorded.
     Running,
     /// The train has ended; last frames are coming in.
     Draining,

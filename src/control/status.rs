@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What goes over the API.
 
-use super::request::Phase;
+use super::request::{KeepRequest, Phase};
 use super::tokens::Role;
 use crate::base::Fault;
 use crate::base::histogram::Latency;
@@ -211,8 +211,14 @@ pub struct SessionStatus {
     pub dry_run: bool,
     /// Triggers asked for; 0: until stopped.
     pub triggers_asked: u64,
-    /// Triggers that the HSU reported so far.
+    /// Triggers that the HSU reported so far; before Record 0, and then those from the recording's first on.
     pub triggers: u64,
+    /// Where frames are held until Record.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held: Option<Held>,
+    /// Where Record was pressed after frames had been held.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kept: Option<KeepRequest>,
     /// Progress per camera, in the rig's order.
     pub cameras: Vec<CameraProgress>,
     /// Frames that wait for the writer now.
@@ -231,6 +237,17 @@ pub struct SessionStatus {
     pub total: Latency,
     /// Set when the session has ended on this node.
     pub outcome: Option<Outcome>,
+}
+
+/// Triggers of the train whose frames are held in memory until Record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Held {
+    /// The oldest.
+    pub oldest: u64,
+    /// One more than the newest.
+    pub end: u64,
+    /// So many are to be kept before Record.
+    pub asked: u64,
 }
 
 /// One camera's frames so far.
@@ -426,6 +443,8 @@ pub mod path {
     pub const CAPTURE: &str = "/api/v1/capture";
     /// POST.
     pub const CAPTURE_STOP: &str = "/api/v1/capture/stop";
+    /// POST: keeps what is held, and records.
+    pub const CAPTURE_RECORD: &str = "/api/v1/capture/record";
     /// POST [`super::AbortReason`].
     pub const CAPTURE_ABORT: &str = "/api/v1/capture/abort";
     /// GET: what is known of all cameras' pictures.
@@ -480,6 +499,8 @@ pub mod path {
     pub const PREPARE: &str = "/api/v1/session/prepare";
     /// POST [`super::SessionCommand`].
     pub const START: &str = "/api/v1/session/start";
+    /// POST [`super::request::KeepRequest`].
+    pub const KEEP: &str = "/api/v1/session/keep";
     /// POST [`super::SessionCommand`].
     pub const STOP: &str = "/api/v1/session/stop";
     /// POST [`super::SessionCommand`].

@@ -6,6 +6,7 @@ use super::{Check, Finding, bytes};
 use crate::config::{ApiConfig, SocketMode};
 use crate::control::client::NodeClient;
 use crate::control::status::NodeStatus;
+use crate::host::memory;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 
@@ -84,9 +85,7 @@ impl HostFacts {
                 .and_then(|text| u64::from_str_radix(&text, 16).ok())
                 .unwrap_or(0),
             cores: std::thread::available_parallelism().map_or(1, usize::from),
-            memory_available: read_line("/proc/meminfo", "MemAvailable:")
-                .and_then(|text| text.trim_end_matches("kB").trim().parse::<u64>().ok())
-                .map(|kib| kib.saturating_mul(1024)),
+            memory_available: memory::available(),
             governors: governors(),
             clock_source: read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
             api_port: api.map(look_at_api),

@@ -135,6 +135,17 @@ impl Pool {
         blocks
     }
 
+    /// Bytes of the blocks that no stream has.
+    pub fn idle_bytes(&self) -> u64 {
+        open(&self.shelf).iter().map(|block| block.size.next_multiple_of(ROOM_BYTES) as u64).sum()
+    }
+
+    /// Gives the memory of blocks that no stream has back to the system.
+    pub fn release(&self) {
+        let blocks = std::mem::take(&mut *open(&self.shelf));
+        drop(blocks);
+    }
+
     /// Blocks in the pool that no stream has.
     pub fn idle(&self) -> usize {
         open(&self.shelf).len()

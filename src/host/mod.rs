@@ -7,5 +7,7 @@ pub mod frame_memory;
 pub mod heap;
 /// Work that nothing waits for, in processes of its own.
 pub mod idle_process;
+/// How much memory may still be taken.
+pub mod memory;
 /// Real-time scheduling and locked memory.
 pub mod realtime;

@@ -364,6 +364,16 @@ impl Devices {
         all
     }
 
+    /// Bytes of frame memory that no stream has.
+    pub fn idle_bytes(&self) -> u64 {
+        self.pool.idle_bytes()
+    }
+
+    /// Gives frame memory back that no stream has.
+    pub fn release_memory(&self) {
+        self.pool.release();
+    }
+
     /// Cameras whose clock cannot be read, and why, once it was tried.
     pub fn without_clock(&self) -> Vec<(CameraId, String)> {
         let why = |slot: &OpenCamera| {
@@ -383,12 +393,13 @@ impl Devices {
     pub fn start_streams(
         &mut self,
         receivers: &[ReceiverSetup],
+        blocks: usize,
         to_recorder: &Sender<RecorderCommand>,
         reports: &Sender<Report>,
     ) -> Result<Vec<CameraKeeper>, Fault> {
         let mut running = Vec::new();
         let created = receivers.iter().try_for_each(|setup| {
-            running.push(self.create_stream(setup)?);
+            running.push(self.create_stream(setup, blocks)?);
             Ok(())
         });
         let started = created.and_then(|()| self.slots.iter_mut().try_for_each(OpenCamera::start));
@@ -410,7 +421,7 @@ impl Devices {
                 backend: self.backend.clone(),
                 options: stream_options(&self.config, slot.contract),
                 receiver: setup.clone(),
-                blocks: self.config.buffers_per_camera,
+                blocks,
                 pool: self.pool.clone(),
                 to_recorder: to_recorder.clone(),
                 reports: reports.clone(),
@@ -430,13 +441,13 @@ impl Devices {
         Ok(attendants)
     }
 
-    fn create_stream(&mut self, setup: &ReceiverSetup) -> Result<Receiver, Fault> {
+    fn create_stream(&mut self, setup: &ReceiverSetup, count: usize) -> Result<Receiver, Fault> {
         let slot = &mut self.slots[setup.camera];
         let options = stream_options(&self.config, slot.contract);
         let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
         let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
         let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
-        let (pool, count) = (&self.pool, self.config.buffers_per_camera);
+        let pool = &self.pool;
         let (stream, quiet) = quiet_stream(camera.as_mut(), || pool.take(pixel_bytes, count), &options)
             .map_err(|e| fault(e.to_string()))?;
         if !quiet {

@@ -57,7 +57,7 @@ impl Node {
                 self.note("hsu_fault", None, &message);
                 // The other node looks for its link; the train goes on, and so do we.
                 let other_link = matches!(fault, HsuFault::LinkSilent { .. });
-                let running = self.machine.phase() == Phase::Running;
+                let running = self.machine.train_runs();
                 if other_link && running && self.config.on_link_lost == OnLoss::Continue {
                     return;
                 }
@@ -81,7 +81,7 @@ impl Node {
 
     /// The link is lost, not the HSU: as configured the session goes on, and the link is looked for.
     pub(crate) fn link_lost(&mut self, reason: String) {
-        let goes_on = self.machine.phase() == Phase::Running && self.config.on_link_lost == OnLoss::Continue;
+        let goes_on = self.machine.train_runs() && self.config.on_link_lost == OnLoss::Continue;
         if !goes_on {
             return self.hsu_gone(reason);
         }
@@ -157,7 +157,7 @@ impl Node {
                 self.note("camera_lost", Some(id), &message);
                 let fatal = match self.machine.phase() {
                     Phase::Preparing | Phase::Ready => true,
-                    Phase::Running => self.config.on_camera_lost == OnLoss::Abort,
+                    Phase::Holding | Phase::Running => self.config.on_camera_lost == OnLoss::Abort,
                     Phase::Idle | Phase::Draining | Phase::Closing => false,
                 };
                 if fatal {
@@ -202,6 +202,7 @@ impl Node {
                     });
                     session.end_recorder();
                 });
+                self.release_held_memory();
                 self.take(Event::Closed);
             }
         }

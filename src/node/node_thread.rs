@@ -181,7 +181,7 @@ impl Node {
         if asleep > ASLEEP {
             // What came meanwhile has not been heard yet: nobody was silent but this node.
             self.origin += asleep;
-            if self.machine.phase() == Phase::Running {
+            if self.machine.train_runs() {
                 let text = format!("the node's thread did not run for {:.1} s", asleep.as_secs_f64());
                 self.note("node_asleep", None, &text);
             }
@@ -202,6 +202,7 @@ impl Node {
         match command {
             Command::Prepare(request, reply) => self.prepare(request, reply),
             Command::Start(command, reply) => self.session_command(&command, reply, Event::Start),
+            Command::Keep(request, reply) => drop(reply.send(self.keep(&request))),
             Command::Stop(command, reply) => self.session_command(&command, reply, Event::Stop),
             Command::Abort(command, reply) => {
                 let reason = command.reason.clone().unwrap_or_else(|| "aborted by the operator".to_owned());
@@ -335,7 +336,7 @@ impl Node {
                     self.telemetry.applied(&camera.id, camera.settings.clone());
                 }
                 self.in_session(|session| session.has_cameras(cameras));
-                Ok(())
+                self.check_memory_to_hold()
             }
             Action::CreateRecording => self.create_recording(),
             Action::StartStreams => self.start_streams(),
@@ -372,6 +373,10 @@ impl Node {
                 Ok(())
             }
             Action::DiscardRecording => self.discard_recording(),
+            Action::Keep { first, pressed } => {
+                self.in_session(|session| session.tell(RecorderCommand::Keep { first, pressed }));
+                Ok(())
+            }
             Action::Drain { emitted } => {
                 self.in_session(|session| session.tell(RecorderCommand::Drain { emitted }));
                 Ok(())
@@ -423,7 +428,8 @@ impl Node {
     }
 
     fn publish(&mut self) {
-        let session = self.session.as_ref().map(Session::status);
+        let holding = self.machine.phase() == Phase::Holding;
+        let session = self.session.as_ref().map(|session| session.status(holding));
         let (cameras, hsu) = (self.devices.camera_statuses(), self.devices.hsu_status());
         // The directory is made with the first session.
         let existing = self.config.sessions_dir.ancestors().find(|dir| dir.is_dir());

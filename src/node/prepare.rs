@@ -3,6 +3,7 @@
 
 use super::camera_keeper::{Report, counters_text};
 use super::devices::{PreparedCamera, unique_id};
+use super::hold::held_sets;
 use super::hsu_keeper::{HsuKeeper, LinkSetup};
 use super::node_thread::{Node, hsu_session};
 use crate::acquire::dry_run::DryRun;
@@ -126,7 +127,11 @@ impl Node {
         let thread_error =
             |e: std::io::Error| Fault::new(Exit::Failure, format!("cannot start a thread: {e}"));
         let progress = Arc::clone(&session.progress);
-        let options = RecorderOptions::new(period_ns, self.config.buffers_per_camera, self.config.when_full);
+        let blocks = self.config.buffers_per_camera;
+        let options = RecorderOptions {
+            held_sets: held_sets(&session.request, self.config.rig.trigger_rate_hz),
+            ..RecorderOptions::new(period_ns, blocks, self.config.when_full)
+        };
         let taps = self.taps.clone();
         let recorder = Recorder::start(
             destination,
@@ -175,7 +180,12 @@ impl Node {
                 patience: Duration::from_nanos(period_ns).max(Duration::from_millis(1)),
             })
             .collect();
-        let started = self.devices.start_streams(&receivers, &to_recorder, &session.reports_in);
+        let started = self.devices.start_streams(
+            &receivers,
+            blocks + options.held_sets,
+            &to_recorder,
+            &session.reports_in,
+        );
         session.attendants = started.inspect_err(|_| session.end_recorder())?;
         if let Some(hsu) = self.devices.hsu() {
             let setup = LinkSetup {
@@ -277,6 +287,8 @@ impl Node {
         let Some(session) = &mut self.session else { return Ok(()) };
         session.end_recorder();
         session.destination = None;
+        self.release_held_memory();
+        let Some(session) = &mut self.session else { return Ok(()) };
         if session.request.dry_run {
             return Ok(());
         }

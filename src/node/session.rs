@@ -7,8 +7,8 @@ use super::hsu_keeper::HsuKeeper;
 use super::silence::SilenceWatch;
 use crate::acquire::recorder::{Destination, Progress, RecorderCommand, RecorderEvent};
 use crate::base::time::HostClock;
-use crate::control::request::SessionRequest;
-use crate::control::status::{CameraProgress, Outcome, SessionStatus};
+use crate::control::request::{KeepRequest, SessionRequest};
+use crate::control::status::{CameraProgress, Held, Outcome, SessionStatus};
 use crate::host::realtime;
 use crate::hsu::Hsu;
 use crate::record::NodeEvent;
@@ -44,6 +44,8 @@ pub(crate) struct Session {
     /// When a trigger was last reported.
     pub(crate) listened: Option<Instant>,
     pub(crate) outcome: Option<Outcome>,
+    /// Where Record was pressed.
+    pub(crate) kept: Option<KeepRequest>,
     /// Frames that fit into the ring.
     pub(crate) ring_capacity: u64,
     /// How many of the process's warnings are in the recording.
@@ -75,6 +77,7 @@ impl Session {
             silence: SilenceWatch::new(cameras),
             listened: None,
             outcome: None,
+            kept: None,
             ring_capacity: 0,
             warnings_told: 0,
         }
@@ -122,7 +125,8 @@ impl Session {
         }
     }
 
-    pub(crate) fn status(&self) -> SessionStatus {
+    /// `holding`: it waits for Record.
+    pub(crate) fn status(&self, holding: bool) -> SessionStatus {
         let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
         let cameras = self.cameras.iter().enumerate().map(|(i, camera)| CameraProgress {
             id: camera.id.clone(),
@@ -138,8 +142,14 @@ impl Session {
             dry_run: self.request.dry_run,
             triggers_asked: self.request.triggers,
             triggers: load(&self.progress.triggers),
+            held: (holding && self.outcome.is_none()).then(|| Held {
+                oldest: load(&self.progress.held_from),
+                end: load(&self.progress.held_to),
+                asked: self.request.pre_triggers,
+            }),
+            kept: self.kept,
             cameras: cameras.collect(),
-            ring_frames: load(&self.progress.ring),
+            ring_frames: self.progress.in_ring(),
             ring_capacity: self.ring_capacity,
             ring_high_water_frames: load(&self.progress.high_water),
             written: self.progress.latencies.written.summary(),

@@ -3,6 +3,8 @@
 //!
 //! ```text
 //!  Idle --Prepare--> Preparing --all steps done--> Ready --first trigger--> Running --train ends--> Draining
+//!                                                    |                         ^
+//!                             first trigger, seconds before Record wanted -> Holding --Record--> Running
 //!   ^                    |  failure: undo           |  abort, timeout: undo    |  fault: stop train     |
 //!   +--------------------+--------------------------+                          v                        v
 //!   +<--------------------------------- recording closed -------------------- Draining --all in--> Closing
@@ -29,6 +31,13 @@ pub enum Event {
     Start,
     /// The HSU reports a trigger.
     Trigger,
+    /// An operator wants to keep what is held, from a trigger of the train on.
+    Keep {
+        /// The recording's trigger 0.
+        first: u64,
+        /// Where Record was pressed.
+        pressed: u64,
+    },
     /// The HSU reports the end of the train.
     TrainDone {
         /// How many triggers it emitted.
@@ -77,6 +86,13 @@ pub enum Action {
     StopStreams,
     /// Remove the recording: no trigger was seen.
     DiscardRecording,
+    /// Record what is held, and what comes.
+    Keep {
+        /// The recording's trigger 0.
+        first: u64,
+        /// Where Record was pressed.
+        pressed: u64,
+    },
     /// Wait for the frames of all triggers.
     Drain {
         /// How many triggers there were, where the HSU said so.
@@ -91,6 +107,8 @@ pub enum Action {
 
 /// A node that is ready but is not started gives up after this long.
 pub const READY_TIMEOUT: Duration = Duration::from_secs(120);
+/// Frames are held no longer than this: nobody pressed Record, and the projectors are warm for nothing.
+pub const HOLD_TIMEOUT: Duration = Duration::from_secs(30 * 60);
 /// A train that stays silent this long (or 20 periods, if longer) has failed.
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(3);
 /// A link to the HSU that was lost during a train is waited for this long.
@@ -109,8 +127,9 @@ pub struct Machine {
     last_activity: Duration,
     silence_timeout: Duration,
     drain_timeout: Duration,
-    /// Since when it has been [`Phase::Draining`].
+    /// Since when it has been [`Phase::Draining`], and [`Phase::Holding`].
     draining_since: Duration,
+    holding_since: Duration,
     link_lost: bool,
 }
 
@@ -135,6 +154,7 @@ impl Machine {
             silence_timeout: SILENCE_TIMEOUT.max(period * 20),
             drain_timeout: DRAIN_TIMEOUT.max(period * 200),
             draining_since: Duration::ZERO,
+            holding_since: Duration::ZERO,
             link_lost: false,
         }
     }
@@ -142,6 +162,11 @@ impl Machine {
     /// Where it is.
     pub fn phase(&self) -> Phase {
         self.phase
+    }
+
+    /// Whether triggers are expected.
+    pub fn train_runs(&self) -> bool {
+        matches!(self.phase, Phase::Holding | Phase::Running)
     }
 
     /// The session it is in.
@@ -158,6 +183,9 @@ impl Machine {
         if self.phase != Phase::Draining {
             self.draining_since = now;
         }
+        if self.phase != Phase::Holding {
+            self.holding_since = now;
+        }
         match (self.phase, event) {
             (Phase::Idle, Event::Prepare(request)) => {
                 self.phase = Phase::Preparing;
@@ -172,8 +200,13 @@ impl Machine {
             }
             (Phase::Ready, Event::Start) => vec![Action::StartTrain],
             (Phase::Ready, Event::Trigger) => {
-                self.phase = Phase::Running;
+                let holds = self.request.as_ref().is_some_and(|request| request.pre_triggers > 0);
+                self.phase = if holds { Phase::Holding } else { Phase::Running };
                 Vec::new()
+            }
+            (Phase::Holding, Event::Keep { first, pressed }) => {
+                self.phase = Phase::Running;
+                vec![Action::Keep { first, pressed }]
             }
             (Phase::Ready, Event::Failed(fault)) => self.undo(Some(Action::ReportFailed(fault))),
             (Phase::Ready, Event::Abort(reason)) => self.give_up(reason),
@@ -188,13 +221,18 @@ impl Machine {
             (Phase::Ready, Event::Tick) if self.idle_for(now) > READY_TIMEOUT => {
                 self.give_up(format!("nobody started the session within {} s", READY_TIMEOUT.as_secs()))
             }
+            // Nothing was kept, so nothing is recorded.
+            (Phase::Holding, Event::TrainDone { .. }) => self.give_up(
+                "the train ended before Record was pressed: it was stopped, or another node gave up"
+                    .to_owned(),
+            ),
             (Phase::Ready | Phase::Running, Event::TrainDone { emitted }) => {
                 self.phase = Phase::Draining;
                 vec![Action::Drain { emitted: Some(emitted) }]
             }
-            (Phase::Running, Event::Stop) => vec![Action::StopTrain],
+            (Phase::Holding | Phase::Running, Event::Stop) => vec![Action::StopTrain],
             (Phase::Ready, Event::LinkLost) => self.give_up("the link to the HSU was lost".to_owned()),
-            (Phase::Running, Event::LinkLost) => {
+            (Phase::Holding | Phase::Running, Event::LinkLost) => {
                 self.link_lost = true;
                 Vec::new()
             }
@@ -202,12 +240,19 @@ impl Machine {
                 self.link_lost = false;
                 Vec::new()
             }
+            (Phase::Holding, Event::Failed(fault)) => self.let_go(fault.message),
+            (Phase::Holding, Event::Abort(reason)) => self.let_go(reason),
+            (Phase::Holding, Event::Tick) if now.saturating_sub(self.holding_since) > HOLD_TIMEOUT => {
+                self.let_go(format!("nobody pressed Record within {} min", HOLD_TIMEOUT.as_secs() / 60))
+            }
+            (Phase::Holding, Event::Tick) if self.idle_for(now) > self.patience() => {
+                self.let_go(self.silence(now))
+            }
             (Phase::Running, Event::Failed(fault)) => self.break_off(fault.message),
             (Phase::Running, Event::Abort(reason)) => self.break_off(reason),
-            (Phase::Running, Event::Tick) if self.idle_for(now) > self.patience() => self.break_off(format!(
-                "the HSU reported no trigger for {:.1} s; check its serial link",
-                self.idle_for(now).as_secs_f64()
-            )),
+            (Phase::Running, Event::Tick) if self.idle_for(now) > self.patience() => {
+                self.break_off(self.silence(now))
+            }
             (Phase::Draining, Event::Drained) => self.close(),
             (Phase::Draining, Event::Tick)
                 if now.saturating_sub(self.draining_since) > self.drain_timeout =>
@@ -265,6 +310,17 @@ impl Machine {
         self.undo(Some(Action::ReportFailed(Fault::new(Exit::Device, reason))))
     }
 
+    fn silence(&self, now: Duration) -> String {
+        let silent_s = self.idle_for(now).as_secs_f64();
+        format!("the HSU reported no trigger for {silent_s:.1} s; check its serial link")
+    }
+
+    /// Ends a train of which nothing was kept.
+    fn let_go(&mut self, reason: String) -> Vec<Action> {
+        let undo = self.give_up(reason);
+        std::iter::once(Action::StopTrain).chain(undo).collect()
+    }
+
     /// Ends a running train early; what was recorded is kept.
     fn break_off(&mut self, reason: String) -> Vec<Action> {
         self.aborted = Some(reason);
@@ -288,7 +344,7 @@ impl Machine {
 
 #[cfg(test)]
 mod tests {
-    use super::{Action, DRAIN_TIMEOUT, Event, Machine, READY_TIMEOUT};
+    use super::{Action, DRAIN_TIMEOUT, Event, HOLD_TIMEOUT, Machine, READY_TIMEOUT};
     use crate::base::ids::NodeId;
     use crate::base::{Exit, Fault};
     use crate::control::request::{Phase, SessionRequest};
@@ -306,6 +362,7 @@ mod tests {
             subject: None,
             note: None,
             start_on: None,
+            pre_triggers: 0,
             dry_run: false,
             on_behalf_of: None,
         }
@@ -397,9 +454,55 @@ mod tests {
         assert_eq!(m.step(Event::Drained, end + Duration::from_millis(2)), []);
     }
 
+    /// One of which frames are held until Record.
+    fn holding_request() -> SessionRequest {
+        SessionRequest { triggers: 0, pre_triggers: 240, ..request() }
+    }
+
+    fn holding() -> Machine {
+        let mut machine = machine();
+        machine.step(Event::Prepare(holding_request()), Duration::ZERO);
+        (0..5).for_each(|_| drop(machine.step(Event::StepDone, Duration::ZERO)));
+        assert_eq!(machine.step(Event::Trigger, Duration::ZERO), []);
+        assert_eq!(machine.phase(), Phase::Holding);
+        machine
+    }
+
+    #[test]
+    fn record_makes_a_session_of_what_is_held() {
+        let mut m = holding();
+        let keep = |first| Event::Keep { first, pressed: first + 239 };
+        assert_eq!(m.step(keep(60), Duration::ZERO), [Action::Keep { first: 60, pressed: 299 }]);
+        assert_eq!(m.step(keep(90), Duration::ZERO), [], "once");
+        assert_eq!(m.step(Event::Stop, Duration::ZERO), [Action::StopTrain]);
+        let done = Event::TrainDone { emitted: 400 };
+        assert_eq!(m.step(done, Duration::ZERO), [Action::Drain { emitted: Some(400) }]);
+    }
+
+    #[test]
+    fn without_record_nothing_is_left() {
+        let undone = [Action::DisarmHsu, Action::StopStreams, Action::DiscardRecording];
+        let late = HOLD_TIMEOUT + Duration::from_secs(1);
+        for (event, now) in [
+            (Event::Failed(fault()), Duration::ZERO),
+            (Event::Abort("operator".to_owned()), Duration::ZERO),
+            (Event::Tick, late),
+        ] {
+            let actions = holding().step(event, now);
+            assert_eq!((&actions[0], &actions[1..4]), (&Action::StopTrain, &undone[..]));
+        }
+        let mut m = holding();
+        assert_eq!(m.step(Event::Stop, Duration::ZERO), [Action::StopTrain]);
+        let actions = m.step(Event::TrainDone { emitted: 700 }, Duration::ZERO);
+        assert_eq!(actions[..3], undone);
+        assert_eq!(m.phase(), Phase::Idle);
+    }
+
     fn any_event() -> impl Strategy<Value = Event> {
         prop_oneof![
             Just(Event::Prepare(request())),
+            Just(Event::Prepare(holding_request())),
+            Just(Event::Keep { first: 3, pressed: 9 }),
             Just(Event::StepDone),
             Just(Event::StepDone),
             Just(Event::StepDone),

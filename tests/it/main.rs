@@ -19,6 +19,7 @@ mod back_end;
 mod bad_frames;
 mod bad_photographs;
 #[cfg(feature = "aravis")]
+mod before_record;
 mod before_the_start;
 mod board_photographs;
 mod board_to_plane;

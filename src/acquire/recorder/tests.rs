@@ -2,6 +2,7 @@
 //! The recorder behind a disk that is too slow: whole sets go, all are accounted for, the rest is intact.
 
 use super::{Channels, LaneSetup, Progress, Recorder, RecorderCommand, RecorderEvent, RecorderOptions};
+use crate::acquire::preview::Taps;
 use crate::acquire::receiver::Arrival;
 use crate::acquire::writer_queue::{Sink, ToWriter};
 use crate::base::ids::{BlockId, CameraId, TriggerIndex};
@@ -60,6 +61,11 @@ impl Sink for SlowSink {
     }
 }
 
+/// Nobody looks.
+fn taps() -> [Arc<Taps>; 2] {
+    [(); 2].map(|()| Arc::new(Taps::new([])))
+}
+
 fn lane(camera: usize) -> LaneSetup {
     let start = Start { period_ns: PERIOD_NS, warm_up: 0, hsu_minus_host_ns: Some(0) };
     let id = CameraId(format!("c{camera}"));
@@ -111,8 +117,8 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
     let lanes = (0..CAMERAS).map(lane).collect();
     let shared = Arc::clone(&progress);
     let channels = Channels { arrivals, commands, events: events_in };
-    let thread =
-        Recorder::start_with(Box::new(sink), lanes, options, shared, channels).expect("threads start");
+    let thread = Recorder::start_with(Box::new(sink), taps(), lanes, options, shared, channels)
+        .expect("threads start");
     let mut token = Some(token);
     for trigger in 0..triggers {
         if trigger == stalled {

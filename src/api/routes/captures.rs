@@ -7,6 +7,7 @@ use crate::api::body::Body;
 use crate::api::refusal::Refusal;
 use crate::base::{Exit, Fault};
 use crate::capture::coordinator::CaptureState;
+use crate::capture::run::Stage;
 use crate::capture::series::Series;
 use crate::control::command::Command;
 use crate::control::status::{AbortReason, CaptureBegun, SessionCommand, path};
@@ -17,7 +18,11 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new().routes(routes!(get_capture, begin)).routes(routes!(stop)).routes(routes!(abort))
+    OpenApiRouter::new()
+        .routes(routes!(get_capture, begin))
+        .routes(routes!(record))
+        .routes(routes!(stop))
+        .routes(routes!(abort))
 }
 
 /// The capture that this node runs, or the last one that it ran; `null` before the first.
@@ -56,6 +61,17 @@ enum Told {
     /// A device failed, or the node is busy.
     #[response(status = 503)]
     Unavailable(Fault),
+}
+
+/// Keeps the seconds that are held, and records: for a capture with `pre_trigger_s` that this node runs.
+#[utoipa::path(post, path = path::CAPTURE_RECORD, tag = "capture", responses(Told))]
+async fn record(State(shared): State<Shared>) -> Result<StatusCode, Refusal> {
+    let holds = shared.services.coordinator.state().and_then(|state| state.stage);
+    if !matches!(holds, Some(Stage::Holding { .. })) {
+        return Err(Fault::new(Exit::Usage, "nothing is held for Record at this node").into());
+    }
+    shared.services.coordinator.record()?;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 /// Ends the train after the current trigger, whoever has started it; what was recorded gets its verdict.

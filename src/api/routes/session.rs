@@ -6,7 +6,7 @@ use crate::api::body::Body;
 use crate::api::refusal::Refusal;
 use crate::base::Fault;
 use crate::control::command::Command;
-use crate::control::request::SessionRequest;
+use crate::control::request::{KeepRequest, SessionRequest};
 use crate::control::status::{SessionCommand, path};
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -17,6 +17,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
         .routes(routes!(prepare))
         .routes(routes!(start))
+        .routes(routes!(keep))
         .routes(routes!(stop))
         .routes(routes!(abort))
 }
@@ -54,6 +55,12 @@ async fn start(
     Body(command): Body<SessionCommand>,
 ) -> Result<StatusCode, Refusal> {
     shared.ask(|reply| Command::Start(command, reply)).await.map(|()| StatusCode::NO_CONTENT)
+}
+
+/// Records what is held from a trigger of the past on: that becomes trigger 0, on all nodes the same.
+#[utoipa::path(post, path = path::KEEP, tag = "session", request_body = KeepRequest, responses(Outcome))]
+async fn keep(State(shared): State<Shared>, Body(request): Body<KeepRequest>) -> Result<StatusCode, Refusal> {
+    shared.ask(|reply| Command::Keep(request, reply)).await.map(|()| StatusCode::NO_CONTENT)
 }
 
 /// Ends the train after the current trigger; the recording is closed with its verdict.

@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Seconds before Record and after Stop: where the recording begins on all nodes, and when it ends by itself.
+//!
+//! While frames are held every node keeps those of the last seconds. Record names one trigger of the past, which all nodes
+//! have, as the first of the recording. What comes behind it is counted by the nodes, so the end is a trigger, too.
+
+use super::run::{CaptureRequest, Control, Nodes};
+use crate::control::request::KeepRequest;
+use crate::control::status::SessionStatus;
+
+/// Longest time before Record, and after Stop, s.
+pub const SPAN_MAX_S: f64 = 600.0;
+
+/// A capture's ends.
+#[derive(Debug)]
+pub(crate) struct Span {
+    session_id: u64,
+    /// Triggers before Record that are kept; 0: the recording begins with the train.
+    before: u64,
+    /// Triggers behind Record; 0: until stopped.
+    behind: u64,
+    /// Triggers behind a stop.
+    after_stop: u64,
+    /// What was decided when Record was pressed.
+    keep: Option<KeepRequest>,
+    /// Which nodes know.
+    told: Vec<bool>,
+    /// The train is stopped when so many triggers are recorded.
+    stop_at: Option<u64>,
+}
+
+impl Span {
+    /// Of a capture of so many nodes; `behind` as in [`CaptureRequest::triggers`].
+    pub(crate) fn new(
+        wish: &CaptureRequest,
+        session_id: u64,
+        behind: u64,
+        rate_hz: f64,
+        nodes: usize,
+    ) -> Result<Self, String> {
+        let before = triggers_of("before Record", wish.pre_trigger_s, rate_hz)?;
+        let after_stop = triggers_of("after Stop", wish.post_trigger_s, rate_hz)?;
+        let told = vec![false; nodes];
+        Ok(Self { session_id, before, behind, after_stop, keep: None, told, stop_at: None })
+    }
+
+    /// Triggers before Record.
+    pub(crate) fn before(&self) -> u64 {
+        self.before
+    }
+
+    /// Record was pressed, or need not be.
+    pub(crate) fn records(&self) -> bool {
+        self.before == 0 || self.keep.is_some()
+    }
+
+    /// Whether the train is to be stopped now. `asked`: the operator says so, once or again.
+    pub(crate) fn stops(&mut self, asked: bool, recorded: u64) -> bool {
+        if asked {
+            let waits = self.stop_at.is_none() && self.records() && recorded > 0;
+            if !waits || self.after_stop == 0 {
+                return true;
+            }
+            self.stop_at = Some(recorded + self.after_stop);
+        }
+        let by_itself = self.keep.filter(|_| self.behind > 0).map(|keep| {
+            let before = (keep.pressed + 1).saturating_sub(keep.first);
+            before + self.behind
+        });
+        self.stop_at.into_iter().chain(by_itself).min().is_some_and(|end| recorded >= end)
+    }
+
+    /// Passes Record on, where it was pressed and every node holds frames. A node that cannot be asked is asked again.
+    pub(crate) fn pass_record_on(
+        &mut self,
+        nodes: Nodes<'_>,
+        latest: &[Option<SessionStatus>],
+        control: &Control,
+    ) {
+        if self.before == 0 || !control.record_is_pressed() {
+            return;
+        }
+        if self.keep.is_none() {
+            let ends: Option<Vec<u64>> = latest
+                .iter()
+                .map(|session| Some(session.as_ref()?.held?.end).filter(|end| *end > 0))
+                .collect();
+            let Some(end) = ends.and_then(|ends| ends.into_iter().min()) else { return };
+            let (session_id, first) = (self.session_id, end.saturating_sub(self.before));
+            self.keep = Some(KeepRequest { session_id, first, pressed: end - 1 });
+        }
+        let Some(keep) = &self.keep else { return };
+        for ((node, told), session) in nodes.iter().zip(&mut self.told).zip(latest) {
+            // One that holds nothing any more has heard it, and its answer was lost.
+            let heard = || session.as_ref().is_some_and(|session| session.held.is_none());
+            if !*told {
+                *told = match node.keep(keep) {
+                    Ok(()) => true,
+                    Err(fault) => {
+                        tracing::warn!(place = node.place(), "Record: {}", fault.message);
+                        heard()
+                    }
+                };
+            }
+        }
+    }
+
+    /// Triggers that every node holds, while Record is waited for.
+    pub(crate) fn held(&self, latest: &[Option<SessionStatus>]) -> Option<u64> {
+        let held = latest.iter().flatten().filter_map(|session| session.held);
+        held.map(|held| (held.end - held.oldest.min(held.end)).min(held.asked))
+            .min()
+            .filter(|_| !self.records())
+    }
+}
+
+fn triggers_of(what: &str, seconds: Option<f64>, rate_hz: f64) -> Result<u64, String> {
+    match seconds {
+        None => Ok(0),
+        Some(seconds) if (0.0..=SPAN_MAX_S).contains(&seconds) => Ok((seconds * rate_hz).round() as u64),
+        Some(seconds) => Err(format!("{seconds} s {what}; expected 0 to {SPAN_MAX_S} s")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Span;
+    use crate::capture::run::CaptureRequest;
+    use crate::control::request::KeepRequest;
+
+    fn span(before_s: f64, after_s: f64, behind: u64) -> Span {
+        let wish = CaptureRequest {
+            pre_trigger_s: Some(before_s),
+            post_trigger_s: Some(after_s),
+            ..CaptureRequest::default()
+        };
+        Span::new(&wish, 7, behind, 100.0, 2).expect("it is as expected")
+    }
+
+    #[test]
+    fn a_session_ends_so_many_triggers_behind_record_or_stop() {
+        let mut pressed = span(2.0, 0.0, 500);
+        assert!(!pressed.records() && pressed.before() == 200);
+        pressed.keep = Some(KeepRequest { session_id: 7, first: 1000, pressed: 1199 });
+        assert!(!pressed.stops(false, 699));
+        assert!(pressed.stops(false, 700));
+
+        let mut stopped = span(0.0, 1.0, 0);
+        assert!(stopped.records() && !stopped.stops(false, 5000));
+        assert!(!stopped.stops(true, 5000), "a second more");
+        assert!(!stopped.stops(false, 5099) && stopped.stops(false, 5100));
+        assert!(span(0.0, 1.0, 0).stops(true, 0), "nothing was recorded yet");
+        let mut twice = span(0.0, 1.0, 0);
+        assert!(!twice.stops(true, 10) && twice.stops(true, 11), "whoever stops again does not want to wait");
+    }
+
+    #[test]
+    fn before_record_a_stop_waits_for_nothing() {
+        assert!(span(2.0, 3.0, 0).stops(true, 0));
+    }
+
+    #[test]
+    fn times_that_cannot_be_are_refused() {
+        for seconds in [-1.0, f64::NAN, f64::INFINITY, 601.0] {
+            let wish = CaptureRequest { pre_trigger_s: Some(seconds), ..CaptureRequest::default() };
+            assert!(Span::new(&wish, 7, 0, 100.0, 1).is_err(), "{seconds}");
+        }
+    }
+}
