@@ -76,6 +76,30 @@ fn a_series_is_told_with_all_its_takes() {
     the_first_take_has_its_causes(&mut scene);
     a_stop_in_the_warm_up_of_take_two_fails_nothing(&scene);
     what_is_thought_of_a_take_is_kept(&scene);
+    seconds_before_record_are_kept(&scene);
+}
+
+/// The first press holds, the second records: the take begins a second before it.
+fn seconds_before_record_are_kept(scene: &Scene) {
+    let browser = &scene.browser;
+    scene.fill("jump", "1", "1", "0");
+    browser.type_in("before", "1");
+    browser.wait(
+        "the button says what it does",
+        "return document.getElementById('start').innerText.startsWith('Hold')",
+    );
+    browser.press("r");
+    browser.wait_word("HOLDING");
+    browser.keep("holding");
+    browser
+        .wait("a second is held", "return document.getElementById('clock').textContent === '1.0 of 1.0 s'");
+    browser.wait("and can be kept", "return !document.getElementById('start').disabled");
+    assert_eq!(browser.text("start-word"), "Record");
+    browser.press("r");
+    browser.wait_verdict("COMPLETE");
+    let triggers = scene.asked("/api/v1/status")["session"]["triggers"].as_u64().expect("a number");
+    assert!(triggers >= 40, "{triggers} triggers: a second before Record and one behind it");
+    browser.type_in("before", "");
 }
 
 fn two_takes_are_two_takes(scene: &Scene) {
