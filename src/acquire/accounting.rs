@@ -168,10 +168,10 @@ impl Accounting {
         self.pauses.add(first..end);
         self.sets.wait_until(end);
         let message = format!(
-            "this process did not run for {} ms (stopped, or without a processor): frame sets of triggers {first} to {} \
+            "this process did not run for {} ms (stopped, or without a processor): of {} frame sets from here on those \
              that are not whole are given up",
             took.as_millis(),
-            end - 1
+            end - first
         );
         tracing::warn!(kind = "node_paused", "{message}");
         self.event("node_paused", None, Some(first), message);
@@ -458,7 +458,8 @@ impl Accounting {
     fn end_of_full(&mut self) {
         if let Some(Full { first, last, frames }) = self.full.take() {
             let message = format!(
-                "the disk did not keep up: {frames} frames of triggers {first} to {last} were dropped, set by set"
+                "the disk did not keep up: {frames} frames of {} triggers from here on were dropped, set by set",
+                last - first + 1
             );
             tracing::warn!(kind = "ring_full", "{message}");
             self.event("ring_full", None, Some(first), message);
@@ -478,10 +479,8 @@ impl Accounting {
     /// A frame is not what was agreed: the first of each kind is an event.
     fn breach(&mut self, camera: usize, trigger: u64, block: BlockId, breach: Breach) {
         if self.lanes[camera].breaches.count(breach) {
-            let text = format!(
-                "block {block} of trigger {trigger} is not recorded: {breach} (later ones are counted)"
-            );
-            self.note(camera, "frame_refused", None, text);
+            let text = format!("block {block} is not recorded: {breach} (later ones are counted)");
+            self.note(camera, "frame_refused", Some(trigger), text);
         }
     }
 

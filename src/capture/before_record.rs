@@ -6,7 +6,7 @@
 
 use super::run::{CaptureRequest, Control, Nodes};
 use crate::control::request::KeepRequest;
-use crate::control::status::SessionStatus;
+use crate::control::status::{Held, SessionStatus};
 
 /// Longest time before Record, and after Stop, s.
 pub const SPAN_MAX_S: f64 = 600.0;
@@ -107,10 +107,10 @@ impl Span {
 
     /// Triggers that every node holds, while Record is waited for.
     pub(crate) fn held(&self, latest: &[Option<SessionStatus>]) -> Option<u64> {
-        let held = latest.iter().flatten().filter_map(|session| session.held);
-        held.map(|held| (held.end - held.oldest.min(held.end)).min(held.asked))
-            .min()
-            .filter(|_| !self.records())
+        let of = |session: &Option<SessionStatus>| session.as_ref()?.held;
+        let all: Option<Vec<Held>> = latest.iter().map(of).collect();
+        let held = all?.into_iter().map(|held| held.end.saturating_sub(held.oldest).min(held.asked)).min();
+        held.filter(|triggers| !self.records() && *triggers > 0)
     }
 }
 

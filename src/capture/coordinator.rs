@@ -103,7 +103,8 @@ impl Coordinator {
 
     /// Keeps what is held, and records.
     pub fn record(&self) -> Result<(), Fault> {
-        self.running_control().map(|control| control.record())
+        let nothing = || Fault::new(Exit::Usage, "nothing is held for Record at this node");
+        self.running_control()?.record().then_some(()).ok_or_else(nothing)
     }
 
     /// Gives the capture up.

@@ -59,6 +59,8 @@ pub const COUNTDOWN_MAX_S: u32 = 60;
 pub struct Control {
     stop: AtomicBool,
     record: AtomicBool,
+    /// All nodes hold frames.
+    holding: AtomicBool,
     abort: Mutex<Option<String>>,
     /// Either was asked for at some time.
     asked: AtomicBool,
@@ -71,9 +73,15 @@ impl Control {
         self.stop.store(true, Ordering::Release);
     }
 
-    /// What is held is kept, and recorded with what comes. Nothing where nothing is held.
-    pub fn record(&self) {
-        self.record.store(true, Ordering::Release);
+    /// What is held is kept, and recorded with what comes. `false`: nothing is held, now or any more.
+    pub fn record(&self) -> bool {
+        let holding = self.holding.load(Ordering::Acquire);
+        self.record.fetch_or(holding, Ordering::AcqRel);
+        holding
+    }
+
+    pub(crate) fn holds(&self, holding: bool) {
+        self.holding.store(holding, Ordering::Release);
     }
 
     pub(crate) fn record_is_pressed(&self) -> bool {
@@ -189,6 +197,7 @@ pub fn capture(
     let statuses = nodes.iter().map(|node| node.status()).collect::<Result<Vec<_>, _>>()?;
     let (request, mut span) = request(wish, &statuses)?;
     control.record.store(false, Ordering::Release);
+    control.holds(false);
     progress(&Stage::Preparing);
     if let Err(fault) = prepare_all(nodes, &statuses, &request) {
         abort_all(nodes, request.session_id, "another node could not get ready");
@@ -437,7 +446,9 @@ fn follow(
             latest.iter().flatten().flat_map(|s| &s.cameras).map(count).sum()
         };
         triggers = latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0);
-        progress(&match (request.start_on.filter(|_| triggers == 0), span.held(&latest)) {
+        let held = span.held(&latest);
+        control.holds(held.is_some());
+        progress(&match (request.start_on.filter(|_| triggers == 0), held) {
             (Some(edge), _) => Stage::AwaitingEdge { edge },
             (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before() },
             (None, None) => Stage::Recording {

@@ -156,16 +156,19 @@ fn print_directories(directories: &[PathBuf]) {
 fn record_on_enter(control: &Arc<Control>) {
     let control = Arc::clone(control);
     std::thread::spawn(move || {
-        let mut pressed = false;
+        let mut recorded = false;
         for line in std::io::stdin().lines() {
             if line.is_err() {
                 break;
             }
-            pressed = true;
-            control.record();
+            match control.record() {
+                true => recorded = true,
+                false if recorded => {}
+                false => eprintln!("nothing is held yet: press Enter again when it is"),
+            }
         }
-        if !pressed {
-            eprintln!("standard input ended before Enter: Record cannot be pressed, the capture is stopped");
+        if !recorded {
+            eprintln!("standard input ended before Record was pressed: the capture is stopped");
             control.stop();
         }
     });

@@ -60,6 +60,7 @@ impl fmt::Debug for NodeClient {
 
 /// Preparing waits for absent cameras, 2.5 s each.
 const PREPARE_TIMEOUT: Duration = Duration::from_secs(60);
+const PREPARE_TO_HOLD_TIMEOUT: Duration = Duration::from_secs(110);
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// No answer of a node is longer.
 const ANSWER_BYTES_MAX: usize = 64 << 20;
@@ -135,7 +136,9 @@ impl NodeClient {
 
     /// Prepares a session and waits until the node is ready.
     pub fn prepare(&self, request: &SessionRequest) -> Result<(), Fault> {
-        self.post(path::PREPARE, request, PREPARE_TIMEOUT)
+        // Memory for seconds before Record is touched, page by page.
+        let patience = if request.pre_triggers > 0 { PREPARE_TO_HOLD_TIMEOUT } else { PREPARE_TIMEOUT };
+        self.post(path::PREPARE, request, patience)
     }
 
     /// Starts the train.

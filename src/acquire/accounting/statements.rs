@@ -6,6 +6,7 @@ use crate::acquire::receiver::Arrival;
 use crate::matcher::{Finding, Matched};
 use crate::record::UNCONFIRMED;
 
+/// Texts name blocks: a trigger's number stands in its event, where seconds before Record can change what it is counted from.
 impl Accounting {
     /// Says what happened before a frame, and with it.
     pub(crate) fn report(&mut self, camera: usize, matched: &Matched, arrival: &Arrival) {
@@ -14,18 +15,12 @@ impl Accounting {
         let back = self.lanes[camera].back;
         if matched.lost > 0 && !back {
             let first = number - (matched.lost + matched.ignored) as i64;
-            let text = format!(
-                "{} frames before trigger {number} (block {block}) were lost on the way",
-                matched.lost
-            );
+            let text = format!("{} frames before block {block} were lost on the way", matched.lost);
             self.note(camera, "frames_lost", at(first), text);
         }
         if matched.ignored > 0 && !back {
             let first = number - matched.ignored as i64;
-            let text = format!(
-                "the camera ignored {} triggers before trigger {number} (block {block})",
-                matched.ignored
-            );
+            let text = format!("the camera ignored {} triggers before block {block}", matched.ignored);
             self.note(camera, "trigger_ignored", at(first), text);
         }
         let (kind, text) = match matched.finding {

@@ -7,7 +7,6 @@ use crate::api::body::Body;
 use crate::api::refusal::Refusal;
 use crate::base::{Exit, Fault};
 use crate::capture::coordinator::CaptureState;
-use crate::capture::run::Stage;
 use crate::capture::series::Series;
 use crate::control::command::Command;
 use crate::control::status::{AbortReason, CaptureBegun, SessionCommand, path};
@@ -66,10 +65,6 @@ enum Told {
 /// Keeps the seconds that are held, and records: for a capture with `pre_trigger_s` that this node runs.
 #[utoipa::path(post, path = path::CAPTURE_RECORD, tag = "capture", responses(Told))]
 async fn record(State(shared): State<Shared>) -> Result<StatusCode, Refusal> {
-    let holds = shared.services.coordinator.state().and_then(|state| state.stage);
-    if !matches!(holds, Some(Stage::Holding { .. })) {
-        return Err(Fault::new(Exit::Usage, "nothing is held for Record at this node").into());
-    }
     shared.services.coordinator.record()?;
     Ok(StatusCode::NO_CONTENT)
 }
