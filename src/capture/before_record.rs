@@ -63,11 +63,13 @@ impl Span {
             }
             self.stop_at = Some(recorded + self.after_stop);
         }
-        let by_itself = self.keep.filter(|_| self.behind > 0).map(|keep| {
-            let before = (keep.pressed + 1).saturating_sub(keep.first);
-            before + self.behind
-        });
-        self.stop_at.into_iter().chain(by_itself).min().is_some_and(|end| recorded >= end)
+        self.stop_at.into_iter().chain(self.total()).min().is_some_and(|end| recorded >= end)
+    }
+
+    /// Triggers of the whole recording, where that is known once Record was pressed.
+    pub(crate) fn total(&self) -> Option<u64> {
+        let keep = self.keep.filter(|_| self.behind > 0)?;
+        Some((keep.pressed + 1).saturating_sub(keep.first) + self.behind)
     }
 
     /// Passes Record on, where it was pressed and every node holds frames. A node that cannot be asked is asked again.
@@ -142,6 +144,7 @@ mod tests {
         let mut pressed = span(2.0, 0.0, 500);
         assert!(!pressed.records() && pressed.before() == 200);
         pressed.keep = Some(KeepRequest { session_id: 7, first: 1000, pressed: 1199 });
+        assert_eq!(pressed.total(), Some(700));
         assert!(!pressed.stops(false, 699));
         assert!(pressed.stops(false, 700));
 

@@ -453,7 +453,7 @@ fn follow(
             (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before() },
             (None, None) => Stage::Recording {
                 triggers,
-                asked: request.triggers,
+                asked: span.total().unwrap_or(request.triggers),
                 frames: sum(|c| c.frames),
                 gaps: sum(|c| c.gaps),
             },
