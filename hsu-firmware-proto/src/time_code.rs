@@ -51,6 +51,64 @@ impl TimeCode {
     pub const fn drop_frame(self) -> bool {
         self.drop_frame
     }
+
+    /// Frames a second by which codes are counted; 23.976 counts as 24, 29.97 as 30.
+    pub const RATES: [u8; 3] = [24, 25, 30];
+
+    /// Reads `HH:MM:SS:FF` or `HH:MM:SS;FF`.
+    pub fn parse(text: &str) -> Option<Self> {
+        let text = text.as_bytes();
+        let [_, _, b':', _, _, b':', _, _, mark @ (b':' | b';'), _, _] = text else { return None };
+        let digit = |place: usize| text[place].is_ascii_digit().then(|| text[place] - b'0');
+        let pair = |place: usize| Some(digit(place)? * 10 + digit(place + 1)?);
+        Self::new(pair(0)?, pair(3)?, pair(6)?, pair(9)?, *mark == b';')
+    }
+
+    /// How many frames a day has, and how many have gone by; `None` if there is no such code at this rate.
+    fn of_day(self, per_second: u8) -> Option<(u32, u32)> {
+        let Self { hours, minutes, seconds, frames, drop_frame } = self;
+        if frames >= per_second || drop_frame && per_second != 30 {
+            return None;
+        }
+        let minute = u32::from(hours) * 60 + u32::from(minutes);
+        let left_out = |minutes: u32| if drop_frame { 2 * (minutes - minutes / 10) } else { 0 };
+        let rate = u32::from(per_second);
+        let gone = (minute * 60 + u32::from(seconds)) * rate + u32::from(frames);
+        Some((86_400 * rate - left_out(1440), gone - left_out(minute)))
+    }
+
+    /// How many frames after this code `later` is, midnight in between or not; `None` if one of them does not exist at this
+    /// rate.
+    pub fn until(self, later: Self, per_second: u8) -> Option<u32> {
+        let ((day, from), (_, to)) = (self.of_day(per_second)?, later.of_day(per_second)?);
+        (self.drop_frame == later.drop_frame).then_some((to + day - from) % day)
+    }
+
+    /// The code so many frames later; `None` if this one does not exist at this rate.
+    pub fn after(self, frames: u32, per_second: u8) -> Option<Self> {
+        let (day, from) = self.of_day(per_second)?;
+        let mut at = (from + frames % day) % day;
+        if self.drop_frame {
+            // Ten minutes have 17982 frames; each of their minutes but the first has 1798.
+            let (tens, rest) = (at / 17_982, at % 17_982);
+            at += 18 * tens + rest.saturating_sub(2) / 1798 * 2;
+        }
+        let rate = u32::from(per_second);
+        let second = at / rate;
+        let part = |value: u32| value as u8;
+        Self::new(
+            part(second / 3600),
+            part(second / 60 % 60),
+            part(second % 60),
+            part(at % rate),
+            self.drop_frame,
+        )
+    }
+
+    /// Whether `later` is the next frame's code at any of the [rates](Self::RATES).
+    pub fn is_followed_by(self, later: Self) -> bool {
+        Self::RATES.iter().any(|&per_second| self.until(later, per_second) == Some(1))
+    }
 }
 
 /// As `HH:MM:SS:FF`, with drop frame `HH:MM:SS;FF`.

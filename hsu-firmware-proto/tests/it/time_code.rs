@@ -193,6 +193,7 @@ fn every_code_of_a_day_comes_back() {
         let mut code = TimeCode::new(0, 0, 0, 0, drop).expect("midnight");
         let (mut begin_ns, mut heard, mut rising) = (0, 0, true);
         let minutes = [0, 1, 2, 9, 10, 59];
+        let day = 86_400 * u32::from(rate) - if drop { 144 * 18 } else { 0 };
         loop {
             // Every hour, some minutes, every second and frame.
             if minutes.contains(&code.minutes()) {
@@ -207,7 +208,12 @@ fn every_code_of_a_day_comes_back() {
                 begin_ns = frame[frame.len() - 1].0;
                 heard += 1;
             }
-            code = next(code, rate);
+            let following = next(code, rate);
+            assert_eq!(code.after(1, rate), Some(following));
+            assert_eq!((code.until(following, rate), following.until(code, rate)), (Some(1), Some(day - 1)));
+            assert!(code.is_followed_by(following) && !following.is_followed_by(code));
+            assert_eq!(TimeCode::parse(&code.to_string()), Some(code));
+            code = following;
             if code == TimeCode::new(0, 0, 0, 0, drop).expect("midnight") {
                 break;
             }
@@ -216,6 +222,24 @@ fn every_code_of_a_day_comes_back() {
         assert_eq!(heard, 24 * 6 * 60 * u32::from(rate) - dropped);
         assert_eq!(ltc.refused(), 0);
     }
+}
+
+#[test]
+fn codes_that_do_not_exist_are_not_read() {
+    for text in [
+        "",
+        "1:2:3:4",
+        "12:34:56:30",
+        "24:00:00:00",
+        "12:34:60:00",
+        "00:01:00;00",
+        "12:34:56.07",
+        "12:34:56:0x",
+    ] {
+        assert_eq!(TimeCode::parse(text), None, "{text}");
+    }
+    let at_24 = TimeCode::parse("12:34:56:24").expect("a code");
+    assert_eq!((at_24.after(1, 24), at_24.until(at_24, 24)), (None, None), "25 frames are more than 24");
 }
 
 #[test]
