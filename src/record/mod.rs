@@ -24,6 +24,7 @@ mod segment;
 mod segment_file;
 mod session;
 mod statistics;
+mod time_code;
 mod topic;
 mod unfinished;
 mod verdict;
@@ -43,6 +44,7 @@ pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReade
 pub use segment_file::BadRange;
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
+pub use time_code::{HeardTimeCode, TimeCodeAt, TimeCodeLine};
 pub use unfinished::{Interrupted, interrupted};
 pub(crate) use verdict::CameraTally;
 pub use verdict::{CameraVerdict, Noted, SETTING_CHANGED, SessionEnd, Status, UNCONFIRMED, Verdict};

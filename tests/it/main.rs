@@ -116,6 +116,8 @@ mod third_party_node;
 #[cfg(feature = "aravis")]
 mod third_party_session;
 #[cfg(feature = "aravis")]
+mod time_code;
+#[cfg(feature = "aravis")]
 mod two_nodes;
 mod unread_output;
 mod unreadable_disk;
