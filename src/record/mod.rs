@@ -37,7 +37,7 @@ pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_
 pub use input_edge::InputEdge;
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NOT_ASKED, NodeEvent,
-    RecordingHeader, TriggerRecord, WarmUp,
+    PTP_STATUS, RecordingHeader, TriggerRecord, WarmUp,
 };
 pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};

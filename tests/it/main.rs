@@ -85,6 +85,8 @@ mod plan_faults;
 #[cfg(feature = "aravis")]
 mod player;
 mod profiles;
+#[cfg(feature = "aravis")]
+mod ptp_time;
 mod recording;
 mod recording_commands;
 mod recording_damage;
