@@ -86,7 +86,7 @@ pub enum Request {
     Goodbye,
     /// As [`Request::Start`], but the train starts at the next such edge of an input.
     StartAtEdge(SessionId, Slope),
-    /// Asks for edges of the inputs again, up to [`crate::MAX_RECORDS`] of them.
+    /// Asks for edges of the inputs again, up to [`crate::MAX_EDGES`] of them.
     QueryEdges {
         /// Number of the first.
         first: u64,

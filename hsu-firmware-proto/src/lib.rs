@@ -82,8 +82,10 @@ pub const EDGE_HISTORY: usize = 96;
 pub const EDGES_KEPT: u8 = 64;
 /// Time codes that the unit remembers for [`Request::QueryTimeCodes`]: 2.1 s at 30 frames a second.
 pub const TIME_CODE_HISTORY: usize = 64;
-/// Triggers in one answer to [`Request::QueryTriggers`]; edges and time codes likewise.
+/// Triggers in one answer to [`Request::QueryTriggers`]; time codes likewise.
 pub const MAX_RECORDS: usize = 12;
+/// Edges in one answer to [`Request::QueryEdges`]: a twelfth would make it longer than [`MAX_MESSAGE`].
+pub const MAX_EDGES: usize = 11;
 /// Most warm-up triggers before a train.
 pub const MAX_WARM_UP: u32 = 10_000;
 /// Time between two heartbeats of the unit, ns.

@@ -228,7 +228,7 @@ impl Hsu {
         self.command("the start at an input", Request::StartAtEdge(session, slope))
     }
 
-    /// Edges of the input lines from number `first` on, up to twelve of those that the unit still has (the last 96).
+    /// Edges of the input lines from number `first` on, up to eleven of those that the unit still has (the last 96).
     pub fn input_edges(&self, first: u64) -> Result<InputEdges, HsuError> {
         const WHAT: &str = "a question for its inputs";
         match self.conversation.ask(WHAT, Request::QueryEdges { first })?.message {

@@ -24,6 +24,9 @@ pub(crate) struct Outputs {
 
 impl UnitOutputs for Outputs {
     fn send(&mut self, link: LinkId, message: &UnitToHost) -> bool {
+        let mut bytes = [0; MAX_MESSAGE];
+        let length = message.encode(&mut bytes);
+        assert_eq!(UnitToHost::decode(&bytes[..length]), Ok(*message), "it fits, and a host can read it");
         if !self.line_is_full {
             self.sent.push((link, *message));
         }
