@@ -118,8 +118,8 @@ pub fn unit(data: &[u8]) {
             72..112 => now_ns += 50_000 * u64::from(script.word().unwrap_or(0)),
             112..120 => unit.frame_sync(now_ns, &mut world),
             120..124 => unit.hardware_fault(u32::from(script.byte().unwrap_or(0)), now_ns, &mut world),
-            124 | 125 => edges(&mut unit, &mut world, &mut now_ns, &mut script),
-            _ => world.line_is_full = !world.line_is_full,
+            124 | 125 => world.line_is_full = !world.line_is_full,
+            _ => edges(&mut unit, &mut world, &mut now_ns, &mut script),
         }
         world.period_ns = unit.timing().map_or(0, |timing| timing.period_ns);
         settle(&mut unit, &mut world, now_ns);

@@ -106,6 +106,7 @@ impl TriggerSource {
 
 /// Reads `[trigger]`, which may be left out, and `[hsu]`, which an HSU needs.
 pub(super) fn read_trigger(root: &Section<'_>) -> Option<TriggerSource> {
+    const INPUT: &str = "time_code_input";
     let action = root.optional_section("trigger").and_then(|section| {
         let is_action = section.choice("source", &[("hsu", false), ("action", true)]);
         let key = |key, least| u32::try_from(section.integer_or(key, least..=u64::from(u32::MAX), 1));
@@ -127,7 +128,6 @@ pub(super) fn read_trigger(root: &Section<'_>) -> Option<TriggerSource> {
     }
     root.section("hsu").map(|section| {
         let device = PathBuf::from(section.text("device"));
-        const INPUT: &str = "time_code_input";
         let inputs = 0..=(INPUTS as u64 - 1);
         let time_code_input =
             section.has(INPUT).then(|| u8::try_from(section.integer_or(INPUT, inputs, 0)).unwrap_or(0));

@@ -44,7 +44,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
         frames = Some(made.map_err(stopped)?);
     }
     let csv = args.to.contains(&Target::Csv);
-    let ptp = csv.then(|| PtpTime::of(&session)).unwrap_or_default();
+    let ptp = if csv { PtpTime::of(&session) } else { PtpTime::default() };
     let rows = csv.then(|| write_timing(args, &session, triggers, &cameras, &ptp)).transpose()?;
     let edges = match rows {
         Some(_) => write_inputs(args, &session)?,
