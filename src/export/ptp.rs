@@ -252,8 +252,8 @@ mod tests {
         // The best twenty: 0 to 4, four times each.
         assert_eq!(middle_of_the_best(&mut delays), Some((2, 1019)));
         assert_eq!(middle_of_the_best(&mut vec![(5, -7), (6, 9)]), Some((-7, 5)));
-        let mut scattered =
-            vec![(5, 0), (5, 100), (5, 900), (5, 100), (9, 0), (9, 0), (9, 0), (9, 0), (9, 0)];
+        let mut scattered = vec![(9, 0); 9];
+        scattered.extend([(5, 0), (5, 100), (5, 900), (5, 100)]);
         assert_eq!(middle_of_the_best(&mut scattered), Some((100, 800)));
         assert_eq!(middle_of_the_best(&mut Vec::new()), None);
     }
