@@ -4,8 +4,8 @@
 use super::Script;
 use hsu_firmware_proto::frame::{self, Decoder};
 use hsu_firmware_proto::{
-    HeadTiming, HostToUnit, Identity, LINKS, LinkId, MAX_MESSAGE, NodeName, Refusal, Request, TriggerRecord,
-    Unit, UnitOutputs, UnitToHost,
+    HeadTiming, HostToUnit, Identity, LINKS, LinkId, MAX_MESSAGE, NodeName, Refusal, Request, Slope,
+    TriggerRecord, Unit, UnitOutputs, UnitToHost,
 };
 
 /// Bytes of a serial line, and the same bytes as a bare message.
@@ -88,7 +88,7 @@ impl UnitOutputs for World {
     fn session_output(&mut self, _: bool) {}
 }
 
-/// A script of messages, bytes on the line, passing time and frame syncs for a unit.
+/// A script of messages, bytes on the line, passing time, frame syncs and edges of inputs for a unit.
 ///
 /// Holds: every request is answered once, with its id; the unit settles after every step; triggers of a train
 /// are consecutive and never closer than 7/8 of a period; what the unit says, a host can read.
@@ -118,10 +118,21 @@ pub fn unit(data: &[u8]) {
             72..112 => now_ns += 50_000 * u64::from(script.word().unwrap_or(0)),
             112..120 => unit.frame_sync(now_ns, &mut world),
             120..124 => unit.hardware_fault(u32::from(script.byte().unwrap_or(0)), now_ns, &mut world),
-            _ => world.line_is_full = !world.line_is_full,
+            124 | 125 => world.line_is_full = !world.line_is_full,
+            _ => edges(&mut unit, &mut world, &mut now_ns, &mut script),
         }
         world.period_ns = unit.timing().map_or(0, |timing| timing.period_ns);
         settle(&mut unit, &mut world, now_ns);
+    }
+}
+
+/// Edges of input lines: a byte each for line and direction, and one for the time since the one before.
+fn edges(unit: &mut Unit, world: &mut World, now_ns: &mut u64, script: &mut Script<'_>) {
+    for _ in 0..script.byte().unwrap_or(0) {
+        let (Some(which), Some(after)) = (script.byte(), script.byte()) else { return };
+        *now_ns += 5_000 * u64::from(after);
+        let slope = Slope::new(which & 7, which & 8 != 0).expect("a line of the unit");
+        unit.input(slope, *now_ns, world);
     }
 }
 

@@ -8,6 +8,7 @@
 use crate::codec::{DecodeError, Put, Take};
 use crate::ids::{NodeName, SessionId};
 use crate::inputs::Slope;
+use crate::time_code::{put_input, take_input};
 use crate::timing::{Timing, TimingError};
 use crate::{LINKS, MAX_MESSAGE, version};
 
@@ -85,8 +86,16 @@ pub enum Request {
     Goodbye,
     /// As [`Request::Start`], but the train starts at the next such edge of an input.
     StartAtEdge(SessionId, Slope),
-    /// Asks for edges of the inputs again, up to [`crate::MAX_RECORDS`] of them.
+    /// Asks for edges of the inputs again, up to [`crate::MAX_EDGES`] of them.
     QueryEdges {
+        /// Number of the first.
+        first: u64,
+    },
+    /// Says which input carries linear time code. Until this link's Hello, Goodbye or another such request its edges are
+    /// decoded and are none of [`Request::QueryEdges`]. Refused where the other link has named another input.
+    SetTimeCode(Option<u8>),
+    /// Asks for time codes again, up to [`crate::MAX_RECORDS`] of them.
+    QueryTimeCodes {
         /// Number of the first.
         first: u64,
     },
@@ -106,6 +115,8 @@ const HEARTBEAT: u8 = 10;
 const GOODBYE: u8 = 11;
 const START_AT_EDGE: u8 = 12;
 const QUERY_EDGES: u8 = 13;
+const SET_TIME_CODE: u8 = 14;
+const QUERY_TIME_CODES: u8 = 15;
 
 /// A message that the unit cannot read, with the request id where it got that far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -151,7 +162,8 @@ impl HostToUnit {
                 put.bytes(&session.0);
                 slope.put(&mut put);
             }
-            Request::QueryEdges { first } => put.u64(*first),
+            Request::QueryEdges { first } | Request::QueryTimeCodes { first } => put.u64(*first),
+            Request::SetTimeCode(input) => put_input(*input, &mut put),
             Request::ReadTiming | Request::ReadStatus | Request::Heartbeat | Request::Goodbye => {}
         }
         put.length()
@@ -192,6 +204,8 @@ impl Request {
             Self::Goodbye => GOODBYE,
             Self::StartAtEdge(..) => START_AT_EDGE,
             Self::QueryEdges { .. } => QUERY_EDGES,
+            Self::SetTimeCode(_) => SET_TIME_CODE,
+            Self::QueryTimeCodes { .. } => QUERY_TIME_CODES,
         }
     }
 
@@ -223,6 +237,8 @@ impl Request {
             GOODBYE => Self::Goodbye,
             START_AT_EDGE => Self::StartAtEdge(SessionId(take.array()?), Slope::take(take)?),
             QUERY_EDGES => Self::QueryEdges { first: take.u64()? },
+            SET_TIME_CODE => Self::SetTimeCode(take_input(take)?),
+            QUERY_TIME_CODES => Self::QueryTimeCodes { first: take.u64()? },
             found => return Err(DecodeError::Kind { found }),
         })
     }

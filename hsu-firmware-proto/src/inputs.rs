@@ -4,7 +4,7 @@
 
 use crate::codec::{DecodeError, Put, Take};
 use crate::records::Records;
-use crate::{EDGE_HISTORY, EDGES_KEPT, HEARTBEAT_NS, INPUTS};
+use crate::{EDGE_HISTORY, EDGES_KEPT, HEARTBEAT_NS, INPUTS, MAX_EDGES};
 
 /// An input line and the direction of its edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -124,9 +124,11 @@ impl Inputs {
         self.next = self.next.saturating_add(1);
     }
 
-    /// What is left of the edges from `first` on.
+    /// What is left of the edges from `first` on, as many as one answer takes.
     pub(crate) fn query(&self, first: u64) -> impl Iterator<Item = Edge> + '_ {
         let oldest = self.next.saturating_sub(EDGE_HISTORY as u64);
-        (first.max(oldest)..self.next).map(|number| self.kept[(number % EDGE_HISTORY as u64) as usize])
+        let kept =
+            (first.max(oldest)..self.next).map(|number| self.kept[(number % EDGE_HISTORY as u64) as usize]);
+        kept.take(MAX_EDGES)
     }
 }

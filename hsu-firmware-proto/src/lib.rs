@@ -15,9 +15,11 @@ pub mod frame;
 pub mod host_to_unit;
 pub mod ids;
 pub mod inputs;
+pub mod ltc;
 mod records;
 mod refusal;
 mod status;
+pub mod time_code;
 pub mod timing;
 pub mod unit;
 pub mod unit_to_host;
@@ -26,7 +28,9 @@ pub use codec::DecodeError;
 pub use host_to_unit::{Arm, Hello, HostToUnit, Request};
 pub use ids::{LinkId, NodeName, SessionId};
 pub use inputs::{Edge, Edges, Slope};
+pub use ltc::Ltc;
 pub use records::Records;
+pub use time_code::{TimeCode, TimeCodeFrame, TimeCodeFrames};
 pub use timing::{HeadTiming, Sync, Timing, TimingError};
 pub use unit::{PAUSE_BEFORE, Unit, UnitOutputs};
 pub use unit_to_host::{
@@ -76,8 +80,12 @@ pub const INPUTS: usize = 8;
 pub const EDGE_HISTORY: usize = 96;
 /// Edges that the unit keeps in a quarter of a second, all lines together; more are counted.
 pub const EDGES_KEPT: u8 = 64;
-/// Triggers in one answer to [`Request::QueryTriggers`], edges in one to [`Request::QueryEdges`].
+/// Time codes that the unit remembers for [`Request::QueryTimeCodes`]: 2.1 s at 30 frames a second.
+pub const TIME_CODE_HISTORY: usize = 64;
+/// Triggers in one answer to [`Request::QueryTriggers`]; time codes likewise.
 pub const MAX_RECORDS: usize = 12;
+/// Edges in one answer to [`Request::QueryEdges`]: a twelfth would make it longer than [`MAX_MESSAGE`].
+pub const MAX_EDGES: usize = 11;
 /// Most warm-up triggers before a train.
 pub const MAX_WARM_UP: u32 = 10_000;
 /// Time between two heartbeats of the unit, ns.

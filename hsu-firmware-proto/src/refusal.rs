@@ -75,6 +75,18 @@ pub enum Refusal {
     },
     /// The session id is empty.
     SessionMissing,
+    /// The other link's host has named another input for time code.
+    TimeCodeDiffers {
+        /// The input of the other link.
+        unit: u8,
+        /// The input of the request.
+        host: u8,
+    },
+    /// An input cannot carry time code and start a train.
+    InputIsTimeCode {
+        /// The input.
+        input: u8,
+    },
     /// A code that this host's version does not have.
     Other {
         /// The code.
@@ -107,6 +119,8 @@ impl Refusal {
             Self::NotRunning(state) => (13, (state as u64, 0)),
             Self::WarmUpTooLong { found } => (14, (found.into(), 0)),
             Self::SessionMissing => (15, (0, 0)),
+            Self::TimeCodeDiffers { unit, host } => (16, (unit.into(), host.into())),
+            Self::InputIsTimeCode { input } => (17, (input.into(), 0)),
             Self::Other { code } => (code, (0, 0)),
         };
         put.u8(code);
@@ -142,6 +156,8 @@ impl Refusal {
             13 => Self::NotRunning(state(a)?),
             14 => Self::WarmUpTooLong { found: word(a)? },
             15 => Self::SessionMissing,
+            16 => Self::TimeCodeDiffers { unit: byte(a)?, host: byte(b)? },
+            17 => Self::InputIsTimeCode { input: byte(a)? },
             // Codes are append-only, so one from a newer unit is still a refusal.
             _ => Self::Other { code },
         })
@@ -185,6 +201,13 @@ impl fmt::Display for Refusal {
                 write!(f, "{found} warm-up triggers asked for, expected at most {MAX_WARM_UP}")
             }
             Self::SessionMissing => f.write_str("the session id is empty"),
+            Self::TimeCodeDiffers { unit, host } => write!(
+                f,
+                "the other node has input {unit} for time code, this one input {host}: give both node files the same"
+            ),
+            Self::InputIsTimeCode { input } => {
+                write!(f, "input {input} carries time code, and cannot start a session as well")
+            }
             Self::Other { code } => write!(f, "reason code {code}, which this host does not know"),
         }
     }

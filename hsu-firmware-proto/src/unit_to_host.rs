@@ -10,6 +10,7 @@ use crate::codec::{DecodeError, Put, Take};
 use crate::ids::{LinkId, NodeName, SessionId};
 use crate::inputs::{Edge, Edges};
 use crate::records::Records;
+use crate::time_code::{TimeCodeFrame, TimeCodeFrames, put_input, take_input};
 use crate::timing::{Timing, TimingError};
 use crate::{MAX_MESSAGE, version};
 use core::fmt;
@@ -168,6 +169,21 @@ pub enum UnitToHost {
         /// The edges.
         edges: Edges,
     },
+    /// Answer to QueryTimeCodes: what the unit still has, from the first asked for on; may be empty.
+    TimeCodes {
+        /// Of the request.
+        request_id: u32,
+        /// The input that is decoded.
+        input: Option<u8>,
+        /// Number of the code that comes next.
+        next: u64,
+        /// Frames that were heard and were no good, since power-up.
+        refused: u32,
+        /// Number of the first of `codes`.
+        first: u64,
+        /// The codes.
+        codes: TimeCodeFrames,
+    },
 }
 
 const WELCOME: u8 = 0x80;
@@ -182,6 +198,7 @@ const TRIGGER: u8 = 0x88;
 const DONE: u8 = 0x89;
 const FAULT: u8 = 0x8a;
 const EDGES: u8 = 0x8b;
+const TIME_CODES: u8 = 0x8c;
 
 impl UnitToHost {
     /// The request that this answers, if it is an answer.
@@ -194,6 +211,7 @@ impl UnitToHost {
             | Self::Clock { request_id: id, .. }
             | Self::Triggers(id, ..)
             | Self::Edges { request_id: id, .. }
+            | Self::TimeCodes { request_id: id, .. }
             | Self::Status(id, _) => Some(id),
             Self::Heartbeat(_) | Self::Trigger(..) | Self::Done { .. } | Self::Fault(..) => None,
         }
@@ -246,6 +264,13 @@ impl UnitToHost {
                 put.u8(*levels);
                 edges.put(&mut put, Edge::put);
             }
+            Self::TimeCodes { input, next, refused, first, codes, .. } => {
+                put_input(*input, &mut put);
+                put.u64(*next);
+                put.u32(*refused);
+                put.u64(*first);
+                codes.put(&mut put, TimeCodeFrame::put);
+            }
         }
         put.length()
     }
@@ -279,6 +304,7 @@ impl UnitToHost {
             Self::Done { .. } => DONE,
             Self::Fault(..) => FAULT,
             Self::Edges { .. } => EDGES,
+            Self::TimeCodes { .. } => TIME_CODES,
         }
     }
 
@@ -311,6 +337,14 @@ impl UnitToHost {
                 next: take.u64()?,
                 levels: take.u8()?,
                 edges: Records::take(take, Edge::take)?,
+            },
+            TIME_CODES => Self::TimeCodes {
+                request_id: take.u32()?,
+                input: take_input(take)?,
+                next: take.u64()?,
+                refused: take.u32()?,
+                first: take.u64()?,
+                codes: Records::take(take, TimeCodeFrame::take)?,
             },
             found => return Err(DecodeError::Kind { found }),
         })

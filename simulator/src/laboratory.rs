@@ -5,7 +5,7 @@
 use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::{CameraFaults, FaultPlan, HsuFaults, TruthLog};
 use crate::gige::{ActionFilter, CameraError, CameraOptions, ClockOptions, Habits, Make, SimulatedCamera};
-use crate::hsu::{HsuOptions, SimulatedHsu};
+use crate::hsu::{HsuOptions, LtcSource, SimulatedHsu};
 use crate::images::ImageSource;
 use crossbeam_channel::unbounded;
 use fourdbody::base::ids::{CameraId, NodeId};
@@ -58,6 +58,10 @@ pub struct LaboratoryOptions {
     pub carry_on: bool,
     /// Inputs of the HSU that swing by themselves: line and frequency in Hz.
     pub inputs: Vec<(u8, f64)>,
+    /// The input that carries time code, in the nodes' files.
+    pub time_code_input: Option<u8>,
+    /// Time code that is played from the beginning.
+    pub ltc: Option<LtcSource>,
     /// The cameras have their names in the rig as names of their own.
     pub user_names: bool,
     /// The nodes know each other.
@@ -92,6 +96,8 @@ impl LaboratoryOptions {
             disk: None,
             carry_on: false,
             inputs: Vec::new(),
+            time_code_input: None,
+            ltc: None,
             user_names: true,
             peers: true,
             calibration: None,
@@ -218,6 +224,7 @@ impl Laboratory {
             cameras: wires,
             carry_on: options.carry_on,
             inputs: options.inputs.clone(),
+            ltc: options.ltc,
             ..HsuOptions::default()
         };
         if let Some((plan, truth)) = faults.filter(|(plan, _)| !plan.hsu.is_empty()) {
@@ -346,7 +353,12 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
         quoted(&absolute(&options.run_dir.join(format!("audit-{node}.jsonl")))),
         match &options.trigger {
             Some(trigger) => format!("[trigger]\n{trigger}\n"),
-            None => format!("[hsu]\ndevice = {}\n", quoted(&absolute(&hsu_link(options, node)))),
+            None => {
+                let input = options
+                    .time_code_input
+                    .map_or_else(String::new, |line| format!("time_code_input = {line}\n"));
+                format!("[hsu]\ndevice = {}\n{input}", quoted(&absolute(&hsu_link(options, node))))
+            }
         },
         quoted(&absolute(&sessions_dir(options, node))),
         options.reserve_mib,

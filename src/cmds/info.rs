@@ -76,6 +76,7 @@ fn recording_json(recording: &RecordingReader) -> serde_json::Value {
         "measured_rate_hz": describe::measured_rate_hz(recording),
         "cameras": describe::cameras(recording),
         "trigger_table_rows": recording.triggers.len(),
+        "time_code": describe::time_code(recording),
         "clock_samples": recording.clock_samples.len(),
         "clocks": describe::clocks(recording),
         "event_counts": counts,
@@ -157,6 +158,9 @@ fn print_triggers(recording: &RecordingReader) {
     let rate = describe::measured_rate_hz(recording);
     let rate = rate.map_or(String::new(), |hz| format!(", {hz:.4} Hz by the HSU's clock"));
     println!("  table       {} rows{rate}", recording.triggers.len());
+    if let Some(time_code) = describe::time_code(recording) {
+        println!("  time code   {time_code}");
+    }
 }
 
 fn print_missing(recording: &RecordingReader) {

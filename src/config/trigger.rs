@@ -4,6 +4,7 @@
 use super::node::CameraConfig;
 use super::rig::Rig;
 use super::section::Section;
+use hsu_firmware_proto::INPUTS;
 use serde::{Deserialize, Serialize};
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
@@ -15,6 +16,8 @@ pub enum TriggerSource {
     Hsu {
         /// Serial device of the link to it.
         device: PathBuf,
+        /// The HSU's input that carries linear time code.
+        time_code_input: Option<u8>,
     },
     /// This node, by action commands over the network.
     Action(ActionConfig),
@@ -46,7 +49,7 @@ impl TriggerSource {
     /// What it is called where a device is named.
     pub fn device(&self) -> PathBuf {
         match self {
-            Self::Hsu { device } => device.clone(),
+            Self::Hsu { device, .. } => device.clone(),
             Self::Action(_) => PathBuf::from("action commands"),
         }
     }
@@ -103,6 +106,7 @@ impl TriggerSource {
 
 /// Reads `[trigger]`, which may be left out, and `[hsu]`, which an HSU needs.
 pub(super) fn read_trigger(root: &Section<'_>) -> Option<TriggerSource> {
+    const INPUT: &str = "time_code_input";
     let action = root.optional_section("trigger").and_then(|section| {
         let is_action = section.choice("source", &[("hsu", false), ("action", true)]);
         let key = |key, least| u32::try_from(section.integer_or(key, least..=u64::from(u32::MAX), 1));
@@ -124,7 +128,10 @@ pub(super) fn read_trigger(root: &Section<'_>) -> Option<TriggerSource> {
     }
     root.section("hsu").map(|section| {
         let device = PathBuf::from(section.text("device"));
+        let inputs = 0..=(INPUTS as u64 - 1);
+        let time_code_input =
+            section.has(INPUT).then(|| u8::try_from(section.integer_or(INPUT, inputs, 0)).unwrap_or(0));
         section.finish();
-        TriggerSource::Hsu { device }
+        TriggerSource::Hsu { device, time_code_input }
     })
 }

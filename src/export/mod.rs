@@ -9,6 +9,8 @@ pub mod inputs;
 pub mod job;
 /// Triangle meshes.
 pub mod mesh;
+/// Triggers on the cameras' common clock.
+pub mod ptp;
 mod sequence;
 /// When every frame was.
 pub mod timing;

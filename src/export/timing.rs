@@ -11,17 +11,20 @@
 //! | `host_time_ns` | arrival of the frame, the node's clock |
 //! | `hsu_time_ns` | the trigger, the HSU's clock |
 //! | `hsu_host_time_ns` | arrival of the HSU's report, the node's clock |
+//! | `ptp_time_ns`, `ptp_open_ns`, `ptp_camera` | the trigger on the cameras' PTP clock, what is open to either side, and by whom |
+//! | `time_code` | of the trigger, `HH:MM:SS:FF.fff`; with drop frame `HH:MM:SS;FF.fff` |
 //!
 //! What is not known is empty.
 
+use super::ptp::{PtpInstant, PtpTime};
 use crate::base::ids::{CameraId, TriggerIndex};
-use crate::record::{FrameMeta, GapCause, SessionReader};
+use crate::record::{FrameMeta, GapCause, SessionReader, TimeCodeLine};
 use std::io::{self, Write};
 use std::ops::Range;
 
 /// The first line.
-pub const HEADER: &str =
-    "trigger,camera,node,outcome,block_id,camera_time_ns,host_time_ns,hsu_time_ns,hsu_host_time_ns";
+pub const HEADER: &str = "trigger,camera,node,outcome,block_id,camera_time_ns,host_time_ns,hsu_time_ns,hsu_host_time_ns,time_code,\
+     ptp_time_ns,ptp_open_ns,ptp_camera";
 
 /// Rows by outcome.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
@@ -40,19 +43,30 @@ pub fn write(
     session: &SessionReader,
     triggers: Range<u64>,
     cameras: &[CameraId],
+    ptp: &PtpTime,
 ) -> io::Result<Rows> {
     let mut rows = Rows::default();
+    // All nodes heard the same HSU, and what one of them missed another may have.
+    let recordings = session.recordings();
+    let lines: Vec<TimeCodeLine> = recordings.iter().map(|one| TimeCodeLine::of(&one.events)).collect();
     writeln!(out, "{HEADER}")?;
     for trigger in triggers.map(TriggerIndex) {
+        let row = recordings.iter().find_map(|recording| recording.triggers.get(&trigger));
+        let time_code = row.and_then(|row| lines.iter().find_map(|line| line.at(row.hsu_time_ns)));
+        let time_code = time_code.map_or_else(String::new, |at| at.to_string());
+        let ptp = ptp.at(session, trigger).map_or_else(
+            || ",,".to_owned(),
+            |PtpInstant { time_ns, open_ns, camera }| format!("{time_ns},{open_ns},{camera}"),
+        );
         for camera in cameras {
-            let found = session.recordings().iter().find_map(|recording| {
+            let found = recordings.iter().find_map(|recording| {
                 let place = recording.header.cameras.iter().position(|known| known.id == *camera)?;
                 Some((recording, recording.frame_meta(place, trigger)))
             });
             // Of a recording that cannot be read nothing is known.
             let Some((recording, outcome)) = found else {
                 rows.damaged += 1;
-                writeln!(out, "{trigger},{camera},,damaged,,,,,")?;
+                writeln!(out, "{trigger},{camera},,damaged,,,,,,{time_code},{ptp}")?;
                 continue;
             };
             let word = match &outcome {
@@ -70,7 +84,7 @@ pub fn write(
             let hsu = recording.triggers.get(&trigger);
             writeln!(
                 out,
-                "{trigger},{camera},{},{word},{},{},{},{},{}",
+                "{trigger},{camera},{},{word},{},{},{},{},{},{time_code},{ptp}",
                 recording.header.node,
                 frame(|meta| meta.block.0),
                 frame(|meta| meta.camera_time_ns),

@@ -25,9 +25,10 @@ pub use error::HsuError;
 pub use event::{HsuEvent, LinkLoss};
 pub use timing::{ArmRequest, HsuTiming, session_id, trigger_index};
 pub use trigger_unit::TriggerUnit;
-pub use unit::{ClockSample, Hsu, HsuTimeouts, InputEdges};
+pub use unit::{ClockSample, HeardTimeCodes, Hsu, HsuTimeouts, InputEdges};
 
 pub use hsu_firmware_proto::{
     EDGE_HISTORY, Edge, Edges, EndReason, Fault, HeadTiming, INPUTS, Identity, LinkId, Refusal, SessionId,
-    Slope, State, Status, Sync, TriggerFlags, TriggerRecord,
+    Slope, State, Status, Sync, TIME_CODE_HISTORY, TimeCode, TimeCodeFrame, TimeCodeFrames, TriggerFlags,
+    TriggerRecord,
 };

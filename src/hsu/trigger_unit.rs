@@ -11,8 +11,13 @@ use std::path::PathBuf;
 /// One of the two.
 #[derive(Debug, Clone)]
 pub enum TriggerUnit {
-    /// The HSU, at this serial device.
-    Serial(PathBuf),
+    /// The HSU.
+    Serial {
+        /// Its serial device.
+        device: PathBuf,
+        /// Its input that carries linear time code.
+        time_code_input: Option<u8>,
+    },
     /// Action commands to this node's cameras.
     Action(ActionSetup),
 }
@@ -21,7 +26,9 @@ impl TriggerUnit {
     /// As a node file says.
     pub fn of(config: &NodeConfig) -> Self {
         match &config.trigger {
-            TriggerSource::Hsu { device } => Self::Serial(device.clone()),
+            TriggerSource::Hsu { device, time_code_input } => {
+                Self::Serial { device: device.clone(), time_code_input: *time_code_input }
+            }
             TriggerSource::Action(action) => Self::Action(ActionSetup::of(config, *action)),
         }
     }
@@ -29,15 +36,23 @@ impl TriggerUnit {
     /// The action commands, where they are the triggers.
     pub fn action(&self) -> Option<&ActionSetup> {
         match self {
-            Self::Serial(_) => None,
+            Self::Serial { .. } => None,
             Self::Action(setup) => Some(setup),
+        }
+    }
+
+    /// The input that carries linear time code, where there is one.
+    pub fn time_code_input(&self) -> Option<u8> {
+        match self {
+            Self::Serial { time_code_input, .. } => *time_code_input,
+            Self::Action(_) => None,
         }
     }
 
     /// Connects to it and greets it as this node.
     pub fn connect(&self, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Hsu, HsuError> {
         match self {
-            Self::Serial(device) => Hsu::connect(device, role, timeouts),
+            Self::Serial { device, .. } => Hsu::connect(device, role, timeouts),
             Self::Action(setup) => setup.connect(role, timeouts),
         }
     }

@@ -9,8 +9,8 @@ use super::timing::{ArmRequest, HsuTiming, node_name};
 use crate::base::ids::NodeId;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use hsu_firmware_proto::{
-    Edges, Hello, Identity, Request, SessionId, Slope, State, Status, TriggerRecord, UnitToHost, Welcome,
-    version,
+    Edges, Hello, Identity, Request, SessionId, Slope, State, Status, TimeCodeFrames, TriggerRecord,
+    UnitToHost, Welcome, version,
 };
 use std::io::{Read, Write};
 use std::path::Path;
@@ -60,6 +60,21 @@ pub struct InputEdges {
     pub levels: u8,
     /// The edges, in order.
     pub edges: Edges,
+}
+
+/// What the unit says of the time code.
+#[derive(Debug, Clone, Copy)]
+pub struct HeardTimeCodes {
+    /// The input that it decodes.
+    pub input: Option<u8>,
+    /// Number of the code that comes next.
+    pub next: u64,
+    /// Frames that were no good, since it was switched on.
+    pub refused: u32,
+    /// Number of the first of `codes`; they are consecutive.
+    pub first: u64,
+    /// The codes, in order.
+    pub codes: TimeCodeFrames,
 }
 
 /// A connected HSU. Dropping it says goodbye and closes the device.
@@ -213,12 +228,28 @@ impl Hsu {
         self.command("the start at an input", Request::StartAtEdge(session, slope))
     }
 
-    /// Edges of the input lines from number `first` on, up to twelve of those that the unit still has (the last 96).
+    /// Edges of the input lines from number `first` on, up to eleven of those that the unit still has (the last 96).
     pub fn input_edges(&self, first: u64) -> Result<InputEdges, HsuError> {
         const WHAT: &str = "a question for its inputs";
         match self.conversation.ask(WHAT, Request::QueryEdges { first })?.message {
             UnitToHost::Edges { next, levels, edges, .. } => Ok(InputEdges { next, levels, edges }),
             other => Err(unexpected(WHAT, "edges", &other)),
+        }
+    }
+
+    /// Says which input carries linear time code, until this link ends. Its edges are not told any more.
+    pub fn set_time_code(&self, input: Option<u8>) -> Result<(), HsuError> {
+        self.command("the input of the time code", Request::SetTimeCode(input))
+    }
+
+    /// Time codes from number `first` on, up to twelve of those that the unit still has (the last 64).
+    pub fn time_codes(&self, first: u64) -> Result<HeardTimeCodes, HsuError> {
+        const WHAT: &str = "a question for time code";
+        match self.conversation.ask(WHAT, Request::QueryTimeCodes { first })?.message {
+            UnitToHost::TimeCodes { input, next, refused, first, codes, .. } => {
+                Ok(HeardTimeCodes { input, next, refused, first, codes })
+            }
+            other => Err(unexpected(WHAT, "time codes", &other)),
         }
     }
 

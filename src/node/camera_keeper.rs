@@ -10,7 +10,7 @@ use crate::base::time::HostClock;
 use crate::camera::{CameraError, StreamOptions, quiet_stream};
 use crate::host::frame_memory::Pool;
 use crate::hsu::action::PtpClock;
-use crate::record::{ClockSample, GapCause, NodeEvent};
+use crate::record::{ClockSample, GapCause, NodeEvent, PTP_STATUS};
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -100,7 +100,8 @@ impl CameraKeeper {
         let (orders, inbox) = bounded(8);
         let name = format!("attend-{}", setup.receiver.camera);
         let thread = std::thread::Builder::new().name(name).spawn(move || {
-            let mut work = Work { setup, receiver: Some(receiver), owned: None, holder: None, set: 0 };
+            let mut work =
+                Work { setup, receiver: Some(receiver), owned: None, holder: None, set: 0, ptp: None };
             work.run(&inbox);
             let counters = work.receiver.take().map(Receiver::stop).unwrap_or_default();
             (work.setup.camera, counters)
@@ -139,17 +140,23 @@ struct Work {
     holder: Option<String>,
     /// How many settings it was given when it was last back.
     set: usize,
+    /// What it said last of PTP, where that is on.
+    ptp: Option<String>,
 }
 
 impl Work {
     fn run(&mut self, inbox: &Inbox<Order>) {
         let mut next_clock = Instant::now() + CLOCK_INTERVAL;
         let mut next_retry = Instant::now();
+        self.begin_ptp();
         loop {
             let due = if self.receiver.is_some() { next_clock } else { next_retry };
             let patience = due.saturating_duration_since(Instant::now()).min(Duration::from_millis(100));
             match inbox.recv_timeout(patience) {
-                Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return self.stop_camera(),
+                Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                    self.look_at_ptp(true);
+                    return self.stop_camera();
+                }
                 Ok(Order::Probe) => self.probe(),
                 Ok(Order::ReadClock) => (0..READINGS).for_each(|_| self.probe()),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -161,6 +168,7 @@ impl Work {
             if self.receiver.is_some() && Instant::now() >= next_clock {
                 next_clock = Instant::now() + CLOCK_INTERVAL;
                 self.probe();
+                self.look_at_ptp(false);
             } else if self.receiver.is_none() && Instant::now() >= next_retry {
                 self.bring_back();
                 next_retry = Instant::now() + RETRY_INTERVAL;
@@ -190,6 +198,29 @@ impl Work {
             }
             Err(error) => self.lost(&error),
         }
+    }
+
+    /// Where PTP is on, what it has come to is noted, and looked at from then on.
+    fn begin_ptp(&mut self) {
+        let camera = self.setup.camera.camera.as_mut();
+        let status = camera.and_then(|camera| camera.ptp_status().ok().flatten());
+        self.ptp = status.filter(|status| !["Disabled", "Off"].contains(&status.as_str()));
+        if let Some(status) = self.ptp.clone() {
+            self.note(PTP_STATUS, status);
+        }
+    }
+
+    /// Notes what became of PTP: at the end of the session, and where it is not as it was.
+    fn look_at_ptp(&mut self, at_the_end: bool) {
+        let Some(before) = &self.ptp else { return };
+        let camera = self.setup.camera.camera.as_mut().filter(|_| self.receiver.is_some());
+        // A camera that does not answer is lost, and that is noted.
+        let Some(Ok(status)) = camera.map(|camera| camera.ptp_status()) else { return };
+        let status = status.unwrap_or_else(|| "not told".to_owned());
+        if at_the_end || status != *before {
+            self.note(PTP_STATUS, status.clone());
+        }
+        self.ptp = Some(status);
     }
 
     /// Its control channel is gone: either the camera is, or it is not ours any more.

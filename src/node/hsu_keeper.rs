@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The thread that keeps the link to the HSU during a session: reads its clock and its input lines, and connects anew when
-//! the link was lost, so that the train's triggers go on being reported from where they broke off.
+//! The thread that keeps the link to the HSU during a session: reads its clock, its input lines and its time code, and connects
+//! anew when the link was lost, so that the train's triggers go on being reported from where they broke off.
 
 use super::input_lines::InputLines;
+use super::time_code::{LAST_FRAME, TimeCodeKeeper};
 use crate::acquire::recorder::RecorderCommand;
 use crate::base::ids::NodeId;
 use crate::base::time::HostClock;
 use crate::hsu::{Hsu, HsuTimeouts, SessionId, TriggerUnit};
-use crate::record::ClockSample;
+use crate::record::{ClockSample, NodeEvent};
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -81,13 +82,17 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
     let mut missing = None;
     let mut next_clock = Instant::now() + CLOCK_INTERVAL;
     let mut inputs = InputLines::default();
-    let mut look = |link: &Hsu| {
-        for event in inputs.look(|first| link.input_edges(first), clock.now()) {
-            drop(to_recorder.send(RecorderCommand::Event(event)));
-        }
+    let mut time_code = TimeCodeKeeper::new(unit.time_code_input());
+    let tell = |events: Vec<NodeEvent>| {
+        events.into_iter().for_each(|event| drop(to_recorder.send(RecorderCommand::Event(event))));
+    };
+    let mut look = |link: &Hsu, time_code: &mut TimeCodeKeeper| {
+        // Named first, so that no edge of it is told.
+        tell(time_code.look(link, clock.now()));
+        tell(inputs.look(|first| link.input_edges(first), clock.now()));
     };
     if let Some(link) = &hsu {
-        look(link);
+        look(link, &mut time_code);
     }
     loop {
         let patience = match hsu {
@@ -98,8 +103,12 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
             Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => {
                 // What came since the last look belongs to the session, too.
                 if let Some(link) = &hsu {
-                    look(link);
+                    if time_code.is_running() {
+                        std::thread::sleep(LAST_FRAME);
+                    }
+                    look(link, &mut time_code);
                 }
+                tell(time_code.finish(clock.now()));
                 return;
             }
             Ok(Order::Reconnect { next }) => {
@@ -115,12 +124,13 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                 // A unit that does not say the time is not waited for twice.
                 if let Ok(sample) = link.query_clock() {
                     drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
-                    look(link);
+                    look(link, &mut time_code);
                 }
             }
             (None, Some(next)) => match unit.connect(&node, &HsuTimeouts::default()) {
                 Ok(link) => {
                     link.resume(session, next);
+                    time_code.reconnected();
                     let link = Arc::new(link);
                     hsu = Some(Arc::clone(&link));
                     missing = None;

@@ -14,3 +14,4 @@ mod prepare;
 mod session;
 pub mod silence;
 pub mod state_machine;
+mod time_code;

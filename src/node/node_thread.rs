@@ -233,6 +233,15 @@ impl Node {
             );
             return refuse(reply, message);
         }
+        if let Some(edge) =
+            request.start_on.filter(|edge| Some(edge.line) == self.devices.unit().time_code_input())
+        {
+            let message = format!(
+                "a start at the {edge}; expected another input: input {} carries time code (hsu.time_code_input)",
+                edge.line
+            );
+            return refuse(reply, message);
+        }
         let dir = self.config.sessions_dir.join(name.as_str()).join(format!("node-{}", self.config.node));
         tracing::info!(session = request.name, triggers = request.triggers, "preparing");
         self.pending = Some(reply);

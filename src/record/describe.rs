@@ -6,10 +6,11 @@
 use super::layout::{CameraHeader, ClockSample, GapCause};
 use super::reader::{Outcome, RecordingReader, SegmentReader};
 use super::scan::End;
+use super::time_code::TimeCodeLine;
 use crate::base::clock_fit::{ClockFit, Exchange, RESET_RUN};
 use crate::base::ids::{CameraId, TriggerIndex};
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Samples that the residual of a clock fit is computed from: the last ones, which the fit's window covers.
 const RESIDUAL_SAMPLES: usize = 60;
@@ -45,6 +46,30 @@ pub struct EventKind {
     pub first_host_time_ns: u64,
     /// The first one's message.
     pub first_message: String,
+}
+
+/// Time code of the session's triggers.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct TimeCodeDescription {
+    /// That of the first trigger that has one.
+    pub first: Option<String>,
+    /// Of the last trigger that has one.
+    pub last: Option<String>,
+    /// Triggers that have one.
+    pub triggers: u64,
+    /// Rows of codes of which each follows the one before.
+    pub runs: usize,
+}
+
+impl std::fmt::Display for TimeCodeDescription {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { first, last, triggers, runs } = self;
+        let runs = if *runs == 1 { "without a jump".to_owned() } else { format!("in {runs} pieces") };
+        match first.as_ref().zip(last.as_ref()) {
+            Some((first, last)) => write!(f, "{first} to {last}, {runs}; {triggers} triggers have one"),
+            None => write!(f, "heard {runs}, and at no trigger"),
+        }
+    }
 }
 
 /// A device's clock against the host's, fitted again from the recorded exchanges.
@@ -142,6 +167,19 @@ pub fn events(recording: &RecordingReader) -> Vec<EventKind> {
         kind.first_trigger = kind.first_trigger.into_iter().chain(trigger).min();
     }
     kinds.into_values().collect()
+}
+
+/// The time code; `None` where none was heard.
+pub fn time_code(recording: &RecordingReader) -> Option<TimeCodeDescription> {
+    let line = TimeCodeLine::of(&recording.events);
+    let runs: BTreeSet<u64> = line.heard().map(|heard| heard.run).collect();
+    let codes: Vec<_> = recording.triggers.values().filter_map(|row| line.at(row.hsu_time_ns)).collect();
+    (!runs.is_empty()).then(|| TimeCodeDescription {
+        first: codes.first().map(ToString::to_string),
+        last: codes.last().map(ToString::to_string),
+        triggers: codes.len() as u64,
+        runs: runs.len(),
+    })
 }
 
 /// The clocks of which there are exchanges: the HSU's, then the cameras' in the recording's order.

@@ -93,6 +93,10 @@ pub fn segment_number(name: &str) -> Option<u32> {
 /// of the rig, as somebody wished.
 pub const NOT_ASKED: &str = "node_not_asked";
 
+/// Kind of the events whose message is what a camera says of PTP: at the beginning where it is on, at each change, and at
+/// the end.
+pub const PTP_STATUS: &str = "ptp_status";
+
 /// One camera of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraHeader {

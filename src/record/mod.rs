@@ -24,6 +24,7 @@ mod segment;
 mod segment_file;
 mod session;
 mod statistics;
+mod time_code;
 mod topic;
 mod unfinished;
 mod verdict;
@@ -36,13 +37,14 @@ pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_
 pub use input_edge::InputEdge;
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NOT_ASKED, NodeEvent,
-    RecordingHeader, TriggerRecord, WarmUp,
+    PTP_STATUS, RecordingHeader, TriggerRecord, WarmUp,
 };
 pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
 pub use segment_file::BadRange;
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
+pub use time_code::{HeardTimeCode, TimeCodeAt, TimeCodeLine};
 pub use unfinished::{Interrupted, interrupted};
 pub(crate) use verdict::CameraTally;
 pub use verdict::{CameraVerdict, Noted, SETTING_CHANGED, SessionEnd, Status, UNCONFIRMED, Verdict};

@@ -17,7 +17,7 @@ use crate::batch::summary::TriggerSummary;
 use crate::data::FrameSource;
 use crate::preview::quick_look::{POINTS_MAX, encode};
 use crate::preview::{Exposure, Light, Peaks, measure, upright_png};
-use crate::record::describe::{self, CameraDescription, EventKind};
+use crate::record::describe::{self, CameraDescription, EventKind, TimeCodeDescription};
 use crate::record::{
     GapRun, ReadError, RecordingReader, SessionReader, Unreadable, Verdict, WriteStatistics,
 };
@@ -58,6 +58,8 @@ pub struct NodeReport {
     pub latencies: Option<String>,
     /// What happened, by kind.
     pub events: Vec<EventKind>,
+    /// The triggers' time code, where there was any.
+    pub time_code: Option<TimeCodeDescription>,
     /// What is missing or wrong.
     pub missing: Vec<String>,
     /// Its cameras.
@@ -123,6 +125,7 @@ fn node(recording: &RecordingReader, points: &[Points]) -> NodeReport {
         verdict: recording.verdict.clone(),
         statistics: recording.statistics,
         latencies,
+        time_code: describe::time_code(recording),
         missing: describe::missing(recording),
         events: events.into_iter().filter(|event| event.kind != "latency").collect(),
         cameras: cameras

@@ -149,6 +149,9 @@ fn node_section(page: &mut String, report: &Report, node: &NodeReport) {
     if !node.missing.is_empty() {
         let _ = write!(page, "<pre class=\"bad\">{}</pre>", escape(&node.missing.join("\n")));
     }
+    if let Some(time_code) = &node.time_code {
+        let _ = write!(page, "<p>Time code {}.</p>", escape(&time_code.to_string()));
+    }
     page.push_str("<h3>Frames over the session</h3>");
     node.cameras.iter().for_each(|camera| timeline(page, report.triggers, camera));
     page.push_str("<h3>Light</h3><div class=\"cameras\">");
@@ -340,6 +343,7 @@ mod tests {
             statistics: None,
             latencies: None,
             events: Vec::new(),
+            time_code: None,
             missing: Vec::new(),
             cameras: Vec::new(),
         }

@@ -11,8 +11,8 @@ mod bodies;
 use crate::recording::{header, record};
 use fourdbody_simulator::gige::gvcp::{Command, Request as Gvcp, ResendRequest};
 use hsu_firmware_proto::{
-    Arm, HeadTiming, Hello, HostToUnit, Identity, LinkId, MAX_MESSAGE, NodeName, Request, SessionId, Sync,
-    Timing, TriggerRecord, Unit, UnitOutputs, UnitToHost, frame,
+    Arm, HeadTiming, Hello, HostToUnit, Identity, LinkId, MAX_MESSAGE, NodeName, Request, SessionId, Slope,
+    Sync, Timing, TriggerRecord, Unit, UnitOutputs, UnitToHost, frame,
 };
 use std::path::{Path, PathBuf};
 
@@ -202,6 +202,25 @@ impl Talk {
         }
     }
 
+    /// Frames of time code on input 3, 80 bits each, a bit 420 us long: an edge is line and direction, and steps of 5 us.
+    fn time_code(&mut self, frames: &[u128]) {
+        let mut rising = false;
+        for frame in frames {
+            let mut edges = Vec::new();
+            for bit in 0..80 {
+                edges.extend(if frame >> bit & 1 == 1 { vec![42u8, 42] } else { vec![84] });
+            }
+            self.script.extend([126, edges.len() as u8]);
+            for after in edges {
+                rising = !rising;
+                self.script.extend([3 | u8::from(rising) << 3, after]);
+                self.now_ns += 5_000 * u64::from(after);
+                let slope = Slope::new(3, rising).expect("a line");
+                self.unit.input(slope, self.now_ns, &mut Ear(&mut self.heard));
+            }
+        }
+    }
+
     fn write(mut self, name: &str) {
         write("hsu_unit", name, &self.script);
         write("hsu_decoder", &format!("host_{name}"), &self.line);
@@ -264,6 +283,15 @@ fn hsu_seeds() {
     again.script.extend([120, 9]);
     again.unit.hardware_fault(9, again.now_ns, &mut Ear(&mut again.heard));
     again.write("withdrawn_and_refused");
+
+    let mut time_code = Talk::configured(Sync::Timer);
+    time_code.say(LinkId::A, Request::SetTimeCode(Some(3)));
+    time_code.say(LinkId::B, Request::SetTimeCode(Some(4)));
+    // 12:34:56:08 to 10, with user bits.
+    let bits = [0xbffc_2952_2356_6401_2088u128, 0xbffc_2152_2356_6401_2089, 0xbffc_2152_2356_6401_2180];
+    time_code.time_code(&bits);
+    time_code.say(LinkId::B, Request::QueryTimeCodes { first: 0 });
+    time_code.write("time_code");
 
     // The same bytes as they come over a line, with noise between the frames.
     let mut line = Talk::armed(Sync::Timer, 2, 0).line;

@@ -85,6 +85,8 @@ mod plan_faults;
 #[cfg(feature = "aravis")]
 mod player;
 mod profiles;
+#[cfg(feature = "aravis")]
+mod ptp_time;
 mod recording;
 mod recording_commands;
 mod recording_damage;
@@ -115,6 +117,8 @@ mod third_party_mcap;
 mod third_party_node;
 #[cfg(feature = "aravis")]
 mod third_party_session;
+#[cfg(feature = "aravis")]
+mod time_code;
 #[cfg(feature = "aravis")]
 mod two_nodes;
 mod unread_output;

@@ -16,6 +16,7 @@
 //! goes on: the other node's frames are still good, and its host decides. Only a train without a count ends
 //! when no host is heard any more, because nobody could end it.
 
+mod inputs;
 mod start;
 mod train;
 
@@ -25,6 +26,7 @@ use crate::codec::DecodeError;
 use crate::host_to_unit::{Arm, Hello, HostToUnit, Request, Unreadable};
 use crate::ids::{LinkId, NodeName, SessionId};
 use crate::inputs::{Edges, Inputs, Slope};
+use crate::time_code::TimeCodes;
 use crate::timing::{HeadTiming, Timing, TimingError};
 use crate::unit_to_host::{
     EndReason, Fault, Identity, Refusal, State, Status, TriggerFlags, TriggerRecord, TriggerRecords,
@@ -55,6 +57,8 @@ struct Link {
     armed: bool,
     heard_ns: u64,
     silent: bool,
+    /// The input that its host has named for time code.
+    time_code: Option<u8>,
     answered: Option<(u32, UnitToHost)>,
     frames_bad: u32,
     unsent: u32,
@@ -89,6 +93,7 @@ pub struct Unit {
     phase: Phase,
     history: History,
     inputs: Inputs,
+    time_codes: TimeCodes,
     /// The armed train starts at such an edge.
     start_at: Option<Slope>,
     /// Whether [`UnitOutputs::session_output`] is high.
@@ -107,6 +112,7 @@ impl Unit {
             armed: false,
             heard_ns: 0,
             silent: false,
+            time_code: None,
             answered: None,
             frames_bad: 0,
             unsent: 0,
@@ -120,6 +126,7 @@ impl Unit {
             phase: Phase::Idle,
             history: History::new(),
             inputs: Inputs::new(),
+            time_codes: TimeCodes::new(),
             start_at: None,
             output_high: false,
             heartbeat_due_ns: 0,
@@ -268,6 +275,9 @@ impl Unit {
                 }
             }
             Request::StartAtEdge(session, slope) => {
+                if self.time_codes.input() == Some(slope.line()) {
+                    return Err(Refusal::InputIsTimeCode { input: slope.line() });
+                }
                 if self.may_start(session)? {
                     self.start_at = Some(slope);
                 }
@@ -278,11 +288,18 @@ impl Unit {
                 let (next, levels) = (self.inputs.next(), self.inputs.levels());
                 return Ok(UnitToHost::Edges { request_id: id, next, levels, edges });
             }
+            Request::SetTimeCode(input) => self.set_time_code(link, input)?,
+            Request::QueryTimeCodes { first } => {
+                let (input, next) = (self.time_codes.input(), self.time_codes.next());
+                let (refused, (first, codes)) = (self.time_codes.refused(), self.time_codes.query(first));
+                return Ok(UnitToHost::TimeCodes { request_id: id, input, next, refused, first, codes });
+            }
             Request::Stop(session) => self.stop(session)?,
             Request::Disarm(session) => self.disarm(session)?,
             Request::Heartbeat => {}
             Request::Goodbye => {
                 self.withdraw(link);
+                self.forget_time_code(link);
                 self.links[link.index()].role = None;
             }
         }
@@ -293,6 +310,7 @@ impl Unit {
         let (min, current) = (version::MIN, version::CURRENT);
         let agreed = version::agree(hello.min, hello.current).ok_or(Refusal::Version { min, current })?;
         self.withdraw(link);
+        self.forget_time_code(link);
         self.links[link.index()].role = Some(hello.role);
         self.news.state = true;
         Ok(Welcome { identity: self.identity, min, current, agreed, link })

@@ -1,22 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How a train begins: at a host's request, or at an edge of an input line that a host has named.
+//! How a train begins: whether it may, and its first trigger.
 
 use super::train::Train;
-use super::{Phase, Unit, UnitOutputs};
+use super::{Phase, Unit};
 use crate::ids::SessionId;
-use crate::inputs::Slope;
 use crate::unit_to_host::Refusal;
 
 impl Unit {
-    /// An edge of an input line.
-    pub fn input(&mut self, slope: Slope, now_ns: u64, out: &mut impl UnitOutputs) {
-        if self.start_at == Some(slope) && matches!(self.phase, Phase::Armed) && self.all_armed() {
-            self.begin_train(now_ns);
-        }
-        self.inputs.take(slope, now_ns);
-        self.tell_news(now_ns, out);
-    }
-
     /// Whether the train is still to be started; `false` where it runs.
     pub(super) fn may_start(&self, session: SessionId) -> Result<bool, Refusal> {
         let (Some(arm), Some(_)) = (self.arm, self.timing) else {

@@ -4,8 +4,8 @@
 
 use crate::unit::{Bench, PERIOD, SESSION};
 use hsu_firmware_proto::{
-    EDGE_HISTORY, EDGES_KEPT, Edge, HEARTBEAT_NS, INPUTS, LinkId, MAX_MESSAGE, Refusal, Request, Slope,
-    State, UnitToHost,
+    EDGE_HISTORY, EDGES_KEPT, Edge, HEARTBEAT_NS, INPUTS, LinkId, MAX_EDGES, MAX_MESSAGE, Refusal, Request,
+    Slope, State, UnitToHost,
 };
 use proptest::prelude::{any, prop, prop_assert, prop_assert_eq, proptest};
 
@@ -71,6 +71,10 @@ fn a_line_that_swings_fast_is_counted_and_the_oldest_edges_are_forgotten() {
     }
     bench.now += HEARTBEAT_NS;
     bench.unit.input(slope(3, false), bench.now, &mut bench.out);
+    let UnitToHost::Edges { edges: most, .. } = bench.ask(LinkId::A, Request::QueryEdges { first: 0 }) else {
+        panic!("expected edges");
+    };
+    assert_eq!(most.as_slice().len(), MAX_EDGES, "as many as one message takes");
     let (found, next, _) = edges(&mut bench, 0);
     assert_eq!(next, u64::from(EDGES_KEPT) + 1);
     let last = found.last().expect("kept");

@@ -3,5 +3,6 @@
 mod framing;
 mod inputs;
 mod messages;
+mod time_code;
 mod unit;
 mod versioning;

@@ -12,7 +12,7 @@ proptest! {
     #[test]
     fn any_bytes_are_read_or_refused(
         version in prop_oneof![4 => 1u8..=1, 1 => any::<u8>()],
-        kind in prop_oneof![0u8..16, 0x80u8..0x8e, any::<u8>()],
+        kind in prop_oneof![0u8..18, 0x80u8..0x90, any::<u8>()],
         rest in prop::collection::vec(any::<u8>(), 0..MAX_MESSAGE - 2),
     ) {
         let mut bytes = vec![version, kind];

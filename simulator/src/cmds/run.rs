@@ -5,6 +5,7 @@ use crate::cache::{CachedImages, Manifest};
 use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::FaultPlan;
 use crate::gige::{Habits, Make, TestImages};
+use crate::hsu::LtcSource;
 use crate::images::ImageSource;
 use crate::laboratory::{Laboratory, LaboratoryOptions};
 use fourdbody::base::Exit;
@@ -52,6 +53,9 @@ pub struct Args {
     /// An input of the HSU that swings by itself, 0 to 7, and how often a second; may be repeated.
     #[arg(long, value_name = "INPUT:HZ", value_parser = swinging_input)]
     input: Vec<(u8, f64)>,
+    /// Linear time code on an input of the HSU, 0 to 7, from a code on (00:00:00:00) at 24 to 30 frames a second (25).
+    #[arg(long, value_name = "INPUT[:HH:MM:SS:FF[@FPS]]", conflicts_with = "actions")]
+    ltc: Option<LtcSource>,
     /// Only the cameras of this node, with a rig of their heads: half a laboratory.
     #[arg(long, value_name = "NODE")]
     node: Option<String>,
@@ -114,6 +118,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     options.packet_bytes = args.packet_bytes;
     options.carry_on = args.carry_on;
     options.inputs.clone_from(&args.input);
+    (options.ltc, options.time_code_input) = (args.ltc, args.ltc.map(|ltc| ltc.line));
     options.trigger = args.actions.then(|| "source = \"action\"".to_owned());
     options.calibration =
         args.frames.as_ref().map(|frames| frames.join("calibration.json")).filter(|file| file.is_file());

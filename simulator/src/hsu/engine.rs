@@ -3,6 +3,7 @@
 
 use super::inject::{Deed, Injector};
 use super::line::Line;
+use super::ltc::{Played, Player};
 use super::{Control, HsuOptions, RunningClock};
 use crate::wire::TriggerEdge;
 use crossbeam_channel::{Sender, TrySendError};
@@ -29,6 +30,8 @@ pub(super) struct Engine {
     next_frame_ns: u64,
     /// Inputs that swing by themselves: line, half a period in ns, when the next edge comes, whether it rises.
     swinging: Vec<(u8, u64, u64, bool)>,
+    /// Time code on an input.
+    ltc: Option<Player>,
     /// What came in last; kept for its memory.
     input: Vec<u8>,
 }
@@ -122,6 +125,7 @@ impl World {
 impl Engine {
     pub(super) fn new(options: HsuOptions, lines: Vec<Line>, control: Arc<Control>) -> Self {
         let clock = RunningClock { origin: Instant::now(), clock: options.clock };
+        *control.to_play.lock().unwrap_or_else(PoisonError::into_inner) = options.ltc.map(Some);
         Self {
             identity: options.identity,
             unit: Unit::new(options.identity),
@@ -138,6 +142,7 @@ impl Engine {
             },
             next_frame_ns: 0,
             swinging: options.inputs.iter().map(|&(line, hz)| (line, (5e8 / hz) as u64, 0, true)).collect(),
+            ltc: None,
             input: Vec::new(),
         }
     }
@@ -221,8 +226,25 @@ impl Engine {
         }
     }
 
+    /// The edges up to now, each with its time: a timer captures them, whenever the firmware comes to look.
+    fn hear_time_code(&mut self, now_ns: u64) {
+        while let Some((slope, time_ns)) = self.ltc.as_mut().and_then(|player| player.next(now_ns)) {
+            self.unit.input(slope, time_ns, &mut self.world);
+        }
+        let control = &self.world.control;
+        let to_play = control.to_play.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(to_play) = to_play else { return };
+        let mut played = control.played.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(last) = played.last_mut() {
+            last.end_ns.get_or_insert(now_ns);
+        }
+        self.ltc = to_play.map(|source| Player::new(source, now_ns));
+        played.extend(to_play.map(|source| Played { source, begin_ns: now_ns, end_ns: None }));
+    }
+
     fn see_inputs(&mut self) {
         let now_ns = self.world.clock.reading(Instant::now());
+        self.hear_time_code(now_ns);
         let pushed =
             std::mem::take(&mut *self.world.control.inputs.lock().unwrap_or_else(PoisonError::into_inner));
         for slope in pushed {

@@ -8,14 +8,17 @@ mod disturb;
 mod engine;
 mod inject;
 mod line;
+mod ltc;
 
 pub use disturb::{Jitter, LineFaults};
+pub use ltc::LtcSource;
 
 use crate::faults::HsuFaults;
 use crate::wire::TriggerEdge;
 use crossbeam_channel::Sender;
-use hsu_firmware_proto::{Identity, LINKS, NodeName, Slope};
+use hsu_firmware_proto::{Identity, LINKS, NodeName, Slope, TimeCode};
 use line::Line;
+use ltc::Played;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -84,6 +87,8 @@ pub struct HsuOptions {
     pub carry_on: bool,
     /// Inputs that swing by themselves: line and frequency in Hz. More come by [`SimulatedHsu::input`].
     pub inputs: Vec<(u8, f64)>,
+    /// Time code that is played into an input from the beginning. [`SimulatedHsu::play`] changes it.
+    pub ltc: Option<LtcSource>,
 }
 
 impl Default for HsuOptions {
@@ -101,6 +106,7 @@ impl Default for HsuOptions {
             faults: None,
             carry_on: false,
             inputs: Vec::new(),
+            ltc: None,
         }
     }
 }
@@ -117,6 +123,10 @@ struct Control {
     lost_edges: AtomicU64,
     /// Edges of input lines that the unit has not seen yet.
     inputs: Mutex<Vec<Slope>>,
+    /// All time code so far; what is played is the last, and has no end.
+    played: Mutex<Vec<Played>>,
+    /// What is to be played instead from now on.
+    to_play: Mutex<Option<Option<LtcSource>>>,
     output_high: AtomicBool,
     output_rises: AtomicU64,
 }
@@ -200,6 +210,17 @@ impl SimulatedHsu {
     pub fn input(&self, line: u8, rising: bool) {
         let slope = Slope::new(line, rising).expect("a line of the unit");
         self.control.inputs.lock().unwrap_or_else(PoisonError::into_inner).push(slope);
+    }
+
+    /// Plays time code into an input from now on, in place of what was played so far; `None`: silence.
+    pub fn play(&self, ltc: Option<LtcSource>) {
+        *self.control.to_play.lock().unwrap_or_else(PoisonError::into_inner) = Some(ltc);
+    }
+
+    /// The time code that was played at a time of the unit's clock, and how much of its frame had gone by.
+    pub fn time_code_at(&self, time_ns: u64) -> Option<(TimeCode, f64)> {
+        let played = self.control.played.lock().unwrap_or_else(PoisonError::into_inner);
+        played.iter().find_map(|played| played.at(time_ns))
     }
 
     /// Whether the session's output is high, and how often it rose.

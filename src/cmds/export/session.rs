@@ -10,6 +10,7 @@ use crate::cmds::progress::Progress;
 use crate::data::FrameSource;
 use crate::export::frames::{self, FramePlan, FrameSummary, Picture};
 use crate::export::inputs;
+use crate::export::ptp::PtpTime;
 use crate::export::timing::{self, Rows};
 use crate::record::SessionReader;
 use std::ops::Range;
@@ -42,16 +43,14 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
         let made = frames::run(&session, &plan, |done, total| progress.at(done, total));
         frames = Some(made.map_err(stopped)?);
     }
-    let rows = if args.to.contains(&Target::Csv) {
-        Some(write_timing(args, &session, triggers, &cameras)?)
-    } else {
-        None
-    };
+    let csv = args.to.contains(&Target::Csv);
+    let ptp = if csv { PtpTime::of(&session) } else { PtpTime::default() };
+    let rows = csv.then(|| write_timing(args, &session, triggers, &cameras, &ptp)).transpose()?;
     let edges = match rows {
         Some(_) => write_inputs(args, &session)?,
         None => 0,
     };
-    report(args, &session, frames.as_ref(), rows, edges);
+    report(args, &session, frames.as_ref(), rows, edges, &ptp);
     // Whoever chose among the cameras asked for nothing else.
     let damaged = (lost && args.cameras.is_empty())
         || frames.as_ref().is_some_and(|frames| !frames.problems.is_empty())
@@ -70,6 +69,7 @@ fn write_timing(
     session: &SessionReader,
     triggers: Range<u64>,
     cameras: &[CameraId],
+    ptp: &PtpTime,
 ) -> Result<Rows, Failure> {
     let path = args.out.join("timing.csv");
     let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
@@ -77,7 +77,7 @@ fn write_timing(
     let mut rows = Rows::default();
     write_whole(&path, |file| {
         let mut out = std::io::BufWriter::new(file);
-        rows = timing::write(&mut out, session, triggers, cameras)?;
+        rows = timing::write(&mut out, session, triggers, cameras, ptp)?;
         std::io::Write::flush(&mut out)
     })
     .map_err(fail)?;
@@ -106,6 +106,7 @@ fn report(
     frames: Option<&FrameSummary>,
     rows: Option<Rows>,
     edges: usize,
+    ptp: &PtpTime,
 ) {
     for problem in frames.iter().flat_map(|frames| &frames.problems) {
         eprintln!("{problem}");
@@ -113,7 +114,9 @@ fn report(
     if args.json {
         println!(
             "{}",
-            serde_json::json!({"frames": frames, "timing": rows, "inputs": edges, "unreadable": session.unreadable()})
+            serde_json::json!({
+                "frames": frames, "timing": rows, "inputs": edges, "ptp": ptp, "unreadable": session.unreadable()
+            })
         );
         return;
     }
@@ -130,6 +133,17 @@ fn report(
     if let Some(rows) = rows {
         let Rows { frames, gaps, damaged } = rows;
         println!("timing.csv: {frames} frames, {gaps} gaps, {damaged} damaged");
+        if let Some(witness) = ptp.witnesses.first() {
+            println!(
+                "PTP time by {}, {:.1} us before its stamps, to {:.1} us besides what PTP itself leaves open; {} cameras agree",
+                witness.camera,
+                witness.delay_ns as f64 / 1e3,
+                witness.open_ns as f64 / 1e3,
+                ptp.witnesses.len()
+            );
+        } else if let Some(reason) = &ptp.none_because {
+            println!("no PTP time: {reason}");
+        }
         if edges > 0 {
             println!("inputs.csv: {edges} edges of the HSU's inputs");
         }

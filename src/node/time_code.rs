@@ -1,0 +1,369 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Asks the HSU during a session which time codes it heard, and makes events of those that are worth recording: the first
+//! of each run, one a second, and the last.
+
+use crate::hsu::{HeardTimeCodes, Hsu, HsuError, Refusal, TIME_CODE_HISTORY};
+use crate::record::{HeardTimeCode, NodeEvent};
+use std::time::Duration;
+
+/// So long after the last one a code is recorded again.
+const INTERVAL_NS: u64 = 1_000_000_000;
+/// So long the end of a session waits for the frame that was being sent: the longest lasts 44 ms.
+pub const LAST_FRAME: Duration = Duration::from_millis(60);
+
+/// What a unit can be asked of time code.
+pub trait TimeCodeUnit {
+    /// Names the input that carries it.
+    fn name_input(&self, input: u8) -> Result<(), HsuError>;
+    /// Asks for codes from a number on.
+    fn codes(&self, first: u64) -> Result<HeardTimeCodes, HsuError>;
+}
+
+impl TimeCodeUnit for Hsu {
+    fn name_input(&self, input: u8) -> Result<(), HsuError> {
+        self.set_time_code(Some(input))
+    }
+
+    fn codes(&self, first: u64) -> Result<HeardTimeCodes, HsuError> {
+        self.time_codes(first)
+    }
+}
+
+/// What is known of the time code.
+#[derive(Debug, Default)]
+pub struct TimeCodeKeeper {
+    /// The input; `None`: there is nothing to ask for.
+    input: Option<u8>,
+    /// The unit has been told the input.
+    named: bool,
+    /// Number of the next code; `None` before the first answer.
+    next: Option<u64>,
+    /// Frames that were no good, when it was asked first and last.
+    refused: Option<(u32, u32)>,
+    /// The last code.
+    last: Option<HeardTimeCode>,
+    /// It came at the last look.
+    is_running: bool,
+    /// It is in the recording, too.
+    is_told: bool,
+    /// When the last one that was recorded began, HSU clock.
+    told_ns: u64,
+    /// Runs so far.
+    runs: u64,
+}
+
+impl TimeCodeKeeper {
+    /// For this input of the HSU.
+    pub fn new(input: Option<u8>) -> Self {
+        Self { input, ..Self::default() }
+    }
+
+    /// The unit was connected anew: it has to be told the input again.
+    pub fn reconnected(&mut self) {
+        self.named = false;
+    }
+
+    /// Whether code came at the last look, so that a frame may be on its way.
+    pub fn is_running(&self) -> bool {
+        self.is_running
+    }
+
+    /// What came since the last time; nothing where the unit does not answer: it is asked again. `host_time_ns` is now.
+    pub fn look(&mut self, unit: &impl TimeCodeUnit, host_time_ns: u64) -> Vec<NodeEvent> {
+        let mut events = Vec::new();
+        let before = self.next;
+        if let Err(error) = self.ask(unit, host_time_ns, &mut events) {
+            tracing::debug!("the HSU's time code: {error}");
+            if matches!(error, HsuError::Refused { refusal: Refusal::UnknownRequest { .. }, .. }) {
+                let message = "the HSU's firmware does not know time code: it needs a newer one";
+                events.push(told(host_time_ns, "time_code_absent", message.to_owned()));
+                self.input = None;
+            } else if let HsuError::Refused { refusal: Refusal::TimeCodeDiffers { .. }, .. } = &error {
+                events.push(told(host_time_ns, "time_code_absent", error.to_string()));
+                self.input = None;
+            }
+        }
+        self.is_running = before.is_some() && self.next != before;
+        if !self.is_running {
+            // It has stopped, for all that is known.
+            self.tell_last(host_time_ns, &mut events);
+        }
+        events
+    }
+
+    /// The session has ended.
+    pub fn finish(&mut self, host_time_ns: u64) -> Vec<NodeEvent> {
+        let mut events = Vec::new();
+        self.tell_last(host_time_ns, &mut events);
+        let Some(input) = self.input else { return events };
+        let (first, last) = self.refused.unwrap_or_default();
+        let refused = last.saturating_sub(first);
+        if self.runs == 0 {
+            let message = match refused {
+                0 => format!("no time code came on input {input}"),
+                _ => format!("no time code was understood on input {input}: {refused} frames were no good"),
+            };
+            events.push(told(host_time_ns, "time_code_absent", message));
+        } else if refused > 0 {
+            let message = format!("{refused} frames of time code on input {input} were no good");
+            events.push(told(host_time_ns, "time_code_refused", message));
+        }
+        events
+    }
+
+    fn ask(
+        &mut self,
+        unit: &impl TimeCodeUnit,
+        host_time_ns: u64,
+        events: &mut Vec<NodeEvent>,
+    ) -> Result<(), HsuError> {
+        let Some(input) = self.input else { return Ok(()) };
+        if !self.named {
+            unit.name_input(input)?;
+            self.named = true;
+        }
+        // Each answer has one code at least, or it is the last.
+        for _ in 0..TIME_CODE_HISTORY {
+            let answer = unit.codes(self.next.unwrap_or(u64::MAX))?;
+            if answer.input != Some(input) {
+                // It was restarted.
+                self.named = false;
+                return Ok(());
+            }
+            let begin = self.refused.filter(|(_, last)| *last <= answer.refused).map(|(first, _)| first);
+            self.refused = Some((begin.unwrap_or(answer.refused), answer.refused));
+            let Some(asked) = self.next else {
+                self.next = Some(answer.next);
+                return Ok(());
+            };
+            if answer.next < asked {
+                let message =
+                    "the HSU counts time codes anew: it was restarted, and what came before is lost";
+                events.push(told(host_time_ns, "time_code_lost", message.to_owned()));
+                self.next = Some(0);
+                continue;
+            }
+            if answer.first > asked && !answer.codes.as_slice().is_empty() {
+                let message = format!("{} time codes came and were forgotten", answer.first - asked);
+                events.push(told(host_time_ns, "time_code_lost", message));
+            }
+            let mut next = asked;
+            for (number, frame) in (answer.first..u64::MAX).zip(answer.codes.as_slice()) {
+                if number < next {
+                    continue;
+                }
+                next = number.saturating_add(1);
+                let heard = HeardTimeCode {
+                    number,
+                    run: 0,
+                    code: frame.code,
+                    hsu_time_ns: frame.time_ns,
+                    duration_ns: frame.duration_ns,
+                };
+                self.take(heard, host_time_ns, events);
+            }
+            self.next = Some(next);
+            if next == asked || next >= answer.next {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, heard: HeardTimeCode, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
+        let goes_on = self.last.is_some_and(|last| last.number + 1 == heard.number && heard.follows(&last));
+        if !goes_on {
+            self.tell_last(host_time_ns, events);
+            self.runs += 1;
+        }
+        self.last = Some(HeardTimeCode { run: self.runs - 1, ..heard });
+        self.is_told = false;
+        if !goes_on || heard.hsu_time_ns.saturating_sub(self.told_ns) >= INTERVAL_NS {
+            self.tell_last(host_time_ns, events);
+        }
+    }
+
+    fn tell_last(&mut self, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
+        let Some(last) = self.last.filter(|_| !self.is_told) else { return };
+        events.push(last.event(host_time_ns));
+        (self.is_told, self.told_ns) = (true, last.hsu_time_ns);
+    }
+}
+
+fn told(host_time_ns: u64, kind: &str, message: String) -> NodeEvent {
+    NodeEvent { host_time_ns, kind: kind.to_owned(), camera: None, trigger: None, message }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{TimeCodeKeeper, TimeCodeUnit};
+    use crate::hsu::{
+        HeardTimeCodes, HsuError, Refusal, TIME_CODE_HISTORY, TimeCode, TimeCodeFrame, TimeCodeFrames,
+    };
+    use crate::record::{HeardTimeCode, NodeEvent, TimeCodeLine};
+    use std::cell::{Cell, RefCell};
+
+    const FRAME_NS: u64 = 40_000_000;
+
+    /// A unit that has heard these codes.
+    #[derive(Default)]
+    struct Unit {
+        heard: RefCell<Vec<TimeCodeFrame>>,
+        named: Cell<Option<u8>>,
+        refused: Cell<u32>,
+        refusal: Cell<Option<Refusal>>,
+        asked: Cell<usize>,
+    }
+
+    impl Unit {
+        /// Codes at 25 frames a second; the last of them, and when it ends.
+        fn hears(&self, code: &str, from_ns: u64, count: u32) -> (TimeCode, u64) {
+            let first = TimeCode::parse(code).expect("a code");
+            for at in 0..count {
+                let time_ns = from_ns + u64::from(at) * FRAME_NS;
+                let code = first.after(at, 25).expect("a code");
+                self.heard.borrow_mut().push(TimeCodeFrame { time_ns, duration_ns: FRAME_NS as u32, code });
+            }
+            (first.after(count - 1, 25).expect("a code"), from_ns + u64::from(count) * FRAME_NS)
+        }
+    }
+
+    fn refused(refusal: Refusal) -> HsuError {
+        HsuError::Refused { request: "a question for time code", refusal }
+    }
+
+    impl TimeCodeUnit for Unit {
+        fn name_input(&self, input: u8) -> Result<(), HsuError> {
+            self.named.set(Some(input));
+            self.refusal.get().map_or(Ok(()), |refusal| Err(refused(refusal)))
+        }
+
+        fn codes(&self, first: u64) -> Result<HeardTimeCodes, HsuError> {
+            self.asked.set(self.asked.get() + 1);
+            let heard = self.heard.borrow();
+            let next = heard.len() as u64;
+            let first = first.clamp(next.saturating_sub(TIME_CODE_HISTORY as u64), next);
+            let mut codes = TimeCodeFrames::default();
+            heard[first as usize..].iter().all(|frame| codes.push(*frame));
+            Ok(HeardTimeCodes { input: self.named.get(), next, refused: self.refused.get(), first, codes })
+        }
+    }
+
+    fn kinds(events: &[NodeEvent]) -> Vec<&str> {
+        events.iter().map(|event| event.kind.as_str()).collect()
+    }
+
+    /// Code of ten minutes, asked for five times a second: two events more than seconds.
+    #[test]
+    fn of_a_run_the_first_code_is_recorded_one_a_second_and_the_last() {
+        let (unit, mut keeper, mut events) = (Unit::default(), TimeCodeKeeper::new(Some(3)), Vec::new());
+        assert!(keeper.look(&unit, 0).is_empty() && !keeper.is_running());
+        let (mut code, mut at_ns) = (TimeCode::parse("09:59:59:20").expect("a code"), 5);
+        let (first, begin_ns) = (code, at_ns);
+        for _ in 0..3000 {
+            let (last, end_ns) = unit.hears(&code.to_string(), at_ns, 5);
+            (code, at_ns) = (last.after(1, 25).expect("a code"), end_ns);
+            events.extend(keeper.look(&unit, 0));
+            assert!(keeper.is_running());
+        }
+        events.extend(keeper.finish(0));
+        let heard: Vec<HeardTimeCode> = events.iter().filter_map(HeardTimeCode::of).collect();
+        assert_eq!((heard.len(), events.len()), (601, 601));
+        assert!(heard.iter().all(|heard| heard.run == 0));
+        // All codes in between are known.
+        let line = TimeCodeLine::of(&events);
+        for frame in (0..15_000).step_by(37) {
+            let at = line.at(begin_ns + u64::from(frame) * FRAME_NS + FRAME_NS / 2).expect("a code");
+            assert_eq!((Some(at.code), (at.fraction * 2.0).round()), (first.after(frame, 25), 1.0));
+        }
+        assert_eq!((line.at(begin_ns - 1), line.at(at_ns)), (None, None));
+    }
+
+    #[test]
+    fn code_that_begins_late_jumps_pauses_and_stops_is_recorded_as_it_was() {
+        let (unit, mut keeper, mut events) = (Unit::default(), TimeCodeKeeper::new(Some(3)), Vec::new());
+        for _ in 0..4 {
+            events.extend(keeper.look(&unit, 0));
+        }
+        assert!(events.is_empty());
+        let (_, end_ns) = unit.hears("10:00:00:00", 1000, 8);
+        let (_, end_ns) = unit.hears("20:00:00:00", end_ns, 5);
+        events.extend(keeper.look(&unit, 0));
+        // A frame that was no good lies between; and then nothing more.
+        let (_, end_ns) = unit.hears("20:00:00:06", end_ns + FRAME_NS, 3);
+        unit.refused.set(1);
+        events.extend(keeper.look(&unit, 0));
+        events.extend(keeper.look(&unit, 0));
+        events.extend(keeper.finish(0));
+        let heard: Vec<(u64, String)> = events
+            .iter()
+            .filter_map(HeardTimeCode::of)
+            .map(|heard| (heard.run, heard.code.to_string()))
+            .collect();
+        let expected = [
+            (0, "10:00:00:00"),
+            (0, "10:00:00:07"),
+            (1, "20:00:00:00"),
+            (1, "20:00:00:04"),
+            (2, "20:00:00:06"),
+            (2, "20:00:00:08"),
+        ];
+        assert_eq!(heard, expected.map(|(run, code)| (run, code.to_owned())));
+        assert_eq!(kinds(&events)[6..], ["time_code_refused"]);
+        let line = TimeCodeLine::of(&events);
+        let shown = |at_ns: u64| line.at(at_ns).map(|at| at.to_string());
+        assert_eq!(shown(1000 + 8 * FRAME_NS - 1).as_deref(), Some("10:00:00:07.999"));
+        assert_eq!(shown(1000 + 8 * FRAME_NS).as_deref(), Some("20:00:00:00.000"));
+        assert_eq!(shown(1000 + 13 * FRAME_NS), None, "the frame that was no good");
+        assert_eq!(shown(end_ns), None);
+    }
+
+    #[test]
+    fn what_is_lost_or_absent_is_told() {
+        let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
+        unit.refused.set(7);
+        keeper.look(&unit, 0);
+        unit.refused.set(9);
+        keeper.look(&unit, 0);
+        let events = keeper.finish(0);
+        assert_eq!(kinds(&events), ["time_code_absent"]);
+        assert!(events[0].message.contains("input 3: 2 frames"), "{}", events[0].message);
+
+        // More than the unit remembers, and then it is switched off and on.
+        let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
+        keeper.look(&unit, 0);
+        let remembered = TIME_CODE_HISTORY as u32;
+        unit.hears("10:00:00:00", 0, remembered + 9);
+        let events = keeper.look(&unit, 0);
+        assert_eq!(kinds(&events)[0], "time_code_lost");
+        assert!(events[0].message.starts_with("9 time codes"), "{}", events[0].message);
+        unit.heard.borrow_mut().clear();
+        unit.named.set(None);
+        assert_eq!(kinds(&keeper.look(&unit, 0)), ["time_code"], "the last one");
+        unit.hears("11:00:00:00", 9, 2);
+        let events = keeper.look(&unit, 0);
+        assert_eq!((unit.named.get(), kinds(&events)), (Some(3), vec!["time_code_lost", "time_code"]));
+
+        let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(None));
+        assert!(keeper.look(&unit, 0).is_empty() && keeper.finish(0).is_empty());
+        assert_eq!((unit.asked.get(), unit.named.get()), (0, None));
+    }
+
+    #[test]
+    fn a_unit_without_time_code_and_one_that_listens_elsewhere_are_told_once() {
+        for refusal in [Refusal::UnknownRequest { kind: 14 }, Refusal::TimeCodeDiffers { unit: 4, host: 3 }] {
+            let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
+            unit.refusal.set(Some(refusal));
+            assert_eq!(kinds(&keeper.look(&unit, 0)), ["time_code_absent"]);
+            assert!(keeper.look(&unit, 0).is_empty() && keeper.finish(0).is_empty());
+            assert_eq!(unit.asked.get(), 0);
+        }
+        // Any other refusal is asked again.
+        let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
+        unit.refusal.set(Some(Refusal::HelloFirst));
+        assert!(keeper.look(&unit, 0).is_empty());
+        unit.refusal.set(None);
+        keeper.look(&unit, 0);
+        assert_eq!(unit.asked.get(), 1);
+    }
+}
