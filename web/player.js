@@ -88,7 +88,7 @@ export class Player {
     this.speed.addEventListener("change", () => this.playing && this.play());
     this.colour.addEventListener("change", () => this.view.paint(this.colour.value));
     this.view.onPick = (point) => this.pick(point);
-    this.view.onDraw = () => this.drawPicked();
+    this.view.onDraw = () => this.drawn();
     root.addEventListener("keydown", (event) => {
       const act = { " ": () => this.button.click(), ",": () => this.step(-1), ".": () => this.step(1) }[event.key];
       if (!act || (event.key === " " && event.target !== this.view.canvas)) return;
@@ -208,7 +208,7 @@ export class Player {
     const late = this.playing && place > this.shown && place < this.wanted;
     if (this.wanted !== place && !late) return;
     this.show(place, points);
-    this.root.dataset.seekMs = (performance.now() - asked).toFixed(1);
+    this.asked = asked;
   }
 
   show(place, points) {
@@ -275,6 +275,17 @@ export class Player {
     const length = b && 1000 * Math.hypot(...a.point.map((x, axis) => x - b.point[axis]));
     this.distance.textContent = b ? `${length.toFixed(1)} mm between ${at(a)} and ${at(b)}` : `from ${at(a)}`;
     this.view.draw();
+  }
+
+  /** What is shown has been drawn: notes how long it took from the begin of the page, and since it was asked for. */
+  drawn() {
+    if (this.asked !== undefined) {
+      this.root.dataset.firstMs ??= performance.now().toFixed(1);
+      this.root.dataset.seekMs = (performance.now() - this.asked).toFixed(1);
+      this.root.dataset.drawn = this.root.dataset.trigger;
+      this.asked = undefined;
+    }
+    this.drawPicked();
   }
 
   drawPicked() {
