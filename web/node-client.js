@@ -34,7 +34,8 @@ const post = (path, body, patience_ms) =>
 /** Path of what node `peer` tells; the empty name is the node that served this page. */
 const at = (peer, path) => (peer ? `/peers/${encodeURIComponent(peer)}${path}` : path);
 const frameSets = (peer, session) => at(peer, `/sessions/${encodeURIComponent(session)}/frame-sets`);
-const PLAY_PATIENCE_MS = 30000;
+/** A node makes frame sets when nobody else wants its processors. */
+const PLAY_PATIENCE_MS = 70000;
 const look = (peer, session) => at(peer, `/sessions/${encodeURIComponent(session)}/quick-look`);
 
 export const node = {

@@ -106,11 +106,11 @@ export class Player {
       return made;
     };
     const choice = (of) => make("select", {}, ...of.map(([value, label]) => make("option", { value }, label)));
-    const canvas = make("canvas", { id: "cloud", tabindex: "0", "aria-label": "point cloud: arrow keys, plus and minus turn and move it; space plays, comma and full stop step; click two points to measure" });
+    const canvas = make("canvas", { id: "played", tabindex: "0", "aria-label": "point cloud: arrow keys, plus and minus turn and move it; space plays, comma and full stop step; click two points to measure" });
     this.dots = [0, 1].map(() => make("i", { class: "picked", hidden: "" }));
     this.button = make("button", { type: "button" }, "Play");
     this.place = make("input", { type: "range", min: "0", max: String(this.triggers.length - 1), value: "0", "aria-label": "frame set" });
-    this.holes = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    this.holes = make("div", { class: "holes" });
     this.speed = choice([1, 2, 4, 8, 16].map((slow) => [String(1 / slow), `1/${slow}`]));
     this.speed.value = "0.25";
     this.colour = choice(["intensity", "normals", "uncertainty"].map((what) => [what, what]));
@@ -130,17 +130,14 @@ export class Player {
   /** Below the slider, red where there is no cloud. */
   drawHoles() {
     const places = [...this.why.keys()].sort((a, b) => a - b);
-    this.holes.setAttribute("class", "holes");
-    this.holes.setAttribute("viewBox", `0 0 ${this.triggers.length} 1`);
-    this.holes.setAttribute("preserveAspectRatio", "none");
     this.holes.replaceChildren();
     for (let i = 0; i < places.length; ) {
       let end = i + 1;
       while (places[end] === places[end - 1] + 1) end++;
-      const rect = document.createElementNS("http://www.w3.org/2000/svg", "rect");
-      const at = { x: places[i], y: 0, width: end - i, height: 1 };
-      for (const [name, value] of Object.entries(at)) rect.setAttribute(name, String(value));
-      this.holes.append(rect);
+      const hole = document.createElement("i");
+      const share = (number) => `${(100 * number) / this.triggers.length}%`;
+      [hole.style.left, hole.style.width] = [share(places[i]), share(end - i)];
+      this.holes.append(hole);
       i = end;
     }
   }

@@ -99,7 +99,7 @@ fn a_take_is_played_in_the_console() {
         |trigger: u64| format!("return document.getElementById('player')?.dataset.trigger === '{trigger}'");
     browser.wait("the first cloud", &shown(0));
     assert_eq!(browser.text("title"), "walk");
-    let points = browser.run("return Number(document.getElementById('cloud').dataset.points)");
+    let points = browser.run("return Number(document.getElementById('played').dataset.points)");
     assert!(points.as_u64().is_some_and(|points| (20_000..=40_000).contains(&points)), "{points}");
     browser.wait("all of it", "return document.getElementById('player').dataset.kept === '8'");
 
@@ -112,20 +112,20 @@ fn a_take_is_played_in_the_console() {
     };
     let told = || browser.run("return document.querySelector('.controls output').textContent");
     // Refused frame sets are holes, which say why; nothing is shown there.
-    assert_eq!(browser.run("return document.querySelectorAll('.holes rect').length"), 1);
+    assert_eq!(browser.run("return document.querySelectorAll('.holes i').length"), 1);
     seek(5);
     assert_contains(told().as_str().unwrap_or_default(), &["trigger 5", "no cloud (refused", WHY]);
-    assert_eq!(browser.run("return document.getElementById('cloud').dataset.points"), "0");
+    assert_eq!(browser.run("return document.getElementById('played').dataset.points"), "0");
     seek(9);
     assert_eq!(told(), format!("trigger 9, {:.3} s", 9.0 / 120.0));
-    browser.run("document.getElementById('cloud').focus()");
+    browser.run("document.getElementById('played').focus()");
     browser.press(",");
     browser.wait("the one before", &shown(8));
 
     // Other colours are another picture.
     let picture =
         "const done = await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
-        return document.getElementById('cloud').toDataURL()";
+        return document.getElementById('played').toDataURL()";
     let mut pictures = Vec::new();
     for colour in ["intensity", "normals", "uncertainty"] {
         browser.run(&format!(
@@ -138,8 +138,8 @@ fn a_take_is_played_in_the_console() {
     assert_eq!(pictures.len(), 3);
 
     // Two clicks on the ball have a distance, no longer than the ball is wide.
-    browser.click("cloud", (-30, 0));
-    browser.click("cloud", (30, 0));
+    browser.click("played", (-30, 0));
+    browser.click("played", (30, 0));
     let distance = browser.run("return document.querySelector('#player p output').textContent");
     let millimetres = distance.as_str().and_then(|told| told.split(' ').next()?.parse::<f64>().ok());
     assert!(millimetres.is_some_and(|mm| mm > 1.0 && mm < 2000.0 * BALL.1), "{distance}");

@@ -40,7 +40,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
 /// Some cameras take seconds to be set up.
 const CAMERAS_PATIENCE: Duration = Duration::from_secs(30);
 /// Frame sets are made when nobody else wants the processor.
-const PLAY_PATIENCE: Duration = Duration::from_secs(25);
+const PLAY_PATIENCE: Duration = Duration::from_secs(65);
 
 /// The other nodes, and whether they answer.
 #[utoipa::path(get, path = path::PEERS, tag = "peers",
