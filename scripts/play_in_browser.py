@@ -28,7 +28,7 @@ SEEK = """
 const [place, done] = arguments;
 const root = document.getElementById("player");
 const slider = root.querySelector("input[type=range]");
-const gl = document.getElementById("played").getContext("webgl2");
+const gl = root.querySelector("canvas").getContext("webgl2");
 const begin = performance.now();
 delete root.dataset.drawn;
 slider.value = String(place);
