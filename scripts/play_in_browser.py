@@ -128,7 +128,7 @@ def main():
         wait("document.getElementById('player')?.dataset.firstMs")
         told["first_picture_ms"] = float(run("return document.getElementById('player').dataset.firstMs"))
         # The frame sets of the report's page are its own; those of the console's are asked for.
-        console = run("return Boolean(document.getElementById('state'))")
+        console = run("return location.protocol !== 'file:'")
         there = "document.getElementById('player').dataset.kept == " + str(FRAME_SETS) if console else "document.readyState === 'complete'"
         if console:
             told |= spread("early_seek", [seek() for _ in range(min(SEEKS, 20))])

@@ -30,13 +30,13 @@ async function persist(asking, signal) {
   for (;;) {
     try {
       const answer = await asking();
-      text($("state"), "");
+      text($("player-state"), "");
       return answer;
     } catch (error) {
       if (signal?.aborted) throw signal.reason;
       const passes = error instanceof Gone || (error instanceof Refused && [401, 409, 429, 503].includes(error.status));
       if (!passes) throw error;
-      text($("state"), error.status === 401 ? "log in at the console first" : error.message);
+      text($("player-state"), error.status === 401 ? "log in at the console first" : error.message);
       await pause(RETRY_MS, signal);
     }
   }
@@ -166,7 +166,7 @@ async function begin() {
       text(player.note, `${source.kept.size} of ${source.triggers.length} frame sets are here, ${Math.round(source.bytes / 2 ** 20)} MiB`);
     };
   } catch (error) {
-    text($("state"), `cannot be played: ${error.message}`);
+    text($("player-state"), `cannot be played: ${error.message}`);
   }
 }
 

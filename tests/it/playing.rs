@@ -163,9 +163,9 @@ fn a_take_is_played_in_the_console() {
 
     // What is not there is told, and nothing else.
     browser.open(&format!("{address}/play.html?session=..%2Fwalk"));
-    browser.wait_text("state", "cannot be played");
+    browser.wait_text("player-state", "cannot be played");
     browser.open(&format!("{address}/play.html?session=walk&node=b"));
-    browser.wait_text("state", "no node");
+    browser.wait_text("player-state", "no node");
     assert!(!node.log().contains("panicked"), "{}", node.log());
 }
 
