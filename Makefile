@@ -9,6 +9,7 @@
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
 #   make bench-reconstruct     milliseconds a frame, stage by stage, beside other programs (PEERS=0 leaves these out)
 #   make bench-live            the live body beside a recording: frame sets a second, light to screen, frames lost
+#   make bench-play            what it costs a browser to play 1200 frame sets: memory, first picture, seeks
 #   make bench-worker          frame sets an hour with reading, verifying and writing, beside the reconstruction itself
 #   make poses     fringe orders on 224 camera frames of moving mannequins; BATTERY=held_out_again or bodies: of others
 #   make noise     the same with half a grey value of noise (NOISE_DN)
@@ -23,7 +24,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-live bench-worker matrix poses noise light real validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-worker matrix poses noise light real validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -81,6 +82,10 @@ bench-reconstruct: packages
 bench-live: demo
 	@scripts/install-packages.sh chromium chromium-driver python3
 	scripts/bench-live.sh
+
+bench-play: demo
+	@scripts/install-packages.sh chromium chromium-driver curl python3
+	scripts/bench-play.sh
 
 bench-worker: demo
 	scripts/bench-worker.sh

@@ -53,7 +53,7 @@ def repeat(kind, data, pause):
 def console():
     """What a console's page asks, as often as it asks."""
     while time.monotonic() < END:
-        for path in ("status", "capture", "previews", "previews/h0_up", "previews/h0_low", "previews/h1_up", "previews/h1_low", "live", "live/rows/8"):
+        for path in ("status", "capture", "previews", "previews/h0_up", "previews/h0_low", "previews/h1_up", "previews/h1_low", "live", "live/rows/8", "playable", "sessions/walk/frame-sets", "sessions/walk/frame-sets/0"):
             exchange("console", request(f"GET /api/v1/{path}"))
         time.sleep(0.4)
 

@@ -230,6 +230,25 @@ def bench_live(s):
     return table(["", "frame sets a second", "light to screen ms", "P99 ms", "frames recorded", "lost", "nodes' cores"], rows)
 
 
+def bench_play(s):
+    rows = []
+    for kind, name in (("page", "`report --play`, a file"), ("console", "the console's player")):
+        of = lambda key: s.get(f"{kind}_{key}")
+        early = f"{most(of('early_seek_median_ms'), 0)}, {most(of('early_seek_most_ms'), 0)}" if of("early_seek_median_ms") else "-"
+        rows.append([
+            name,
+            most(of("browser_mib"), 0),
+            most(of("renderer_mib"), 0),
+            most(of("first_picture_ms") / 1000, 2),
+            f"{most(of('seek_median_ms'), 0)}, {most(of('seek_most_ms'), 0)}",
+            early,
+            most(of("filled_s"), 0),
+            least(of("played_per_s"), 1),
+        ])
+    head = ["", "browser MiB", "its page MiB", "first picture s", "seek ms, most", "not yet there ms, most", "all there s", "pictures a second at 1/1"]
+    return table([f"{s['frame_sets']} frame sets", *head[1:]], rows)
+
+
 def short(summaries, present):
     """README: a row whose summary is absent stays as it is."""
     rows = [
@@ -297,6 +316,7 @@ WRITERS = {
     "bench-reconstruct": (bench_reconstruct, same_algorithm),
     "bench-worker": (bench_worker, same_algorithm),
     "bench-live": (bench_live, same_algorithm),
+    "bench-play": (bench_play, same_algorithm),
 }
 
 

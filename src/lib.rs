@@ -62,6 +62,8 @@ pub mod network;
 pub mod new_bench;
 /// One session on one node: the state machine and the threads that carry it out.
 pub mod node;
+/// A reconstructed session as frame sets for a player.
+pub mod play;
 /// Pictures of the cameras while they run, and quick looks at what was recorded.
 pub mod preview;
 /// One frame to one point cloud: the phase pipeline (paper, section 4.1).

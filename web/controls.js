@@ -1,8 +1,14 @@
 // What the operator does: record, stop, preview, dry run, abort; by mouse and by keys. The buttons never move.
 
-import { $, text } from "/elements.js";
+import { $, make, text } from "/elements.js";
 import { node } from "/node-client.js";
 import { notReady, sessionsUnderWay, told } from "/told.js";
+
+/** The HSU's inputs, an edge of which may begin a session: `LINE:rising` or `LINE:falling`. */
+const INPUTS = 8;
+for (let line = 0; line < INPUTS; line++) {
+  for (const edge of ["rising", "falling"]) $("start-on").append(make("option", { value: `${line}:${edge}`, textContent: `at a ${edge} edge of input ${line}` }));
+}
 
 let refused = null; // why the last button did not do what it says
 let afterwards = async () => {};
@@ -22,8 +28,9 @@ const holding = () => Boolean(told.capture?.running) && told.capture.stage?.stag
 function series(extra = {}) {
   const filled = (id) => $(id).value.trim() || null;
   const seconds = filled("seconds");
+  const [line, edge] = $("start-on").value.split(":");
   return {
-    wish: { ...spans(), name: filled("name"), subject: filled("subject"), note: filled("note"), duration_s: seconds ? Number(seconds) : null, countdown_s: Number(filled("countdown") ?? 0), partial: $("partial").checked, ...extra },
+    wish: { ...spans(), name: filled("name"), subject: filled("subject"), note: filled("note"), duration_s: seconds ? Number(seconds) : null, countdown_s: Number(filled("countdown") ?? 0), partial: $("partial").checked, start_on: edge ? { line: Number(line), rising: edge === "rising" } : null, ...extra },
     takes: Number(filled("takes") ?? 1),
     pause_s: 0,
     // A name that is taken gets the next number.
@@ -78,7 +85,7 @@ document.addEventListener("keydown", (event) => {
     return;
   }
   if ($("exposure").open) return;
-  if (event.target.matches("input, textarea")) {
+  if (event.target.matches("input, select, textarea")) {
     if (event.key === "Escape") event.target.blur();
     return;
   }

@@ -33,6 +33,9 @@ const post = (path, body, patience_ms) =>
 
 /** Path of what node `peer` tells; the empty name is the node that served this page. */
 const at = (peer, path) => (peer ? `/peers/${encodeURIComponent(peer)}${path}` : path);
+const frameSets = (peer, session) => at(peer, `/sessions/${encodeURIComponent(session)}/frame-sets`);
+/** A node makes frame sets when nobody else wants its processors. */
+const PLAY_PATIENCE_MS = 70000;
 const look = (peer, session) => at(peer, `/sessions/${encodeURIComponent(session)}/quick-look`);
 
 export const node = {
@@ -62,6 +65,11 @@ export const node = {
   expose: (peer, request) => post(at(peer, "/exposure"), request, 40000).then((answer) => answer.json()),
   calibrationPlot: (peer) => API + at(peer, "/calibration-lights/plot"),
   calibrationLights: (peer) => get(at(peer, "/calibration-lights")),
+  playable: (peer) => get(at(peer, "/playable")),
+  /** What a player must know of a session; a frame set is packed points. Nobody else wants the time in which they are made. */
+  frameSets: (peer, session) => ask(frameSets(peer, session), {}, PLAY_PATIENCE_MS).then((answer) => answer.json()),
+  frameSet: (peer, session, trigger, signal) =>
+    ask(`${frameSets(peer, session)}/${trigger}`, { signal: AbortSignal.any([signal, AbortSignal.timeout(PLAY_PATIENCE_MS)]) }).then((answer) => answer.arrayBuffer()),
   look: (peer, session) => get(look(peer, session)),
   askLook: (peer, session) => post(look(peer, session)),
   cloud: (peer, session, trigger) => ask(`${look(peer, session)}/${trigger}`, {}, 20000).then((answer) => answer.arrayBuffer()),

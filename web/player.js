@@ -1,18 +1,20 @@
 // A session's clouds one after another: played at a part of their speed, scrubbed by hand, measured between two points.
-// Runs after cloud-view.js in the page of `fourdbody report --play`, which describes how its frame sets are packed.
+// In the page of `fourdbody report --play` the frame sets stand in the page; in the console's player the node makes them.
+// A source of them has `described`, as the node's API describes a sequence, and gives packed points (src/play/packed.rs).
+
+import { CloudView } from "/cloud-view.js";
 
 const PACKED_POINT = 12;
 /** Unpacked points that are kept, bytes, and how many frame sets are unpacked before they are due. */
-const KEPT_BYTES = 128 << 20;
+const UNPACKED_BYTES = 96 << 20;
 const AHEAD = 6;
 
-/** Points as CloudView takes them, of the text of one frame set: base64 of deflated planes of bytes. */
-async function unpacked(text) {
-  const packed = await (await fetch(`data:application/octet-stream;base64,${text}`)).blob();
-  const stream = packed.stream().pipeThrough(new DecompressionStream("deflate"));
+/** Points as CloudView takes them, of one frame set: a stream of deflated planes of bytes. */
+async function unpacked(packed) {
+  const stream = packed.pipeThrough(new DecompressionStream("deflate"));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer());
-  const count = planes.length / PACKED_POINT;
-  const points = new Uint8Array(planes.length);
+  const count = Math.floor(planes.length / PACKED_POINT);
+  const points = new Uint8Array(count * PACKED_POINT);
   const places = new DataView(points.buffer);
   for (let axis = 0; axis < 3; axis++) {
     let at = 0;
@@ -28,41 +30,119 @@ async function unpacked(text) {
   return points.buffer;
 }
 
-/** Plays the frame sets of a page. */
-class Player {
-  constructor(root, view) {
+/** The frame sets that stand in the page itself, as script elements behind the player. */
+export class PageSource {
+  constructor(described) {
+    this.described = described;
+    // The element is there before its text is whole: the next one is not.
+    this.next = new Map();
+    let before = null;
+    for (const [first, last] of described.runs) {
+      for (let trigger = first; trigger <= last; trigger++) {
+        if (before !== null) this.next.set(before, trigger);
+        before = trigger;
+      }
+    }
+  }
+
+  /** A promise of the packed points of a trigger; null while the page has not got so far. */
+  packed(trigger) {
+    const text = document.getElementById(`set-${trigger}`)?.textContent;
+    const whole = document.readyState !== "loading" || document.getElementById(`set-${this.next.get(trigger)}`);
+    return text && whole ? fetch(`data:application/octet-stream;base64,${text}`).then((answer) => answer.body) : null;
+  }
+
+  /** Where the play head is: everything is here. */
+  look() {}
+}
+
+/** Plays what a source has, with all its controls in `root`. */
+export class Player {
+  constructor(root, source) {
     this.root = root;
-    this.view = view;
-    this.triggers = root.dataset.triggers.split(",").map(Number);
-    this.seconds = this.triggers.map((trigger) => trigger / Number(root.dataset.rate));
+    this.source = source;
+    const { runs, holes, trigger_rate_hz } = source.described;
+    const all = [...runs.map(([first, last]) => ({ first, last })), ...holes].sort((a, b) => a.first - b.first);
+    this.triggers = [];
+    /** Why a place has no cloud. */
+    this.why = new Map();
+    for (const { first, last, why } of all) {
+      for (let trigger = first; trigger <= last; trigger++) {
+        if (why !== undefined) this.why.set(this.triggers.length, why);
+        this.triggers.push(trigger);
+      }
+    }
+    this.seconds = this.triggers.map((trigger) => trigger / trigger_rate_hz);
     this.sets = new Map();
     this.bytes = 0;
     this.wanted = 0;
     this.shown = -1;
     this.playing = null;
     this.picked = [];
-    const find = (name) => root.querySelector(`[name=${name}]`);
-    [this.button, this.place, this.speed, this.colour] = ["play", "place", "speed", "colour"].map(find);
-    [this.told, this.distance] = root.querySelectorAll("output");
+    this.build();
     this.button.addEventListener("click", () => (this.playing ? this.pause() : this.play()));
     this.place.addEventListener("input", () => {
       this.pause();
       this.seek(Number(this.place.value));
     });
     this.speed.addEventListener("change", () => this.playing && this.play());
-    this.colour.addEventListener("change", () => view.paint(this.colour.value));
-    view.onPick = (point) => this.pick(point);
-    view.onDraw = () => this.drawPicked();
+    this.colour.addEventListener("change", () => this.view.paint(this.colour.value));
+    this.view.onPick = (point) => this.pick(point);
+    this.view.onDraw = () => this.drawn();
     root.addEventListener("keydown", (event) => {
       const act = { " ": () => this.button.click(), ",": () => this.step(-1), ".": () => this.step(1) }[event.key];
-      if (!act || (event.key === " " && event.target !== view.canvas)) return;
+      if (!act || (event.key === " " && event.target !== this.view.canvas)) return;
       event.preventDefault();
       act();
     });
     this.seek(0);
   }
 
-  /** The points of a frame set; null while the page has not got so far. */
+  build() {
+    const make = (tag, attributes = {}, ...children) => {
+      const made = document.createElement(tag);
+      for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+      made.append(...children);
+      return made;
+    };
+    const choice = (of) => make("select", {}, ...of.map(([value, label]) => make("option", { value }, label)));
+    const canvas = make("canvas", { id: "played", tabindex: "0", "aria-label": "point cloud: arrow keys, plus and minus turn and move it; space plays, comma and full stop step; click two points to measure" });
+    this.dots = [0, 1].map(() => make("i", { class: "picked", hidden: "" }));
+    this.button = make("button", { type: "button" }, "Play");
+    this.place = make("input", { type: "range", min: "0", max: String(this.triggers.length - 1), value: "0", "aria-label": "frame set" });
+    this.holes = make("div", { class: "holes" });
+    this.speed = choice([1, 2, 4, 8, 16].map((slow) => [String(1 / slow), `1/${slow}`]));
+    this.speed.value = "0.25";
+    this.colour = choice(["intensity", "normals", "uncertainty"].map((what) => [what, what]));
+    [this.told, this.distance, this.note] = [make("output"), make("output"), make("p", { class: "soft" })];
+    const slider = make("div", { class: "slider" }, this.place, this.holes);
+    this.root.append(
+      make("div", { class: "stage" }, canvas, ...this.dots),
+      make("div", { class: "controls" }, this.button, slider, make("label", {}, "speed ", this.speed), make("label", {}, "colour ", this.colour), this.told),
+      make("p", {}, this.distance),
+      make("p", { class: "soft" }, `At most ${this.source.described.points_each} points of each frame set, in tenths of a millimetre. Click two points for their distance.`),
+      this.note,
+    );
+    this.view = new CloudView(canvas);
+    this.drawHoles();
+  }
+
+  /** Below the slider, red where there is no cloud. */
+  drawHoles() {
+    const places = [...this.why.keys()].sort((a, b) => a - b);
+    this.holes.replaceChildren();
+    for (let i = 0; i < places.length; ) {
+      let end = i + 1;
+      while (places[end] === places[end - 1] + 1) end++;
+      const hole = document.createElement("i");
+      const share = (number) => `${(100 * number) / this.triggers.length}%`;
+      [hole.style.left, hole.style.width] = [share(places[i]), share(end - i)];
+      this.holes.append(hole);
+      i = end;
+    }
+  }
+
+  /** A promise of the points of a frame set, null where it has none; null while the source has not got so far. */
   get(place) {
     const known = this.sets.get(place);
     if (known) {
@@ -70,16 +150,27 @@ class Player {
       this.sets.set(place, known);
       return known;
     }
-    const text = document.getElementById(`set-${place}`)?.textContent;
-    // The element is there before its text is whole: the next one is not.
-    const whole = document.readyState !== "loading" || document.getElementById(`set-${place + 1}`);
-    if (!text || !whole) return null;
-    const found = unpacked(text).then((points) => {
-      this.bytes += points.byteLength;
-      found.points = points;
-      this.forget();
-      return points;
-    });
+    if (this.why.has(place)) return Promise.resolve(null);
+    const packed = this.source.packed(this.triggers[place]);
+    if (!packed) return null;
+    const found = packed.then(unpacked).then(
+      (points) => {
+        this.bytes += points.byteLength;
+        found.points = points;
+        this.forget();
+        return points;
+      },
+      (error) => {
+        this.sets.delete(place);
+        // What was left for something else comes again when it is asked for.
+        if (error.name === "AbortError") throw error;
+        this.why.set(place, error.message);
+        this.drawHoles();
+        return null;
+      },
+    );
+    // Who asked ahead does not wait for it.
+    found.catch(() => {});
     this.sets.set(place, found);
     return found;
   }
@@ -87,7 +178,7 @@ class Player {
   /** What was asked for longest ago goes first. */
   forget() {
     for (const [place, set] of this.sets) {
-      if (this.bytes <= KEPT_BYTES) return;
+      if (this.bytes <= UNPACKED_BYTES) return;
       if (!set.points) continue;
       this.bytes -= set.points.byteLength;
       this.sets.delete(place);
@@ -99,28 +190,44 @@ class Player {
   async seek(place) {
     const asked = performance.now();
     this.wanted = place;
+    this.source.look(this.triggers[place], Boolean(this.playing));
     const set = this.get(place);
     if (!set) {
       setTimeout(() => this.wanted === place && this.shown !== place && this.seek(place), 50);
       return;
     }
-    const points = await set;
+    let points;
+    try {
+      points = await set;
+    } catch {
+      return;
+    }
     const late = this.playing && place > this.shown && place < this.wanted;
     if (this.wanted !== place && !late) return;
     this.show(place, points);
-    this.root.dataset.seekMs = (performance.now() - asked).toFixed(1);
+    this.asked = asked;
   }
 
   show(place, points) {
-    const first = this.shown < 0;
     this.shown = place;
-    this.view.show([points], !first);
+    this.view.show(points ? [points] : [], Boolean(this.centred));
+    this.centred ||= Boolean(points);
     this.place.value = String(place);
     const [trigger, seconds] = [this.triggers[place], this.seconds[place]];
-    this.told.textContent = `trigger ${trigger}, ${seconds.toFixed(3)} s`;
+    const none = points ? "" : `: no cloud (${this.why.get(place)})`;
+    this.told.textContent = `trigger ${trigger}, ${seconds.toFixed(3)} s${none}`;
     this.place.setAttribute("aria-valuetext", this.told.textContent);
     this.view.canvas.dataset.points = String(this.view.points);
+    if (points) this.tellUncertainty(points);
     this.root.dataset.trigger = String(trigger);
+  }
+
+  /** Says whether this frame set has uncertainties: without them all is grey. */
+  tellUncertainty(points) {
+    const known = points.byteLength >= PACKED_POINT && new Uint8Array(points, PACKED_POINT - 1, 1)[0] > 0;
+    const label = known ? "uncertainty" : "uncertainty (not known)";
+    const option = this.colour.options[2];
+    if (option.textContent !== label) option.textContent = label;
   }
 
   step(by) {
@@ -167,8 +274,19 @@ class Player {
     this.view.draw();
   }
 
+  /** What is shown has been drawn: notes how long it took from the begin of the page, and since it was asked for. */
+  drawn() {
+    if (this.asked !== undefined) {
+      this.root.dataset.firstMs ??= performance.now().toFixed(1);
+      this.root.dataset.seekMs = (performance.now() - this.asked).toFixed(1);
+      this.root.dataset.drawn = this.root.dataset.trigger;
+      this.asked = undefined;
+    }
+    this.drawPicked();
+  }
+
   drawPicked() {
-    this.root.querySelectorAll(".picked").forEach((dot, i) => {
+    this.dots.forEach((dot, i) => {
       const at = this.picked[i] && this.view.project(this.picked[i].point);
       dot.hidden = !at;
       if (at) dot.style.translate = `${at[0]}px ${at[1]}px`;

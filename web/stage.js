@@ -42,8 +42,8 @@ function underWay(capture, more) {
   if (at.stage === "preparing") return { kind: "warn", word: "PREPARING", detail: detail("cameras and HSU of all nodes") };
   if (at.stage === "counting_down") return { kind: "warn", word: String(at.left_s), detail: detail("every node is ready") };
   if (at.stage === "unanswered") return { kind: "warn", word: "WAITING", detail: detail(`no status from ${at.place} for ${at.since_s} s; its session goes on`) };
-  if (at.stage === "awaiting_edge") return { kind: "warn", word: "WAITING", detail: detail(`for a ${at.edge.rising ? "rising" : "falling"} edge of the HSU's input ${at.edge.line}`) };
   if (at.stage === "holding") return { kind: "look", word: "HOLDING", clock: clock(at.triggers, at.asked), detail: detail("nothing is recorded yet: Record keeps these seconds"), share: share(at.triggers, at.asked) };
+  if (at.stage === "awaiting_edge") return { kind: "warn", word: "AWAITING EDGE", detail: detail(`for a ${at.edge.rising ? "rising" : "falling"} edge of the HSU's input ${at.edge.line}`) };
   if (at.stage === "stopping") return { kind: "warn", word: "STOPPING", detail: detail("after the current trigger") };
   if (!at.triggers) return { kind: "warn", word: "STARTING", detail: detail("the cameras warm up") };
   const [kind, word] = isPreview(capture) ? ["look", "PREVIEW"] : wish.dry_run ? ["look", "DRY RUN"] : ["live", "RECORDING"];

@@ -3,6 +3,7 @@
 import { lamp, lightOf, refreshLights, showLight } from "/calibration-light.js";
 import { $, count, make, text } from "/elements.js";
 import { Refused, node } from "/node-client.js";
+import { playButton, playableOf, refreshPlayable } from "/playable.js";
 import { openLook } from "/quick-look.js";
 import { nodes, sessionsUnderWay, told } from "/told.js";
 import { causesOf, expectedOf, framesOf, kindOf, worstOf } from "/verdict.js";
@@ -22,6 +23,7 @@ export async function refreshTakes() {
   const [lists] = await Promise.all([
     Promise.all(all.map(({ peer, status }) => (status ? node.sessions(peer, LISTED, search).catch(() => null) : null))),
     refreshLights(),
+    refreshPlayable(),
   ]);
   if (search !== $("search").value.trim()) return;
   if (search !== known.search) Object.assign(known, { search, lists: new Map() });
@@ -66,8 +68,9 @@ function sumUp({ name, created_ns, parts }, silent) {
   if (unknown.length) causes.push(`what node ${unknown.join(", ")} has of it is not known now`);
   const { subject, note } = parts[0].entry;
   const remark = parts.map(({ entry }) => entry.remark).find(Boolean) ?? {};
-  const light = lightOf(name, parts.map(({ entry }) => entry.session_id).find(Boolean));
-  return { name, created_ns, light, word, kind: unknown.length && word === "complete" ? "warn" : kindOf(word), frames, expected, causes, subject, note, remark };
+  const id = parts.map(({ entry }) => entry.session_id).find(Boolean);
+  const [light, playable] = [lightOf(name, id), playableOf(name, id)];
+  return { name, created_ns, light, playable, word, kind: unknown.length && word === "complete" ? "warn" : kindOf(word), frames, expected, causes, subject, note, remark };
 }
 
 function row(take) {
@@ -83,7 +86,7 @@ function row(take) {
   return item;
 }
 
-/** Rating, note and quick look of a take. */
+/** Rating, note, quick look and player of a take. */
 function remarkOf(take) {
   const may = told.role !== "view";
   const remark = { rating: take.remark.rating ?? null, note: take.remark.note ?? null };
@@ -114,7 +117,7 @@ function remarkOf(take) {
     text(problem, wrong.map((error) => `not kept: ${error.message}`).join("; "));
   }
   mark();
-  return make("div", {}, make("div", { className: "remark", role: "group" }, ...buttons, note, look), problem);
+  return make("div", {}, make("div", { className: "remark", role: "group" }, ...buttons, note, look, ...playButton(take)), problem);
 }
 
 let waiting = null;

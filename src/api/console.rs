@@ -21,9 +21,12 @@ macro_rules! served {
 }
 
 /// The files of `web/`, with where they are served and as what.
-const FILES: [(&str, &str, &str); 23] = served![
+const FILES: [(&str, &str, &str); 29] = served![
+    HTML "play.html",
     HTML "subject.html",
     STYLE "console.css",
+    STYLE "play.css",
+    STYLE "player.css",
     STYLE "tiles.css",
     STYLE "subject.css",
     SCRIPT "calibration-light.js",
@@ -35,6 +38,9 @@ const FILES: [(&str, &str, &str); 23] = served![
     SCRIPT "header.js",
     SCRIPT "live-body.js",
     SCRIPT "node-client.js",
+    SCRIPT "play.js",
+    SCRIPT "playable.js",
+    SCRIPT "player.js",
     SCRIPT "quick-look.js",
     SCRIPT "sound.js",
     SCRIPT "stage.js",

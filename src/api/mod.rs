@@ -177,6 +177,7 @@ fn api() -> OpenApiRouter<Shared> {
         .merge(routes::live::routes())
         .merge(routes::previews::routes())
         .merge(routes::sessions::routes())
+        .merge(routes::play::routes())
         .merge(routes::peers::routes())
         .merge(routes::login::routes())
         .merge(routes::description::routes())

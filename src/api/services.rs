@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the API offers beside the node's own session: captures on all nodes, previews, the live body, quick looks, the
-//! other nodes.
+//! What the API offers beside the node's own session: captures on all nodes, previews, the live body, quick looks,
+//! sessions that are played, the other nodes.
 
 use super::listing::Listing;
 use crate::acquire::preview::Taps;
@@ -13,6 +13,7 @@ use crate::config::NodeConfig;
 use crate::control::client::{Credentials, NodeClient};
 use crate::control::command::{Command, SharedStatus};
 use crate::live::LiveBody;
+use crate::play::desk::Desk;
 use crate::preview::Previews;
 use crate::preview::quick_look::{QuickLooks, Settings};
 use crate::worker::watch::WorkerWatch;
@@ -31,6 +32,8 @@ pub struct Services {
     pub listing: Listing,
     /// Clouds of what this node has recorded.
     pub quick_looks: QuickLooks,
+    /// Frame sets of what was reconstructed.
+    pub desk: Desk,
     /// The other nodes.
     pub peers: Arc<Vec<Peer>>,
     /// The worker of this machine.
@@ -91,6 +94,7 @@ impl Services {
             coordinator: Coordinator::new(cast),
             previews: Previews::start(previews).map_err(thread)?,
             listing: Listing::start(config.sessions_dir.clone(), config.node.clone()).map_err(thread)?,
+            desk: Desk::start(Arc::clone(&status), config.rig.trigger_rate_hz).map_err(thread)?,
             quick_looks: QuickLooks::start(quick_look, status).map_err(thread)?,
             peers,
             worker: WorkerWatch::start(config.worker_results.clone()).map_err(thread)?,

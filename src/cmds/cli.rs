@@ -3,8 +3,9 @@
 
 use super::failure::Failure;
 use super::{
-    board, calibrate, calibration, cameras, capture, check_config, cluster, doctor, export, import, info,
-    node, pattern, prune, reconstruct, recover, report, status, token, validate, verify, view, worker,
+    board, calibrate, calibration, cameras, capture, check_config, cluster, doctor, export, frame_sets,
+    import, info, node, pattern, prune, reconstruct, recover, report, status, token, validate, verify, view,
+    worker,
 };
 use crate::base::Exit;
 use clap::{Parser, Subcommand};
@@ -35,6 +36,8 @@ pub enum Command {
     Calibrate(calibrate::Args),
     Calibration(calibration::Args),
     Export(export::Args),
+    #[command(hide = true)]
+    FrameSets(frame_sets::Args),
     Import(import::Args),
     Info(info::Args),
     Verify(verify::Args),
@@ -61,6 +64,7 @@ impl Cli {
             Command::Status(args) => status::run(args),
             Command::Doctor(args) => doctor::run(args),
             Command::Export(args) => export::run(args),
+            Command::FrameSets(args) => frame_sets::run(args),
             Command::Board(args) => board::run(args),
             Command::Calibrate(args) => calibrate::run(args),
             Command::Calibration(args) => calibration::run(args),

@@ -19,6 +19,7 @@ pub mod connect;
 pub mod doctor;
 pub mod export;
 mod failure;
+pub mod frame_sets;
 pub mod import;
 pub mod info;
 pub mod node;

@@ -112,6 +112,28 @@ pub struct CalibrationLights {
     pub otherwise: String,
 }
 
+/// Whether a session can be played.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct PlayableTake {
+    /// The session's name.
+    pub session: String,
+    /// The id that its recordings share; `None`: whatever has this name.
+    pub session_id: Option<String>,
+    /// Why it cannot be played; `None`: it can.
+    pub why_not: Option<String>,
+}
+
+/// What the worker of a node's machine has reconstructed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct PlayableTakes {
+    /// Whether the node file names a worker.
+    pub worker: bool,
+    /// The sessions that can be played, the last 1000; then those that the worker could not reconstruct.
+    pub sessions: Vec<PlayableTake>,
+    /// Why no other session can.
+    pub otherwise: String,
+}
+
 impl NodeStatus {
     /// What keeps the node from capturing, each with the device's name.
     pub fn problems(&self) -> Vec<String> {
@@ -467,6 +489,18 @@ pub mod path {
     pub const QUICK_LOOK: &str = "/api/v1/sessions/{name}/quick-look";
     /// GET: points.
     pub const QUICK_LOOK_CLOUD: &str = "/api/v1/sessions/{name}/quick-look/{trigger}";
+    /// GET [`super::PlayableTakes`]: what the worker has reconstructed.
+    pub const PLAYABLE: &str = "/api/v1/playable";
+    /// GET: the same of another node's worker.
+    pub const PEER_PLAYABLE: &str = "/api/v1/peers/{peer}/playable";
+    /// GET [`crate::play::Described`]: what a player must know.
+    pub const FRAME_SETS: &str = "/api/v1/sessions/{name}/frame-sets";
+    /// GET: the same from another node.
+    pub const PEER_FRAME_SETS: &str = "/api/v1/peers/{peer}/sessions/{name}/frame-sets";
+    /// GET: packed points.
+    pub const FRAME_SET: &str = "/api/v1/sessions/{name}/frame-sets/{trigger}";
+    /// GET: the same from another node.
+    pub const PEER_FRAME_SET: &str = "/api/v1/peers/{peer}/sessions/{name}/frame-sets/{trigger}";
     /// GET: what the worker found of the calibration.
     pub const CALIBRATION_LIGHTS: &str = "/api/v1/calibration-lights";
     /// GET: the same of another node's worker.

@@ -4,10 +4,8 @@
 //! The page is one HTML file that needs nothing else: pictures, points and the script that turns them are inside.
 
 mod page;
-mod play;
 
-pub use page::{END, render};
-pub use play::Playing;
+pub use page::{END, Playing, render};
 
 use crate::acquire::preview::Sample;
 use crate::base::ids::TriggerIndex;

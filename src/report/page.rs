@@ -1,21 +1,66 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report's HTML: one file, nothing from anywhere else.
 
-use super::{CameraReport, NodeReport, Playing, Report};
+use super::{CameraReport, NodeReport, Report};
+use crate::play::Sequence;
 use crate::record::Status;
 use crate::telemetry::Grade;
 use crate::telemetry::thresholds::{DURABLE_P99, WRITE_P99};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use rayon::prelude::*;
 use std::fmt::Write;
+use std::path::Path;
 
 /// The script that turns clouds, as the console has it.
 const CLOUD_VIEW: &str = include_str!("../../web/cloud-view.js");
 const PLAYER: &str = include_str!("../../web/player.js");
-const STYLE: &str = include_str!("../../web/report.css");
+const STYLE: &str = concat!(include_str!("../../web/report.css"), include_str!("../../web/player.css"));
+
+/// Frame sets that are packed at a time, which bounds the memory.
+const AT_ONCE: usize = 8;
 
 /// What stands behind the page, and behind the frame sets where it plays them.
 pub const END: &str = "</body></html>\n";
+
+/// The frame sets that a page has, and how many points of each.
+pub struct Playing {
+    sequence: Sequence,
+    points_each: usize,
+}
+
+impl Playing {
+    /// Those of `result`, the directory of `fourdbody reconstruct`. Together they have at most `most_bytes` bytes of points
+    /// before they are packed.
+    pub fn open(result: &Path, most_bytes: u64) -> Result<Self, String> {
+        let sequence = Sequence::open(result)?;
+        let points_each = sequence.points_each(most_bytes);
+        Ok(Self { sequence, points_each })
+    }
+
+    /// Writes a script element for each, `set-TRIGGER`, in the order of triggers: the first one can be shown while the page is
+    /// still read. Its text is base64 of the packed points. `progress` hears of the frame sets that are done, and of how many.
+    pub fn write(&self, out: &mut impl std::io::Write, progress: impl Fn(u64, u64)) -> Result<(), String> {
+        let triggers: Vec<u64> = self.sequence.triggers().collect();
+        for (chunk, at_once) in triggers.chunks(AT_ONCE).enumerate() {
+            let pack = |trigger: &u64| {
+                let packed = self.sequence.packed(*trigger, self.points_each);
+                packed.unwrap_or_else(|| Err(format!("trigger {trigger} has no cloud")))
+            };
+            let packed: Vec<Vec<u8>> = at_once.par_iter().map(pack).collect::<Result<_, _>>()?;
+            for (i, (trigger, packed)) in at_once.iter().zip(&packed).enumerate() {
+                let text = STANDARD.encode(packed);
+                writeln!(
+                    out,
+                    "<script type=\"application/octet-stream\" id=\"set-{trigger}\">{text}</script>"
+                )
+                .map_err(|e| format!("the page cannot be written: {e}"))?;
+                progress((chunk * AT_ONCE + i) as u64 + 1, triggers.len() as u64);
+            }
+        }
+        Ok(())
+    }
+}
 
 /// The page, up to [`END`]. With `playing` a player stands in it, whose frame sets are to follow.
 pub fn render(report: &Report, playing: Option<&Playing>) -> String {
@@ -68,42 +113,28 @@ pub fn render(report: &Report, playing: Option<&Playing>) -> String {
     }
     let _ = writeln!(page, "<script>\n{DATES}</script>");
     if playing.is_none() && report.cloud.is_some() {
-        let _ = writeln!(page, "<script>{}\n{SHOW}</script>", cloud_view());
+        let _ = writeln!(page, "<script>{}\n{SHOW}</script>", plain(CLOUD_VIEW));
     }
     page
 }
 
-/// The class that draws clouds, for a script that is no module.
-fn cloud_view() -> String {
-    CLOUD_VIEW.replace("export class", "class")
+/// A script of the console's for a script that is no module.
+fn plain(module: &str) -> String {
+    let lines = module.lines().filter(|line| !line.starts_with("import "));
+    lines.collect::<Vec<_>>().join("\n").replace("export class", "class")
 }
 
 /// What plays the frame sets. Its script runs as soon as it is read, before the frame sets are.
 fn player(page: &mut String, trigger_rate_hz: f64, playing: &Playing) {
-    let triggers: Vec<String> = playing.triggers().map(|trigger| trigger.to_string()).collect();
-    let speeds = [1, 2, 4, 8, 16].map(|slow| {
-        let chosen = if slow == 4 { " selected" } else { "" };
-        format!("<option value=\"{}\"{chosen}>1/{slow}</option>", 1.0 / f64::from(slow))
-    });
-    let colours = ["intensity", "normals", "uncertainty"].map(|what| format!("<option>{what}</option>"));
+    let described = playing.sequence.described(trigger_rate_hz, playing.points_each);
+    // Numbers and plain texts: this cannot fail.
+    let described = serde_json::to_string(&described).unwrap_or_default();
     let _ = write!(
         page,
-        "<section id=\"player\" data-rate=\"{trigger_rate_hz}\" data-triggers=\"{}\"><h2>The body</h2>\
-         <div class=\"stage\"><canvas id=\"cloud\" tabindex=\"0\" aria-label=\"point cloud: arrow keys, plus and minus turn and \
-         move it; space plays, comma and full stop step; click two points to measure\"></canvas>\
-         <i class=\"picked\" hidden></i><i class=\"picked\" hidden></i></div>\
-         <div class=\"controls\"><button name=\"play\">Play</button>\
-         <input name=\"place\" type=\"range\" min=\"0\" max=\"{}\" value=\"0\" aria-label=\"frame set\">\
-         <label>speed <select name=\"speed\">{}</select></label>\
-         <label>colour <select name=\"colour\">{}</select></label><output></output></div>\
-         <p><output></output></p><p class=\"soft\">At most {} points of each frame set, in tenths of a millimetre. Click \
-         two points for their distance.</p></section>\n<script>{}\n{PLAYER}\n{PLAY}</script>\n",
-        triggers.join(","),
-        triggers.len().saturating_sub(1),
-        speeds.concat(),
-        colours.concat(),
-        playing.points_each(),
-        cloud_view()
+        "<section id=\"player\" data-described=\"{}\"><h2>The body</h2></section>\n<script>{}\n{}\n{PLAY}</script>\n",
+        escape(&described),
+        plain(CLOUD_VIEW),
+        plain(PLAYER)
     );
 }
 
@@ -120,7 +151,8 @@ canvas.dataset.points = String(new CloudView(canvas).show([bytes.buffer]));
 "#;
 
 const PLAY: &str = r#"
-const player = new Player(document.getElementById("player"), new CloudView(document.getElementById("cloud")));
+const root = document.getElementById("player");
+const player = new Player(root, new PageSource(JSON.parse(root.dataset.described)));
 "#;
 
 /// The session in a word, and how good that is.

@@ -4,6 +4,7 @@
 //! `docs/design/worker.md` states what it must keep true. [`run::Worker`] does the work; what it finds is in [`queue`], what has
 //! become of it in [`state`]; [`retention`] is for `fourdbody prune`.
 
+pub mod done;
 pub mod give_way;
 pub mod queue;
 pub mod retention;

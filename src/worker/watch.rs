@@ -1,15 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the worker of a node's machine does, for the node's status.
 
+use super::done::{Done, DoneSessions};
 use super::state::{Activity, OWN_DIR, WorkerState};
 use crate::calibrate::drift::history::{self, Checked, LINES, PLOT, Verdict};
-use crate::control::status::{CalibrationLight, CalibrationLights, SessionLight};
+use crate::control::status::{
+    CalibrationLight, CalibrationLights, PlayableTake, PlayableTakes, SessionLight,
+};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, Weak};
 use std::time::{Duration, SystemTime};
 
 /// How often the worker's files are looked at.
 const POLL: Duration = Duration::from_secs(1);
+/// Between two looks at all results, in those.
+const LOOKS_APART: u32 = 3;
 
 /// A thread that reads the worker's files: the disk or share where they are may take its time, and nothing must wait for it. It
 /// ends when this is dropped.
@@ -23,6 +28,7 @@ pub struct WorkerWatch {
 struct Seen {
     state: Option<WorkerState>,
     history: Vec<Checked>,
+    done: Arc<DoneSessions>,
     /// Of the history's lines: read again when they are others.
     written: Option<(SystemTime, u64)>,
 }
@@ -34,8 +40,12 @@ impl WorkerWatch {
         let Some(results) = watch.results.clone() else { return Ok(watch) };
         let seen: Weak<RwLock<Seen>> = Arc::downgrade(&watch.seen);
         let run = move || {
-            while let Some(seen) = seen.upgrade() {
+            for look in (0..LOOKS_APART).cycle() {
+                let Some(seen) = seen.upgrade() else { return };
                 read(&results.join(OWN_DIR), WorkerState::load(&results), &seen);
+                if look == 0 {
+                    look_for_done(&results, &seen);
+                }
                 drop(seen);
                 std::thread::sleep(POLL);
             }
@@ -57,6 +67,39 @@ impl WorkerWatch {
     pub fn plot(&self) -> Option<PathBuf> {
         self.seen().written?;
         self.results.as_ref().map(|results| results.join(OWN_DIR).join(PLOT))
+    }
+
+    /// The session of this name, if it has done it.
+    pub fn done(&self, session: &str) -> Option<Done> {
+        self.seen().done.of(session).cloned()
+    }
+
+    /// The sessions that can be played, and why others cannot.
+    pub fn playable(&self) -> PlayableTakes {
+        let seen = self.seen();
+        let done = seen.done.all().map(|done| PlayableTake {
+            session: done.session.clone(),
+            session_id: Some(done.session_id.clone()),
+            why_not: None,
+        });
+        let state = seen.state.as_ref();
+        let waiting = state.into_iter().flat_map(|state| state.set_aside.iter().chain(&state.not_yet));
+        let not = waiting.map(|(session, reason)| PlayableTake {
+            session: session.clone(),
+            session_id: None,
+            why_not: Some(format!("not reconstructed: {reason}")),
+        });
+        let otherwise = match state {
+            Some(state) if !state.is_stale() && state.activity != Activity::Ended => {
+                "not reconstructed yet: the worker comes to it when no node is in a session"
+            }
+            _ => "not reconstructed: the worker is not running",
+        };
+        PlayableTakes {
+            worker: self.results.is_some(),
+            sessions: done.chain(not).collect(),
+            otherwise: otherwise.to_owned(),
+        }
     }
 
     /// What it has found of the calibration, session by session, the last so many; and why nothing is known of the others.
@@ -100,6 +143,12 @@ fn light(verdict: Verdict) -> CalibrationLight {
         Verdict::CalibrateAgain => CalibrationLight::Red,
         Verdict::NotKnown => CalibrationLight::Grey,
     }
+}
+
+fn look_for_done(results: &Path, seen: &RwLock<Seen>) {
+    let before = Arc::clone(&seen.read().unwrap_or_else(PoisonError::into_inner).done);
+    let found = Arc::new(DoneSessions::look(results, &before));
+    seen.write().unwrap_or_else(PoisonError::into_inner).done = found;
 }
 
 fn read(own: &Path, state: Option<WorkerState>, seen: &RwLock<Seen>) {

@@ -193,7 +193,7 @@ fn spawn(config: &Path) -> Child {
         .expect("the binary starts")
 }
 
-/// The shipped node file with this `[api]` section and no devices at the other end.
+/// The shipped node file with this `[api]` section and no devices at the other end. Where `dir` has results, its worker's.
 pub fn write_config(dir: &Path, api: &str) -> PathBuf {
     std::fs::write(dir.join("rig.toml"), small_rig(20.0)).expect("writable");
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/node-a.toml");
@@ -203,6 +203,10 @@ pub fn write_config(dir: &Path, api: &str) -> PathBuf {
     table["storage"]["sessions_dir"] = "sessions".into();
     table["storage"]["reserve_mib"] = 1.into();
     table["hsu"]["device"] = "no-hsu".into();
+    if dir.join("results").is_dir() {
+        let worker = toml::Table::from_iter([("results".to_owned(), "results".into())]);
+        table.insert("worker".to_owned(), worker.into());
+    }
     for (i, camera) in table["camera"].as_array_mut().expect("cameras").iter_mut().enumerate() {
         camera["address"] = format!("127.0.99.{}", i + 1).into();
     }

@@ -108,14 +108,23 @@ impl Browser {
         self.run("document.activeElement.blur()");
     }
 
+    /// Clicks so far from the middle of an element.
+    pub fn click(&self, id: &str, (x, y): (i32, i32)) {
+        self.mouse(id, (x, y), (0, 0));
+    }
+
     /// Drags the mouse over an element, from its middle.
-    pub fn drag(&self, id: &str, (x, y): (i32, i32)) {
+    pub fn drag(&self, id: &str, by: (i32, i32)) {
+        self.mouse(id, (0, 0), by);
+    }
+
+    fn mouse(&self, id: &str, from: (i32, i32), by: (i32, i32)) {
         let find = json!({ "using": "css selector", "value": format!("#{id}") });
         let element = self.ask(Method::POST, "/element", Some(find));
         let actions = json!([
-            { "type": "pointerMove", "origin": element, "x": 0, "y": 0, "duration": 0 },
+            { "type": "pointerMove", "origin": element, "x": from.0, "y": from.1, "duration": 0 },
             { "type": "pointerDown", "button": 0 },
-            { "type": "pointerMove", "origin": "pointer", "x": x, "y": y, "duration": 100 },
+            { "type": "pointerMove", "origin": "pointer", "x": by.0, "y": by.1, "duration": 100 },
             { "type": "pointerUp", "button": 0 },
         ]);
         let mouse = json!([{ "type": "pointer", "id": "mouse", "actions": actions }]);

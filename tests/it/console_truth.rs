@@ -69,6 +69,30 @@ impl Scene {
 }
 
 #[test]
+fn an_edge_of_an_input_begins_a_session_and_stop_ends_the_waiting() {
+    let Some(mut scene) = Scene::open(238) else { return };
+    let begin = |scene: &Scene, name: &str| {
+        scene.fill(name, "0.5", "1", "0");
+        scene.browser.run("document.getElementById('start-on').value = '2:rising'");
+        scene.browser.press("r");
+        scene.browser.wait_word("AWAITING EDGE");
+        scene.browser.wait_text("detail", "rising edge of the HSU's input 2");
+    };
+    begin(&scene, "never");
+    scene.browser.keep("awaiting-edge");
+    scene.browser.press("s");
+    scene.browser.wait_verdict("STOPPED");
+    scene.browser.wait_text("verdict-detail", "before the edge came");
+    scene.nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    scene.browser.wait_word("READY");
+    assert!(!scene.dir.path().join("sessions/never").exists());
+    begin(&scene, "begun");
+    scene.laboratory.hsu.input(2, true);
+    scene.browser.wait_verdict("COMPLETE");
+    assert!(scene.dir.path().join("sessions/begun").exists());
+}
+
+#[test]
 fn a_series_is_told_with_all_its_takes() {
     let Some(mut scene) = Scene::open(178) else { return };
     two_takes_are_two_takes(&scene);

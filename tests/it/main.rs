@@ -84,6 +84,8 @@ mod object_store;
 mod plan_faults;
 #[cfg(feature = "aravis")]
 mod player;
+#[cfg(feature = "aravis")]
+mod playing;
 mod profiles;
 #[cfg(feature = "aravis")]
 mod ptp_time;

@@ -10,6 +10,7 @@ pub(super) mod live;
 pub(super) mod login;
 pub(super) mod metrics;
 pub(super) mod peers;
+pub(super) mod play;
 pub(super) mod previews;
 pub(super) mod session;
 pub(super) mod sessions;

@@ -29,6 +29,9 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(get_cloud))
         .routes(routes!(get_calibration_lights))
         .routes(routes!(get_calibration_plot))
+        .routes(routes!(get_playable))
+        .routes(routes!(get_frame_sets))
+        .routes(routes!(get_frame_set))
         .routes(routes!(expose))
 }
 
@@ -36,6 +39,8 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
 const PATIENCE: Duration = Duration::from_secs(3);
 /// Some cameras take seconds to be set up.
 const CAMERAS_PATIENCE: Duration = Duration::from_secs(30);
+/// Frame sets are made when nobody else wants the processor.
+const PLAY_PATIENCE: Duration = Duration::from_secs(65);
 
 /// The other nodes, and whether they answer.
 #[utoipa::path(get, path = path::PEERS, tag = "peers",
@@ -169,6 +174,33 @@ async fn get_calibration_plot(
     Path(peer): Path<String>,
 ) -> Result<Response, Refusal> {
     ask(&shared, &peer, Method::GET, path::CALIBRATION_PLOT).await
+}
+
+/// What another node's worker has reconstructed.
+#[utoipa::path(get, path = path::PEER_PLAYABLE, tag = "peers", params(PeerName), responses(PassedOn))]
+async fn get_playable(State(shared): State<Shared>, Path(peer): Path<String>) -> Result<Response, Refusal> {
+    ask(&shared, &peer, Method::GET, path::PLAYABLE).await
+}
+
+/// What a player must know of a session that another node's worker has reconstructed.
+#[utoipa::path(get, path = path::PEER_FRAME_SETS, tag = "peers", params(PeerName, SessionName), responses(PassedOn))]
+async fn get_frame_sets(
+    State(shared): State<Shared>,
+    Path((peer, name)): Path<(String, String)>,
+) -> Result<Response, Refusal> {
+    let wanted = path::FRAME_SETS.replace("{name}", plain(&name)?);
+    pass_on(&shared, &peer, (Method::GET, &wanted, None), PLAY_PATIENCE).await
+}
+
+/// A frame set of a session that another node's worker has reconstructed.
+#[utoipa::path(get, path = path::PEER_FRAME_SET, tag = "peers",
+    params(PeerName, SessionName, ("trigger" = u64, Path, description = "The frame set.")), responses(PassedOn))]
+async fn get_frame_set(
+    State(shared): State<Shared>,
+    Path((peer, name, trigger)): Path<(String, String, u64)>,
+) -> Result<Response, Refusal> {
+    let wanted = path::FRAME_SET.replace("{name}", plain(&name)?).replace("{trigger}", &trigger.to_string());
+    pass_on(&shared, &peer, (Method::GET, &wanted, None), PLAY_PATIENCE).await
 }
 
 /// Parts of these paths.

@@ -1,81 +1,24 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! All reconstructed frame sets of a session inside the report's page, for its player (`web/player.js`).
+//! A frame set as few bytes for a browser, which `web/player.js` unpacks.
 //!
-//! Each frame set is a script element of its own, `set-0`, `set-1`..., in the order of triggers: the first one can be shown
-//! while the page is still read. Its text is base64 of a zlib stream of twelve planes of bytes: low and high bytes of x, y and
-//! z in tenths of a millimetre, each told as the difference from the point before; the normal in three planes, intensity,
-//! camera, uncertainty, as [`encode`] has them. Points lie along a space-filling curve, so that differences are small.
+//! A zlib stream of twelve planes of bytes: low and high bytes of x, y and z in tenths of a millimetre, each told as the
+//! difference from the point before; the normal in three planes, intensity, camera, uncertainty, as [`encode`] has them. Points
+//! lie along a space-filling curve, so that differences are small.
 
-use crate::batch::result::{Clouds, Place};
 use crate::data::Cloud;
-use crate::preview::quick_look::{POINT_BYTES, POINTS_MAX, encode};
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
+use crate::preview::quick_look::{POINT_BYTES, encode};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
-use rayon::prelude::*;
 use std::io::Write;
-use std::path::Path;
 
-/// Frame sets that are packed at a time, which bounds the memory.
-const AT_ONCE: usize = 8;
-
-/// The frame sets of a reconstruction, and how many points of each the page gets.
-pub struct Playing {
-    clouds: Clouds,
-    sets: Vec<(u64, Place)>,
-    points_each: usize,
-}
-
-impl Playing {
-    /// The merged clouds of `result`, the directory of `fourdbody reconstruct`. Together they have at most `most_bytes`
-    /// bytes of points before they are packed, and each at most [`POINTS_MAX`] points.
-    pub fn open(result: &Path, most_bytes: u64) -> Result<Self, String> {
-        let clouds = Clouds::open(result)?;
-        let sets: Vec<_> = clouds.merged.iter().map(|(trigger, place)| (*trigger, place.clone())).collect();
-        if sets.is_empty() {
-            return Err(format!(
-                "{}: expected merged clouds or phase maps, found none: reconstruct the session first",
-                result.display()
-            ));
-        }
-        let share = most_bytes / sets.len() as u64 / POINT_BYTES as u64;
-        let points_each = usize::try_from(share).unwrap_or(usize::MAX).clamp(1, POINTS_MAX);
-        Ok(Self { clouds, sets, points_each })
-    }
-
-    /// The triggers that have a cloud, ascending.
-    pub fn triggers(&self) -> impl Iterator<Item = u64> + '_ {
-        self.sets.iter().map(|(trigger, _)| *trigger)
-    }
-
-    /// Points that a frame set has at most.
-    pub fn points_each(&self) -> usize {
-        self.points_each
-    }
-
-    /// Writes the elements. `progress` hears of the frame sets that are done, and of how many.
-    pub fn write(&self, out: &mut impl Write, progress: impl Fn(u64, u64)) -> Result<(), String> {
-        for (chunk, sets) in self.sets.chunks(AT_ONCE).enumerate() {
-            let packed: Vec<Vec<u8>> =
-                sets.par_iter().map(|(_, place)| self.packed(place)).collect::<Result<_, _>>()?;
-            for (i, packed) in packed.iter().enumerate() {
-                let place = chunk * AT_ONCE + i;
-                let text = STANDARD.encode(packed);
-                writeln!(out, "<script type=\"application/octet-stream\" id=\"set-{place}\">{text}</script>")
-                    .map_err(|e| format!("the page cannot be written: {e}"))?;
-                progress(place as u64 + 1, self.sets.len() as u64);
-            }
-        }
-        Ok(())
-    }
-
-    fn packed(&self, place: &Place) -> Result<Vec<u8>, String> {
-        let (_, cloud) = self.clouds.load(place)?;
-        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
-        let written = encoder.write_all(&planes(&along_a_curve(&cloud, self.points_each)));
-        written.and_then(|()| encoder.finish()).map_err(|e| format!("points cannot be packed: {e}"))
-    }
+/// At most `most` points of a merged cloud.
+///
+/// # Errors
+/// The points cannot be packed.
+pub fn packed(cloud: &Cloud, most: usize) -> Result<Vec<u8>, String> {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+    let written = encoder.write_all(&planes(&along_a_curve(cloud, most)));
+    written.and_then(|()| encoder.finish()).map_err(|e| format!("points cannot be packed: {e}"))
 }
 
 /// At most `most` points, evenly left out, in the order of a space-filling curve (Morton's): 12 bytes each.

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `fourdbody frame-sets`: what a node starts to have frame sets made for its console's player.
+
+use super::failure::Failure;
+use crate::base::Exit;
+use crate::play::process;
+use std::path::PathBuf;
+
+/// Make frame sets of a result as they are asked for: a trigger a line comes in, packed points go out.
+///
+/// A node starts it for its console; `src/play/process.rs` has the bytes.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  echo 0 | fourdbody frame-sets --rate-hz 120 --points 40000 results/walk-01 | wc --bytes"
+)]
+pub struct Args {
+    /// The directory that `fourdbody reconstruct` wrote.
+    result: PathBuf,
+    /// Triggers per second.
+    #[arg(long)]
+    rate_hz: f64,
+    /// Points of a frame set at most.
+    #[arg(long)]
+    points: usize,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<Exit, Failure> {
+    let (asked, told) = (std::io::stdin().lock(), std::io::stdout().lock());
+    process::serve(&args.result, args.rate_hz, args.points, asked, told)
+        .map_err(|e| Failure::new(Exit::Failure, format!("frame sets cannot be told: {e}")))?;
+    Ok(Exit::Done)
+}
