@@ -360,6 +360,12 @@ fn many_sessions(dir: &Path) {
 
 /// All tiles, the buttons, the time line and the quick look (or its tab) are on the screen without scrolling.
 fn seen_whole(browser: &Browser, (width, height): (u32, u32), figure: f64) {
+    // Whatever the form asks for, the newest takes are seen.
+    let takes = browser.run("return document.getElementById('session-rows').clientHeight");
+    assert!(
+        takes.as_f64().is_some_and(|px| px >= 60.0),
+        "{takes} px of the list of takes at {width} x {height}"
+    );
     let script = "
         const inside = (element) => { const r = element.getBoundingClientRect();
             return r.width > 0 && r.height > 0 && r.left >= 0 && r.top >= 0 && r.right <= innerWidth && r.bottom <= innerHeight; };
