@@ -70,9 +70,12 @@ fn node(api: &str) -> ApiNode {
     ApiNode::start_in(dir, api)
 }
 
+/// Frame sets are made when nobody else wants a processor, which beside other tests may take long.
+const PATIENCE: Duration = Duration::from_secs(240);
+
 /// Repeats until it holds: a node looks at results every few seconds.
 fn soon(what: &str, holds: impl Fn() -> bool) {
-    let deadline = Instant::now() + Duration::from_secs(60);
+    let deadline = Instant::now() + PATIENCE;
     while !holds() {
         assert!(Instant::now() < deadline, "never {what}");
         std::thread::sleep(Duration::from_millis(100));
@@ -172,7 +175,15 @@ fn a_take_is_played_in_the_console() {
 #[test]
 fn clients_of_ill_will_and_results_that_are_damaged_are_refused() {
     let node = node("listen = \"127.0.0.1:PORT\"\ntokens = \"tokens\"\n");
-    let ask = |line: &str| node.send(Some("vera"), line, &[], "");
+    let ask = |line: &str| {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let reply = node.send(Some("vera"), line, &[], "");
+            if reply.status != 503 || Instant::now() > deadline {
+                return reply;
+            }
+        }
+    };
     soon("played", || ask(INDEX).status == 200);
     let described: Value = serde_json::from_str(&ask(INDEX).body).expect("JSON");
     assert_eq!(described["runs"], json!([[0, 3], [7, 10]]));
@@ -207,7 +218,7 @@ fn clients_of_ill_will_and_results_that_are_damaged_are_refused() {
     // Many at once: made one after the other, and who is too much is told so.
     let node = &node;
     let statuses: Vec<u16> = std::thread::scope(|scope| {
-        let asked: Vec<_> = (0..40)
+        let asked: Vec<_> = (0..28)
             .map(|i| {
                 scope.spawn(move || {
                     node.send(Some("otto"), &format!("{INDEX}/{}", TRIGGERS[i % 8]), &[], "").status
