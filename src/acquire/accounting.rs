@@ -385,7 +385,7 @@ impl Accounting {
         self.missing(camera, start..ignored_from, cause);
         self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
         if let Transfer::Breach(breach) = arrival.transfer {
-            self.breach(camera, trigger, arrival.block_id, breach);
+            self.breach(camera, arrival.block_id, breach);
         }
         match gap_cause(arrival.transfer) {
             Some(cause) => self.gaps(camera, trigger..trigger + 1, cause),
@@ -477,10 +477,10 @@ impl Accounting {
     }
 
     /// A frame is not what was agreed: the first of each kind is an event.
-    fn breach(&mut self, camera: usize, trigger: u64, block: BlockId, breach: Breach) {
+    fn breach(&mut self, camera: usize, block: BlockId, breach: Breach) {
         if self.lanes[camera].breaches.count(breach) {
             let text = format!("block {block} is not recorded: {breach} (later ones are counted)");
-            self.note(camera, "frame_refused", Some(trigger), text);
+            self.note(camera, "frame_refused", None, text);
         }
     }
 
