@@ -9,6 +9,7 @@
 #   make bench-ingest LONG=1   five minutes of it, finished segments dropped as it goes
 #   make bench-reconstruct     milliseconds a frame, stage by stage, beside other programs (PEERS=0 leaves these out)
 #   make bench-live            the live body beside a recording: frame sets a second, light to screen, frames lost
+#   make bench-before-record   frames of five seconds held until Record, at full rate: memory, losses
 #   make bench-play            what it costs a browser to play 1200 frame sets: memory, first picture, seeks
 #   make bench-worker          frame sets an hour with reading, verifying and writing, beside the reconstruction itself
 #   make poses     fringe orders on 224 camera frames of moving mannequins; BATTERY=held_out_again or bodies: of others
@@ -24,7 +25,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-worker matrix poses noise light real validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses noise light real validate packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -82,6 +83,11 @@ bench-reconstruct: packages
 bench-live: demo
 	@scripts/install-packages.sh chromium chromium-driver python3
 	scripts/bench-live.sh
+
+bench-before-record: packages
+	@scripts/install-packages.sh curl python3
+	$(CARGO) build --release --workspace
+	scripts/bench-before-record.sh
 
 bench-play: demo
 	@scripts/install-packages.sh chromium chromium-driver curl python3

@@ -230,6 +230,14 @@ def bench_live(s):
     return table(["", "frame sets a second", "light to screen ms", "P99 ms", "frames recorded", "lost", "nodes' cores"], rows)
 
 
+def bench_before_record(s):
+    row = [
+        f"{s['before_s']} s at {s['trigger_rate_hz']} Hz", s["held_frame_sets"], s["held_mib"], s["after_mib"], s["triggers"],
+        ", ".join(str(lost) for lost in s["frames_lost_of_each"]),
+    ]
+    return table(["", "frame sets held", "node's memory MiB", "after the session MiB", "triggers recorded", "frames lost, run by run"], [row])
+
+
 def bench_play(s):
     rows = []
     for kind, name in (("page", "`report --play`, a file"), ("console", "the console's player")):
@@ -316,6 +324,7 @@ WRITERS = {
     "bench-reconstruct": (bench_reconstruct, same_algorithm),
     "bench-worker": (bench_worker, same_algorithm),
     "bench-live": (bench_live, same_algorithm),
+    "bench-before-record": (bench_before_record, same_algorithm),
     "bench-play": (bench_play, same_algorithm),
 }
 

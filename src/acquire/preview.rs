@@ -65,6 +65,12 @@ impl Taps {
         Self { taps: cameras.into_iter().map(tap).collect() }
     }
 
+    /// Where nobody looks.
+    #[cfg(test)]
+    pub(super) fn of_nobody() -> [std::sync::Arc<Self>; 2] {
+        [(); 2].map(|()| std::sync::Arc::new(Self::new([])))
+    }
+
     /// The cameras, in the recorder's order.
     pub fn cameras(&self) -> impl Iterator<Item = &CameraId> {
         self.taps.iter().map(|tap| &tap.camera)

@@ -94,7 +94,7 @@ pub(super) struct Ring {
 }
 
 impl Ring {
-    /// Starts the writer's thread behind room for `capacity` frames, and for `hold` more of the triggers before Record.
+    /// Starts the writer's thread behind room for `capacity` frames, and for `held` more of the triggers before Record.
     pub(super) fn start(
         sink: Box<dyn Sink>,
         (capacity, held): (usize, usize),
@@ -190,10 +190,15 @@ impl Ring {
         }
     }
 
-    fn send(&mut self, item: ToWriter) {
-        if let ToWriter::Gap(camera, _, cause) = &item {
+    /// Gaps count where they are the recording's.
+    fn count(&self, item: &ToWriter) {
+        if let ToWriter::Gap(camera, _, cause) = item {
             self.progress.gap(*camera, *cause);
         }
+    }
+
+    fn send(&mut self, item: ToWriter) {
+        self.count(&item);
         if let Some(items) = &self.items
             && let Err(error) = items.try_send(item)
         {
@@ -208,9 +213,7 @@ impl Ring {
     pub(super) fn close(mut self, end: Option<SessionEnd>) {
         if let Some((items, mut end)) = self.items.take().zip(end) {
             while let Some(item) = self.hold.as_mut().and_then(Hold::next) {
-                if let ToWriter::Gap(camera, _, cause) = &item {
-                    self.progress.gap(*camera, *cause);
-                }
+                self.count(&item);
                 // A writer that is gone has said so.
                 drop(items.send(item));
             }

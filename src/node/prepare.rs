@@ -287,16 +287,14 @@ impl Node {
         let Some(session) = &mut self.session else { return Ok(()) };
         session.end_recorder();
         session.destination = None;
+        let (dir, is_written) = (session.dir.clone(), !session.request.dry_run);
         self.release_held_memory();
-        let Some(session) = &mut self.session else { return Ok(()) };
-        if session.request.dry_run {
+        if !is_written {
             return Ok(());
         }
-        let removed = std::fs::remove_dir_all(&session.dir);
-        remove_if_empty(&session.dir);
-        removed.map_err(|e| {
-            Fault::new(Exit::Failure, format!("{}: cannot be removed: {e}", session.dir.display()))
-        })
+        let removed = std::fs::remove_dir_all(&dir);
+        remove_if_empty(&dir);
+        removed.map_err(|e| Fault::new(Exit::Failure, format!("{}: cannot be removed: {e}", dir.display())))
     }
 }
 

@@ -3,12 +3,13 @@
 //!
 //! ```text
 //!  Idle --Prepare--> Preparing --all steps done--> Ready --first trigger--> Running --train ends--> Draining
-//!                                                    |                         ^
-//!                             first trigger, seconds before Record wanted -> Holding --Record--> Running
 //!   ^                    |  failure: undo           |  abort, timeout: undo    |  fault: stop train     |
 //!   +--------------------+--------------------------+                          v                        v
 //!   +<--------------------------------- recording closed -------------------- Draining --all in--> Closing
 //! ```
+//!
+//! Where seconds before Record are wanted it is Ready --first trigger--> Holding --Record--> Running; whatever else ends
+//! Holding is undone, as in Ready.
 //!
 //! Invariants: an action that acquires something is undone by exactly one later action, whatever happens in
 //! between; a recording that saw a trigger is closed with a verdict, one that saw none is discarded; the

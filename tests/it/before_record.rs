@@ -4,7 +4,7 @@
 use crate::lab::{self, NodeProcess, fourdbody, text_of};
 use fourdbody::base::ids::TriggerIndex;
 use fourdbody::control::request::{KeepRequest, Phase};
-use fourdbody::control::status::path;
+use fourdbody::control::status::{NodeStatus, path};
 use fourdbody::record::{
     ENVELOPE_CAPACITY, FrameMeta, GapCause, Recording, RecordingReader, SessionEnd, SessionReader,
     WriterOptions, write_envelope,
@@ -44,6 +44,11 @@ fn holding(laboratory: &Laboratory, name: &str, nodes: &mut [NodeProcess], trigg
 
 fn press(capture: &mut Child) {
     capture.stdin.as_mut().expect("its input").write_all(b"\n").expect("Enter");
+}
+
+fn interrupt(capture: &Child) {
+    let kill = Command::new("kill").args(["-INT", &capture.id().to_string()]).status();
+    assert!(kill.expect("kill").success());
 }
 
 /// Its input stays open: the end of it would be a stop.
@@ -135,6 +140,30 @@ fn the_recording_begins_before_record_and_is_verified_as_any() {
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
 }
 
+/// A stop that the operator presses ends the train a second later.
+#[test]
+fn seconds_after_stop_are_recorded() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let laboratory = lab::laboratory(dir.path(), 225, RATE_HZ);
+    let mut nodes = lab::start_nodes(&laboratory);
+    let capture = Command::new(lab::FOURDBODY)
+        .args(["capture", "--nodes", &laboratory.urls(), "--name", "tail", "--triggers", "0"])
+        .args(["--post-trigger", "1"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let recorded = |status: &NodeStatus| status.session.as_ref().map_or(0, |session| session.triggers);
+    let before = recorded(&nodes[0].wait_until("recording", |status| recorded(status) > 10));
+    interrupt(&capture);
+    let captured = ended(capture);
+    assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
+    let session = SessionReader::open(&dir.path().join("sessions/tail")).expect("a session");
+    let triggers = session.recordings()[0].triggers.len() as u64;
+    assert!(triggers >= before + RATE_HZ as u64, "{triggers} triggers, {before} before the stop");
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+}
+
 #[test]
 fn a_node_that_is_killed_behind_record_leaves_what_it_wrote() {
     let dir = tempfile::tempdir().expect("a directory");
@@ -178,7 +207,7 @@ fn before_record_a_stop_or_a_killed_node_leaves_nothing_that_looks_like_a_sessio
         assert!(client.keep(&request).is_err(), "{request:?}");
     }
     assert_eq!(client.status().expect("answers").phase, Phase::Holding);
-    assert!(Command::new("kill").args(["-INT", &capture.id().to_string()]).status().expect("kill").success());
+    interrupt(&capture);
     let captured = ended(capture);
     assert_eq!(captured.status.code(), Some(1), "{}", text_of(&captured));
     assert!(text_of(&captured).contains("before Record was pressed"), "{}", text_of(&captured));

@@ -41,11 +41,6 @@ impl Sink for Kept {
     }
 }
 
-/// Nobody looks.
-fn taps() -> [Arc<Taps>; 2] {
-    [(); 2].map(|()| Arc::new(Taps::new([])))
-}
-
 struct Desk {
     accounting: Accounting,
     outcomes: Arc<Mutex<Outcomes>>,
@@ -60,8 +55,9 @@ impl Desk {
         let (events, closed) = crossbeam_channel::unbounded();
         let options = RecorderOptions::new(PERIOD_NS, 512, WhenFull::DropFrameSet);
         let sink = Box::new(Kept(Arc::clone(&outcomes)));
-        let ring = Ring::start(sink, (4096, 0), None, taps(), Arc::clone(&progress), events.clone())
-            .expect("a thread");
+        let ring =
+            Ring::start(sink, (4096, 0), None, Taps::of_nobody(), Arc::clone(&progress), events.clone())
+                .expect("a thread");
         let start = Start { period_ns: PERIOD_NS, warm_up: 0, hsu_minus_host_ns: Some(-i128::from(HOST_NS)) };
         let lane = |camera| LaneSetup {
             id: CameraId(format!("c{camera}")),

@@ -61,11 +61,6 @@ impl Sink for SlowSink {
     }
 }
 
-/// Nobody looks.
-fn taps() -> [Arc<Taps>; 2] {
-    [(); 2].map(|()| Arc::new(Taps::new([])))
-}
-
 fn lane(camera: usize) -> LaneSetup {
     let start = Start { period_ns: PERIOD_NS, warm_up: 0, hsu_minus_host_ns: Some(0) };
     let id = CameraId(format!("c{camera}"));
@@ -117,7 +112,7 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
     let lanes = (0..CAMERAS).map(lane).collect();
     let shared = Arc::clone(&progress);
     let channels = Channels { arrivals, commands, events: events_in };
-    let thread = Recorder::start_with(Box::new(sink), taps(), lanes, options, shared, channels)
+    let thread = Recorder::start_with(Box::new(sink), Taps::of_nobody(), lanes, options, shared, channels)
         .expect("threads start");
     let mut token = Some(token);
     for trigger in 0..triggers {
