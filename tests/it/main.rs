@@ -20,6 +20,7 @@ mod bad_frames;
 mod bad_photographs;
 #[cfg(feature = "aravis")]
 mod before_record;
+#[cfg(feature = "aravis")]
 mod before_the_start;
 mod board_photographs;
 mod board_to_plane;
