@@ -55,10 +55,14 @@ impl Anchoring {
         self.frames.push(frame);
     }
 
+    /// The last frame.
+    pub fn last(&self) -> Option<&Early> {
+        self.frames.last()
+    }
+
     /// Whether a frame, so many ids after the stream's first, is the last one once more.
     pub fn is_copy(&self, frame: &Sighting, count: i64) -> bool {
-        let last = self.frames.last();
-        last.is_some_and(|last| {
+        self.last().is_some_and(|last| {
             count <= last.count && (frame.camera_ns.is_none() || frame.camera_ns == last.camera_ns)
         })
     }

@@ -187,8 +187,10 @@ impl Matcher {
         if table.is_empty() {
             return if last_call { Match::BeforeTrain } else { Match::Wait };
         }
-        if matches!(self.stage, Stage::Beginning(..)) {
-            return self.begin(frame, table, hsu, last_call);
+        if matches!(self.stage, Stage::Beginning(..))
+            && let Some(answer) = self.begin(frame, table, hsu, last_call)
+        {
+            return answer;
         }
         // Nothing that arrives was triggered later: so far the train is known even where its reports are held up.
         let now_ns = self.arrived_ns(frame.host_ns, hsu).filter(|_| last_call);
@@ -206,23 +208,47 @@ impl Matcher {
         answer
     }
 
-    /// A frame of a stream whose place in the train is not settled yet.
-    fn begin(&mut self, frame: &Sighting, table: &TriggerTable, hsu: &ClockFit, last_call: bool) -> Match {
+    /// A frame of a stream whose place in the train is not settled yet; `None` once it is, by the frames of the warm-up alone.
+    fn begin(
+        &mut self,
+        frame: &Sighting,
+        table: &TriggerTable,
+        hsu: &ClockFit,
+        last_call: bool,
+    ) -> Option<Match> {
         let period_ns = self.start.period_ns;
         let arrived = self.arrived_ns(frame.host_ns, hsu);
         let first = -i64::from(self.start.warm_up);
-        let Stage::Beginning(anchoring, count) = &mut self.stage else { return Match::Wait };
+        let Stage::Beginning(anchoring, count) = &mut self.stage else { return Some(Match::Wait) };
         let next = count.map_or(0, |count: i64| count.saturating_add(self.ids.step(frame.id).unwrap_or(1)));
         let provisional = first.saturating_add(next);
         if table.reported_ns(provisional).is_none() && !last_call {
-            return Match::Wait;
+            return Some(Match::Wait);
         }
         if count.is_some() && anchoring.is_copy(frame, next) {
-            return Match::Repeated;
+            return Some(Match::Repeated);
         }
         let before = |due: u64| arrived.is_some_and(|ns| ns + i128::from(period_ns / 8) < due.into());
         if count.is_none() && table.time_ns(first).is_some_and(before) {
-            return Match::BeforeTrain;
+            return Some(Match::BeforeTrain);
+        }
+        // Whether the rhythm is over, and all of it is reported: what it does not tell then is not to be known any more.
+        let warm_up = i64::from(self.start.warm_up);
+        let told = (first..warm_up).all(|number| table.reported_ns(number).is_some());
+        if let Some(before) = *count
+            && provisional > warm_up
+        {
+            // Its reports were held up for so long that its frames could not be told then.
+            if let Some(place) = anchoring.place(first, table, period_ns).filter(|place| place.confirmed) {
+                self.settle_late(place, before, table);
+                return None;
+            }
+            *count = Some(next);
+            self.ids.take(frame.id);
+            if told {
+                self.stage = Stage::Lost(rejoin::Rejoin { before: None });
+            }
+            return Some(self.give_up(frame));
         }
         self.ids.take(frame.id);
         *count = Some(next);
@@ -238,18 +264,28 @@ impl Matcher {
             let anchoring = std::mem::take(anchoring);
             self.settle(&anchoring, place, table);
             let witness = if place.confirmed { Witness::Two } else { Witness::One };
-            (self.base, self.stage) = (number, Stage::Known);
+            (self.base, self.stage, self.given_up) = (number, Stage::Known, 0);
             self.last = Some(Last { number, camera_ns: frame.camera_ns });
-            return Match::Trigger(Matched { number, witness, lost: 0, ignored: 0, finding: None });
+            return Some(Match::Trigger(Matched { number, witness, lost: 0, ignored: 0, finding: None }));
         }
         if number >= 0 {
-            // The rhythm is over: what it did not tell is not to be known any more.
-            if provisional >= i64::from(self.start.warm_up) {
+            if provisional >= warm_up && told {
                 self.stage = Stage::Lost(rejoin::Rejoin { before: None });
             }
-            return self.give_up(frame);
+            return Some(self.give_up(frame));
         }
-        Match::Trigger(Matched { number, witness: Witness::Two, lost: 0, ignored: 0, finding: None })
+        Some(Match::Trigger(Matched { number, witness: Witness::Two, lost: 0, ignored: 0, finding: None }))
+    }
+
+    /// The warm-up tells the place, many frames later: those that come now are judged as all others, and by their arrivals, too.
+    fn settle_late(&mut self, place: anchor::Place, count: i64, table: &TriggerTable) {
+        let Stage::Beginning(anchoring, _) = std::mem::replace(&mut self.stage, Stage::Known) else { return };
+        self.settle(&anchoring, place, table);
+        (self.base, self.given_up, self.doubt) = (count.saturating_add(place.offset), 0, DOUBT);
+        self.last = anchoring.last().map(|frame| {
+            let number = frame.count.saturating_add(place.offset);
+            Last { number, camera_ns: frame.camera_ns }
+        });
     }
 
     /// Learns from the warm-up how the camera's clock runs, and how long its frames take to arrive.

@@ -4,6 +4,7 @@
 use fourdbody::control::client::NodeClient;
 use hyper::Method;
 use serde_json::{Value, json};
+use std::cell::Cell;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -14,7 +15,16 @@ pub struct Browser {
     driver: Child,
     client: NodeClient,
     session: String,
+    /// What [`Self::resize`] was told last.
+    screen: Cell<Option<Screen>>,
 }
+
+/// Width and height, and whether it is touched.
+type Screen = ((u32, u32), bool);
+
+/// Sizes at which pictures are kept.
+const SCREENS: [(&str, Screen); 3] =
+    [("phone", ((390, 844), true)), ("1366", ((1366, 768), false)), ("1920", ((1920, 1080), false))];
 
 /// Two busy cores share a browser, two nodes and eight cameras.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -35,7 +45,7 @@ impl Browser {
             .map_while(Result::ok)
             .find_map(|line| Some(line.strip_prefix(told)?.trim_end_matches('.').to_owned()));
         let client = NodeClient::new(&format!("http://127.0.0.1:{}", port.expect("a port")));
-        let mut browser = Self { driver, client, session: String::new() };
+        let mut browser = Self { driver, client, session: String::new(), screen: Cell::default() };
         let arguments =
             ["--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--window-size=1920,1200"];
         let wanted =
@@ -139,6 +149,7 @@ impl Browser {
 
     /// Gives the page exactly this many pixels; `phone` is a screen that is touched.
     pub fn resize(&self, (width, height): (u32, u32), phone: bool) {
+        self.screen.set(Some(((width, height), phone)));
         let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": phone });
         self.tell("Emulation.setDeviceMetricsOverride", metrics);
     }
@@ -162,12 +173,23 @@ impl Browser {
         ))
     }
 
-    /// Keeps a picture of the page, where FOURDBODY_SCREENSHOTS names a directory.
+    /// Keeps pictures of the page at three sizes, where FOURDBODY_SCREENSHOTS names a directory.
     pub fn keep(&self, name: &str) {
         let Some(dir) = std::env::var_os("FOURDBODY_SCREENSHOTS") else { return };
-        let picture = self.ask(Method::GET, "/screenshot", None);
-        let path = Path::new(&dir).join(format!("{name}.png.base64"));
-        std::fs::write(path, picture.as_str().unwrap_or("")).expect("writable");
+        let before = self.screen.get();
+        for (kind, (size, phone)) in SCREENS {
+            self.resize(size, phone);
+            // Canvases are drawn anew.
+            std::thread::sleep(Duration::from_millis(150));
+            let picture = self.ask(Method::GET, "/screenshot", None);
+            let path = Path::new(&dir).join(format!("{name}-{kind}.png.base64"));
+            std::fs::write(path, picture.as_str().unwrap_or("")).expect("writable");
+        }
+        match before {
+            Some((size, phone)) => self.resize(size, phone),
+            None => self.tell("Emulation.clearDeviceMetricsOverride", json!({})),
+        }
+        self.screen.set(before);
     }
 }
 

@@ -304,14 +304,14 @@ fn the_page_is_seen_whole_and_nothing_moves_under_the_hand() {
         browser.resize(size, false);
         let before = (browser.place("stop"), browser.place("start"));
         seen_whole(browser, size, figure);
-        browser.keep(&format!("{name}-ready"));
+        browser.keep("ready");
         browser.press("p");
         browser.wait_word("PREVIEW");
         let preview =
             browser.run("return getComputedStyle(document.getElementById('state')).backgroundColor");
         browser.wait("eight live pictures", "return document.querySelectorAll('.camera.live').length === 8");
         readable(browser);
-        browser.keep(&format!("{name}-preview"));
+        browser.keep("preview");
         assert_eq!((browser.place("stop"), browser.place("start")), before, "{name}");
         browser.press("s");
         browser.wait_word("READY");
@@ -324,15 +324,15 @@ fn the_page_is_seen_whole_and_nothing_moves_under_the_hand() {
             .wait("a time line", "return Number(document.getElementById('line-canvas').dataset.samples) > 2");
         readable(browser);
         seen_whole(browser, size, figure);
-        browser.keep(&format!("{name}-recording"));
+        browser.keep("recording");
         // Whatever there is to say: the hand finds Stop where it was.
         browser.run("document.getElementById('detail').textContent = 'cause\\n'.repeat(50);
             document.getElementById('verdict-detail').textContent = 'cause\\n'.repeat(50); document.getElementById('why').textContent = 'why '.repeat(200)");
         assert_eq!((browser.place("stop"), browser.place("start")), before, "{name}");
-        abort_is_asked(browser, name);
+        abort_is_asked(browser);
         assert_eq!((browser.place("stop"), browser.place("start")), before, "{name}");
         readable(browser);
-        browser.keep(&format!("{name}-aborted"));
+        browser.keep("aborted");
     }
     on_a_phone(browser);
     browser.reduce_motion();
@@ -408,11 +408,11 @@ fn readable(browser: &Browser) {
 }
 
 /// The key asks; anything but a yes goes on.
-fn abort_is_asked(browser: &Browser, name: &str) {
+fn abort_is_asked(browser: &Browser) {
     let open = "return document.getElementById('abort-question').open";
     browser.press("a");
     assert_eq!(browser.run(open), true);
-    browser.keep(&format!("{name}-abort"));
+    browser.keep("abort");
     browser.press("\u{E00C}");
     assert_eq!(browser.run(open), false, "Escape");
     browser.wait_word("RECORDING");
@@ -432,7 +432,6 @@ fn on_a_phone(browser: &Browser) {
             return JSON.stringify([document.documentElement.scrollWidth <= innerWidth, broken, stop.bottom <= innerHeight])";
         assert_eq!(browser.run(script), "[true,[],true]", "{what}");
         readable(browser);
-        browser.keep(&format!("phone-{what}"));
     };
     whole("ready");
     browser.press("p");

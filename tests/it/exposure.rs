@@ -165,7 +165,6 @@ fn the_page_sets_it_and_the_preview_goes_on(laboratory: &Laboratory, nodes: &mut
     browser.keep("exposure-set");
     for (size, phone) in [((1366, 768), false), ((390, 844), true), ((1920, 1080), false)] {
         browser.resize(size, phone);
-        browser.keep(&format!("exposure-{}", size.0));
         let whole = "const box = document.getElementById('exposure').getBoundingClientRect();
             const cut = [...document.querySelectorAll('#exposure button, #exposure .facts')].filter((e) => e.scrollWidth > e.clientWidth + 1);
             return box.left >= 0 && box.right <= innerWidth && box.top >= 0 && box.bottom <= innerHeight && cut.length === 0";

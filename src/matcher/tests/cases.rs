@@ -88,6 +88,30 @@ fn a_camera_that_stamps_late_is_not_a_trigger_off() {
     }
 }
 
+/// The link to the HSU stands still in the warm-up, for longer than frames can wait: they are given up, and once the reports
+/// are there the rhythm is heard, and every frame from there on is filed.
+#[test]
+fn reports_of_the_warm_up_may_come_late() {
+    for seed in 0..50 {
+        let traits = habits(10, 80);
+        let mut history = History::of(seed, Traits { faults: false, ..traits });
+        let begin = history.arrivals.iter().find(|(_, what)| matches!(what, Arrives::Report(..)));
+        let late = begin.expect("a report").0 + (10 + 9 * seed % 60) * history.period_ns;
+        for (at, what) in &mut history.arrivals {
+            if matches!(what, Arrives::Report(-7.., _)) {
+                *at = late.max(*at);
+            }
+        }
+        history.arrivals.sort_by_key(|(at, _)| *at);
+        let before =
+            |(at, what): &&(u64, Arrives)| *at <= late && matches!(what, Arrives::Frame(_, Some(0..)));
+        let lost = history.arrivals.iter().filter(before).count() as u64;
+        let (outcome, log) = play(&history);
+        assert!(outcome.wrong == 0 && outcome.unconfirmed == 0, "{outcome:?}\n{}", log.join("\n"));
+        assert!(outcome.given_up <= lost, "{seed}: {lost} came too early, {outcome:?}\n{}", log.join("\n"));
+    }
+}
+
 /// A camera that sleeps through its first triggers: the rhythm of the warm-up tells.
 #[test]
 fn the_first_triggers_may_be_ignored() {

@@ -316,6 +316,15 @@ impl History {
             calm = if plain { calm.saturating_sub(1) } else { camera.random.below(12) };
         }
         let mut arrivals = camera.arrivals;
+        let mut random = Random::new(seed ^ 0x11a5);
+        if traits.faults && random.one_in(8) {
+            // The link to the HSU stands still for a while, often in the warm-up.
+            let from = first_ns + random.below(2) * random.below(100 * period_ns);
+            let until = from + random.below(80 * period_ns);
+            let stands =
+                |at: u64, what: &Arrives| (from..until).contains(&at) && matches!(what, Arrives::Report(..));
+            arrivals.iter_mut().filter(|(at, what)| stands(*at, what)).for_each(|(at, _)| *at = until);
+        }
         let host = |ns: u64| (i128::from(ns) + HOST_MINUS_HSU_NS) as u64;
         for k in 0..40 {
             let at = first_ns - 700_000_000 + k * 100_000_000;
