@@ -80,6 +80,12 @@ fn an_edge_of_an_input_begins_a_session_and_stop_ends_the_waiting() {
     };
     begin(&scene, "never");
     scene.browser.keep("awaiting-edge");
+    for size in [(1366, 768), (1920, 1080)] {
+        scene.browser.resize(size, false);
+        let whole =
+            "const word = document.getElementById('word'); return word.scrollWidth <= word.clientWidth";
+        scene.browser.wait("the longest word is seen whole", whole);
+    }
     scene.browser.press("s");
     scene.browser.wait_verdict("STOPPED");
     scene.browser.wait_text("verdict-detail", "before the edge came");
@@ -373,7 +379,7 @@ fn seen_whole(browser: &Browser, (width, height): (u32, u32), figure: f64) {
             document.getElementById('word'), document.getElementById('search')];
         const cloud = document.getElementById('cloud-canvas'), tab = document.getElementById('tab-cloud');
         const figures = [...document.querySelectorAll('.camera dd')].map((dd) => parseFloat(getComputedStyle(dd).fontSize));
-        const cut = [...document.querySelectorAll('.camera dd, #word, #verdict-word')].filter((e) => e.textContent && (e.scrollWidth > e.clientWidth + 1));
+        const cut = [...document.querySelectorAll('.camera dd, #word, #verdict-word, .numbers label')].filter((e) => e.textContent && (e.scrollWidth > e.clientWidth + 1));
         return JSON.stringify({ tiles: document.querySelectorAll('.camera').length, outside: all.filter((e) => !inside(e)).map((e) => e.id || e.className),
             look: inside(cloud) || inside(tab), scrolls: document.documentElement.scrollHeight > innerHeight, figure: Math.min(...figures), cut: cut.map((e) => e.textContent) })";
     let seen: Value = serde_json::from_str(browser.run(script).as_str().expect("text")).expect("JSON");

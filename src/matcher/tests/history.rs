@@ -90,6 +90,8 @@ pub struct History {
     pub warm_up: u32,
     /// Whether the warm-up went well.
     pub calm_start: bool,
+    /// Whether the link to the HSU stood still for a while.
+    pub link_stands: bool,
     /// The camera's clock minus the HSU's, ns, from these HSU times on, and its drift, ppm.
     pub clocks: Vec<(u64, i128)>,
     pub ppm: f64,
@@ -317,7 +319,8 @@ impl History {
         }
         let mut arrivals = camera.arrivals;
         let mut random = Random::new(seed ^ 0x11a5);
-        if traits.faults && random.one_in(8) {
+        let link_stands = traits.faults && random.one_in(8);
+        if link_stands {
             // The link to the HSU stands still for a while, often in the warm-up.
             let from = first_ns + random.below(2) * random.below(100 * period_ns);
             let until = from + random.below(80 * period_ns);
@@ -337,7 +340,7 @@ impl History {
         }
         arrivals.sort_by_key(|(at, _)| *at);
         let clocks = camera.clocks;
-        Self { traits, period_ns, warm_up: warm_up as u32, calm_start, clocks, ppm, arrivals }
+        Self { traits, period_ns, warm_up: warm_up as u32, calm_start, link_stands, clocks, ppm, arrivals }
     }
 
     /// A reading of the camera's clock at an HSU time, taking so long there and back.
