@@ -13,8 +13,9 @@ use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 pub(super) const LATE_PERIODS: u64 = 8;
 /// So long after a frame has come its camera's clock is read for it, ns.
 const PATIENCE_NS: u64 = 50_000_000;
-/// So long it may take until a reading that was asked for is there, and some frames behind the one in doubt, ns.
+/// A reading is there so soon after the frame that it was asked for, ns, and the frames that this one waited for, periods.
 const PROMPT_NS: u64 = 25_000_000;
+const PROMPT_PERIODS: u64 = 4;
 /// Frames that the way to the timestamp is measured by.
 const MEASURED: usize = 4;
 
@@ -67,7 +68,8 @@ impl CameraClock {
                 // Set by much, a stamp from before cannot be taken for one from behind. Of frames from long before the reading
                 // that is not enough: the clock may have been set twice since.
                 let far = step_ns.unsigned_abs() > u128::from((LATE_PERIODS + 1) * self.period_ns);
-                let before = if far { (LATE_PERIODS + 4) * self.period_ns + PROMPT_NS } else { 0 };
+                let before =
+                    if far { (LATE_PERIODS + PROMPT_PERIODS) * self.period_ns + PROMPT_NS } else { 0 };
                 self.holds_from_ns = exchange.host_receive_ns.saturating_sub(before);
             }
             // Nothing to hold it against yet.
