@@ -40,8 +40,11 @@ impl HostClock {
     }
 
     /// The host time of a reading of CLOCK_REALTIME that was made a moment ago, ns: only its age counts.
+    ///
+    /// A thread that stands still in between makes it later, never earlier: an arrival errs towards late only.
     pub fn from_recent_realtime(&self, ns: u64) -> u64 {
-        self.now().saturating_sub(host_time_ns().saturating_sub(ns))
+        let age_ns = host_time_ns().saturating_sub(ns);
+        self.now().saturating_sub(age_ns)
     }
 }
 

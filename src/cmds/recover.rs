@@ -16,8 +16,8 @@ const MAX_LINES: usize = 20;
 The source is never changed. Frames whose checksum is wrong are not passed on: a gap record `damaged` takes their
 place. What the interruption cost becomes `aborted`. Check the result with `fourdbody verify DIR`.
 
-Exit code 0: nothing was damaged and nothing that is known of is missing; 3: saved, and what is not is accounted for;
-4: nothing usable.
+Exit code 0: it was finished, and nothing of it is damaged or missing; 3: saved, and what is not is accounted for, or
+it was interrupted, and what came after is not known; 4: nothing usable.
 
 Example:
   fourdbody recover /var/lib/fourdbody/sessions/walk-01 --out /var/lib/fourdbody/sessions/walk-01-recovered")]
@@ -64,7 +64,14 @@ fn print(recovery: &Recovery) {
     for reason in &recovery.unusable {
         println!("lost: {reason}");
     }
-    let word = if recovery.lossless() { "everything that was there is saved" } else { "saved, with loss" };
+    let interrupted = recovery.recordings.iter().all(|recording| recording.lossless_until_interrupted());
+    let word = match recovery.lossless() {
+        true => "everything that was there is saved",
+        false if recovery.unusable.is_empty() && interrupted => {
+            "everything that was written is saved; it was interrupted, and what came after is not known"
+        }
+        false => "saved, with loss",
+    };
     println!("{}: {word}; check it with `fourdbody verify`", recovery.out.display());
 }
 

@@ -11,7 +11,11 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "\
 Prints one line per finding, then a line per node. Exit code 0: every frame is there and good; 3: frames are
-missing, and the recording says which and why; 4: damaged, or missing without a word.
+missing, and the recording says which and why, or one source alone says which trigger frames are of; 4: damaged,
+missing without a word, or contradicting itself.
+
+Which trigger a frame is of is found again from the raw samples: block ids, timestamps by the recorded readings of the
+clocks, arrivals, and the HSU's trigger times. Two of them that are independent must agree.
 
 The nodes of a session are compared with each other: in one session's directory, or as a path each.
 
@@ -84,9 +88,23 @@ fn print(report: &Report) {
         println!("{comparison}");
     }
     let word = match report.worst {
-        None | Some(Severity::Note) => "good: every checksum and every count is right",
+        None | Some(Severity::Note) if report.imported => {
+            "every checksum and every count is right; which trigger an image is of rests on file names"
+        }
+        None | Some(Severity::Note) => {
+            "good: every checksum and every count is right, and two sources agree on each frame's trigger"
+        }
+        Some(Severity::Unconfirmed) => {
+            "unconfirmed: every checksum and every count is right, but of some frames one source alone says which trigger \
+             they are of"
+        }
+        Some(Severity::Loss) if report.is_unconfirmed() => {
+            "data loss; and of some frames one source alone says which trigger they are of"
+        }
         Some(Severity::Loss) => "data loss, all of it accounted for",
-        Some(Severity::Corrupt) => "CORRUPT: damaged, or missing without a record; see above",
+        Some(Severity::Corrupt) => {
+            "CORRUPT: damaged, missing without a record, or contradicting itself; see above"
+        }
     };
     println!("{}: {word}", report.path.display());
 }
@@ -94,7 +112,7 @@ fn print(report: &Report) {
 fn severity_exit(worst: Option<Severity>) -> Exit {
     match worst {
         None | Some(Severity::Note) => Exit::Done,
-        Some(Severity::Loss) => Exit::DataLoss,
+        Some(Severity::Unconfirmed | Severity::Loss) => Exit::DataLoss,
         Some(Severity::Corrupt) => Exit::Corrupt,
     }
 }

@@ -83,9 +83,14 @@ pub struct FrameSummary {
     pub skipped: usize,
     /// Frames that are missing, as the session says.
     pub gaps: usize,
-    /// Frames that could not be read, with the reason.
+    /// Frames that could not be read, with the reason: at most [`MAX_PROBLEMS`] of them.
     pub problems: Vec<String>,
+    /// Those beyond.
+    pub more_problems: usize,
 }
+
+/// What cannot be read is listed up to so many frames: a recording that claims millions costs no more than it is long.
+pub const MAX_PROBLEMS: usize = 1000;
 
 /// Writes the pictures that are not there yet, on the current rayon pool. `progress` is told frames done and their number. An
 /// error is one of writing.
@@ -146,7 +151,10 @@ fn export(
     let frame = match source.frame(camera, TriggerIndex(trigger)) {
         Ok(frame) => frame,
         Err(problem) => {
-            count(&|summary| summary.problems.push(problem.clone()));
+            count(&|summary| match summary.problems.len() < MAX_PROBLEMS {
+                true => summary.problems.push(problem.clone()),
+                false => summary.more_problems += 1,
+            });
             return Ok(());
         }
     };

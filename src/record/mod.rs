@@ -6,10 +6,12 @@
 
 mod belonging;
 pub mod catalogue;
+mod credible;
 pub mod describe;
 mod direct_io;
 mod disk_thread;
 pub mod envelope;
+mod frame_check;
 mod input_edge;
 pub mod layout;
 mod metadata;

@@ -2,7 +2,8 @@
 //! Reads recordings: opens segments, knows the outcome of every trigger, checks every frame on access.
 
 use super::belonging::{Belonging, Label};
-use super::envelope::{FRONT, FrameMeta, parse_envelope_of, pixels_crc};
+use super::envelope::{FrameMeta, parse_envelope_of};
+use super::frame_check::{check_pixels, identify, read_front};
 use super::layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER,
     KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA, STATISTICS_METADATA,
@@ -11,7 +12,7 @@ use super::layout::{
 use super::metadata::{
     StatedHeader, foreign_reason, is_sound, of_most, parse_header, read_header, stated_index,
 };
-use super::scan::{End, Entries, Event, Walker, metadata_by_index};
+use super::scan::{End, Entries, Event, Walker, metadata_by_index, open_segment};
 use super::segment_file::{BadRange, SegmentFile};
 use super::session::RecordingFiles;
 use super::statistics::WriteStatistics;
@@ -174,9 +175,9 @@ impl RecordingReader {
         }
         let mut segments = Vec::new();
         for (number, path) in &files.segments {
-            let (file, end) = match SegmentFile::open(path) {
+            let (file, end) = match open_segment(path) {
                 Ok(file) => (Some(file), End::Cut { at: 0 }),
-                Err(e) => (None, End::Damaged { at: 0, reason: format!("cannot be opened: {e}") }),
+                Err(reason) => (None, End::Damaged { at: 0, reason }),
             };
             let stated = match (&file, &end) {
                 (None, End::Damaged { reason, .. }) => Err(format!("{}: {reason}", path.display())),
@@ -197,6 +198,9 @@ impl RecordingReader {
             segments.iter().filter_map(|(_, stated)| stated.as_ref().ok()).collect();
         let Some(header) = of_most(&readable) else {
             return Err(error(match segments.first() {
+                Some((segment, Err(reason))) if segment.file.is_none() => {
+                    format!("no segment has a readable header ({reason})")
+                }
                 Some((_, Err(reason))) => {
                     format!(
                         "no segment has a readable header ({reason}); `fourdbody recover` saves what is whole"
@@ -216,6 +220,7 @@ impl RecordingReader {
                 _ => recording.add(segment, what),
             }
         }
+        recording.leave_out_the_incredible();
         Ok(recording)
     }
 
@@ -237,7 +242,7 @@ impl RecordingReader {
         }
     }
 
-    fn problem(
+    pub(super) fn problem(
         &mut self,
         segment: u32,
         camera: Option<usize>,
@@ -253,8 +258,10 @@ impl RecordingReader {
 
     fn add(&mut self, mut segment: SegmentReader, what: Extent) {
         let number = segment.number;
-        let expected = self.segments.last().map_or(number, |last| last.number + 1);
-        if number != expected {
+        let expected = self.segments.last().map_or(number, |last| last.number.saturating_add(1));
+        if self.segments.last().is_some_and(|last| last.number == number) {
+            self.problem(number, None, None, "two files have this segment's number");
+        } else if number != expected {
             self.problem(number, None, None, format!("expected segment {expected} here: it is missing"));
         }
         if let Some(file) = segment.file.take() {
@@ -360,7 +367,12 @@ impl RecordingReader {
         let result = match topic {
             Topic::Gaps => serde_json::from_slice(bytes).map(|gap| self.gap(segment, &gap)),
             Topic::Triggers => serde_json::from_slice(bytes).map(|record: TriggerRecord| {
-                if self.triggers.insert(record.index, record).is_some_and(|first| first != record) {
+                if record.index.0 >= MAX_TRIGGERS {
+                    let message = format!(
+                        "a row of the trigger table: no session has more than {MAX_TRIGGERS} triggers"
+                    );
+                    self.problem(segment, None, Some(record.index.0), message);
+                } else if self.triggers.insert(record.index, record).is_some_and(|first| first != record) {
                     let message = "two different rows in the trigger table";
                     self.problem(segment, None, Some(record.index.0), message);
                 }
@@ -395,6 +407,7 @@ impl RecordingReader {
             HEADER_METADATA => match parse_header(entries) {
                 Ok(stated) => {
                     segment.first_trigger = number(KEY_FIRST_TRIGGER).unwrap_or(0);
+                    self.check_names(segment, entries, &stated.header);
                     if stated.number != segment.number {
                         let message = format!("the file says that it is segment {}", stated.number);
                         self.problem(segment.number, None, None, message);
@@ -541,58 +554,4 @@ impl RecordingReader {
             .as_ref()
             .is_some_and(|verdict| verdict.aborted.is_some() && verdict.triggers_emitted.is_none())
     }
-}
-
-/// The bytes of a message up to somewhere in its pixels.
-fn read_front(file: &SegmentFile, message: &Range<usize>) -> Result<Vec<u8>, String> {
-    let mut front = vec![0; message.len().min(FRONT)];
-    file.read(message.start, &mut front).map_err(|bad| bad.to_string())?;
-    Ok(front)
-}
-
-/// Checks a frame's envelope against its own checksum and against the identity that it was asked for; `front` is the begin
-/// of a message of `length` bytes. Returns the place of the pixels in the message.
-fn identify(
-    front: &[u8],
-    length: usize,
-    (camera, trigger): (usize, TriggerIndex),
-    header: &RecordingHeader,
-    belonging: &Belonging,
-) -> Result<(FrameMeta, Range<usize>), String> {
-    let described = &header.cameras[camera];
-    let (envelope, stated) = parse_envelope_of(front).map_err(|e| e.to_string())?;
-    let meta = envelope.meta;
-    belonging.check(envelope.session)?;
-    if envelope.camera != described.id.as_str() || meta.trigger != trigger {
-        return Err(format!("the frame says camera {} trigger {}", envelope.camera, meta.trigger));
-    }
-    let (width, height) = (described.width, described.height);
-    if (meta.width, meta.height) != (width, height) {
-        return Err(format!("the frame is {} x {}, expected {width} x {height}", meta.width, meta.height));
-    }
-    if stated != length {
-        return Err(format!("the frame's message has {length} bytes, expected {stated}"));
-    }
-    Ok((meta, envelope.pixels))
-}
-
-fn check_pixels(pixels: &[u8], meta: &FrameMeta) -> Result<(), String> {
-    let (found, stated) = (pixels_crc(pixels), meta.pixels_crc);
-    if found != stated {
-        return Err(format!("checksum of the pixels is {found:#010x}, expected {stated:#010x}: damaged"));
-    }
-    Ok(())
-}
-
-/// Checks a frame's message against its own checksums and against the identity that it was asked for.
-pub(crate) fn check_frame(
-    message: &[u8],
-    camera: usize,
-    trigger: TriggerIndex,
-    header: &RecordingHeader,
-    belonging: &Belonging,
-) -> Result<(FrameMeta, Range<usize>), String> {
-    let (meta, pixels) = identify(message, message.len(), (camera, trigger), header, belonging)?;
-    check_pixels(&message[pixels.clone()], &meta)?;
-    Ok((meta, pixels))
 }

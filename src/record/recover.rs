@@ -9,6 +9,7 @@ mod merge;
 mod rewrite;
 mod salvage;
 
+use super::credible::most_triggers;
 use super::direct_io::{rename_new, sync_directory};
 use super::layout::GapCause;
 use super::reader::{Extent, RecordingReader};
@@ -26,6 +27,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Kind of the event that marks a recovered recording.
 pub const RECOVERED: &str = "recovered";
+
+/// What its message says where records were lost.
+pub(super) const RECORDS_LOST: &str = "small records lost";
 
 /// Why nothing was recovered.
 #[derive(Debug, thiserror::Error)]
@@ -114,8 +118,13 @@ pub struct RecoveredRecording {
 }
 
 impl RecoveredRecording {
-    /// Whether nothing was damaged and no gap record had to be added.
+    /// Whether it had been finished, nothing was damaged and no gap record had to be added.
     pub fn lossless(&self) -> bool {
+        !self.interrupted && self.lossless_until_interrupted()
+    }
+
+    /// The same of what was written until it was interrupted, if it was.
+    pub fn lossless_until_interrupted(&self) -> bool {
         self.added.is_empty() && self.damage.is_empty() && self.records_lost == 0
     }
 }
@@ -265,7 +274,7 @@ fn extent_of(salvaged: &[Salvage], path: &Path, is_session: bool) -> SessionExte
     for other in if is_session { Vec::new() } else { siblings(path) } {
         if same(&other.header.session_id) && other.header.node != first.header.node {
             let bytes = other.segments.iter().map(|segment| segment.length() as u64).sum();
-            ends.push(other.triggers_end().min(Salvage::most_gaps(bytes)));
+            ends.push(other.triggers_end().min(most_triggers(bytes)));
             counts.push(other.verdict.as_ref().and_then(|verdict| verdict.triggers_emitted));
         }
     }

@@ -6,6 +6,7 @@
 //! read is passed over where its length is known.
 //! Record layouts: <https://mcap.dev/spec>.
 
+mod compressed;
 mod find;
 
 use super::segment_file::{Pieces, SegmentFile};
@@ -14,6 +15,8 @@ use mcap::records::op;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+use compressed::compressed_reason;
+pub use compressed::open_segment;
 pub use find::{Found, budget, find, is_json};
 
 /// Metadata records, schemas and channels larger than this are refused: ours are far below.
@@ -277,8 +280,7 @@ impl<'a> Walker<'a> {
             return None;
         };
         if !compression.is_empty() {
-            let reason = format!("a chunk compressed with {compression:?}; recordings are not compressed");
-            self.damaged(start, reason);
+            self.damaged(start, compressed_reason(&compression));
             return None;
         }
         let records = body + header_bytes..end;

@@ -1,13 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recomputes everything that a recording claims from the files alone.
 //!
-//! Nothing stored is believed: every checksum is computed again, outcomes are counted from the records, the
-//! stored verdict has to be what comes out, and the nodes of a session have to agree.
+//! Nothing stored is believed: every checksum is computed again, outcomes are counted from the records, the stored verdict
+//! has to be what comes out, each frame's sources have to agree on its trigger, and so have the nodes of a session.
 
 mod accounting;
 mod agreement;
-mod instants;
+mod explained;
+mod header;
+mod readings;
+mod rhythm;
+mod rows;
 mod segment;
+mod table;
+mod witnesses;
 
 use super::reader::{ReadError, RecordingReader};
 use super::session::{node_of_dir, open_each};
@@ -28,6 +34,8 @@ const MAX_FINDINGS: usize = 10_000;
 pub enum Severity {
     /// Worth knowing; nothing is wrong.
     Note,
+    /// Nothing contradicts it, but one source alone says it.
+    Unconfirmed,
     /// Data is missing, and the recording says what and why.
     Loss,
     /// Data is damaged, contradicts itself, or is missing without a word.
@@ -58,6 +66,7 @@ impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let word = match self.severity {
             Severity::Note => "note",
+            Severity::Unconfirmed => "unconfirmed",
             Severity::Loss => "loss",
             Severity::Corrupt => "corrupt",
         };
@@ -97,6 +106,8 @@ pub struct Report {
     pub path: PathBuf,
     /// The worst finding that is more than a note.
     pub worst: Option<Severity>,
+    /// Whether images were imported: which trigger one is of rests on its file's name.
+    pub imported: bool,
     /// Per node.
     pub recordings: Vec<RecordingReport>,
     /// The nodes against each other.
@@ -113,6 +124,13 @@ struct Notes {
     findings: Vec<Finding>,
     omitted: usize,
     worst: Option<Severity>,
+}
+
+impl Report {
+    /// Whether of some frames one source alone says which trigger they are of.
+    pub fn is_unconfirmed(&self) -> bool {
+        self.findings.iter().any(|finding| finding.severity == Severity::Unconfirmed)
+    }
 }
 
 impl Notes {
@@ -183,7 +201,9 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
             let message = format!("its recording lies in the directory of node {named}");
             own.add(Severity::Corrupt, None, None, None, message);
         }
-        segment::check(recording, &mut own, &advance);
+        let times = segment::check(recording, &mut own, &advance);
+        header::check(recording, &mut own);
+        witnesses::check(recording, &times, !single_segment, &mut own);
         let verdict = accounting::recount(recording);
         if single_segment {
             own.add(Severity::Note, None, None, None, "a single segment: integrity checked, outcomes not");
@@ -202,9 +222,13 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
     Ok(Report {
         path: path.to_owned(),
         worst: notes.worst,
+        imported: readers.iter().any(|recording| recording.header.hsu.is_none()),
         recordings,
         compared,
         findings: notes.findings,
         findings_omitted: notes.omitted,
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -60,6 +60,7 @@ mod exposure;
 #[cfg(feature = "aravis")]
 mod faults;
 mod foreign_records;
+mod forged_recordings;
 #[cfg(feature = "aravis")]
 mod frame_contract;
 mod frame_set;

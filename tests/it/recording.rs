@@ -6,15 +6,19 @@ use fourdbody::data::{Frame, FrameSource};
 use fourdbody::record::envelope::pixels_crc;
 use fourdbody::record::{
     CameraHeader, ClockSample, ENVELOPE_CAPACITY, FrameMeta, GapCause, HsuIdentity, NodeEvent, Recording,
-    RecordingHeader, SessionEnd, SessionReader, Status, TriggerRecord, WriterOptions, node_dir,
+    RecordingHeader, SessionEnd, SessionReader, Status, TriggerRecord, WarmUp, WriterOptions, node_dir,
     write_envelope,
 };
+use hsu_firmware_proto::PAUSE_BEFORE;
 use std::path::Path;
 
 const WIDTH: u32 = 40;
 const HEIGHT: u32 = 30;
 const PERIOD_NS: u64 = 8_333_333;
 const START_NS: u64 = 1_790_000_000_000_000_000;
+/// The clocks of the HSU and of all cameras at trigger 0.
+const HSU_NS: u64 = 10_000_005_000;
+const CAMERA_NS: u64 = 7_000_001_000;
 
 /// Memory, where the system has such a place: hundreds of recordings that are synced take their time on a disk.
 pub fn quick_dir() -> tempfile::TempDir {
@@ -58,8 +62,9 @@ pub fn frame(camera: &str, number: usize, trigger: u64) -> (FrameMeta, Vec<u8>) 
     let pixels = pixels(number, trigger);
     let meta = FrameMeta {
         trigger: TriggerIndex(trigger),
-        block: BlockId(trigger + 1),
-        camera_time_ns: 1000 + trigger * PERIOD_NS,
+        // Eight of the warm-up came before it.
+        block: BlockId(trigger + 9),
+        camera_time_ns: CAMERA_NS + trigger * PERIOD_NS,
         host_time_ns: START_NS + trigger * PERIOD_NS,
         width: WIDTH,
         height: HEIGHT,
@@ -74,7 +79,7 @@ pub fn frame(camera: &str, number: usize, trigger: u64) -> (FrameMeta, Vec<u8>) 
 pub fn trigger(index: u64) -> TriggerRecord {
     TriggerRecord {
         index: TriggerIndex(index),
-        hsu_time_ns: 5_000 + index * PERIOD_NS,
+        hsu_time_ns: HSU_NS + index * PERIOD_NS,
         flags: 0,
         host_time_ns: START_NS + index * PERIOD_NS,
     }
@@ -93,9 +98,47 @@ pub fn options(segment_bytes: u64) -> WriterOptions {
     WriterOptions { segment_bytes, reserve_bytes: 0, ..WriterOptions::default() }
 }
 
+/// What comes before the triggers: readings of all clocks, and a warm-up with its rhythm.
+pub fn begin(recording: &mut Recording, header: &RecordingHeader) {
+    let devices = header.cameras.iter().map(|camera| (Some(camera.id.clone()), CAMERA_NS));
+    let devices: Vec<_> = std::iter::once((None, HSU_NS)).chain(devices).collect();
+    for (camera, device_ns) in &devices {
+        for before_ns in (1..=4).map(|n| 400_000_000 - n * 20_000_000) {
+            let (camera, device_time_ns) = (camera.clone(), device_ns - before_ns);
+            let host_send_ns = START_NS - before_ns - 50_000;
+            let host_receive_ns = host_send_ns + 100_000;
+            let sample = ClockSample { camera, host_send_ns, host_receive_ns, device_time_ns };
+            recording.clock_sample(&sample).expect("recorded");
+        }
+    }
+    let mut before_ns = 0;
+    let mut times = Vec::new();
+    for number in (-8..0i64).rev() {
+        // The pause before the trigger behind it.
+        let pause = if PAUSE_BEFORE.contains(&(number + 1)) { PERIOD_NS / 2 } else { 0 };
+        before_ns += PERIOD_NS + pause;
+        times.push((number, before_ns));
+    }
+    for (number, before_ns) in times.into_iter().rev() {
+        let host_time_ns = START_NS - before_ns;
+        for (camera, device_ns) in &devices {
+            let sample = match camera {
+                None => WarmUp::Trigger { number, hsu_time_ns: device_ns - before_ns },
+                Some(_) => WarmUp::Frame {
+                    block: (number + 9) as u64,
+                    camera_time_ns: device_ns - before_ns,
+                    host_time_ns,
+                },
+            };
+            recording.event(&sample.event(camera.clone(), host_time_ns)).expect("recorded");
+        }
+    }
+}
+
 /// Records `triggers` triggers of these cameras; `missing` become gaps.
 pub fn record(dir: &Path, header: RecordingHeader, triggers: u64, missing: &[(usize, u64)]) {
     let mut recording = Recording::create(dir, header.clone(), options(60_000)).expect("a new recording");
+    begin(&mut recording, &header);
     for index in 0..triggers {
         recording.trigger(&trigger(index)).expect("recorded");
         for (number, camera) in header.cameras.iter().enumerate() {

@@ -120,7 +120,9 @@ fn every_flipped_byte_is_found() {
     let bytes = one_segment(2);
     let dir = tempfile::tempdir().expect("a temporary directory");
     let path = as_recording(dir.path(), &bytes);
-    assert_eq!(verify(&path, &|_, _| ()).expect("readable").worst, None);
+    // It has no warm-up.
+    let worst = verify(&path, &|_, _| ()).expect("readable").worst;
+    assert_eq!(worst, Some(Severity::Unconfirmed));
     // One bit of each byte; all of them where that is asked for.
     let all = crate::crash::number("FOURDBODY_ALL_BITS", 0) > 0;
     let bits = |position: usize| if all { 0..8 } else { position * 5 % 8..position * 5 % 8 + 1 };
@@ -297,8 +299,9 @@ fn with_exchanges(dir: &Path, node: &str, camera: &str, late_ns: u64, hsu_step_n
     for index in 0..60 {
         let mut row = trigger(index);
         row.hsu_time_ns += 10_000_000_000 + hsu_step_ns;
-        recording.trigger(&row).expect("recorded");
         let host = HOST_NS + row.hsu_time_ns - hsu_step_ns;
+        row.host_time_ns = host + 300_000;
+        recording.trigger(&row).expect("recorded");
         for (device, clock_ns) in
             [(None, row.hsu_time_ns), (Some(camera), row.hsu_time_ns - CAMERA_BEHIND_HSU_NS)]
         {
@@ -312,6 +315,7 @@ fn with_exchanges(dir: &Path, node: &str, camera: &str, late_ns: u64, hsu_step_n
         }
         let (mut meta, _) = frame(camera, 0, index);
         meta.camera_time_ns = row.hsu_time_ns - CAMERA_BEHIND_HSU_NS + late_ns;
+        meta.host_time_ns = host + late_ns + 500_000;
         let mut message = vec![0; 256];
         let length = fourdbody::record::write_envelope(&mut message, &CameraId::from(camera), &meta);
         let mut message = message.split_off(256 - length.expect("room enough"));
@@ -324,30 +328,31 @@ fn with_exchanges(dir: &Path, node: &str, camera: &str, late_ns: u64, hsu_step_n
 /// Every step from frame to frame is right, and yet every frame is that of the next trigger.
 #[test]
 fn a_camera_that_is_one_trigger_off_from_the_start_contradicts_the_exchanges() {
-    for (late_ns, worst) in [(300_000, None), (8_333_333, Some(Severity::Corrupt))] {
+    for (late_ns, worst) in [(300_000, Severity::Unconfirmed), (8_333_333, Severity::Corrupt)] {
         let dir = tempfile::tempdir().expect("a temporary directory");
         with_exchanges(dir.path(), "a", "h0_up", late_ns, 0);
         let report = verify(dir.path(), &|_, _| ()).expect("readable");
-        assert_eq!(report.worst, worst, "{late_ns} ns: {:?}", report.findings);
+        // Without a warm-up its place rests on an assumption.
+        assert_eq!(report.worst, Some(worst), "{late_ns} ns: {:?}", report.findings);
         let named = report.findings.iter().any(|f| f.message.contains("ms after their triggers"));
-        assert_eq!(named, worst.is_some(), "{:?}", report.findings);
+        assert_eq!(named, worst == Severity::Corrupt, "{:?}", report.findings);
     }
 }
 
 #[test]
 fn trigger_tables_that_differ_between_nodes_are_found() {
-    for (step_ns, worst) in [(0, None), (8_333_333, Some(Severity::Corrupt))] {
+    for (step_ns, worst) in [(0, Severity::Unconfirmed), (8_333_333, Severity::Corrupt)] {
         let dir = tempfile::tempdir().expect("a temporary directory");
         with_exchanges(dir.path(), "a", "h0_up", 0, 0);
         with_exchanges(dir.path(), "b", "h2_up", 0, step_ns);
         let report = verify(dir.path(), &|_, _| ()).expect("readable");
-        assert_eq!(report.worst, worst, "{:?}", report.findings);
+        assert_eq!(report.worst, Some(worst), "{:?}", report.findings);
         let named = report.findings.iter().any(|f| {
             f.node == "b"
                 && f.triggers == Some((0, 59))
                 && f.message.contains("another HSU time than on node a")
         });
-        assert_eq!(named, worst.is_some(), "{:?}", report.findings);
+        assert_eq!(named, worst == Severity::Corrupt, "{:?}", report.findings);
     }
 }
 

@@ -127,7 +127,7 @@ fn report(
             frames.written,
             frames.skipped,
             frames.gaps,
-            frames.problems.len()
+            frames.problems.len() + frames.more_problems
         );
     }
     if let Some(rows) = rows {

@@ -65,12 +65,14 @@ pub fn rebuilt(path: &Path, scans: &[SegmentScan]) -> Option<RecordingHeader> {
     let rig_text = entry(KEY_RIG).unwrap_or_default();
     let cameras = cameras_from_frames(&rig_text, scans)?;
     let rows: Vec<_> = scans.iter().flat_map(|scan| &scan.triggers).map(|row| &row.record).collect();
+    // Imported images have none of these.
+    let witnessed = scans.iter().any(|scan| !scan.clock_samples.is_empty() || !scan.events.is_empty());
     let header = RecordingHeader {
         session: SessionName(safe(session).unwrap_or_else(|| "unknown".to_owned())),
         session_id: entry("session_id").unwrap_or_default(),
         node,
         cameras,
-        hsu: (!rows.is_empty()).then(HsuIdentity::default),
+        hsu: (!rows.is_empty() || witnessed).then(HsuIdentity::default),
         expected_triggers: None,
         trigger_rate_hz: rate(&rig_text, scans),
         host_clock: "unknown".to_owned(),

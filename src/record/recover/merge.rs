@@ -6,11 +6,13 @@ use super::salvage::{Labelled, SegmentScan, scan};
 use super::{Damage, RecoverError, header};
 use crate::base::ids::TriggerIndex;
 use crate::record::belonging::{Belonging, SessionMark};
+use crate::record::credible::most_triggers;
 use crate::record::layout::{
     ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION, segment_name,
 };
 use crate::record::metadata::foreign_reason;
 use crate::record::reader::Outcome;
+use crate::record::scan::open_segment;
 use crate::record::segment_file::SegmentFile;
 use crate::record::session::RecordingFiles;
 use crate::record::statistics::WriteStatistics;
@@ -69,10 +71,10 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
     }
     let (mut opened, mut closed_to_us) = (Vec::new(), Vec::new());
     for (number, path) in &files.segments {
-        match SegmentFile::open(path) {
+        match open_segment(path) {
             Ok(file) => opened.push(Some(file)),
-            Err(error) => {
-                closed_to_us.push((*number, format!("{} cannot be opened: {error}", segment_name(*number))));
+            Err(reason) => {
+                closed_to_us.push((*number, format!("{}: {reason}", segment_name(*number))));
                 opened.push(None);
             }
         }
@@ -173,18 +175,10 @@ impl Salvage {
         }
     }
 
-    /// Gap records that are credible for as many bytes: what is missing left its bytes behind, or its records in a segment
-    /// of which the others tell. So what is written stays within what was read, and a number that is wrong costs nothing.
-    pub fn most_gaps(bytes: u64) -> u64 {
-        const FLOOR: u64 = 1 << 16;
-        const BYTES_EACH: u64 = 64;
-        FLOOR + bytes / BYTES_EACH
-    }
-
-    /// Leaves out what lies so far behind everything else that the gap records between would exceed [`Self::most_gaps`].
+    /// Leaves out what lies so far behind everything else that the gap records between would exceed [`most_triggers`].
     fn leave_out_the_incredible(&mut self) {
         let cameras = self.outcomes.len() as u64;
-        let most = Self::most_gaps(self.bytes());
+        let most = most_triggers(self.bytes());
         let mut there: BTreeMap<u64, u64> = BTreeMap::new();
         for trigger in self.outcomes.iter().flat_map(BTreeMap::keys) {
             *there.entry(*trigger).or_default() += 1;

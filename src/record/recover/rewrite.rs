@@ -2,11 +2,12 @@
 //! Writes what was salvaged as a new recording, through the same writer that records sessions.
 
 use super::merge::Salvage;
-use super::{AddedGaps, RECOVERED, RecoveredRecording, SessionExtent, WriteResult, by_cause};
+use super::{AddedGaps, RECORDS_LOST, RECOVERED, RecoveredRecording, SessionExtent, WriteResult, by_cause};
 use crate::base::ids::TriggerIndex;
 use crate::base::time::host_time_ns;
+use crate::record::frame_check::check_frame;
 use crate::record::layout::{ClockSample, GapCause, NodeEvent};
-use crate::record::reader::{Outcome, check_frame};
+use crate::record::reader::Outcome;
 use crate::record::verdict::{SessionEnd, Verdict};
 use crate::record::writer::{Recording, WriterOptions};
 use std::iter::Peekable;
@@ -173,7 +174,7 @@ impl Copy<'_> {
         }
         match self.source.records_lost {
             0 => {}
-            count => text.push_str(&format!("; {count} small records lost")),
+            count => text.push_str(&format!("; {count} {RECORDS_LOST}")),
         }
         text
     }

@@ -2,7 +2,6 @@
 //! The accounting: outcomes counted again, and the trigger table.
 
 use super::{Notes, Severity};
-use crate::base::ids::TriggerIndex;
 use crate::record::layout::{GapCause, MAX_TRIGGERS};
 use crate::record::reader::{Outcome, RecordingReader};
 use crate::record::verdict::{Noted, REFUSED, Status, UNCONFIRMED, Verdict};
@@ -76,7 +75,8 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
     for event in recording.events.iter().filter(|event| [REFUSED, UNCONFIRMED].contains(&event.kind.as_str()))
     {
         let trigger = event.trigger.map(|t| (t.0, t.0));
-        notes.add(Severity::Loss, None, event.camera.as_ref(), trigger, &event.message);
+        let severity = if event.kind == UNCONFIRMED { Severity::Unconfirmed } else { Severity::Loss };
+        notes.add(severity, None, event.camera.as_ref(), trigger, &event.message);
     }
     for camera in 0..recording.outcomes.len() {
         check_outcomes(recording, camera, verdict.triggers, notes);
@@ -118,7 +118,7 @@ fn check_outcomes(recording: &RecordingReader, camera: usize, triggers: u64, not
     }
 }
 
-/// The trigger table has a row for every trigger, and its times increase. Imported images have no table.
+/// The trigger table has a row for every trigger. Imported images have no table.
 fn check_table(recording: &RecordingReader, triggers: u64, notes: &mut Notes) {
     if recording.header.hsu.is_none() {
         return;
@@ -131,15 +131,5 @@ fn check_table(recording: &RecordingReader, triggers: u64, notes: &mut Notes) {
             notes.add(Severity::Loss, None, None, Some((next, index - 1)), message);
         }
         next = index.saturating_add(1);
-    }
-    for ((before, row), (index, next)) in table.iter().zip(table.iter().skip(1)) {
-        if next.hsu_time_ns <= row.hsu_time_ns {
-            let TriggerIndex(index) = *index;
-            let message = format!(
-                "HSU time {} ns is not after that of trigger {before}, {} ns",
-                next.hsu_time_ns, row.hsu_time_ns
-            );
-            notes.add(Severity::Corrupt, None, None, Some((index, index)), message);
-        }
     }
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The nodes of one session must tell the same story: one session, one HSU, one trigger table, and no camera twice.
 
-use super::{Finding, Notes, Severity, accounting, instants};
+use super::table::Table;
+use super::{Finding, Notes, Severity, accounting};
 use crate::record::layout::NOT_ASKED;
 use crate::record::reader::RecordingReader;
 use crate::record::session::{open_each, parse_rig};
@@ -82,7 +83,7 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
         let message = format!("its rig file differs from that of node {}", a.node);
         own.add(Severity::Corrupt, None, None, None, message);
     }
-    let (table_rows, rows_that_differ) = instants::check_tables(first, other, &mut own);
+    let (table_rows, rows_that_differ) = Table::compare(first, other, &mut own);
     for camera in b.cameras.iter().filter(|camera| a.cameras.iter().any(|known| known.id == camera.id)) {
         let message = format!("is recorded on node {} as well", a.node);
         own.add(Severity::Corrupt, None, Some(&camera.id), None, message);

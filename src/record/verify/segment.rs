@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bytes of the segments: every checksum, every frame, and the frames' places in time.
 
-use super::instants::{self, Seen, Times};
+use super::witnesses::{Seen, Times};
 use super::{Notes, Severity};
 use crate::base::ids::TriggerIndex;
+use crate::record::frame_check::check_frame;
 use crate::record::layout::{GapRecord, SegmentIndex, image_topic};
 use crate::record::metadata::stated_index;
-use crate::record::reader::{RecordingReader, SegmentReader, check_frame};
+use crate::record::reader::{RecordingReader, SegmentReader};
 use crate::record::scan::{End, Event, Walker, metadata_by_index};
 use crate::record::segment_file::SegmentFile;
 use crate::record::topic::Topic;
@@ -15,8 +16,8 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Checks all segments, then what only shows across them.
-pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u64) + Sync)) {
+/// Checks all segments; returns what the frames say of their instants, by camera of the header.
+pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u64) + Sync)) -> Vec<Times> {
     let node = recording.header.node.as_str();
     let checked: Vec<(Notes, Vec<Times>)> = recording
         .segments
@@ -34,7 +35,7 @@ pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u
             all.extend(some);
         }
     }
-    instants::check(recording, &times, notes);
+    times
 }
 
 fn check_segment(

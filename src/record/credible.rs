@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a recording may claim: numbers that its bytes cannot hold are named, and cost nothing.
+
+use super::layout::{MAX_TRIGGERS, RecordingHeader};
+use super::reader::{RecordingReader, SegmentReader};
+use super::scan::Entries;
+use crate::base::ids::TriggerIndex;
+
+/// Triggers that are credible for as many bytes: each of them left a frame or a gap record, or its records in a segment of
+/// which the others tell. So what is read or written for a recording stays within its size.
+pub(super) fn most_triggers(bytes: u64) -> u64 {
+    const FLOOR: u64 = 1 << 16;
+    const BYTES_EACH: u64 = 64;
+    FLOOR + bytes / BYTES_EACH
+}
+
+impl RecordingReader {
+    /// Leaves out what lies so far behind the beginning that its bytes cannot hold the outcomes between, and names it.
+    pub(super) fn leave_out_the_incredible(&mut self) {
+        let bytes: u64 = self.segments.iter().map(|segment| segment.length() as u64).sum();
+        let start = self.segments.iter().map(|segment| segment.first_trigger).min().unwrap_or(0);
+        let end = start.min(MAX_TRIGGERS).saturating_add(most_triggers(bytes));
+        let last = self.triggers_end();
+        let Some(segment) = self.segments.first().map(|segment| segment.number).filter(|_| last > end) else {
+            return;
+        };
+        let message = format!(
+            "records of triggers {end} to {} are left out: so many triggers are not in a recording of {bytes} bytes",
+            last - 1
+        );
+        self.problem(segment, None, Some(last - 1), message);
+        self.outcomes.iter_mut().for_each(|outcomes| drop(outcomes.split_off(&end)));
+        drop(self.triggers.split_off(&TriggerIndex(end)));
+        if let Some(verdict) = &mut self.verdict {
+            verdict.triggers = verdict.triggers.min(end);
+        }
+    }
+
+    /// What a segment's metadata says beside its header: the same names, and triggers that a session can have.
+    pub(super) fn check_names(
+        &mut self,
+        segment: &SegmentReader,
+        entries: &Entries,
+        header: &RecordingHeader,
+    ) {
+        let names = [
+            ("session", header.session.as_str()),
+            ("session_id", header.session_id.as_str()),
+            ("node", header.node.as_str()),
+        ];
+        for (key, expected) in names {
+            if let Some(found) = entries.get(key).filter(|found| *found != expected) {
+                let message = format!("its metadata says {key} {found:?}, its header {expected:?}");
+                self.problem(segment.number, None, None, message);
+            }
+        }
+        if segment.first_trigger > MAX_TRIGGERS {
+            let message = format!(
+                "it states that it begins at trigger {}: no session has more than {MAX_TRIGGERS}",
+                segment.first_trigger
+            );
+            self.problem(segment.number, None, None, message);
+        }
+    }
+}

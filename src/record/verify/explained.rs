@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What the recording itself says of a camera's irregularities: its gap records and events.
+//!
+//! They are necessary and never sufficient: an irregularity of ids or stamps that nothing names is a contradiction, and one
+//! that is named must be borne out by the other sources.
+
+use crate::base::ids::CameraId;
+use crate::record::layout::GapCause;
+use crate::record::reader::{Outcome, RecordingReader};
+use crate::record::recover::{RECORDS_LOST, RECOVERED};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What is said of one camera.
+pub struct Explained<'a> {
+    outcomes: &'a BTreeMap<u64, Outcome>,
+    /// Whether records were lost, which a recovered recording says: what explains something may be among them.
+    lost: bool,
+    /// Kinds of events, with the triggers that they name; `None` for those that name none.
+    events: BTreeMap<&'a str, BTreeSet<Option<u64>>>,
+}
+
+/// What changes the count of a camera's ids, by the events that name it.
+const IGNORED: [&str; 3] = ["trigger_ignored", "id_repeated", "id_jump"];
+const SKIPPED: [&str; 3] = ["id_jump", "spurious_frame", "spurious_frames"];
+/// Events that say that a camera's clock was set, or may have been.
+const CLOCK_SET: [&str; 3] = ["camera_clock_reset", "camera_back", "camera_lost"];
+/// The event that says that one stamp is wrong.
+const STAMP_WRONG: &str = "stamp_wrong";
+/// The event that says that a camera came back with a fresh stream.
+const BACK: &str = "camera_back";
+
+impl<'a> Explained<'a> {
+    /// By the recording's outcomes and events; `camera` is its place in the header.
+    pub fn of(recording: &'a RecordingReader, camera: usize, id: &CameraId) -> Option<Self> {
+        let mut events: BTreeMap<&str, BTreeSet<Option<u64>>> = BTreeMap::new();
+        for event in recording.events.iter().filter(|event| event.camera.as_ref() == Some(id)) {
+            events.entry(&event.kind).or_default().insert(event.trigger.map(|trigger| trigger.0));
+        }
+        let lost = recording
+            .events
+            .iter()
+            .any(|event| event.kind == RECOVERED && event.message.contains(RECORDS_LOST));
+        Some(Self { outcomes: recording.outcomes.get(camera)?, lost, events })
+    }
+
+    /// Whether one of these events names no trigger, or one of those behind `before` up to `number`. Of the warm-up no
+    /// event names a trigger.
+    fn told(&self, kinds: &[&str], before: i64, number: i64) -> bool {
+        let from = u64::try_from(before.saturating_add(1)).unwrap_or(0);
+        let to = u64::try_from(number).unwrap_or(0);
+        let within = |at: &Option<u64>| at.is_none_or(|at| (from..=to).contains(&at));
+        kinds.iter().filter_map(|kind| self.events.get(kind)).any(|at| at.iter().any(within))
+    }
+
+    /// The causes of the gap records between two frames.
+    fn causes(&self, before: i64, number: i64) -> impl Iterator<Item = GapCause> + '_ {
+        let from = u64::try_from(before.saturating_add(1)).unwrap_or(0);
+        let to = u64::try_from(number).unwrap_or(0).max(from);
+        self.outcomes.range(from..to).filter_map(|(_, outcome)| match outcome {
+            Outcome::Gap(cause) => Some(*cause),
+            Outcome::Frame { .. } => None,
+        })
+    }
+
+    /// Whether the camera was away between two frames: a fresh stream counts anew.
+    pub fn was_away(&self, before: i64, number: i64) -> bool {
+        let away = |cause| matches!(cause, GapCause::Unplugged | GapCause::ControlLost);
+        self.events.contains_key(BACK) && self.causes(before, number).any(away)
+    }
+
+    /// Whether it is said why ids went `skipped` further than triggers (negative: less far) between two frames.
+    pub fn counts(&self, before: i64, number: i64, skipped: i64) -> bool {
+        // What became of such frames, or what happened beside them, is not known trigger by trigger.
+        let open = |cause| {
+            matches!(
+                cause,
+                GapCause::IdentityMismatch
+                    | GapCause::NodePaused
+                    | GapCause::DroppedRingFull
+                    | GapCause::DroppedDisk
+                    | GapCause::Damaged
+                    | GapCause::Unknown
+            )
+        };
+        if self.lost || self.causes(before, number).any(open) {
+            return true;
+        }
+        if skipped > 0 {
+            let anywhere = SKIPPED[1..].iter().any(|kind| self.events.contains_key(kind));
+            return anywhere || self.told(&SKIPPED[..1], before, number);
+        }
+        let ignored = self.causes(before, number).filter(|cause| *cause == GapCause::NotTriggered).count();
+        ignored as u64 >= skipped.unsigned_abs() || self.told(&IGNORED, before, number)
+    }
+
+    /// Whether it is said that the stamp of a trigger's frame is wrong or absent.
+    pub fn stamp(&self, number: i64) -> bool {
+        let at = u64::try_from(number).ok();
+        self.lost
+            || at.is_some() && self.events.get(STAMP_WRONG).is_some_and(|triggers| triggers.contains(&at))
+    }
+
+    /// Whether it is said that the camera's clock was set, at whatever trigger.
+    pub fn clock_set(&self) -> bool {
+        self.lost || CLOCK_SET.iter().any(|kind| self.events.contains_key(kind))
+    }
+}

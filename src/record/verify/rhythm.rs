@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Where a stream stands: which triggers the frames of the warm-up are of, found again from the raw samples.
+//!
+//! Before some triggers of the warm-up the HSU pauses for longer (`hsu-protocol.md`). So only at the right place is the way
+//! from trigger to frame the same for all of them. How long that way is, is not assumed, nor that ids count every trigger.
+
+use super::table::Table;
+use super::witnesses::{Frame, Seen};
+
+/// Frames of the warm-up that are looked at, and triggers around them.
+const FRAMES: usize = 64;
+const TRIGGERS: usize = 256;
+/// A place is found where three quarters of the frames fit, at least so many, and so many more than at any other.
+const ENOUGH: usize = 5;
+const MARGIN: usize = 2;
+/// The frames that a place is tried with: the first may be nobody's.
+const TRIED: usize = 3;
+/// A frame comes so many periods after its trigger at most.
+const LATEST_PERIODS: i128 = 8;
+
+/// A place that was tried.
+struct Fit {
+    /// From a trigger to what is seen of its frame, ns.
+    way_ns: i128,
+    /// Frames with the triggers that they fit.
+    frames: Vec<Frame>,
+}
+
+/// The frames of a camera's warm-up at their triggers; empty where the rhythm is not heard.
+pub fn warm_up(seen: &[Seen], table: &Table) -> Vec<Frame> {
+    let seen = &seen[..seen.len().min(FRAMES)];
+    let triggers = table.begin(TRIGGERS);
+    let stamped = seen.iter().filter(|seen| seen.camera_ns != 0).count() * 2 > seen.len();
+    // By the camera's own clock, or by arrivals, in the HSU's time but for a constant.
+    let at = |seen: &Seen| match stamped {
+        true => Some(i128::from(seen.camera_ns)).filter(|ns| *ns != 0),
+        false => Some(i128::from(seen.host_ns)),
+    };
+    let mut fits: Vec<Fit> = Vec::new();
+    for first in seen.iter().filter_map(at).take(TRIED) {
+        for (_, hsu_ns) in &triggers {
+            let way_ns = first - hsu_ns;
+            if fits.iter().all(|fit| (fit.way_ns - way_ns).abs() > table.period_ns / 4) {
+                let frames = fitting(seen, &triggers, &at, way_ns, table.period_ns);
+                fits.push(Fit { way_ns, frames });
+            }
+        }
+    }
+    fits.retain(|fit| is_possible(&fit.frames, table));
+    fits.sort_by_key(|fit| std::cmp::Reverse(fit.frames.len()));
+    let second = fits.get(1).map_or(0, |fit| fit.frames.len());
+    let best = fits.into_iter().next().filter(|best| {
+        let count = best.frames.len();
+        count >= ENOUGH && count * 4 >= seen.len() * 3 && count >= second + MARGIN
+    });
+    best.map(|best| best.frames).unwrap_or_default()
+}
+
+/// The frames that lie at triggers, each at one of its own.
+fn fitting(
+    seen: &[Seen],
+    triggers: &[(i64, i128)],
+    at: &impl Fn(&Seen) -> Option<i128>,
+    way_ns: i128,
+    period_ns: i128,
+) -> Vec<Frame> {
+    let mut frames: Vec<Frame> = Vec::new();
+    for seen in seen {
+        let Some(due) = at(seen).map(|ns| ns - way_ns) else { continue };
+        let after = triggers.partition_point(|(_, hsu_ns)| *hsu_ns < due);
+        let near = triggers[after.saturating_sub(1)..(after + 1).min(triggers.len())].iter();
+        let nearest = near.min_by_key(|(_, hsu_ns)| (hsu_ns - due).abs());
+        let Some((number, hsu_ns)) = nearest.copied() else { continue };
+        let is_next = frames.last().is_none_or(|last| last.number < number);
+        // A third of what the rhythm's pauses add.
+        if is_next && number < 0 && (hsu_ns - due).abs() <= period_ns / 6 {
+            frames.push(Frame { number, hsu_ns, seen: *seen });
+        }
+    }
+    frames
+}
+
+/// Nothing arrives before its trigger, nor long behind it.
+fn is_possible(frames: &[Frame], table: &Table) -> bool {
+    let late = |frame: &Frame| {
+        let fired = table.host_time(frame.hsu_ns, frame.number)?;
+        Some((i128::from(frame.seen.host_ns) - fired.ns, fired.open_ns))
+    };
+    let slack = table.period_ns / 8;
+    let mut ways: Vec<i128> = Vec::new();
+    for (way, open) in frames.iter().filter_map(late) {
+        if way + open + slack < 0 {
+            return false;
+        }
+        ways.push(way);
+    }
+    ways.iter().min().is_none_or(|quickest| *quickest <= LATEST_PERIODS * table.period_ns)
+}

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Triggers in a row: so that a fault which lasts is one finding.
+
+use super::witnesses::Frame;
+
+/// The recorded triggers of frames.
+pub fn range_of(frames: &[Frame]) -> Option<(u64, u64)> {
+    let mut recorded = frames.iter().filter_map(|frame| u64::try_from(frame.number).ok());
+    let first = recorded.next()?;
+    Some((first, recorded.next_back().unwrap_or(first)))
+}
+
+/// Triggers in a row with the same fault, each with the ns of the first.
+#[derive(Default)]
+pub struct Rows(pub Vec<((u64, u64), i128)>);
+
+impl Rows {
+    /// One more; those of the warm-up have no place in the session and are left out.
+    pub fn add(&mut self, number: i64, ns: i128) {
+        let Ok(trigger) = u64::try_from(number) else { return };
+        match self.0.last_mut() {
+            Some(((_, last), _)) if *last + 1 == trigger => *last = trigger,
+            _ => self.0.push(((trigger, trigger), ns)),
+        }
+    }
+}
+
+/// Parts of which no two sources tell the trigger, with what the first of a row says.
+#[derive(Default)]
+pub struct Wrong(pub Vec<((u64, u64), String)>);
+
+impl Wrong {
+    /// One more.
+    pub fn add(&mut self, range: (u64, u64), message: impl FnOnce() -> String) {
+        match self.0.last_mut() {
+            Some(((_, last), _)) if *last + 1 == range.0 => *last = range.1,
+            _ => self.0.push((range, message())),
+        }
+    }
+}
+
+/// Frames that come later than usual, in a row.
+#[derive(Default)]
+pub struct Late {
+    runs: Vec<(Frame, Frame, usize)>,
+    open: bool,
+}
+
+impl Late {
+    /// The next ones, and whether all of them are late.
+    pub fn add(&mut self, frames: &[Frame], late: bool) {
+        let Some((first, last)) = frames.first().zip(frames.last()).filter(|_| late) else {
+            self.open = false;
+            return;
+        };
+        match self.runs.last_mut().filter(|_| self.open) {
+            Some((_, end, count)) => (*end, *count) = (*last, *count + frames.len()),
+            None => self.runs.push((*first, *last, frames.len())),
+        }
+        self.open = true;
+    }
+
+    /// Those that are late for so long, ns, and so many.
+    pub fn long(&self, ns: i128, count: usize) -> Vec<(u64, u64)> {
+        let long = |(first, last, frames): &&(Frame, Frame, usize)| {
+            *frames >= count && last.hsu_ns - first.hsu_ns >= ns
+        };
+        let ends = self.runs.iter().filter(long);
+        ends.filter_map(|(first, last, _)| range_of(&[*first, *last])).collect()
+    }
+}
