@@ -28,8 +28,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Kind of the event that marks a recovered recording.
 pub const RECOVERED: &str = "recovered";
 
-/// What its message says where records were lost.
-pub(super) const RECORDS_LOST: &str = "small records lost";
+/// What its message says where places were damaged, and where records were lost.
+const DAMAGED: &str = "damaged places";
+const RECORDS_LOST: &str = "small records lost";
+
+/// Whether a recording is a copy of a damaged one: what its header says may be wrong, and records may be missing that explain
+/// something.
+pub(super) fn is_of_damaged(recording: &RecordingReader) -> bool {
+    let damaged = |message: &str| message.contains(DAMAGED) || message.contains(RECORDS_LOST);
+    recording.events.iter().any(|event| event.kind == RECOVERED && damaged(&event.message))
+}
 
 /// Why nothing was recovered.
 #[derive(Debug, thiserror::Error)]

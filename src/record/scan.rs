@@ -15,8 +15,8 @@ use mcap::records::op;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use compressed::compressed_reason;
 pub use compressed::open_segment;
+use compressed::{compressed_reason, is_compression};
 pub use find::{Found, budget, find, is_json};
 
 /// Metadata records, schemas and channels larger than this are refused: ours are far below.
@@ -280,7 +280,11 @@ impl<'a> Walker<'a> {
             return None;
         };
         if !compression.is_empty() {
-            self.damaged(start, compressed_reason(&compression));
+            let reason = match is_compression(&compression) {
+                true => compressed_reason(&compression),
+                false => format!("a chunk compressed with {compression:?}; recordings are not compressed"),
+            };
+            self.damaged(start, reason);
             return None;
         }
         let records = body + header_bytes..end;

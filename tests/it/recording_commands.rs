@@ -78,7 +78,7 @@ fn info_describes() {
     );
     assert_eq!(
         (&recording["segment_files"][0]["closed"], &recording["clock_samples"]),
-        (&true.into(), &0.into())
+        (&true.into(), &8.into())
     );
     assert!(recording["write_statistics"]["written"]["max_us"].is_u64(), "{recording:#}");
 }

@@ -33,7 +33,7 @@ fn cameras_of(scans: &[SegmentScan]) -> Vec<&(String, u32, u32)> {
     scans.iter().flat_map(|scan| &scan.cameras).filter(|camera| known.insert(*camera)).collect()
 }
 
-/// A header without proof, corrected by what the frames' envelopes prove: names and sizes.
+/// A header without proof, corrected by what the frames' envelopes prove (names and sizes), and by what only an HSU says.
 fn corrected(mut header: RecordingHeader, scans: &[SegmentScan]) -> RecordingHeader {
     let seen = cameras_of(scans);
     let mut unknown: Vec<_> =
@@ -50,7 +50,15 @@ fn corrected(mut header: RecordingHeader, scans: &[SegmentScan]) -> RecordingHea
             _ => {}
         }
     }
+    if header.hsu.is_none() && has_hsu(scans) {
+        header.hsu = Some(HsuIdentity::default());
+    }
     header
+}
+
+/// Whether an HSU counted the triggers: images that were imported have neither a trigger table nor readings of clocks.
+fn has_hsu(scans: &[SegmentScan]) -> bool {
+    scans.iter().any(|scan| !scan.triggers.is_empty() || !scan.clock_samples.is_empty())
 }
 
 /// A header from what is left: entries of the damaged one, the frames, the trigger table, the directory's name.
@@ -65,14 +73,12 @@ pub fn rebuilt(path: &Path, scans: &[SegmentScan]) -> Option<RecordingHeader> {
     let rig_text = entry(KEY_RIG).unwrap_or_default();
     let cameras = cameras_from_frames(&rig_text, scans)?;
     let rows: Vec<_> = scans.iter().flat_map(|scan| &scan.triggers).map(|row| &row.record).collect();
-    // Imported images have none of these.
-    let witnessed = scans.iter().any(|scan| !scan.clock_samples.is_empty() || !scan.events.is_empty());
     let header = RecordingHeader {
         session: SessionName(safe(session).unwrap_or_else(|| "unknown".to_owned())),
         session_id: entry("session_id").unwrap_or_default(),
         node,
         cameras,
-        hsu: (!rows.is_empty() || witnessed).then(HsuIdentity::default),
+        hsu: has_hsu(scans).then(HsuIdentity::default),
         expected_triggers: None,
         trigger_rate_hz: rate(&rig_text, scans),
         host_clock: "unknown".to_owned(),

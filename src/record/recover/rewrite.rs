@@ -2,7 +2,9 @@
 //! Writes what was salvaged as a new recording, through the same writer that records sessions.
 
 use super::merge::Salvage;
-use super::{AddedGaps, RECORDS_LOST, RECOVERED, RecoveredRecording, SessionExtent, WriteResult, by_cause};
+use super::{
+    AddedGaps, DAMAGED, RECORDS_LOST, RECOVERED, RecoveredRecording, SessionExtent, WriteResult, by_cause,
+};
 use crate::base::ids::TriggerIndex;
 use crate::base::time::host_time_ns;
 use crate::record::frame_check::check_frame;
@@ -170,7 +172,7 @@ impl Copy<'_> {
         }
         match self.source.damage.len() {
             0 => {}
-            count => text.push_str(&format!("; {count} damaged places")),
+            count => text.push_str(&format!("; {count} {DAMAGED}")),
         }
         match self.source.records_lost {
             0 => {}

@@ -2,7 +2,6 @@
 //! Segments that another program compressed: they are refused by name, so that none is taken for an empty one.
 
 use super::{Fields, MAX_CHUNK_FIELDS, record_at};
-use crate::base::ids::printable;
 use crate::record::segment_file::{Pieces, SegmentFile};
 use mcap::MAGIC;
 use mcap::records::op;
@@ -20,6 +19,11 @@ pub fn open_segment(path: &Path) -> Result<SegmentFile, String> {
     }
 }
 
+/// Whether a chunk says that it is compressed as MCAP knows it; any other name is damage.
+pub(super) fn is_compression(name: &str) -> bool {
+    ["zstd", "lz4"].contains(&name)
+}
+
 /// The compression of the first chunk, if it has one.
 fn compression(file: &SegmentFile) -> Option<String> {
     let mut pieces = Pieces::new(file);
@@ -30,7 +34,7 @@ fn compression(file: &SegmentFile) -> Option<String> {
         if opcode == op::CHUNK {
             let header = body.start..body.end.min(body.start + MAX_CHUNK_FIELDS);
             let mut fields = Fields { bytes: pieces.get(header).ok()?, position: 8 + 8 + 8 + 4 };
-            return fields.text().filter(|name| !name.is_empty()).map(str::to_owned);
+            return fields.text().filter(|name| is_compression(name)).map(str::to_owned);
         }
         position = body.end;
     }
@@ -39,7 +43,6 @@ fn compression(file: &SegmentFile) -> Option<String> {
 
 /// What is wrong with such a segment, and what to do.
 pub(super) fn compressed_reason(compression: &str) -> String {
-    let compression = printable(compression);
     format!(
         "its chunks are compressed ({compression}), as `mcap compress`, `filter`, `merge` and `sort` write them; decompress it \
          first: `mcap decompress IN -o OUT`, then `fourdbody recover`"

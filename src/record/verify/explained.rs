@@ -5,9 +5,10 @@
 //! that is named must be borne out by the other sources.
 
 use crate::base::ids::CameraId;
-use crate::record::layout::GapCause;
+use crate::record::layout::{GapCause, NodeEvent};
 use crate::record::reader::{Outcome, RecordingReader};
-use crate::record::recover::{RECORDS_LOST, RECOVERED};
+use crate::record::recover::is_of_damaged;
+use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What is said of one camera.
@@ -15,15 +16,21 @@ pub struct Explained<'a> {
     outcomes: &'a BTreeMap<u64, Outcome>,
     /// Whether records were lost, which a recovered recording says: what explains something may be among them.
     lost: bool,
+    /// Frames that no trigger explains, and took an id all the same: so many may still be.
+    extra: Cell<u64>,
     /// Kinds of events, with the triggers that they name; `None` for those that name none.
     events: BTreeMap<&'a str, BTreeSet<Option<u64>>>,
 }
 
 /// What changes the count of a camera's ids, by the events that name it.
 const IGNORED: [&str; 3] = ["trigger_ignored", "id_repeated", "id_jump"];
-const SKIPPED: [&str; 3] = ["id_jump", "spurious_frame", "spurious_frames"];
-/// Events that say that a camera's clock was set, or may have been.
-const CLOCK_SET: [&str; 3] = ["camera_clock_reset", "camera_back", "camera_lost"];
+const JUMPED: &str = "id_jump";
+/// The event of the first frame that no trigger explains, and the one that counts them at the end.
+const EXTRA: [&str; 2] = ["spurious_frame", "spurious_frames"];
+/// The event that says that a camera's clock was set.
+const CLOCK_SET: &str = "camera_clock_reset";
+/// The event that says that a camera's clock cannot be read.
+const NO_CLOCK: &str = "no_camera_clock";
 /// The event that says that one stamp is wrong.
 const STAMP_WRONG: &str = "stamp_wrong";
 /// The event that says that a camera came back with a fresh stream.
@@ -36,19 +43,20 @@ impl<'a> Explained<'a> {
         for event in recording.events.iter().filter(|event| event.camera.as_ref() == Some(id)) {
             events.entry(&event.kind).or_default().insert(event.trigger.map(|trigger| trigger.0));
         }
-        let lost = recording
-            .events
-            .iter()
-            .any(|event| event.kind == RECOVERED && event.message.contains(RECORDS_LOST));
-        Some(Self { outcomes: recording.outcomes.get(camera)?, lost, events })
+        let lost = is_of_damaged(recording);
+        let own = recording.events.iter().filter(|event| event.camera.as_ref() == Some(id));
+        let extra = own.filter(|event| EXTRA.contains(&event.kind.as_str())).map(count_of).max().unwrap_or(0);
+        // Who was broken off did not count them.
+        let finished = recording.verdict.as_ref().is_some_and(|verdict| verdict.aborted.is_none());
+        let extra = Cell::new(if extra > 0 && !finished { u64::MAX } else { extra });
+        Some(Self { outcomes: recording.outcomes.get(camera)?, lost, extra, events })
     }
 
-    /// Whether one of these events names no trigger, or one of those behind `before` up to `number`. Of the warm-up no
-    /// event names a trigger.
+    /// Whether one of these events names a trigger behind `before` up to `number`. Events of the warm-up name none.
     fn told(&self, kinds: &[&str], before: i64, number: i64) -> bool {
         let from = u64::try_from(before.saturating_add(1)).unwrap_or(0);
         let to = u64::try_from(number).unwrap_or(0);
-        let within = |at: &Option<u64>| at.is_none_or(|at| (from..=to).contains(&at));
+        let within = |at: &Option<u64>| at.map_or(before < 0, |at| (from..=to).contains(&at));
         kinds.iter().filter_map(|kind| self.events.get(kind)).any(|at| at.iter().any(within))
     }
 
@@ -86,8 +94,11 @@ impl<'a> Explained<'a> {
             return true;
         }
         if skipped > 0 {
-            let anywhere = SKIPPED[1..].iter().any(|kind| self.events.contains_key(kind));
-            return anywhere || self.told(&SKIPPED[..1], before, number);
+            let left = self.extra.get().checked_sub(skipped.unsigned_abs());
+            if let Some(left) = left {
+                self.extra.set(if self.extra.get() == u64::MAX { u64::MAX } else { left });
+            }
+            return left.is_some() || self.told(&[JUMPED], before, number);
         }
         let ignored = self.causes(before, number).filter(|cause| *cause == GapCause::NotTriggered).count();
         ignored as u64 >= skipped.unsigned_abs() || self.told(&IGNORED, before, number)
@@ -100,8 +111,23 @@ impl<'a> Explained<'a> {
             || at.is_some() && self.events.get(STAMP_WRONG).is_some_and(|triggers| triggers.contains(&at))
     }
 
+    /// Whether it is said that its clock cannot be read.
+    pub fn has_no_clock(&self) -> bool {
+        self.lost || self.events.contains_key(NO_CLOCK)
+    }
+
     /// Whether it is said that the camera's clock was set, at whatever trigger.
     pub fn clock_set(&self) -> bool {
-        self.lost || CLOCK_SET.iter().any(|kind| self.events.contains_key(kind))
+        self.lost || self.events.contains_key(CLOCK_SET) || self.events.contains_key(BACK)
     }
+
+    /// Whether it is said that the camera's clock was set between two frames.
+    pub fn clock_set_at(&self, before: i64, number: i64) -> bool {
+        self.lost || self.told(&[CLOCK_SET], before, number) || self.was_away(before, number)
+    }
+}
+
+/// How many frames an event counts: the one at the end begins with their number.
+fn count_of(event: &NodeEvent) -> u64 {
+    event.message.split(' ').next().and_then(|count| count.parse().ok()).unwrap_or(1)
 }

@@ -3,7 +3,13 @@
 
 use super::{Notes, Severity};
 use crate::record::reader::RecordingReader;
+use crate::record::recover::is_of_damaged;
 use crate::record::session::parse_rig;
+
+/// How bad it is that a header contradicts something: that of a copy of a damaged recording may have been damaged.
+pub fn severity(recording: &RecordingReader) -> Severity {
+    if is_of_damaged(recording) { Severity::Unconfirmed } else { Severity::Corrupt }
+}
 
 /// Each camera is one of the rig's, and of this node. A rig file that cannot be read says nothing.
 pub fn check(recording: &RecordingReader, notes: &mut Notes) {
@@ -15,6 +21,6 @@ pub fn check(recording: &RecordingReader, notes: &mut Notes) {
             Some((_, known)) => format!("is recorded here, but by the rig file it is node {}'s", known.node),
             None => "is recorded, but the rig file does not have it".to_owned(),
         };
-        notes.add(Severity::Corrupt, None, Some(&camera.id), None, message);
+        notes.add(severity(recording), None, Some(&camera.id), None, message);
     }
 }

@@ -164,6 +164,12 @@ impl Readings {
         self.epochs.iter().max_by_key(|epoch| epoch.readings.len())
     }
 
+    /// Whether a new epoch begins around a time of the host.
+    pub fn was_set_around(&self, host_ns: i128) -> bool {
+        let begins = self.epochs.iter().skip(1).map(Epoch::begin_ns);
+        begins.into_iter().any(|begin| (begin - host_ns).abs() <= BETWEEN_READINGS_NS)
+    }
+
     /// Where the clock was set, as far as enough readings agree on both sides: the host's time, and by how much, ns.
     pub fn settings(&self) -> impl Iterator<Item = (i128, i128)> + '_ {
         let sustained: Vec<&Epoch> = self.epochs.iter().filter(|epoch| epoch.is_sustained()).collect();

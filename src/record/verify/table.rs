@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The trigger table as a witness of its own: its rhythm, the header's rate, the HSU's clock and the reports' arrival.
 
+use super::header::severity;
 use super::readings::{HostTime, Readings};
 use super::rows::Rows;
 use super::{Notes, Severity};
 use crate::base::ids::TriggerIndex;
 use crate::record::layout::{TriggerRecord, WarmUp};
 use crate::record::reader::RecordingReader;
+use crate::record::recover::RECOVERED;
 use crate::record::session::parse_rig;
 use hsu_firmware_proto::TriggerFlags;
 use std::collections::BTreeMap;
@@ -32,6 +34,8 @@ pub struct Table {
     pub readings: Readings,
     /// Trigger period, ns; at least 1.
     pub period_ns: i128,
+    /// When anything but a frame was recorded last, host clock, ns.
+    pub last_ns: i128,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -81,10 +85,16 @@ impl Table {
                 recording.header.trigger_rate_hz,
                 1e9 / found as f64
             );
-            notes.add(Severity::Corrupt, None, None, None, message);
+            notes.add(severity(recording), None, None, None, message);
         }
         let period_ns = usual.filter(|_| steps.len() >= STEPS).or(period_ns).or(usual)?;
-        Some(Self { rows, readings, period_ns: period_ns.max(1) })
+        // A copy says when it was made.
+        let events =
+            recording.events.iter().filter(|event| event.kind != RECOVERED).map(|event| event.host_time_ns);
+        let samples = recording.clock_samples.iter().map(|sample| sample.host_receive_ns);
+        let reports = recording.triggers.values().map(|row| row.host_time_ns);
+        let last_ns = events.chain(samples).chain(reports).max().unwrap_or(u64::MAX).into();
+        Some(Self { rows, readings, period_ns: period_ns.max(1), last_ns })
     }
 
     /// When a trigger was fired, HSU clock, ns: as reported, or between two that were.
@@ -231,17 +241,7 @@ impl Table {
             let rows = rows.map(|((first, _), (last, _))| (first.0, last.0));
             notes.add(Severity::Corrupt, None, None, rows, message);
         }
-        let first = recording.triggers.first_key_value().map(|(_, row)| row.host_time_ns);
-        const SLACK_NS: u64 = 1_000_000_000;
-        if let Some(first) = first
-            && recording.header.created_ns > first.saturating_add(SLACK_NS)
-        {
-            let message = format!(
-                "created at {} ns of the host's clock, after its first trigger was reported at {first} ns",
-                recording.header.created_ns
-            );
-            notes.add(Severity::Corrupt, None, None, None, message);
-        }
+        check_created(recording, notes);
     }
 
     /// The HSU's clock runs through a session.
@@ -302,6 +302,26 @@ impl Table {
 /// Kind of the event at the trigger at which Record was pressed.
 const RECORD_PRESSED: &str = "record_pressed";
 
+/// A recording is created when its devices are prepared: their clocks are read then, and no trigger comes before.
+fn check_created(recording: &RecordingReader, notes: &mut Notes) {
+    const SLACK_NS: u64 = 1_000_000_000;
+    const PREPARED_NS: u64 = 60_000_000_000;
+    let created = recording.header.created_ns;
+    let report = recording.triggers.first_key_value().map(|(_, row)| row.host_time_ns);
+    let reading = recording.clock_samples.iter().map(|sample| sample.host_send_ns).min();
+    let late = report.is_some_and(|first| created > first.saturating_add(SLACK_NS));
+    if late || reading.is_some_and(|first| created.abs_diff(first) > PREPARED_NS) {
+        let shown = |ns: Option<u64>| ns.map_or("none".to_owned(), |ns| format!("at {ns} ns"));
+        let message = format!(
+            "created at {created} ns of the host's clock, but its first reading of a clock is {}, its first report of a \
+             trigger {}",
+            shown(reading),
+            shown(report)
+        );
+        notes.add(severity(recording), None, None, None, message);
+    }
+}
+
 /// Readings of a clock that cannot be, and those that the others contradict.
 pub fn note_readings(
     readings: &Readings,
@@ -340,7 +360,7 @@ fn stated_period(recording: &RecordingReader, notes: &mut Notes) -> Option<i128>
             RATES_HZ.start(),
             RATES_HZ.end()
         );
-        notes.add(Severity::Corrupt, None, None, None, message);
+        notes.add(severity(recording), None, None, None, message);
         return None;
     }
     if let Ok(rig) = parse_rig(&recording.header.rig_text)
@@ -348,7 +368,7 @@ fn stated_period(recording: &RecordingReader, notes: &mut Notes) -> Option<i128>
     {
         let message =
             format!("its header states {rate} triggers per second, its rig file {}", rig.trigger_rate_hz);
-        notes.add(Severity::Corrupt, None, None, None, message);
+        notes.add(severity(recording), None, None, None, message);
     }
     Some((1e9 / rate) as i128)
 }

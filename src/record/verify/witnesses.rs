@@ -7,6 +7,7 @@
 //! arrivals refute what would have come too early, and decide between the two where they are in time.
 
 use super::explained::Explained;
+use super::header::severity;
 use super::readings::Readings;
 use super::rhythm;
 use super::rows::{Late, Rows, Wrong, range_of};
@@ -124,7 +125,7 @@ fn note_without_hsu(recording: &RecordingReader, notes: &mut Notes) {
     let warm_up = recording.events.iter().any(|event| WarmUp::of(event).is_some());
     if !recording.triggers.is_empty() || !recording.clock_samples.is_empty() || warm_up {
         let message = "its header names no HSU, but there are trigger times or readings of clocks";
-        return notes.add(Severity::Corrupt, None, None, None, message);
+        return notes.add(severity(recording), None, None, None, message);
     }
     let message = "imported: that images of one index are of one instant rests on their files' names alone";
     notes.add(Severity::Note, None, None, None, message);
@@ -169,6 +170,15 @@ impl Camera<'_> {
                 ms(by)
             );
             notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+        }
+        if self.stamped
+            && self.readings.epochs.is_empty()
+            && !self.table.readings.epochs.is_empty()
+            && !self.explained.has_no_clock()
+        {
+            let message = "its clock was never read, and no record says that it cannot be: what its timestamps are of rests \
+                           on the warm-up alone";
+            notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
         self.check_order(&recorded, notes);
         let begin = rhythm::warm_up(seen, self.table);
@@ -224,7 +234,9 @@ impl Camera<'_> {
     /// Frames of one camera arrive in the order of their triggers, and none before its own.
     fn check_order(&self, frames: &[Frame], notes: &mut Notes) {
         let slack = self.table.period_ns / 8;
-        let (mut early, mut back) = (Rows::default(), Rows::default());
+        // So long after everything else no frame is taken any more, ns.
+        const BEHIND_NS: i128 = 10_000_000_000;
+        let (mut early, mut back, mut behind) = (Rows::default(), Rows::default(), Rows::default());
         let mut latest = 0;
         for frame in frames {
             if let Some((way, open)) = self.arrived_after(frame)
@@ -238,6 +250,16 @@ impl Camera<'_> {
                 back.add(frame.number, arrived - latest);
             }
             latest = arrived.max(latest);
+            if arrived > self.table.last_ns + BEHIND_NS {
+                behind.add(frame.number, arrived - self.table.last_ns);
+            }
+        }
+        for (range, by) in behind.0 {
+            let message = format!(
+                "not the frames of this session: arrived {:.3} ms after everything else was recorded",
+                ms(by)
+            );
+            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
         }
         for (range, way) in early.0 {
             let message = format!(
@@ -340,7 +362,9 @@ impl Camera<'_> {
         let (mut counted, mut clocked): (Option<Frame>, Option<Frame>) = (None, None);
         // The quickest way of frames that ids and stamps confirm: arrivals err towards late.
         let mut usual = parts.first().and_then(|first| self.usual_arrival(first.frames));
-        let (mut late, mut wrong) = (Late::default(), Wrong::default());
+        // The same of so many frames in a row that no host stood still for all of them.
+        let mut proven: Option<i128> = None;
+        let (mut late, mut wrong, mut single) = (Late::default(), Wrong::default(), Wrong::default());
         for (place, part) in parts.iter().enumerate() {
             let told = self.told(part, counted, clocked, usual, place == 0);
             let next = parts.get(place + 1).and_then(|next| next.frames.first());
@@ -350,17 +374,29 @@ impl Camera<'_> {
             let ends = part.frames.first().zip(part.frames.last());
             let Some((first, last)) = ends else { continue };
             let before = counted.map_or(first.number - 1, |frame| frame.number);
-            if self.accept(part, &told, before, enclosed, &mut wrong, notes) {
+            let accepted = self.accept(part, &told, before, enclosed, (&mut wrong, &mut single));
+            late.add(part.frames, accepted && told.late_ns.is_some_and(|ns| ns > self.table.period_ns / 2));
+            if accepted {
                 counted = Some(*last);
                 if (told.counter, told.clock) == (Some(true), Some(true)) {
-                    usual = usual.into_iter().chain(self.usual_arrival(part.frames)).min();
+                    let own = self.usual_arrival(part.frames);
+                    let early = |(own, proven): (i128, i128)| own - proven < -self.table.period_ns * 3 / 4;
+                    if let Some(range) = range_of(part.frames).filter(|_| own.zip(proven).is_some_and(early))
+                    {
+                        let message =
+                            "arrive a period earlier than the frames before: arrivals do not confirm them";
+                        single.add(range, || message.to_owned());
+                    }
+                    usual = usual.into_iter().chain(own).min();
+                    if part.frames.len() >= PART && proven.is_none() {
+                        proven = own;
+                    }
                 }
-                if told.clock != Some(false) || self.explained.clock_set() {
+                if told.clock != Some(false) || self.explained.clock_set_at(before, first.number) {
                     let stamped = part.frames.iter().rev().find(|frame| frame.seen.camera_ns != 0);
                     clocked = stamped.copied().or(clocked);
                 }
             }
-            late.add(part.frames, told.late_ns.is_some_and(|ns| ns > self.table.period_ns / 2));
         }
         for range in late.long(LATE_NS, PART) {
             let message = "all of its frames arrive later than at the beginning by more than half a period: arrivals do not confirm them";
@@ -368,6 +404,9 @@ impl Camera<'_> {
         }
         for (range, message) in wrong.0 {
             notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+        }
+        for (range, message) in single.0 {
+            notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
         self.note_unstamped(frames, notes);
     }
@@ -377,7 +416,7 @@ impl Camera<'_> {
         let mut ways: Vec<i128> =
             frames.iter().filter_map(|frame| self.arrived_after(frame)).map(|(way, _)| way).collect();
         ways.sort_unstable();
-        ways.get(ways.len() / 8).copied()
+        ways.get(ways.len() / 16).copied()
     }
 
     fn told(
@@ -409,7 +448,11 @@ impl Camera<'_> {
         };
         let absolute = off_ns.map(|off| off.abs() <= half);
         // A stamp that jumps is off, however little the readings leave to be told.
-        let jumped = relative == Some(false) && !part.begins && !away && !self.explained.clock_set();
+        let set = counted.zip(begin).is_some_and(|(before, begin)| {
+            self.explained.clock_set_at(before.number, begin.number)
+                || self.readings.was_set_around(begin.seen.host_ns.into())
+        });
+        let jumped = relative == Some(false) && !part.begins && !away && !set;
         let clock = match absolute {
             Some(true) if jumped => Some(false),
             Some(says) => Some(says),
@@ -428,8 +471,7 @@ impl Camera<'_> {
         told: &Told,
         before: i64,
         enclosed: bool,
-        wrong: &mut Wrong,
-        notes: &mut Notes,
+        (wrong, single): (&mut Wrong, &mut Wrong),
     ) -> bool {
         let half = self.table.period_ns / 2;
         let most = if part.frames.len() <= PASSING { half * 3 / 2 } else { half };
@@ -443,7 +485,7 @@ impl Camera<'_> {
             || (before < 0 && self.may_have_ignored(before, begin.number, skip));
         // Of ids that fell behind the other explanation is a clock that went ahead: then frames would come early.
         let borne_out = if skip < 0 { !early } else { decided };
-        let stamps = self.explained.clock_set()
+        let stamps = self.explained.clock_set_at(before, begin.number)
             || part
                 .frames
                 .iter()
@@ -463,8 +505,7 @@ impl Camera<'_> {
         if possible {
             if !confirmed {
                 let source = if told.clock == Some(true) { "their timestamps" } else { "their ids" };
-                let message = format!("of these frames {source} alone say which trigger they are of");
-                notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
+                single.add(range, || format!("of these frames {source} alone say which trigger they are of"));
             }
             return true;
         }

@@ -406,6 +406,34 @@ fn of_the_rest(all: &mut Vec<Forgery>) {
     );
     let created = |take: &mut Take| take.header.created_ns = moved(take.header.created_ns, HALF_AN_HOUR);
     add("created half an hour later".to_owned(), None, None, corrupt, Box::new(created));
+    let created = |take: &mut Take| take.header.created_ns = moved(take.header.created_ns, -HALF_AN_HOUR);
+    add("created half an hour earlier".to_owned(), None, None, corrupt, Box::new(created));
+    for camera in 0..CAMERAS.len() {
+        let arrived = move |take: &mut Take| {
+            frames(take, camera, &(60..i64::MAX), |seen| seen.host_ns = moved(seen.host_ns, HALF_AN_HOUR));
+        };
+        let name = Some(CAMERAS[camera].name);
+        let what = "arrivals half an hour late for good".to_owned();
+        add(what, Some((60, 239)), name, corrupt, Box::new(arrived));
+    }
+    // Counter and clock together: the arrivals do not confirm it.
+    for periods in [-1, 1] {
+        let both = move |take: &mut Take| {
+            relabel(&mut take.frames[3], &(120..i64::MAX), periods);
+            frames(take, 3, &(120 + periods.max(0)..i64::MAX), |seen| {
+                seen.block = moved(seen.block, periods);
+                seen.camera_ns = moved(seen.camera_ns, periods * PERIOD);
+            });
+            take.frames[3].retain(|number, _| *number < 239);
+        };
+        let what = format!("counter and clock of frames {periods} triggers off together");
+        add(what, Some((118, 239)), Some("h1_low"), Severity::Unconfirmed, Box::new(both));
+    }
+    let unread = |take: &mut Take| {
+        take.samples.retain(|sample| sample.camera.as_ref().is_none_or(|id| id.as_str() != "h0_up"));
+    };
+    let unconfirmed = Severity::Unconfirmed;
+    add("readings of a camera left out".to_owned(), None, Some("h0_up"), unconfirmed, Box::new(unread));
     let last = |take: &mut Take| {
         take.rows.truncate(200);
         take.rows[199].flags |= u32::from(TriggerFlags::LAST.0);
@@ -444,9 +472,88 @@ fn of_the_rest(all: &mut Vec<Forgery>) {
     );
 }
 
+/// What honestly happened excuses nothing that is forged beside it.
+fn of_eventful_sessions(all: &mut Vec<Forgery>) {
+    use Happens::*;
+    let kinds = [
+        Lost,
+        Ignored,
+        Extra,
+        IdJump,
+        GivenUp,
+        Away,
+        Late,
+        RowsLost,
+        MissesFirst,
+        Endless,
+        StampWrong(PERIOD),
+        StampAbsent,
+        ClockSet(PERIOD),
+        ClockSet(7_000_000_000),
+        Pauses(300),
+        Batches(9),
+        BeforeRecord(40),
+        BeforeRecord(2_000),
+    ];
+    for of in kinds {
+        let mut add = |what: &str, forge: Box<dyn Fn(&mut Take)>| {
+            all.push(Forgery {
+                what: format!("{what}, {of:?}"),
+                of,
+                forge,
+                expected: Severity::Corrupt,
+                camera: Some("h0_up"),
+                triggers: Some((90, 239)),
+            });
+        };
+        // One that nothing happened to.
+        let plain = |take: &Take| (95..).find(|n| (n - 2..n + 3).all(|n| take.frames[0].contains_key(&n)));
+        let one = move |take: &Take| plain(take).map_or(0..0, |number| number..number + 1);
+        add(
+            "a stamp a period off",
+            Box::new(move |take| {
+                let own = one(take);
+                frames(take, 0, &own, |seen| seen.camera_ns = moved(seen.camera_ns, PERIOD));
+            }),
+        );
+        add(
+            "an id one off",
+            Box::new(move |take| {
+                let own = one(take);
+                frames(take, 0, &own, |seen| seen.block += 1);
+            }),
+        );
+        add(
+            "ids two off for good",
+            Box::new(move |take| {
+                let own = one(take).start..i64::MAX;
+                frames(take, 0, &own, |seen| seen.block += 2);
+            }),
+        );
+        add(
+            "frames a trigger late for good",
+            Box::new(move |take| {
+                let own = one(take).start..i64::MAX;
+                relabel(&mut take.frames[0], &own, 1);
+            }),
+        );
+        add(
+            "a frame of another session",
+            Box::new(move |take| {
+                let own = one(take);
+                frames(take, 0, &own, |seen| {
+                    (seen.camera_ns, seen.host_ns) =
+                        (moved(seen.camera_ns, HALF_AN_HOUR), moved(seen.host_ns, HALF_AN_HOUR));
+                });
+            }),
+        );
+    }
+}
+
 /// All of them.
 pub fn all() -> Vec<Forgery> {
     let mut all = Vec::new();
+    of_eventful_sessions(&mut all);
     of_frames(&mut all);
     of_the_rest(&mut all);
     all

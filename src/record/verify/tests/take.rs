@@ -335,6 +335,9 @@ impl Model {
         let own = if let Happens::PausesOfEach(ms) = self.happens { self.pauses(ms) } else { Vec::new() };
         let stands =
             |at: i64| own.iter().find(|(from, to)| (*from..*to).contains(&at)).map_or(at, |(_, to)| *to);
+        if habits.stamps && !habits.clock {
+            self.event("no_camera_clock", Some(habits.name), -1, "its clock cannot be read");
+        }
         let ahead = (place as i64 + 1) * 1_005_000_000;
         // From which HSU time on its clock is so far ahead.
         let mut clocks = vec![(0, ahead)];
@@ -400,7 +403,7 @@ impl Model {
                     id += 1;
                     let first = strikes.first() == Some(&number);
                     let kind = if first { "spurious_frame" } else { "spurious_frames" };
-                    self.event(kind, Some(habits.name), -1, "frames that no trigger explains");
+                    self.event(kind, Some(habits.name), -1, "4 frames that no trigger explains");
                 }
                 Happens::IdJump if strike => {
                     id += 7;
