@@ -88,6 +88,9 @@ fn print(report: &Report) {
         println!("{comparison}");
     }
     let word = match report.worst {
+        None | Some(Severity::Note) if report.single_segment => {
+            "every checksum is right; of a single segment no more is checked"
+        }
         None | Some(Severity::Note) if report.imported => {
             "every checksum and every count is right; which trigger an image is of rests on file names"
         }

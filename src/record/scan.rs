@@ -303,7 +303,11 @@ impl<'a> Walker<'a> {
         let known = match opcode {
             op::MESSAGE | op::METADATA | op::CHANNEL | op::DATA_END => true,
             op::FOOTER => self.chunk_end.is_none(),
-            op::HEADER | op::SCHEMA | op::MESSAGE_INDEX => return None,
+            op::MESSAGE_INDEX => {
+                self.message_index(start, &body);
+                return None;
+            }
+            op::HEADER | op::SCHEMA => return None,
             op::CHUNK_INDEX..=op::SUMMARY_OFFSET if self.chunk_end.is_none() => return None,
             // Private records and those of later versions of MCAP.
             128.. => return None,
@@ -334,6 +338,22 @@ impl<'a> Walker<'a> {
             self.footer(start, body.end);
         }
         event
+    }
+
+    /// It is passed over, but by its own length only where that agrees with the one inside: a wrong one would swallow the
+    /// chunk behind it.
+    fn message_index(&mut self, start: usize, body: &Range<usize>) {
+        const FIELDS: usize = 2 + 4;
+        let stated = match self.pieces.get(body.start..body.end.min(body.start + FIELDS)) {
+            Ok(bytes) => (|| {
+                let mut fields = Fields { bytes, position: 2 };
+                usize::try_from(fields.u32()?).ok()
+            })(),
+            Err(_) => return,
+        };
+        if stated.and_then(|entries| entries.checked_add(FIELDS)) != Some(body.len()) {
+            self.damaged(start, "the lengths of a message index disagree");
+        }
     }
 
     fn footer(&mut self, start: usize, end: usize) {

@@ -106,6 +106,8 @@ pub struct Report {
     pub path: PathBuf,
     /// The worst finding that is more than a note.
     pub worst: Option<Severity>,
+    /// Whether it is a single segment, of which only the integrity is checked.
+    pub single_segment: bool,
     /// Whether images were imported: which trigger one is of rests on its file's name.
     pub imported: bool,
     /// Per node.
@@ -157,6 +159,12 @@ impl Notes {
         self.findings.push(Finding { severity, node, segment, camera, triggers, message });
     }
 
+    fn leave_out_unconfirmed(&mut self) {
+        self.findings.retain(|finding| finding.severity != Severity::Unconfirmed);
+        let found = self.findings.iter().map(|finding| finding.severity);
+        self.worst = found.filter(|severity| *severity > Severity::Note).max();
+    }
+
     fn absorb(&mut self, other: Self) {
         self.worst = self.worst.max(other.worst);
         let room = MAX_FINDINGS.saturating_sub(self.findings.len());
@@ -203,7 +211,13 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
         }
         let times = segment::check(recording, &mut own, &advance);
         header::check(recording, &mut own);
-        witnesses::check(recording, &times, !single_segment, &mut own);
+        let mut witnessed = Notes::new(node);
+        witnesses::check(recording, &times, !single_segment, &mut witnessed);
+        if single_segment {
+            // What would confirm its frames may be in other segments.
+            witnessed.leave_out_unconfirmed();
+        }
+        own.absorb(witnessed);
         let verdict = accounting::recount(recording);
         if single_segment {
             own.add(Severity::Note, None, None, None, "a single segment: integrity checked, outcomes not");
@@ -222,6 +236,7 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
     Ok(Report {
         path: path.to_owned(),
         worst: notes.worst,
+        single_segment,
         imported: readers.iter().any(|recording| recording.header.hsu.is_none()),
         recordings,
         compared,

@@ -31,10 +31,12 @@ fn fill(pixels: &mut [u8], salt: u64, camera: usize, index: u64) {
     pixels.fill_with(|| random.below(256) as u8);
 }
 
-fn header_of(node: &str, session_id: &str, created_ns: u64) -> RecordingHeader {
+/// `later_ns`: when it was created, after others.
+fn header_of(node: &str, session_id: &str, later_ns: u64) -> RecordingHeader {
     let mut header = header(node, &CAMERAS, Some(TRIGGERS));
     header.cameras.iter_mut().for_each(|camera| (camera.width, camera.height) = SIZE);
-    (header.session_id, header.created_ns) = (session_id.to_owned(), created_ns);
+    header.session_id = session_id.to_owned();
+    header.created_ns += later_ns;
     // The rig would be most of the file.
     header.rig_text = "rig".to_owned();
     header

@@ -14,7 +14,8 @@ use std::collections::{BTreeMap, BTreeSet};
 /// What is said of one camera.
 pub struct Explained<'a> {
     outcomes: &'a BTreeMap<u64, Outcome>,
-    /// Whether records were lost, which a recovered recording says: what explains something may be among them.
+    /// Whether records were lost, as a recovered recording says, or are in other segments: what explains something may be
+    /// among them.
     lost: bool,
     /// Frames that no trigger explains, and took an id all the same: so many may still be.
     extra: Cell<u64>,
@@ -37,13 +38,13 @@ const STAMP_WRONG: &str = "stamp_wrong";
 const BACK: &str = "camera_back";
 
 impl<'a> Explained<'a> {
-    /// By the recording's outcomes and events; `camera` is its place in the header.
-    pub fn of(recording: &'a RecordingReader, camera: usize, id: &CameraId) -> Option<Self> {
+    /// By the recording's outcomes and events; `camera` is its place in the header. A single segment is not the `whole`.
+    pub fn of(recording: &'a RecordingReader, camera: usize, id: &CameraId, whole: bool) -> Option<Self> {
         let mut events: BTreeMap<&str, BTreeSet<Option<u64>>> = BTreeMap::new();
         for event in recording.events.iter().filter(|event| event.camera.as_ref() == Some(id)) {
             events.entry(&event.kind).or_default().insert(event.trigger.map(|trigger| trigger.0));
         }
-        let lost = is_of_damaged(recording);
+        let lost = !whole || is_of_damaged(recording);
         let own = recording.events.iter().filter(|event| event.camera.as_ref() == Some(id));
         let extra = own.filter(|event| EXTRA.contains(&event.kind.as_str())).map(count_of).max().unwrap_or(0);
         // Who was broken off did not count them.

@@ -132,12 +132,16 @@ impl Table {
         }
     }
 
-    /// Holds the table against its own rhythm and flags, and against the arrival of its reports.
-    pub fn check(&self, recording: &RecordingReader, notes: &mut Notes) {
+    /// Holds the table against its own rhythm and flags, and against the arrival of its reports. A single segment is not the
+    /// `whole`: it says nothing of the beginning.
+    pub fn check(&self, recording: &RecordingReader, whole: bool, notes: &mut Notes) {
         self.check_steps(notes);
         self.check_flags(recording, notes);
         self.check_reports(recording, notes);
         self.check_clock(notes);
+        if whole {
+            check_created(recording, notes);
+        }
     }
 
     /// Triggers are at least 7/8 of a period apart, and one that is late says so (`hsu-protocol.md`, invariant 5).
@@ -241,7 +245,6 @@ impl Table {
             let rows = rows.map(|((first, _), (last, _))| (first.0, last.0));
             notes.add(Severity::Corrupt, None, None, rows, message);
         }
-        check_created(recording, notes);
     }
 
     /// The HSU's clock runs through a session.

@@ -101,10 +101,10 @@ pub fn check(recording: &RecordingReader, times: &[Times], whole: bool, notes: &
         let message = "neither its header nor a trigger table state when triggers were fired: of all frames only the ids say which trigger they are of";
         return notes.add(Severity::Unconfirmed, None, None, None, message);
     };
-    table.check(recording, notes);
+    table.check(recording, whole, notes);
     for (place, (camera, times)) in recording.header.cameras.iter().zip(times).enumerate() {
         let id = &camera.id;
-        let Some(explained) = Explained::of(recording, place, id) else { continue };
+        let Some(explained) = Explained::of(recording, place, id, whole) else { continue };
         let samples = recording.clock_samples.iter().filter(|sample| sample.camera.as_ref() == Some(id));
         let frames = times.iter().filter_map(|(&trigger, &seen)| {
             let number = number(TriggerIndex(trigger))?;
