@@ -14,8 +14,8 @@ use std::collections::{BTreeMap, BTreeSet};
 /// What is said of one camera.
 pub struct Explained<'a> {
     outcomes: &'a BTreeMap<u64, Outcome>,
-    /// Whether records were lost, as a recovered recording says, or are in other segments: what explains something may be
-    /// among them.
+    /// Whether records were lost, as the recording says, or are in other segments: what explains something may be among
+    /// them.
     lost: bool,
     /// Frames that no trigger explains, and took an id all the same: so many may still be.
     extra: Cell<u64>,
@@ -30,6 +30,8 @@ const JUMPED: &str = "id_jump";
 const EXTRA: [&str; 2] = ["spurious_frame", "spurious_frames"];
 /// The event that says that a camera's clock was set.
 const CLOCK_SET: &str = "camera_clock_reset";
+/// The event that says that small records found no room on the way to the disk.
+const RECORDS_REFUSED: &str = "records_lost";
 /// The event that says that a camera's clock cannot be read.
 const NO_CLOCK: &str = "no_camera_clock";
 /// The event that says that one stamp is wrong.
@@ -44,7 +46,8 @@ impl<'a> Explained<'a> {
         for event in recording.events.iter().filter(|event| event.camera.as_ref() == Some(id)) {
             events.entry(&event.kind).or_default().insert(event.trigger.map(|trigger| trigger.0));
         }
-        let lost = !whole || is_of_damaged(recording);
+        let refused = recording.events.iter().any(|event| event.kind == RECORDS_REFUSED);
+        let lost = !whole || refused || is_of_damaged(recording);
         let own = recording.events.iter().filter(|event| event.camera.as_ref() == Some(id));
         let extra = own.filter(|event| EXTRA.contains(&event.kind.as_str())).map(count_of).max().unwrap_or(0);
         // Who was broken off did not count them.

@@ -4,7 +4,7 @@
 use super::{Report, Severity, verify};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::record::layout::{GapCause, NodeEvent, WarmUp};
-use forge::{Forgery, all};
+use forge::{Forge, Forgery, all};
 use take::{Happens, PERIOD, Take};
 
 mod forge;
@@ -147,7 +147,7 @@ fn one_source_alone_is_not_enough() {
     let strip = |take: &mut Take, what: fn(&NodeEvent) -> bool| take.events.retain(|event| !what(event));
     let warm_up: fn(&NodeEvent) -> bool = |event| WarmUp::of(event).is_some();
     let frames: fn(&NodeEvent) -> bool = |event| matches!(WarmUp::of(event), Some(WarmUp::Frame { .. }));
-    let forge: [(&str, Box<dyn Fn(&mut Take)>); 5] = [
+    let forge: [(&str, Forge); 5] = [
         ("without a warm-up", Box::new(move |take| strip(take, warm_up))),
         ("without the warm-up's frames", Box::new(move |take| strip(take, frames))),
         (

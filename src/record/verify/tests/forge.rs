@@ -11,12 +11,15 @@ use std::ops::Range;
 
 const HALF_AN_HOUR: i64 = 1_800_000_000_000;
 
+/// What is done to a recording.
+pub type Forge = Box<dyn Fn(&mut Take)>;
+
 /// One way to forge a recording.
 pub struct Forgery {
     pub what: String,
     /// What happens in the honest recording.
     pub of: Happens,
-    pub forge: Box<dyn Fn(&mut Take)>,
+    pub forge: Forge,
     /// How bad it is at least.
     pub expected: Severity,
     /// What a finding of that severity must name.
@@ -113,7 +116,7 @@ pub fn half_an_hour(take: &mut Take) {
 }
 
 fn of_frames(all: &mut Vec<Forgery>) {
-    let mut add = |what: String, camera: usize, triggers: &Range<i64>, forge: Box<dyn Fn(&mut Take)>| {
+    let mut add = |what: String, camera: usize, triggers: &Range<i64>, forge: Forge| {
         let to = triggers.end.min(239) as u64;
         all.push(Forgery {
             what: format!("{what}, {}", CAMERAS[camera].name),
@@ -204,7 +207,8 @@ fn of_frames(all: &mut Vec<Forgery>) {
                 let (mut up, mut low) = (take.frames[0].clone(), take.frames[3].clone());
                 for number in own.start..own.end.min(240) {
                     let (a, b) = (take.frames[0][&number], take.frames[3][&number]);
-                    (up.insert(number, b), low.insert(number, a));
+                    up.insert(number, b);
+                    low.insert(number, a);
                 }
                 (take.frames[0], take.frames[3]) = (up, low);
             };
@@ -227,10 +231,9 @@ fn of_frames(all: &mut Vec<Forgery>) {
 }
 
 fn of_the_rest(all: &mut Vec<Forgery>) {
-    let mut add =
-        |what: String, triggers: Option<(u64, u64)>, camera, expected, forge: Box<dyn Fn(&mut Take)>| {
-            all.push(Forgery { what, of: Happens::Nothing, forge, expected, camera, triggers });
-        };
+    let mut add = |what: String, triggers: Option<(u64, u64)>, camera, expected, forge: Forge| {
+        all.push(Forgery { what, of: Happens::Nothing, forge, expected, camera, triggers });
+    };
     let corrupt = Severity::Corrupt;
     for (duration, triggers) in durations() {
         let near = Some((triggers.start as u64, triggers.end.min(239) as u64 + 1));
@@ -321,14 +324,14 @@ fn of_the_rest(all: &mut Vec<Forgery>) {
                 Box::new(forge),
             );
         }
-        for camera in 0..CAMERAS.len() {
+        for (camera, habits) in CAMERAS.iter().enumerate() {
             let forge = move |take: &mut Take| {
                 each_warm_up_frame(take, camera, |seen| seen.block = moved(seen.block, periods + 3))
             };
             add(
                 format!("ids of the warm-up {} off", periods + 3),
                 Some((0, 239)),
-                Some(CAMERAS[camera].name),
+                Some(habits.name),
                 corrupt,
                 Box::new(forge),
             );
@@ -408,11 +411,11 @@ fn of_the_rest(all: &mut Vec<Forgery>) {
     add("created half an hour later".to_owned(), None, None, corrupt, Box::new(created));
     let created = |take: &mut Take| take.header.created_ns = moved(take.header.created_ns, -HALF_AN_HOUR);
     add("created half an hour earlier".to_owned(), None, None, corrupt, Box::new(created));
-    for camera in 0..CAMERAS.len() {
+    for (camera, habits) in CAMERAS.iter().enumerate() {
         let arrived = move |take: &mut Take| {
             frames(take, camera, &(60..i64::MAX), |seen| seen.host_ns = moved(seen.host_ns, HALF_AN_HOUR));
         };
-        let name = Some(CAMERAS[camera].name);
+        let name = Some(habits.name);
         let what = "arrivals half an hour late for good".to_owned();
         add(what, Some((60, 239)), name, corrupt, Box::new(arrived));
     }
@@ -496,7 +499,7 @@ fn of_eventful_sessions(all: &mut Vec<Forgery>) {
         BeforeRecord(2_000),
     ];
     for of in kinds {
-        let mut add = |what: &str, forge: Box<dyn Fn(&mut Take)>| {
+        let mut add = |what: &str, forge: Forge| {
             all.push(Forgery {
                 what: format!("{what}, {of:?}"),
                 of,
