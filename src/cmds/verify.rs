@@ -4,6 +4,7 @@
 use super::failure::Failure;
 use super::progress::Progress;
 use crate::base::Exit;
+use crate::base::ids::one_line;
 use crate::record::verify::{Report, Severity, compare, verify};
 use std::path::PathBuf;
 
@@ -88,7 +89,7 @@ fn print(report: &Report) {
         Some(Severity::Loss) => "data loss, all of it accounted for",
         Some(Severity::Corrupt) => "CORRUPT: damaged, or missing without a record; see above",
     };
-    println!("{}: {word}", report.path.display());
+    println!("{}: {word}", one_line(report.path.display()));
 }
 
 fn severity_exit(worst: Option<Severity>) -> Exit {

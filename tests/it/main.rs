@@ -59,6 +59,7 @@ mod export;
 mod exposure;
 #[cfg(feature = "aravis")]
 mod faults;
+mod foreign_files;
 mod foreign_records;
 #[cfg(feature = "aravis")]
 mod frame_contract;
