@@ -88,6 +88,8 @@ mod plan_faults;
 mod player;
 #[cfg(feature = "aravis")]
 mod playing;
+#[cfg(feature = "aravis")]
+mod process_limits;
 mod profiles;
 #[cfg(feature = "aravis")]
 mod ptp_time;
