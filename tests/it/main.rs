@@ -115,6 +115,8 @@ mod shared_scene;
 mod simd_paths;
 mod slurm;
 #[cfg(feature = "aravis")]
+mod sub_path;
+#[cfg(feature = "aravis")]
 mod telemetry;
 mod third_party_camera;
 mod third_party_loss;
