@@ -35,14 +35,16 @@ pub fn append(path: &Path, mode: u32) -> io::Result<File> {
     open_with(path, OpenOptions::new().append(true).create(true).mode(mode))
 }
 
-/// Opens a regular file for writing, or makes one; what it held is gone.
+/// Makes a file anew; what had its name has lost it, and no byte: a link may have led to a recording.
 ///
 /// # Errors
-/// As [`open`].
+/// What the system reports; a directory stays.
 pub fn create(path: &Path) -> io::Result<File> {
-    let file = open_with(path, OpenOptions::new().write(true).create(true))?;
-    file.set_len(0)?;
-    Ok(file)
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    File::create_new(path)
 }
 
 /// Opens a regular file in order to lock it, or makes one; what it holds stays.
@@ -168,7 +170,6 @@ mod tests {
             told(open(&path).map(drop));
             told(read(&path, 10).map(drop));
             told(read_text(&path, 10).map(drop));
-            told(create(&path).map(drop));
             told(append(&path, 0o600).map(drop));
             told(lock_file(&path).map(drop));
         }
@@ -206,7 +207,19 @@ mod tests {
         let mut text = String::new();
         open(&path).and_then(|mut file| file.read_to_string(&mut text)).expect("readable");
         assert_eq!(text, "onetwo");
-        create(&path).expect("there");
-        assert_eq!(read(&path, 9).expect("readable"), b"");
+        let link = dir.path().join("link");
+        for hard in [false, true] {
+            match hard {
+                true => std::fs::hard_link(&path, &link).expect("linked"),
+                false => std::os::unix::fs::symlink(&path, &link).expect("linked"),
+            }
+            create(&link).and_then(|mut file| file.write_all(b"three")).expect("made anew");
+            assert_eq!(read(&link, 9).expect("readable"), b"three");
+            std::fs::remove_file(&link).expect("there");
+        }
+        assert_eq!(read(&path, 9).expect("readable"), b"onetwo", "what a link led to is as it was");
+        for (path, what) in none_of_them(dir.path()) {
+            assert_eq!(create(&path).is_err(), path.is_dir(), "{what}: {}", path.display());
+        }
     }
 }
