@@ -136,11 +136,11 @@ impl Sink {
 }
 
 /// Blocks that come back when the disk has them.
-fn pool(small_pages: bool) -> Receiver<Block> {
+fn pool(small_pages: bool) -> Result<Receiver<Block>, Box<dyn Error>> {
     let (home, returns) = unbounded();
     let blocks: Vec<Block> = match small_pages {
         true => (0..POOL).map(|_| Block::allocate(PIXELS)).collect(),
-        false => Pool::new(true, (POOL * block_bytes(PIXELS)) as u64).take(PIXELS, POOL),
+        false => Pool::new(true, (POOL * block_bytes(PIXELS)) as u64).take(PIXELS, POOL)?,
     };
     for (i, mut block) in blocks.into_iter().enumerate() {
         block.bytes_mut().iter_mut().enumerate().for_each(|(p, byte)| *byte = (p * 31 + i) as u8);
@@ -149,7 +149,7 @@ fn pool(small_pages: bool) -> Receiver<Block> {
     }
     // The pool keeps the sending end: a block that comes home has forgotten it.
     HOME.get_or_init(|| home);
-    returns
+    Ok(returns)
 }
 
 static HOME: std::sync::OnceLock<crossbeam_channel::Sender<Block>> = std::sync::OnceLock::new();
@@ -158,7 +158,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (flags, args): (Vec<_>, Vec<_>) = std::env::args().skip(1).partition(|arg| arg.starts_with("--"));
     let dir: PathBuf = args.first().ok_or("usage: record_rate DIR [FRAMES] [--buffered-mcap] ...")?.into();
     let frames: u64 = args.get(1).map_or(Ok(2400), |text| text.parse())?;
-    let blocks = pool(flags.iter().any(|flag| flag == "--small-pages"));
+    let blocks = pool(flags.iter().any(|flag| flag == "--small-pages"))?;
     let mut sink = Sink::create(&dir, &flags)?;
     let (mut calls, mut waited) = (Vec::new(), Duration::ZERO);
     let (started, processor_before) = (Instant::now(), processor_time()?);

@@ -2,7 +2,7 @@
 //! The `fourdbody` command line: parse, run the command, turn its outcome into the exit code.
 
 use clap::Parser;
-use fourdbody::cmds::{Cli, Failure};
+use fourdbody::cmds::Cli;
 use std::io::IsTerminal;
 use std::io::Write;
 use std::process::ExitCode;
@@ -15,10 +15,10 @@ fn main() -> ExitCode {
     fourdbody::record::survive_file_limit();
     match cli.run() {
         Ok(exit) => exit.into(),
-        Err(Failure { exit, message }) => {
+        Err(failure) => {
             // Nobody may read any more; the exit code is still told.
-            let _ = writeln!(std::io::stderr(), "error: {message}");
-            exit.into()
+            let _ = writeln!(std::io::stderr(), "error: {failure}");
+            failure.exit.into()
         }
     }
 }

@@ -1,8 +1,8 @@
 // Whether the calibration held during a session, as the workers found it: a light that says in words what it means.
 
-import { $, make, text } from "/elements.js";
-import { node } from "/node-client.js";
-import { nodes } from "/told.js";
+import { $, make, text } from "./elements.js";
+import { node } from "./node-client.js";
+import { nodes } from "./told.js";
 
 const WORDS = { green: "devices stand", amber: "a device has turned", red: "calibrate again", grey: "not known" };
 

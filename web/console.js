@@ -1,18 +1,18 @@
 // The console of one node: asks the nodes again and again, and has every part show what they told a moment ago.
 
-import { onAct, showControls } from "/controls.js";
-import { $, span, text } from "/elements.js";
-import { showExposure } from "/exposure.js";
-import { showHeader } from "/header.js";
-import { showLiveBody } from "/live-body.js";
-import { Gone, Refused, node } from "/node-client.js";
-import { openLook, refreshLook } from "/quick-look.js";
-import { listen } from "/sound.js";
-import { losses, showStage } from "/stage.js";
-import { refreshTakes } from "/takes.js";
-import { refreshPictures, showTiles } from "/tiles.js";
-import { showTimeLine } from "/time-line.js";
-import { GONE_S, isPreview, nodes, silence_s, take, told } from "/told.js";
+import { onAct, showControls } from "./controls.js";
+import { $, span, text } from "./elements.js";
+import { showExposure } from "./exposure.js";
+import { showHeader } from "./header.js";
+import { showLiveBody } from "./live-body.js";
+import { Gone, Refused, node } from "./node-client.js";
+import { openLook, refreshLook } from "./quick-look.js";
+import { listen } from "./sound.js";
+import { losses, showStage } from "./stage.js";
+import { refreshTakes } from "./takes.js";
+import { refreshPictures, showTiles } from "./tiles.js";
+import { showTimeLine } from "./time-line.js";
+import { GONE_S, isPreview, nodes, silence_s, take, told } from "./told.js";
 
 const POLL_MS = 300;
 

@@ -1,8 +1,8 @@
 // What the operator does: record, stop, preview, dry run, abort; by mouse and by keys. The buttons never move.
 
-import { $, make, text } from "/elements.js";
-import { node } from "/node-client.js";
-import { notReady, sessionsUnderWay, told } from "/told.js";
+import { $, make, text } from "./elements.js";
+import { node } from "./node-client.js";
+import { notReady, sessionsUnderWay, told } from "./told.js";
 
 /** The HSU's inputs, an edge of which may begin a session: `LINE:rising` or `LINE:falling`. */
 const INPUTS = 8;
@@ -96,4 +96,4 @@ document.addEventListener("keydown", (event) => {
   if (KEYS[event.key]) $(KEYS[event.key]).click();
 });
 
-$("subject-screen").addEventListener("click", () => window.open("/subject.html", "fourdbody-subject"));
+$("subject-screen").addEventListener("click", () => window.open("subject.html", "fourdbody-subject"));

@@ -1,9 +1,9 @@
 // Exposure and gain of the heads: what is set, what would be right, and a form that sets it on all nodes at once.
 
-import { $, make, text } from "/elements.js";
-import { node } from "/node-client.js";
-import { exposureOf } from "/tiles.js";
-import { isPreview, nodes, told } from "/told.js";
+import { $, make, text } from "./elements.js";
+import { node } from "./node-client.js";
+import { exposureOf } from "./tiles.js";
+import { isPreview, nodes, told } from "./told.js";
 
 /** Rows of the form, by head. */
 const rows = new Map();

@@ -1,7 +1,7 @@
 // The first line: the nodes with their devices, disks, workers, and who is logged in.
 
-import { $, count, make, span, text } from "/elements.js";
-import { OLD_S, cameraProblem, nodes, told } from "/told.js";
+import { $, count, make, span, text } from "./elements.js";
+import { OLD_S, cameraProblem, nodes, told } from "./told.js";
 
 export function showHeader() {
   text($("rig"), `${told.status.rig}, ${told.status.trigger_rate_hz} Hz`);

@@ -1,10 +1,10 @@
 // The body of all cameras as the nodes reconstruct it while cameras run: it turns slowly, and says how old it is and what
 // of it is not seen.
 
-import { CloudView } from "/cloud-view.js";
-import { $, text } from "/elements.js";
-import { Refused, node } from "/node-client.js";
-import { told } from "/told.js";
+import { CloudView } from "./cloud-view.js";
+import { $, text } from "./elements.js";
+import { Refused, node } from "./node-client.js";
+import { told } from "./told.js";
 
 /** A body that is older is told in grey, and after some seconds more it is no longer shown. */
 const OLD_MS = 1000;

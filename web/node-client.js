@@ -1,6 +1,7 @@
 // What the console asks of the node that served it. Other nodes are reached through it, below /api/v1/peers/NAME.
 
-const API = "/api/v1";
+// Relative to the page: a proxy may serve the node below a path of its own.
+const API = "api/v1";
 
 /** The node refused a request: `status` is HTTP's, `message` says what was expected. */
 export class Refused extends Error {

@@ -1,9 +1,9 @@
 // The console's player: a session that the worker of a node's machine has reconstructed, frame set by frame set from that
 // node. `/play.html?session=NAME&node=NODE`; without a node it is the one that serves the page.
 
-import { $, text } from "/elements.js";
-import { Gone, Refused, node } from "/node-client.js";
-import { Player } from "/player.js";
+import { $, text } from "./elements.js";
+import { Gone, Refused, node } from "./node-client.js";
+import { Player } from "./player.js";
 
 /** Packed points that are kept, bytes: all frame sets of ten seconds at 120 Hz. Of a longer session those about the play head. */
 const PACKED_BYTES = 400 << 20;

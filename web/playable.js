@@ -1,8 +1,8 @@
 // Which takes can be played: those that the worker of a node's machine has reconstructed.
 
-import { make } from "/elements.js";
-import { node } from "/node-client.js";
-import { nodes } from "/told.js";
+import { make } from "./elements.js";
+import { node } from "./node-client.js";
+import { nodes } from "./told.js";
 
 /** What each node told last, by node. */
 const known = new Map();
@@ -28,7 +28,7 @@ export function playableOf(name, id) {
 export function playButton({ name, playable, word }) {
   if (!playable || word === "recording") return [];
   const { peer, why } = playable;
-  const page = `/play.html?session=${encodeURIComponent(name)}&node=${encodeURIComponent(peer ?? "")}`;
+  const page = `play.html?session=${encodeURIComponent(name)}&node=${encodeURIComponent(peer ?? "")}`;
   const button = make("button", { type: "button", textContent: "Play", disabled: Boolean(why), title: why ?? "", onclick: () => window.open(page, "_blank", "noopener") });
   button.setAttribute("aria-label", why ? `play ${name}: ${why}` : `play ${name}`);
   return [button];

@@ -2,7 +2,7 @@
 // In the page of `fourdbody report --play` the frame sets stand in the page; in the console's player the node makes them.
 // A source of them has `described`, as the node's API describes a sequence, and gives packed points (src/play/packed.rs).
 
-import { CloudView } from "/cloud-view.js";
+import { CloudView } from "./cloud-view.js";
 
 const PACKED_POINT = 12;
 /** Unpacked points that are kept, bytes, and how many frame sets are unpacked before they are due. */

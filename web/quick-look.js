@@ -1,9 +1,9 @@
 // Quick looks at what was recorded: frame sets as clouds that turn under the mouse.
 
-import { CloudView } from "/cloud-view.js";
-import { $, make, text } from "/elements.js";
-import { node } from "/node-client.js";
-import { nodes } from "/told.js";
+import { CloudView } from "./cloud-view.js";
+import { $, make, text } from "./elements.js";
+import { node } from "./node-client.js";
+import { nodes } from "./told.js";
 
 const view = new CloudView($("cloud-canvas"));
 const look = { session: null, trigger: null, wanted: null };

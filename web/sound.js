@@ -1,6 +1,6 @@
 // Sound at the countdown, at the start, at the end, and when a frame is lost; it can be muted, and that is remembered.
 
-import { $, text } from "/elements.js";
+import { $, text } from "./elements.js";
 
 /** Frequency (Hz) and length (s) of each tone, one after the other. */
 const TONES = {

@@ -1,8 +1,8 @@
 // State and verdict in letters that are read from three metres.
 
-import { $, count, text } from "/elements.js";
-import { GONE_S, isPreview, lossOf, nodes, problems, sessionsUnderWay, silence_s, told } from "/told.js";
-import { lastVerdict } from "/verdict.js";
+import { $, count, text } from "./elements.js";
+import { GONE_S, isPreview, lossOf, nodes, problems, sessionsUnderWay, silence_s, told } from "./told.js";
+import { lastVerdict } from "./verdict.js";
 
 /** Triggers as seconds. */
 function clock(triggers, asked) {

@@ -1,8 +1,8 @@
 // What the subject is told, on a screen of their own: the countdown, hold still, done.
 
-import { $, text } from "/elements.js";
-import { Refused, node } from "/node-client.js";
-import { isPreview } from "/told.js";
+import { $, text } from "./elements.js";
+import { Refused, node } from "./node-client.js";
+import { isPreview } from "./told.js";
 
 const POLL_MS = 150;
 /** How long "done" stands before the screen says nothing again. */

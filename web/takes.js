@@ -1,12 +1,12 @@
 // The takes on the disks, newest first: verdict, causes, rating and note, and a search.
 
-import { lamp, lightOf, refreshLights, showLight } from "/calibration-light.js";
-import { $, count, make, text } from "/elements.js";
-import { Refused, node } from "/node-client.js";
-import { playButton, playableOf, refreshPlayable } from "/playable.js";
-import { openLook } from "/quick-look.js";
-import { nodes, sessionsUnderWay, told } from "/told.js";
-import { causesOf, expectedOf, framesOf, kindOf, worstOf } from "/verdict.js";
+import { lamp, lightOf, refreshLights, showLight } from "./calibration-light.js";
+import { $, count, make, text } from "./elements.js";
+import { Refused, node } from "./node-client.js";
+import { playButton, playableOf, refreshPlayable } from "./playable.js";
+import { openLook } from "./quick-look.js";
+import { nodes, sessionsUnderWay, told } from "./told.js";
+import { causesOf, expectedOf, framesOf, kindOf, worstOf } from "./verdict.js";
 
 const LISTED = 200;
 const RATINGS = [["good", "Good"], ["doubtful", "Doubtful"], ["bad", "Bad"]];

@@ -1,8 +1,8 @@
 // The cameras' tiles: what each sees, how good its light is, how old that is, and what is wrong.
 
-import { $, make, span, text } from "/elements.js";
-import { node } from "/node-client.js";
-import { cameraProblem, lossOf, nodes } from "/told.js";
+import { $, make, span, text } from "./elements.js";
+import { node } from "./node-client.js";
+import { cameraProblem, lossOf, nodes } from "./told.js";
 
 /** A picture that is older than this is not what the camera sees now. */
 const LIVE_S = 2;

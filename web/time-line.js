@@ -1,8 +1,8 @@
 // The time line of the session as it happens: losses of each camera, how full the ring is, and the disk.
 
-import { $, count, span, text } from "/elements.js";
-import { disks } from "/header.js";
-import { lossOf, nodes, sessionsUnderWay } from "/told.js";
+import { $, count, span, text } from "./elements.js";
+import { disks } from "./header.js";
+import { lossOf, nodes, sessionsUnderWay } from "./told.js";
 
 /** Samples of the session that is shown: {trigger, losses by camera, ring, ring_high}. It stays until the next begins. */
 const shown = { id: null, asked: 0, name: "", samples: [], cameras: [] };

@@ -1,7 +1,7 @@
 // What a take, a series or a session amounts to: a word, its kind, and every cause.
 
-import { count } from "/elements.js";
-import { isPreview, nodes, told } from "/told.js";
+import { count } from "./elements.js";
+import { isPreview, nodes, told } from "./told.js";
 
 /** From the worst to the best. */
 const WORDS = ["aborted", "unfinished", "incomplete", "unconfirmed", "partial", "complete"];

@@ -12,7 +12,7 @@ use super::limits::{Buckets, Key, Rate};
 use super::refusal::Refusal;
 use super::transport::Link;
 use crate::base::time::host_time_ns;
-use crate::base::{Exit, Fault};
+use crate::base::{Exit, Fault, regular};
 use crate::control::request::Phase;
 use crate::control::status::{SessionStatus, Via, path};
 use crate::control::tokens::Role;
@@ -21,9 +21,9 @@ use axum::http::{Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -334,7 +334,7 @@ impl Log {
                     // As recordings make it: they are nobody else's business either.
                     std::fs::DirBuilder::new().recursive(true).mode(0o750).create(dir)?;
                 }
-                let file = OpenOptions::new().append(true).create(true).mode(0o640).open(&self.path)?;
+                let file = regular::append(&self.path, 0o640)?;
                 let size = file.metadata()?.len();
                 *none = Some((file, size));
             }

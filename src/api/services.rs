@@ -87,7 +87,15 @@ impl Services {
             sets: quick_look.frame_sets,
             work_dir: config.sessions_dir.join(".quick-look"),
         });
-        let others = peers.iter().map(|peer| peer.client.clone()).collect();
+        // What a peer calls another node's camera is none of its own, whatever api.peers call the peer.
+        let cameras_of = |node: &NodeId| {
+            let cameras = config.rig.cameras_of(node).filter(|_| *node != config.node);
+            cameras.map(|(_, camera)| camera.id.clone()).collect()
+        };
+        let others = peers
+            .iter()
+            .map(|peer| crate::live::Peer { client: peer.client.clone(), cameras: cameras_of(&peer.name) })
+            .collect();
         let calibration = config.quick_look.as_ref().map(|quick_look| quick_look.calibration.clone());
         Ok(Self {
             live: LiveBody::start(live, config.rig.trigger_rate_hz, calibration, others).map_err(thread)?,

@@ -4,6 +4,7 @@
 use super::connections::{Connections, Standing};
 use super::limits::{self, Key};
 use super::patience::Patient;
+use crate::base::regular;
 use crate::config::{ApiConfig, SocketConfig, TlsConfig};
 use axum::Router;
 use axum::extract::Request;
@@ -282,7 +283,8 @@ fn bind_socket(config: &SocketConfig) -> Result<Socket, TransportError> {
     if let Some(dir) = path.parent() {
         std::fs::create_dir_all(dir).map_err(io_failed("its directory cannot be made"))?;
     }
-    let lock = File::create(beside(path, ".lock")).map_err(io_failed("its lock file cannot be made"))?;
+    let lock =
+        regular::lock_file(&beside(path, ".lock")).map_err(io_failed("its lock file cannot be made"))?;
     match lock.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
@@ -343,8 +345,10 @@ fn acceptor(files: &TlsConfig) -> Result<TlsAcceptor, TransportError> {
     let wrong = |path: &Path, error: &dyn std::fmt::Display| {
         TransportError::Tls(format!("{}: {error}", path.display()))
     };
-    let certificates = CertificateDer::pem_file_iter(&files.certificate)
-        .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+    let text = regular::read(&files.certificate, regular::TEXT_BYTES);
+    let text = text.map_err(|e| wrong(&files.certificate, &format!("expected certificates in PEM: {e}")))?;
+    let certificates = CertificateDer::pem_slice_iter(&text)
+        .collect::<Result<Vec<_>, _>>()
         .map_err(|e| wrong(&files.certificate, &format!("expected certificates in PEM: {e}")))?;
     let key =
         crate::control::tokens::read_private(&files.key).map_err(|e| TransportError::Tls(e.to_string()))?;

@@ -98,8 +98,15 @@ pub fn printable(text: &str) -> String {
     text.chars().map(|c| if is_control(c) { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
+/// A text of somebody else's as one line of a list or a table: its lines one behind the other, and nothing that steers a
+/// terminal.
+pub fn one_line(text: impl fmt::Display) -> String {
+    let lines = text.to_string();
+    lines.lines().map(|line| printable(line.trim_end())).collect::<Vec<_>>().join("; ")
+}
+
 /// What moves a cursor, colours a terminal, ends a line, or turns the direction of writing.
-fn is_control(c: char) -> bool {
+pub(super) fn is_control(c: char) -> bool {
     let turns =
         matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{200e}' | '\u{200f}' | '\u{61c}');
     c.is_control() || turns
@@ -152,7 +159,7 @@ impl fmt::Display for BlockId {
 
 #[cfg(test)]
 mod tests {
-    use super::{CameraId, SessionName, check_name, check_text, printable};
+    use super::{CameraId, SessionName, check_name, check_text, one_line, printable};
     use proptest::prelude::{prop_assert, proptest};
 
     #[test]
@@ -189,8 +196,15 @@ mod tests {
     proptest! {
         #[test]
         fn what_is_shown_is_one_line(text in "\\PC*[\\x00-\\x1f\\x7f]{0,3}\\PC*") {
-            prop_assert!(check_text("note", &printable(&text)).is_ok() || text.chars().count() > super::TEXT_MAX);
+            for shown in [printable(&text), one_line(&text)] {
+                prop_assert!(check_text("note", &shown).is_ok() || shown.chars().count() > super::TEXT_MAX);
+            }
         }
+    }
+
+    #[test]
+    fn a_text_of_several_lines_is_shown_as_one() {
+        assert_eq!(one_line("killed\n  VERIFIED \r\n\u{1b}[2Jx"), "killed;   VERIFIED; \u{fffd}[2Jx");
     }
 
     #[test]

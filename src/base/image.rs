@@ -3,6 +3,7 @@
 //!
 //! Pixel (u, v): u is the column, v the row, integers at pixel centres.
 
+use super::regular;
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
 use std::path::{Path, PathBuf};
@@ -186,11 +187,15 @@ pub enum PngError {
     },
 }
 
+/// No camera has more pixels.
+const PIXELS_MAX: usize = 1 << 28;
+
 /// Reads an 8-bit grey PNG.
 pub fn read_png_grey(path: &Path) -> Result<Plane<u8>, PngError> {
     let io_error = |source| PngError::Io { path: path.to_owned(), source };
     let decode_error = |source| PngError::Decode { path: path.to_owned(), source };
-    let file = File::open(path).map_err(io_error)?;
+    let file = regular::open(path).map_err(io_error)?;
+    let length = file.metadata().map_err(io_error)?.len();
     let mut reader = png::Decoder::new(BufReader::new(file)).read_info().map_err(decode_error)?;
     let info = reader.info();
     let (width, height) = (info.width as usize, info.height as usize);
@@ -198,7 +203,15 @@ pub fn read_png_grey(path: &Path) -> Result<Plane<u8>, PngError> {
         let found = format!("{:?} {:?}", info.color_type, info.bit_depth);
         return Err(PngError::Format { path: path.to_owned(), found });
     }
-    let mut data = vec![0; width * height];
+    // Deflate makes at most 1032 bytes of one: a file that announces more claims memory for what it does not hold.
+    let pixels = width
+        .checked_mul(height)
+        .filter(|pixels| *pixels <= PIXELS_MAX && *pixels as u64 <= length.saturating_mul(1032));
+    let Some(pixels) = pixels else {
+        let found = format!("{width} x {height} of them in {length} bytes");
+        return Err(PngError::Format { path: path.to_owned(), found });
+    };
+    let mut data = vec![0; pixels];
     reader.next_frame(&mut data).map_err(decode_error)?;
     Ok(Plane { width, height, data })
 }

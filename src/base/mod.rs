@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What everything stands on: identifiers, images, clocks, histograms, files that are written whole, faults, printing.
+//! What everything stands on: identifiers, images, clocks, histograms, files that are written whole, files and
+//! JSON that others have made, faults, printing.
 
 #[macro_use]
 pub(crate) mod print;
@@ -14,6 +15,10 @@ pub mod histogram;
 pub mod ids;
 /// Row-major image planes and grey PNG files.
 pub mod image;
+/// JSON of others: an object is an object.
+pub mod json;
+/// Files of others: regular, of a bounded size, without waiting.
+pub mod regular;
 /// The host's clocks.
 pub mod time;
 

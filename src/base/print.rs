@@ -5,11 +5,11 @@
 //! closed), in the middle of whatever the command does. Here the line is lost, and the command goes on to its own exit code. Unit
 //! tests keep the standard ones, whose lines the test harness holds back.
 
-/// A line without what steers a terminal: it may tell what is in somebody else's file.
-#[cfg(not(test))]
-pub fn harmless(line: std::fmt::Arguments<'_>) -> String {
-    let text = line.to_string();
-    let steers = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+/// A text without what steers a terminal: it may hold what is in somebody else's file. Its lines stay lines; what must be one
+/// goes through [`one_line`](super::ids::one_line).
+pub fn harmless(text: impl std::fmt::Display) -> String {
+    let text = text.to_string();
+    let steers = |c: char| super::ids::is_control(c) && !matches!(c, '\n' | '\t');
     if text.contains(steers) { text.replace(steers, "\u{fffd}") } else { text }
 }
 

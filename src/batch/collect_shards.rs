@@ -16,7 +16,7 @@ use super::key::Key;
 use super::run::{self, Format, Plan, cloud_path, merged_path};
 use super::summary::{FrameSummary, Summary, TriggerSummary};
 use crate::base::ids::CameraId;
-use crate::base::{STALE, remove_stale};
+use crate::base::{STALE, json, regular, remove_stale};
 use crate::data::{Calibration, SessionIdentity};
 use crate::formats::{phase_file, ply};
 use rayon::prelude::*;
@@ -37,8 +37,9 @@ pub fn summary_path(out: &Path, shard: Option<(u64, u64)>) -> PathBuf {
 /// The summary of a run over all triggers.
 pub fn load_summary(out: &Path) -> Result<Summary, String> {
     let path = summary_path(out, None);
-    let text = std::fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
-    serde_json::from_slice(&text).map_err(|e| format!("{}: {e}; another version wrote it", path.display()))
+    let text =
+        regular::read(&path, regular::SUMMARY_BYTES).map_err(|e| format!("{}: {e}", path.display()))?;
+    json::from_slice(&text).map_err(|e| format!("{}: {e}; another version wrote it", path.display()))
 }
 
 /// Removes temporary files that killed processes have left in a result's directories, as far as that goes.
@@ -129,10 +130,10 @@ impl<'a> Shards<'a> {
     pub fn summary(&self, shard: u64) -> Result<Summary, ShardProblem> {
         let problem = |lack, found| ShardProblem { shard, lack, found };
         let path = summary_path(&self.plan.out, Some((shard, self.count)));
-        let text = std::fs::read_to_string(&path).map_err(|e| {
+        let text = regular::read(&path, regular::SUMMARY_BYTES).map_err(|e| {
             problem(Lack::Work, format!("{}: {e}; it has not been run to its end", path.display()))
         })?;
-        let summary: Summary = serde_json::from_str(&text).map_err(|e| {
+        let summary: Summary = json::from_slice(&text).map_err(|e| {
             problem(Lack::Agreement, format!("{}: {e}; it is of another version, or damaged", path.display()))
         })?;
         self.agrees(shard, &summary)

@@ -336,7 +336,10 @@ fn read_cloud(
     table: &RayTable,
 ) -> Result<(Statement, Cloud), String> {
     let fail = |reason: String| format!("{}: {reason}", path.display());
-    let (statement, map) = phase_file::load(path).map_err(|e| e.to_string())?;
+    let camera = calibration.cameras().nth(number).map(|(_, camera)| camera);
+    let camera = camera.ok_or_else(|| fail("the calibration has no such camera".to_owned()))?;
+    let frame = [camera.device.width, camera.device.height];
+    let (statement, map) = phase_file::load_of_frame(path, frame).map_err(|e| e.to_string())?;
     let (geometry, volume) = statement_of(calibration);
     if (&statement.geometry_sha256, statement.volume_m) != (&geometry, volume) {
         return Err(fail(format!(
@@ -344,15 +347,10 @@ fn read_cloud(
             statement.geometry_sha256
         )));
     }
-    let camera = calibration.cameras().nth(number).map(|(_, camera)| camera);
-    let fits = camera.is_some_and(|camera| {
-        let frame = map.frame.map(usize::from);
-        camera.id.as_str() == statement.camera && [camera.device.width, camera.device.height] == frame
-    });
-    if !fits {
+    if camera.id.as_str() != statement.camera {
         return Err(fail(format!(
-            "a map of camera {} with {:?} pixels, which is not what the file's name and the calibration say",
-            statement.camera, map.frame
+            "a map of camera {}, which is not what the file's name says",
+            statement.camera
         )));
     }
     let cloud = points::make(table, &map);

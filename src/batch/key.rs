@@ -6,7 +6,7 @@
 
 use super::run::{Format, Plan, method_name};
 use crate::base::ids::CameraId;
-use crate::base::write_new;
+use crate::base::{json, regular, write_new};
 use crate::data::{Calibration, SessionIdentity};
 use crate::reconstruct::paper;
 use crate::reconstruct::pipeline::Method;
@@ -109,8 +109,8 @@ impl Key {
     /// The key of the result in a directory; `None` where there is none. The error: it cannot be read.
     pub fn load(out: &Path) -> Result<Option<Self>, String> {
         let path = key_path(out);
-        match std::fs::read(&path) {
-            Ok(text) => serde_json::from_slice(&text)
+        match regular::read(&path, regular::STATEMENT_BYTES) {
+            Ok(text) => json::from_slice(&text)
                 .map(Some)
                 .map_err(|e| format!("{}: {e}; another version wrote it", path.display())),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),

@@ -20,7 +20,7 @@ use super::{
     Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, Change,
     FrameStream, Received, SetUp, State, StreamOptions, Transfer, Wishes,
 };
-use crate::base::ids::BlockId;
+use crate::base::ids::{BlockId, one_line};
 use crate::config::SocketMode;
 use crate::host::frame_memory::{Block, ROOM_BYTES};
 use crate::host::realtime;
@@ -51,7 +51,7 @@ impl CameraBackend for AravisCameras {
         let text = |pointer: *const std::ffi::c_char| match pointer.is_null() {
             true => String::new(),
             // SAFETY: not null, hence a NUL-terminated string that lives until the next list update; copied at once.
-            false => unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned(),
+            false => one_line(unsafe { CStr::from_ptr(pointer) }.to_string_lossy()),
         };
         let describe = |i| {
             // SAFETY: i is below the count just asked for.
@@ -84,7 +84,7 @@ impl CameraBackend for AravisCameras {
         let lost = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&lost);
         device.connect_control_lost(move |_| flag.store(true, Ordering::Release));
-        let text = |r: Result<glib::GString, glib::Error>| r.map(|s| s.to_string()).unwrap_or_default();
+        let text = |r: Result<glib::GString, glib::Error>| r.map(one_line).unwrap_or_default();
         let identity = CameraIdentity {
             vendor: text(camera.vendor_name()),
             model: text(camera.model_name()),

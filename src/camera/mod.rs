@@ -120,6 +120,9 @@ pub enum CameraError {
         /// What Aravis said.
         detail: String,
     },
+    /// This host has no memory for its frames.
+    #[error("{0}")]
+    Memory(String),
 }
 
 /// How a stream is to be set up.

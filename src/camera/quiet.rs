@@ -12,6 +12,7 @@
 use super::{Camera, CameraError, FrameStream, StreamOptions};
 use crate::config::SocketMode;
 use crate::host::frame_memory::Block;
+use std::io;
 use std::time::{Duration, Instant};
 
 /// What a socket took before its filter was set must have been counted after this time: the ring hands over what it
@@ -24,16 +25,17 @@ const ATTEMPTS: usize = 4;
 /// was not told to send. Its acquisition must not run.
 ///
 /// # Errors
-/// As [`Camera::create_stream`].
+/// As [`Camera::create_stream`]; or there is no memory for frames.
 pub fn quiet_stream(
     camera: &mut dyn Camera,
-    mut blocks: impl FnMut() -> Vec<Block>,
+    mut blocks: impl FnMut() -> io::Result<Vec<Block>>,
     options: &StreamOptions,
 ) -> Result<(Box<dyn FrameStream>, bool), CameraError> {
     let mut options = options.clone();
     loop {
         for attempt in 1..=ATTEMPTS {
-            let mut stream = camera.create_stream(blocks(), &options)?;
+            let blocks = blocks().map_err(|e| CameraError::Memory(e.to_string()))?;
+            let mut stream = camera.create_stream(blocks, &options)?;
             let settled = Instant::now() + SETTLE;
             while Instant::now() < settled {
                 drop(stream.next(SETTLE / 4));

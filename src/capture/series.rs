@@ -13,7 +13,6 @@ use std::time::{Duration, Instant};
 #[serde(deny_unknown_fields)]
 pub struct Series {
     /// Each take; with several of them its name gets `-01`, `-02`, ...
-    #[serde(default)]
     pub wish: CaptureRequest,
     /// How many, at least one.
     #[serde(default = "one")]

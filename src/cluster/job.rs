@@ -2,7 +2,7 @@
 //! What was submitted: `OUT/cluster/job.json`.
 
 use super::sizing::Sizing;
-use crate::base::write_whole;
+use crate::base::{json, regular, write_whole};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -94,8 +94,8 @@ impl Job {
                 out.display()
             )
         };
-        let text = std::fs::read_to_string(&path).map_err(|e| fail(&e))?;
-        let job: Self = serde_json::from_str(&text).map_err(|e| fail(&e))?;
+        let text = regular::read(&path, regular::STATEMENT_BYTES).map_err(|e| fail(&e))?;
+        let job: Self = json::from_slice(&text).map_err(|e| fail(&e))?;
         // Seen from another machine the same directory may have another name.
         let job = Self { work: Work { out: out.to_owned(), ..job.work }, ..job };
         if job.version != VERSION || job.shards == 0 || job.work.triggers[0] >= job.work.triggers[1] {

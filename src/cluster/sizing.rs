@@ -7,6 +7,7 @@
 //! memory   = measured peak x processors / threads measured (at least 1) x MEMORY_MARGIN + MEMORY_SPARE
 //! ```
 
+use crate::base::{json, regular};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -51,8 +52,8 @@ impl Measured {
         let fail = |e: &dyn std::fmt::Display| {
             format!("{}: {e}; expected what `fourdbody reconstruct --timings` writes", path.display())
         };
-        let text = std::fs::read_to_string(path).map_err(|e| fail(&e))?;
-        let timings: Timings = serde_json::from_str(&text).map_err(|e| fail(&e))?;
+        let text = regular::read(path, regular::SUMMARY_BYTES).map_err(|e| fail(&e))?;
+        let timings: Timings = json::from_slice(&text).map_err(|e| fail(&e))?;
         if timings.frames == 0 || timings.threads == 0 || !(timings.cpu_ms > 0.0) {
             return Err(fail(&"no frame was computed: all were found finished, or are missing"));
         }

@@ -6,6 +6,7 @@
 
 use super::job::Job;
 use super::slurm::{Answer, Task};
+use crate::base::{json, regular};
 use crate::batch::collect_shards::summary_path;
 use crate::batch::run::merged_path;
 use crate::batch::summary::Summary;
@@ -148,7 +149,7 @@ fn overall(shards: &[ShardStatus], collecting: State) -> State {
 /// The summary of a shard, or of all, if it is of this job.
 fn summary_of(job: &Job, shard: Option<u64>) -> Option<Summary> {
     let path = summary_path(&job.work.out, shard.map(|shard| (shard, job.shards)));
-    let summary: Summary = serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
+    let summary: Summary = json::from_slice(&regular::read(&path, regular::SUMMARY_BYTES).ok()?).ok()?;
     let expected = shard.map_or(job.work.triggers[1] - job.work.triggers[0], |shard| job.frame_sets(shard));
     (summary.parameters == job.work.parameters && summary.triggers.len() as u64 == expected)
         .then_some(summary)

@@ -2,8 +2,8 @@
 //! `fourdbody cameras dump` and `cameras diff`: everything that can be read of cameras, and what changed.
 
 use super::failure::{Failure, unreadable};
-use crate::base::Exit;
 use crate::base::ids::printable;
+use crate::base::{Exit, json, regular};
 use crate::camera::{State, differences};
 use crate::record::SessionReader;
 use serde::{Deserialize, Serialize};
@@ -117,9 +117,9 @@ pub fn dump(_args: &DumpArgs) -> Result<Exit, Failure> {
 fn load(path: &Path) -> Result<Dump, Failure> {
     let is_dump = path.extension().is_some_and(|extension| extension == "json");
     let dump = if is_dump {
-        let text = std::fs::read_to_string(path)
+        let text = regular::read(path, regular::STATEMENT_BYTES)
             .map_err(|e| unreadable(path, format!("{}: cannot be read: {e}", path.display())))?;
-        serde_json::from_str(&text).map_err(|e| {
+        json::from_slice(&text).map_err(|e| {
             let message =
                 format!("{}: expected what `fourdbody cameras dump --json` prints: {e}", path.display());
             Failure::new(Exit::Corrupt, message)

@@ -3,6 +3,7 @@
 
 use super::connect::Connect;
 use super::failure::Failure;
+use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
 use crate::capture::participant::Participant;
 use crate::capture::report::Captured;
@@ -102,9 +103,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let show_progress = !args.json && std::io::IsTerminal::is_terminal(&std::io::stderr());
     let show = |take: u32, stage: &crate::capture::run::Stage| {
         if show_progress && args.takes > 1 {
-            eprint!("\rtake {take} of {}: {stage}\x1b[K", args.takes);
+            eprint!("\rtake {take} of {}: {}\x1b[K", args.takes, one_line(stage));
         } else if show_progress {
-            eprint!("\r{stage}\x1b[K");
+            eprint!("\r{}\x1b[K", one_line(stage));
         }
     };
     let tell = |captured: &Captured| {

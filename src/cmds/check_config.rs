@@ -2,7 +2,7 @@
 //! `fourdbody check-config`: validates configuration files, all problems at once.
 
 use super::failure::Failure;
-use crate::base::Exit;
+use crate::base::{Exit, regular};
 use crate::config::{ConfigError, NodeConfig, Rig, WorkerConfig};
 use std::path::{Path, PathBuf};
 
@@ -42,7 +42,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn check(path: &Path) -> Result<(), ConfigError> {
-    let text = std::fs::read_to_string(path).unwrap_or_default();
+    let text = regular::read_text(path, regular::TEXT_BYTES).unwrap_or_default();
     let table: toml::Table = text.parse().unwrap_or_default();
     match (table.get("node"), table.contains_key("results")) {
         (_, true) => WorkerConfig::load(path).map(drop),

@@ -3,7 +3,7 @@
 
 use super::failure::Failure;
 use super::reconstruct::{self, Opened, What};
-use crate::base::{Exit, write_whole};
+use crate::base::{Exit, regular, write_whole};
 use crate::batch::collect_shards::Shards;
 use crate::batch::key::COMMON_FILES;
 use crate::batch::run::{self, Format};
@@ -314,7 +314,7 @@ fn write_calibration(calibration: &Path, out: &Path) -> Result<(), Failure> {
     let folder = cluster::folder(out);
     let path = folder.join("calibration.json");
     let copied = std::fs::create_dir_all(&folder)
-        .and_then(|()| std::fs::read(calibration))
+        .and_then(|()| regular::read(calibration, regular::STATEMENT_BYTES))
         .and_then(|bytes| write_whole(&path, |file| file.write_all(&bytes)));
     copied.map_err(|e| failed(format!("{}: {e}", path.display())))
 }

@@ -25,6 +25,13 @@ impl Failure {
     }
 }
 
+impl fmt::Display for Failure {
+    /// As it is printed: it may quote a file, a camera or another node.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&crate::base::print::harmless(&self.message))
+    }
+}
+
 impl From<Fault> for Failure {
     fn from(fault: Fault) -> Self {
         Self::new(Exit::from_code(fault.exit), fault.message)

@@ -6,9 +6,9 @@
 
 use super::failure::Failure;
 use super::progress::Progress;
-use crate::base::Exit;
 use crate::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::base::image::read_png_grey;
+use crate::base::{Exit, regular};
 use crate::batch::image_tree::{INDEX_END, ImageTree, Images};
 use crate::config::{Rig, RigCamera};
 use crate::record::envelope::pixels_crc;
@@ -54,7 +54,7 @@ const _: () = assert!(INDEX_END == MAX_TRIGGERS);
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let rig = Rig::load(&args.rig)?;
-    let rig_text = std::fs::read_to_string(&args.rig)
+    let rig_text = regular::read_text(&args.rig, regular::TEXT_BYTES)
         .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
     let name = session_name(&args.out)?;
     if args.out.exists() {

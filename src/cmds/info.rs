@@ -4,6 +4,7 @@
 use super::failure::Failure;
 use crate::base::Exit;
 use crate::base::histogram::Latency;
+use crate::base::ids::one_line;
 use crate::record::describe::{self, CameraDescription, ClockDescription};
 use crate::record::{RecordingReader, Unreadable, WriteStatistics, open_each};
 use std::collections::BTreeMap;
@@ -46,7 +47,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         print_session(&recordings);
         recordings.iter().for_each(print_recording);
         for one in &unreadable {
-            println!("{}\n  NOT READABLE  {}", one.path.display(), one.reason);
+            println!("{}\n  NOT READABLE  {}", one_line(one.path.display()), one_line(&one.reason));
         }
     }
     Ok(if unreadable.is_empty() { Exit::Done } else { Exit::Corrupt })
@@ -112,7 +113,7 @@ fn print_session(recordings: &[RecordingReader]) {
 
 fn print_recording(recording: &RecordingReader) {
     let header = &recording.header;
-    println!("{}", recording.path.display());
+    println!("{}", one_line(recording.path.display()));
     println!("  session     {} ({})", header.session, header.session_id);
     println!("  node        {}", header.node);
     for (label, value) in [("subject", &header.subject), ("note", &header.note)] {
@@ -159,14 +160,14 @@ fn print_triggers(recording: &RecordingReader) {
     let rate = rate.map_or(String::new(), |hz| format!(", {hz:.4} Hz by the HSU's clock"));
     println!("  table       {} rows{rate}", recording.triggers.len());
     if let Some(time_code) = describe::time_code(recording) {
-        println!("  time code   {time_code}");
+        println!("  time code   {}", one_line(time_code));
     }
 }
 
 fn print_missing(recording: &RecordingReader) {
     let missing = describe::missing(recording);
     for line in missing.iter().take(MAX_LINES) {
-        println!("  MISSING     {line}");
+        println!("  MISSING     {}", one_line(line));
     }
     if missing.len() > MAX_LINES {
         println!("  MISSING     ... and {} lines more", missing.len() - MAX_LINES);
@@ -183,8 +184,8 @@ fn print_segments(recording: &RecordingReader) {
         let range = end.map_or("no frames".to_owned(), |end| {
             format!("triggers {} to {}", segment.first_trigger, end - 1)
         });
-        let name = segment.path.file_name().unwrap_or_default().to_string_lossy();
-        let state = segment.broken.as_deref().unwrap_or("closed");
+        let name = one_line(segment.path.file_name().unwrap_or_default().to_string_lossy());
+        let state = one_line(segment.broken.as_deref().unwrap_or("closed"));
         println!("    {name}  {:>9.1} MiB  {range}  {state}", mib(segment.bytes));
     }
 }
@@ -209,7 +210,7 @@ fn print_cameras(cameras: &[CameraDescription]) {
     }
     let settings = |camera: &CameraDescription| -> String {
         let settings = camera.header.settings.iter();
-        settings.map(|s| format!("{} {}", s.feature, s.value)).collect::<Vec<_>>().join(", ")
+        one_line(settings.map(|s| format!("{} {}", s.feature, s.value)).collect::<Vec<_>>().join(", "))
     };
     let all: Vec<String> = cameras.iter().map(settings).collect();
     match all.first() {
@@ -259,7 +260,12 @@ fn print_events(recording: &RecordingReader) {
     for kind in kinds {
         let trigger =
             kind.first_trigger.map_or(String::new(), |trigger| format!(", first at trigger {trigger}"));
-        println!("    {:<21} {}{trigger}: {}", kind.kind, kind.count, kind.first_message);
+        println!(
+            "    {:<21} {}{trigger}: {}",
+            one_line(&kind.kind),
+            kind.count,
+            one_line(&kind.first_message)
+        );
     }
 }
 

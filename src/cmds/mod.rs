@@ -39,6 +39,7 @@ pub mod worker;
 pub use cli::{Cli, Command};
 pub use failure::Failure;
 
+use crate::base::ids::one_line;
 use std::path::PathBuf;
 
 /// Says which files a command has written: a line each, or JSON.
@@ -46,6 +47,6 @@ fn tell_files(files: &[PathBuf], json: bool) {
     if json {
         println!("{}", serde_json::json!({ "files": files }));
     } else {
-        files.iter().for_each(|path| println!("{}", path.display()));
+        files.iter().for_each(|path| println!("{}", one_line(path.display())));
     }
 }

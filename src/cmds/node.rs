@@ -5,6 +5,8 @@ use super::failure::Failure;
 use crate::api::{self, Auth, Listeners, NodeHandle, Services, Shared};
 use crate::base::Exit;
 use crate::config::NodeConfig;
+use crate::host::process_limits::ProcessMemory;
+use crate::node::hold::check_limits;
 use crate::node::node_thread::NodeThread;
 use crate::record::{Interrupted, interrupted};
 use crate::systemd::Notifier;
@@ -39,6 +41,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         return Ok(Exit::Done);
     };
     let config = NodeConfig::load(config)?;
+    // Before anything is opened: libraries end the process where they get no memory.
+    check_limits(&config, &ProcessMemory::at_start(), 0)?;
     let backend = backend()?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)

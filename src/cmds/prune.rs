@@ -3,6 +3,7 @@
 
 use super::failure::Failure;
 use crate::base::Exit;
+use crate::base::ids::one_line;
 use crate::config::WorkerConfig;
 use crate::worker::retention::{Judgement, delete, judge};
 use crate::worker::state::Job;
@@ -11,7 +12,8 @@ use std::path::PathBuf;
 /// Show which recordings are verified, reconstructed and copied to the archive, and delete them when asked.
 ///
 /// Without names all sessions that were reconstructed or set aside are looked at, by the sizes of their copies. With names every byte is
-/// verified and compared with the copy, and with --delete the recordings that pass are deleted. Nothing else ever deletes one.
+/// compared with the copy, which is then verified where it lies, and with --delete the recordings that pass are deleted. A copy is another
+/// file: a link to the recording, or its directory mounted at a second place, is none. Nothing else ever deletes a recording.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Exit code 4: a session that was named must stay.
@@ -46,7 +48,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         }
         let mut deleted = false;
         if args.delete && judgement.stays.is_empty() {
-            delete(&judgement).map_err(|e| Failure::new(Exit::Failure, format!("{session}: {e}")))?;
+            delete(&judgement).map_err(|e| Failure::new(Exit::Corrupt, format!("{session}: {e}")))?;
             deleted = true;
         }
         if args.json {
@@ -71,7 +73,7 @@ fn print(judgement: &Judgement, deleted: bool, thoroughly: bool) {
         (true, false) => {
             println!("{name}: may go by the looks of it, {gb:.2} GB; name it to have every byte compared")
         }
-        (false, _) => println!("{name}: stays: {}", judgement.stays.join("; ")),
+        (false, _) => println!("{name}: stays: {}", one_line(judgement.stays.join("; "))),
     }
 }
 

@@ -4,6 +4,7 @@
 use super::connect::Connect;
 use super::failure::Failure;
 use crate::base::Exit;
+use crate::base::ids::one_line;
 use crate::control::status::NodeStatus;
 use crate::telemetry::Grade;
 
@@ -55,38 +56,45 @@ fn print(status: &NodeStatus) {
     println!(
         "node {} ({}, rig {}): {:?}, {good} of {} cameras, HSU {}, {:.1} GB free in {}",
         status.node,
-        status.version,
-        status.rig,
+        one_line(&status.version),
+        one_line(&status.rig),
         status.phase,
         status.cameras.len(),
-        status.hsu.identity.as_deref().unwrap_or("not connected"),
+        one_line(status.hsu.identity.as_deref().unwrap_or("not connected")),
         status.free_bytes as f64 / 1e9,
-        status.sessions_dir.display()
+        one_line(status.sessions_dir.display())
     );
     for problem in status.problems() {
-        println!("  problem: {problem}");
+        println!("  problem: {}", one_line(problem));
     }
     for warning in &status.warnings {
-        println!("  warning: {warning}");
+        println!("  warning: {}", one_line(warning));
     }
     for found in &status.interrupted {
         let last = found.last_trigger.map_or("none".to_owned(), |last| last.to_string());
         println!(
             "  interrupted: session {} ({}): {} frames, last trigger {last}; save them with: {}",
-            found.session,
-            found.reason,
+            one_line(&found.session),
+            one_line(&found.reason),
             found.frames,
-            found.command()
+            one_line(found.command())
         );
     }
     if let Some(session) = &status.session {
         let frames: u64 = session.cameras.iter().map(|c| c.frames).sum();
         let gaps: u64 = session.cameras.iter().map(|c| c.gaps).sum();
-        println!("  session {}: {} triggers, {frames} frames, {gaps} gaps", session.name, session.triggers);
+        println!(
+            "  session {}: {} triggers, {frames} frames, {gaps} gaps",
+            one_line(&session.name),
+            session.triggers
+        );
     }
     if let Some(worker) = &status.worker {
-        println!("  worker: {}", worker.line);
-        worker.set_aside.iter().for_each(|(name, reason)| println!("    set aside {name}: {reason}"));
+        println!("  worker: {}", one_line(&worker.line));
+        worker
+            .set_aside
+            .iter()
+            .for_each(|(name, reason)| println!("    set aside {}", one_line(format!("{name}: {reason}"))));
     }
     for judged in &status.judgements {
         let word = match judged.grade {

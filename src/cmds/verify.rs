@@ -4,6 +4,7 @@
 use super::failure::Failure;
 use super::progress::Progress;
 use crate::base::Exit;
+use crate::base::ids::one_line;
 use crate::record::verify::{Report, Severity, compare, verify};
 use std::path::PathBuf;
 
@@ -109,7 +110,7 @@ fn print(report: &Report) {
             "CORRUPT: damaged, missing without a record, or contradicting itself; see above"
         }
     };
-    println!("{}: {word}", report.path.display());
+    println!("{}: {word}", one_line(report.path.display()));
 }
 
 fn severity_exit(worst: Option<Severity>) -> Exit {

@@ -3,6 +3,7 @@
 
 use super::failure::Failure;
 use crate::base::Exit;
+use crate::base::ids::one_line;
 use crate::config::WorkerConfig;
 use crate::worker::run::{Worker, ask_first, retry};
 use crate::worker::state::WorkerState;
@@ -93,9 +94,15 @@ fn state(config: &WorkerConfig, json: bool) -> Result<Exit, Failure> {
         println!("{}", serde_json::json!(state));
         return Ok(Exit::Done);
     }
-    println!("{}", state.line());
-    state.queued.iter().for_each(|name| println!("  queued     {name}"));
-    state.not_yet.iter().for_each(|(name, reason)| println!("  not yet    {name}: {reason}"));
-    state.set_aside.iter().for_each(|(name, reason)| println!("  set aside  {name}: {reason}"));
+    println!("{}", one_line(state.line()));
+    state.queued.iter().for_each(|name| println!("  queued     {}", one_line(name)));
+    state
+        .not_yet
+        .iter()
+        .for_each(|(name, reason)| println!("  not yet    {}", one_line(format!("{name}: {reason}"))));
+    state
+        .set_aside
+        .iter()
+        .for_each(|(name, reason)| println!("  set aside  {}", one_line(format!("{name}: {reason}"))));
     Ok(Exit::Done)
 }

@@ -24,6 +24,7 @@ pub use trigger::{ActionConfig, TriggerSource};
 pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, Pixel, word_of};
 pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 
+use crate::base::regular;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -70,7 +71,8 @@ impl std::error::Error for ConfigError {}
 
 /// Reads a TOML file into a table.
 pub(crate) fn read_table(path: &Path) -> Result<toml::Table, ConfigError> {
-    let text = std::fs::read_to_string(path).map_err(|e| as_a_whole(path, format!("cannot be read: {e}")))?;
+    let text = regular::read_text(path, regular::TEXT_BYTES);
+    let text = text.map_err(|e| as_a_whole(path, format!("cannot be read: {e}")))?;
     parse_table(&text, path)
 }
 

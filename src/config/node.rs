@@ -9,6 +9,7 @@ use super::trigger::{TriggerSource, read_trigger};
 use super::words::{CameraWords, read_settings, word_of};
 use super::{ConfigError, Problem, parse_table, read_table};
 use crate::base::ids::{CameraId, NodeId};
+use crate::base::regular;
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -265,7 +266,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
             None
         }
     };
-    let rig_text = std::fs::read_to_string(&rig_path).unwrap_or_default();
+    let rig_text = regular::read_text(&rig_path, regular::TEXT_BYTES).unwrap_or_default();
     if let Some(rig) = &rig {
         check_against_rig(&root, rig, &node, &cameras);
         if let Some(trigger) = &trigger {

@@ -5,6 +5,7 @@
 //! throws it away when any problem was noted.
 
 use super::Problem;
+use crate::base::ids::{one_line, printable};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -35,7 +36,9 @@ impl<'a> Section<'a> {
 
     /// Notes a problem at `key` (empty: at this table).
     pub fn problem(&self, key: &str, message: impl Into<String>) {
-        self.problems.borrow_mut().push(Problem { key: self.path_of(key), message: message.into() });
+        // A key is whatever somebody has put between quotation marks.
+        let (key, message) = (one_line(self.path_of(key)), one_line(message.into()));
+        self.problems.borrow_mut().push(Problem { key, message });
     }
 
     /// Whether nothing has been noted in the file so far: checks between values are meaningless before that.
@@ -57,7 +60,7 @@ impl<'a> Section<'a> {
     }
 
     fn wrong(&self, key: &str, expected: &str, found: &Value) {
-        self.problem(key, format!("expected {expected}, found {found}"));
+        self.problem(key, format!("expected {expected}, found {}", one_line(found)));
     }
 
     /// Whether the key is there at all.
@@ -128,9 +131,9 @@ impl<'a> Section<'a> {
 
     fn text_of(&self, key: &str, value: &Value) -> String {
         match value.as_str().filter(|text| !text.is_empty()) {
-            Some(text) => text.to_owned(),
-            None => {
-                self.wrong(key, "a non-empty text", value);
+            Some(text) if printable(text) == *text => text.to_owned(),
+            _ => {
+                self.wrong(key, "a text on one line, which is not empty", value);
                 String::new()
             }
         }

@@ -5,6 +5,7 @@ use super::section::Section;
 use super::{ConfigError, Problem, read_table};
 use crate::base::ids::NodeId;
 use std::cell::RefCell;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// A node whose sessions are reconstructed.
@@ -115,6 +116,18 @@ fn read_worker(root: Section<'_>, base: &Path) -> Option<WorkerConfig> {
             root.problem(&format!("node[{i}].name"), format!("node {} is there twice", node.name));
         }
     }
+    if let Some(archive) = &archive {
+        for node in nodes.iter().filter(|node| overlap(archive, &node.sessions_dir)) {
+            let message = format!(
+                "{} and the sessions of node {} ({}) are one directory, or one lies in the other; expected another place: what is \
+                 copied there must outlive what is deleted here",
+                archive.display(),
+                node.name,
+                node.sessions_dir.display()
+            );
+            root.problem("archive", message);
+        }
+    }
     let work = root.optional_section("work");
     let number =
         |key, range, default| work.as_ref().map_or(default, |work| work.integer_or(key, range, default));
@@ -139,6 +152,28 @@ fn read_worker(root: Section<'_>, base: &Path) -> Option<WorkerConfig> {
     }
     root.finish();
     Some(config)
+}
+
+/// Whether one of two directories is the other, or lies in it, behind all links and mounts.
+fn overlap(a: &Path, b: &Path) -> bool {
+    let [a, b] = [a, b].map(resolved);
+    a.starts_with(&b) || b.starts_with(&a) || [(&a, &b), (&b, &a)].into_iter().any(|(a, b)| lies_in(a, b))
+}
+
+/// Where a path leads: behind the links of what is there of it.
+fn resolved(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let there = path.ancestors().find_map(|part| Some((part, part.canonicalize().ok()?)));
+    there.map_or_else(
+        || path.clone(),
+        |(part, leads_to)| leads_to.join(path.strip_prefix(part).unwrap_or(&path)),
+    )
+}
+
+/// Whether a directory on the way to `inner` is `outer`, by device and inode: it may be mounted at two places.
+fn lies_in(inner: &Path, outer: &Path) -> bool {
+    let which = |path: &Path| std::fs::metadata(path).ok().map(|found| (found.dev(), found.ino()));
+    which(outer).is_some_and(|outer| inner.ancestors().any(|part| which(part) == Some(outer)))
 }
 
 fn read_node(section: Section<'_>, base: &Path) -> WorkerNode {
@@ -177,6 +212,47 @@ mod tests {
         assert_eq!(threads, [1, 2, 3, 8]);
         let config = load(&text(900)).expect("valid");
         assert_eq!((config.order, config.output, config.attempts), (Order::Oldest, Output::Phase, 3));
+    }
+
+    #[test]
+    fn an_archive_is_another_place_than_the_sessions_whatever_links_lead_there() {
+        let dir = tempfile::tempdir().expect("a directory");
+        for folder in ["sessions/walk", "elsewhere", "other/sessions"] {
+            std::fs::create_dir_all(dir.path().join(folder)).expect("made");
+        }
+        for (link, to) in [("link", "sessions"), ("elsewhere/link", "../sessions/walk"), ("up", ".")] {
+            std::os::unix::fs::symlink(to, dir.path().join(link)).expect("linked");
+        }
+        let refused = |archive: &str, sessions: &str| {
+            let path = dir.path().join("worker.toml");
+            let text = format!(
+                "format = 1\nresults = \"r\"\ncalibration = \"c.json\"\narchive = \"{archive}\"\n[[node]]\nname = \"a\"\n\
+                 sessions_dir = \"{sessions}\"\n"
+            );
+            std::fs::write(&path, text).expect("written");
+            WorkerConfig::load(&path).err().map(|error| error.to_string())
+        };
+        for archive in [
+            "sessions",
+            "sessions/",
+            "link",
+            "sessions/archive",
+            "link/archive/2026",
+            "up/link",
+            "elsewhere/link",
+            ".",
+            "up",
+        ] {
+            let error = refused(archive, "sessions").expect(archive);
+            assert!(
+                error.contains("archive: ") && error.contains("the sessions of node a"),
+                "{archive}: {error}"
+            );
+        }
+        assert!(refused("sessions", "link").is_some() && refused("new", "new/sessions").is_some());
+        for archive in ["archive", "elsewhere", "elsewhere/new", "sessions-archive", "other"] {
+            assert_eq!(refused(archive, "sessions"), None, "{archive}");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::request::{KeepRequest, SessionRequest};
 use super::status::{Challenge, FreeName, NodeStatus, SessionCommand, path};
 use super::tokens::{SecretHash, read_secret};
 use crate::base::ids::SessionName;
-use crate::base::{Exit, Fault};
+use crate::base::{Exit, Fault, json, regular};
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::Bytes;
 use hyper::header::{AUTHORIZATION, CONTENT_TYPE, HOST, HeaderValue};
@@ -168,7 +168,7 @@ impl NodeClient {
         if !answer.status.is_success() {
             return Err(self.fault(&answer));
         }
-        serde_json::from_slice(&answer.body).map_err(|e| {
+        json::from_slice(&answer.body).map_err(|e| {
             let message = format!(
                 "{} gave an answer that is not understood ({e}); does it run the same version?",
                 self.url
@@ -263,7 +263,7 @@ impl NodeClient {
     }
 
     fn fault(&self, answer: &Answer) -> Fault {
-        serde_json::from_slice(&answer.body).unwrap_or_else(|_| {
+        json::from_slice(&answer.body).unwrap_or_else(|_| {
             let text = String::from_utf8_lossy(&answer.body[..answer.body.len().min(200)]).into_owned();
             Fault::new(Exit::Failure, format!("{} answered {}: {text}", self.url, answer.status))
         })
@@ -302,7 +302,7 @@ impl Prover<'_> {
         if !challenge.status.is_success() {
             return Ok(challenge);
         }
-        let Challenge { nonce } = serde_json::from_slice(&challenge.body)
+        let Challenge { nonce } = json::from_slice(&challenge.body)
             .map_err(|e| format!("it gave no challenge ({e}); does it run the same version?"))?;
         let body = request.body().clone().collect().await?.to_bytes();
         let (method, uri) = (request.method().clone(), request.uri().clone());
@@ -389,9 +389,11 @@ fn place_of(url: &str) -> Result<Place, String> {
 
 pub(crate) fn tls_config(ca: Option<&Path>) -> Result<Arc<ClientConfig>, String> {
     let path = ca.unwrap_or(Path::new(SYSTEM_CA));
-    let certificates = CertificateDer::pem_file_iter(path)
-        .and_then(Iterator::collect::<Result<Vec<_>, _>>)
-        .map_err(|e| format!("{}: expected certificates in PEM: {e}", path.display()))?;
+    let wrong =
+        |error: &dyn fmt::Display| format!("{}: expected certificates in PEM: {error}", path.display());
+    let text = regular::read(path, regular::TEXT_BYTES).map_err(|e| wrong(&e))?;
+    let certificates = CertificateDer::pem_slice_iter(&text).collect::<Result<Vec<_>, _>>();
+    let certificates = certificates.map_err(|e| wrong(&e))?;
     let mut roots = RootCertStore::empty();
     let (known, _) = roots.add_parsable_certificates(certificates);
     if known == 0 {

@@ -4,10 +4,11 @@
 //! A node's list has a line `NAME ROLE SHA256` per token; the secret itself lies only with whoever uses it. A secret
 //! has 256 random bits, so that a plain hash of it cannot be reversed by guessing.
 
+use crate::base::regular;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fmt;
-use std::fs::{File, OpenOptions};
+use std::fs::OpenOptions;
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
@@ -234,7 +235,7 @@ const PRIVATE_BYTES_MAX: u64 = 1 << 20;
 /// Reads a file that nobody but its owner may read or write.
 pub fn read_private(path: &Path) -> Result<String, TokenError> {
     let failed = |source| TokenError::Io { path: path.to_owned(), source };
-    let file = File::open(path).map_err(failed)?;
+    let file = regular::open(path).map_err(failed)?;
     let mode = file.metadata().map_err(failed)?.mode() & 0o7777;
     if mode & 0o077 != 0 {
         return Err(TokenError::Wide { path: path.to_owned(), mode });

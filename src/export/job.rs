@@ -13,7 +13,7 @@
 //! a folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is written.
 
 use super::mesh::{self, Mesh, MeshKind};
-use crate::base::write_whole;
+use crate::base::{json, regular, write_whole};
 use crate::data::Cloud;
 use crate::formats::{CloudSource, Commented, Format, Shape};
 use crate::merge::{self, LeftOut, Rule, View, Viewpoint};
@@ -324,8 +324,8 @@ fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), ExportError
 pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), ExportError> {
     let path = out.join("export.json");
     let fail = |e: &dyn std::fmt::Display| ExportError::Write(format!("{}: {e}", path.display()));
-    let mut stated: Map<String, Value> = match std::fs::read(&path) {
-        Ok(bytes) => serde_json::from_slice(&bytes).map_err(|e| fail(&e))?,
+    let mut stated: Map<String, Value> = match regular::read(&path, regular::STATEMENT_BYTES) {
+        Ok(bytes) => json::from_slice(&bytes).map_err(|e| fail(&e))?,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Map::new(),
         Err(e) => return Err(fail(&e)),
     };

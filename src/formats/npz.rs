@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! NumPy's `npz`: named arrays in a zip file. Ground truth and maps for comparison are kept so, readable by everybody.
 
+use crate::base::regular;
 use npyz::{AutoSerialize, Deserialize, NpyFile, WriteOptions, WriterBuilder};
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Write};
+use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
+
+/// No array that is kept so has more, bytes.
+const ARRAY_BYTES_MAX: u64 = 1 << 30;
 
 /// An `npz` that is read.
 pub struct NpzReader(ZipArchive<BufReader<File>>);
@@ -14,15 +18,24 @@ pub struct NpzReader(ZipArchive<BufReader<File>>);
 impl NpzReader {
     /// Opens a file and reads its list of arrays.
     pub fn open(path: &Path) -> io::Result<Self> {
-        Ok(Self(ZipArchive::new(BufReader::new(File::open(path)?))?))
+        Ok(Self(ZipArchive::new(BufReader::new(regular::open(path)?))?))
     }
 
     /// An array's shape and its numbers, row by row.
     pub fn array<T: Deserialize>(&mut self, name: &str) -> Result<(Vec<u64>, Vec<T>), String> {
         let file = self.0.by_name(&format!("{name}.npy"));
         let file = file.map_err(|e| format!("there is no readable array {name:?}: {e}"))?;
-        let array = NpyFile::new(file).map_err(|e| format!("{name}: {e}"))?;
+        let unpacked = file.size();
+        if unpacked > ARRAY_BYTES_MAX {
+            return Err(format!("{name}: expected at most {ARRAY_BYTES_MAX} bytes, found {unpacked}"));
+        }
+        let array = NpyFile::new(file.take(unpacked)).map_err(|e| format!("{name}: {e}"))?;
         let shape = array.shape().to_vec();
+        // Memory is taken for what is announced.
+        let numbers = shape.iter().try_fold(1u64, |all, side| all.checked_mul(*side));
+        if numbers.is_none_or(|numbers| numbers > unpacked) {
+            return Err(format!("{name}: expected the numbers of {shape:?} in {unpacked} bytes"));
+        }
         array.into_vec().map(|numbers| (shape, numbers)).map_err(|e| format!("{name}: {e}"))
     }
 }

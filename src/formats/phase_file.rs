@@ -20,6 +20,7 @@
 //! Light and slope change slowly along a row, so that the differences are little more than the noise, which does not
 //! compress further.
 
+use crate::base::{json, regular};
 use crate::data::{PhaseMap, Run};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
@@ -30,6 +31,9 @@ const MAGIC: &[u8; 8] = b"4dphase1";
 /// Bytes before the statement, and after the body.
 const HEAD_BYTES: usize = 16;
 const TAIL_BYTES: usize = 4;
+
+/// No camera has pixels for more, bytes.
+const BYTES_MAX: u64 = 1 << 30;
 
 /// Numbers in a block.
 const BLOCK: usize = 64;
@@ -165,14 +169,32 @@ pub fn save(path: &Path, statement: &Statement, map: &PhaseMap) -> io::Result<()
 
 /// Reads a file.
 pub fn load(path: &Path) -> Result<(Statement, PhaseMap), PhaseFileError> {
-    let bytes = std::fs::read(path).map_err(|source| PhaseFileError::Io { path: path.to_owned(), source })?;
+    let bytes = read(path)?;
     decode(&bytes).map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
+}
+
+/// As [`load`], of a camera whose frame has these columns and rows: the map takes no memory for any other.
+pub fn load_of_frame(path: &Path, frame: [usize; 2]) -> Result<(Statement, PhaseMap), PhaseFileError> {
+    let bytes = read(path)?;
+    let stated = open(&bytes).and_then(|(header, _)| match header.frame.map(usize::from) == frame {
+        true => decode(&bytes),
+        false => Err(format!(
+            "it is of a frame of {:?} pixels, the calibration has {frame:?} for the camera that its name says",
+            header.frame
+        )),
+    });
+    stated.map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
 }
 
 /// Reads what a file states.
 pub fn load_statement(path: &Path) -> Result<Statement, PhaseFileError> {
-    let bytes = std::fs::read(path).map_err(|source| PhaseFileError::Io { path: path.to_owned(), source })?;
+    let bytes = read(path)?;
     decode_statement(&bytes).map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, PhaseFileError> {
+    let bytes = regular::read(path, BYTES_MAX);
+    bytes.map_err(|source| PhaseFileError::Io { path: path.to_owned(), source })
 }
 
 /// Checks lengths and checksum.
@@ -194,7 +216,7 @@ fn open(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
         return Err(format!("its checksum is {found:08x}, it states {stated:08x}"));
     }
     let (header, body) = bytes[HEAD_BYTES..sum_at].split_at(header);
-    let header = serde_json::from_slice(header).map_err(|e| format!("its statement: {e}"))?;
+    let header = json::from_slice(header).map_err(|e| format!("its statement: {e}"))?;
     Ok((header, body))
 }
 

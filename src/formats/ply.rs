@@ -6,7 +6,7 @@
 //!
 //! The reader takes exactly this layout and never trusts a length in the file.
 
-use crate::base::write_whole_cached;
+use crate::base::{regular, write_whole_cached};
 use crate::data::{Cloud, NO_CAMERA};
 use std::io::{self, BufRead, Read, Seek, Write};
 use std::path::{Path, PathBuf};
@@ -29,6 +29,10 @@ const SIGMA: (&str, &str) = ("float", "sigma");
 /// Bytes of a directional point.
 pub(crate) const POINT_BYTES: usize = 7 * 4 + 2 * 2;
 
+/// All cameras of a trigger have fewer points.
+const POINTS_MAX: usize = 1 << 27;
+/// Points whose memory is taken before they are read.
+const ROOM_MAX: usize = 1 << 22;
 /// Longest header that is read: a bound for damaged files.
 const MAX_HEADER_BYTES: u64 = 64 * 1024;
 
@@ -210,7 +214,7 @@ pub fn save_merged(path: &Path, parts: &[Part<'_>], comments: &[String]) -> io::
 
 /// Reads the header of a file.
 pub fn load_header(path: &Path) -> Result<Header, PlyError> {
-    let file = std::fs::File::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
+    let file = regular::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
     read_header(&mut io::BufReader::new(file))
         .map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
 }
@@ -218,7 +222,7 @@ pub fn load_header(path: &Path) -> Result<Header, PlyError> {
 /// Reads the header of a file and makes sure that the file is as long as it says, without reading the points.
 pub fn load_whole_header(path: &Path) -> Result<Header, PlyError> {
     let fail = |source| PlyError::Io { path: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(fail)?;
+    let file = regular::open(path).map_err(fail)?;
     let found = file.metadata().map_err(fail)?.len();
     let mut input = io::BufReader::new(file);
     let format = |reason| PlyError::Format { path: path.to_owned(), reason };
@@ -234,7 +238,7 @@ pub fn load_whole_header(path: &Path) -> Result<Header, PlyError> {
 /// Reads a file.
 pub fn load(path: &Path) -> Result<(Header, Cloud), PlyError> {
     let fail = |source| PlyError::Io { path: path.to_owned(), source };
-    let file = std::fs::File::open(path).map_err(fail)?;
+    let file = regular::open(path).map_err(fail)?;
     let bytes = file.metadata().map_err(fail)?.len();
     read_at_most(io::BufReader::new(file), bytes)
         .map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
@@ -250,7 +254,8 @@ fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), 
     let header = read_header(&mut input)?;
     let layout = header.layout();
     let mut cloud = Cloud::default();
-    let room = header.points.min(usize::try_from(bytes).unwrap_or(0) / layout.stride());
+    let stated = usize::try_from(bytes).unwrap_or(0) / layout.stride();
+    let room = header.points.min(stated).min(ROOM_MAX);
     cloud.position_m.reserve_exact(room);
     cloud.normal.reserve_exact(room);
     cloud.intensity.reserve_exact(room);
@@ -258,7 +263,13 @@ fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), 
     cloud.camera.reserve_exact(if layout.merged { room } else { 0 });
     cloud.sigma_m.reserve_exact(if layout.sigma { room } else { 0 });
     for_each_part(&mut input, &header, |part| {
-        part.chunks_exact(layout.stride()).for_each(|point| push(&mut cloud, point, layout));
+        for point in part.chunks_exact(layout.stride()) {
+            // A hole of the file: no point has a normal without a length.
+            if point[..POINT_BYTES].iter().all(|byte| *byte == 0) {
+                return Err("a point of zeros alone: the file was not written to its end".to_owned());
+            }
+            push(&mut cloud, point, layout);
+        }
         Ok(())
     })?;
     Ok((header, cloud))
@@ -295,7 +306,7 @@ pub(crate) fn stream(
     path: &Path,
     mut take: impl FnMut(usize, &[u8], usize) -> Result<(), String>,
 ) -> Result<(), PlyError> {
-    let file = std::fs::File::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
+    let file = regular::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
     let mut input = io::BufReader::new(file);
     let mut stream = || {
         let header = read_header(&mut input)?;
@@ -342,7 +353,11 @@ fn read_header(input: &mut impl BufRead) -> Result<Header, String> {
         if let Some(comment) = text.strip_prefix("comment ") {
             comments.push(comment.to_owned());
         } else if let Some(count) = text.strip_prefix("element vertex ") {
-            break count.parse::<usize>().map_err(|e| format!("{text:?}: {e}"))?;
+            let count = count.parse::<usize>().map_err(|e| format!("{text:?}: {e}"))?;
+            if count > POINTS_MAX {
+                return Err(format!("expected at most {POINTS_MAX} points, found {count}"));
+            }
+            break count;
         } else {
             return Err(format!("expected the element vertex, found {text:?}"));
         }

@@ -10,6 +10,7 @@ use super::realtime::{limit_text, soft_limit, warn};
 use crossbeam_channel::Sender;
 use std::alloc::{Layout, alloc_zeroed, dealloc, handle_alloc_error};
 use std::fmt;
+use std::io;
 use std::ptr::NonNull;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
@@ -40,13 +41,13 @@ unsafe impl Send for Region {}
 unsafe impl Sync for Region {}
 
 impl Region {
-    fn allocate(bytes: usize) -> Self {
+    /// From the allocator; `None` where it has none.
+    fn allocate(bytes: usize) -> Option<Self> {
         let layout = Layout::from_size_align(bytes, ROOM_BYTES)
             .expect("invariant: a node's frames fit in half the address space");
         // SAFETY: the layout's size is at least ROOM_BYTES, hence not zero.
         let memory = unsafe { alloc_zeroed(layout) };
-        let Some(memory) = NonNull::new(memory) else { handle_alloc_error(layout) };
-        Self { memory, source: Source::Allocated(layout) }
+        Some(Self { memory: NonNull::new(memory)?, source: Source::Allocated(layout) })
     }
 
     /// Maps memory that starts on a huge page's boundary; `None` where the system has none.
@@ -117,7 +118,10 @@ impl Pool {
 
     /// `count` blocks for `pixel_bytes` of pixels each: those of earlier sessions first, then fresh ones, all touched.
     /// Kept blocks of another size are freed.
-    pub fn take(&self, pixel_bytes: usize, count: usize) -> Vec<Block> {
+    ///
+    /// # Errors
+    /// The system has no memory for them; a camera that comes back during a session then stays away, and the others go on.
+    pub fn take(&self, pixel_bytes: usize, count: usize) -> io::Result<Vec<Block>> {
         let (mut blocks, others): (Vec<Block>, Vec<Block>) = {
             let mut shelf = open(&self.shelf);
             shelf.drain(..).partition(|block| block.size == ROOM_BYTES + pixel_bytes)
@@ -127,12 +131,18 @@ impl Pool {
         open(&self.shelf).extend(surplus);
         let missing = count - blocks.len();
         if missing > 0 {
-            blocks.extend(self.make(pixel_bytes, missing));
+            match self.make(pixel_bytes, missing) {
+                Ok(made) => blocks.extend(made),
+                Err(error) => {
+                    open(&self.shelf).extend(blocks);
+                    return Err(error);
+                }
+            }
         }
         for block in &mut blocks {
             block.shelf = Some(Arc::downgrade(&self.shelf));
         }
-        blocks
+        Ok(blocks)
     }
 
     /// Bytes of the blocks that no stream has.
@@ -151,9 +161,17 @@ impl Pool {
         open(&self.shelf).len()
     }
 
-    fn make(&self, pixel_bytes: usize, count: usize) -> Vec<Block> {
+    fn make(&self, pixel_bytes: usize, count: usize) -> io::Result<Vec<Block>> {
         let bytes = block_bytes(pixel_bytes) * count;
-        let region = Arc::new(Region::map(bytes).unwrap_or_else(|| Region::allocate(bytes)));
+        let region = Region::map(bytes).or_else(|| Region::allocate(bytes)).ok_or_else(|| {
+            let message = format!(
+                "the system has no {} MiB of memory for {count} frames; lower acquisition.buffers_per_camera, or raise the \
+                 limit on this process' memory",
+                bytes >> 20
+            );
+            io::Error::new(io::ErrorKind::OutOfMemory, message)
+        })?;
+        let region = Arc::new(region);
         if self.lock
             && let Err(error) = region.lock(bytes)
         {
@@ -164,7 +182,7 @@ impl Pool {
             );
             warn("memory_not_locked", message);
         }
-        (0..count).map(|i| Block::cut(&region, i * block_bytes(pixel_bytes), pixel_bytes)).collect()
+        Ok((0..count).map(|i| Block::cut(&region, i * block_bytes(pixel_bytes), pixel_bytes)).collect())
     }
 }
 
@@ -190,7 +208,13 @@ unsafe impl Sync for Block {}
 impl Block {
     /// Allocates a block of its own for `pixel_bytes` of pixels and touches every page.
     pub fn allocate(pixel_bytes: usize) -> Self {
-        Self::cut(&Arc::new(Region::allocate(block_bytes(pixel_bytes))), 0, pixel_bytes)
+        let bytes = block_bytes(pixel_bytes);
+        let layout = Layout::from_size_align(bytes, ROOM_BYTES);
+        let region = Region::allocate(bytes).unwrap_or_else(|| match layout {
+            Ok(layout) => handle_alloc_error(layout),
+            Err(error) => panic!("invariant: a frame fits in half the address space ({error})"),
+        });
+        Self::cut(&Arc::new(region), 0, pixel_bytes)
     }
 
     /// The block at `offset` of a region that is long enough. No two blocks share bytes: offsets are multiples of
@@ -301,11 +325,11 @@ mod tests {
     #[test]
     fn a_thousand_sessions_use_the_same_memory() {
         let pool = Pool::new(false, 0);
-        let first = places(&pool.take(10_000, 5));
+        let first = places(&pool.take(10_000, 5).expect("memory"));
         assert!(first.len() == 5 && first.iter().all(|place| place % 4096 == 0));
         for _ in 0..1000 {
             let (home, returns) = crossbeam_channel::bounded(5);
-            let mut blocks = pool.take(10_000, 5);
+            let mut blocks = pool.take(10_000, 5).expect("memory");
             assert_eq!(places(&blocks), first);
             // One is out with a frame when its stream ends, one is on its way back to it, the rest are lent.
             blocks.iter_mut().take(2).for_each(|block| block.set_home(home.clone()));
@@ -325,8 +349,8 @@ mod tests {
     #[test]
     fn blocks_of_a_session_do_not_overlap_and_other_sizes_make_room() {
         let pool = Pool::new(true, 0);
-        let mut blocks = pool.take(5000, 3);
-        blocks.extend(pool.take(5000, 2));
+        let mut blocks = pool.take(5000, 3).expect("memory");
+        blocks.extend(pool.take(5000, 2).expect("memory"));
         for (i, block) in blocks.iter_mut().enumerate() {
             block.bytes_mut().fill(i as u8 + 1);
         }
@@ -335,7 +359,7 @@ mod tests {
         }
         drop(blocks);
         assert_eq!(pool.idle(), 5);
-        let other = pool.take(6000, 1);
+        let other = pool.take(6000, 1).expect("memory");
         assert_eq!((pool.idle(), other[0].pixels().len()), (0, 6000));
         drop(pool);
         // The pool is gone: its blocks are freed where they are dropped.

@@ -9,5 +9,7 @@ pub mod heap;
 pub mod idle_process;
 /// How much memory may still be taken.
 pub mod memory;
+/// Limits on the memory of this process.
+pub mod process_limits;
 /// Real-time scheduling and locked memory.
 pub mod realtime;

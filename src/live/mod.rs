@@ -64,6 +64,15 @@ pub struct Facts {
     pub cameras: Vec<CameraShare>,
 }
 
+/// Another node, and what is taken from it.
+#[derive(Debug, Clone)]
+pub struct Peer {
+    /// How to ask it.
+    pub client: NodeClient,
+    /// Its cameras in the rig: it has no rows of any other.
+    pub cameras: Vec<CameraId>,
+}
+
 /// The live body of a node.
 #[derive(Clone)]
 pub struct LiveBody {
@@ -73,7 +82,7 @@ pub struct LiveBody {
 struct Shared {
     taps: Arc<Taps>,
     calibration: Option<PathBuf>,
-    peers: Vec<NodeClient>,
+    peers: Vec<Peer>,
     origin: Instant,
     /// When this node's rows were last wanted, and when its body was, ms after `origin`, plus one; 0: never.
     rows_asked: AtomicU64,
@@ -90,7 +99,7 @@ impl LiveBody {
         taps: Arc<Taps>,
         trigger_rate_hz: f64,
         calibration: Option<PathBuf>,
-        peers: Vec<NodeClient>,
+        peers: Vec<Peer>,
     ) -> std::io::Result<Self> {
         let has_calibration = calibration.is_some();
         let kept = Kept::new(taps.cameras().count(), trigger_rate_hz);
@@ -258,16 +267,12 @@ impl Shared {
     /// What the other nodes have of a trigger, asked for at the same time; nothing of those that do not say it in time.
     fn rows_of_peers(&self, trigger: u64) -> Rows {
         let wanted = path::LIVE_ROWS.replace("{trigger}", &trigger.to_string());
-        let ask = |peer: &NodeClient| -> Rows {
-            let Ok(Some(answer)) = peer.fetch(&wanted, PEER_PATIENCE) else { return Rows::new() };
-            match rows::decode(&answer) {
-                Ok((found, rows)) if found == trigger => rows,
-                Ok(_) => Rows::new(),
-                Err(reason) => {
-                    tracing::debug!("rows of {}: {reason}", peer.url());
-                    Rows::new()
-                }
-            }
+        let ask = |peer: &Peer| -> Rows {
+            let Ok(Some(answer)) = peer.client.fetch(&wanted, PEER_PATIENCE) else { return Rows::new() };
+            rows::of_node(&answer, trigger, &peer.cameras).unwrap_or_else(|reason| {
+                tracing::debug!("rows of {}: {reason}", peer.client.url());
+                Rows::new()
+            })
         };
         std::thread::scope(|scope| {
             let asked: Vec<_> = self.peers.iter().map(|peer| scope.spawn(move || ask(peer))).collect();

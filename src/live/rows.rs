@@ -43,8 +43,23 @@ pub fn encode<'a>(trigger: u64, rows: impl Iterator<Item = (&'a CameraId, &'a Sa
     bytes
 }
 
+/// What a node answers of a trigger: rows of its own cameras, and of no other.
+///
+/// # Errors
+/// What is wrong with the bytes, or whose rows they are.
+pub fn of_node(bytes: &[u8], trigger: u64, cameras: &[CameraId]) -> Result<Rows, String> {
+    let (found, rows) = decode(bytes)?;
+    if found != trigger {
+        return Err(format!("expected rows of trigger {trigger}, found those of {found}"));
+    }
+    match rows.keys().find(|id| !cameras.contains(id)) {
+        Some(foreign) => Err(format!("expected rows of that node's cameras, found those of {foreign}")),
+        None => Ok(rows),
+    }
+}
+
 /// From bytes: the trigger and its rows, or what is wrong.
-pub fn decode(bytes: &[u8]) -> Result<(u64, Rows), String> {
+fn decode(bytes: &[u8]) -> Result<(u64, Rows), String> {
     let mut rest = bytes;
     if take::<4>(&mut rest)? != *MAGIC {
         return Err("expected rows of a trigger, found something else".to_owned());
@@ -92,10 +107,28 @@ fn take<const N: usize>(rest: &mut &[u8]) -> Result<[u8; N], String> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Rows, decode, encode};
+    use super::{Rows, decode, encode, of_node};
     use crate::acquire::preview::Sample;
     use crate::base::ids::CameraId;
     use proptest::prelude::{any, prop, prop_assert_eq, proptest};
+
+    #[test]
+    fn a_node_has_rows_of_its_own_cameras_and_of_no_other() {
+        let sample = Sample { trigger: 8, host_time_ns: 0, width: 1, pixels: vec![7] };
+        let bytes = |ids: &[&str]| {
+            let rows: Rows = ids.iter().map(|id| (CameraId::from(*id), sample.clone())).collect();
+            encode(8, rows.iter())
+        };
+        let theirs = [CameraId::from("h2_up"), CameraId::from("h2_low")];
+        assert_eq!(of_node(&bytes(&["h2_up"]), 8, &theirs).map(|rows| rows.len()), Ok(1));
+        assert!(
+            of_node(&bytes(&["h2_up"]), 16, &theirs)
+                .expect_err("another trigger")
+                .contains("found those of 8")
+        );
+        let forged = of_node(&bytes(&["h0_up", "h2_up"]), 8, &theirs).expect_err("a camera of ours");
+        assert!(forged.contains("found those of h0_up"), "{forged}");
+    }
 
     proptest! {
         #[test]

@@ -3,8 +3,8 @@
 
 use super::node_file::{Given, begin};
 use super::run::{Options, usage};
-use crate::base::Fault;
 use crate::base::ids::{CameraId, NodeId};
+use crate::base::{Fault, regular};
 use crate::config::Rig;
 use std::path::Path;
 
@@ -27,7 +27,7 @@ pub struct Begun {
 pub fn begin_file(options: &Options) -> Result<Begun, Fault> {
     let path = &options.path;
     let problem = |what: String| usage(format!("{}: {what}", path.display()));
-    let text = match std::fs::read_to_string(path) {
+    let text = match regular::read_text(path, regular::TEXT_BYTES) {
         Ok(text) => text,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
         Err(error) => return Err(problem(format!("cannot be read: {error}"))),

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Seconds before Record: how many frame sets are held for them, and whether the memory is there.
+//! Whether the memory for a session is there, and seconds before Record: how many frame sets are held for them.
 
 use super::node_thread::Node;
 use super::state_machine::Event;
 use crate::base::{Exit, Fault};
+use crate::config::NodeConfig;
 use crate::control::request::{KeepRequest, Phase, SessionRequest};
 use crate::host::frame_memory::block_bytes;
 use crate::host::memory;
+use crate::host::process_limits::ProcessMemory;
 use std::sync::atomic::Ordering;
 
 /// Left to everything else on this host, bytes.
@@ -21,6 +23,19 @@ pub(crate) fn held_sets(request: &SessionRequest, rate_hz: f64) -> usize {
     }
 }
 
+/// Refuses sessions of a node that the limits of this process have no room for; `held`: frame sets that are held before Record.
+///
+/// # Errors
+/// The limit, by name.
+pub(crate) fn check_limits(config: &NodeConfig, memory: &ProcessMemory, held: u64) -> Result<(), Fault> {
+    let sizes = config.rig.cameras_of(&config.node).map(|(_, camera)| &camera.device);
+    let set_bytes: u64 = sizes.map(|device| block_bytes(device.width * device.height) as u64).sum();
+    let sets = held.saturating_add(config.buffers_per_camera as u64);
+    memory
+        .check(config.cameras.len() as u64, set_bytes.saturating_mul(sets))
+        .map_err(|fault| Fault { message: format!("node {}: {}", config.node, fault.message), ..fault })
+}
+
 impl Node {
     /// Gives back the memory that frames were held in: hours may go by until the next session.
     pub(crate) fn release_held_memory(&self) {
@@ -29,11 +44,13 @@ impl Node {
         }
     }
 
-    /// Refuses a session whose frames of before Record would not fit.
-    pub(crate) fn check_memory_to_hold(&self) -> Result<(), Fault> {
+    /// Refuses a session that does not fit into what this process may have, or whose frames of before Record do not fit into
+    /// what this host has left.
+    pub(crate) fn check_memory(&self) -> Result<(), Fault> {
         let Some(session) = &self.session else { return Ok(()) };
         let rate_hz = self.config.rig.trigger_rate_hz;
         let sets = held_sets(&session.request, rate_hz) as u64;
+        check_limits(&self.config, &self.memory, sets)?;
         let Some(available) = memory::available().filter(|_| sets > 0) else { return Ok(()) };
         let set_bytes: u64 =
             session.cameras.iter().map(|camera| block_bytes(camera.size.0 * camera.size.1) as u64).sum();

@@ -6,7 +6,7 @@ mod actions;
 mod camera_keeper;
 pub mod devices;
 mod events;
-mod hold;
+pub(crate) mod hold;
 mod hsu_keeper;
 mod input_lines;
 pub mod node_thread;

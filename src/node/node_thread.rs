@@ -13,6 +13,7 @@ use crate::config::NodeConfig;
 use crate::control::command::{Command, Reply, SharedStatus};
 use crate::control::request::{ExposureRequest, Phase, SessionRequest};
 use crate::control::status::{ExposureSet, NodeStatus, Outcome, SessionCommand};
+use crate::host::process_limits::ProcessMemory;
 use crate::host::{heap, realtime};
 use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId, Slope};
 use crate::record::{NodeEvent, free_bytes};
@@ -77,6 +78,7 @@ impl NodeThread {
             session: None,
             taps: taps.clone(),
             telemetry: Arc::clone(&telemetry),
+            memory: ProcessMemory::at_start(),
             pending: None,
             status: Arc::clone(&status),
             origin: Instant::now(),
@@ -134,6 +136,8 @@ pub(crate) struct Node {
     pub(crate) session: Option<Session>,
     pub(crate) taps: [Arc<Taps>; 2],
     pub(crate) telemetry: Arc<Telemetry>,
+    /// What this process had before its first session.
+    pub(crate) memory: ProcessMemory,
     /// Whoever waits for the preparation.
     pending: Option<Reply>,
     status: SharedStatus,
@@ -345,7 +349,7 @@ impl Node {
                     self.telemetry.applied(&camera.id, camera.settings.clone());
                 }
                 self.in_session(|session| session.has_cameras(cameras));
-                self.check_memory_to_hold()
+                self.check_memory()
             }
             Action::CreateRecording => self.create_recording(),
             Action::StartStreams => self.start_streams(),

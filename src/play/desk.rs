@@ -5,7 +5,7 @@
 use super::process::{self, Answer};
 use super::sequence::Described;
 use crate::base::ids::NodeId;
-use crate::base::{Exit, Fault};
+use crate::base::{Exit, Fault, json};
 use crate::control::command::{Reply, SharedStatus};
 use crate::control::request::Phase;
 use crate::host::idle_process;
@@ -237,7 +237,7 @@ impl Work {
         };
         std::thread::Builder::new().name("play-answers".to_owned()).spawn(read).map_err(failed)?;
         let told = self.wait(&answers)?.map_err(|reason| Fault::new(Exit::Corrupt, reason))?;
-        let described = serde_json::from_slice(&told).map_err(failed)?;
+        let described = json::from_slice(&told).map_err(failed)?;
         Ok(Maker { done: done.clone(), _child: ending, asked, answers, told: Arc::new(told), described })
     }
 

@@ -5,6 +5,7 @@
 //! the node is asked for the next session. Each node sees its own cameras; a console puts the clouds of both together.
 
 use crate::base::ids::NodeId;
+use crate::base::regular;
 use crate::batch::result::Clouds;
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome};
@@ -254,7 +255,7 @@ impl Inner {
     ) -> Result<(), Ended> {
         let failed = |what: &str, error: std::io::Error| Ended::Failed(format!("{what}: {error}"));
         std::fs::create_dir_all(out).map_err(|e| failed(&out.display().to_string(), e))?;
-        let log = std::fs::File::create(out.join("log")).map_err(|e| failed("its log", e))?;
+        let log = regular::create(&out.join("log")).map_err(|e| failed("its log", e))?;
         let command = idle_process::command(["reconstruct"]);
         let mut child = command
             .map_err(|e| failed("this program cannot be found", e))?
@@ -281,8 +282,11 @@ impl Inner {
         match status.code() {
             Some(0 | 3) => Ok(()),
             _ => {
-                let log = std::fs::read_to_string(out.join("log")).unwrap_or_default();
-                Err(Ended::Failed(format!("the reconstruction ended with {status}: {}", log.trim())))
+                let log = regular::read(&out.join("log"), regular::TEXT_BYTES).unwrap_or_default();
+                Err(Ended::Failed(format!(
+                    "the reconstruction ended with {status}: {}",
+                    String::from_utf8_lossy(&log).trim()
+                )))
             }
         }
     }

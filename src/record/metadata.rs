@@ -107,6 +107,10 @@ pub(super) fn parse_header(entries: &Entries) -> Result<StatedHeader, String> {
     // Whoever made the recording: what is printed of it shall not steer a terminal.
     header.subject = header.subject.map(|text| printable(&text));
     header.note = header.note.map(|text| printable(&text));
+    let of_hsu = header.hsu.iter_mut().flat_map(|hsu| [&mut hsu.uid, &mut hsu.firmware]);
+    let of_cameras = header.cameras.iter_mut().map(|camera| &mut camera.device);
+    let own = [&mut header.session_id, &mut header.software, &mut header.host_clock];
+    own.into_iter().chain(of_hsu).chain(of_cameras).for_each(|text| *text = printable(text));
     let segment = get(KEY_SEGMENT)?;
     let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
     let version = stated.unwrap_or(VERSION);

@@ -4,10 +4,9 @@
 //! It lies in the session's directory as `remark-NODE.json`, so that a recording stays as its verdict describes it.
 
 use crate::base::ids::{NodeId, check_text};
-use crate::base::write_whole;
-use serde::{Deserialize, Serialize};
-use std::fs::File;
-use std::io::{self, Read, Write};
+use crate::base::{json, regular, write_whole};
+use serde::{Deserialize, Deserializer, Serialize};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -23,14 +22,23 @@ pub enum Rating {
     Bad,
 }
 
-/// A rating and a note; both may be missing.
+/// A rating and a note; both may be null, and neither is left out: what was kept gives way as a whole.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 pub struct Remark {
     /// How good it is.
+    #[serde(deserialize_with = "present")]
+    #[schema(required = true)]
     pub rating: Option<Rating>,
     /// Why, in one line of up to 4000 characters.
+    #[serde(deserialize_with = "present")]
+    #[schema(required = true)]
     pub note: Option<String>,
+}
+
+/// A value that is null or there: a field that is left out was not thought of.
+fn present<'de, D: Deserializer<'de>, T: Deserialize<'de>>(from: D) -> Result<Option<T>, D::Error> {
+    Option::deserialize(from)
 }
 
 /// A file that is longer was not written here.
@@ -60,9 +68,8 @@ impl Remark {
 
     /// What was kept; `None` where there is nothing that can be read.
     pub fn load(session: &Path, node: &NodeId) -> Option<Self> {
-        let mut text = String::new();
-        File::open(file(session, node)).ok()?.take(BYTES_MAX).read_to_string(&mut text).ok()?;
-        serde_json::from_str(&text).ok().filter(|remark: &Self| remark.check().is_ok())
+        let text = regular::read(&file(session, node), BYTES_MAX).ok()?;
+        json::from_slice(&text).ok().filter(|remark: &Self| remark.check().is_ok())
     }
 
     /// When it was last written.
@@ -86,7 +93,9 @@ mod tests {
         remark.save(dir.path(), &node).expect("writable");
         assert_eq!(Remark::load(dir.path(), &node), Some(remark));
         assert!(Remark::written(dir.path(), &node).is_some());
-        for wrong in ["", "{", r#"{"rating":"best"}"#, r#"{"note":"two\nlines"}"#, r#"{"more":1}"#] {
+        for wrong in
+            ["", "{", r#"{"rating":"best"}"#, r#"{"note":"two\nlines"}"#, r#"{"more":1}"#, "[]", "{}", "null"]
+        {
             std::fs::write(file(dir.path(), &node), wrong).expect("writable");
             assert_eq!(Remark::load(dir.path(), &node), None, "{wrong}");
         }

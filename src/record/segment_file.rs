@@ -5,12 +5,13 @@
 //! cuts, would end the program with a signal. What cannot be read is remembered and not tried again, because a disk
 //! takes seconds for each attempt; everything else is used. `docs/design/recording.md`, "Reading", has the rules.
 
+use crate::base::regular;
 use crc32fast::Hasher;
 use serde::Serialize;
-use std::fs::{File, FileType, OpenOptions};
+use std::fs::File;
 use std::io;
 use std::ops::Range;
-use std::os::unix::fs::{FileExt, FileTypeExt, OpenOptionsExt};
+use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -57,12 +58,8 @@ impl SegmentFile {
     /// # Errors
     /// What the system says, or what is there instead.
     pub fn open(path: &Path) -> io::Result<Self> {
-        // Opening a device may already do something to it; so it is not even tried.
-        expect_regular(std::fs::metadata(path)?.file_type())?;
-        let file =
-            OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY).open(path)?;
+        let file = regular::open(path)?;
         let metadata = file.metadata()?;
-        expect_regular(metadata.file_type())?;
         let length = usize::try_from(metadata.len()).map_err(io::Error::other)?;
         Ok(Self {
             file,
@@ -213,19 +210,6 @@ impl SegmentFile {
         }
         true
     }
-}
-
-/// # Errors
-/// What it is instead.
-pub fn expect_regular(kind: FileType) -> io::Result<()> {
-    let found = match kind {
-        _ if kind.is_file() => return Ok(()),
-        _ if kind.is_dir() => "a directory",
-        _ if kind.is_fifo() => "a pipe",
-        _ if kind.is_socket() => "a socket",
-        _ => "a device",
-    };
-    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("expected a regular file, found {found}")))
 }
 
 /// A file's bytes, of which a piece is in memory: for reading small records one after the other.

@@ -3,6 +3,7 @@
 //! `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT_URL`, `AWS_ALLOW_HTTP`.
 
 use super::Location;
+use crate::base::regular;
 use async_trait::async_trait;
 use http_body_util::BodyExt;
 use hyper_util::client::legacy::Client;
@@ -14,7 +15,6 @@ use object_store::client::{
     HttpResponseBody, HttpService,
 };
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, ObjectStoreExt, RetryConfig};
-use std::fs::File;
 use std::ops::Range;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
@@ -135,7 +135,7 @@ impl Remote {
     /// Stores a file. The object appears when all of it is there.
     pub fn put(&self, name: &str, from: &Path) -> Result<(), String> {
         let unreadable = |e: std::io::Error| format!("{}: {e}", from.display());
-        let file = File::open(from).map_err(unreadable)?;
+        let file = regular::open(from).map_err(unreadable)?;
         let size = file.metadata().map_err(unreadable)?.len();
         let piece = |start: u64| {
             let length = PIECE.min(size - start);

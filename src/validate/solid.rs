@@ -6,6 +6,7 @@
 
 use super::deviations::Deviations;
 use super::plane::GROSS_M as PLANE_GROSS_M;
+use crate::base::regular;
 use nalgebra::{Matrix4, Point3, Vector3, Vector4};
 use serde::Serialize;
 use std::collections::HashMap;
@@ -129,7 +130,8 @@ pub struct Mesh {
 impl Mesh {
     /// Reads a Wavefront OBJ file: `v` and `f` lines; metres, world axes, faces counterclockwise from outside.
     pub fn load(path: &Path) -> Result<Self, String> {
-        let text = std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;
+        let text = regular::read_text(path, regular::STATEMENT_BYTES)
+            .map_err(|e| format!("{}: {e}", path.display()))?;
         Self::parse(&text).map_err(|reason| {
             format!(
                 "{}: {reason}; expected a Wavefront OBJ mesh (v and f lines, metres, world axes)",

@@ -2,6 +2,7 @@
 //! Making room: recordings that are verified, reconstructed and copied may be deleted, by name, when somebody asks for it.
 
 use super::queue::{self, Found};
+use super::second_copy::{self, SecondCopy};
 use super::state::{Job, Stage};
 use crate::batch::collect_shards;
 use crate::batch::run::Format;
@@ -9,19 +10,14 @@ use crate::batch::summary::Summary;
 use crate::config::WorkerConfig;
 use crate::record::verify::{Severity, verify};
 use serde::Serialize;
-use std::fs::File;
-use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 /// Of all frames with light, so many have a cloud where a recording may go: of the rest a later version could make more. A camera whose
 /// frames are all refused is an eighth.
 pub const SHARE_OF_LIT: f64 = 0.99;
 
-/// Read at a time while comparing, bytes.
-const BLOCK: usize = 1 << 20;
-
 /// Whether a session's recordings may be deleted.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Serialize)]
 pub struct Judgement {
     /// The session.
     pub session: String,
@@ -31,12 +27,21 @@ pub struct Judgement {
     pub bytes: u64,
     /// Why they must stay; nothing: they may go.
     pub stays: Vec<String>,
+    /// Their copies, as they were compared.
+    #[serde(skip)]
+    copies: Vec<SecondCopy>,
 }
 
-/// Judges a session. `thoroughly`: every byte is verified and compared with the archive, otherwise only what can be seen at a glance.
+/// Judges a session. `thoroughly`: every byte is compared with the archive, and what lies there is verified; otherwise only what can be
+/// seen at a glance.
 pub fn judge(config: &WorkerConfig, session: &str, thoroughly: bool) -> Judgement {
-    let mut judgement =
-        Judgement { session: session.to_owned(), parts: Vec::new(), bytes: 0, stays: Vec::new() };
+    let mut judgement = Judgement {
+        session: session.to_owned(),
+        parts: Vec::new(),
+        bytes: 0,
+        stays: Vec::new(),
+        copies: Vec::new(),
+    };
     let found = match queue::parts(config, session) {
         Ok(found) => found,
         Err(reason) => {
@@ -52,34 +57,39 @@ pub fn judge(config: &WorkerConfig, session: &str, thoroughly: bool) -> Judgemen
     };
     for part in &found.parts {
         let copy = archive.join(session).join(part.file_name().unwrap_or_default());
-        match files(part) {
-            Ok(files) => {
-                judgement.bytes += files.iter().map(|(_, bytes)| bytes).sum::<u64>();
-                judgement.stays.extend(not_copied(part, &copy, &files, thoroughly));
+        judgement.bytes += second_copy::list(part).map_or(0, |files| files.values().sum());
+        let opened = SecondCopy::open(part, &copy).and_then(|pair| {
+            if thoroughly {
+                pair.compare()?;
             }
-            Err(error) => judgement.stays.push(format!("{}: {error}", part.display())),
+            Ok(pair)
+        });
+        match opened {
+            Ok(pair) => judgement.copies.push(pair),
+            Err(reason) => judgement.stays.push(reason),
         }
-        // What is not the same as its copy needs no further look.
+        // What stays behind is the copy: it is read again, from there.
         if thoroughly && judgement.stays.is_empty() {
-            judgement.stays.extend(not_verified(part));
+            judgement.stays.extend(not_verified(&copy));
         }
     }
     judgement
 }
 
 /// Deletes the recordings of a session that was just judged, thoroughly, that it may go. Returns the bytes gained.
-pub fn delete(judgement: &Judgement) -> io::Result<u64> {
-    if !judgement.stays.is_empty() {
-        return Err(io::Error::other(judgement.stays.join("; ")));
+///
+/// # Errors
+/// Why one of them stays: what has changed since, or what the system reports.
+pub fn delete(judgement: &Judgement) -> Result<u64, String> {
+    if !judgement.stays.is_empty() || judgement.copies.len() != judgement.parts.len() {
+        return Err(judgement.stays.join("; "));
     }
-    for part in &judgement.parts {
+    for (part, copy) in judgement.parts.iter().zip(&judgement.copies) {
         // Out of sight first: half a recording must never look like one.
         let session = part.parent().unwrap_or(Path::new("."));
         let sessions = session.parent().unwrap_or(Path::new("."));
         let name = part.file_name().unwrap_or_default().to_string_lossy();
-        let doomed = sessions.join(format!(".pruned-{}-{name}", judgement.session));
-        std::fs::rename(part, &doomed)?;
-        std::fs::remove_dir_all(&doomed)?;
+        copy.delete(&sessions.join(format!(".pruned-{}-{name}", judgement.session)))?;
         // The other node's recording may still be in it.
         let _ = std::fs::remove_dir(session);
     }
@@ -141,56 +151,6 @@ fn not_verified(part: &Path) -> Option<String> {
         Ok(report) if report.worst != Some(Severity::Corrupt) => None,
         Ok(_) => Some(format!("{}: verify finds it corrupt", part.display())),
         Err(error) => Some(format!("{}: {error}", part.display())),
-    }
-}
-
-fn not_copied(part: &Path, copy: &Path, files: &[(PathBuf, u64)], thoroughly: bool) -> Option<String> {
-    for (name, bytes) in files {
-        let (from, to) = (part.join(name), copy.join(name));
-        match std::fs::metadata(&to) {
-            Err(error) => return Some(format!("{}: {error}", to.display())),
-            Ok(metadata) if metadata.len() != *bytes => {
-                return Some(format!("{} has {} bytes, the recording {bytes}", to.display(), metadata.len()));
-            }
-            Ok(_) => {}
-        }
-        if thoroughly {
-            match same(&from, &to) {
-                Ok(true) => {}
-                Ok(false) => return Some(format!("{} differs from the recording", to.display())),
-                Err(error) => return Some(format!("{}: {error}", to.display())),
-            }
-        }
-    }
-    None
-}
-
-/// Names and sizes of a recording's files, which has no folders.
-fn files(part: &Path) -> io::Result<Vec<(PathBuf, u64)>> {
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(part)? {
-        let entry = entry?;
-        files.push((PathBuf::from(entry.file_name()), entry.metadata()?.len()));
-    }
-    files.sort();
-    Ok(files)
-}
-
-/// Whether two files have the same bytes.
-fn same(a: &Path, b: &Path) -> io::Result<bool> {
-    let (mut a, mut b) = (File::open(a)?, File::open(b)?);
-    let (mut left, mut right) = (vec![0; BLOCK], vec![0; BLOCK]);
-    loop {
-        let n = a.read(&mut left)?;
-        if n == 0 {
-            return Ok(b.read(&mut right)? == 0);
-        }
-        match b.read_exact(&mut right[..n]) {
-            Ok(()) if left[..n] == right[..n] => {}
-            Ok(()) => return Ok(false),
-            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(false),
-            Err(error) => return Err(error),
-        }
     }
 }
 

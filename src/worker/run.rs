@@ -5,7 +5,7 @@ use super::give_way::GiveWay;
 use super::queue::{self, Found};
 use super::state::{Activity, Job, OWN_DIR, Stage, WorkerState, now_ns};
 use super::task::{self, Ended, Interruption};
-use crate::base::{Exit, Fault, write_whole};
+use crate::base::{Exit, Fault, regular, write_whole};
 use crate::batch::collect_shards;
 use crate::batch::key::{ALGORITHM, CALIBRATION_FILE, KEY_FILE, Key, calibration_sha256};
 use crate::calibrate::drift::history;
@@ -58,7 +58,7 @@ impl Worker {
         let own = config.results.join(OWN_DIR);
         let failed = |e: std::io::Error| Fault::new(Exit::Failure, format!("{}: {e}", own.display()));
         std::fs::create_dir_all(&own).map_err(failed)?;
-        let lock = File::create(own.join("lock")).map_err(failed)?;
+        let lock = regular::lock_file(&own.join("lock")).map_err(failed)?;
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
@@ -437,7 +437,8 @@ impl Worker {
 /// Copies the calibration, after having read it, so that a session begins with one that can be used.
 fn keep_calibration(from: &Path, to: &Path) -> Result<(), String> {
     Calibration::load(from).map_err(|e| format!("the calibration: {e}"))?;
-    let text = std::fs::read(from).map_err(|e| format!("{}: {e}", from.display()))?;
+    let text =
+        regular::read(from, regular::STATEMENT_BYTES).map_err(|e| format!("{}: {e}", from.display()))?;
     write_whole(to, |file| file.write_all(&text)).map_err(|e| format!("{}: {e}", to.display()))
 }
 
@@ -457,7 +458,7 @@ fn earlier_apart(dir: &Path, calibration: &Path, output: Output) -> Result<(), S
     tracing::warn!("results of another calibration, algorithm or output are put aside: {}", apart.display());
     // They are read with what lies beside them, which must be theirs.
     if is_theirs {
-        std::fs::copy(calibration, apart.join(CALIBRATION_FILE)).map_err(|e| failed(calibration, e))?;
+        keep_calibration(calibration, &apart.join(CALIBRATION_FILE))?;
     }
     // The key comes last: while it is there, the rest is found again.
     for name in ["clouds", "merged", "phases", "sequence.mcap", "summary.json", KEY_FILE] {
@@ -492,7 +493,7 @@ fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
             summary.session, job.session_id
         ));
     }
-    let timings = std::fs::read(dir.join("timings.json")).unwrap_or_default();
+    let timings = regular::read(&dir.join("timings.json"), regular::SUMMARY_BYTES).unwrap_or_default();
     let timings: serde_json::Value = serde_json::from_slice(&timings).unwrap_or_default();
     job.peak_memory_bytes = timings["peak_memory_bytes"].as_u64().unwrap_or(0);
     job.frames_without_cloud = (summary.refused + summary.gaps + summary.damaged) as u64;
@@ -504,7 +505,8 @@ fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
 
 /// The sessions that somebody wants before the others.
 fn asked_first(results: &Path) -> Vec<String> {
-    let text = std::fs::read_to_string(results.join(OWN_DIR).join("first")).unwrap_or_default();
+    let text = regular::read_text(&results.join(OWN_DIR).join("first"), regular::TEXT_BYTES);
+    let text = text.unwrap_or_default();
     text.lines().map(str::to_owned).collect()
 }
 

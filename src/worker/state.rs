@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the worker writes down: what has become of each session, and what it does now.
 
-use crate::base::{write_whole, write_whole_cached};
+use crate::base::{json, regular, write_whole, write_whole_cached};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -178,5 +178,5 @@ pub fn now_ns() -> u64 {
 }
 
 fn load<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
-    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+    json::from_slice(&regular::read(path, regular::STATEMENT_BYTES).ok()?).ok()
 }

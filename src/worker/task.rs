@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One process of `fourdbody` that the worker runs and may end at any moment.
 
+use crate::base::regular;
 use crate::host::idle_process;
-use std::fs::File;
 use std::io;
 use std::path::Path;
 
@@ -40,7 +40,7 @@ pub fn run(
     log: &Path,
     mut look: impl FnMut(Duration) -> Option<Interruption>,
 ) -> io::Result<Ended> {
-    let output = File::create(log)?;
+    let output = regular::create(log)?;
     let mut child = idle_process::command(args)?.stdout(output.try_clone()?).stderr(output).spawn()?;
     let began = Instant::now();
     loop {
@@ -62,7 +62,7 @@ pub fn run(
 
 /// The last that a process has said.
 pub fn last_words(log: &Path) -> String {
-    let bytes = std::fs::read(log).unwrap_or_default();
+    let bytes = regular::read(log, regular::STATEMENT_BYTES).unwrap_or_default();
     let text = String::from_utf8_lossy(&bytes);
     let text = text.trim();
     let start = text.char_indices().map(|(i, _)| i).find(|i| text.len() - i <= TOLD).unwrap_or(0);

@@ -137,6 +137,28 @@ fn concrete(path: &str) -> String {
     path
 }
 
+/// A list of values is taken by what is derived for a type with fields, and a missing body for an empty one.
+#[test]
+fn a_body_is_an_object_or_nothing_on_every_route() {
+    let node = ApiNode::start();
+    let api = description(&node);
+    let mut asked = 0;
+    for (path, method, operation) in operations(&api) {
+        if method != "post" {
+            continue;
+        }
+        let what = format!("POST {}", concrete(&path));
+        for body in ["[]", "[null,null]", "[1,\"a\"]", "[{}]", "null", "7", "\"\"", "{\"sudo\":true}"] {
+            let reply = node.send(Some("ada"), &what, &[], body);
+            assert_eq!(reply.status, 400, "{what} {body}: {reply:?}");
+            check(&api, &operation, &what, &reply);
+            asked += 1;
+        }
+    }
+    assert!(asked > 100, "{asked} bodies are not those of all routes");
+    node.assert_untouched();
+}
+
 #[test]
 fn every_route_is_described_and_answers_as_described() {
     let node = ApiNode::start();

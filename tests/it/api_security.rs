@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 const STATUS: &str = "GET /api/v1/status";
 const START: &str = "POST /api/v1/session/start";
 const BODY: &str = "{\"session_id\":1}";
+const REMARK: &str = r#"{"rating":"good","note":null}"#;
 
 /// A row of the table in docs/design/api.md: its number, the request, the answer.
 type Row = (u32, Option<&'static str>, &'static str, &'static [&'static str], &'static str, u16);
@@ -77,17 +78,36 @@ const ROWS: &[Row] = &[
     (3, Some("vera"), "POST /api/v1/sessions/walk/remark", &[], "{}", 403),
     (3, Some("vera"), "POST /api/v1/peers/b/sessions/walk/remark", &[], "{}", 403),
     (6, Some("otto"), "POST /api/v1/sessions/walk/remark", &["origin: https://evil.example"], "{}", 403),
-    (8, Some("otto"), "POST /api/v1/sessions/..%2f..%2ftmp/remark", &[], "{}", 404),
-    (8, Some("otto"), "POST /api/v1/sessions/%2e%2e/remark", &[], "{}", 404),
-    (8, Some("otto"), "POST /api/v1/peers/b/sessions/..%2f..%2fcapture/remark", &[], "{}", 404),
-    (8, Some("otto"), "POST /api/v1/peers/..%2fb/sessions/walk/remark", &[], "{}", 404),
+    (8, Some("otto"), "POST /api/v1/sessions/..%2f..%2ftmp/remark", &[], REMARK, 404),
+    (8, Some("otto"), "POST /api/v1/sessions/%2e%2e/remark", &[], REMARK, 404),
+    (8, Some("otto"), "POST /api/v1/peers/b/sessions/..%2f..%2fcapture/remark", &[], REMARK, 404),
+    (8, Some("otto"), "POST /api/v1/peers/..%2fb/sessions/walk/remark", &[], REMARK, 404),
     (9, Some("otto"), "GET /api/v1/sessions/..%2f..%2fetc/free", &[], "", 409),
     (9, Some("otto"), "GET /api/v1/sessions/-rf/free", &[], "", 409),
-    (9, Some("otto"), "POST /api/v1/sessions/walk/remark", &[], r#"{"note":"two\nlines"}"#, 409),
-    (9, Some("otto"), "POST /api/v1/sessions/none/remark", &[], r#"{"rating":"good"}"#, 404),
-    (11, Some("otto"), "POST /api/v1/sessions/walk/remark", &[], r#"{"rating":"best"}"#, 400),
-    (11, Some("otto"), "POST /api/v1/sessions/walk/remark", &[], r#"{"note":7}"#, 400),
-    (12, Some("otto"), "POST /api/v1/sessions/walk/remark", &[], r#"{"stars":5}"#, 400),
+    (
+        9,
+        Some("otto"),
+        "POST /api/v1/sessions/walk/remark",
+        &[],
+        r#"{"rating":null,"note":"two\nlines"}"#,
+        409,
+    ),
+    (9, Some("otto"), "POST /api/v1/sessions/none/remark", &[], REMARK, 404),
+    (11, Some("otto"), "POST /api/v1/sessions/walk/remark", &[], r#"{"rating":"best","note":null}"#, 400),
+    (11, Some("otto"), "POST /api/v1/sessions/walk/remark", &[], r#"{"rating":null,"note":7}"#, 400),
+    (11, Some("otto"), "POST /api/v1/sessions/walk/remark", &[], r#"{"rating":"good"}"#, 400),
+    (11, Some("otto"), "POST /api/v1/sessions/walk/remark", &[], "{}", 400),
+    (11, Some("otto"), "POST /api/v1/capture", &[], "{}", 400),
+    (11, Some("otto"), "POST /api/v1/capture", &[], r#"{"wish":[]}"#, 400),
+    (11, Some("otto"), "POST /api/v1/capture", &[], r#"{"wish":{"start_on":[2]}}"#, 400),
+    (
+        12,
+        Some("otto"),
+        "POST /api/v1/sessions/walk/remark",
+        &[],
+        r#"{"rating":null,"note":null,"stars":5}"#,
+        400,
+    ),
     (1, None, "POST /api/v1/exposure", &[], "{}", 401),
     (1, None, "GET /api/v1/calibration-lights", &[], "", 401),
     (3, Some("vera"), "POST /api/v1/exposure", &[], r#"{"heads":["h0"],"exposure_us":900}"#, 403),

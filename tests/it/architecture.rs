@@ -242,6 +242,83 @@ fn tokio_stays_at_the_edge() {
     assert_eq!(offenders(edge, |code| words(code).contains(&"tokio")), [""; 0]);
 }
 
+/// The code of a file without its tests, which open what they have made.
+fn without_tests(code: &str) -> &str {
+    code.split_once("#[cfg(test)]").map_or(code, |(product, _)| product)
+}
+
+/// What is opened by itself: files of the kernel, directories, and what is new.
+const OPENED_BY_ITSELF: [(&str, &str); 10] = [
+    ("base/regular.rs", "the one way"),
+    ("base/atomic_file.rs", "what it has just made"),
+    ("doctor/disk.rs", "/proc, and a file that it makes and removes"),
+    ("doctor/host.rs", "/proc and /sys"),
+    ("doctor/network.rs", "/proc"),
+    ("doctor/reverse_path.rs", "/proc"),
+    ("doctor/usb.rs", "/sys"),
+    ("host/memory.rs", "/proc and /sys"),
+    ("network/interface.rs", "/sys"),
+    ("record/direct_io.rs", "directories; segments, which are new"),
+];
+
+/// Ways to open a file that wait, or read without a bound. Tests are in files of their own, too.
+fn opens_by_itself(code: &str) -> Option<&'static str> {
+    const WAYS: [&str; 6] =
+        ["fs::read(", "fs::read_to_string(", "File::open(", ".read(true)", "fs::copy(", "pem_file_iter("];
+    // A segment is opened as the others are.
+    let code = without_tests(code).replace("SegmentFile::open(", "");
+    WAYS.into_iter().find(|way| code.contains(way))
+}
+
+#[test]
+fn files_of_others_are_opened_in_one_way() {
+    assert_eq!(opens_by_itself("let x = std::fs::read(path);"), Some("fs::read("));
+    assert_eq!(
+        opens_by_itself("regular::read(path, 7) #[cfg(test)] mod tests { std::fs::read(path) }"),
+        None
+    );
+    let exempt = |place: &str| {
+        OPENED_BY_ITSELF.iter().any(|(known, _)| *known == place) || place.ends_with("tests.rs")
+    };
+    let told = |(place, code): (String, String)| {
+        let way = opens_by_itself(&code).filter(|_| !exempt(&place))?;
+        Some(format!(
+            "src/{place} names {way}, expected base::regular, which neither waits nor reads without a bound"
+        ))
+    };
+    let wrong: Vec<String> = sources().into_iter().filter_map(told).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    for (place, why) in OPENED_BY_ITSELF {
+        let known = sources().into_iter().find(|(known, _)| known == place);
+        assert!(
+            known.is_some_and(|(_, code)| opens_by_itself(&code).is_some()),
+            "{place} ({why}) opens nothing"
+        );
+    }
+}
+
+#[test]
+fn json_of_others_is_read_in_one_way() {
+    // Messages within recordings, which checksums cover, and what a program of this system prints.
+    let own = |place: &str| {
+        ["base/json.rs", "doctor/firewall/nft.rs", "capture/report.rs", "worker/run.rs", "api/audit.rs"]
+            .contains(&place)
+            || place.starts_with("record/")
+    };
+    let reads = |code: &str| {
+        [
+            "serde_json::from_slice",
+            "serde_json::from_str",
+            "serde_json::from_value",
+            "serde_json::from_reader",
+        ]
+        .iter()
+        .any(|way| without_tests(code).contains(way))
+    };
+    assert!(reads("serde_json::from_slice(&bytes)") && !reads("json::from_slice(&bytes)"));
+    assert_eq!(offenders(|place| own(place) || place.ends_with("tests.rs"), reads), [""; 0]);
+}
+
 #[test]
 fn the_product_does_not_know_the_simulator() {
     assert_eq!(offenders(|_| false, |code| code.contains("fourdbody_simulator")), [""; 0]);

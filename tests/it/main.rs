@@ -59,6 +59,7 @@ mod export;
 mod exposure;
 #[cfg(feature = "aravis")]
 mod faults;
+mod foreign_files;
 mod foreign_records;
 mod forged_recordings;
 #[cfg(feature = "aravis")]
@@ -88,6 +89,8 @@ mod plan_faults;
 mod player;
 #[cfg(feature = "aravis")]
 mod playing;
+#[cfg(feature = "aravis")]
+mod process_limits;
 mod profiles;
 #[cfg(feature = "aravis")]
 mod ptp_time;
@@ -112,6 +115,8 @@ mod shared_exposure;
 mod shared_scene;
 mod simd_paths;
 mod slurm;
+#[cfg(feature = "aravis")]
+mod sub_path;
 #[cfg(feature = "aravis")]
 mod telemetry;
 mod third_party_camera;

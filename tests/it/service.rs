@@ -115,3 +115,13 @@ fn systemd_understands_the_units_and_finds_them_hardened() {
         assert!(score.status.success(), "{name}: {}", String::from_utf8_lossy(&score.stdout));
     }
 }
+
+/// A rule for the HSU's line also says who else shall leave it alone.
+#[test]
+fn whoever_tries_every_serial_port_leaves_the_hsu_alone() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/60-fourdbody.rules");
+    let text = std::fs::read_to_string(path).expect("the rules");
+    let named: Vec<&str> = text.lines().filter(|line| line.contains("SYMLINK+=\"fourdbody-hsu\"")).collect();
+    assert_eq!(named.len(), 1);
+    assert!(named[0].contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\""), "{named:?}");
+}

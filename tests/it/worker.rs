@@ -429,6 +429,31 @@ fn only_what_is_reconstructed_and_copied_byte_for_byte_is_ever_deleted() {
     assert_contains(&text, &["differs from the recording"]);
     assert!(recording.exists());
 
+    // The recording itself under another name is no second copy.
+    let second = copy.join("segment-000.mcap");
+    let linked: [&dyn Fn() -> std::io::Result<()>; 3] = [
+        &|| std::os::unix::fs::symlink(recording.join("segment-000.mcap"), &second),
+        &|| std::fs::hard_link(recording.join("segment-000.mcap"), &second),
+        &|| std::fs::remove_dir(&copy).and_then(|()| std::os::unix::fs::symlink(&recording, &copy)),
+    ];
+    for link in linked {
+        std::fs::remove_file(&second).expect("there");
+        link().expect("linked");
+        let (code, text) = prune(&["--delete", "walk"]);
+        assert_eq!(code, Some(4), "{text}");
+        assert_contains(&text, &["is no second copy", "copy the bytes to another place"]);
+        assert!(recording.join("segment-000.mcap").exists());
+    }
+    std::fs::remove_file(&copy).expect("a link");
+    std::fs::remove_dir_all(place.path("archive")).expect("there");
+    std::os::unix::fs::symlink("sessions", place.path("archive")).expect("linked");
+    let (code, text) = prune(&["--delete", "walk"]);
+    assert_eq!(code, Some(2), "{text}");
+    assert_contains(&text, &["archive: ", "expected another place"]);
+    assert!(recording.join("segment-000.mcap").exists());
+    std::fs::remove_file(place.path("archive")).expect("a link");
+    std::fs::create_dir_all(&copy).expect("writable");
+
     bytes[5000] ^= 1;
     std::fs::write(copy.join("segment-000.mcap"), &bytes).expect("writable");
     assert_contains(&prune(&["walk"]).1, &["may go", "verified, reconstructed and copied"]);

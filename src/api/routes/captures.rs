@@ -3,7 +3,7 @@
 
 use crate::api::Shared;
 use crate::api::auth::Caller;
-use crate::api::body::Body;
+use crate::api::body::{Body, NoBody};
 use crate::api::refusal::Refusal;
 use crate::base::{Exit, Fault};
 use crate::capture::coordinator::CaptureState;
@@ -64,14 +64,14 @@ enum Told {
 
 /// Keeps the seconds that are held, and records: for a capture with `pre_trigger_s` that this node runs.
 #[utoipa::path(post, path = path::CAPTURE_RECORD, tag = "capture", responses(Told))]
-async fn record(State(shared): State<Shared>) -> Result<StatusCode, Refusal> {
+async fn record(State(shared): State<Shared>, _: NoBody) -> Result<StatusCode, Refusal> {
     shared.services.coordinator.record()?;
     Ok(StatusCode::NO_CONTENT)
 }
 
 /// Ends the train after the current trigger, whoever has started it; what was recorded gets its verdict.
 #[utoipa::path(post, path = path::CAPTURE_STOP, tag = "capture", responses(Told))]
-async fn stop(State(shared): State<Shared>) -> Result<StatusCode, Refusal> {
+async fn stop(State(shared): State<Shared>, _: NoBody) -> Result<StatusCode, Refusal> {
     if shared.services.coordinator.stop().is_err() {
         let command = SessionCommand { session_id: session_under_way(&shared)?, reason: None };
         shared.ask(|reply| Command::Stop(command, reply)).await?;

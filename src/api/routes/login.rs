@@ -3,7 +3,7 @@
 
 use crate::api::Shared;
 use crate::api::auth::{Caller, cookie_of};
-use crate::api::body::Body;
+use crate::api::body::{Body, NoBody};
 use crate::api::connections::Standing;
 use crate::api::limits::Key;
 use crate::api::logins::LIFETIME;
@@ -72,7 +72,7 @@ async fn login(
 
 /// Ends the login; the cookie is taken back.
 #[utoipa::path(post, path = path::LOGOUT, tag = "login", responses((status = 204, description = "Logged out.")))]
-async fn logout(State(shared): State<Shared>, headers: HeaderMap) -> Response {
+async fn logout(State(shared): State<Shared>, headers: HeaderMap, _: NoBody) -> Response {
     if let Some(id) = cookie_of(&headers, &shared.cookie) {
         shared.auth.logins.end(id);
     }

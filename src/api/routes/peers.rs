@@ -2,11 +2,11 @@
 //! What the other nodes tell, passed on: a browser may only talk to the node that its page came from.
 
 use super::sessions::Choice;
-use crate::api::body::Body;
+use crate::api::body::{Body, NoBody};
 use crate::api::refusal::Refusal;
 use crate::api::services::Peer;
 use crate::api::{Caller, Shared};
-use crate::base::{Exit, Fault};
+use crate::base::{Exit, Fault, json};
 use crate::control::request::ExposureRequest;
 use crate::control::status::{PeerState, path};
 use crate::record::remark::Remark;
@@ -61,7 +61,7 @@ async fn state_of(peer: Peer) -> PeerState {
     let answer = peer.client.ask_async(Method::GET, path::STATUS, None, PATIENCE).await;
     let url = peer.client.url().to_owned();
     let (status, problem) = match answer {
-        Ok(answer) if answer.status.is_success() => match serde_json::from_slice(&answer.body) {
+        Ok(answer) if answer.status.is_success() => match json::from_slice(&answer.body) {
             Ok(status) => (Some(status), None),
             Err(e) => (None, Some(format!("its answer is not understood: {e}"))),
         },
@@ -142,6 +142,7 @@ async fn get_quick_look(
 async fn ask_quick_look(
     State(shared): State<Shared>,
     Path((peer, name)): Path<(String, String)>,
+    _: NoBody,
 ) -> Result<Response, Refusal> {
     let wanted = path::QUICK_LOOK.replace("{name}", plain(&name)?);
     ask(&shared, &peer, Method::POST, &wanted).await

@@ -2,11 +2,11 @@
 //! What this node has recorded, and quick looks at it.
 
 use crate::api::Shared;
-use crate::api::body::Body;
+use crate::api::body::{Body, NoBody};
 use crate::api::listing::{Busy, LISTED_MAX, Told};
 use crate::api::refusal::Refusal;
 use crate::base::ids::SessionName;
-use crate::base::{Exit, Fault};
+use crate::base::{Exit, Fault, regular};
 use crate::control::status::{CalibrationLights, FreeName, path};
 use crate::preview::quick_look::Look;
 use crate::record::catalogue::CatalogueEntry;
@@ -140,6 +140,7 @@ async fn get_quick_look(State(shared): State<Shared>, Path(name): Path<String>) 
 async fn ask_quick_look(
     State(shared): State<Shared>,
     Path(name): Path<String>,
+    _: NoBody,
 ) -> Result<StatusCode, Refusal> {
     let asked = shared.services.quick_looks.ask(&name);
     asked.map(|()| StatusCode::ACCEPTED).map_err(|reason| Fault::new(Exit::Usage, reason).into())
@@ -181,7 +182,7 @@ async fn get_calibration_lights(State(shared): State<Shared>) -> Json<Calibratio
 async fn get_calibration_plot(State(shared): State<Shared>) -> Result<Response, Refusal> {
     let plot = shared.services.worker.plot();
     // The results may lie on a share that takes its time.
-    let read = tokio::task::spawn_blocking(move || std::fs::read(plot?).ok()).await;
+    let read = tokio::task::spawn_blocking(move || regular::read(&plot?, regular::TEXT_BYTES).ok()).await;
     let none = || Refusal::new(StatusCode::NOT_FOUND, "no worker of this machine has checked a session yet");
     let svg = read.ok().flatten().ok_or_else(none)?;
     Ok(([(header::CONTENT_TYPE, "image/svg+xml")], svg).into_response())

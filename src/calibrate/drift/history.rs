@@ -5,7 +5,7 @@
 //! the order in which they were looked at; a line that is not whole is left out.
 
 use super::{Drift, plot};
-use crate::base::write_whole;
+use crate::base::{json, regular, write_whole};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -103,7 +103,7 @@ impl History {
     /// Waits until no other process has the directory, and takes it.
     pub fn open(dir: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(dir)?;
-        let lock = File::create(dir.join(LOCK))?;
+        let lock = regular::lock_file(&dir.join(LOCK))?;
         lock.lock()?;
         let history = Self { dir: dir.to_owned(), _lock: lock };
         // What a process has left that was killed.
@@ -139,10 +139,10 @@ impl History {
 /// The history in a directory, sessions recorded first before others; nothing where there is none.
 pub fn load(dir: &Path) -> Vec<Checked> {
     let mut bytes = Vec::new();
-    let Ok(file) = File::open(dir.join(LINES)) else { return Vec::new() };
+    let Ok(file) = regular::open(&dir.join(LINES)) else { return Vec::new() };
     // What was read before an error is as good as a torn file.
     let _ = file.take(MOST_BYTES).read_to_end(&mut bytes);
-    bytes.split(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok()).collect()
+    bytes.split(|byte| *byte == b'\n').filter_map(|line| json::from_slice(line).ok()).collect()
 }
 
 #[cfg(test)]

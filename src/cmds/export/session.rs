@@ -14,6 +14,7 @@ use crate::export::ptp::PtpTime;
 use crate::export::timing::{self, Rows};
 use crate::record::SessionReader;
 use std::ops::Range;
+use std::path::Path;
 
 /// Frames and times.
 pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
@@ -27,6 +28,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     let names: Vec<&str> = session.cameras().iter().map(CameraId::as_str).collect();
     let places = chosen_cameras(&args.cameras, &names)?;
     let cameras: Vec<CameraId> = places.iter().map(|&place| session.cameras()[place].clone()).collect();
+    check_extent(&session, &args.directory, &triggers, cameras.len())?;
     let formats: Vec<Picture> = args.to.iter().filter_map(|target| target.picture()).collect();
     let mut frames = None;
     if !formats.is_empty() {
@@ -62,6 +64,33 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
         (false, true) => Exit::DataLoss,
         (false, false) => Exit::Done,
     })
+}
+
+/// Refuses more frames than the recordings have room to tell anything of: a number in a small file would otherwise become a
+/// large one.
+fn check_extent(
+    session: &SessionReader,
+    path: &Path,
+    triggers: &Range<u64>,
+    cameras: usize,
+) -> Result<(), Failure> {
+    // A gap has a record of more bytes; so many frames are no burden, whatever is lost of a recording.
+    const BYTES_EACH: u64 = 8;
+    const ALWAYS: u64 = 1 << 20;
+    let segments = session.recordings().iter().flat_map(|recording| &recording.segments);
+    let bytes: u64 = segments.map(|segment| segment.length() as u64).sum();
+    let frames = (triggers.end - triggers.start).saturating_mul(cameras as u64);
+    if frames <= ALWAYS.max(bytes / BYTES_EACH) {
+        return Ok(());
+    }
+    let message = format!(
+        "{}: expected a record of every frame, found {frames} frames of triggers {} to {} stated in {bytes} bytes; \
+         `fourdbody verify` names what is wrong; --triggers A..B exports a part",
+        path.display(),
+        triggers.start,
+        triggers.end.saturating_sub(1)
+    );
+    Err(Failure::new(Exit::Corrupt, message))
 }
 
 fn write_timing(

@@ -2,8 +2,8 @@
 //! A reconstruction whose session or results are in an object store: staged in a scratch directory, run there, sent back.
 
 use super::{Args, What};
-use crate::base::Exit;
 use crate::base::ids::CameraId;
+use crate::base::{Exit, regular};
 use crate::batch::collect_shards::summary_path;
 use crate::batch::key::COMMON_FILES;
 use crate::cmds::failure::Failure;
@@ -42,7 +42,7 @@ fn name_of(args: &Args) -> String {
 fn lock(scratch: &Path) -> Result<File, Failure> {
     let at = |e: std::io::Error| failed(format!("{}: {e}", scratch.display()));
     std::fs::create_dir_all(scratch).map_err(at)?;
-    let lock = File::create(scratch.join("lock")).map_err(at)?;
+    let lock = regular::lock_file(&scratch.join("lock")).map_err(at)?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(Failure::new(

@@ -13,11 +13,13 @@ pub use projector::{PanelRows, Response};
 pub use world::World;
 
 use crate::base::ids::{CameraId, HeadId};
+use crate::base::{json, regular, write_whole};
 use crate::config::{Channel, Rig};
 use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -160,6 +162,13 @@ pub enum CalibrationError {
     },
 }
 
+/// Pixels along a side of a camera or a panel, as the rig file has them at most.
+const SIDE_MAX: usize = 16_384;
+/// Cameras that a merged cloud can name.
+const CAMERAS_MAX: usize = 255;
+/// Pixels of all cameras: each has tables of a byte a pixel.
+const PIXELS_MAX: usize = 1 << 30;
+
 const FORMAT: &str = "fourdbody-calibration";
 const VERSION: u32 = 3;
 /// Version 1 has no identity, no valid volume and no responses, version 2 no rows.
@@ -217,15 +226,15 @@ impl Calibration {
 
     /// Reads and checks a calibration file.
     pub fn load(path: &Path) -> Result<Self, CalibrationError> {
-        let bytes =
-            std::fs::read(path).map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
+        let bytes = regular::read(path, regular::STATEMENT_BYTES)
+            .map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
         Self::parse(&bytes).map_err(|reason| CalibrationError::Invalid { path: path.to_owned(), reason })
     }
 
     /// Checks the bytes of a calibration file.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         let mut value: serde_json::Value =
-            serde_json::from_slice(bytes).map_err(|e| format!("not valid JSON ({e})"))?;
+            json::from_slice(bytes).map_err(|e| format!("not valid JSON ({e})"))?;
         let object = value.as_object_mut().ok_or("not a JSON object")?;
         let stated = object.remove("sha256").ok_or("no sha256")?;
         let found = sha256(&value);
@@ -235,7 +244,7 @@ impl Calibration {
                 "version {version}, expected at most {VERSION}: written by a newer fourdbody"
             ));
         }
-        let calibration: Self = serde_json::from_value(value).map_err(|e| e.to_string())?;
+        let calibration: Self = json::from_value(value).map_err(|e| e.to_string())?;
         if calibration.format != FORMAT || !(OLDEST..=VERSION).contains(&calibration.version) {
             return Err(format!(
                 "format {:?} version {}, expected {FORMAT:?} version {OLDEST} to {VERSION}",
@@ -253,9 +262,7 @@ impl Calibration {
     pub fn save(&self, path: &Path) -> Result<(), CalibrationError> {
         let io_error = |source| CalibrationError::Io { path: path.to_owned(), source };
         let text = self.text().map_err(|e| io_error(std::io::Error::other(e)))?;
-        let partial = path.with_extension("json.partial");
-        std::fs::write(&partial, text).map_err(io_error)?;
-        std::fs::rename(&partial, path).map_err(io_error)
+        write_whole(path, |file| file.write_all(text.as_bytes())).map_err(io_error)
     }
 
     /// What the file holds.
@@ -275,8 +282,17 @@ impl Calibration {
             for (what, device) in [("camera", &camera.device), ("projector", &head.projector)] {
                 let lens = &device.lens;
                 let numbers = [lens.fx, lens.fy, lens.cx, lens.cy];
+                // More has no rig, and tables of what nobody has would fill the memory.
+                let sized = [device.width, device.height].iter().all(|side| (1..=SIDE_MAX).contains(side));
                 let finite = numbers.iter().chain(&lens.distortion).all(|x| x.is_finite());
-                if !finite || lens.fx <= 0.0 || lens.fy <= 0.0 || device.width == 0 || device.height == 0 {
+                if !sized {
+                    let size = [device.width, device.height];
+                    return Err(format!(
+                        "{what} of {}: found {size:?} pixels, expected 1 to {SIDE_MAX} each way",
+                        camera.id
+                    ));
+                }
+                if !finite || lens.fx <= 0.0 || lens.fy <= 0.0 {
                     return Err(format!("{what} of {}: not a usable lens: {lens:?}", camera.id));
                 }
             }
@@ -286,6 +302,14 @@ impl Calibration {
         }
         if ids.is_empty() {
             return Err("no cameras".to_owned());
+        }
+        let pixels = self.cameras().map(|(_, camera)| camera.device.width * camera.device.height);
+        let pixels: usize = pixels.sum();
+        if ids.len() > CAMERAS_MAX || pixels > PIXELS_MAX {
+            return Err(format!(
+                "found {} cameras with {pixels} pixels, expected at most {CAMERAS_MAX} with {PIXELS_MAX}",
+                ids.len()
+            ));
         }
         let sides = self.volume_min_m.iter().zip(&self.volume_max_m);
         if !sides.into_iter().all(|(a, b)| a.is_finite() && b.is_finite() && a < b) {
