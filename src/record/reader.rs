@@ -216,6 +216,7 @@ impl RecordingReader {
                 _ => recording.add(segment, what),
             }
         }
+        super::advice::advise(&mut recording);
         Ok(recording)
     }
 
