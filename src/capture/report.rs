@@ -63,6 +63,7 @@ impl Captured {
                 Some(Outcome::Recorded(verdict)) => lines.extend(camera_lines(verdict)),
                 _ => lines.extend(last_heard(session, self.dry_run)),
             }
+            lines.extend(session.notices.iter().map(|notice| format!("    {notice}")));
             if let Some(reason) = ended_early(session) {
                 lines.push(format!("    ended early: {reason}"));
             }

@@ -9,6 +9,7 @@ use super::countdown::{Watch, count_down};
 use super::participant::Participant;
 use super::peer_watch::UNSERVED_PATIENCE;
 use super::report::{Captured, ended_early, failure_of_all};
+use crate::base::ids::NodeId;
 use crate::base::{Exit, Fault};
 use crate::control::request::{Phase, SessionRequest, StartOn};
 use crate::control::status::{NodeStatus, Outcome, SessionStatus};
@@ -144,6 +145,9 @@ pub enum Stage {
         frames: u64,
         /// Gap records of all cameras.
         gaps: u64,
+        /// What nodes find that must be known now, with their names.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        notices: Vec<String>,
     },
     /// A stop was asked for.
     Stopping,
@@ -167,10 +171,10 @@ impl fmt::Display for Stage {
             Self::Holding { triggers, asked } => {
                 write!(f, "{triggers} of {asked} triggers before Record are held; nothing is recorded yet")
             }
-            Self::Recording { triggers, asked: 0, frames, gaps } => {
+            Self::Recording { triggers, asked: 0, frames, gaps, .. } => {
                 write!(f, "trigger {triggers}: {frames} frames, {gaps} gaps")
             }
-            Self::Recording { triggers, asked, frames, gaps } => {
+            Self::Recording { triggers, asked, frames, gaps, .. } => {
                 write!(f, "trigger {triggers} of {asked}: {frames} frames, {gaps} gaps")
             }
             Self::Stopping => write!(f, "stopping after the current trigger"),
@@ -456,10 +460,21 @@ fn follow(
                 asked: span.total().unwrap_or(request.triggers),
                 frames: sum(|c| c.frames),
                 gaps: sum(|c| c.gaps),
+                notices: notices(request, &latest),
             },
         });
         std::thread::sleep(POLL);
     }
+}
+
+/// What the nodes of a session find that must be known now.
+fn notices(request: &SessionRequest, latest: &[Option<SessionStatus>]) -> Vec<String> {
+    let named = request.nodes.iter().zip(latest);
+    let of = |(node, session): (&NodeId, &Option<SessionStatus>)| -> Vec<String> {
+        let notices = session.iter().flat_map(|session| &session.notices);
+        notices.map(|notice| format!("node {node}: {notice}")).collect()
+    };
+    named.flat_map(of).collect()
 }
 
 #[cfg(test)]

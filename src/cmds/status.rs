@@ -83,6 +83,7 @@ fn print(status: &NodeStatus) {
         let frames: u64 = session.cameras.iter().map(|c| c.frames).sum();
         let gaps: u64 = session.cameras.iter().map(|c| c.gaps).sum();
         println!("  session {}: {} triggers, {frames} frames, {gaps} gaps", session.name, session.triggers);
+        session.notices.iter().for_each(|notice| println!("    {notice}"));
     }
     if let Some(worker) = &status.worker {
         println!("  worker: {}", worker.line);

@@ -111,6 +111,7 @@ mod shared_exposure;
 mod shared_scene;
 mod simd_paths;
 mod slurm;
+mod stray_frames;
 #[cfg(feature = "aravis")]
 mod telemetry;
 mod third_party_camera;

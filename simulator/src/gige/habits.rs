@@ -46,6 +46,13 @@ pub struct Habits {
     pub extended_ids: bool,
     /// PTP never sets its clock: it listens for ever.
     pub ptp_listens: bool,
+    /// So many frames that it has left over are sent when an acquisition starts, one after each `stray_after`, as some
+    /// do (aravis#762). Before its first frame it has none.
+    pub strays: u32,
+    /// See `strays`.
+    pub stray_after: Duration,
+    /// Block ids go on from the acquisition before.
+    pub ids_go_on: bool,
 }
 
 /// Where in a frame a camera takes its stamp.
@@ -169,6 +176,9 @@ impl Habits {
                 tick_ns: table.tick_ns,
                 extended_ids: table.extended_ids,
                 ptp_listens: table.ptp_listens,
+                strays: table.strays,
+                stray_after: Duration::from_millis(table.stray_after_ms),
+                ids_go_on: table.ids_go_on,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -218,6 +228,12 @@ struct Table {
     extended_ids: bool,
     #[serde(default)]
     ptp_listens: bool,
+    #[serde(default)]
+    strays: u32,
+    #[serde(default)]
+    stray_after_ms: u64,
+    #[serde(default)]
+    ids_go_on: bool,
     // Which make it is: read by `Make::parse_all`.
     #[serde(default, rename = "like")]
     _like: Option<String>,
