@@ -12,6 +12,7 @@ use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::time::host_time_ns;
 use crate::camera::Transfer;
 use crate::config::WhenFull;
+use crate::host::run_delay::{Starved, held_back};
 use crate::matcher::Matcher;
 use crate::matcher::trigger_table::TriggerTable;
 use crate::matcher::{Match, Matched, Sighting, Witness};
@@ -61,6 +62,8 @@ struct Full {
     first: u64,
     last: u64,
     frames: u64,
+    /// Who did not get to write, where it was not the disk.
+    starved: Option<Starved>,
 }
 
 /// The matching thread's state.
@@ -83,6 +86,8 @@ pub(super) struct Accounting {
     awake: Duration,
     last_turn: Instant,
     pauses: Pauses,
+    /// When one was last told.
+    told_pause: Option<Duration>,
     /// When a frame last got its trigger.
     last_settled: Duration,
     beginning: beginning::Beginning,
@@ -139,44 +144,10 @@ impl Accounting {
             awake: Duration::ZERO,
             last_turn: Instant::now(),
             pauses: Pauses::default(),
+            told_pause: None,
             last_settled: Duration::ZERO,
             beginning: beginning::Beginning::default(),
         }
-    }
-
-    /// A turn of the thread begins.
-    pub(super) fn begin_turn(&mut self) {
-        let now = Instant::now();
-        let took = now.saturating_duration_since(self.last_turn);
-        self.awake += took.min(LONGEST_TURN);
-        self.last_turn = now;
-        if took >= Pauses::SHORTEST {
-            self.paused(took);
-        }
-    }
-
-    /// The process stood still for so long. Frames of these triggers may be lost with any camera: what is not whole is
-    /// given up by sets.
-    pub(super) fn paused(&mut self, took: Duration) {
-        let periods = |time: Duration| (time.as_nanos() / u128::from(self.options.period_ns.max(1))) as u64;
-        let here = || self.lanes.iter().filter(|lane| !lane.lost);
-        let first = here().map(|lane| lane.next).min().unwrap_or(0).max(self.sets.passed());
-        let reported = here().map(|lane| lane.next).max().unwrap_or(0).max(self.table.len());
-        // Frames and reports may have been on their way already.
-        let end = reported.saturating_add(periods(took)).saturating_add(2);
-        if self.draining || reported == 0 {
-            return;
-        }
-        self.pauses.add(first..end);
-        self.sets.wait_until(end);
-        let message = format!(
-            "this process did not run for {} ms (stopped, or without a processor): of {} frame sets from here on those \
-             that are not whole are given up",
-            took.as_millis(),
-            end - first
-        );
-        tracing::warn!(kind = "node_paused", "{message}");
-        self.event("node_paused", None, Some(first), message);
     }
 
     /// A frame arrived; `behind` more are on their way to this thread.
@@ -201,6 +172,7 @@ impl Accounting {
     pub(super) fn handle(&mut self, command: RecorderCommand) {
         match command {
             RecorderCommand::Trigger(record) => {
+                self.first_report(&record);
                 if let Ok(number) = i64::try_from(record.index.0) {
                     self.table.insert(number, record.hsu_time_ns);
                     self.hsu.heard(record.hsu_time_ns, record.host_time_ns);
@@ -455,15 +427,21 @@ impl Accounting {
             }
             return;
         }
+        let mut full = self.full.take().unwrap_or_else(|| {
+            let starved = held_back(&["writer", "disk"]);
+            Full { first: trigger, last: trigger, frames: 0, starved }
+        });
+        (full.last, full.frames) = (full.last.max(trigger), full.frames + count);
+        let cause = if full.starved.is_some() { GapCause::NodePaused } else { GapCause::DroppedRingFull };
         for frame in frames.drain(..) {
-            self.count_gap(frame.camera, TriggerIndex(trigger), GapCause::DroppedRingFull);
+            self.count_gap(frame.camera, TriggerIndex(trigger), cause);
         }
         self.progress.dropped.fetch_add(count, Ordering::Relaxed);
-        let full = self.full.get_or_insert(Full { first: trigger, last: trigger, frames: 0 });
-        (full.last, full.frames) = (full.last.max(trigger), full.frames + count);
         if self.options.when_full == WhenFull::Stop && !std::mem::replace(&mut self.full_reported, true) {
-            drop(self.events.send(RecorderEvent::RingFull));
+            let why = full.starved.as_ref().map(ToString::to_string);
+            drop(self.events.send(RecorderEvent::RingFull { why }));
         }
+        self.full = Some(full);
     }
 
     /// Gap records for frames that did not come; the last of them may have come and been given up.
@@ -547,6 +525,7 @@ fn sighting(arrival: &Arrival) -> Sighting {
 
 mod beginning;
 mod statements;
+mod stood_still;
 
 #[cfg(test)]
 mod tests;

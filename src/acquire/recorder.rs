@@ -87,7 +87,10 @@ pub enum RecorderEvent {
     /// The frames of all triggers are in, or will not come any more.
     Drained,
     /// The ring was full for the first time, and the configuration says to stop then.
-    RingFull,
+    RingFull {
+        /// Why, where it was not the disk.
+        why: Option<String>,
+    },
     /// What a camera's frames are of is in doubt: its clock should be read now.
     Doubtful {
         /// Its place in the node's list.

@@ -11,3 +11,5 @@ pub mod idle_process;
 pub mod memory;
 /// Real-time scheduling and locked memory.
 pub mod realtime;
+/// How long threads had work and no processor.
+pub mod run_delay;

@@ -185,10 +185,10 @@ impl Node {
     pub(crate) fn recorder_event(&mut self, event: RecorderEvent) {
         match event {
             RecorderEvent::Drained => self.take(Event::Drained),
-            RecorderEvent::RingFull => {
-                let message =
-                    "the disk could not keep up and the ring is full; the session was stopped, as configured";
-                self.note("ring_full", None, message);
+            RecorderEvent::RingFull { why } => {
+                let why = why.unwrap_or_else(|| "the disk could not keep up".to_owned());
+                let message = format!("{why} and the ring is full; the session was stopped, as configured");
+                self.note("ring_full", None, &message);
                 self.take(Event::Failed(Fault::new(Exit::DataLoss, message)));
             }
             RecorderEvent::Doubtful { camera } => {

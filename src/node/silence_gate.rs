@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 /// Trigger periods of silence before arming, at least.
 const PERIODS: u32 = 10;
-/// Slow triggers do not make the silence longer than this.
+/// Slow triggers and a frame do not make the silence longer than this.
 const AT_MOST: Duration = Duration::from_secs(2);
 /// After a frame that nobody triggered the silence must be so many times as long.
 const AFTER_A_FRAME: u32 = 4;
@@ -61,10 +61,11 @@ impl Gate {
             (self.heard, self.since) = (heard, now);
         }
         let loud = with(&|(packets, _)| *packets > 0);
-        let needed = if loud.is_empty() { self.silence } else { self.silence * AFTER_A_FRAME };
+        let after = (self.silence * AFTER_A_FRAME).min(AT_MOST.max(self.silence));
+        let needed = if loud.is_empty() { self.silence } else { after };
         if now.saturating_sub(self.since) >= needed {
             Heard::Silence
-        } else if now > self.silence * (2 * AFTER_A_FRAME) {
+        } else if now > self.silence + 2 * after {
             Heard::Loud(loud)
         } else {
             Heard::Wait
@@ -140,6 +141,6 @@ mod tests {
         assert_eq!(judged(|_| (18, 2)).0, Heard::Loud(vec![1]));
         assert_eq!(judged(|ms| (ms / 100, ms / 100)).0, Heard::Loud(vec![1]));
         assert_eq!(judged(|ms| (ms / 900 + 1, ms / 900 + 1)).0, Heard::Loud(vec![1]));
-        assert_eq!(judged(|ms| (ms, 0)), (Heard::Loud(vec![1]), 8 * SILENCE + 10));
+        assert_eq!(judged(|ms| (ms, 0)), (Heard::Loud(vec![1]), 9 * SILENCE + 10));
     }
 }

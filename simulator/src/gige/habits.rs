@@ -53,6 +53,8 @@ pub struct Habits {
     pub stray_after: Duration,
     /// Block ids go on from the acquisition before.
     pub ids_go_on: bool,
+    /// It wakes up late: of each acquisition it misses so many triggers, those of the warm-up among them (aravis#818).
+    pub late_triggers: u32,
 }
 
 /// Where in a frame a camera takes its stamp.
@@ -179,6 +181,7 @@ impl Habits {
                 strays: table.strays,
                 stray_after: Duration::from_millis(table.stray_after_ms),
                 ids_go_on: table.ids_go_on,
+                late_triggers: table.late_triggers,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -234,6 +237,8 @@ struct Table {
     stray_after_ms: u64,
     #[serde(default)]
     ids_go_on: bool,
+    #[serde(default)]
+    late_triggers: u32,
     // Which make it is: read by `Make::parse_all`.
     #[serde(default, rename = "like")]
     _like: Option<String>,

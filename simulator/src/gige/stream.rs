@@ -76,6 +76,8 @@ struct Acquisition {
     next_free_run: Option<Instant>,
     /// Exposures of this acquisition.
     exposed: u64,
+    /// Triggers that it still sleeps through.
+    asleep: u32,
     frames_left: Option<u64>,
 }
 
@@ -237,6 +239,10 @@ impl Streamer {
             self.statistics.edges_unheard.fetch_add(1, Relaxed);
             return;
         };
+        if let Some(asleep) = running.asleep.checked_sub(1) {
+            running.asleep = asleep;
+            return;
+        }
         let exposure = match running.stream.settings.exposure_mode {
             ExposureMode::Timed => running.stream.settings.exposure(),
             ExposureMode::TriggerWidth => Duration::from_nanos(edge.width_ns),
@@ -445,6 +451,7 @@ impl Acquisition {
             next_free_run: (!stream.settings.triggered && !stream.settings.acquisition_triggered)
                 .then_some(started),
             exposed: 0,
+            asleep: camera.habits.late_triggers,
             frames_left: stream.settings.frame_limit(),
             stream,
         }

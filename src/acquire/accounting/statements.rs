@@ -55,9 +55,11 @@ impl Accounting {
 
     /// One event for a row of dropped sets, when it is over.
     pub(super) fn end_of_full(&mut self) {
-        if let Some(Full { first, last, frames }) = self.full.take() {
+        if let Some(Full { first, last, frames, starved }) = self.full.take() {
+            let why =
+                starved.map_or_else(|| "the disk did not keep up".to_owned(), |starved| starved.to_string());
             let message = format!(
-                "the disk did not keep up: {frames} frames of {} triggers from here on were dropped, set by set",
+                "{why}: {frames} frames of {} triggers from here on were dropped, set by set",
                 last - first + 1
             );
             tracing::warn!(kind = "ring_full", "{message}");

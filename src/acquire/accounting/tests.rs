@@ -152,6 +152,32 @@ fn what_came_before_the_silence_is_nobodys_and_ids_count_from_behind_it() {
     }
 }
 
+/// The process stood still until some 40 ms after trigger 0, and its first report came later: camera 1 has lost a frame of
+/// that time, and one long after it.
+#[test]
+fn a_pause_before_the_first_report_breaks_whole_sets() {
+    let mut desk = Desk::new(2);
+    (0..8).for_each(|k| desk.read_clocks(900_000_000 + k * 1_000_000));
+    desk.accounting.paused(Duration::from_millis(300), "it stood still", HOST_NS + due(0) + 5 * PERIOD_NS);
+    for trigger in 0..40 {
+        desk.report(trigger, due(trigger));
+        desk.frame(0, 0, trigger + 1, due(trigger));
+        if ![3, 30].contains(&trigger) {
+            desk.frame(1, 0, trigger + 1, due(trigger));
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 80);
+    for trigger in 0..40 {
+        let expected = match trigger {
+            3 => (Err(GapCause::NodePaused), Err(GapCause::NodePaused)),
+            30 => (Ok(31), Err(GapCause::MissingPackets)),
+            _ => (Ok(trigger + 1), Ok(trigger + 1)),
+        };
+        assert_eq!((outcomes[&(trigger, 0)], outcomes[&(trigger, 1)]), expected, "{trigger}");
+    }
+}
+
 /// Of two cameras the second sends nothing in the warm-up.
 #[test]
 fn a_camera_whose_place_is_not_known_behind_the_warm_up_is_named_once() {
