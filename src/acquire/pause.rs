@@ -34,6 +34,11 @@ impl Pauses {
         }
     }
 
+    /// Whether it did, and which triggers that concerns is not known yet.
+    pub(super) fn has_early(&self) -> bool {
+        !self.early.is_empty()
+    }
+
     /// When trigger 0 was fired, host clock, ns: for how many triggers the early pauses lasted, with those whose frames were
     /// on their way; `None` where they were over before.
     pub(super) fn begin(&mut self, first_ns: u64, period_ns: u64) -> Option<u64> {
@@ -109,7 +114,7 @@ mod tests {
     fn pauses_that_meet_are_one() {
         let mut pauses = Pauses::default();
         (0..1000).for_each(|k| pauses.add(k * 10..k * 10 + 12));
-        assert_eq!(pauses.concerned, [0..10_002]);
+        assert_eq!((pauses.concerned.len(), pauses.concerned[0].end), (1, 10_002));
         pauses.add(20_000..20_001);
         assert_eq!(pauses.concerned.len(), 2);
     }

@@ -134,6 +134,9 @@ pub enum Stage {
         triggers: u64,
         /// Those that are to be kept.
         asked: u64,
+        /// As of [`Self::Recording`].
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        notices: Vec<String>,
     },
     /// Triggers are coming, or their frames are.
     Recording {
@@ -168,7 +171,7 @@ impl fmt::Display for Stage {
                 write!(f, "every node is ready; {left_s} s to the first trigger")
             }
             Self::AwaitingEdge { edge } => write!(f, "every node is ready; waiting for a {edge}"),
-            Self::Holding { triggers, asked } => {
+            Self::Holding { triggers, asked, .. } => {
                 write!(f, "{triggers} of {asked} triggers before Record are held; nothing is recorded yet")
             }
             Self::Recording { triggers, asked: 0, frames, gaps, .. } => {
@@ -452,15 +455,16 @@ fn follow(
         triggers = latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0);
         let held = span.held(&latest);
         control.holds(held.is_some());
+        let notices = notices(request, &latest);
         progress(&match (request.start_on.filter(|_| triggers == 0), held) {
             (Some(edge), _) => Stage::AwaitingEdge { edge },
-            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before() },
+            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before(), notices },
             (None, None) => Stage::Recording {
                 triggers,
                 asked: span.total().unwrap_or(request.triggers),
                 frames: sum(|c| c.frames),
                 gaps: sum(|c| c.gaps),
-                notices: notices(request, &latest),
+                notices,
             },
         });
         std::thread::sleep(POLL);

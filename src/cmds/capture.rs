@@ -103,7 +103,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let show_progress = !args.json && std::io::IsTerminal::is_terminal(&std::io::stderr());
     let mut known = BTreeSet::new();
     let show = |take: u32, stage: &Stage| {
-        if let Stage::Recording { notices, .. } = stage {
+        if let Stage::Recording { notices, .. } | Stage::Holding { notices, .. } = stage {
             // Once each, and at once: the subject is still there.
             for notice in notices.iter().filter(|notice| !known.contains(&(take, notice.to_string()))) {
                 eprintln!("{}{notice}", if show_progress { "\r\x1b[K" } else { "" });

@@ -227,7 +227,7 @@ mod tests {
         let lost = |trigger: u64| match trigger {
             0..6 => Some(GapCause::IdentityMismatch),
             301 => Some(GapCause::MissingPackets),
-            _ => (trigger % 2 == 0).then_some(GapCause::NotTriggered),
+            _ => trigger.is_multiple_of(2).then_some(GapCause::NotTriggered),
         };
         assert!(advice(900, lost).expect("a rhythm").contains("every second trigger"));
         // A camera with a queue of its own: 100 frames a second at 120 triggers.
@@ -262,9 +262,11 @@ mod tests {
             // Unplugged at first, a full ring at first, every second packet lost.
             |trigger| (trigger < 9).then_some(GapCause::Unplugged),
             |trigger| (trigger < 9).then_some(GapCause::DroppedRingFull),
-            |trigger| (trigger % 2 == 0).then_some(GapCause::MissingPackets),
+            |trigger| trigger.is_multiple_of(2).then_some(GapCause::MissingPackets),
             // In one place.
-            |trigger| ((40..60).contains(&trigger) && trigger % 3 == 0).then_some(GapCause::NotTriggered),
+            |trigger| {
+                ((40..60).contains(&trigger) && trigger.is_multiple_of(3)).then_some(GapCause::NotTriggered)
+            },
         ];
         for (place, outcome) in silent.into_iter().enumerate() {
             assert_eq!(advice(120, outcome), None, "{place}");

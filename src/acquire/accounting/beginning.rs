@@ -6,8 +6,9 @@ use crate::acquire::receiver::Arrival;
 use crate::acquire::recorder::RecorderEvent;
 use std::time::Duration;
 
-/// Behind trigger 0, so many periods after it and no sooner than this, every camera's place in the train is known.
-const PATIENCE: (u32, Duration) = (12, Duration::from_millis(200));
+/// So many periods behind trigger 0, and no sooner than this, every camera's place in the train is known: a host may stand
+/// still for 300 ms.
+const PATIENCE: (u32, Duration) = (12, Duration::from_millis(400));
 /// So many frames without a report of any trigger are no chance.
 const UNREPORTED: u64 = 3;
 
@@ -29,7 +30,7 @@ pub(super) struct Beginning {
 impl Accounting {
     /// Until then nothing was triggered: what has arrived before is no trigger's, and ids count from behind it.
     pub(super) fn silent_until(&mut self, host_ns: u64) {
-        self.beginning.silent_until = host_ns;
+        (self.beginning.silent_until, self.beginning.early) = (host_ns, 0);
         for camera in 0..self.lanes.len() {
             let pending = std::mem::take(&mut self.lanes[camera].pending);
             let (early, rest) = pending.into_iter().partition(|one| self.is_stray(&one.arrival));
@@ -57,17 +58,10 @@ impl Accounting {
         if self.draining {
             return;
         }
-        if let Some(unknown) = self.beginning.unknown.take() {
-            let known = |camera: usize| self.lanes[camera].matcher.is_placed() || self.lanes[camera].lost;
-            let found: Vec<usize> = (0..unknown.len()).filter(|i| unknown[*i] && known(*i)).collect();
-            for camera in &found {
-                drop(self.events.send(RecorderEvent::Place { camera: *camera, unknown: None }));
-            }
-            let left = |(i, was): (usize, bool)| was && !found.contains(&i);
-            self.beginning.unknown = Some(unknown.into_iter().enumerate().map(left).collect());
-            return;
+        if self.beginning.unknown.is_some() {
+            return self.look_for_places();
         }
-        let begun = self.table.len() > 0
+        let begun = self.table.end() > 0
             || (self.beginning.silent_until > 0
                 && self.table.is_empty()
                 && self.beginning.early >= UNREPORTED);
@@ -84,23 +78,38 @@ impl Accounting {
             self.lanes.iter().map(|lane| !lane.lost && !lane.matcher.is_placed()).collect();
         for camera in (0..unknown.len()).filter(|i| unknown[*i]) {
             let why = self.why_unknown(camera);
-            self.note(camera, "place_unknown", Some(self.table.len().saturating_sub(1)), why.clone());
+            self.note(camera, "place_unknown", self.table.len().checked_sub(1), why.clone());
             drop(self.events.send(RecorderEvent::Place { camera, unknown: Some(why) }));
         }
         self.beginning.unknown = Some(unknown);
+    }
+
+    fn look_for_places(&mut self) {
+        let Some(unknown) = &mut self.beginning.unknown else { return };
+        for (camera, unknown) in unknown.iter_mut().enumerate().filter(|(_, unknown)| **unknown) {
+            if self.lanes[camera].matcher.is_placed() {
+                *unknown = false;
+                drop(self.events.send(RecorderEvent::Place { camera, unknown: None }));
+            }
+        }
     }
 
     fn why_unknown(&self, camera: usize) -> String {
         let heard = self.progress.received.get(camera);
         let frames = heard.map_or(0, |heard| heard.load(std::sync::atomic::Ordering::Relaxed));
         let reports = self.beginning.reports;
+        if self.table.is_empty() {
+            return "frames come, and the HSU has reported no trigger: check the serial link to the HSU, and what else drives the \
+                    trigger line"
+                .to_owned();
+        }
         let remedy = match (frames, reports) {
             (0, _) => "no frame has come from it; check its trigger line, and raise warm_up_triggers in the rig file if it \
                        needs longer to wake up"
                 .to_owned(),
             (_, 0) => "no report of the warm-up has come; check the serial link to the HSU".to_owned(),
             _ => format!(
-                "of the warm-up {reports} reports were heard, and {frames} frames so far; check the link to the HSU, or \
+                "{reports} reports of the warm-up were heard, and {frames} frames so far; check the link to the HSU, or \
                  raise warm_up_triggers in the rig file"
             ),
         };

@@ -37,7 +37,7 @@ impl Accounting {
         if self.draining {
             return;
         }
-        if self.table.len() == 0 {
+        if self.table.end() <= 0 {
             let took_ns = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
             self.pauses.add_early(now_ns.saturating_sub(took_ns), now_ns);
             return self.tell_pause(None, format!("{why}, before any trigger was reported"));
@@ -55,7 +55,7 @@ impl Accounting {
 
     /// The first trigger that is reported tells which of them a pause before it concerns.
     pub(super) fn first_report(&mut self, record: &TriggerRecord) {
-        if self.table.len() > 0 {
+        if !self.pauses.has_early() {
             return;
         }
         let period_ns = self.options.period_ns;

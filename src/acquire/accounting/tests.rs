@@ -198,7 +198,7 @@ fn a_camera_whose_place_is_not_known_behind_the_warm_up_is_named_once() {
         desk.frame(0, 0, (number + 9) as u64, at(number));
         match number {
             ..=4 => assert_eq!(told(&desk), [], "{number}: it may come late"),
-            5 => desk.accounting.awake += Duration::from_millis(250),
+            5 => desk.accounting.awake += Duration::from_millis(450),
             6 => {
                 let places = told(&desk);
                 assert_eq!(places.len(), 1, "{places:?}");
