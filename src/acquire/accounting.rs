@@ -86,8 +86,10 @@ pub(super) struct Accounting {
     awake: Duration,
     last_turn: Instant,
     pauses: Pauses,
-    /// When one was last told.
-    told_pause: Option<Duration>,
+    /// When one was last recorded.
+    recorded_pause: Option<Duration>,
+    /// When it is looked again whether threads get a processor, at this point of [`Accounting::awake`].
+    next_look: Duration,
     /// When a frame last got its trigger.
     last_settled: Duration,
     beginning: beginning::Beginning,
@@ -144,7 +146,8 @@ impl Accounting {
             awake: Duration::ZERO,
             last_turn: Instant::now(),
             pauses: Pauses::default(),
-            told_pause: None,
+            recorded_pause: None,
+            next_look: Duration::ZERO,
             last_settled: Duration::ZERO,
             beginning: beginning::Beginning::default(),
         }

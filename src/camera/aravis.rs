@@ -141,7 +141,7 @@ fn without_nodes(message: &str) -> &str {
 }
 
 impl AravisCamera {
-    /// Tells a GigE camera that nobody takes its frames. What is left in it is dropped then; some send it at the start of
+    /// Sets the port of a GigE camera's stream to 0: nobody takes its frames. What is left in it is dropped then; some send it at the start of
     /// the next acquisition otherwise (aravis#762). The next stream opens the channel again.
     fn close_stream_channel(&self) {
         const HOST_PORT: u64 = 0x0d00;

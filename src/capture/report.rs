@@ -102,7 +102,7 @@ impl Captured {
     }
 }
 
-/// One line a camera of a node's verdict, with the causes of its gaps, and what their pattern tells.
+/// One line a camera of a node's verdict, with the causes of its gaps, and what their pattern shows.
 fn camera_lines(verdict: &serde_json::Value) -> Vec<String> {
     let line = |camera: &serde_json::Value| {
         let causes = camera["gaps"].as_object().into_iter().flatten();

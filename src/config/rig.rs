@@ -123,7 +123,7 @@ impl Rig {
         if problems.is_empty() { Ok(rig) } else { Err(problems) }
     }
 
-    /// Loads a rig file, and says what of its geometry cannot be reconstructed: recording needs no geometry.
+    /// Loads a rig file, and checks that what it records can be reconstructed: recording itself needs no geometry.
     ///
     /// # Errors
     /// Those of [`Self::load`], or every camera in whose image the fringes would not lie as they must.

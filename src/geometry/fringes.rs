@@ -35,10 +35,10 @@ pub enum Unusable {
         /// Panel columns of an image row.
         along: f64,
     },
-    /// The surface moves along the fringes when it moves away, so that they do not tell its distance.
+    /// The surface moves along the fringes when it moves away, so that its distance does not show in them.
     #[error(
-        "the fringes run along the line from camera to projector, expected them across it: they do not tell the distance of \
-         what they light; check roll_deg and position_m of the two"
+        "the fringes run along the line from camera to projector, expected them across it: the distance of what they \
+         light does not move them; check roll_deg and position_m of the two"
     )]
     AlongBaseline,
     /// Too fine or too wide for the stages that look for them.
@@ -65,7 +65,7 @@ pub enum Unusable {
     },
 }
 
-/// Fringe periods that the phase can be told of, px.
+/// Fringe periods of which the phase can be found, px.
 const PERIOD_PX: (f64, f64) = (4.0, 40.0);
 /// What filters the marker is as long as one of its periods, px.
 const MARKER_PERIOD_PX: (f64, f64) = (2.0, 200.0);
@@ -74,7 +74,7 @@ impl Fringes {
     /// As a camera sees them at `middle`, world, m.
     ///
     /// # Errors
-    /// They are not seen there, or not in a form that the phase can be told of.
+    /// They are not seen there, or not in a form of which the phase can be found.
     pub fn seen_by(
         camera: &Device,
         projector: &Device,

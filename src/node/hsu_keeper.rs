@@ -53,7 +53,7 @@ pub struct HsuKeeper {
 /// Between two readings of the HSU's clock. Reports bound it from one side a hundred times a second, the other side
 /// has these alone: one a second leaves three times the error (docs/design/experiments.md).
 const CLOCK_INTERVAL: Duration = Duration::from_millis(200);
-/// So long time code may stay away before somebody is told.
+/// Time code may stay away for this long before it is printed that there is none.
 const CODE_PATIENCE: Duration = Duration::from_secs(1);
 /// Between two attempts to connect.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);

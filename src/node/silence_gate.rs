@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 const PERIODS: u32 = 10;
 /// Slow triggers and a frame do not make the silence longer than this.
 const AT_MOST: Duration = Duration::from_secs(2);
-/// After a frame that nobody triggered the silence must be so many times as long.
+/// After a frame that nobody triggered the silence must be longer by this factor.
 const AFTER_A_FRAME: u32 = 4;
 /// Between two looks.
 const LOOK: Duration = Duration::from_millis(10);

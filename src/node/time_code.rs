@@ -50,7 +50,7 @@ pub struct TimeCodeKeeper {
     told_ns: u64,
     /// Runs so far.
     runs: u64,
-    /// Why none can be asked for, where it was to be.
+    /// Why the unit gives none, where there was to be some.
     why_none: Option<String>,
 }
 

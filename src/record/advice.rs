@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the pattern of a camera's outcomes tells of their cause, and what to do about it.
+//! What the pattern of a camera's outcomes shows of their cause, and what to do about it.
 //!
 //! A gap record names the cause of one trigger. A camera that takes every second trigger, or wakes up late, shows it in
 //! the order of its gaps alone.
@@ -10,7 +10,7 @@ use super::verdict::CameraVerdict;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Lines for people. They are words, not figures: another version may say the same in others, and so all are equal.
+/// Lines for people. They are words, not figures: another version may use others for the same, and so all are equal.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Advice(pub Vec<String>);
@@ -24,7 +24,7 @@ impl PartialEq for Advice {
 impl Eq for Advice {}
 
 impl Advice {
-    /// Whether there is nothing to say.
+    /// Whether there is no line.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -51,7 +51,7 @@ impl Advice {
     }
 }
 
-/// Enters into a recording's verdict what its outcomes tell.
+/// Enters into a recording's verdict what its outcomes show.
 pub(super) fn advise(recording: &mut RecordingReader) {
     let advice = Advice::of_recording(recording);
     recording.verdict.iter_mut().for_each(|verdict| verdict.advice.clone_from(&advice));
@@ -61,7 +61,7 @@ pub(super) fn advise(recording: &mut RecordingReader) {
 const DISTANCES: usize = 9;
 /// Distances below which a rhythm may be chance.
 const ENOUGH: u64 = 5;
-/// A camera that has none of so many triggers did not wake up late: it was not there.
+/// A camera that has none of this number of triggers did not wake up late: it was not there.
 const LATEST: u64 = 1000;
 
 /// Distances between triggers of one kind, as far as they come in order.
@@ -128,7 +128,7 @@ impl Rhythm {
         }
     }
 
-    /// What the rhythm tells of these counts; `None` where it tells nothing.
+    /// What the rhythm shows of these counts; `None` where it shows nothing.
     fn advice(&self, counts: &CameraVerdict) -> Option<String> {
         let of = |causes: &[GapCause]| -> u64 {
             causes.iter().filter_map(|cause| counts.gaps.get(cause)).fold(0, |sum, n| sum.saturating_add(*n))
@@ -145,7 +145,7 @@ impl Rhythm {
             if let Some(evenly) = evenly {
                 return Some(format!(
                     "{id} {evenly}: its exposure and readout are longer than the trigger period, or a trigger may not come \
-                     during readout (TriggerOverlap is off); shorten exposure_us or say overlap = true in the node file, or \
+                     during readout (TriggerOverlap is off); shorten exposure_us or set overlap = true in the node file, or \
                      lower trigger_rate_hz in the rig file"
                 ));
             }
@@ -163,7 +163,7 @@ impl Rhythm {
         };
         Some(if unknown * 2 > first {
             format!(
-                "{id} sent frames of {none}, and too little was heard of the warm-up to tell which were which; raise \
+                "{id} sent frames of {none}, and too little was heard of the warm-up to know which were which; raise \
                  warm_up_triggers in the rig file"
             )
         } else {
@@ -196,7 +196,7 @@ mod tests {
     use crate::base::ids::{CameraId, TriggerIndex};
     use crate::record::verdict::CameraTally;
 
-    /// What is said of a camera with these outcomes, `None` for a frame.
+    /// The advice on a camera with these outcomes, `None` for a frame.
     fn advice(triggers: u64, outcome: impl Fn(u64) -> Option<GapCause>) -> Option<String> {
         let mut tally = CameraTally::default();
         for trigger in 0..triggers {
@@ -211,7 +211,7 @@ mod tests {
 
     /// Aravis #771 and its siblings: at whatever trigger it began, and whatever else was lost.
     #[test]
-    fn a_camera_that_takes_every_nth_trigger_is_told_why_and_what_to_do() {
+    fn of_a_camera_that_takes_every_nth_trigger_cause_and_remedy_are_named() {
         for (every, word) in [(2, "second"), (3, "third"), (4, "fourth"), (5, "5th")] {
             for begin in 0..every {
                 let ignored = |trigger: u64| (trigger % every != begin).then_some(GapCause::NotTriggered);
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_wakes_late_is_told_to_warm_up_for_longer() {
+    fn for_a_camera_that_wakes_late_a_longer_warm_up_is_advised() {
         for late in [1, 6, 9] {
             for cause in [GapCause::NotTriggered, GapCause::MissingPackets, GapCause::Timeout] {
                 let said = advice(120, |trigger| (trigger < late).then_some(cause)).expect("late");
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_said_where_the_gaps_have_no_such_rhythm() {
+    fn there_is_no_advice_where_the_gaps_have_no_such_rhythm() {
         type Cause = fn(u64) -> Option<GapCause>;
         let silent: [Cause; 7] = [
             |_| None,

@@ -81,7 +81,7 @@ pub struct Verdict {
     pub changed: Vec<String>,
     /// Why the session was aborted.
     pub aborted: Option<String>,
-    /// What the pattern of the gaps tells, and what to do about it. Never read from a file: its records tell it anew.
+    /// What the pattern of the gaps shows, and what to do about it. Never read from a file: it is found from its records.
     #[serde(default, skip_deserializing, skip_serializing_if = "Advice::is_empty")]
     #[schema(value_type = Vec<String>)]
     pub advice: Advice,

@@ -7,7 +7,7 @@ use fourdbody_simulator::laboratory::LaboratoryOptions;
 
 /// On node a, where a lost camera ends a session, one camera sleeps for ever.
 #[test]
-fn a_camera_that_sleeps_through_the_warm_up_is_told_at_once_and_ends_the_session_where_losses_do() {
+fn a_camera_that_sleeps_through_the_warm_up_is_named_at_once_and_ends_the_session_where_losses_do() {
     const TRIGGERS: u64 = 400;
     let dir = tempfile::tempdir().expect("a temporary directory");
     let asleep = Habits { late_triggers: u32::MAX, ..Habits::default() };
@@ -26,12 +26,12 @@ fn a_camera_that_sleeps_through_the_warm_up_is_told_at_once_and_ends_the_session
         fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", &triggers, "--name", "asleep"]);
     let text = text_of(&captured);
     assert_eq!(captured.status.code(), Some(3), "{text}");
-    let told = "camera h0_up: the warm-up is over, and which triggers its frames are of is not known";
-    assert_contains(&text, &[told, "no frame has come from it", "warm_up_triggers", "ended early"]);
+    let named = "camera h0_up: the warm-up is over, and which triggers its frames are of is not known";
+    assert_contains(&text, &[named, "no frame has come from it", "warm_up_triggers", "ended early"]);
     let status = nodes[0].wait_idle();
     let session = status.session.expect("the last session");
     assert!(session.triggers < TRIGGERS / 2, "{}", session.triggers);
     assert_eq!(session.notices.len(), 1, "{:?}", session.notices);
     let shown = fourdbody(&["status", "--nodes", &laboratory.urls()]);
-    assert_contains(&text_of(&shown), &[told]);
+    assert_contains(&text_of(&shown), &[named]);
 }

@@ -46,14 +46,14 @@ pub struct Habits {
     pub extended_ids: bool,
     /// PTP never sets its clock: it listens for ever.
     pub ptp_listens: bool,
-    /// So many frames that it has left over are sent when an acquisition starts, one after each `stray_after`, as some
+    /// The number of left-over frames that it sends when an acquisition starts, one after each `stray_after`, as some
     /// do (aravis#762). Before its first frame it has none.
     pub strays: u32,
     /// See `strays`.
     pub stray_after: Duration,
     /// Block ids go on from the acquisition before.
     pub ids_go_on: bool,
-    /// It wakes up late: of each acquisition it misses so many triggers, those of the warm-up among them (aravis#818).
+    /// It wakes up late: the number of triggers that it misses of each acquisition, warm-up included (aravis#818).
     pub late_triggers: u32,
 }
 

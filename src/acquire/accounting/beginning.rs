@@ -6,10 +6,10 @@ use crate::acquire::receiver::Arrival;
 use crate::acquire::recorder::RecorderEvent;
 use std::time::Duration;
 
-/// So many periods behind trigger 0, and no sooner than this, every camera's place in the train is known: a host may stand
+/// By this number of periods behind trigger 0, and this time, every camera's place in the train is known: a host may stand
 /// still for 300 ms.
 const PATIENCE: (u32, Duration) = (12, Duration::from_millis(400));
-/// So many frames without a report of any trigger are no chance.
+/// This number of frames without a report of any trigger is no chance.
 const UNREPORTED: u64 = 3;
 
 /// What is known of it.
@@ -53,7 +53,7 @@ impl Accounting {
         self.note(arrival.camera, "stray_frame", None, text);
     }
 
-    /// Says of which cameras the place in the train is not known when the warm-up is over, and of each when it is.
+    /// Names the cameras whose place in the train is not known when the warm-up is over, and each when it is.
     pub(super) fn look_at_places(&mut self) {
         if self.draining {
             return;

@@ -9,8 +9,10 @@ use crate::host::run_delay;
 use crate::record::TriggerRecord;
 use std::time::{Duration, Instant};
 
-/// Pauses that follow each other sooner are told once.
-const TELL_AGAIN: Duration = Duration::from_secs(1);
+/// Pauses that follow each other sooner are recorded once.
+const RECORD_AGAIN: Duration = Duration::from_secs(1);
+/// Between two looks whether threads get a processor: seldom, as a look takes a lock.
+const LOOK: Duration = Duration::from_millis(200);
 
 impl Accounting {
     /// A turn of the thread begins.
@@ -26,6 +28,10 @@ impl Accounting {
             );
             return self.paused(took, &why, host_time_ns());
         }
+        if self.awake < self.next_look {
+            return;
+        }
+        self.next_look = self.awake + LOOK;
         if let Some(starved) = run_delay::starved() {
             self.paused(starved.window, &starved.to_string(), host_time_ns());
         }
@@ -40,7 +46,7 @@ impl Accounting {
         if self.table.end() <= 0 {
             let took_ns = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
             self.pauses.add_early(now_ns.saturating_sub(took_ns), now_ns);
-            return self.tell_pause(None, format!("{why}, before any trigger was reported"));
+            return self.record_pause(None, format!("{why}, before any trigger was reported"));
         }
         let periods = (took.as_nanos() / u128::from(self.options.period_ns.max(1))) as u64;
         let here = || self.lanes.iter().filter(|lane| !lane.lost);
@@ -50,10 +56,10 @@ impl Accounting {
         let end = reported.saturating_add(periods).saturating_add(2);
         self.pauses.add(first..end);
         self.sets.wait_until(end);
-        self.tell_pause(Some((first, end - first)), why.to_owned());
+        self.record_pause(Some((first, end - first)), why.to_owned());
     }
 
-    /// The first trigger that is reported tells which of them a pause before it concerns.
+    /// The first trigger that is reported decides which of them a pause before it concerns.
     pub(super) fn first_report(&mut self, record: &TriggerRecord) {
         if !self.pauses.has_early() {
             return;
@@ -67,11 +73,11 @@ impl Accounting {
         if let Some(concerned) = self.pauses.begin(first_ns, period_ns) {
             self.sets.wait_until(concerned);
             let why = "what stood still before any trigger was reported did so beyond trigger 0".to_owned();
-            self.tell_pause(Some((0, concerned)), why);
+            self.record_pause(Some((0, concerned)), why);
         }
     }
 
-    fn tell_pause(&mut self, concerned: Option<(u64, u64)>, why: String) {
+    fn record_pause(&mut self, concerned: Option<(u64, u64)>, why: String) {
         let message = match concerned {
             None => why,
             Some((_, sets)) => {
@@ -79,10 +85,10 @@ impl Accounting {
             }
         };
         // A starved host goes on being one.
-        if self.told_pause.is_some_and(|told| self.awake < told + TELL_AGAIN) {
+        if self.recorded_pause.is_some_and(|at| self.awake < at + RECORD_AGAIN) {
             return;
         }
-        self.told_pause = Some(self.awake);
+        self.recorded_pause = Some(self.awake);
         tracing::warn!(kind = "node_paused", "{message}");
         self.event("node_paused", None, concerned.map(|(first, _)| first), message);
     }

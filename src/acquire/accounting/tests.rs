@@ -53,7 +53,7 @@ impl Desk {
         Self::warming_up(cameras, 0)
     }
 
-    /// With so many triggers before trigger 0.
+    /// With this number of triggers before trigger 0.
     fn warming_up(cameras: usize, warm_up: u32) -> Self {
         let outcomes = Arc::default();
         let progress = Arc::new(Progress::new(cameras));
