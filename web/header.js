@@ -23,7 +23,9 @@ function showDevices() {
     const label = `${name} ${status.cameras.length - bad.length} of ${status.cameras.length}${hsu ? ", no HSU" : ", HSU"}${old}`;
     const kind = bad.length || hsu ? "bad" : old ? "soft" : "good";
     const told = [...bad, ...(hsu ? [hsu] : [])].join("\n");
-    const warnings = status.warnings.length ? [{ label: count(status.warnings.length, "warning"), kind: "soft", title: status.warnings.join("\n") }] : [];
+    const notices = status.session && !status.session.outcome ? (status.session.notices ?? []) : [];
+    const said = [...status.warnings, ...notices];
+    const warnings = said.length ? [{ label: count(said.length, "warning"), kind: "soft", title: said.join("\n") }] : [];
     return [{ label, kind, title: told || `node ${name}: cameras that answer, and the link to the HSU` }, ...warnings];
   });
   const list = $("devices");

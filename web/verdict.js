@@ -15,6 +15,7 @@ const gapsOf = (camera) => Object.entries(camera.gaps).map(([cause, number]) => 
 /** Why one node's verdict is not complete. */
 export function causesOf(verdict) {
   const lines = verdict.cameras.filter((camera) => Object.keys(camera.gaps).length).map((camera) => `${camera.camera}: ${gapsOf(camera)}`);
+  lines.push(...(verdict.advice ?? []));
   if (verdict.unconfirmed) lines.push(`${count(verdict.unconfirmed, "camera")} with frames of one witness`);
   lines.push(...(verdict.changed ?? []).map((changed) => `changed: ${changed}`));
   if (verdict.refused) lines.push(`${count(verdict.refused, "frame")} refused`);

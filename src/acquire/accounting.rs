@@ -8,14 +8,15 @@ use super::receiver::Arrival;
 use super::recorder::{LaneSetup, Progress, RecorderCommand, RecorderEvent, RecorderOptions, TICK};
 use super::writer_queue::{ReadyFrame, Ring, ToWriter};
 use crate::base::clock_fit::{ClockFit, Exchange, Judged};
-use crate::base::ids::{BlockId, CameraId, TriggerIndex};
+use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::time::host_time_ns;
-use crate::camera::{Breach, Transfer};
+use crate::camera::Transfer;
 use crate::config::WhenFull;
+use crate::host::run_delay::{Starved, held_back};
 use crate::matcher::Matcher;
 use crate::matcher::trigger_table::TriggerTable;
 use crate::matcher::{Match, Matched, Sighting, Witness};
-use crate::record::{ClockSample, FrameMeta, GapCause, NodeEvent, SessionEnd, WarmUp};
+use crate::record::{ClockSample, FrameMeta, GapCause, SessionEnd, WarmUp};
 use crossbeam_channel::Sender;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -61,6 +62,8 @@ struct Full {
     first: u64,
     last: u64,
     frames: u64,
+    /// Who did not get to write, where it was not the disk.
+    starved: Option<Starved>,
 }
 
 /// The matching thread's state.
@@ -83,8 +86,13 @@ pub(super) struct Accounting {
     awake: Duration,
     last_turn: Instant,
     pauses: Pauses,
+    /// When one was last recorded.
+    recorded_pause: Option<Duration>,
+    /// When it is looked again whether threads get a processor, at this point of [`Accounting::awake`].
+    next_look: Duration,
     /// When a frame last got its trigger.
     last_settled: Duration,
+    beginning: beginning::Beginning,
 }
 
 /// Kind of the event at the trigger at which Record was pressed.
@@ -138,43 +146,11 @@ impl Accounting {
             awake: Duration::ZERO,
             last_turn: Instant::now(),
             pauses: Pauses::default(),
+            recorded_pause: None,
+            next_look: Duration::ZERO,
             last_settled: Duration::ZERO,
+            beginning: beginning::Beginning::default(),
         }
-    }
-
-    /// A turn of the thread begins.
-    pub(super) fn begin_turn(&mut self) {
-        let now = Instant::now();
-        let took = now.saturating_duration_since(self.last_turn);
-        self.awake += took.min(LONGEST_TURN);
-        self.last_turn = now;
-        if took >= Pauses::SHORTEST {
-            self.paused(took);
-        }
-    }
-
-    /// The process stood still for so long. Frames of these triggers may be lost with any camera: what is not whole is
-    /// given up by sets.
-    pub(super) fn paused(&mut self, took: Duration) {
-        let periods = |time: Duration| (time.as_nanos() / u128::from(self.options.period_ns.max(1))) as u64;
-        let here = || self.lanes.iter().filter(|lane| !lane.lost);
-        let first = here().map(|lane| lane.next).min().unwrap_or(0).max(self.sets.passed());
-        let reported = here().map(|lane| lane.next).max().unwrap_or(0).max(self.table.len());
-        // Frames and reports may have been on their way already.
-        let end = reported.saturating_add(periods(took)).saturating_add(2);
-        if self.draining || reported == 0 {
-            return;
-        }
-        self.pauses.add(first..end);
-        self.sets.wait_until(end);
-        let message = format!(
-            "this process did not run for {} ms (stopped, or without a processor): of {} frame sets from here on those \
-             that are not whole are given up",
-            took.as_millis(),
-            end - first
-        );
-        tracing::warn!(kind = "node_paused", "{message}");
-        self.event("node_paused", None, Some(first), message);
     }
 
     /// A frame arrived; `behind` more are on their way to this thread.
@@ -184,6 +160,10 @@ impl Accounting {
         if arrival.stream != lane.stream {
             return self.spurious(&arrival, "is of a stream that has ended");
         }
+        if self.is_stray(&arrival) {
+            return self.stray(&arrival);
+        }
+        let Some(lane) = self.lanes.get_mut(camera) else { return };
         lane.pending.push_back(Pending { arrival, since: self.awake });
         let pending: usize = self.lanes.iter().map(|lane| lane.pending.len()).sum();
         let waiting = pending + behind + self.sets.waiting() + self.ring.len();
@@ -195,6 +175,7 @@ impl Accounting {
     pub(super) fn handle(&mut self, command: RecorderCommand) {
         match command {
             RecorderCommand::Trigger(record) => {
+                self.first_report(&record);
                 if let Ok(number) = i64::try_from(record.index.0) {
                     self.table.insert(number, record.hsu_time_ns);
                     self.hsu.heard(record.hsu_time_ns, record.host_time_ns);
@@ -203,8 +184,10 @@ impl Accounting {
                 self.ring.small(ToWriter::Trigger(record));
                 self.advance_all();
             }
+            RecorderCommand::Silent { until_ns } => self.silent_until(until_ns),
             RecorderCommand::WarmUp { number, hsu_time_ns } if number < 0 => {
                 self.table.insert(number, hsu_time_ns);
+                self.beginning.reports += 1;
                 let sample = WarmUp::Trigger { number, hsu_time_ns };
                 self.ring.small(ToWriter::Event(sample.event(None, host_time_ns())));
                 self.advance_all();
@@ -279,6 +262,7 @@ impl Accounting {
         (0..self.lanes.len()).for_each(|camera| self.advance(camera, false));
         self.pass_sets_on(false);
         self.ring.go_on();
+        self.look_at_places();
     }
 
     /// Settles what can be decided of a camera's frames, in order; with `now`, all of them.
@@ -307,7 +291,10 @@ impl Accounting {
                     self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
                 }
                 Match::Stray => self.spurious(&arrival, "is a part of one whose id is not due"),
-                Match::BeforeTrain => self.spurious(&arrival, "came before the first trigger"),
+                Match::BeforeTrain => {
+                    self.beginning.early += 1;
+                    self.spurious(&arrival, "came before the first trigger");
+                }
                 Match::Repeated => {
                     let text = format!("block {} was seen before; not recorded", arrival.block_id);
                     self.note(camera, "repeated_frame", None, text);
@@ -443,59 +430,21 @@ impl Accounting {
             }
             return;
         }
+        let mut full = self.full.take().unwrap_or_else(|| {
+            let starved = held_back(&["writer", "disk"]);
+            Full { first: trigger, last: trigger, frames: 0, starved }
+        });
+        (full.last, full.frames) = (full.last.max(trigger), full.frames + count);
+        let cause = if full.starved.is_some() { GapCause::NodePaused } else { GapCause::DroppedRingFull };
         for frame in frames.drain(..) {
-            self.count_gap(frame.camera, TriggerIndex(trigger), GapCause::DroppedRingFull);
+            self.count_gap(frame.camera, TriggerIndex(trigger), cause);
         }
         self.progress.dropped.fetch_add(count, Ordering::Relaxed);
-        let full = self.full.get_or_insert(Full { first: trigger, last: trigger, frames: 0 });
-        (full.last, full.frames) = (full.last.max(trigger), full.frames + count);
         if self.options.when_full == WhenFull::Stop && !std::mem::replace(&mut self.full_reported, true) {
-            drop(self.events.send(RecorderEvent::RingFull));
+            let why = full.starved.as_ref().map(ToString::to_string);
+            drop(self.events.send(RecorderEvent::RingFull { why }));
         }
-    }
-
-    /// One event for a row of dropped sets, when it is over.
-    fn end_of_full(&mut self) {
-        if let Some(Full { first, last, frames }) = self.full.take() {
-            let message = format!(
-                "the disk did not keep up: {frames} frames of {} triggers from here on were dropped, set by set",
-                last - first + 1
-            );
-            tracing::warn!(kind = "ring_full", "{message}");
-            self.event("ring_full", None, Some(first), message);
-        }
-    }
-
-    /// A frame that no trigger explains: a free-running camera makes many, so only the first is an event.
-    fn spurious(&mut self, arrival: &Arrival, why: &str) {
-        let lane = &mut self.lanes[arrival.camera];
-        lane.spurious += 1;
-        if lane.spurious == 1 {
-            let text = format!("block {} {why}; not recorded (later ones are counted)", arrival.block_id);
-            self.note(arrival.camera, "spurious_frame", None, text);
-        }
-    }
-
-    /// A frame is not what was agreed: the first of each kind is an event.
-    fn breach(&mut self, camera: usize, block: BlockId, breach: Breach) {
-        if self.lanes[camera].breaches.count(breach) {
-            let text = format!("block {block} is not recorded: {breach} (later ones are counted)");
-            self.note(camera, "frame_refused", None, text);
-        }
-    }
-
-    /// Which of two triggers a frame was of could not be told: whichever it was, it has a gap record.
-    fn give_up(&mut self, arrival: &Arrival) {
-        let lane = &mut self.lanes[arrival.camera];
-        (lane.given_up, lane.given_up_now) = (lane.given_up + 1, lane.given_up_now + 1);
-        if lane.given_up == 1 {
-            let text = format!(
-                "block {}: id and timestamp name different triggers, of which nothing is reported; not recorded (later \
-                 ones are counted)",
-                arrival.block_id
-            );
-            self.note(arrival.camera, "identity_unknown", None, text);
-        }
+        self.full = Some(full);
     }
 
     /// Gap records for frames that did not come; the last of them may have come and been given up.
@@ -519,17 +468,6 @@ impl Accounting {
 
     fn count_gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) {
         self.ring.small(ToWriter::Gap(camera, trigger, cause));
-    }
-
-    fn note(&mut self, camera: usize, kind: &str, trigger: Option<u64>, message: String) {
-        let id = self.lanes[camera].id.clone();
-        tracing::warn!(camera = %id, kind, "{message}");
-        self.event(kind, Some(id), trigger, message);
-    }
-
-    fn event(&mut self, kind: &str, camera: Option<CameraId>, trigger: Option<u64>, message: String) {
-        let (host_time_ns, kind, trigger) = (host_time_ns(), kind.to_owned(), trigger.map(TriggerIndex));
-        self.ring.small(ToWriter::Event(NodeEvent { host_time_ns, kind, camera, trigger, message }));
     }
 
     pub(super) fn check_drained(&mut self, all_taken: bool) {
@@ -588,7 +526,9 @@ fn sighting(arrival: &Arrival) -> Sighting {
     }
 }
 
+mod beginning;
 mod statements;
+mod stood_still;
 
 #[cfg(test)]
 mod tests;

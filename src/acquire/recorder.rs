@@ -34,6 +34,11 @@ pub enum RecorderCommand {
         /// When it was fired, HSU clock, ns.
         hsu_time_ns: u64,
     },
+    /// Nothing was triggered until then: what cameras sent before is no trigger's.
+    Silent {
+        /// Host clock, ns.
+        until_ns: u64,
+    },
     /// A clock exchange with the HSU or a camera, for the fits and for the record.
     Clock(ClockSample),
     /// Something happened, for the record.
@@ -82,11 +87,21 @@ pub enum RecorderEvent {
     /// The frames of all triggers are in, or will not come any more.
     Drained,
     /// The ring was full for the first time, and the configuration says to stop then.
-    RingFull,
+    RingFull {
+        /// Why, where it was not the disk.
+        why: Option<String>,
+    },
     /// What a camera's frames are of is in doubt: its clock should be read now.
     Doubtful {
         /// Its place in the node's list.
         camera: usize,
+    },
+    /// The warm-up is over, and whether a camera's place in the train is known.
+    Place {
+        /// Its place in the node's list.
+        camera: usize,
+        /// Why it is not; `None`: it is, after it was not.
+        unknown: Option<String>,
     },
     /// Writing failed: nothing more can be recorded.
     Failed(Fault),

@@ -141,6 +141,16 @@ fn without_nodes(message: &str) -> &str {
 }
 
 impl AravisCamera {
+    /// Sets the port of a GigE camera's stream to 0: nobody takes its frames. What is left in it is dropped then; some send it at the start of
+    /// the next acquisition otherwise (aravis#762). The next stream opens the channel again.
+    fn close_stream_channel(&self) {
+        const HOST_PORT: u64 = 0x0d00;
+        let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return };
+        if let Err(error) = gv.write_register(HOST_PORT, 0) {
+            tracing::debug!("the stream channel stays open: {}", said(&error));
+        }
+    }
+
     /// What a GigE camera says of its control privilege: 0 when nobody has it.
     fn privilege(&self) -> Option<u32> {
         const PRIVILEGE: u64 = 0x0a00;
@@ -259,7 +269,9 @@ impl Camera for AravisCamera {
     }
 
     fn stop(&mut self) -> Result<(), CameraError> {
-        self.camera.stop_acquisition().map_err(link_error("stopping the acquisition"))
+        let stopped = self.camera.stop_acquisition().map_err(link_error("stopping the acquisition"));
+        self.close_stream_channel();
+        stopped
     }
 }
 

@@ -63,6 +63,7 @@ impl Captured {
                 Some(Outcome::Recorded(verdict)) => lines.extend(camera_lines(verdict)),
                 _ => lines.extend(last_heard(session, self.dry_run)),
             }
+            lines.extend(session.notices.iter().map(|notice| format!("    {notice}")));
             if let Some(reason) = ended_early(session) {
                 lines.push(format!("    ended early: {reason}"));
             }
@@ -101,7 +102,7 @@ impl Captured {
     }
 }
 
-/// One line a camera of a node's verdict, with the causes of its gaps.
+/// One line a camera of a node's verdict, with the causes of its gaps, and what their pattern shows.
 fn camera_lines(verdict: &serde_json::Value) -> Vec<String> {
     let line = |camera: &serde_json::Value| {
         let causes = camera["gaps"].as_object().into_iter().flatten();
@@ -110,7 +111,9 @@ fn camera_lines(verdict: &serde_json::Value) -> Vec<String> {
             if causes.is_empty() { "no gaps".to_owned() } else { format!("gaps: {}", causes.join(", ")) };
         format!("    {}: {} frames, {gaps}", camera["camera"].as_str().unwrap_or("?"), camera["frames"])
     };
-    verdict["cameras"].as_array().into_iter().flatten().map(line).collect()
+    let advice = verdict["advice"].as_array().into_iter().flatten().filter_map(|line| line.as_str());
+    let cameras = verdict["cameras"].as_array().into_iter().flatten().map(line);
+    cameras.chain(advice.map(|line| format!("    {line}"))).collect()
 }
 
 /// What a node without a verdict had written when it was last heard of, and where that is.
@@ -202,6 +205,19 @@ mod tests {
             assert_eq!(session.lines()[0], format!("session walk: {verdict}"));
             assert_eq!(session.to_json()["verdict"], verdict);
         }
+    }
+
+    #[test]
+    fn what_the_gaps_tell_is_printed_behind_the_cameras() {
+        let mut session = captured(&["incomplete"], &[]);
+        session.nodes[0].1.outcome = Some(Outcome::Recorded(serde_json::json!({
+            "status": "incomplete",
+            "cameras": [{ "camera": "h0_up", "frames": 20, "gaps": { "not_triggered": 20 } }],
+            "advice": ["h0_up takes every second trigger only"],
+        })));
+        let lines = session.lines();
+        assert_eq!(lines[2], "    h0_up: 20 frames, gaps: 20 not_triggered");
+        assert_eq!(lines[3], "    h0_up takes every second trigger only");
     }
 
     #[test]

@@ -9,6 +9,7 @@ use super::countdown::{Watch, count_down};
 use super::participant::Participant;
 use super::peer_watch::UNSERVED_PATIENCE;
 use super::report::{Captured, ended_early, failure_of_all};
+use crate::base::ids::NodeId;
 use crate::base::{Exit, Fault};
 use crate::control::request::{Phase, SessionRequest, StartOn};
 use crate::control::status::{NodeStatus, Outcome, SessionStatus};
@@ -133,6 +134,9 @@ pub enum Stage {
         triggers: u64,
         /// Those that are to be kept.
         asked: u64,
+        /// As of [`Self::Recording`].
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        notices: Vec<String>,
     },
     /// Triggers are coming, or their frames are.
     Recording {
@@ -144,6 +148,9 @@ pub enum Stage {
         frames: u64,
         /// Gap records of all cameras.
         gaps: u64,
+        /// What nodes find that must be known now, with their names.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        notices: Vec<String>,
     },
     /// A stop was asked for.
     Stopping,
@@ -164,13 +171,13 @@ impl fmt::Display for Stage {
                 write!(f, "every node is ready; {left_s} s to the first trigger")
             }
             Self::AwaitingEdge { edge } => write!(f, "every node is ready; waiting for a {edge}"),
-            Self::Holding { triggers, asked } => {
+            Self::Holding { triggers, asked, .. } => {
                 write!(f, "{triggers} of {asked} triggers before Record are held; nothing is recorded yet")
             }
-            Self::Recording { triggers, asked: 0, frames, gaps } => {
+            Self::Recording { triggers, asked: 0, frames, gaps, .. } => {
                 write!(f, "trigger {triggers}: {frames} frames, {gaps} gaps")
             }
-            Self::Recording { triggers, asked, frames, gaps } => {
+            Self::Recording { triggers, asked, frames, gaps, .. } => {
                 write!(f, "trigger {triggers} of {asked}: {frames} frames, {gaps} gaps")
             }
             Self::Stopping => write!(f, "stopping after the current trigger"),
@@ -448,18 +455,30 @@ fn follow(
         triggers = latest.iter().flatten().map(|s| s.triggers).max().unwrap_or(0);
         let held = span.held(&latest);
         control.holds(held.is_some());
+        let notices = notices(request, &latest);
         progress(&match (request.start_on.filter(|_| triggers == 0), held) {
             (Some(edge), _) => Stage::AwaitingEdge { edge },
-            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before() },
+            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before(), notices },
             (None, None) => Stage::Recording {
                 triggers,
                 asked: span.total().unwrap_or(request.triggers),
                 frames: sum(|c| c.frames),
                 gaps: sum(|c| c.gaps),
+                notices,
             },
         });
         std::thread::sleep(POLL);
     }
+}
+
+/// What the nodes of a session find that must be known now.
+fn notices(request: &SessionRequest, latest: &[Option<SessionStatus>]) -> Vec<String> {
+    let named = request.nodes.iter().zip(latest);
+    let of = |(node, session): (&NodeId, &Option<SessionStatus>)| -> Vec<String> {
+        let notices = session.iter().flat_map(|session| &session.notices);
+        notices.map(|notice| format!("node {node}: {notice}")).collect()
+    };
+    named.flat_map(of).collect()
 }
 
 #[cfg(test)]

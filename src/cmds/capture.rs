@@ -7,9 +7,10 @@ use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
 use crate::capture::participant::Participant;
 use crate::capture::report::Captured;
-use crate::capture::run::{CaptureRequest, Control};
+use crate::capture::run::{CaptureRequest, Control, Stage};
 use crate::capture::series::{self, Series};
 use crate::control::request::StartOn;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -101,7 +102,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         record_on_enter(&control);
     }
     let show_progress = !args.json && std::io::IsTerminal::is_terminal(&std::io::stderr());
-    let show = |take: u32, stage: &crate::capture::run::Stage| {
+    let mut known = BTreeSet::new();
+    let show = |take: u32, stage: &Stage| {
+        if let Stage::Recording { notices, .. } | Stage::Holding { notices, .. } = stage {
+            // Once each, and at once: the subject is still there.
+            for notice in notices.iter().filter(|notice| !known.contains(&(take, notice.to_string()))) {
+                eprintln!("{}{notice}", if show_progress { "\r\x1b[K" } else { "" });
+            }
+            known.extend(notices.iter().map(|notice| (take, notice.clone())));
+        }
         if show_progress && args.takes > 1 {
             eprint!("\rtake {take} of {}: {}\x1b[K", args.takes, one_line(stage));
         } else if show_progress {

@@ -47,6 +47,6 @@ fn check(path: &Path) -> Result<(), ConfigError> {
     match (table.get("node"), table.contains_key("results")) {
         (_, true) => WorkerConfig::load(path).map(drop),
         (Some(_), false) => NodeConfig::load(path).map(drop),
-        (None, false) => Rig::load(path).map(drop),
+        (None, false) => Rig::check(path).map(drop),
     }
 }

@@ -130,7 +130,10 @@ fn print_recording(recording: &RecordingReader) {
     }
     print_triggers(recording);
     match &recording.verdict {
-        Some(verdict) => println!("  verdict     {}", verdict.to_string().lines().next().unwrap_or_default()),
+        Some(verdict) => {
+            println!("  verdict     {}", verdict.to_string().lines().next().unwrap_or_default());
+            verdict.advice.0.iter().for_each(|line| println!("  advice      {line}"));
+        }
         None => {
             println!("  verdict     none: the recording was not finished, or this is not its last segment")
         }

@@ -88,6 +88,7 @@ fn print(status: &NodeStatus) {
             one_line(&session.name),
             session.triggers
         );
+        session.notices.iter().for_each(|notice| println!("    {}", one_line(notice)));
     }
     if let Some(worker) = &status.worker {
         println!("  worker: {}", one_line(&worker.line));

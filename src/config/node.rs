@@ -3,7 +3,7 @@
 //! (`node-X.toml`).
 
 use super::api::{ApiConfig, read_api};
-use super::rig::Rig;
+use super::rig::{Head, Rig};
 use super::section::Section;
 use super::trigger::{TriggerSource, read_trigger};
 use super::words::{CameraWords, read_settings, word_of};
@@ -364,6 +364,9 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
                 root.problem(&format!("camera[{i}].{word}"), message);
             }
         }
+        if let Some((head, _)) = rig.cameras().find(|(_, known)| known.id == camera.id) {
+            check_exposure(root, rig, head, i, camera);
+        }
         if camera.address.starts_with(|c: char| c.is_ascii_digit())
             && camera.address.parse::<IpAddr>().is_err()
         {
@@ -377,12 +380,54 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
     }
 }
 
+/// Features whose value is an exposure in microseconds.
+const EXPOSURES_US: [&str; 2] = ["ExposureTime", "ExposureTimeAbs"];
+
+/// An exposure that is said, in a word or as a raw setting, ends within the trigger period.
+fn check_exposure(root: &Section<'_>, rig: &Rig, head: &Head, i: usize, camera: &CameraConfig) {
+    let limit_us = head.exposure_limit_us(rig.trigger_rate_hz);
+    let own = root.list("camera").get(i).and_then(toml::Value::as_table);
+    let said = |key: &str| own.is_some_and(|table| table.contains_key(key));
+    let listed = |feature: &str| {
+        let settings = own.and_then(|table| table.get("settings")).and_then(toml::Value::as_array);
+        settings.is_some_and(|list| {
+            list.iter().any(|pair| pair.get(0).and_then(|name| name.as_str()) == Some(feature))
+        })
+    };
+    let in_place = |own: bool, key: &str| match own {
+        true => format!("camera[{i}].{key}"),
+        false => format!("acquisition.{key}"),
+    };
+    let word = camera.words.exposure_us.map(|us| (in_place(said("exposure_us"), "exposure_us"), us));
+    let raw = camera.settings.iter().filter(|setting| EXPOSURES_US.contains(&setting.feature.as_str()));
+    let raw = raw.filter_map(|setting| {
+        let us = match setting.value {
+            FeatureValue::Float(us) => us,
+            FeatureValue::Integer(us) => us as f64,
+            FeatureValue::Flag(_) | FeatureValue::Text(_) => return None,
+        };
+        Some((in_place(listed(&setting.feature), "settings"), us))
+    });
+    for (key, us) in word.into_iter().chain(raw).filter(|(_, us)| *us >= limit_us) {
+        let message = format!(
+            "an exposure of {us} us for {}, expected less than {limit_us:.1} us: behind the delay of head {} it must end within \
+             the trigger period of {:.1} us ({} Hz), or the camera takes every second trigger only",
+            camera.id,
+            head.id,
+            1e6 / rig.trigger_rate_hz,
+            rig.trigger_rate_hz
+        );
+        root.problem(&key, message);
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Acquisition, CameraConfig, read_acquisition, read_camera};
+    use super::{Acquisition, CameraConfig, NodeConfig, read_acquisition, read_camera};
     use crate::config::section::Section;
     use crate::config::{CameraWords, Edge, PacketDelay};
     use std::cell::RefCell;
+    use std::path::Path;
 
     /// A camera beside the common words, and the key paths of all problems.
     fn read(common: &str, own: &str) -> (CameraConfig, Vec<String>) {
@@ -420,6 +465,44 @@ mod tests {
         let settings: Vec<String> =
             camera.settings.iter().map(|s| format!("{} {}", s.feature, s.value)).collect();
         assert_eq!(settings, ["LineSelector Line0", "LineSelector Line1"]);
+    }
+
+    /// The shipped node file, changed, beside the shipped rig of 120 Hz, whose heads delay by 200 us: its problems.
+    fn problems(change: impl Fn(&str) -> String) -> Vec<String> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/node-a.toml");
+        let text = change(&std::fs::read_to_string(&path).expect("config/node-a.toml is in the repository"));
+        let problems =
+            NodeConfig::from_text(&text, &path).err().map(|error| error.problems).unwrap_or_default();
+        problems.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn an_exposure_beyond_the_trigger_period_is_refused_wherever_it_is_said() {
+        const COMMON: &str = "[acquisition]\n";
+        const OWN: &str = "id = \"h0_low\"\n";
+        const LEFT: &str =
+            "left_to_settings = [\"exposure_us\"]\nsettings = [[\"ExposureTimeAbs\", 17000.0]]\n";
+        assert_eq!(problems(str::to_owned), [""; 0]);
+        let said = |place: &str, words: &str| {
+            problems(|text| {
+                let others = text.lines().filter(|line| place != COMMON || !line.starts_with("exposure_us"));
+                let text: String = others.map(|line| format!("{line}\n")).collect();
+                text.replace(place, &format!("{place}{words}"))
+            })
+        };
+        assert_eq!(said(COMMON, "exposure_us = 8133.0\n"), [""; 0]);
+        for (place, words, keys) in [
+            (COMMON, "exposure_us = 8134.0\n", vec!["acquisition.exposure_us"; 4]),
+            (OWN, "exposure_us = 17000\n", vec!["camera[1].exposure_us"]),
+            (OWN, LEFT, vec!["camera[1].settings"]),
+            (COMMON, LEFT, vec!["acquisition.settings"; 4]),
+        ] {
+            let found = said(place, words);
+            assert_eq!(found.len(), keys.len(), "{found:#?}");
+            for (line, key) in found.iter().zip(keys) {
+                assert!(line.starts_with(key) && line.contains("every second trigger"), "{line}");
+            }
+        }
     }
 
     #[test]

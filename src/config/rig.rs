@@ -5,7 +5,8 @@ use super::section::Section;
 use super::{ConfigError, Problem, read_table};
 use crate::base::ids::{CameraId, HeadId, NodeId};
 use crate::geometry::pattern::{Marker, Pattern};
-use crate::geometry::{Device, Lens, Pose, look_at};
+use crate::geometry::{Device, Fringes, Lens, Pose, look_at};
+use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -51,6 +52,18 @@ pub struct Head {
     pub projector: NominalDevice,
     /// Its cameras.
     pub cameras: Vec<RigCamera>,
+}
+
+impl Head {
+    /// An exposure must be shorter than this, us: behind its delay it ends within the trigger period. With a longer one a
+    /// camera takes every second trigger.
+    pub fn exposure_limit_us(&self, trigger_rate_hz: f64) -> f64 {
+        exposure_limit_us(self.delay_ns as f64 / 1000.0, trigger_rate_hz)
+    }
+}
+
+fn exposure_limit_us(delay_us: f64, trigger_rate_hz: f64) -> f64 {
+    1e6 / trigger_rate_hz - delay_us
 }
 
 /// The calibration board: black circles in rows and columns on white; a few larger ones give the orientation.
@@ -108,6 +121,32 @@ impl Rig {
         let rig = read_rig(Section::root(table, &problems));
         let problems = problems.into_inner();
         if problems.is_empty() { Ok(rig) } else { Err(problems) }
+    }
+
+    /// Loads a rig file, and checks that what it records can be reconstructed: recording itself needs no geometry.
+    ///
+    /// # Errors
+    /// Those of [`Self::load`], or every camera in whose image the fringes would not lie as they must.
+    pub fn check(path: &Path) -> Result<Self, ConfigError> {
+        let rig = Self::load(path)?;
+        let problems = rig.unusable_fringes();
+        if problems.is_empty() { Ok(rig) } else { Err(ConfigError { path: path.to_owned(), problems }) }
+    }
+
+    fn unusable_fringes(&self) -> Vec<Problem> {
+        let (min, max) = (Vector3::from(self.volume_min_m), Vector3::from(self.volume_max_m));
+        let middle = Point3::from((min + max) / 2.0);
+        let mut problems = Vec::new();
+        for (h, head) in self.heads.iter().enumerate() {
+            for (c, camera) in head.cameras.iter().enumerate() {
+                let seen = Fringes::seen_by(&camera.device, &head.projector, &self.pattern, &middle);
+                if let Err(unusable) = seen {
+                    let key = format!("head[{h}].camera[{c}]");
+                    problems.push(Problem { key, message: format!("{}: {unusable}", camera.id) });
+                }
+            }
+        }
+        problems
     }
 
     /// All cameras with their heads, in the rig's order.
@@ -243,13 +282,13 @@ fn read_head(section: Section<'_>, trigger_rate_hz: f64) -> Head {
     let channel = section.choice("channel", &[("R", Channel::R), ("G", Channel::G), ("B", Channel::B)]);
     let delay_us = section.number_or("delay_us", 0.0..=1e6, 0.0);
     let exposure_us = section.number("exposure_us", 1.0..=1e6);
-    let period_us = 1e6 / trigger_rate_hz;
-    if trigger_rate_hz > 0.0 && delay_us + exposure_us >= period_us {
+    if trigger_rate_hz > 0.0 && exposure_us >= exposure_limit_us(delay_us, trigger_rate_hz) {
         section.problem(
             "exposure_us",
             format!(
-                "delay and exposure together take {} us, expected less than the trigger period of {period_us:.1} us ({trigger_rate_hz} Hz)",
-                delay_us + exposure_us
+                "delay and exposure together take {} us, expected less than the trigger period of {:.1} us ({trigger_rate_hz} Hz)",
+                delay_us + exposure_us,
+                1e6 / trigger_rate_hz
             ),
         );
     }
@@ -365,6 +404,57 @@ mod tests {
         assert_eq!(rig.cameras().count(), 8);
         assert_eq!(rig.nodes().len(), 2);
         assert!(rig.cameras().all(|(_, c)| (c.device.width, c.device.height) == (1920, 1200)));
+    }
+
+    /// What is said of the fringes of the shipped rig, changed; by camera.
+    fn fringes(change: impl Fn(String) -> String) -> Vec<String> {
+        let rig = Rig::from_table(&change(shipped()).parse().expect("TOML")).expect("a rig to record with");
+        rig.unusable_fringes().iter().map(ToString::to_string).collect()
+    }
+
+    /// Of camera and projector either may lie, of one head or of all; and both, so that fringes run along the baseline.
+    #[test]
+    fn fringes_that_cannot_be_reconstructed_are_named_by_camera() {
+        assert_eq!(fringes(|text| text), [""; 0]);
+        let lying = |text: &str, which: &[usize]| {
+            let mut parts = text.split("roll_deg = 90.0");
+            let mut turned = parts.next().unwrap_or_default().to_owned();
+            for (place, part) in parts.enumerate() {
+                let roll = if which.contains(&place) { "roll_deg = 0.0" } else { "roll_deg = 90.0" };
+                turned += &format!("{roll}{part}");
+            }
+            turned
+        };
+        // Of each head the projector comes first, then its two cameras.
+        for (which, named) in [
+            (vec![1], vec!["head[0].camera[0]: h0_up"]),
+            (vec![11], vec!["head[3].camera[1]: h3_low"]),
+            (vec![3], vec!["head[1].camera[0]: h1_up", "head[1].camera[1]: h1_low"]),
+        ] {
+            let found = fringes(|text| lying(&text, &which));
+            assert_eq!(found.len(), named.len(), "{found:#?}");
+            for (line, camera) in found.iter().zip(named) {
+                assert!(line.starts_with(camera) && line.contains("along the image columns"), "{line}");
+                assert!(line.contains("roll_deg"), "{line}");
+            }
+        }
+        let found = fringes(|text| text.replace("roll_deg = 90.0", "roll_deg = 0.0"));
+        assert_eq!(found.len(), 8);
+        assert!(
+            found.iter().all(|line| line.contains("along the line from camera to projector")),
+            "{found:#?}"
+        );
+        for (from, to, said) in [
+            ("focal_px = 2048.0", "focal_px = 341.0", "of 4 to 40 px in the image"),
+            ("\nperiod_px = 8.0", "\nperiod_px = 64.0", "of 4 to 40 px in the image"),
+            ("marker_period_px = 8.0", "marker_period_px = 64.0", ""),
+        ] {
+            let found =
+                fringes(|text| text.replace(from, to).replace("marker_index = 80", "marker_index = 9"));
+            let right = |line: &String| line.contains(said) && line.contains("a period of 4 to 40 px");
+            assert!(found.iter().all(right), "{found:#?}");
+            assert_eq!(found.len(), if said.is_empty() { 0 } else { 8 }, "{found:#?}");
+        }
     }
 
     #[test]

@@ -257,6 +257,9 @@ pub struct SessionStatus {
     /// From the stream until the writer had taken the frame.
     #[serde(default)]
     pub total: Latency,
+    /// What whoever captures must know at once; it holds as long as it stands here.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notices: Vec<String>,
     /// Set when the session has ended on this node.
     pub outcome: Option<Outcome>,
 }

@@ -4,12 +4,14 @@
 //! A camera and a projector are the same kind of [`Device`]: a [`Lens`] at a pose `world_from_device`.
 //! Device axes: x along image columns (u), y along rows (v), z forward. Lengths are metres.
 
+mod fringes;
 mod lens;
 mod motion;
 /// The projected pattern: sine fringes and the marker.
 pub mod pattern;
 mod pose;
 
+pub use fringes::{Fringes, Unusable};
 pub use lens::Lens;
 pub use motion::best_motion;
 pub use pose::{Pose, look_at};

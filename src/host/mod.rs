@@ -13,3 +13,5 @@ pub mod memory;
 pub mod process_limits;
 /// Real-time scheduling and locked memory.
 pub mod realtime;
+/// How long threads had work and no processor.
+pub mod run_delay;

@@ -32,9 +32,12 @@ pub fn configure(realtime: &Realtime) {
     CONFIGURED.get_or_init(|| realtime.clone());
 }
 
-/// Gives the calling thread what the process was configured with; a refusal becomes a warning.
+/// Gives the calling thread what the process was configured with; a refusal becomes a warning. Whether it gets a processor
+/// is watched from then on ([`super::run_delay`]).
 pub fn enter_configured(role: &str) {
-    if let Some(message) = CONFIGURED.get().and_then(|realtime| enter(realtime, role)) {
+    let Some(realtime) = CONFIGURED.get() else { return };
+    super::run_delay::watch(role);
+    if let Some(message) = enter(realtime, role) {
         warn("realtime_refused", message);
     }
 }

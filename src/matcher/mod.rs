@@ -168,6 +168,11 @@ impl Matcher {
         Some((number, tracker.hsu_ns(camera_ns)))
     }
 
+    /// Whether it is known which trigger the stream's ids stand for.
+    pub fn is_placed(&self) -> bool {
+        matches!(self.stage, Stage::Known)
+    }
+
     /// Names the trigger of `frame`. `followers` are the whole frames that have arrived behind it, in order; `hsu` is
     /// the HSU's clock against the host's. While the answer is [`Match::Wait`] nothing has changed: ask again with the
     /// same frame; with `last_call` there is always an answer.

@@ -37,6 +37,13 @@ pub enum Report {
         /// Its place in the node's list.
         camera: usize,
     },
+    /// Whoever captures must know; not from a camera's attendant, but from the link's.
+    Notice {
+        /// What it is about.
+        about: &'static str,
+        /// `None`: it does not hold any more.
+        text: Option<String>,
+    },
 }
 
 /// What the node tells an attendant.

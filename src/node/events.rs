@@ -143,11 +143,17 @@ impl Node {
         }
     }
 
-    /// An attendant lost its camera, or has it back.
+    /// An attendant lost its camera, or has it back; or there is something that whoever captures must know.
     pub(crate) fn attendant_reports(&mut self, report: Report) {
         let Some(session) = &mut self.session else { return };
         let camera = match report {
             Report::Lost { camera, .. } | Report::Owned { camera, .. } | Report::Back { camera } => camera,
+            Report::Notice { about, text } => {
+                if let Some(text) = &text {
+                    tracing::warn!(about, "{text}");
+                }
+                return session.notice(about, text);
+            }
         };
         let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
         match report {
@@ -172,16 +178,17 @@ impl Node {
                 tracing::warn!(camera = %id, "the camera is back");
                 self.devices.set_problem(camera, None);
             }
+            Report::Notice { .. } => {}
         }
     }
 
     pub(crate) fn recorder_event(&mut self, event: RecorderEvent) {
         match event {
             RecorderEvent::Drained => self.take(Event::Drained),
-            RecorderEvent::RingFull => {
-                let message =
-                    "the disk could not keep up and the ring is full; the session was stopped, as configured";
-                self.note("ring_full", None, message);
+            RecorderEvent::RingFull { why } => {
+                let why = why.unwrap_or_else(|| "the disk could not keep up".to_owned());
+                let message = format!("{why} and the ring is full; the session was stopped, as configured");
+                self.note("ring_full", None, &message);
                 self.take(Event::Failed(Fault::new(Exit::DataLoss, message)));
             }
             RecorderEvent::Doubtful { camera } => {
@@ -190,6 +197,7 @@ impl Node {
                     attendant.read_clock();
                 }
             }
+            RecorderEvent::Place { camera, unknown } => self.place(camera, unknown),
             RecorderEvent::Failed(fault) => self.take(Event::Failed(fault)),
             RecorderEvent::Closed(verdict) => {
                 self.in_session(|session| {
@@ -205,6 +213,27 @@ impl Node {
                 self.release_held_memory();
                 self.take(Event::Closed);
             }
+        }
+    }
+
+    /// Behind the warm-up: whether a camera's place in the train is known. Where it is not, its frames are lost as those of
+    /// a camera that is away, and the session ends if it ends for one of these.
+    fn place(&mut self, camera: usize, unknown: Option<String>) {
+        let Some(session) = &mut self.session else { return };
+        let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
+        let about = format!("place of {id}");
+        let Some(why) = unknown else {
+            session.notice(&about, None);
+            return self.note(
+                "place_found",
+                Some(id),
+                "which triggers its frames are of is known from here on",
+            );
+        };
+        let message = format!("camera {id}: {why}");
+        session.notice(&about, Some(message.clone()));
+        if self.machine.train_runs() && self.config.on_camera_lost == OnLoss::Abort {
+            self.take(Event::Failed(Fault::new(Exit::Device, message)));
         }
     }
 

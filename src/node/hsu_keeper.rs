@@ -2,6 +2,7 @@
 //! The thread that keeps the link to the HSU during a session: reads its clock, its input lines and its time code, and connects
 //! anew when the link was lost, so that the train's triggers go on being reported from where they broke off.
 
+use super::camera_keeper::Report;
 use super::input_lines::InputLines;
 use super::time_code::{LAST_FRAME, TimeCodeKeeper};
 use crate::acquire::recorder::RecorderCommand;
@@ -28,6 +29,8 @@ pub struct LinkSetup {
     pub clock: HostClock,
     /// The recorder.
     pub to_recorder: Sender<RecorderCommand>,
+    /// The node.
+    pub reports: Sender<Report>,
     /// Where a new link goes.
     pub back: Sender<Arc<Hsu>>,
 }
@@ -50,6 +53,8 @@ pub struct HsuKeeper {
 /// Between two readings of the HSU's clock. Reports bound it from one side a hundred times a second, the other side
 /// has these alone: one a second leaves three times the error (docs/design/experiments.md).
 const CLOCK_INTERVAL: Duration = Duration::from_millis(200);
+/// Time code may stay away for this long before it is printed that there is none.
+const CODE_PATIENCE: Duration = Duration::from_secs(1);
 /// Between two attempts to connect.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
@@ -77,10 +82,12 @@ impl HsuKeeper {
 }
 
 fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
-    let LinkSetup { hsu, unit, node, session, clock, to_recorder, back } = setup;
+    let LinkSetup { hsu, unit, node, session, clock, to_recorder, reports, back } = setup;
     let mut hsu = Some(hsu);
     let mut missing = None;
     let mut next_clock = Instant::now() + CLOCK_INTERVAL;
+    let code_due = Instant::now() + CODE_PATIENCE;
+    let mut said = None;
     let mut inputs = InputLines::default();
     let mut time_code = TimeCodeKeeper::new(unit.time_code_input());
     let tell = |events: Vec<NodeEvent>| {
@@ -90,6 +97,13 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
         // Named first, so that no edge of it is told.
         tell(time_code.look(link, clock.now()));
         tell(inputs.look(|first| link.input_edges(first), clock.now()));
+    };
+    // Once for each change.
+    let mut notice = |text: Option<String>| {
+        if text != said {
+            said.clone_from(&text);
+            drop(reports.send(Report::Notice { about: "time code", text }));
+        }
     };
     if let Some(link) = &hsu {
         look(link, &mut time_code);
@@ -109,6 +123,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                     look(link, &mut time_code);
                 }
                 tell(time_code.finish(clock.now()));
+                notice(time_code.absence());
                 return;
             }
             Ok(Order::Reconnect { next }) => {
@@ -125,6 +140,9 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                 if let Ok(sample) = link.query_clock() {
                     drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
                     look(link, &mut time_code);
+                    if Instant::now() >= code_due {
+                        notice(time_code.absence_so_far());
+                    }
                 }
             }
             (None, Some(next)) => match unit.connect(&node, &HsuTimeouts::default()) {

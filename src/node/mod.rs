@@ -13,5 +13,6 @@ pub mod node_thread;
 mod prepare;
 mod session;
 pub mod silence;
+mod silence_gate;
 pub mod state_machine;
 mod time_code;

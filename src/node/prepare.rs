@@ -23,13 +23,7 @@ use crate::record::{
 use crossbeam_channel::{bounded, unbounded};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
-
-/// Trigger periods of silence before arming, at least.
-const GATE_PERIODS: u32 = 10;
-/// Slow triggers do not make the gate longer than this.
-const GATE_AT_MOST: Duration = Duration::from_secs(2);
 
 impl Node {
     pub(crate) fn create_recording(&mut self) -> Result<(), Fault> {
@@ -195,36 +189,12 @@ impl Node {
                 session: hsu_session(session.request.session_id),
                 clock: session.clock,
                 to_recorder,
+                reports: session.reports_in.clone(),
                 back: session.links_in.clone(),
             };
             session.link_keeper = HsuKeeper::start(setup).map(Some).map_err(thread_error)?;
         }
         Ok(())
-    }
-
-    /// No camera may send while there is no trigger: its frames could be taken for those of the first triggers.
-    pub(crate) fn silence_gate(&mut self) -> Result<(), Fault> {
-        let gate = self.config.silence_gate;
-        let Some(session) = self.session.as_ref().filter(|_| !gate.is_zero()) else { return Ok(()) };
-        let counts =
-            || -> Vec<u64> { session.progress.heard.iter().map(|n| n.load(Ordering::Relaxed)).collect() };
-        let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
-        let before = counts();
-        std::thread::sleep(gate.max(period * GATE_PERIODS).min(GATE_AT_MOST.max(gate)));
-        let loud =
-            before.iter().zip(counts()).zip(&session.cameras).filter(|((before, after), _)| *before != after);
-        let names: Vec<&str> = loud.map(|(_, camera)| camera.id.as_str()).collect();
-        if names.is_empty() {
-            return Ok(());
-        }
-        Err(Fault::new(
-            Exit::Device,
-            format!(
-                "{} sent frames although nothing was triggered; expected silence before the start: check TriggerMode and \
-                 TriggerSource in the node file, and that nothing else drives the trigger line",
-                names.join(", ")
-            ),
-        ))
     }
 
     pub(crate) fn stop_streams(&mut self) {

@@ -13,6 +13,7 @@ use crate::host::realtime;
 use crate::hsu::Hsu;
 use crate::record::NodeEvent;
 use crossbeam_channel::{Receiver, Sender, never, unbounded};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -48,6 +49,8 @@ pub(crate) struct Session {
     pub(crate) kept: Option<KeepRequest>,
     /// Frames that fit into the ring.
     pub(crate) ring_capacity: u64,
+    /// What whoever captures must know at once, by what it is about.
+    notices: BTreeMap<String, String>,
     /// How many of the process's warnings are in the recording.
     warnings_told: usize,
 }
@@ -79,6 +82,7 @@ impl Session {
             outcome: None,
             kept: None,
             ring_capacity: 0,
+            notices: BTreeMap::new(),
             warnings_told: 0,
         }
     }
@@ -92,6 +96,14 @@ impl Session {
         if let Some(recorder) = &self.to_recorder {
             // A recorder that is gone is noticed by its event channel.
             drop(recorder.send(message));
+        }
+    }
+
+    /// Lets whoever captures know at once; `None`: what was said about this does not hold any more.
+    pub(crate) fn notice(&mut self, about: &str, text: Option<String>) {
+        match text {
+            Some(text) => drop(self.notices.insert(about.to_owned(), text)),
+            None => drop(self.notices.remove(about)),
         }
     }
 
@@ -154,6 +166,7 @@ impl Session {
             ring_high_water_frames: load(&self.progress.high_water),
             written: self.progress.latencies.written.summary(),
             total: self.progress.latencies.total.summary(),
+            notices: self.notices.values().cloned().collect(),
             outcome: self.outcome.clone(),
         }
     }

@@ -50,6 +50,8 @@ pub struct TimeCodeKeeper {
     told_ns: u64,
     /// Runs so far.
     runs: u64,
+    /// Why the unit gives none, where there was to be some.
+    why_none: Option<String>,
 }
 
 impl TimeCodeKeeper {
@@ -76,11 +78,9 @@ impl TimeCodeKeeper {
             tracing::debug!("the HSU's time code: {error}");
             if matches!(error, HsuError::Refused { refusal: Refusal::UnknownRequest { .. }, .. }) {
                 let message = "the HSU's firmware does not know time code: it needs a newer one";
-                events.push(told(host_time_ns, "time_code_absent", message.to_owned()));
-                self.input = None;
+                self.give_up(message.to_owned(), host_time_ns, &mut events);
             } else if let HsuError::Refused { refusal: Refusal::TimeCodeDiffers { .. }, .. } = &error {
-                events.push(told(host_time_ns, "time_code_absent", error.to_string()));
-                self.input = None;
+                self.give_up(error.to_string(), host_time_ns, &mut events);
             }
         }
         self.is_running = before.is_some() && self.next != before;
@@ -96,19 +96,50 @@ impl TimeCodeKeeper {
         let mut events = Vec::new();
         self.tell_last(host_time_ns, &mut events);
         let Some(input) = self.input else { return events };
-        let (first, last) = self.refused.unwrap_or_default();
-        let refused = last.saturating_sub(first);
-        if self.runs == 0 {
-            let message = match refused {
-                0 => format!("no time code came on input {input}"),
-                _ => format!("no time code was understood on input {input}: {refused} frames were no good"),
-            };
+        let refused = self.no_good();
+        if let Some(message) = self.absence() {
             events.push(told(host_time_ns, "time_code_absent", message));
         } else if refused > 0 {
             let message = format!("{refused} frames of time code on input {input} were no good");
             events.push(told(host_time_ns, "time_code_refused", message));
         }
         events
+    }
+
+    /// That no code was understood, where there was to be one.
+    pub fn absence(&self) -> Option<String> {
+        if self.why_none.is_some() {
+            return self.why_none.clone();
+        }
+        let input = self.input.filter(|_| self.runs == 0)?;
+        Some(match self.no_good() {
+            0 => format!("no time code came on input {input}"),
+            refused => format!("no time code was understood on input {input}: {refused} frames were no good"),
+        })
+    }
+
+    /// The same while the session runs, with what to look at.
+    pub fn absence_so_far(&self) -> Option<String> {
+        if self.why_none.is_some() {
+            return self.why_none.clone();
+        }
+        let input = self.input.filter(|_| self.runs == 0)?;
+        let found = match self.no_good() {
+            0 => "none comes: is it played, and wired to this input (hsu.time_code_input)?",
+            _ => "frames come and are no good: look at level, ground and adapter of the line",
+        };
+        Some(format!("no time code is understood on input {input} so far: {found}"))
+    }
+
+    /// Frames that were no good.
+    fn no_good(&self) -> u32 {
+        let (first, last) = self.refused.unwrap_or_default();
+        last.saturating_sub(first)
+    }
+
+    fn give_up(&mut self, why: String, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
+        events.push(told(host_time_ns, "time_code_absent", why.clone()));
+        (self.input, self.why_none) = (None, Some(why));
     }
 
     fn ask(
@@ -260,6 +291,7 @@ mod tests {
         assert!(keeper.look(&unit, 0).is_empty() && !keeper.is_running());
         let (mut code, mut at_ns) = (TimeCode::parse("09:59:59:20").expect("a code"), 5);
         let (first, begin_ns) = (code, at_ns);
+        assert!(keeper.absence_so_far().is_some_and(|text| text.contains("input 3 so far: none comes")));
         for _ in 0..3000 {
             let (last, end_ns) = unit.hears(&code.to_string(), at_ns, 5);
             (code, at_ns) = (last.after(1, 25).expect("a code"), end_ns);
@@ -267,6 +299,7 @@ mod tests {
             assert!(keeper.is_running());
         }
         events.extend(keeper.finish(0));
+        assert_eq!((keeper.absence(), keeper.absence_so_far()), (None, None));
         let heard: Vec<HeardTimeCode> = events.iter().filter_map(HeardTimeCode::of).collect();
         assert_eq!((heard.len(), events.len()), (601, 601));
         assert!(heard.iter().all(|heard| heard.run == 0));
@@ -325,9 +358,12 @@ mod tests {
         keeper.look(&unit, 0);
         unit.refused.set(9);
         keeper.look(&unit, 0);
+        let so_far = keeper.absence_so_far().expect("none was understood");
+        assert!(so_far.contains("input 3 so far: frames come and are no good"), "{so_far}");
         let events = keeper.finish(0);
         assert_eq!(kinds(&events), ["time_code_absent"]);
         assert!(events[0].message.contains("input 3: 2 frames"), "{}", events[0].message);
+        assert_eq!(keeper.absence().as_ref(), Some(&events[0].message));
 
         // More than the unit remembers, and then it is switched off and on.
         let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
@@ -354,8 +390,11 @@ mod tests {
         for refusal in [Refusal::UnknownRequest { kind: 14 }, Refusal::TimeCodeDiffers { unit: 4, host: 3 }] {
             let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
             unit.refusal.set(Some(refusal));
-            assert_eq!(kinds(&keeper.look(&unit, 0)), ["time_code_absent"]);
+            let events = keeper.look(&unit, 0);
+            assert_eq!(kinds(&events), ["time_code_absent"]);
             assert!(keeper.look(&unit, 0).is_empty() && keeper.finish(0).is_empty());
+            assert_eq!(keeper.absence().as_ref(), Some(&events[0].message));
+            assert_eq!(keeper.absence_so_far(), keeper.absence());
             assert_eq!(unit.asked.get(), 0);
         }
         // Any other refusal is asked again.

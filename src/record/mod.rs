@@ -4,6 +4,7 @@
 //! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and
 //! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
 
+mod advice;
 mod belonging;
 pub mod catalogue;
 mod credible;
@@ -34,6 +35,7 @@ pub mod verify;
 
 mod writer;
 
+pub use advice::Advice;
 pub use direct_io::{free_bytes, survive_file_limit};
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
 pub use input_edge::InputEdge;

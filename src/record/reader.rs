@@ -221,6 +221,7 @@ impl RecordingReader {
             }
         }
         recording.leave_out_the_incredible();
+        super::advice::advise(&mut recording);
         Ok(recording)
     }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
 
+use super::advice::{Advice, Rhythm};
 use super::layout::{GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader};
 use crate::base::ids::{CameraId, TriggerIndex};
 use serde::{Deserialize, Serialize};
@@ -80,6 +81,10 @@ pub struct Verdict {
     pub changed: Vec<String>,
     /// Why the session was aborted.
     pub aborted: Option<String>,
+    /// What the pattern of the gaps shows, and what to do about it. Never read from a file: it is found from its records.
+    #[serde(default, skip_deserializing, skip_serializing_if = "Advice::is_empty")]
+    #[schema(value_type = Vec<String>)]
+    pub advice: Advice,
 }
 
 impl Verdict {
@@ -108,12 +113,14 @@ impl Verdict {
         end: SessionEnd,
     ) -> Self {
         let named = header.cameras.iter().zip(tallies);
+        let cameras: Vec<CameraVerdict> = named.map(|(camera, tally)| tally.verdict(&camera.id)).collect();
         let mut verdict = Self {
             status: Status::Incomplete,
             triggers,
             triggers_expected: header.expected_triggers,
             triggers_emitted: end.triggers_emitted,
-            cameras: named.map(|(camera, tally)| tally.verdict(&camera.id)).collect(),
+            advice: Advice::of(tallies.iter().map(CameraTally::rhythm).zip(&cameras)),
+            cameras,
             refused: noted.refused,
             unconfirmed: noted.unconfirmed,
             changed: noted.changed,
@@ -171,7 +178,7 @@ impl fmt::Display for Verdict {
                 write!(f, ", {count} {cause}")?;
             }
         }
-        Ok(())
+        self.advice.0.iter().try_for_each(|line| write!(f, "\n  {line}"))
     }
 }
 
@@ -294,6 +301,7 @@ pub struct CameraTally {
     seen: TriggerSet,
     frames: u64,
     gaps: BTreeMap<GapCause, u64>,
+    rhythm: Rhythm,
 }
 
 impl CameraTally {
@@ -301,6 +309,9 @@ impl CameraTally {
     pub fn frame(&mut self, trigger: TriggerIndex) -> bool {
         let fresh = self.seen.insert(trigger.0);
         self.frames += u64::from(fresh);
+        if fresh {
+            self.rhythm.frame(trigger.0);
+        }
         fresh
     }
 
@@ -309,8 +320,14 @@ impl CameraTally {
         let fresh = self.seen.insert(trigger.0);
         if fresh {
             *self.gaps.entry(cause).or_default() += 1;
+            self.rhythm.gap(trigger.0, cause);
         }
         fresh
+    }
+
+    /// In which order they came.
+    pub(crate) fn rhythm(&self) -> &Rhythm {
+        &self.rhythm
     }
 
     /// Takes back a frame that did not reach the disk.
@@ -333,7 +350,7 @@ impl CameraTally {
 
 #[cfg(test)]
 mod tests {
-    use super::{Noted, SETTING_CHANGED, Status, TriggerSet, Verdict};
+    use super::{Advice, Noted, SETTING_CHANGED, Status, TriggerSet, Verdict};
     use crate::base::ids::CameraId;
     use crate::record::layout::NodeEvent;
     use proptest::prelude::*;
@@ -378,6 +395,7 @@ mod tests {
             unconfirmed: 0,
             changed: noted.changed.clone(),
             aborted: None,
+            advice: Advice::default(),
         };
         noted.note(&event("camera_setting"));
         assert_eq!(verdict(&noted).judge(), Status::Complete);

@@ -338,7 +338,7 @@ fn escape(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::render;
-    use crate::record::{Status, Verdict};
+    use crate::record::{Advice, Status, Verdict};
     use crate::report::{NodeReport, Report};
 
     fn report(nodes: Vec<NodeReport>) -> Report {
@@ -367,6 +367,7 @@ mod tests {
             unconfirmed: 0,
             changed: Vec::new(),
             aborted: None,
+            advice: Advice::default(),
         };
         NodeReport {
             node: "a".to_owned(),

@@ -115,6 +115,7 @@ mod shared_exposure;
 mod shared_scene;
 mod simd_paths;
 mod slurm;
+mod stray_frames;
 #[cfg(feature = "aravis")]
 mod sub_path;
 #[cfg(feature = "aravis")]
@@ -134,4 +135,5 @@ mod unread_output;
 mod unreadable_disk;
 mod unreadable_sessions;
 mod validate_commands;
+mod warm_up;
 mod worker;

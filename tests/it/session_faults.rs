@@ -3,7 +3,8 @@
 //! goes on at the right trigger.
 
 use crate::lab::{
-    NodeProcess, WORDS, fourdbody, laboratory, laboratory_of, start_capture, start_nodes, text_of,
+    NodeProcess, WORDS, fourdbody, laboratory, laboratory_of, options, small_rig, start_capture,
+    start_laboratory, start_nodes, text_of,
 };
 use fourdbody::base::ids::TriggerIndex;
 use fourdbody::data::FrameSource;
@@ -256,6 +257,40 @@ fn a_node_that_stood_still_gives_up_whole_frame_sets() {
     assert!(events(&session, "node_paused") >= 1);
     let expected = if gaps[0].is_empty() { 0 } else { 3 };
     assert_eq!(output.status.code(), Some(expected), "{}", text_of(&output));
+}
+
+/// From the middle of the warm-up until some triggers are fired.
+#[test]
+fn a_node_that_stood_still_before_trigger_0_says_so_and_gives_up_whole_frame_sets() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let rig = small_rig(50.0).replace("warm_up_triggers = 8 ", "warm_up_triggers = 40 ");
+    let laboratory = start_laboratory(&options(rig, dir.path(), 208));
+    let mut nodes = start_nodes(&laboratory);
+    let capture = start_capture(&laboratory, "early");
+    while laboratory.hsu.fired() < 20 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    signal(&nodes[0], libc::SIGSTOP);
+    while laboratory.hsu.fired() < 50 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    signal(&nodes[0], libc::SIGCONT);
+    wait_triggers(&mut nodes[0], 40);
+    let output = stop(capture);
+    let session = dir.path().join("sessions/early");
+    let gaps = check_frames(&session);
+    assert!(events(&session, "node_paused") >= 1, "{}", text_of(&output));
+    let paused = |camera: &Vec<(u64, GapCause)>| -> Vec<u64> {
+        camera
+            .iter()
+            .filter(|(_, cause)| *cause == GapCause::NodePaused)
+            .map(|(trigger, _)| *trigger)
+            .collect()
+    };
+    for camera in 1..4 {
+        assert_eq!(paused(&gaps[camera]), paused(&gaps[0]), "sets are given up whole: {gaps:?}");
+    }
+    assert!(gaps[4..].iter().all(Vec::is_empty), "the other node ran: {gaps:?}");
 }
 
 #[test]

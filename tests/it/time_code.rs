@@ -135,6 +135,9 @@ fn every_trigger_has_the_code_that_was_played_or_none() {
     let next = ["capture", "--nodes", &laboratory.urls(), "--triggers", "5", "--name"];
     let silent = fourdbody(&[&next[..], &["silent"]].concat());
     assert!(silent.status.success(), "{}", text_of(&silent));
+    assert_contains(&text_of(&silent), &["no time code came on input 3"]);
+    let status = fourdbody(&["status", "--nodes", &laboratory.urls()]);
+    assert_contains(&text_of(&status), &["no time code came on input 3"]);
     let reader = SessionReader::open(&dir.path().join("sessions/silent")).expect("a session");
     for recording in reader.recordings() {
         let told: Vec<&str> = recording

@@ -192,6 +192,7 @@ impl SimulatedCamera {
             presence: Arc::clone(&presence),
             rogue,
             absence: None,
+            last_sent: None,
         };
         let controller = Controller {
             control: power_on(),

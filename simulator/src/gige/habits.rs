@@ -46,6 +46,15 @@ pub struct Habits {
     pub extended_ids: bool,
     /// PTP never sets its clock: it listens for ever.
     pub ptp_listens: bool,
+    /// The number of left-over frames that it sends when an acquisition starts, one after each `stray_after`, as some
+    /// do (aravis#762). Before its first frame it has none.
+    pub strays: u32,
+    /// See `strays`.
+    pub stray_after: Duration,
+    /// Block ids go on from the acquisition before.
+    pub ids_go_on: bool,
+    /// It wakes up late: the number of triggers that it misses of each acquisition, warm-up included (aravis#818).
+    pub late_triggers: u32,
 }
 
 /// Where in a frame a camera takes its stamp.
@@ -169,6 +178,10 @@ impl Habits {
                 tick_ns: table.tick_ns,
                 extended_ids: table.extended_ids,
                 ptp_listens: table.ptp_listens,
+                strays: table.strays,
+                stray_after: Duration::from_millis(table.stray_after_ms),
+                ids_go_on: table.ids_go_on,
+                late_triggers: table.late_triggers,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -218,6 +231,14 @@ struct Table {
     extended_ids: bool,
     #[serde(default)]
     ptp_listens: bool,
+    #[serde(default)]
+    strays: u32,
+    #[serde(default)]
+    stray_after_ms: u64,
+    #[serde(default)]
+    ids_go_on: bool,
+    #[serde(default)]
+    late_triggers: u32,
     // Which make it is: read by `Make::parse_all`.
     #[serde(default, rename = "like")]
     _like: Option<String>,

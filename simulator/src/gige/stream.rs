@@ -76,6 +76,8 @@ struct Acquisition {
     next_free_run: Option<Instant>,
     /// Exposures of this acquisition.
     exposed: u64,
+    /// Triggers that it still sleeps through.
+    asleep: u32,
     frames_left: Option<u64>,
 }
 
@@ -109,6 +111,8 @@ pub struct Streamer {
     pub rogue: Option<Rogue>,
     /// Why nothing is sent at the moment.
     pub absence: Option<Absence>,
+    /// Block id and light of the last frame of all acquisitions.
+    pub last_sent: Option<(u64, i64)>,
 }
 
 /// The camera is without power, or in other hands.
@@ -177,7 +181,9 @@ impl Streamer {
                 // The camera may have another address than last time.
                 *connected = None;
                 self.connect(&stream, connected);
-                *acquisition = Some(Acquisition::new(number, started, stream, self));
+                let mut begun = Acquisition::new(number, started, stream, self);
+                self.send_left_over(&mut begun);
+                *acquisition = Some(begun);
             }
             Order::Update(stream) => {
                 self.connect(&stream, connected);
@@ -197,6 +203,17 @@ impl Streamer {
             Order::Quit => return false,
         }
         true
+    }
+
+    /// What is left over of the acquisition before goes out with the new one, where that is the camera's habit.
+    fn send_left_over(&self, begun: &mut Acquisition) {
+        let Some((_, instant)) = self.last_sent else { return };
+        for number in 1..=self.habits.strays {
+            let at = begun.started + self.habits.stray_after.saturating_mul(number);
+            let exposure = Exposure { start: at, end: at };
+            let (timestamp, picture) = (self.stamp(exposure), self.picture(begun, exposure));
+            begun.exposures.push_back(Shot { exposure, timestamp, instant, fault: None, picture });
+        }
     }
 
     /// A connected socket saves the kernel a route look-up per packet.
@@ -222,6 +239,10 @@ impl Streamer {
             self.statistics.edges_unheard.fetch_add(1, Relaxed);
             return;
         };
+        if let Some(asleep) = running.asleep.checked_sub(1) {
+            running.asleep = asleep;
+            return;
+        }
         let exposure = match running.stream.settings.exposure_mode {
             ExposureMode::Timed => running.stream.settings.exposure(),
             ExposureMode::TriggerWidth => Duration::from_nanos(edge.width_ns),
@@ -396,6 +417,7 @@ impl Streamer {
         let timestamp = self.habits.ticks(fault.map_or(timestamp, |fault| inject::stamp(timestamp, fault)));
         let frame = Frame { block_id: running.next_block_id, timestamp, instant, layout, picture };
         running.next_block_id = frame.layout.ids.next_block_id(frame.block_id);
+        self.last_sent = Some((frame.block_id, instant));
         running.frames_left = running.frames_left.map(|left| left.saturating_sub(1));
         let lag = now.saturating_duration_since(exposure.end).as_nanos();
         self.statistics.worst_lag_ns.fetch_max(u64::try_from(lag).unwrap_or(u64::MAX), Relaxed);
@@ -416,17 +438,20 @@ impl Streamer {
 
 impl Acquisition {
     fn new(number: u64, started: Instant, stream: StreamSettings, camera: &Streamer) -> Self {
+        let after = |(last, _)| stream.layout.ids.next_block_id(last);
+        let next_block_id = camera.last_sent.filter(|_| camera.habits.ids_go_on).map(after);
         Self {
             number,
             started,
             sensor: Sensor::new(camera.habits.readout_late),
             exposures: VecDeque::new(),
-            next_block_id: camera.first_block_id,
+            next_block_id: next_block_id.unwrap_or(camera.first_block_id),
             late: camera.habits.send_late,
             next_instant: 0,
             next_free_run: (!stream.settings.triggered && !stream.settings.acquisition_triggered)
                 .then_some(started),
             exposed: 0,
+            asleep: camera.habits.late_triggers,
             frames_left: stream.settings.frame_limit(),
             stream,
         }

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the accounting says in words: what happened before a frame and with it, and how a session went in all.
 
-use super::{Accounting, Lane};
+use super::{Accounting, Full, Lane};
 use crate::acquire::receiver::Arrival;
+use crate::acquire::writer_queue::ToWriter;
+use crate::base::ids::{BlockId, CameraId, TriggerIndex};
+use crate::base::time::host_time_ns;
+use crate::camera::Breach;
 use crate::matcher::{Finding, Matched};
-use crate::record::UNCONFIRMED;
+use crate::record::{NodeEvent, UNCONFIRMED};
 
 /// Texts name blocks: a trigger's number stands in its event, where seconds before Record can change what it is counted from.
 impl Accounting {
@@ -47,6 +51,69 @@ impl Accounting {
             ),
         };
         self.note(camera, kind, at(number), text);
+    }
+
+    /// One event for a row of dropped sets, when it is over.
+    pub(super) fn end_of_full(&mut self) {
+        if let Some(Full { first, last, frames, starved }) = self.full.take() {
+            let why =
+                starved.map_or_else(|| "the disk did not keep up".to_owned(), |starved| starved.to_string());
+            let message = format!(
+                "{why}: {frames} frames of {} triggers from here on were dropped, set by set",
+                last - first + 1
+            );
+            tracing::warn!(kind = "ring_full", "{message}");
+            self.event("ring_full", None, Some(first), message);
+        }
+    }
+
+    /// A frame that no trigger explains: a free-running camera makes many, so only the first is an event.
+    pub(super) fn spurious(&mut self, arrival: &Arrival, why: &str) {
+        let lane = &mut self.lanes[arrival.camera];
+        lane.spurious += 1;
+        if lane.spurious == 1 {
+            let text = format!("block {} {why}; not recorded (later ones are counted)", arrival.block_id);
+            self.note(arrival.camera, "spurious_frame", None, text);
+        }
+    }
+
+    /// A frame is not what was agreed: the first of each kind is an event.
+    pub(super) fn breach(&mut self, camera: usize, block: BlockId, breach: Breach) {
+        if self.lanes[camera].breaches.count(breach) {
+            let text = format!("block {block} is not recorded: {breach} (later ones are counted)");
+            self.note(camera, "frame_refused", None, text);
+        }
+    }
+
+    /// Which of two triggers a frame was of could not be told: whichever it was, it has a gap record.
+    pub(super) fn give_up(&mut self, arrival: &Arrival) {
+        let lane = &mut self.lanes[arrival.camera];
+        (lane.given_up, lane.given_up_now) = (lane.given_up + 1, lane.given_up_now + 1);
+        if lane.given_up == 1 {
+            let text = format!(
+                "block {}: id and timestamp name different triggers, of which nothing is reported; not recorded (later \
+                 ones are counted)",
+                arrival.block_id
+            );
+            self.note(arrival.camera, "identity_unknown", None, text);
+        }
+    }
+
+    pub(super) fn note(&mut self, camera: usize, kind: &str, trigger: Option<u64>, message: String) {
+        let id = self.lanes[camera].id.clone();
+        tracing::warn!(camera = %id, kind, "{message}");
+        self.event(kind, Some(id), trigger, message);
+    }
+
+    pub(super) fn event(
+        &mut self,
+        kind: &str,
+        camera: Option<CameraId>,
+        trigger: Option<u64>,
+        message: String,
+    ) {
+        let (host_time_ns, kind, trigger) = (host_time_ns(), kind.to_owned(), trigger.map(TriggerIndex));
+        self.ring.small(ToWriter::Event(NodeEvent { host_time_ns, kind, camera, trigger, message }));
     }
 
     /// How the clocks ran and how long frames took, for the record.

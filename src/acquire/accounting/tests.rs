@@ -50,6 +50,11 @@ struct Desk {
 impl Desk {
     /// The cameras' clocks are the HSU's, which is [`HOST_NS`] behind the host's.
     fn new(cameras: usize) -> Self {
+        Self::warming_up(cameras, 0)
+    }
+
+    /// With this number of triggers before trigger 0.
+    fn warming_up(cameras: usize, warm_up: u32) -> Self {
         let outcomes = Arc::default();
         let progress = Arc::new(Progress::new(cameras));
         let (events, closed) = crossbeam_channel::unbounded();
@@ -58,7 +63,7 @@ impl Desk {
         let ring =
             Ring::start(sink, (4096, 0), None, Taps::of_nobody(), Arc::clone(&progress), events.clone())
                 .expect("a thread");
-        let start = Start { period_ns: PERIOD_NS, warm_up: 0, hsu_minus_host_ns: Some(-i128::from(HOST_NS)) };
+        let start = Start { period_ns: PERIOD_NS, warm_up, hsu_minus_host_ns: Some(-i128::from(HOST_NS)) };
         let lane = |camera| LaneSetup {
             id: CameraId(format!("c{camera}")),
             width: 16,
@@ -123,6 +128,86 @@ impl Desk {
         let closed = |event| matches!(event, RecorderEvent::Closed(_));
         assert!(self.closed.iter().any(closed), "it closes");
         self.outcomes.lock().expect("not poisoned").clone()
+    }
+}
+
+/// Frames of two cameras that came before anything was triggered: of one before the recorder knew that, of the other behind.
+#[test]
+fn what_came_before_the_silence_is_nobodys_and_ids_count_from_behind_it() {
+    let mut desk = Desk::new(2);
+    // Their stamps and ids would fit trigger 0.
+    desk.frame(0, 0, 40, due(0) - 500_000_000);
+    desk.accounting.handle(RecorderCommand::Silent { until_ns: HOST_NS + due(0) - 100_000_000 });
+    desk.frame(1, 0, 7, due(0) - 400_000_000);
+    for trigger in 0..20 {
+        desk.report(trigger, due(trigger));
+        desk.frame(0, 0, 41 + trigger, due(trigger));
+        desk.frame(1, 0, 1 + trigger, due(trigger));
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 40);
+    for trigger in 0..20 {
+        let blocks = (outcomes[&(trigger, 0)], outcomes[&(trigger, 1)]);
+        assert_eq!(blocks, (Ok(41 + trigger), Ok(1 + trigger)), "{trigger}");
+    }
+}
+
+/// The process stood still until some 40 ms after trigger 0, and its first report came later: camera 1 has lost a frame of
+/// that time, and one long after it.
+#[test]
+fn a_pause_before_the_first_report_breaks_whole_sets() {
+    let mut desk = Desk::new(2);
+    (0..8).for_each(|k| desk.read_clocks(900_000_000 + k * 1_000_000));
+    desk.accounting.paused(Duration::from_millis(300), "it stood still", HOST_NS + due(0) + 5 * PERIOD_NS);
+    for trigger in 0..40 {
+        desk.report(trigger, due(trigger));
+        desk.frame(0, 0, trigger + 1, due(trigger));
+        if ![3, 30].contains(&trigger) {
+            desk.frame(1, 0, trigger + 1, due(trigger));
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 80);
+    for trigger in 0..40 {
+        let expected = match trigger {
+            3 => (Err(GapCause::NodePaused), Err(GapCause::NodePaused)),
+            30 => (Ok(31), Err(GapCause::MissingPackets)),
+            _ => (Ok(trigger + 1), Ok(trigger + 1)),
+        };
+        assert_eq!((outcomes[&(trigger, 0)], outcomes[&(trigger, 1)]), expected, "{trigger}");
+    }
+}
+
+/// Of two cameras the second sends nothing in the warm-up.
+#[test]
+fn a_camera_whose_place_is_not_known_behind_the_warm_up_is_named_once() {
+    let mut desk = Desk::warming_up(2, 8);
+    let at = |number: i64| (2_000_000_000 + number * PERIOD_NS as i64) as u64;
+    let told = |desk: &Desk| -> Vec<(usize, Option<String>)> {
+        let place = |event| match event {
+            RecorderEvent::Place { camera, unknown } => Some((camera, unknown)),
+            _ => None,
+        };
+        desk.closed.try_iter().filter_map(place).collect()
+    };
+    for number in -8..40i64 {
+        match u64::try_from(number) {
+            Ok(trigger) => desk.report(trigger, at(number)),
+            Err(_) => desk.accounting.handle(RecorderCommand::WarmUp { number, hsu_time_ns: at(number) }),
+        }
+        desk.frame(0, 0, (number + 9) as u64, at(number));
+        match number {
+            ..=4 => assert_eq!(told(&desk), [], "{number}: it may come late"),
+            5 => desk.accounting.awake += Duration::from_millis(450),
+            6 => {
+                let places = told(&desk);
+                assert_eq!(places.len(), 1, "{places:?}");
+                let (camera, why) = &places[0];
+                assert_eq!(*camera, 1);
+                assert!(why.as_ref().is_some_and(|why| why.contains("no frame has come")), "{why:?}");
+            }
+            _ => assert_eq!(told(&desk), [], "{number}: once"),
+        }
     }
 }
 

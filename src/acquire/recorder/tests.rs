@@ -142,7 +142,7 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
     commands_in.send(RecorderCommand::Drain { emitted: Some(triggers) }).expect("it runs");
     commands_in.send(RecorderCommand::Close { aborted: None }).expect("it runs");
     thread.join().expect("no panic");
-    let ring_full = events.try_iter().filter(|event| matches!(event, RecorderEvent::RingFull)).count();
+    let ring_full = events.try_iter().filter(|event| matches!(event, RecorderEvent::RingFull { .. })).count();
     let outcomes = outcomes.lock().expect("not poisoned").clone();
     Run { outcomes, kinds: kinds.try_iter().collect(), progress, ring_full }
 }

@@ -98,9 +98,8 @@ impl Devices {
 
     /// The longest exposure that ends, after the delay of its head, within the trigger period, us.
     fn most_us(&self, head: &Head) -> f64 {
-        let period_us = 1e6 / self.config.rig.trigger_rate_hz;
         // The unit wants some time left.
-        (period_us - head.delay_ns as f64 / 1e3 - 1.0).max(LEAST_US)
+        (head.exposure_limit_us(self.config.rig.trigger_rate_hz) - 1.0).max(LEAST_US)
     }
 
     fn head_of(&self, slot: &OpenCamera) -> Option<&Head> {

@@ -3,7 +3,7 @@
 
 use crate::data::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use crate::geometry::pattern::{Marker, Pattern};
-use crate::geometry::{Device, Ray};
+use crate::geometry::{Device, Fringes, Ray};
 use nalgebra::{Point3, Vector3};
 
 /// A triangulation pair with the figures that the stages derive from it.
@@ -48,25 +48,9 @@ impl CameraProjector {
     ) -> Result<Self, String> {
         let (min, max) = (calibration.volume_min_m, calibration.volume_max_m);
         let middle = Point3::from((Vector3::from(min) + Vector3::from(max)) / 2.0);
-        let (across, along) = panel_steps(&camera.device, &head.projector, &middle).ok_or_else(|| {
-            format!("camera {}: the middle of the volume is not seen by camera and projector", camera.id)
-        })?;
         let pattern = calibration.pattern.clone();
-        let period_px = pattern.period_px / across[0].abs();
-        if !(4.0..=40.0).contains(&period_px) || across[0].abs() < across[1].abs() {
-            return Err(format!(
-                "camera {}: expected fringes across the image columns with a period of 4 to 40 px, found {period_px:.1} px; check the roll of camera and projector",
-                camera.id
-            ));
-        }
-        let marker_period_px = pattern.marker_period_px / along[1].abs().max(1e-3);
-        // What filters the marker is as long as this.
-        if !(2.0..=200.0).contains(&marker_period_px) {
-            return Err(format!(
-                "camera {}: expected a marker that changes along itself with a period of 2 to 200 px in the image, found {marker_period_px:.1} px; check the pattern's marker_period_px",
-                camera.id
-            ));
-        }
+        let fringes = Fringes::seen_by(&camera.device, &head.projector, &pattern, &middle)
+            .map_err(|unusable| format!("camera {}: {unusable}", camera.id))?;
         let marker_contrast = match pattern.marker {
             // Mean 1 - depth / 2, amplitude depth / 2.
             Marker::Darkened { depth } => depth / 2.0 / (1.0 - depth / 2.0),
@@ -76,9 +60,9 @@ impl CameraProjector {
             camera: camera.device.clone(),
             projector: head.projector.clone(),
             rows: head.rows,
-            sign: across[0].signum() as f32,
-            period_px: period_px as f32,
-            marker_period_px: marker_period_px as f32,
+            sign: fringes.sign as f32,
+            period_px: fringes.period_px as f32,
+            marker_period_px: fringes.marker_period_px as f32,
             marker_contrast: marker_contrast as f32,
             markers: pattern.markers(head.projector.width),
             pattern,
@@ -113,20 +97,4 @@ impl CameraProjector {
     pub fn in_volume(&self, point: &Point3<f64>) -> bool {
         (0..3).all(|i| (self.volume_min_m[i]..=self.volume_max_m[i]).contains(&point[i]))
     }
-}
-
-/// Panel steps (u, v) of one image column and of one image row, on the plane through `middle` that faces the
-/// camera.
-fn panel_steps(camera: &Device, projector: &Device, middle: &Point3<f64>) -> Option<([f64; 2], [f64; 2])> {
-    let [u, v] = camera.project(middle)?;
-    let depth = camera.device_point(middle).z;
-    let panel = |u: f64, v: f64| {
-        let [x, y] = camera.lens.undistort(u, v)?;
-        let point = Point3::new(x * depth, y * depth, depth);
-        projector.project(&camera.world_from_device.isometry().transform_point(&point))
-    };
-    let step = |a: [f64; 2], b: [f64; 2]| [(b[0] - a[0]) / 8.0, (b[1] - a[1]) / 8.0];
-    let across = step(panel(u - 4.0, v)?, panel(u + 4.0, v)?);
-    let along = step(panel(u, v - 4.0)?, panel(u, v + 4.0)?);
-    Some((across, along))
 }

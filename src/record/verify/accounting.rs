@@ -2,6 +2,7 @@
 //! The accounting: outcomes counted again, and the trigger table.
 
 use super::{Notes, Severity};
+use crate::record::advice::Advice;
 use crate::record::layout::{GapCause, MAX_TRIGGERS};
 use crate::record::reader::{Outcome, RecordingReader};
 use crate::record::verdict::{Noted, REFUSED, Status, UNCONFIRMED, Verdict};
@@ -23,6 +24,7 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
         unconfirmed: noted.unconfirmed,
         changed: noted.changed,
         aborted: stored.and_then(|verdict| verdict.aborted.clone()),
+        advice: Advice::of_recording(recording),
     };
     verdict.status = verdict.judge();
     verdict
