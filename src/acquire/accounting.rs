@@ -13,6 +13,7 @@ use crate::base::time::host_time_ns;
 use crate::camera::Transfer;
 use crate::config::WhenFull;
 use crate::host::run_delay::{Starved, held_back};
+use crate::hsu::TriggerFlags;
 use crate::matcher::Matcher;
 use crate::matcher::trigger_table::TriggerTable;
 use crate::matcher::{Match, Matched, Sighting, Witness};
@@ -97,6 +98,8 @@ pub(super) struct Accounting {
 
 /// Kind of the event at the trigger at which Record was pressed.
 const RECORD_PRESSED: &str = "record_pressed";
+/// Kind of the event at the first trigger whose time contradicts the HSU's others.
+const HSU_TIMES_WRONG: &str = "hsu_times_wrong";
 /// A turn that took longer did not work for all of it.
 const LONGEST_TURN: Duration = TICK.saturating_mul(2);
 /// So long readings of a camera's clock that were asked for may take.
@@ -133,7 +136,7 @@ impl Accounting {
         Self {
             sets: Assembler::new(lanes.len(), options.set_patience, options.open_sets()),
             lanes: lanes.into_iter().map(lane).collect(),
-            table: TriggerTable::default(),
+            table: TriggerTable::new(options.period_ns),
             hsu: ClockFit::new(),
             ring,
             full: None,
@@ -177,16 +180,16 @@ impl Accounting {
             RecorderCommand::Trigger(record) => {
                 self.first_report(&record);
                 if let Ok(number) = i64::try_from(record.index.0) {
-                    self.table.insert(number, record.hsu_time_ns);
-                    self.hsu.heard(record.hsu_time_ns, record.host_time_ns);
+                    let late = record.flags & u32::from(TriggerFlags::LATE.0) != 0;
+                    self.hsu_reports(number, record.hsu_time_ns, late, record.host_time_ns);
                 }
                 self.count_triggers();
                 self.ring.small(ToWriter::Trigger(record));
                 self.advance_all();
             }
             RecorderCommand::Silent { until_ns } => self.silent_until(until_ns),
-            RecorderCommand::WarmUp { number, hsu_time_ns } if number < 0 => {
-                self.table.insert(number, hsu_time_ns);
+            RecorderCommand::WarmUp { number, hsu_time_ns, late, host_time_ns: heard_ns } if number < 0 => {
+                self.hsu_reports(number, hsu_time_ns, late, heard_ns);
                 self.beginning.reports += 1;
                 let sample = WarmUp::Trigger { number, hsu_time_ns };
                 self.ring.small(ToWriter::Event(sample.event(None, host_time_ns())));
@@ -224,6 +227,32 @@ impl Accounting {
                 self.last_settled = self.awake;
             }
             _ => {}
+        }
+    }
+
+    /// Notes when the HSU says that it fired a trigger. Its times are a source of their own: what contradicts their rhythm,
+    /// or was heard before it can have happened, confirms no frame.
+    fn hsu_reports(&mut self, number: i64, hsu_time_ns: u64, late: bool, heard_ns: u64) {
+        let fired = self.hsu.host_from_device(hsu_time_ns.into());
+        let slack = i128::from(self.options.period_ns / 8);
+        let possible = fired.is_none_or(|fired| fired <= i128::from(heard_ns) + slack);
+        let before = self.table.contradicting();
+        self.table.report(number, hsu_time_ns, late, possible);
+        match self.table.contradicting() > before {
+            false => self.hsu.heard(hsu_time_ns, heard_ns),
+            true if before == 0 => {
+                let text = format!(
+                    "the HSU's time of trigger {number}, {hsu_time_ns} ns, contradicts {}: frames from here on are filed by \
+                     what cameras count and stamp, as far as these agree (later ones are counted)",
+                    if possible {
+                        "the rhythm of its triggers"
+                    } else {
+                        "the report, which was heard before"
+                    }
+                );
+                self.event(HSU_TIMES_WRONG, None, u64::try_from(number).ok(), text);
+            }
+            true => {}
         }
     }
 
@@ -278,6 +307,11 @@ impl Accounting {
             let count = followers.iter_mut().zip(behind).map(|(place, next)| *place = next).count();
             if last_call {
                 self.infer_trigger(camera, &seen);
+            }
+            if self.lanes[camera].matcher.wants_habits()
+                && let Some(habits) = self.lanes.iter().find_map(|lane| lane.matcher.habits())
+            {
+                self.lanes[camera].matcher.presume(habits);
             }
             let lane = &mut self.lanes[camera];
             let answer = lane.matcher.assign(&seen, &followers[..count], &self.table, &self.hsu, last_call);
@@ -369,8 +403,15 @@ impl Accounting {
         // Frames lost on the way first: in which order the two happened is not to be known.
         let ignored_from = if back { trigger } else { trigger.saturating_sub(matched.ignored).max(start) };
         let cause = if back { absence } else { GapCause::MissingPackets };
-        self.missing(camera, start..ignored_from, cause);
-        self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
+        if start == 0 && !back {
+            // A camera that woke late ignored its first triggers; what came then and was given up came behind them.
+            let ignored_to = matched.ignored.min(trigger);
+            self.gaps(camera, 0..ignored_to, GapCause::NotTriggered);
+            self.missing(camera, ignored_to..trigger, cause);
+        } else {
+            self.missing(camera, start..ignored_from, cause);
+            self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
+        }
         if let Transfer::Breach(breach) = arrival.transfer {
             self.breach(camera, arrival.block_id, breach);
         }

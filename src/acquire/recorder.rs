@@ -33,6 +33,10 @@ pub enum RecorderCommand {
         number: i64,
         /// When it was fired, HSU clock, ns.
         hsu_time_ns: u64,
+        /// Whether the HSU flags it as late.
+        late: bool,
+        /// When the report arrived, host clock, ns.
+        host_time_ns: u64,
     },
     /// Nothing was triggered until then: what cameras sent before is no trigger's.
     Silent {

@@ -1,24 +1,29 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where a stream begins: which trigger its first block id stands for.
+//! Where a stream begins: which trigger its first frames are of.
 //!
-//! A stream is silent before the train starts, so its first block is the first warm-up trigger's. That alone would be
-//! one witness: a camera may ignore its first trigger, or lose its first frame. The second one is the rhythm of the
-//! warm-up: the HSU leaves longer pauses before some of its triggers (`hsu-protocol.md`), and only the right place
-//! makes the way from trigger to timestamp the same for all frames. How long that way is, is not assumed.
+//! Three sources say something of it, and two must agree. An armed stream is silent before the train starts, so by its
+//! **counter** the first block is the first warm-up trigger's, unless the camera ignored that. The HSU leaves longer pauses
+//! before some triggers of the warm-up (`hsu-protocol.md`), so the **clock** of the camera and the **arrivals** each show a
+//! rhythm: only at the right place is the way from trigger to timestamp, or to arrival, the same for all frames. How long
+//! that way is, is not assumed, and neither is it that the camera takes every trigger.
 
 use super::sighting::Sighting;
 use super::trigger_table::TriggerTable;
 
-/// The last frames that are looked at.
-const FRAMES: usize = 32;
-/// Places that are tried, in triggers after the one that silence gives.
-const SHIFTS: std::ops::RangeInclusive<i64> = -4..=16;
-/// A place is confirmed where three quarters of the frames fit, and so many more than at any other.
+/// Frames that are looked at: the first of the stream, which have the rhythm, and the last.
+const FRAMES: usize = 48;
+const FIRST: usize = 16;
+/// A place is heard where all frames but so many fit.
+const MISFITS: usize = 1;
+/// And so many more fit than at any other.
 const MARGIN: usize = 2;
-/// Frames before a place can be confirmed.
+const MARGIN_ALONE: usize = 3;
+/// Frames before a place can be heard.
 const ENOUGH: usize = 5;
-/// A frame may come so many periods after its trigger and no later.
-const DELAY_PERIODS: i128 = 4;
+/// So many periods around a place others are looked at.
+const AROUND: i64 = 4;
+/// A host may stand still for so long, ns: a frame may be of any trigger before its arrival.
+const STALL_NS: u64 = 400_000_000;
 
 /// A frame of the warm-up.
 #[derive(Debug, Clone, Copy)]
@@ -31,13 +36,38 @@ pub struct Early {
     pub arrived_ns: Option<i128>,
 }
 
-/// Where a stream stands.
+impl Early {
+    /// What a frame shows, `count` blocks after the first.
+    pub fn of(frame: &Sighting, count: i64, arrived_ns: Option<i128>) -> Self {
+        Self { count, camera_ns: frame.camera_ns, arrived_ns }
+    }
+}
+
+/// What a rhythm is heard in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Place {
-    /// A frame's trigger is its count and this.
-    pub offset: i64,
-    /// Whether the rhythm of the warm-up says so, too.
-    pub confirmed: bool,
+enum Heard {
+    /// The camera's timestamps.
+    Clock,
+    /// The arrivals on the host.
+    Arrivals,
+}
+
+impl Heard {
+    fn ns(self, frame: &Early) -> Option<i128> {
+        match self {
+            Self::Clock => frame.camera_ns.map(i128::from),
+            Self::Arrivals => frame.arrived_ns,
+        }
+    }
+}
+
+/// The triggers of a stream's first frames.
+#[derive(Debug, Clone)]
+pub struct Placed {
+    /// By the better of the two sources that agree; of each frame, as far as it gives one.
+    pub numbers: Vec<Option<i64>>,
+    /// Whether the other source gives that frame the same.
+    pub agreed: Vec<bool>,
 }
 
 /// Finds a stream's place from its first frames.
@@ -50,7 +80,7 @@ impl Anchoring {
     /// A frame came.
     pub fn add(&mut self, frame: Early) {
         if self.frames.len() == FRAMES {
-            self.frames.remove(0);
+            self.frames.remove(FIRST);
         }
         self.frames.push(frame);
     }
@@ -60,6 +90,11 @@ impl Anchoring {
         self.frames.last()
     }
 
+    /// The frames that are looked at, in order.
+    pub fn frames(&self) -> &[Early] {
+        &self.frames
+    }
+
     /// Whether a frame, so many ids after the stream's first, is the last one once more.
     pub fn is_copy(&self, frame: &Sighting, count: i64) -> bool {
         self.last().is_some_and(|last| {
@@ -67,128 +102,116 @@ impl Anchoring {
         })
     }
 
-    /// The frames that a place explains, with their triggers.
-    pub fn explained<'a>(
-        &'a self,
-        place: Place,
-        table: &'a TriggerTable,
-        period_ns: u64,
-    ) -> impl Iterator<Item = (i64, u64, &'a Early)> + 'a {
-        let fits = self.fits(place.offset, table, period_ns);
-        self.frames.iter().filter_map(move |frame| {
-            let number = frame.count.checked_add(place.offset)?;
-            let due = table.reported_ns(number)?;
-            let usual = fits?.usual_ns;
-            let residual = self.seen_ns(frame)? - i128::from(due) - usual;
-            (residual.abs() <= self.tolerance_ns(period_ns)).then_some((number, due, frame))
-        })
+    /// The triggers of the frames, where two sources agree on them. `first` is the number of the first trigger.
+    pub fn place(&self, first: i64, table: &TriggerTable, period_ns: u64) -> Option<Placed> {
+        let by_clock = self.rhythm(Heard::Clock, MARGIN, table, period_ns);
+        // Beside the clock as much is enough; alone arrivals may be regular by chance.
+        let margin = if by_clock.is_some() { MARGIN } else { MARGIN_ALONE };
+        let by_arrivals = self.rhythm(Heard::Arrivals, margin, table, period_ns);
+        let by_count: Vec<Option<i64>> =
+            self.frames.iter().map(|frame| first.checked_add(frame.count)).collect();
+        let agree = |one: &[Option<i64>], other: &[Option<i64>]| {
+            let both = || one.iter().zip(other).filter_map(|(one, other)| one.as_ref().zip(other.as_ref()));
+            let alike = both().filter(|(one, other)| one == other).count();
+            // What holds of the last frames counts: a camera that ignored a trigger meanwhile stands elsewhere now.
+            let last = both().next_back().is_some_and(|(one, other)| one == other);
+            last && alike >= ENOUGH.min(self.frames.len()) && alike * 4 >= both().count() * 3
+        };
+        // Of a counter that went back nothing is known.
+        let counts = self.frames.windows(2).all(|two| two[0].count < two[1].count);
+        let by_count = if counts { by_count } else { Vec::new() };
+        let placed = |numbers: Vec<Option<i64>>, other: Vec<Option<i64>>| {
+            let agreed = numbers.iter().zip(other).map(|(one, other)| one.is_some() && *one == other);
+            Some(Placed { agreed: agreed.collect(), numbers })
+        };
+        match (by_clock, by_arrivals) {
+            (Some(clock), Some(arrivals)) if agree(&clock, &arrivals) => placed(clock, arrivals),
+            (None, Some(arrivals)) if agree(&by_count, &arrivals) => {
+                let refuted = self.has_stamps() && self.clock_speaks_against(&arrivals, table, period_ns);
+                if refuted { None } else { placed(by_count, arrivals) }
+            }
+            (Some(clock), None) if agree(&by_count, &clock) => placed(by_count, clock),
+            _ => None,
+        }
     }
 
-    /// The place, where the frames so far allow one. `first` is the number of the first trigger.
-    pub fn place(&self, first: i64, table: &TriggerTable, period_ns: u64) -> Option<Place> {
-        let (mut best, mut second): (Option<(i64, Fit)>, usize) = (None, 0);
-        // By distance from what silence says: of equals the nearest wins.
-        let mut shifts: Vec<i64> = SHIFTS.collect();
-        shifts.sort_by_key(|shift| shift.abs());
-        for shift in shifts {
-            let Some(fit) = self.fits(first.checked_add(shift)?, table, period_ns) else { continue };
+    /// The triggers that a rhythm gives the frames; `None` where no place stands out by `margin` frames.
+    fn rhythm(
+        &self,
+        heard: Heard,
+        margin: usize,
+        table: &TriggerTable,
+        period_ns: u64,
+    ) -> Option<Vec<Option<i64>>> {
+        let known = |frame: &&Early| heard.ns(frame).is_some() && frame.arrived_ns.is_some();
+        let reference = self.frames.iter().rev().find(known)?;
+        let (arrived, at) = (reference.arrived_ns?, heard.ns(reference)?);
+        let period = i128::from(period_ns);
+        let (latest, behind) = table.nearest(arrived + period / 8)?;
+        // Whatever was fired by then must be reported: of the others it is not known whether they fit better.
+        let oldest = latest.saturating_sub(2 * FRAMES as i64).max(table.first());
+        let reported = (oldest..=latest).all(|number| table.reported_ns(number).is_some());
+        if !reported || behind > period * 5 / 4 {
+            return None;
+        }
+        let (mut best, mut second): (Option<(usize, Vec<Option<i64>>)>, usize) = (None, 0);
+        // Ids count no more than was fired.
+        let slowest = latest.saturating_sub((STALL_NS / period_ns.max(1)) as i64);
+        let counted = table.first().saturating_add(reference.count).min(latest).max(slowest);
+        for number in (counted.saturating_sub(AROUND)..=latest).rev() {
+            let Some(due) = table.reported_ns(number) else { continue };
+            if arrived - i128::from(due) < -period / 8 {
+                continue;
+            }
+            let numbers = self.fit(heard, at - i128::from(due), table, period_ns);
+            let fit = numbers.iter().flatten().count();
             match &best {
-                Some((_, found)) if fit.frames <= found.frames => second = second.max(fit.frames),
+                Some((found, _)) if fit <= *found => second = second.max(fit),
                 found => {
-                    second = second.max(found.as_ref().map_or(0, |(_, fit)| fit.frames));
-                    best = Some((shift, fit));
+                    second = second.max(found.as_ref().map_or(0, |(found, _)| *found));
+                    best = Some((fit, numbers));
                 }
             }
         }
-        let (shift, fit) = best?;
-        let most = fit.frames * 4 >= self.frames.len() * 3;
-        // Arrivals alone may be regular by chance.
-        let margin = if self.has_stamps() { MARGIN } else { 2 * MARGIN };
-        let confirmed = most && fit.frames >= ENOUGH && fit.frames >= second + margin;
-        if fit.unknown > 0 {
-            return None;
-        }
-        let in_time = fit.arrival_ns.is_none_or(|ns| ns <= DELAY_PERIODS * i128::from(period_ns));
-        (in_time && (confirmed || shift == 0)).then_some(Place { offset: first + shift, confirmed })
+        let (fit, numbers) = best?;
+        let heard_of = self.frames.iter().filter(known).count();
+        let most = heard_of - fit <= MISFITS;
+        (most && fit >= ENOUGH && fit >= second + margin).then_some(numbers)
     }
 
-    /// How well the frames fit a place; `None` where it cannot be, or where the last frames speak against it.
-    fn fits(&self, offset: i64, table: &TriggerTable, period_ns: u64) -> Option<Fit> {
-        let way = |frame: &Early| {
-            let due = i128::from(table.reported_ns(frame.count.checked_add(offset)?)?);
-            Some((self.seen_ns(frame)? - due, frame.arrived_ns.map(|ns| ns - due)))
+    /// Whether the clock fits another place better than the one that counter and arrivals give.
+    fn clock_speaks_against(&self, place: &[Option<i64>], table: &TriggerTable, period_ns: u64) -> bool {
+        let ns = |frame: &Early| Heard::Clock.ns(frame);
+        let placed = self.frames.iter().zip(place).rev().find_map(|(frame, number)| ns(frame).zip(*number));
+        let Some((at, due)) = placed.and_then(|(ns, number)| Some((ns, table.reported_ns(number)?))) else {
+            return true;
         };
-        let open = |frame: &&Early| {
-            let number = frame.count.saturating_add(offset);
-            number >= table.end() || (table.time_ns(number).is_some() && table.reported_ns(number).is_none())
-        };
-        let open = self.frames.iter().filter(open);
-        // A trigger without a report may have been fired all the same, if it is not too early for it.
-        let latest = i128::from(table.latest_ns()?);
-        let fired = |frame: &Early| {
-            // Of a file's block ids anything may come.
-            let ahead = frame.count.saturating_add(offset).saturating_sub(table.end()).saturating_add(1);
-            let earliest = latest + i128::from(ahead) * i128::from(period_ns) * 7 / 8;
-            ahead <= 0
-                || frame.arrived_ns.is_none_or(|arrived| arrived + i128::from(period_ns / 8) >= earliest)
-        };
-        if !open.clone().all(fired) {
-            return None;
-        }
-        let unknown = open.count();
-        let arrival_of = |frame: &Early| way(frame).and_then(|(_, arrival)| arrival);
-        // What holds of the last frames counts: a camera that ignored a trigger meanwhile stands elsewhere now.
-        let mut known = self.frames.iter().rev().filter_map(way).map(|(way, _)| way);
-        let Some(usual_ns) = known.next() else {
-            return Some(Fit { frames: unknown, unknown, usual_ns: 0, arrival_ns: None });
-        };
-        let tolerance = self.tolerance_ns(period_ns);
-        if known.next().is_some_and(|before| (before - usual_ns).abs() > tolerance) {
-            return None;
-        }
-        let near = |frame: &&Early| way(frame).is_some_and(|(way, _)| (way - usual_ns).abs() <= tolerance);
-        let mut arrivals: Vec<i128> = self.frames.iter().filter(near).filter_map(arrival_of).collect();
-        arrivals.sort_unstable();
-        // Nothing arrives before its trigger.
-        if arrivals.first().is_some_and(|ns| *ns < -i128::from(period_ns / 8)) {
-            return None;
-        }
-        let frames = self.frames.iter().filter(near).count() + unknown;
-        Some(Fit { frames, unknown, usual_ns, arrival_ns: arrivals.get(arrivals.len() / 2).copied() })
+        let fit = |way_ns: i128| self.fit(Heard::Clock, way_ns, table, period_ns).iter().flatten().count();
+        let (way, period) = (at - i128::from(due), i128::from(period_ns));
+        let here = fit(way);
+        (-AROUND..=AROUND).any(|by| fit(way + i128::from(by) * period) > here)
     }
 
-    /// When a frame was seen: by its timestamp, or where the camera gives none, by its arrival.
-    fn seen_ns(&self, frame: &Early) -> Option<i128> {
-        if self.has_stamps() { frame.camera_ns.map(i128::from) } else { frame.arrived_ns }
+    /// The triggers of the frames, were the way to what is heard this long.
+    fn fit(&self, heard: Heard, way_ns: i128, table: &TriggerTable, period_ns: u64) -> Vec<Option<i64>> {
+        let period = i128::from(period_ns);
+        let mut taken = i64::MIN;
+        let mut fit = |frame: &Early| {
+            let (number, residual) = table.nearest(heard.ns(frame)? - way_ns)?;
+            let due = i128::from(table.reported_ns(number)?);
+            let caused = frame.arrived_ns.is_some_and(|ns| ns >= due - period / 8);
+            // A third of the pause that the rhythm adds.
+            let fits = residual.abs() <= period / 6 && caused && number > taken;
+            if fits {
+                taken = number;
+            }
+            fits.then_some(number)
+        };
+        self.frames.iter().map(&mut fit).collect()
     }
 
     /// Whether the camera gives timestamps.
     pub fn has_stamps(&self) -> bool {
         self.frames.iter().filter(|frame| frame.camera_ns.is_some()).count() * 2 > self.frames.len()
-    }
-
-    /// Ways that differ by no more are the same: a third of the pause that the rhythm adds.
-    fn tolerance_ns(&self, period_ns: u64) -> i128 {
-        i128::from(period_ns) / 6
-    }
-}
-
-/// How well frames fit a place.
-#[derive(Debug, Clone, Copy)]
-struct Fit {
-    /// Those whose way from the trigger is the same, or may be.
-    frames: usize,
-    /// Of these, the ones whose triggers are not reported yet.
-    unknown: usize,
-    /// That way, ns: to the timestamp, of the camera's clock, or to the arrival.
-    usual_ns: i128,
-    /// The median way to the arrival, ns.
-    arrival_ns: Option<i128>,
-}
-
-impl Early {
-    /// What a frame shows, `count` blocks after the first.
-    pub fn of(frame: &Sighting, count: i64, arrived_ns: Option<i128>) -> Self {
-        Self { count, camera_ns: frame.camera_ns, arrived_ns }
     }
 }

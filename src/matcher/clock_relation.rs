@@ -73,44 +73,60 @@ pub(super) struct Latency {
     /// The last ones, ns, the newest at `frames - 1` modulo their number.
     last: [i64; Self::KEPT],
     frames: usize,
+    /// Frames in a row that came two periods later than the quickest.
+    late: usize,
+}
+
+/// How soon after its trigger a frame arrives at the earliest, and how regularly frames do.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Envelope {
+    /// The shortest way that several frames had, ns.
+    pub(super) least_ns: i128,
+    /// Whether most frames come within a quarter of a period of it.
+    pub(super) regular: bool,
+    /// Within three quarters: else arrivals do not tell one trigger from the next.
+    pub(super) tells: bool,
 }
 
 impl Latency {
     const KEPT: usize = 32;
-    /// Of those that are kept, so many must be alike.
+    /// So many frames must be alike, of those that are kept.
     const ALIKE: usize = 3;
+    /// Frames before anything is known.
+    const ENOUGH: usize = 5;
 
-    /// Learns from a frame whose trigger two witnesses agree on.
-    pub(super) fn follow(&mut self, latency_ns: i128) {
+    /// Learns from a frame whose trigger two witnesses agree on. What stood in a queue teaches nothing, unless all do.
+    pub(super) fn follow(&mut self, latency_ns: i128, period_ns: u64) {
+        let envelope = self.envelope(period_ns);
+        let queued = envelope.is_some_and(|known| latency_ns > known.least_ns + 2 * i128::from(period_ns));
+        self.late = if queued { self.late + 1 } else { 0 };
+        if queued && self.late <= 2 * Self::KEPT {
+            return;
+        }
         self.last[self.frames % Self::KEPT] = i64::try_from(latency_ns).unwrap_or(i64::MAX);
         self.frames += 1;
     }
 
-    /// Whether enough frames are known to choose between two explanations by it.
-    pub(super) fn is_known(&self) -> bool {
-        self.frames >= Self::KEPT / 2
-    }
-
-    /// The usual latency: that of the quickest frames, which have stood in no queue. `None` where they are not regular
-    /// enough to tell triggers a period apart.
-    pub(super) fn usual_ns(&self, period_ns: u64) -> Option<i128> {
+    /// `None` where too little is known.
+    pub(super) fn envelope(&self, period_ns: u64) -> Option<Envelope> {
         let mut known = self.last;
         let known = &mut known[..self.frames.min(Self::KEPT)];
         known.sort_unstable();
         let alike = Self::ALIKE.max(known.len() / 8);
-        let reach = (period_ns / 8) as i64;
+        let reach = (period_ns / 4) as i64;
         let quickest =
             known.windows(alike).find(|alike| alike[alike.len() - 1].saturating_sub(alike[0]) <= reach)?;
-        // Where many come half a period later than they (Aravis takes packets off its socket every 5 ms where few come),
-        // arrivals do not tell triggers apart.
-        let in_time =
-            known.iter().filter(|ns| **ns <= quickest[0].saturating_add((period_ns / 2) as i64)).count();
-        if in_time * 3 < known.len() * 2 {
-            return None;
-        }
-        // The middle of all that are like them.
-        let alike = known.iter().filter(|ns| (quickest[0]..=quickest[0].saturating_add(reach)).contains(*ns));
-        let count = alike.clone().count();
-        alike.clone().nth(count / 2).map(|ns| i128::from(*ns))
+        let least = quickest[0];
+        // Aravis takes packets off its socket every 5 ms where few come.
+        let within = |part: u64, share: usize| {
+            let end = least.saturating_add((period_ns / 4 * part) as i64);
+            known.iter().filter(|ns| (least..=end).contains(*ns)).count() * 8 >= known.len() * share
+        };
+        let regular = within(1, 7);
+        (known.len() >= Self::ENOUGH).then(|| Envelope {
+            least_ns: least.into(),
+            regular,
+            tells: regular || (known.len() >= Self::KEPT / 2 && within(3, 7)),
+        })
     }
 }

@@ -1,20 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which trigger a frame belongs to, by three witnesses: its block id, its timestamp, and its arrival.
+//! Which trigger a frame belongs to, by sources that do not know of each other.
 //!
-//! * The **block id** counts what the camera sent: one that ignored a trigger does not skip an id. Its beginning is
-//!   known, because an armed stream is silent until the train starts ([`anchor`]).
-//! * The **timestamp**, brought to the HSU's clock by the frames before it, names the trigger by its time. How long
-//!   after a trigger a camera stamps is measured with the first frames.
-//! * The **arrival** on the host errs towards late only; how late it usually is, is measured likewise.
+//! * The **counter**, block ids, counts what the camera sent: one that ignored a trigger does not skip an id, so a frame is
+//!   of the trigger that its id points at or of a later one. Where ids begin is known, because an armed stream is silent
+//!   until the train starts ([`anchor`]).
+//! * The camera's **clock**, timestamps and readings alike, names the trigger by its time. How long after a trigger a
+//!   camera stamps is measured with the first frames.
+//! * The **host's clock**, the arrival: nothing arrives before its trigger was fired, nor sooner behind it than the
+//!   quickest frames. A late arrival says nothing: a host may stand still.
+//! * The **HSU's table** has a rhythm of its own ([`trigger_table`]).
 //!
-//! A frame is filed where two of them agree. Where id and timestamp disagree, the frames behind it and a reading of the
-//! camera's clock ([`reading`]) say what happened ([`contradiction`]); where nothing says so, the frame is given up,
-//! never guessed.
+//! A frame is filed where two of the first three agree on a trigger and the third does not refute it. Where counter and
+//! clock contradict each other, the arrivals of this frame and of those behind it decide ([`dispute`]); where they do
+//! not, the frame is given up, never guessed.
 
 pub mod anchor;
 pub mod block_ids;
 mod clock_relation;
-mod contradiction;
+mod dispute;
 mod reading;
 mod rejoin;
 mod sighting;
@@ -26,7 +29,7 @@ use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 use crate::base::ids::BlockId;
 use anchor::{Anchoring, Early};
 use block_ids::BlockIds;
-use clock_relation::{Latency, Tracker};
+use clock_relation::{Envelope, Latency, Tracker};
 use reading::{CameraClock, LATE_PERIODS};
 use trigger_table::{Schedule, TriggerTable};
 
@@ -34,6 +37,8 @@ use trigger_table::{Schedule, TriggerTable};
 const TRACKER_REACH_NS: i128 = 2_000_000_000;
 /// After a contradiction, so many frames are looked at closely.
 const DOUBT: u32 = 16;
+/// Behind a frame that no rhythm places so many are waited for.
+const LIKE_FOLLOWERS: usize = 5;
 /// So many frames given up in a row mean that what is known of ids and clock is wrong.
 const GIVEN_UP_MAX: u32 = 8;
 
@@ -48,17 +53,26 @@ pub struct Start {
     pub hsu_minus_host_ns: Option<i128>,
 }
 
+/// How long a camera takes from a trigger to the timestamp and to the frame's arrival.
+#[derive(Debug, Clone, Copy)]
+pub struct Habits {
+    stamp_delay_ns: i128,
+    latency: Latency,
+}
+
 /// The last frame that got a trigger.
 #[derive(Debug, Clone, Copy)]
 struct Last {
     number: i64,
     camera_ns: Option<u64>,
+    /// It arrived as soon as the quickest.
+    in_time: bool,
 }
 
 /// How far a stream's identity is known.
 #[derive(Debug)]
 enum Stage {
-    /// The train is about to begin, or in its warm-up; so many ids after the first.
+    /// The train is about to begin, or in its warm-up; the last frame came so many ids after the first.
     Beginning(Anchoring, Option<i64>),
     /// Ids count from a known trigger.
     Known,
@@ -83,10 +97,16 @@ pub struct Matcher {
     given_up: u32,
     /// So many frames must still be in order before arrivals need not confirm id and stamp any more.
     doubt: u32,
+    /// Counter and clock contradicted each other, and nothing told which was right: that they agree again proves nothing.
+    unsettled: bool,
+    /// The first id of the stream with which the session began.
+    first_id: Option<BlockId>,
+    /// What cameras like this one take from a trigger, until it is measured.
+    like: Option<Habits>,
+    /// The camera took every so manieth trigger, as far as the last two tell.
+    pace: Option<i64>,
     /// The trigger that a given-up frame's arrival named.
     arrived: Option<(BlockId, i64)>,
-    /// What happened to ids and clock could not be told: that they agree with each other proves nothing.
-    unsettled: bool,
 }
 
 /// A frame, and all there is to judge it by.
@@ -104,9 +124,19 @@ struct Case<'a> {
     last_call: bool,
 }
 
+impl Case<'_> {
+    /// Whether triggers may have been fired before a frame's arrival of which there is no report.
+    fn frame_is_ahead(&self, arrived: Option<i128>, period_ns: u64) -> bool {
+        let latest = (0..self.table.end()).rev().take(64).find_map(|number| self.table.reported_ns(number));
+        arrived.zip(latest).is_none_or(|(ns, latest)| ns > i128::from(latest) + i128::from(period_ns * 5 / 4))
+    }
+}
+
 impl Matcher {
-    /// Of the frames behind the one in question, so many are of use.
-    pub const FOLLOWERS: usize = 6;
+    /// Of the frames behind the one in question, so many are looked at: more than come in one burst.
+    pub const FOLLOWERS: usize = 48;
+    /// In the warm-up so many.
+    const FIRST_FOLLOWERS: usize = 16;
 
     /// Before the session.
     pub fn new(start: Start) -> Self {
@@ -123,8 +153,11 @@ impl Matcher {
             last: None,
             given_up: 0,
             doubt: 0,
-            arrived: None,
             unsettled: false,
+            pace: None,
+            first_id: None,
+            like: None,
+            arrived: None,
         }
     }
 
@@ -139,6 +172,24 @@ impl Matcher {
         self.clock.takes_wish()
     }
 
+    /// How long this camera takes, where that is measured.
+    pub fn habits(&self) -> Option<Habits> {
+        let known = matches!(self.stage, Stage::Known) && self.like.is_none() && self.envelope()?.tells;
+        let stamp_delay_ns = self.clock.stamp_delay_ns().filter(|_| known)?;
+        Some(Habits { stamp_delay_ns, latency: self.latency })
+    }
+
+    /// Whether it is still looked for how long this camera takes.
+    pub fn wants_habits(&self) -> bool {
+        matches!(self.stage, Stage::Beginning(..)) && self.like.is_none()
+    }
+
+    /// What another camera of the same head or make takes: a camera that slept through the warm-up is placed by it, where
+    /// its clock and its arrivals both bear it out.
+    pub fn presume(&mut self, like: Habits) {
+        self.like = Some(like);
+    }
+
     /// The camera's clock against the host's.
     pub fn clock(&self) -> &ClockFit {
         &self.clock.fit
@@ -150,13 +201,12 @@ impl Matcher {
         self.clock.restart();
         self.ids = BlockIds::default();
         self.lost_before = 0;
-        self.unsettled = false;
         self.stage = match train_began {
             true => Stage::Lost(rejoin::Rejoin { before: self.tracker.take() }),
             false => Stage::Beginning(Anchoring::default(), None),
         };
-        (self.given_up, self.arrived) = (0, None);
-        self.last = self.last.map(|last| Last { camera_ns: None, ..last });
+        (self.given_up, self.arrived, self.unsettled, self.first_id) = (0, None, false, None);
+        self.last = self.last.map(|last| Last { camera_ns: None, in_time: false, ..last });
     }
 
     /// What a frame says of its trigger by itself: the number by its id, and the time (HSU clock, ns) by its timestamp.
@@ -189,11 +239,11 @@ impl Matcher {
         if self.is_repeated(frame, step) {
             return Match::Repeated;
         }
-        if table.is_empty() {
+        if table.is_empty() && !(last_call && matches!(self.stage, Stage::Beginning(..))) {
             return if last_call { Match::BeforeTrain } else { Match::Wait };
         }
         if matches!(self.stage, Stage::Beginning(..))
-            && let Some(answer) = self.begin(frame, table, hsu, last_call)
+            && let Some(answer) = self.begin(frame, followers, table, hsu, last_call)
         {
             return answer;
         }
@@ -206,146 +256,158 @@ impl Matcher {
         if matches!(self.stage, Stage::Lost(_)) {
             return self.rejoin(&case);
         }
+        let given_up = self.given_up;
         let answer = if frame.complete { self.whole(&case) } else { self.torn(&case) };
+        if answer == Match::Undecided && case.frame_is_ahead(self.arrived_ns(frame.host_ns, hsu), period_ns) {
+            // For want of reports: that says nothing against ids and clock.
+            self.given_up = given_up;
+        }
         if answer == Match::Undecided && self.given_up >= GIVEN_UP_MAX {
             self.stage = Stage::Lost(rejoin::Rejoin { before: self.tracker.take() });
         }
         answer
     }
 
-    /// A frame of a stream whose place in the train is not settled yet; `None` once it is, by the frames of the warm-up alone.
+    /// A frame of a stream whose place in the train is not settled yet; `None` once it is, by the frames before this one.
     fn begin(
         &mut self,
         frame: &Sighting,
+        followers: &[Sighting],
         table: &TriggerTable,
         hsu: &ClockFit,
         last_call: bool,
     ) -> Option<Match> {
         let period_ns = self.start.period_ns;
+        let (first, warm_up) = (-i64::from(self.start.warm_up), i64::from(self.start.warm_up));
         let arrived = self.arrived_ns(frame.host_ns, hsu);
-        let first = -i64::from(self.start.warm_up);
-        let Stage::Beginning(anchoring, count) = &mut self.stage else { return Some(Match::Wait) };
+        let Stage::Beginning(anchoring, count) = &self.stage else { return Some(Match::Wait) };
         let next = count.map_or(0, |count: i64| count.saturating_add(self.ids.step(frame.id).unwrap_or(1)));
-        let provisional = first.saturating_add(next);
-        if table.reported_ns(provisional).is_none() && !last_call {
-            return Some(Match::Wait);
+        let before = |due: u64| arrived.is_some_and(|ns| ns + i128::from(period_ns / 8) < due.into());
+        if table.first() <= first && count.is_none() && table.time_ns(first).is_some_and(before) {
+            return Some(Match::BeforeTrain);
         }
         if count.is_some() && anchoring.is_copy(frame, next) {
             return Some(Match::Repeated);
         }
-        let before = |due: u64| arrived.is_some_and(|ns| ns + i128::from(period_ns / 8) < due.into());
-        if count.is_none() && table.time_ns(first).is_some_and(before) {
-            return Some(Match::BeforeTrain);
+        // Triggers that can have been fired when it arrived.
+        let fired = arrived.map(|ns| table.expected_until(ns, period_ns));
+        let newest = fired.and_then(|fired| Some(fired.nearest(arrived? - i128::from(period_ns * 3 / 8))?.0));
+        let of_warm_up = newest.is_some_and(|newest| newest < 0);
+        if !last_call && newest.is_none_or(|newest| newest >= table.end()) {
+            return Some(Match::Wait);
         }
-        // Whether the rhythm is over, and all of it is reported: what it does not tell then is not to be known any more.
-        let warm_up = i64::from(self.start.warm_up);
-        let told = (first..warm_up).all(|number| table.reported_ns(number).is_some());
-        if let Some(before) = *count
-            && provisional > warm_up
-        {
-            // Its reports were held up for so long that its frames could not be told then.
-            if let Some(place) = anchoring.place(first, table, period_ns).filter(|place| place.confirmed) {
-                self.settle_late(place, before, table);
-                return None;
-            }
-            *count = Some(next);
-            self.ids.take(frame.id);
-            if told {
-                self.stage = Stage::Lost(rejoin::Rejoin { before: None });
-            }
-            return Some(self.give_up(frame));
-        }
-        self.ids.take(frame.id);
-        *count = Some(next);
+        let mut with_this = anchoring.clone();
         if frame.complete {
-            anchoring.add(Early::of(frame, next, arrived));
+            with_this.add(Early::of(frame, next, arrived));
         }
-        let place = anchoring.place(first, table, period_ns);
-        // Where there is a rhythm, it must be heard.
-        let place = place.filter(|place| place.confirmed || !table.has_rhythm(first, period_ns));
-        let number = place.map_or(provisional, |place| next.saturating_add(place.offset));
-        let settled = place.filter(|place| place.confirmed || number >= 0);
-        if let Some(place) = settled {
-            let anchoring = std::mem::take(anchoring);
-            self.settle(&anchoring, place, table);
-            let witness = if place.confirmed { Witness::Two } else { Witness::One };
-            (self.base, self.stage, self.given_up) = (number, Stage::Known, 0);
-            self.last = Some(Last { number, camera_ns: frame.camera_ns });
-            return Some(Match::Trigger(Matched { number, witness, lost: 0, ignored: 0, finding: None }));
+        let followers = &followers[..followers.len().min(Self::FIRST_FOLLOWERS)];
+        let mut with_all = with_this.clone();
+        for follower in followers.iter().filter(|_| frame.complete) {
+            let steps = self.ids.between(frame.id.0, follower.id.0);
+            with_all.add(Early::of(
+                follower,
+                next.saturating_add(steps),
+                self.arrived_ns(follower.host_ns, hsu),
+            ));
         }
-        if number >= 0 {
-            if provisional >= warm_up && told {
-                self.stage = Stage::Lost(rejoin::Rejoin { before: None });
-            }
+        let own = |placed: &anchor::Placed| {
+            let place = placed.numbers.len().checked_sub(followers.len() + 1)?;
+            placed.numbers.get(place).copied().flatten().filter(|_| placed.agreed[place])
+        };
+        let placed = with_all.place(first, table, period_ns);
+        if let Some(placed) = placed.filter(|_| frame.complete)
+            && let Some(number) = own(&placed)
+        {
+            self.first_id.get_or_insert(frame.id);
+            return Some(self.settle(frame, number, &with_all, &placed.numbers, table));
+        }
+        let told = (first..=0).all(|number| table.reported_ns(number).is_some());
+        let silent = first.saturating_add(next);
+        // Without a rhythm the silence before the train is the only witness.
+        let mute = told && silent >= 0 && !table.has_rhythm(first, period_ns);
+        if mute && frame.complete && table.reported_ns(silent).is_some_and(|due| !before(due)) {
+            let numbers: Vec<Option<i64>> =
+                with_this.frames().iter().map(|frame| first.checked_add(frame.count)).collect();
+            let answer = self.settle(frame, silent, &with_this, &numbers, table);
+            return Some(match answer {
+                Match::Trigger(matched) => Match::Trigger(Matched { witness: Witness::One, ..matched }),
+                answer => answer,
+            });
+        }
+        // Frames that may be the session's wait for those behind them. The rhythm is over once they are no more of the
+        // warm-up: then what cameras alike take from a trigger must do.
+        let unheard = !of_warm_up && told && followers.len() >= LIKE_FOLLOWERS;
+        if unheard && let Some(like) = self.like {
+            self.first_id.get_or_insert(frame.id);
+            self.clock.presume(like.stamp_delay_ns);
+            self.latency = like.latency;
+            self.stage = Stage::Lost(rejoin::Rejoin { before: None });
+            return None;
+        }
+        if !of_warm_up && !last_call {
+            return Some(Match::Wait);
+        }
+        self.first_id.get_or_insert(frame.id);
+        self.ids.take(frame.id);
+        // The rhythm is over, and all of it is reported: what it does not tell now is not to be known any more.
+        let last = with_all.last().and_then(|last| last.arrived_ns).zip(table.latest_ns());
+        let all = last.is_some_and(|(ns, latest)| ns <= i128::from(latest) + i128::from(period_ns * 9 / 8));
+        self.stage = match told && all && silent > 2 * warm_up {
+            true => Stage::Lost(rejoin::Rejoin { before: None }),
+            false => Stage::Beginning(with_this, Some(next)),
+        };
+        if !of_warm_up {
             return Some(self.give_up(frame));
         }
+        let number = silent.min(-1);
         Some(Match::Trigger(Matched { number, witness: Witness::Two, lost: 0, ignored: 0, finding: None }))
     }
 
-    /// The warm-up tells the place, many frames later: those that come now are judged as all others, and by their arrivals, too.
-    fn settle_late(&mut self, place: anchor::Place, count: i64, table: &TriggerTable) {
-        let Stage::Beginning(anchoring, _) = std::mem::replace(&mut self.stage, Stage::Known) else { return };
-        self.settle(&anchoring, place, table);
-        (self.base, self.given_up, self.doubt) = (count.saturating_add(place.offset), 0, DOUBT);
-        self.last = anchoring.last().map(|frame| {
-            let number = frame.count.saturating_add(place.offset);
-            Last { number, camera_ns: frame.camera_ns }
-        });
-    }
-
-    /// Learns from the warm-up how the camera's clock runs, and how long its frames take to arrive.
-    fn settle(&mut self, anchoring: &Anchoring, place: anchor::Place, table: &TriggerTable) {
-        for (_, due, frame) in anchoring.explained(place, table, self.start.period_ns) {
-            if let Some(camera_ns) = frame.camera_ns.filter(|_| anchoring.has_stamps()) {
-                Tracker::learn(&mut self.tracker, due, camera_ns);
+    /// The first frames' triggers are known: learns from them how the camera's clock runs, and how long frames take to
+    /// arrive. This frame's is `number`.
+    fn settle(
+        &mut self,
+        frame: &Sighting,
+        number: i64,
+        anchoring: &Anchoring,
+        numbers: &[Option<i64>],
+        table: &TriggerTable,
+    ) -> Match {
+        let placed = || {
+            anchoring.frames().iter().zip(numbers).filter_map(|(frame, number)| {
+                let number = (*number)?;
+                Some((number, table.reported_ns(number)?, frame))
+            })
+        };
+        // Of frames whose stamps stand as this one's: a slip in the warm-up must not be learned.
+        let way = |due: u64, camera_ns: u64| i128::from(camera_ns) - i128::from(due);
+        let own = frame.camera_ns.zip(table.reported_ns(number)).map(|(ns, due)| way(due, ns));
+        let near = i128::from(self.start.period_ns / 6);
+        for (other, due, early) in placed() {
+            if let Some(arrived) = early.arrived_ns {
+                self.latency.follow(arrived - i128::from(due), self.start.period_ns);
             }
-            if let Some(arrived) = frame.arrived_ns {
-                self.latency.follow(arrived - i128::from(due));
+            let stamp = early.camera_ns.filter(|_| anchoring.has_stamps() && other <= number);
+            if let Some(camera_ns) =
+                stamp.filter(|ns| own.is_some_and(|own| (way(due, *ns) - own).abs() <= near))
+            {
+                Tracker::learn(&mut self.tracker, due, camera_ns);
             }
         }
         self.clock.ask();
+        self.doubt = 0;
+        Match::Trigger(self.place(frame, number, None))
     }
 
     /// A frame that arrived whole, of a stream whose ids count from a known trigger.
     fn whole(&mut self, case: &Case<'_>) -> Match {
-        let due = case.table.time_ns(case.by_id);
-        if due.is_none() && !case.last_call {
+        if case.table.time_ns(case.by_id).is_none() && !case.last_call {
             return Match::Wait;
         }
-        let Some(tracker) = self.tracker else { return self.by_arrivals(case) };
-        let exposed = self.triggered_ns(&tracker, case.frame, case.hsu);
-        let agrees = |(exposed, due): (i128, u64)| (exposed - i128::from(due)).abs() <= self.near_ns();
-        let agree = exposed.zip(due).is_some_and(agrees);
-        if agree && self.unsettled && self.awaits_reading(case) {
-            return Match::Wait;
+        match self.tracker {
+            Some(tracker) => self.by_counter_and_clock(case, &tracker),
+            None => self.by_counter_and_arrival(case),
         }
-        if agree && self.is_fresh(case.by_id) && !self.is_refuted(case, due) && self.is_settled(case) {
-            self.doubt = self.doubt.saturating_sub(1);
-            return self.accept(case, case.by_id, Witness::Two, None);
-        }
-        self.doubt = DOUBT;
-        self.contradiction(case, exposed)
-    }
-
-    /// Whether the arrival speaks against a frame's id and clock: in a doubtful time it must be in time.
-    fn is_refuted(&self, case: &Case<'_>, due: Option<u64>) -> bool {
-        let Some(due) = due else { return false };
-        let half = i128::from(self.start.period_ns / 2);
-        let late = || self.late_ns(case.frame, due, case.hsu);
-        (self.doubt > 0 && late().is_some_and(|ns| ns.abs() > half))
-            || self.precedes(case.frame, due, case.hsu)
-    }
-
-    /// Whether id and clock may be believed where they agree: nothing unexplained has happened to them since the last
-    /// frame, or else the clock's readings or the arrival confirm them.
-    fn is_settled(&self, case: &Case<'_>) -> bool {
-        let half = i128::from(self.start.period_ns / 2);
-        let late = || self.late_ns(case.frame, case.table.time_ns(case.by_id)?, case.hsu);
-        !self.unsettled
-            || match self.clock.read_fired_ns(case.frame, case.hsu) {
-                Some(_) => self.read_trigger(case, case.frame) == Some(case.by_id),
-                None => late().is_some_and(|ns| ns.abs() <= half),
-            }
     }
 
     /// Parts of a frame: no pixels are recorded of it, and its id says which frame is missing.
@@ -367,7 +429,7 @@ impl Matcher {
         if !self.is_fresh(case.by_id) || self.precedes(case.frame, due, case.hsu) {
             return Match::Stray;
         }
-        Match::Trigger(self.place(case.frame, case.by_id, Witness::Two, None))
+        Match::Trigger(self.place(case.frame, case.by_id, None))
     }
 
     fn is_fresh(&self, number: i64) -> bool {
@@ -412,10 +474,15 @@ impl Matcher {
         hsu.device_from_host(host_ns.into()).or_else(measured)
     }
 
-    /// How much later than usual a frame of the trigger at `due` arrived, ns, where arrivals are regular.
+    /// How much later than the quickest frames one of the trigger at `due` arrived, ns.
     fn late_ns(&self, frame: &Sighting, due: u64, hsu: &ClockFit) -> Option<i128> {
-        let usual = self.latency.usual_ns(self.start.period_ns)?;
-        Some(self.arrived_ns(frame.host_ns, hsu)? - usual - i128::from(due))
+        let least_ns = self.envelope()?.least_ns;
+        Some(self.arrived_ns(frame.host_ns, hsu)? - least_ns - i128::from(due))
+    }
+
+    /// How soon frames arrive, where that is known.
+    fn envelope(&self) -> Option<Envelope> {
+        self.latency.envelope(self.start.period_ns)
     }
 
     /// Whether a frame arrived before a trigger was fired.
@@ -436,11 +503,11 @@ impl Matcher {
     /// How late a frame of the trigger at `due`, HSU time, arrived.
     fn learn_latency(&mut self, case: &Case<'_>, due: u64) {
         if let Some(arrived) = self.arrived_ns(case.frame.host_ns, case.hsu) {
-            self.latency.follow(arrived - i128::from(due));
+            self.latency.follow(arrived - i128::from(due), self.start.period_ns);
         }
     }
 
-    fn accept(&mut self, case: &Case<'_>, number: i64, witness: Witness, finding: Option<Finding>) -> Match {
+    fn accept(&mut self, case: &Case<'_>, number: i64, finding: Option<Finding>) -> Match {
         let Case { frame, table, .. } = *case;
         // From times that are expected or inferred nothing is learned: they come from what was learned before.
         if let Some(due) = table.reported_ns(number) {
@@ -451,20 +518,24 @@ impl Matcher {
             }
             self.learn_latency(case, due);
         }
-        Match::Trigger(self.place(frame, number, witness, finding))
+        let in_time = self.timing(case, frame, number) == dispute::Timing::InTime;
+        let matched = self.place(frame, number, finding);
+        self.last = self.last.map(|last| Last { in_time, ..last });
+        Match::Trigger(matched)
     }
 
     /// Enters a frame at a trigger, and explains the triggers before it that have none.
-    fn place(
-        &mut self,
-        frame: &Sighting,
-        number: i64,
-        witness: Witness,
-        finding: Option<Finding>,
-    ) -> Matched {
+    fn place(&mut self, frame: &Sighting, number: i64, finding: Option<Finding>) -> Matched {
         let step = self.ids.step(frame.id).filter(|_| matches!(self.stage, Stage::Known));
-        let skipped = self.last.map_or(0, |last| (number - last.number - 1).max(0)) as u64;
+        let skipped = self.last.map_or(number.max(0), |last| (number - last.number - 1).max(0)) as u64;
         let (mut lost, mut ignored, mut finding) = (skipped, 0, finding);
+        if let Some(first) = self.first_id.filter(|_| self.last.is_none()) {
+            // What the stream's ids do not count before its first frame that has a trigger, the camera ignored.
+            let before = number.saturating_add(self.start.warm_up.into());
+            let uncounted = before.saturating_sub(self.ids.between(first.0, frame.id.0));
+            ignored = skipped.min(u64::try_from(uncounted).unwrap_or(0));
+            lost = skipped - ignored;
+        }
         if let Some(step) = step {
             let ids = self.lost_before.saturating_add_signed(step.saturating_sub(1).max(0));
             match self.base.saturating_add(step).saturating_sub(number) {
@@ -478,10 +549,11 @@ impl Matcher {
             }
         }
         self.ids.take(frame.id);
-        (self.base, self.lost_before, self.given_up, self.unsettled) = (number, 0, 0, false);
+        (self.base, self.lost_before, self.given_up) = (number, 0, 0);
+        (self.unsettled, self.pace) = (false, None);
         self.stage = Stage::Known;
-        self.last = Some(Last { number, camera_ns: frame.camera_ns });
-        Matched { number, witness, lost, ignored, finding }
+        self.last = Some(Last { number, camera_ns: frame.camera_ns, in_time: false });
+        Matched { number, witness: Witness::Two, lost, ignored, finding }
     }
 
     /// A frame without a trigger has an id all the same: the next one follows on it.

@@ -92,6 +92,16 @@ impl CameraClock {
         self.to_measure.clear();
     }
 
+    /// From a trigger to its frame's timestamp, ns, where it is measured.
+    pub(super) fn stamp_delay_ns(&self) -> Option<i128> {
+        self.stamp_delay_ns
+    }
+
+    /// It is taken to be that of a camera like this one.
+    pub(super) fn presume(&mut self, stamp_delay_ns: i128) {
+        self.stamp_delay_ns = Some(stamp_delay_ns);
+    }
+
     /// Asks for a reading.
     pub(super) fn ask(&mut self) {
         self.wanted = self.answers;
@@ -105,11 +115,6 @@ impl CameraClock {
     /// Whether readings tell triggers apart: it answers, and the way to the timestamp is measured.
     pub(super) fn tells(&self) -> bool {
         self.answers && self.stamp_delay_ns.is_some()
-    }
-
-    /// Whether it can be read.
-    pub(super) fn answers(&self) -> bool {
-        self.answers
     }
 
     /// A frame of the trigger at `due`, HSU time, to measure the way to its timestamp by.

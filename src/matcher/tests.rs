@@ -3,12 +3,13 @@
 
 use super::sighting::{Match, Matched, Sighting, Witness};
 use super::trigger_table::TriggerTable;
-use super::{Matcher, Start};
+use super::{Habits, Matcher, Start};
 use crate::base::clock_fit::{ClockFit, Exchange};
 use std::collections::VecDeque;
 
 mod cases;
 mod history;
+mod slips;
 
 use history::{Arrives, History, Traits};
 
@@ -109,6 +110,16 @@ impl Player {
 }
 
 fn play(history: &History) -> (Outcome, Vec<String>) {
+    play_like(history, None)
+}
+
+/// With what another camera takes from a trigger.
+fn play_like(history: &History, like: Option<Habits>) -> (Outcome, Vec<String>) {
+    let (outcome, log, _) = play_whole(history, like);
+    (outcome, log)
+}
+
+fn play_whole(history: &History, like: Option<Habits>) -> (Outcome, Vec<String>, Option<Habits>) {
     let start = Start {
         period_ns: history.period_ns,
         warm_up: history.warm_up,
@@ -116,7 +127,7 @@ fn play(history: &History) -> (Outcome, Vec<String>) {
     };
     let mut player = Player {
         matcher: Matcher::new(start),
-        table: TriggerTable::default(),
+        table: TriggerTable::new(history.period_ns),
         hsu: ClockFit::new(),
         pending: VecDeque::new(),
         period_ns: history.period_ns,
@@ -125,10 +136,20 @@ fn play(history: &History) -> (Outcome, Vec<String>) {
         outcome: Outcome::default(),
         log: Vec::new(),
     };
+    if let Some(like) = like {
+        player.matcher.presume(like);
+    }
     for (at_ns, what) in &history.arrivals {
         player.readings_until(history, *at_ns);
         match what {
-            Arrives::Report(number, hsu_ns) => player.table.insert(*number, *hsu_ns),
+            Arrives::Report(report) => {
+                let heard = i128::from(report.heard_ns) + history::HOST_MINUS_HSU_NS;
+                let possible = player
+                    .hsu
+                    .host_from_device(report.hsu_ns.into())
+                    .is_none_or(|fired| fired <= heard + i128::from(history.period_ns / 8));
+                player.table.report(report.number, report.hsu_ns, report.late, possible);
+            }
             Arrives::Frame(frame, truth) => player.pending.push_back((*frame, *truth, false, *at_ns)),
             Arrives::Copy(frame, truth) => player.pending.push_back((*frame, Some(*truth), true, *at_ns)),
             Arrives::Hsu(exchange) => drop(player.hsu.exchange(exchange)),
@@ -142,7 +163,7 @@ fn play(history: &History) -> (Outcome, Vec<String>) {
         player.read_clock(history, *at_ns);
     }
     player.advance(u64::MAX / 2, true);
-    (player.outcome, player.log)
+    (player.outcome, player.log, player.matcher.habits())
 }
 
 fn explain(seed: u64, log: &[String]) -> String {
@@ -153,23 +174,16 @@ fn explain(seed: u64, log: &[String]) -> String {
 /// Histories with everything that cameras, networks and clocks do. `FOURDBODY_HISTORIES` sets how many.
 #[test]
 fn frames_are_filed_rightly_or_given_up_and_never_wrongly() {
-    let asked = std::env::var("FOURDBODY_HISTORIES").ok().and_then(|text| text.parse().ok());
-    let histories: u64 = asked.unwrap_or(10_000);
     let (mut all, mut wrong) = (Outcome::default(), Vec::new());
     let (mut by, mut prompt, mut held_up) =
         (std::collections::BTreeMap::new(), Outcome::default(), Outcome::default());
-    let one = std::env::var("SEED").ok().and_then(|t| t.parse().ok());
-    for seed in one.map_or(0..histories, |s: u64| s..s + 1) {
+    for seed in histories(4_000) {
         let history = History::of(seed, Traits::any(seed));
         let (outcome, log) = play(&history);
         if outcome.wrong > 0 {
             wrong.push((seed, outcome.wrong));
             if wrong.len() <= 3 {
-                println!(
-                    "{:?}\n{}",
-                    history.traits,
-                    if one.is_some() { log.join("\n") } else { explain(seed, &log) }
-                );
+                println!("{:?}\n{}", history.traits, explain(seed, &log));
             }
         }
         // Where reports are held up for long, frames are given up by right.
@@ -184,9 +198,7 @@ fn frames_are_filed_rightly_or_given_up_and_never_wrongly() {
         by.entry(key).or_insert_with(Outcome::default).add(outcome);
     }
     by.iter().for_each(|(key, outcome)| println!("(calm warm-up, stamps, clock) {key:?}: {outcome:?}"));
-    println!(
-        "{histories} histories: {all:?}; where arrivals are prompt {prompt:?}, reports held up {held_up:?}"
-    );
+    println!("{all:?}; where arrivals are prompt {prompt:?}, reports held up {held_up:?}");
     let some = &wrong[..wrong.len().min(20)];
     assert!(wrong.is_empty(), "frames filed wrongly in {} histories: {some:?}", wrong.len());
     // So many as a frame's patience allows: the rest of the session is filed once the link speaks again.
@@ -194,8 +206,9 @@ fn frames_are_filed_rightly_or_given_up_and_never_wrongly() {
         held_up.right * 100 > held_up.frames * 47,
         "less than 47 % filed where reports are held up: {held_up:?}"
     );
-    assert!(all.given_up * 5 < all.frames, "more than a fifth given up: {all:?}");
-    assert!(prompt.given_up * 7 < prompt.frames, "more than a seventh given up: {prompt:?}");
+    // One trigger in fourteen has a fault, and a quarter of the hosts tell no trigger from the next.
+    assert!(all.given_up * 5 < 2 * all.frames, "more than two fifths given up: {all:?}");
+    assert!(prompt.given_up * 10 < 3 * prompt.frames, "more than three tenths given up: {prompt:?}");
 }
 
 /// Without faults nothing is given up, whatever the camera's habits.
@@ -212,4 +225,70 @@ fn every_frame_of_a_faultless_camera_is_filed() {
         all.add(outcome);
     }
     println!("{all:?}");
+}
+
+/// How many histories a test plays: `FOURDBODY_HISTORIES`, or fewer.
+fn histories(usual: u64) -> std::ops::Range<u64> {
+    let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse().ok());
+    match number("SEED") {
+        Some(seed) => seed..seed + 1,
+        None => 0..number("FOURDBODY_HISTORIES").unwrap_or(usual),
+    }
+}
+
+/// Histories in which one source or two slip by one or two periods, for a while or for good, often after a loss, beside a
+/// host that stands still for up to 300 ms. `FOURDBODY_HISTORIES` sets how many.
+///
+/// Where counter and clock are off alike, they agree with each other: then arrivals alone can tell, and only while they come
+/// regularly and the host does not stand still. What that costs is counted beside.
+#[test]
+fn a_source_that_slips_files_no_frame_wrongly() {
+    let mut table = std::collections::BTreeMap::new();
+    let (mut wrong, mut alike) = (Vec::new(), (0u64, 0u64));
+    for seed in histories(4_000) {
+        let history = slips::plain(seed);
+        let plan = slips::Plan::any(seed, &history);
+        let history = history.with(&plan);
+        let (outcome, log) = play(&history);
+        if plan.alike() != 0 {
+            alike = (alike.0 + 1, alike.1 + u64::from(outcome.wrong > 0));
+            continue;
+        }
+        let sources: Vec<_> = plan.slips.iter().map(|slip| slip.source).collect();
+        let entry = table.entry((history.traits.stamps, sources)).or_insert_with(|| (0, Outcome::default()));
+        entry.0 += 1;
+        entry.1.add(outcome);
+        if outcome.wrong > 0 {
+            wrong.push(seed);
+            println!("{:?} {plan:?} period {}\n{}", history.traits, history.period_ns, explain(seed, &log));
+        }
+    }
+    for ((stamps, sources), (count, outcome)) in &table {
+        let share = |part: u64| 100.0 * part as f64 / outcome.frames.max(1) as f64;
+        let (right, up) = (share(outcome.right), share(outcome.given_up));
+        println!("stamps {stamps} {sources:?}: {count} histories, filed {right:.1} %, given up {up:.1} %");
+    }
+    println!("off alike: {} histories, frames filed wrongly in {}", alike.0, alike.1);
+    let some = &wrong[..wrong.len().min(20)];
+    assert!(wrong.is_empty(), "frames filed wrongly in {} histories: {some:?}", wrong.len());
+    assert!(alike.1 * 5 <= alike.0, "off alike: wrong in {} of {}", alike.1, alike.0);
+}
+
+/// A host that stands still for up to 300 ms costs next to nothing: lateness is no evidence against a frame.
+#[test]
+fn a_host_that_stands_still_costs_no_frames() {
+    let (mut calm, mut early) = (Outcome::default(), Outcome::default());
+    for seed in histories(1_000) {
+        let history = slips::plain(seed);
+        let plan = slips::Plan::stalls_only(seed, &history);
+        let begins = plan.begins_calmly(&history);
+        let (outcome, log) = play(&history.with(&plan));
+        assert_eq!(outcome.wrong, 0, "{plan:?}\n{}", explain(seed, &log));
+        if slips::plain(seed).traits.stamps {
+            if begins { calm.add(outcome) } else { early.add(outcome) }
+        }
+    }
+    println!("warm-up in time {calm:?}; else {early:?}");
+    assert!(calm.given_up * 1000 <= calm.frames, "more than a thousandth given up: {calm:?}");
+    assert!(early.given_up * 20 <= early.frames, "more than a twentieth given up: {early:?}");
 }

@@ -1,20 +1,49 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Times of the triggers so far, warm-up included: number to HSU time and back.
 
+use hsu_firmware_proto::PAUSE_BEFORE;
 use std::collections::VecDeque;
 
-/// One trigger's time; where its report is missing, inferred from cameras or interpolated between its neighbours.
+/// One trigger's time. Where its report is missing or contradicts the train's rhythm, `hsu_ns` is inferred from cameras or
+/// calculated from the sound reports around it.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     hsu_ns: u64,
-    reported: bool,
+    /// Reported, and in rhythm with the reports before.
+    sound: bool,
+    /// Reported at all.
+    heard: bool,
 }
 
 /// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers.
+///
+/// The HSU's times are a source of their own and can be wrong. What tells is their rhythm (`hsu-protocol.md`): two triggers
+/// are at least 7/8 of a period apart, one that comes later than it should is flagged, and no report is heard before its
+/// trigger was fired. A report that contradicts this is kept out: its trigger counts as not reported, and so do those
+/// behind it, until a report is in rhythm with the last sound one again.
 #[derive(Debug, Default)]
 pub struct TriggerTable {
+    /// 0: the rhythm is not known, and any times in order are taken.
+    period_ns: u64,
     first: i64,
     rows: VecDeque<Row>,
+    /// The last sound report.
+    anchor: Option<Anchor>,
+    /// Reports that contradict the rhythm.
+    contradicting: u64,
+}
+
+/// The last sound report, and what was reported behind it.
+#[derive(Debug, Clone, Copy)]
+struct Anchor {
+    number: i64,
+    hsu_ns: u64,
+    /// Mean of the steps of single triggers that were in time, ns.
+    step_ns: f64,
+    /// Reports behind it contradict the rhythm.
+    contradicted: bool,
+    /// One of them was flagged as late.
+    late: bool,
 }
 
 /// Longest table: eleven days at 120 Hz. A wild number must not allocate without bound.
@@ -25,41 +54,123 @@ const WARM_UP_MAX: i64 = 1_000_000;
 const HOLE_MAX: i64 = 1_000_000;
 
 impl TriggerTable {
-    /// Notes a trigger's time. Reports may be repeated, and missing ones may come later. What cannot be is ignored:
-    /// a number out of all bounds, a time that is not between those of its neighbours.
+    /// For a train of this period.
+    pub fn new(period_ns: u64) -> Self {
+        Self { period_ns, ..Self::default() }
+    }
+
+    /// Notes a trigger's time of which it is not known whether the HSU flagged it as late.
     pub fn insert(&mut self, number: i64, hsu_ns: u64) {
+        self.report(number, hsu_ns, true, true);
+    }
+
+    /// Notes a reported time. `late`: the HSU flags it as late; `possible`: it was not heard before that time. Reports may
+    /// be repeated, and missing ones may come later. Numbers out of all bounds are ignored.
+    pub fn report(&mut self, number: i64, hsu_ns: u64, late: bool, possible: bool) {
         if !(-WARM_UP_MAX..TRIGGERS_MAX).contains(&number) {
             return;
         }
-        let Some(last) = self.rows.back().copied() else {
-            self.first = number;
-            return self.rows.push_back(Row { hsu_ns, reported: true });
-        };
-        if number < self.first {
-            return self.insert_before(number, hsu_ns);
-        }
-        let ahead = number - self.end() + 1;
-        if ahead > HOLE_MAX || (ahead > 0 && hsu_ns <= last.hsu_ns) {
+        if self.rows.is_empty() {
+            (self.first, self.contradicting) = (number, u64::from(!possible));
+            self.rows.push_back(Row { hsu_ns, sound: possible, heard: true });
+            self.anchor = possible.then_some(Anchor::at(number, hsu_ns, self.period_ns as f64));
             return;
         }
-        if ahead > 0 {
-            let span = u128::from(hsu_ns - last.hsu_ns);
-            for k in 1..ahead {
-                let between = (span * k as u128 / ahead as u128) as u64;
-                self.rows.push_back(Row { hsu_ns: last.hsu_ns + between, reported: false });
-            }
-            return self.rows.push_back(Row { hsu_ns, reported: true });
+        if number < self.first {
+            return self.insert_before(number, hsu_ns, possible);
         }
+        if number - self.end() + 1 > HOLE_MAX {
+            return;
+        }
+        let Some(anchor) = self.anchor else { return self.begin_anew(number, hsu_ns, possible) };
+        if number <= anchor.number {
+            return self.fill(number, hsu_ns, possible);
+        }
+        let known = (number < self.end()).then(|| self.rows[(number - self.first) as usize]);
+        if known.is_some_and(|row| row.heard) {
+            return;
+        }
+        if !possible || !self.is_in_rhythm(&anchor, number, hsu_ns, late) {
+            self.contradicting += 1;
+            let anchor = Anchor { contradicted: true, late: anchor.late || late, ..anchor };
+            self.anchor = Some(anchor);
+            self.grow_to(number, |steps| anchor.expected_ns(steps));
+            self.rows[(number - self.first) as usize].heard = true;
+            return;
+        }
+        let span = hsu_ns - anchor.hsu_ns;
+        let ahead = (number - anchor.number) as u128;
+        self.grow_to(number, |_| hsu_ns);
+        for k in 1..ahead {
+            let between = anchor.hsu_ns + (u128::from(span) * k / ahead) as u64;
+            self.rows[(anchor.number - self.first) as usize + k as usize].hsu_ns = between;
+        }
+        self.rows[(number - self.first) as usize] = Row { hsu_ns, sound: true, heard: true };
+        let in_time = ahead == 1 && !late && !PAUSE_BEFORE.contains(&number);
+        let share = if in_time { 1.0 / 16.0 } else { 0.0 };
+        let step_ns = anchor.step_ns + (span as f64 - anchor.step_ns) * share;
+        self.anchor = Some(Anchor::at(number, hsu_ns, step_ns));
+    }
+
+    /// Rows up to a trigger; `hsu_ns` calculates the time of one so many triggers behind the last sound report.
+    fn grow_to(&mut self, number: i64, hsu_ns: impl Fn(i64) -> u64) {
+        let anchor = self.anchor.map_or(self.first, |anchor| anchor.number);
+        while self.end() <= number {
+            let hsu_ns = hsu_ns(self.end() - anchor);
+            self.rows.push_back(Row { hsu_ns, sound: false, heard: false });
+        }
+    }
+
+    /// Whether a report is in rhythm with the last sound one.
+    fn is_in_rhythm(&self, anchor: &Anchor, number: i64, hsu_ns: u64, late: bool) -> bool {
+        let (period, steps) = (i128::from(self.period_ns), i128::from(number - anchor.number));
+        let span = i128::from(hsu_ns) - i128::from(anchor.hsu_ns);
+        if period == 0 {
+            return span > 0;
+        }
+        // With the projectors' frame sync a pause lasts until the next of their frames.
+        let pauses =
+            PAUSE_BEFORE.iter().filter(|pause| (anchor.number + 1..=number).contains(*pause)).count() as i128;
+        if anchor.contradicted {
+            // Back in the old rhythm, and nowhere else: a step that is a period off would else be taken after some triggers.
+            let plain = span - (anchor.step_ns * steps as f64) as i128;
+            let pause = |ns: i128| (plain - pauses * ns).abs() <= period / 8;
+            return !anchor.late && !late && (pause(period / 2) || pause(period));
+        }
+        let least = if steps == 1 { period * 7 / 8 } else { steps * (period - period / 512) - period / 8 };
+        let most = steps * period + period / 8 + pauses * period;
+        span >= least && (late || steps > 1 || span <= most)
+    }
+
+    /// The first sound report, behind others that were not.
+    fn begin_anew(&mut self, number: i64, hsu_ns: u64, possible: bool) {
+        self.grow_to(number, |_| hsu_ns);
+        let row = &mut self.rows[(number - self.first) as usize];
+        *row = Row { hsu_ns, sound: possible, heard: true };
+        self.contradicting += u64::from(!possible);
+        self.anchor = possible.then_some(Anchor::at(number, hsu_ns, self.period_ns as f64));
+    }
+
+    /// A report that was missing: its time must lie between those of its neighbours.
+    fn fill(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         let place = (number - self.first) as usize;
-        let before = place.checked_sub(1).map_or(0, |i| self.rows[i].hsu_ns);
-        let after = self.rows.get(place + 1).map_or(u64::MAX, |row| row.hsu_ns);
-        if (before..after).contains(&hsu_ns) {
-            self.rows[place] = Row { hsu_ns, reported: true };
+        let apart = self.period_ns * 7 / 8;
+        let row = |place: Option<usize>| place.and_then(|place| self.rows.get(place)).filter(|row| row.sound);
+        let after_last =
+            row(place.checked_sub(1)).is_none_or(|row| hsu_ns >= row.hsu_ns.saturating_add(apart));
+        let before_next = row(Some(place + 1)).is_none_or(|row| hsu_ns.saturating_add(apart) <= row.hsu_ns);
+        let around =
+            |place: Option<usize>| place.and_then(|place| self.rows.get(place)).map(|row| row.hsu_ns);
+        let least = around(place.checked_sub(1)).unwrap_or(0);
+        let most = around(Some(place + 1)).unwrap_or(u64::MAX);
+        let row = self.rows[place];
+        if !row.heard && possible && after_last && before_next && (least..=most).contains(&hsu_ns) {
+            self.rows[place] = Row { hsu_ns, sound: true, heard: true };
         }
     }
 
     /// A report of before the first one that was heard.
-    fn insert_before(&mut self, number: i64, hsu_ns: u64) {
+    fn insert_before(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         let Some(first) = self.rows.front().map(|row| row.hsu_ns).filter(|first| hsu_ns < *first) else {
             return;
         };
@@ -67,10 +178,15 @@ impl TriggerTable {
         let span = u128::from(first - hsu_ns);
         for k in (1..missing).rev() {
             let between = (span * k as u128 / missing as u128) as u64;
-            self.rows.push_front(Row { hsu_ns: hsu_ns + between, reported: false });
+            self.rows.push_front(Row { hsu_ns: hsu_ns + between, sound: false, heard: false });
         }
-        self.rows.push_front(Row { hsu_ns, reported: true });
+        self.rows.push_front(Row { hsu_ns, sound: possible, heard: true });
         self.first = number;
+    }
+
+    /// Reports that contradict the rhythm, so far.
+    pub fn contradicting(&self) -> u64 {
+        self.contradicting
     }
 
     /// Whether the triggers from `first` to the first of the session have a rhythm: longer pauses between some of them.
@@ -81,10 +197,14 @@ impl TriggerTable {
 
     /// Notes a trigger whose report is held up, from what cameras agree on; its report, once there, replaces it.
     pub fn infer(&mut self, number: i64, hsu_ns: u64) {
-        let end = self.end();
-        if number >= end && !self.is_empty() {
-            self.insert(number, hsu_ns);
-            (end..self.end()).for_each(|number| self.rows[(number - self.first) as usize].reported = false);
+        let Some(last) = self.rows.back().map(|row| row.hsu_ns) else { return };
+        let ahead = number.saturating_sub(self.end()).saturating_add(1);
+        if !(1..=HOLE_MAX).contains(&ahead) || hsu_ns <= last {
+            return;
+        }
+        for k in 1..=ahead {
+            let between = last + (u128::from(hsu_ns - last) * k as u128 / ahead as u128) as u64;
+            self.rows.push_back(Row { hsu_ns: between, sound: false, heard: false });
         }
     }
 
@@ -93,9 +213,9 @@ impl TriggerTable {
         Some(self.row(number)?.hsu_ns)
     }
 
-    /// The time of a trigger, where the HSU itself said so.
+    /// The time of a trigger that the HSU itself reported, in rhythm.
     pub fn reported_ns(&self, number: i64) -> Option<u64> {
-        self.row(number).filter(|row| row.reported).map(|row| row.hsu_ns)
+        self.row(number).filter(|row| row.sound).map(|row| row.hsu_ns)
     }
 
     fn row(&self, number: i64) -> Option<&Row> {
@@ -124,7 +244,7 @@ impl TriggerTable {
 
     /// Triggers up to the last whose report is missing.
     pub fn missing(&self) -> usize {
-        self.rows.iter().filter(|row| !row.reported).count()
+        self.rows.iter().filter(|row| !row.sound).count()
     }
 
     /// The time of the latest trigger.
@@ -138,6 +258,17 @@ impl TriggerTable {
         let around = after.saturating_sub(1)..(after + 1).min(self.rows.len());
         let residual = |i: usize| (self.first + i as i64, hsu_ns - i128::from(self.rows[i].hsu_ns));
         around.map(residual).min_by_key(|(_, residual)| residual.abs())
+    }
+}
+
+impl Anchor {
+    fn at(number: i64, hsu_ns: u64, step_ns: f64) -> Self {
+        Self { number, hsu_ns, step_ns, contradicted: false, late: false }
+    }
+
+    /// When a trigger is due so many triggers later, ns.
+    fn expected_ns(&self, steps: i64) -> u64 {
+        self.hsu_ns.saturating_add((self.step_ns * steps as f64) as u64)
     }
 }
 
@@ -184,7 +315,7 @@ impl Schedule<'_> {
         number >= self.table.end()
     }
 
-    /// The time of a trigger, where the HSU itself said so.
+    /// The time of a trigger that the HSU itself reported, in rhythm.
     pub fn reported_ns(&self, number: i64) -> Option<u64> {
         self.table.reported_ns(number)
     }
@@ -280,6 +411,6 @@ mod tests {
         table.insert(i64::MAX, 5_000);
         table.insert(i64::MIN, 5_000);
         table.insert(5_000_000, 6_000);
-        assert_eq!((table.end(), table.latest_ns()), (1, Some(1_000)));
+        assert_eq!((table.reported_ns(0), table.reported_ns(1), table.end()), (Some(1_000), None, 2));
     }
 }

@@ -11,7 +11,7 @@ use crate::base::{Exit, Fault};
 use crate::config::OnLoss;
 use crate::control::request::Phase;
 use crate::control::status::Outcome;
-use crate::hsu::{Fault as HsuFault, Hsu, HsuEvent, LinkLoss, trigger_index};
+use crate::hsu::{Fault as HsuFault, Hsu, HsuEvent, LinkLoss, TriggerFlags, trigger_index};
 use crate::record::{NodeEvent, TriggerRecord};
 use crossbeam_channel::never;
 use std::sync::Arc;
@@ -24,13 +24,17 @@ impl Node {
         match event {
             HsuEvent::Trigger { session, trigger } if Some(session) == ours => {
                 self.in_session(|session| session.next_trigger = trigger.number.saturating_add(1));
-                let Some(index) = trigger_index(&trigger) else {
-                    let (number, hsu_time_ns) = (trigger.number, trigger.time_ns);
-                    return self
-                        .in_session(|session| session.tell(RecorderCommand::WarmUp { number, hsu_time_ns }));
-                };
                 let Some(host_time_ns) = self.session.as_ref().map(|session| session.clock.now()) else {
                     return;
+                };
+                let Some(index) = trigger_index(&trigger) else {
+                    let command = RecorderCommand::WarmUp {
+                        number: trigger.number,
+                        hsu_time_ns: trigger.time_ns,
+                        late: trigger.flags.contains(TriggerFlags::LATE),
+                        host_time_ns,
+                    };
+                    return self.in_session(|session| session.tell(command));
                 };
                 let record = TriggerRecord {
                     index,

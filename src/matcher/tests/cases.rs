@@ -2,7 +2,7 @@
 //! Single cases by name.
 
 use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Traits};
-use super::{Outcome, play};
+use super::{Outcome, play, play_like, play_whole};
 use crate::base::clock_fit::ClockFit;
 use crate::base::ids::BlockId;
 use crate::matcher::sighting::{Match, Sighting};
@@ -98,8 +98,11 @@ fn reports_of_the_warm_up_may_come_late() {
         let begin = history.arrivals.iter().find(|(_, what)| matches!(what, Arrives::Report(..)));
         let late = begin.expect("a report").0 + (10 + 9 * seed % 60) * history.period_ns;
         for (at, what) in &mut history.arrivals {
-            if matches!(what, Arrives::Report(-7.., _)) {
+            if let Arrives::Report(report) = what
+                && report.number >= -7
+            {
                 *at = late.max(*at);
+                report.heard_ns = *at;
             }
         }
         history.arrivals.sort_by_key(|(at, _)| *at);
@@ -139,6 +142,65 @@ fn the_first_triggers_may_be_ignored() {
                 matches!(answer, Match::Trigger(matched) if number < 0 || matched.number == number),
                 "{ignored} ignored, {number}: {answer:?}"
             );
+        }
+    }
+}
+
+/// A camera of the usual habits that takes only some triggers, its ids counting what it takes.
+fn takes(seed: u64, takes: impl Fn(i64) -> bool) -> (Outcome, Vec<String>) {
+    let mut history = History::of(seed, habits(10, 80));
+    let others = (seed + 1000..).map(|seed| History::of(seed, habits(10, 80)));
+    let alike = others.into_iter().find(|other| other.period_ns == history.period_ns);
+    let (.., like) = play_whole(&alike.expect("one of this rate"), None);
+    let mut id = 0;
+    history.arrivals.retain_mut(|(_, what)| match what {
+        Arrives::Frame(frame, Some(number)) if takes(*number) => {
+            id += 1;
+            frame.id = BlockId(id);
+            true
+        }
+        Arrives::Frame(..) => false,
+        _ => true,
+    });
+    assert!(like.is_some());
+    play_like(&history, like)
+}
+
+/// Exposure and readout longer than a period, the commonest mistake of all: half of the frames come, and are kept.
+#[test]
+fn a_camera_that_takes_every_second_or_third_trigger_keeps_its_frames() {
+    for seed in 0..40 {
+        for (every, from) in [(2, 0), (2, 1), (3, 0), (3, 1), (3, 2)] {
+            let (outcome, log) = takes(seed, |number| number.rem_euclid(every) == from);
+            assert_eq!(outcome.wrong, 0, "{seed} {every} {from}\n{}", log.join("\n"));
+            assert!(
+                every == 3 || outcome.given_up <= 1,
+                "{seed} {every} {from} {outcome:?}\n{}",
+                log.join("\n")
+            );
+        }
+    }
+}
+
+/// Trigger 0 missed, after a warm-up that went well.
+#[test]
+fn a_missed_trigger_0_costs_that_frame_alone() {
+    for seed in 0..40 {
+        for missed in 0..4 {
+            all_right(takes(seed, |number| number != missed).0);
+        }
+    }
+}
+
+/// A camera that wakes up late, even behind the warm-up: all is kept after the waking, since others of its make say what
+/// they take from a trigger.
+#[test]
+fn a_camera_that_wakes_late_keeps_what_comes_then() {
+    for seed in 0..40 {
+        for late in 0..12 {
+            let (outcome, log) = takes(seed, |number| number >= late - 8);
+            assert_eq!(outcome.wrong, 0, "{seed} {late}\n{}", log.join("\n"));
+            assert!(outcome.given_up == 0, "{seed} {late} {outcome:?}\n{}", log.join("\n"));
         }
     }
 }
