@@ -5,7 +5,7 @@
 //! from trigger to frame the same for all of them. How long that way is, is not assumed, nor that ids count every trigger.
 
 use super::table::Table;
-use super::witnesses::{Frame, Seen};
+use super::witnesses::{Frame, Seen, skipped};
 
 /// Frames of the warm-up that are looked at, and triggers around them.
 const FRAMES: usize = 64;
@@ -13,6 +13,8 @@ const TRIGGERS: usize = 256;
 /// A place is found where three quarters of the frames fit, at least so many, and so many more than at any other.
 const ENOUGH: usize = 5;
 const MARGIN: usize = 2;
+/// By arrivals alone all frames but one must fit, and so many more than at any other: a busy host has rhythms of its own.
+const MARGIN_OF_ARRIVALS: usize = 3;
 /// The frames that a place is tried with: the first may be nobody's.
 const TRIED: usize = 3;
 /// A frame comes so many periods after its trigger at most.
@@ -42,6 +44,8 @@ pub fn warm_up(seen: &[Seen], table: &Table) -> Vec<Frame> {
             let way_ns = first - hsu_ns;
             if fits.iter().all(|fit| (fit.way_ns - way_ns).abs() > table.period_ns / 4) {
                 let frames = fitting(seen, &triggers, &at, way_ns, table.period_ns);
+                // One that arrives late may fit a later trigger than its own: the count of ids tells.
+                let frames = if stamped { frames } else { counted_alike(&frames) };
                 fits.push(Fit { way_ns, frames });
             }
         }
@@ -51,9 +55,19 @@ pub fn warm_up(seen: &[Seen], table: &Table) -> Vec<Frame> {
     let second = fits.get(1).map_or(0, |fit| fit.frames.len());
     let best = fits.into_iter().next().filter(|best| {
         let count = best.frames.len();
-        count >= ENOUGH && count * 4 >= seen.len() * 3 && count >= second + MARGIN
+        let clear = match stamped {
+            true => count * 4 >= seen.len() * 3 && count >= second + MARGIN,
+            false => count + 1 >= seen.len() && count >= second + MARGIN_OF_ARRIVALS,
+        };
+        clear && count >= ENOUGH
     });
     best.map(|best| best.frames).unwrap_or_default()
+}
+
+/// Most of the frames whose ids go on as their triggers do.
+fn counted_alike(frames: &[Frame]) -> Vec<Frame> {
+    let alike = |first: &Frame| frames.iter().filter(|frame| skipped(first, frame) == 0).copied().collect();
+    frames.iter().map(alike).max_by_key(Vec::len).unwrap_or_default()
 }
 
 /// The frames that lie at triggers, each at one of its own.

@@ -561,7 +561,7 @@ impl Camera<'_> {
 }
 
 /// How many more ids than triggers lie between two frames.
-fn skipped(before: &Frame, frame: &Frame) -> i64 {
+pub fn skipped(before: &Frame, frame: &Frame) -> i64 {
     let (from, to) = (before.seen.block, frame.seen.block);
     let triggers = frame.number.saturating_sub(before.number);
     let narrow = CYCLE as u64;
