@@ -6,7 +6,7 @@ set -uo pipefail
 cd "$(dirname "$0")/.."
 # Modules of tests/it without any clock; whatever is not named here is taken to have one.
 computing=(analytic_scene:: back_end:: bad_frames:: bad_photographs:: board_to_plane:: calibrate_command::
-    calibration_check:: calibration_uncertainty:: crossing_limbs:: export:: frame_set:: merging:: player:: reused::
+    calibration_check:: calibration_uncertainty:: crossing_limbs:: export:: frame_set:: merging:: player:: result_files:: reused::
     shared_calibration:: shared_exposure:: shared_scene:: simd_paths:: validate_commands::)
 cargo=${CARGO:-cargo}
 log=target/test-computing.log

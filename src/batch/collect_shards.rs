@@ -192,10 +192,13 @@ impl<'a> Shards<'a> {
 /// Merges what all shards say, on the current rayon pool: the summary of one run over all triggers. Nothing is written.
 pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
     let found: Vec<_> = (0..shards.count).into_par_iter().map(|shard| shards.complete(shard)).collect();
-    let (mut merged, mut problems) = (Vec::new(), Vec::new());
+    let (mut merged, mut problems, mut time_base) = (Vec::new(), Vec::new(), None);
     for shard in found {
         match shard {
-            Ok(summary) => merged.extend(summary.triggers),
+            Ok(summary) => {
+                merged.extend(summary.triggers);
+                time_base = time_base.or(summary.time_base);
+            }
             Err(problem) => problems.push(problem),
         }
     }
@@ -203,7 +206,7 @@ pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
         return Err(CollectError { shards: shards.count, problems });
     }
     merged.sort_by_key(|t| t.trigger);
-    Ok(Summary::of(merged, &shards.key, shards.plan, shards.calibration))
+    Ok(Summary { time_base, ..Summary::of(merged, &shards.key, shards.plan, shards.calibration) })
 }
 
 /// Triggers of a summary of which a file is missing, cut, or of other parameters, on the current rayon pool.

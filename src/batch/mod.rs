@@ -3,6 +3,8 @@
 //!
 //! [`run`] is the work; [`key`] says what a result depends on, so that only the same work is continued.
 
+/// Whether the files of a result are of that result.
+pub mod belonging;
 /// Frames of fewer rows, and their calibration.
 pub mod binned;
 /// The shards of a session to one result.

@@ -101,6 +101,7 @@ mod recover;
 mod refusals;
 #[cfg(feature = "aravis")]
 mod report;
+mod result_files;
 mod reused;
 #[cfg(feature = "aravis")]
 mod service;
