@@ -23,8 +23,12 @@ pub mod png_source;
 pub mod result;
 /// A session to clouds on disk.
 pub mod run;
+/// Frames that show another trigger are refused.
+pub mod strangers;
 /// What a reconstruction has come to.
 pub mod summary;
 /// What a run has taken.
 pub mod timings;
 mod unchecked;
+/// Whether a frame shows its own trigger.
+pub mod witness;

@@ -81,6 +81,9 @@ pub struct Summary {
     /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unchecked: Vec<String>,
+    /// Frames one of which shows another trigger, though nobody knows which, a sentence each; absent where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub suspects: Vec<String>,
     /// What clock the triggers' times are of, in words; absent where there are no times.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_base: Option<String>,
@@ -129,6 +132,7 @@ impl Summary {
                 Method::Joint => unchecked(calibration, &plan.cameras),
                 Method::Paper => vec![paper::UNCHECKED.to_owned()],
             },
+            suspects: Vec::new(),
             time_base: None,
             frames: 0,
             clouds: 0,

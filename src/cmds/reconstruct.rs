@@ -4,6 +4,7 @@
 mod staged;
 
 use super::failure::{Failure, tell_lost, tell_made_up_times};
+use super::progress::Progress;
 use crate::base::Exit;
 use crate::base::ids::CameraId;
 use crate::base::write_whole;
@@ -12,6 +13,7 @@ use crate::batch::collect_shards::{self, Lack, Shards};
 use crate::batch::image_tree::ImageTree;
 use crate::batch::png_source::PngSource;
 use crate::batch::run::{self, Format, Plan, RunError};
+use crate::batch::strangers;
 use crate::batch::summary::Summary;
 use crate::batch::timings::Timings;
 use crate::data::{Calibration, FrameSource, LostPart, SessionIdentity};
@@ -343,6 +345,13 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         None => reconstruct(args, &pool, source.as_ref(), &calibration, &plan)?,
         Some(count) => collected(&pool, Shards::new(session, &plan, &calibration, count))?,
     };
+    // A frame of another trigger is known by those around it, which other shards have.
+    if args.shard.is_none() {
+        let progress = Progress::of("looking for frames of other triggers", "triggers");
+        let at = |done: usize, of: usize| progress.at(done as u64, of as u64);
+        let refused = pool.install(|| strangers::refuse(&plan, &calibration, &mut summary, at));
+        refused.map_err(|e| Failure::new(Exit::Failure, e))?;
+    }
     // The merged clouds of other shards may not be there yet: one sequence of all is made when they are collected.
     if plan.merges() && args.shard.is_none() {
         run::write_sequence(&plan, &summary, what.rate_hz).map_err(|e| Failure::new(Exit::Failure, e))?;
@@ -478,6 +487,9 @@ fn report(args: &Args, summary: &Summary) {
     }
     for lack in &summary.unchecked {
         println!("  not checked: {lack}");
+    }
+    for suspect in &summary.suspects {
+        println!("  suspect: {suspect}");
     }
     for trigger in &summary.triggers {
         for frame in &trigger.frames {

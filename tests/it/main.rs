@@ -129,4 +129,5 @@ mod unread_output;
 mod unreadable_disk;
 mod unreadable_sessions;
 mod validate_commands;
+mod witness;
 mod worker;
