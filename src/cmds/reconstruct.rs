@@ -34,6 +34,8 @@ use std::path::{Path, PathBuf};
 /// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and another one
 /// sees well within 2 mm; the clouds of the cameras have all of theirs.
 ///
+/// A frame that shows another trigger than the one it is filed under is refused: what moves lies where the other cameras have it then.
+///
 /// Finished frames of the same session, calibration, method and algorithm are kept, so that an interrupted run goes on where it
 /// was; an --out with anything else is refused. All cameras of the session are reconstructed, unless --cameras or --partial says
 /// otherwise. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
