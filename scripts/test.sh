@@ -6,8 +6,8 @@ set -uo pipefail
 cd "$(dirname "$0")/.."
 # Modules of tests/it without any clock; whatever is not named here is taken to have one.
 computing=(analytic_scene:: back_end:: bad_frames:: bad_photographs:: board_to_plane:: calibrate_command::
-    calibration_check:: calibration_uncertainty:: crossing_limbs:: export:: frame_set:: merging:: player:: reused::
-    shared_calibration:: shared_exposure:: shared_scene:: simd_paths:: validate_commands::)
+    calibration_check:: calibration_uncertainty:: crossing_limbs:: export:: frame_set:: merging:: player:: result_files:: reused::
+    shared_calibration:: shared_exposure:: shared_scene:: simd_paths:: validate_commands:: witness::)
 cargo=${CARGO:-cargo}
 log=target/test-computing.log
 # What runs in the background does not hear of Ctrl-C by itself.

@@ -61,7 +61,7 @@ export class Player {
   constructor(root, source) {
     this.root = root;
     this.source = source;
-    const { runs, holes, trigger_rate_hz } = source.described;
+    const { runs, holes, seconds } = source.described;
     const all = [...runs.map(([first, last]) => ({ first, last })), ...holes].sort((a, b) => a.first - b.first);
     this.triggers = [];
     /** Why a place has no cloud. */
@@ -72,7 +72,7 @@ export class Player {
         this.triggers.push(trigger);
       }
     }
-    this.seconds = this.triggers.map((trigger) => trigger / trigger_rate_hz);
+    this.seconds = seconds;
     this.sets = new Map();
     this.bytes = 0;
     this.wanted = 0;

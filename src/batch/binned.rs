@@ -59,6 +59,10 @@ impl FrameSource for BinnedSource {
     fn trigger_time_ns(&self, trigger: TriggerIndex) -> Option<u64> {
         self.source.trigger_time_ns(trigger)
     }
+
+    fn time_base(&self) -> Option<String> {
+        self.source.time_base()
+    }
 }
 
 /// Means of so many rows, rounded; rows at the end that do not fill one are left out.

@@ -8,12 +8,13 @@
 //! ```
 //!
 //! Nothing is taken on trust: a shard counts when its summary was made of this session with these parameters, for just these triggers and
-//! cameras, and every file that it speaks of is there, whole, and made with the same parameters. Collecting changes
-//! nothing that shards have written, so that it may be done again at any time.
+//! cameras, and every file that it speaks of is there, whole, and made with the same parameters. Of what shards have written,
+//! collecting changes the frames only that show another trigger ([`super::strangers`]), so that it may be done again at any time.
 
 use super::from_phase_maps::phase_path;
 use super::key::Key;
 use super::run::{self, Format, Plan, cloud_path, merged_path};
+use super::strangers;
 use super::summary::{FrameSummary, Summary, TriggerSummary};
 use crate::base::ids::CameraId;
 use crate::base::{STALE, json, regular, remove_stale};
@@ -180,8 +181,17 @@ impl<'a> Shards<'a> {
 
     /// The summary of a shard whose files are all there.
     fn complete(&self, shard: u64) -> Result<Summary, ShardProblem> {
-        let summary = self.summary(shard)?;
-        let lacking = without_files(&self.plan.out, &self.plan.formats, &summary);
+        let mut summary = self.summary(shard)?;
+        let (out, formats) = (&self.plan.out, &self.plan.formats);
+        let mut lacking = without_files(out, formats, &summary);
+        // An earlier collection may have refused some of its frames.
+        let mut any = false;
+        for one in summary.triggers.iter_mut().filter(|one| lacking.contains(&one.trigger)) {
+            any |= strangers::adopt(out, formats, one);
+        }
+        if any {
+            lacking = without_files(out, formats, &summary);
+        }
         if !lacking.is_empty() {
             let found = format!("no whole files of {}", named(&lacking));
             return Err(ShardProblem { shard, lack: Lack::Work, found });
@@ -193,10 +203,13 @@ impl<'a> Shards<'a> {
 /// Merges what all shards say, on the current rayon pool: the summary of one run over all triggers. Nothing is written.
 pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
     let found: Vec<_> = (0..shards.count).into_par_iter().map(|shard| shards.complete(shard)).collect();
-    let (mut merged, mut problems) = (Vec::new(), Vec::new());
+    let (mut merged, mut problems, mut time_base) = (Vec::new(), Vec::new(), None);
     for shard in found {
         match shard {
-            Ok(summary) => merged.extend(summary.triggers),
+            Ok(summary) => {
+                merged.extend(summary.triggers);
+                time_base = time_base.or(summary.time_base);
+            }
             Err(problem) => problems.push(problem),
         }
     }
@@ -204,7 +217,7 @@ pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
         return Err(CollectError { shards: shards.count, problems });
     }
     merged.sort_by_key(|t| t.trigger);
-    Ok(Summary::of(merged, &shards.key, shards.plan, shards.calibration))
+    Ok(Summary { time_base, ..Summary::of(merged, &shards.key, shards.plan, shards.calibration) })
 }
 
 /// Triggers of a summary of which a file is missing, cut, or of other parameters, on the current rayon pool.

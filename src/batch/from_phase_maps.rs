@@ -5,9 +5,11 @@
 //! IN/phases/CAMERA_INDEX.phase   one phase map, as `fourdbody reconstruct` writes it
 //! ```
 
-use super::collect_shards::remove_leftovers;
+use super::belonging::{Expected, Listed};
+use super::collect_shards::{load_summary, remove_leftovers, summary_path};
 use super::key::{Key, KeyError};
-use super::run::{cloud_path, merged_path};
+use super::run::{cloud_path, merged_path, time_by_index_ns};
+use super::summary::Summary;
 use crate::base::write_whole;
 use crate::data::{CalibratedCamera, Calibration, Cloud};
 use crate::formats::phase_file::{self, Statement};
@@ -50,6 +52,10 @@ pub struct Exported {
     pub kept: usize,
     /// Triggers without a single point: they have no merged cloud.
     pub empty: usize,
+    /// Maps that are missing, and those left out, a sentence each ([`Expected::amiss`]).
+    pub amiss: Vec<String>,
+    /// Whether the sequence's times are made up, because nothing says when the triggers were.
+    pub made_up_times: bool,
 }
 
 /// What became of a trigger.
@@ -102,7 +108,10 @@ pub fn export(
     rate_hz: f64,
     progress: impl Fn(u64, u64) + Sync,
 ) -> Result<Exported, StoredError> {
-    let triggers = list(from, calibration).map_err(StoredError::Maps)?;
+    let mut triggers = list(from, calibration).map_err(StoredError::Maps)?;
+    let expected = Expected::of(from).map_err(StoredError::Maps)?;
+    let amiss = expected.amiss(&names(&triggers, calibration), &(0..u64::MAX), &|_| true);
+    triggers.retain(|trigger, _| expected.speaks_of(*trigger));
     if let Some(key) = Key::load(from).map_err(StoredError::Maps)? {
         // Maps and the clouds of them may lie in one directory, which the maps have taken.
         let clouds = Key { format: "ply".to_owned(), ..key.clone() };
@@ -120,7 +129,8 @@ pub fn export(
     let made: Result<Vec<Made>, StoredError> = triggers
         .par_iter()
         .map(|(&trigger, maps)| {
-            let made = match finished(trigger, maps, &geometry, out) {
+            let statements = statements(trigger, maps, calibration, &expected).map_err(StoredError::Maps)?;
+            let made = match finished(trigger, &statements, &geometry, out) {
                 Some(made) => made,
                 None => export_trigger(trigger, maps, calibration, &tables, out)?,
             };
@@ -135,16 +145,56 @@ pub fn export(
         return Err(StoredError::Nothing(from.display().to_string()));
     }
     let times = with_points().map(|&Made { trigger, time_ns, .. }| {
-        (time_ns.unwrap_or((trigger as f64 * 1e9 / rate_hz).round() as u64), merged_path(out, trigger))
+        (time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz)), merged_path(out, trigger))
     });
     write_sequence(times, &path).map_err(StoredError::Write)?;
+    if out != from && summary_path(from, None).exists() {
+        write_summary(from, out, &made).map_err(StoredError::Write)?;
+    }
     Ok(Exported {
+        amiss,
+        made_up_times: with_points().any(|made| made.time_ns.is_none()),
         clouds: triggers.values().map(Vec::len).sum(),
         merged_points: made.iter().map(|made| made.points).sum(),
         triggers: made.len(),
         kept: made.iter().filter(|made| made.kept).count(),
         empty: made.iter().filter(|made| made.points == 0).count(),
     })
+}
+
+/// The summary of the maps as that of the clouds.
+fn write_summary(from: &Path, out: &Path, made: &[Made]) -> Result<(), String> {
+    let mut summary: Summary = load_summary(from)?;
+    let points: BTreeMap<u64, usize> = made.iter().map(|made| (made.trigger, made.points)).collect();
+    for trigger in &mut summary.triggers {
+        trigger.merged_points = Some(points.get(&trigger.trigger).copied().unwrap_or(0));
+    }
+    summary.merged_points = Some(points.values().sum());
+    summary.save(&summary_path(out, None))
+}
+
+/// The names of the cameras that have a map, by trigger.
+fn names(triggers: &BTreeMap<u64, Maps>, calibration: &Calibration) -> Listed {
+    let all: Vec<String> = calibration.cameras().map(|(_, camera)| camera.id.to_string()).collect();
+    let of = |maps: &Maps| maps.iter().map(|(place, _)| all[*place].clone()).collect();
+    triggers.iter().map(|(trigger, maps)| (*trigger, of(maps))).collect()
+}
+
+/// What a trigger's maps state, held against their names, their session and the summary.
+fn statements(
+    trigger: u64,
+    maps: &Maps,
+    calibration: &Calibration,
+    expected: &Expected,
+) -> Result<Vec<Statement>, String> {
+    let of_map = |(place, path): &(usize, PathBuf)| {
+        let statement = phase_file::load_statement(path).map_err(|e| e.to_string())?;
+        let camera = calibration.cameras().nth(*place).map(|(_, camera)| camera.id.as_str());
+        let held = expected.hold(trigger, camera, Some(statement.points), &statement.comments);
+        held.map_err(|reason| format!("FOREIGN  {}: {reason}", path.display()))?;
+        Ok(statement)
+    };
+    maps.iter().map(of_map).collect()
 }
 
 /// The table of each camera, in the calibration's order.
@@ -246,6 +296,11 @@ fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, S
         let number = calibration.cameras().position(|(_, known)| known.id.as_str() == camera);
         let number =
             number.ok_or_else(|| format!("{}: the calibration has no such camera", path.display()))?;
+        // Else a camera may have two of one trigger.
+        let name = phase_path(from, camera, trigger);
+        if name != path {
+            return Err(format!("FOREIGN  {}: expected the name {}", path.display(), name.display()));
+        }
         triggers.entry(trigger).or_default().push((number, path));
     }
     triggers.values_mut().for_each(|maps| maps.sort());
@@ -256,9 +311,7 @@ fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, S
 }
 
 /// A trigger whose clouds are all there, of which only headers are read.
-fn finished(trigger: u64, maps: &Maps, geometry: &Geometry, out: &Path) -> Option<Made> {
-    let statements: Vec<Statement> =
-        maps.iter().map(|(_, path)| phase_file::load_statement(path).ok()).collect::<Option<_>>()?;
+fn finished(trigger: u64, statements: &[Statement], geometry: &Geometry, out: &Path) -> Option<Made> {
     let is_there = |path: &Path, points: usize, comments: &[String]| {
         ply::load_whole_header(path).is_ok_and(|found| found.points == points && found.comments == comments)
     };

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 /// The algorithm's number: raised whenever the same frames may give other points, or a file other bytes than its comments.
 /// `it::reused` holds the digest of a small scene's clouds beside it, and fails when one changes without the other.
-pub const ALGORITHM: u32 = 32;
+pub const ALGORITHM: u32 = 33;
 
 /// Everything that the clouds of a directory share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

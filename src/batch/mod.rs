@@ -3,6 +3,8 @@
 //!
 //! [`run`] is the work; [`key`] says what a result depends on, so that only the same work is continued.
 
+/// Whether the files of a result are of that result.
+pub mod belonging;
 /// Frames of fewer rows, and their calibration.
 pub mod binned;
 /// The shards of a session to one result.
@@ -21,8 +23,12 @@ pub mod png_source;
 pub mod result;
 /// A session to clouds on disk.
 pub mod run;
+/// Frames that show another trigger are refused.
+pub mod strangers;
 /// What a reconstruction has come to.
 pub mod summary;
 /// What a run has taken.
 pub mod timings;
 mod unchecked;
+/// Whether a frame shows its own trigger.
+pub mod witness;

@@ -2,12 +2,15 @@
 //! A directory that `fourdbody reconstruct` wrote, as clouds: stored ones (`clouds/CAMERA_TRIGGER.ply`, `merged/TRIGGER.ply`, or the
 //! same files in one directory), or those of its phase maps (`phases/CAMERA_TRIGGER.phase`), made with the calibration beside them.
 
+use super::belonging::{Expected, Held, Listed};
+use super::collect_shards::named as list;
 use super::from_phase_maps::{self, PhaseDirectory};
 use super::key::calibration_path;
-use crate::data::{Calibration, Cloud};
+use crate::data::Calibration;
 use crate::export::merged_cloud;
 use crate::formats::{CloudSource, Commented, ply};
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Where a cloud is.
@@ -28,6 +31,9 @@ pub struct Clouds {
     pub directional: BTreeMap<(u64, String), Place>,
     /// Merged clouds by trigger.
     pub merged: BTreeMap<u64, Place>,
+    /// What they are held against.
+    pub expected: Expected,
+    there: Listed,
     maps: Option<PhaseDirectory>,
 }
 
@@ -37,7 +43,7 @@ pub type Placed<'a> = (&'a str, &'a Place);
 impl Clouds {
     /// Lists the clouds under `directory`, or the phase maps where there are no clouds; an error when there is neither.
     pub fn open(directory: &Path) -> Result<Self, String> {
-        let mut found = Self::default();
+        let mut found = Self { expected: Expected::of(directory)?, ..Self::default() };
         for folder in [directory.join("clouds"), directory.join("merged"), directory.to_owned()] {
             if folder.is_dir() {
                 found.list(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
@@ -60,7 +66,45 @@ impl Clouds {
                 directory.display()
             ));
         }
+        for (trigger, camera) in found.directional.keys() {
+            found.there.entry(*trigger).or_default().insert(camera.clone());
+        }
+        if found.directional.is_empty() {
+            let all = found.merged.keys().map(|trigger| (*trigger, found.expected.cameras_at(*trigger)));
+            found.there = all.collect();
+        }
+        found.directional.retain(|(trigger, _), _| found.expected.speaks_of(*trigger));
+        found.merged.retain(|trigger, _| found.expected.speaks_of(*trigger));
         Ok(found)
+    }
+
+    /// What is missing of the files of these triggers, and what is left out, a sentence each ([`Expected::amiss`]).
+    pub fn amiss(&self, triggers: &Range<u64>) -> Vec<String> {
+        let mut amiss = self.expected.amiss(&self.there, triggers, &|_| true);
+        let with_points = self.expected.triggers_with_points().filter(|trigger| triggers.contains(trigger));
+        let missing: Vec<u64> = with_points.filter(|trigger| self.lacks_merged(*trigger)).collect();
+        if !missing.is_empty() {
+            amiss.push(format!(
+                "MISSING  the merged clouds of {}, which have points by summary.json",
+                list(&missing)
+            ));
+        }
+        amiss
+    }
+
+    /// Of a trigger that has points by the summary: whose files are missing that its merged cloud is, or is made of.
+    pub fn missing_at(&self, trigger: u64) -> Option<String> {
+        if self.merged.values().any(|place| matches!(place, Place::File(_))) {
+            return self.lacks_merged(trigger).then(|| "the merged cloud".to_owned());
+        }
+        let cameras: Vec<&str> = self.expected.missing_at(trigger, &self.there).collect();
+        (!cameras.is_empty()).then(|| format!("the files of {}", cameras.join(", ")))
+    }
+
+    /// Whether other triggers have merged clouds, and this one, which has points, has none.
+    fn lacks_merged(&self, trigger: u64) -> bool {
+        let some = self.merged.values().any(|place| matches!(place, Place::File(_)));
+        some && !self.merged.contains_key(&trigger) && self.expected.has_points(trigger)
     }
 
     fn list(&mut self, folder: &Path) -> std::io::Result<()> {
@@ -69,22 +113,24 @@ impl Clouds {
             let Some(stem) = path.file_name().and_then(|n| n.to_str()?.strip_suffix(".ply")) else {
                 continue;
             };
-            if let Ok(trigger) = stem.parse() {
-                self.merged.entry(trigger).or_insert(Place::File(path));
-            } else if let Some((camera, index)) = stem.rsplit_once('_')
-                && let Ok(trigger) = index.parse()
-            {
-                self.directional.entry((trigger, camera.to_owned())).or_insert(Place::File(path));
+            match named(stem) {
+                Some((trigger, None)) => drop(self.merged.entry(trigger).or_insert(Place::File(path))),
+                Some((trigger, Some(camera))) => {
+                    let key = (trigger, camera.to_owned());
+                    self.directional.entry(key).or_insert(Place::File(path));
+                }
+                None => {}
             }
         }
         Ok(())
     }
 
-    /// The cloud at a place, with the comments of its file. An error says which file is damaged.
+    /// The cloud at a place, with the comments of its file. An error says which file is damaged, or of something else.
     pub fn load(&self, place: &Place) -> Result<Commented, String> {
-        let maps = || self.maps.as_ref().ok_or("no phase maps");
+        let source = self.maps.as_ref().map(|maps| Held::new(maps, &self.expected));
+        let maps = || source.as_ref().ok_or("no phase maps");
         match place {
-            Place::File(path) => load_ply(path),
+            Place::File(path) => load_held(path, &self.expected),
             Place::Map(trigger, camera) => {
                 let cloud = maps()?.clouds(*trigger, &[*camera])?.pop();
                 cloud.ok_or_else(|| format!("trigger {trigger}: no phase map"))
@@ -126,17 +172,49 @@ pub fn calibration_of(directory: &Path) -> Result<Calibration, String> {
 
 /// The cloud of one file of a result, a cloud or a phase map, with its comments.
 pub fn load_file(path: &Path) -> Result<Commented, String> {
-    if path.extension().is_none_or(|end| end != "phase") {
-        return load_ply(path);
-    }
     // `DIR/phases/CAMERA_TRIGGER.phase`, also where DIR is not written.
     let path = std::path::absolute(path).map_err(|e| format!("{}: {e}", path.display()))?;
     let directory = path.parent().and_then(Path::parent).unwrap_or(Path::new("/"));
-    from_phase_maps::load_cloud(&path, &calibration_of(directory)?)
+    let is_map = path.extension().is_some_and(|end| end == "phase");
+    if !is_map
+        && !path.parent().is_some_and(|folder| folder.ends_with("clouds") || folder.ends_with("merged"))
+    {
+        // Whatever it is called, and wherever it lies.
+        return load_ply(&path);
+    }
+    let expected = Expected::of(directory)?;
+    if !is_map {
+        return load_held(&path, &expected);
+    }
+    let cloud = from_phase_maps::load_cloud(&path, &calibration_of(directory)?)?;
+    held(&path, &expected, cloud)
 }
 
-fn load_ply(path: &Path) -> Result<(Vec<String>, Cloud), String> {
+fn load_ply(path: &Path) -> Result<Commented, String> {
     ply::load(path).map(|(header, cloud)| (header.comments, cloud)).map_err(|e| e.to_string())
+}
+
+fn load_held(path: &Path, expected: &Expected) -> Result<Commented, String> {
+    held(path, expected, load_ply(path)?)
+}
+
+/// Trigger and camera by a file's name: `CAMERA_TRIGGER`, or `TRIGGER` of a merged cloud.
+fn named(stem: &str) -> Option<(u64, Option<&str>)> {
+    if let Ok(trigger) = stem.parse() {
+        return Some((trigger, None));
+    }
+    let (camera, index) = stem.rsplit_once('_')?;
+    Some((index.parse().ok()?, Some(camera)))
+}
+
+/// A cloud that is what its file's name says, and of this result.
+fn held(path: &Path, expected: &Expected, (comments, cloud): Commented) -> Result<Commented, String> {
+    let stem = path.file_stem().and_then(|stem| stem.to_str());
+    if let Some((trigger, camera)) = stem.and_then(named) {
+        let held = expected.hold(trigger, camera, Some(cloud.len()), &comments);
+        held.map_err(|reason| format!("FOREIGN  {}: {reason}", path.display()))?;
+    }
+    Ok((comments, cloud))
 }
 
 #[cfg(test)]

@@ -13,8 +13,8 @@
 //! OUT/sequence.mcap               the merged clouds, for viewers
 //! ```
 //!
-//! Every file states the parameters that it was made with, as a hash over algorithm, calibration and method, and the frames of
-//! its trigger, by the checksums of their pixels; a finished one that states the same is not made again. Where a trigger has
+//! Every file states the parameters that it was made with, as a hash over algorithm, calibration and method, its session, trigger and
+//! time, and the frames of its trigger, by the checksums of their pixels; a finished one that states the same is not made again. Where a trigger has
 //! no point at all there is no merged cloud.
 
 mod finished;
@@ -159,6 +159,8 @@ struct Job<'a> {
     plan: &'a Plan,
     calibration: &'a Calibration,
     parameters: String,
+    /// Its id.
+    session: String,
     /// What stored phase maps state of the calibration.
     calibration_statement: (String, [[f64; 3]; 2]),
     /// The cameras asked for, by head.
@@ -206,19 +208,17 @@ type Pixels = Result<Option<u32>, ()>;
 
 /// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers without a time of
 /// their own are placed by index at `rate_hz`.
-pub fn write_sequence(
-    source: &dyn FrameSource,
-    plan: &Plan,
-    summary: &Summary,
-    rate_hz: f64,
-) -> Result<(), String> {
+pub fn write_sequence(plan: &Plan, summary: &Summary, rate_hz: f64) -> Result<(), String> {
     let with_points = summary.triggers.iter().filter(|trigger| trigger.merged_points > Some(0));
-    let clouds = with_points.map(|&TriggerSummary { trigger, .. }| {
-        let time = source.trigger_time_ns(TriggerIndex(trigger));
-        let by_index = (trigger as f64 * 1e9 / rate_hz).round() as u64;
-        (time.unwrap_or(by_index), merged_path(&plan.out, trigger))
+    let clouds = with_points.map(|&TriggerSummary { trigger, time_ns, .. }| {
+        (time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz)), merged_path(&plan.out, trigger))
     });
     from_phase_maps::write_sequence(clouds, &plan.out.join("sequence.mcap"))
+}
+
+/// When a trigger is where nothing says when it was: by index at this rate, from 0 on, ns.
+pub fn time_by_index_ns(trigger: u64, rate_hz: f64) -> u64 {
+    (trigger as f64 * 1e9 / rate_hz).round() as u64
 }
 
 /// The cameras that are asked for, those of a head together, each with its tables: they take longer than a frame.
@@ -265,10 +265,10 @@ pub fn run(
     }
     remove_leftovers(&plan.out);
     let heads = cameras_by_head(plan, calibration)?;
-    let parameters = key.parameters();
+    let (parameters, session) = (key.parameters(), key.session.id.clone());
     let calibration_statement = from_phase_maps::statement_of(calibration);
     let timings = Mutex::default();
-    let job = Job { source, plan, calibration, parameters, calibration_statement, heads, timings };
+    let job = Job { source, plan, calibration, parameters, session, calibration_statement, heads, timings };
     let done = AtomicUsize::new(0);
     let triggers: Vec<u64> = plan.shard_triggers().collect();
     let (began, cpu_began) = (Instant::now(), process_cpu_time());
@@ -283,7 +283,8 @@ pub fn run(
         .collect();
     let wall_ms = began.elapsed().as_secs_f64() * 1e3;
     let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
-    let summary = Summary::of(triggers?, &key, plan, calibration);
+    let time_base = source.time_base();
+    let summary = Summary { time_base, ..Summary::of(triggers?, &key, plan, calibration) };
     let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))
@@ -323,7 +324,20 @@ impl Job<'_> {
         let (results, frames) = self.clouds(trigger)?;
         let merged_points = self.plan.merges().then(|| self.merge(trigger, &results, &frames)).transpose()?;
         let frames = results.into_iter().map(|(summary, _)| summary).collect();
-        Ok(TriggerSummary { trigger, merged_points, frames })
+        Ok(self.summary_of(trigger, merged_points, frames))
+    }
+
+    fn summary_of(
+        &self,
+        trigger: u64,
+        merged_points: Option<usize>,
+        frames: Vec<FrameSummary>,
+    ) -> TriggerSummary {
+        TriggerSummary { trigger, time_ns: self.time_ns(trigger), merged_points, frames }
+    }
+
+    fn time_ns(&self, trigger: u64) -> Option<u64> {
+        self.source.trigger_time_ns(TriggerIndex(trigger))
     }
 
     /// Writes the merged cloud, unless it has no points; their number.
@@ -446,18 +460,17 @@ impl Job<'_> {
     fn finished_trigger(&self, trigger: u64) -> Option<TriggerSummary> {
         let (frames, stated) = self.finished_frames(trigger)?;
         if !self.plan.formats.contains(&Format::Ply) {
-            return Some(TriggerSummary { trigger, merged_points: None, frames });
+            return Some(self.summary_of(trigger, None, frames));
         }
         let points = frames.iter().map(|frame| frame.points).sum();
         let path = merged_path(&self.plan.out, trigger);
         if points == 0 {
-            return (!path.exists()).then_some(TriggerSummary { trigger, merged_points: Some(0), frames });
+            return (!path.exists()).then(|| self.summary_of(trigger, Some(0), frames));
         }
         let header = ply::load_whole_header(&path).ok()?;
         let comments = self.merged_comments(trigger, &stated);
         merge::is_finished(&header, &comments, points, true).then_some(())?;
-        let merged_points = Some(header.points);
-        Some(TriggerSummary { trigger, merged_points, frames })
+        Some(self.summary_of(trigger, Some(header.points), frames))
     }
 
     /// The finished clouds of a trigger, and the comment that tells its frames. Of phase maps merged clouds are made when they

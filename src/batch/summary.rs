@@ -5,6 +5,7 @@ use super::key::Key;
 use super::run::Plan;
 use super::unchecked::unchecked;
 use crate::base::ids::CameraId;
+use crate::base::write_whole;
 use crate::data::{Calibration, SessionIdentity};
 use crate::reconstruct::outcome::NO_OBJECT;
 use crate::reconstruct::paper;
@@ -12,6 +13,8 @@ use crate::reconstruct::pipeline::Method;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
 
 /// What became of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -47,6 +50,9 @@ impl FrameSummary {
 pub struct TriggerSummary {
     /// Its index.
     pub trigger: u64,
+    /// When it was, ns since 1970 on the clock of [`Summary::time_base`]; absent where the source knows no times.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_ns: Option<u64>,
     /// Points of the merged cloud; absent where none is made, as of phase maps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub merged_points: Option<usize>,
@@ -75,6 +81,12 @@ pub struct Summary {
     /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unchecked: Vec<String>,
+    /// Frames one of which shows another trigger, though nobody knows which, a sentence each; absent where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub suspects: Vec<String>,
+    /// What clock the triggers' times are of, in words; absent where there are no times.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_base: Option<String>,
     /// Frames expected.
     pub frames: usize,
     /// Frames with a cloud.
@@ -93,6 +105,13 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// Writes it, which is never half there. The error names the file.
+    pub fn save(&self, path: &Path) -> Result<(), String> {
+        let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+        let text = serde_json::to_string_pretty(self).map_err(|e| failed(&e))?;
+        write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| failed(&e))
+    }
+
     /// What became of all triggers together.
     pub(crate) fn of(
         triggers: Vec<TriggerSummary>,
@@ -100,12 +119,9 @@ impl Summary {
         plan: &Plan,
         calibration: &Calibration,
     ) -> Self {
-        let count = |outcome: &str| {
-            triggers.iter().flat_map(|t| &t.frames).filter(|frame| frame.outcome == outcome).count()
-        };
         let known = calibration.cameras().map(|(_, camera)| &camera.id);
         let beyond = key.session.cameras.iter().filter(|id| calibration.camera(id).is_none());
-        Self {
+        let mut summary = Self {
             session: key.session.clone(),
             algorithm: key.algorithm,
             parameters: key.parameters(),
@@ -116,14 +132,28 @@ impl Summary {
                 Method::Joint => unchecked(calibration, &plan.cameras),
                 Method::Paper => vec![paper::UNCHECKED.to_owned()],
             },
-            frames: triggers.iter().map(|t| t.frames.len()).sum(),
-            clouds: count("cloud"),
-            refused: count("refused"),
-            gaps: count("gap"),
-            damaged: count("damaged"),
-            merged_points: plan.merges().then(|| triggers.iter().filter_map(|t| t.merged_points).sum()),
+            suspects: Vec::new(),
+            time_base: None,
+            frames: 0,
+            clouds: 0,
+            refused: 0,
+            gaps: 0,
+            damaged: 0,
+            merged_points: plan.merges().then_some(0),
             triggers,
-        }
+        };
+        summary.count();
+        summary
+    }
+
+    /// Counts its frames and points.
+    pub(super) fn count(&mut self) {
+        let frames = || self.triggers.iter().flat_map(|trigger| &trigger.frames);
+        let count = |outcome: &str| frames().filter(|frame| frame.outcome == outcome).count();
+        let all = (frames().count(), count("cloud"), count("refused"), count("gap"), count("damaged"));
+        let merged = self.merged_points.map(|_| self.triggers.iter().filter_map(|t| t.merged_points).sum());
+        (self.frames, self.clouds, self.refused, self.gaps, self.damaged) = all;
+        self.merged_points = merged;
     }
 
     /// The mean of `marker_offset_px` over each camera's clouds.

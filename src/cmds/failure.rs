@@ -73,3 +73,16 @@ pub(super) fn tell_lost(lost: &[LostPart]) -> bool {
     lost.iter().for_each(|part| eprintln!("NOT READABLE  {part}"));
     !lost.is_empty()
 }
+
+/// Names what of a result is missing or left out; returns whether there is anything.
+pub(super) fn tell_amiss(amiss: &[String]) -> bool {
+    amiss.iter().for_each(|sentence| eprintln!("{sentence}"));
+    !amiss.is_empty()
+}
+
+/// Names the times of a sequence for what they are, where nothing says when the triggers were.
+pub(super) fn tell_made_up_times(rate_hz: f64) {
+    eprintln!(
+        "MADE UP  times: the result does not state when its triggers were; they are by index at {rate_hz} Hz (--rate-hz), from 1970 on"
+    );
+}

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 pub struct Args {
     /// The directory that `fourdbody reconstruct` wrote.
     result: PathBuf,
-    /// Triggers per second.
+    /// Triggers per second of a result that states no times.
     #[arg(long)]
     rate_hz: f64,
     /// Points of a frame set at most.

@@ -3,7 +3,8 @@
 
 mod staged;
 
-use super::failure::{Failure, tell_lost};
+use super::failure::{Failure, tell_lost, tell_made_up_times};
+use super::progress::Progress;
 use crate::base::Exit;
 use crate::base::ids::CameraId;
 use crate::base::write_whole;
@@ -12,13 +13,14 @@ use crate::batch::collect_shards::{self, Lack, Shards};
 use crate::batch::image_tree::ImageTree;
 use crate::batch::png_source::PngSource;
 use crate::batch::run::{self, Format, Plan, RunError};
+use crate::batch::strangers;
 use crate::batch::summary::Summary;
 use crate::batch::timings::Timings;
 use crate::data::{Calibration, FrameSource, LostPart, SessionIdentity};
 use crate::reconstruct::fringe_order::{self, MostDifference};
 use crate::reconstruct::marker::epipolar_check::REMARKABLE_PX;
 use crate::reconstruct::pipeline::Method;
-use crate::record::SessionReader;
+use crate::record::{ReadError, SessionReader};
 use clap::ValueEnum;
 use staged::Staged;
 use std::io::{IsTerminal, Write};
@@ -31,6 +33,8 @@ use std::path::{Path, PathBuf};
 ///
 /// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and another one
 /// sees well within 2 mm; the clouds of the cameras have all of theirs.
+///
+/// A frame that shows another trigger than the one it is filed under is refused: what moves lies where the other cameras have it then.
 ///
 /// Finished frames of the same session, calibration, method and algorithm are kept, so that an interrupted run goes on where it
 /// was; an --out with anything else is refused. All cameras of the session are reconstructed, unless --cameras or --partial says
@@ -95,7 +99,7 @@ pub(super) struct What {
     /// Only the cameras that both session and calibration have; without this and --cameras they must have the same ones.
     #[arg(long, conflicts_with = "cameras")]
     partial: bool,
-    /// Triggers per second, for the times in sequence.mcap where the session does not tell them.
+    /// Triggers per second, for the times in sequence.mcap of images, which state none.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
     rate_hz: f64,
     /// How fringe orders are found: `joint`, from all cameras of a trigger together, refuses what is not certain; `paper` is section 4.1
@@ -116,6 +120,9 @@ pub(super) struct What {
     /// Give every point its standard uncertainty along the line of sight, `sigma` (float, metres) in PLY files.
     #[arg(long)]
     uncertainty: bool,
+    /// Whether the session has been staged, and lacks what is not read.
+    #[arg(skip)]
+    is_part: bool,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -132,10 +139,18 @@ enum MethodName {
 
 /// Opens a session: a directory of recordings, or of images.
 pub(super) fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn FrameSource>, Failure> {
+    open_by(path, cameras, SessionReader::open_frames)
+}
+
+fn open_by(
+    path: &Path,
+    cameras: &[CameraId],
+    open: impl Fn(&Path) -> Result<SessionReader, ReadError>,
+) -> Result<Box<dyn FrameSource>, Failure> {
     if cameras.iter().any(|camera| path.join(camera.as_str()).is_dir()) {
         return Ok(Box::new(PngSource::open(path, cameras).map_err(|e| Failure::new(Exit::Usage, e))?));
     }
-    Ok(Box::new(SessionReader::open_frames(path)?))
+    Ok(Box::new(open(path)?))
 }
 
 /// Half a rig is never taken for a whole one: the calibration's cameras are those of the session.
@@ -187,7 +202,9 @@ impl What {
         let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
         let calibration = Calibration::load(&self.calibration).map_err(|e| usage(&e))?;
         let mut cameras = self.chosen_cameras(&calibration)?;
-        let source = open_source(&self.session, &cameras)?;
+        // Of a part of a session there is no more than the indexes have.
+        let open = if self.is_part { SessionReader::open_frames } else { SessionReader::open_timed };
+        let source = open_by(&self.session, &cameras, open)?;
         if let Some(left_out) = ImageTree::told(source.left_out()) {
             eprintln!("{left_out}");
         }
@@ -330,14 +347,24 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         None => reconstruct(args, &pool, source.as_ref(), &calibration, &plan)?,
         Some(count) => collected(&pool, Shards::new(session, &plan, &calibration, count))?,
     };
+    // A frame of another trigger is known by those around it, which other shards have.
+    if args.shard.is_none() {
+        let progress = Progress::of("looking for frames of other triggers", "triggers");
+        let at = |done: usize, of: usize| progress.at(done as u64, of as u64);
+        let refused = pool.install(|| strangers::refuse(&plan, &calibration, &mut summary, at));
+        refused.map_err(|e| Failure::new(Exit::Failure, e))?;
+    }
     // The merged clouds of other shards may not be there yet: one sequence of all is made when they are collected.
     if plan.merges() && args.shard.is_none() {
-        run::write_sequence(source.as_ref(), &plan, &summary, what.rate_hz)
-            .map_err(|e| Failure::new(Exit::Failure, e))?;
+        run::write_sequence(&plan, &summary, what.rate_hz).map_err(|e| Failure::new(Exit::Failure, e))?;
+        if summary.time_base.is_none() {
+            tell_made_up_times(what.rate_hz);
+        }
     }
     summary.unreadable =
         source.lost().iter().filter(|part| what.asks_for(part)).map(LostPart::to_string).collect();
-    write_json(&collect_shards::summary_path(&plan.out, args.shard), &summary)?;
+    let path = collect_shards::summary_path(&plan.out, args.shard);
+    summary.save(&path).map_err(|e| Failure::new(Exit::Failure, e))?;
     report(args, &summary);
     // Of few frame sets a shard may have none.
     if args.shard.is_some() && summary.frames == 0 {
@@ -462,6 +489,9 @@ fn report(args: &Args, summary: &Summary) {
     }
     for lack in &summary.unchecked {
         println!("  not checked: {lack}");
+    }
+    for suspect in &summary.suspects {
+        println!("  suspect: {suspect}");
     }
     for trigger in &summary.triggers {
         for frame in &trigger.frames {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody report`: a session on one page.
 
-use super::failure::Failure;
+use super::failure::{Failure, tell_amiss};
 use super::progress::Progress;
 use crate::base::Exit;
 use crate::preview::Exposure;
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// all frame sets of --clouds and plays them.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Exit code 0: the page tells all of it; 2: there is no recording; 4: a recording, or all of it, cannot be read, and the page says so.\n\nExample:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --play --out walk-01.html"
+    after_help = "Exit code 0: the page has all of it; 2: there is no recording; 3: files of --clouds are missing, and the page names them; 4: a recording, or all of it, cannot be read, and the page says so, or a file of --clouds is of something else.\n\nExample:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --play --out walk-01.html"
 )]
 pub struct Args {
     /// A session, a recording of one node, or a single segment.
@@ -64,7 +64,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         println!("{}: {} KiB, opens in any browser", args.out.display(), bytes / 1024);
     }
     report.unreadable.iter().for_each(|one| eprintln!("NOT READABLE  {one}"));
-    Ok(if report.unreadable.is_empty() { Exit::Done } else { Exit::Corrupt })
+    let is_amiss = tell_amiss(&report.amiss);
+    Ok(match (report.unreadable.is_empty(), is_amiss) {
+        (false, _) => Exit::Corrupt,
+        (true, true) => Exit::DataLoss,
+        (true, false) => Exit::Done,
+    })
 }
 
 /// Writes the page; its size, bytes. A page that is begun and not finished is removed.

@@ -7,7 +7,7 @@ mod plane;
 mod spacing;
 mod truth;
 
-use super::failure::{Failure, unusable_clouds};
+use super::failure::{Failure, tell_amiss, unusable_clouds};
 use crate::base::Exit;
 use crate::base::ids::CameraId;
 use crate::batch::binned::BinnedSource;
@@ -44,7 +44,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn open_clouds(directory: &Path) -> Result<Clouds, Failure> {
-    Clouds::open(directory).map_err(|e| unusable_clouds(directory, e))
+    let clouds = Clouds::open(directory).map_err(|e| unusable_clouds(directory, e))?;
+    tell_amiss(&clouds.amiss(&(0..u64::MAX)));
+    Ok(clouds)
 }
 
 /// Rows of the photographs that make one row of these clouds.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody view`: a picture of a cloud.
 
-use super::failure::{Failure, unreadable, unusable_clouds};
+use super::failure::{Failure, tell_amiss, unreadable, unusable_clouds};
 use crate::base::Exit;
 use crate::base::image::write_png_rgb;
 use crate::batch::result::{self, Clouds};
@@ -12,7 +12,8 @@ use std::path::PathBuf;
 /// Draw a cloud as a PNG picture, from one side or several side by side.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Examples:\n  fourdbody view walk-01 --trigger 12 --out body.png --sides 4\n  fourdbody view walk-01/phases/h0_up_000012.phase --out h0_up.png"
+    after_help = "Each file is held against its name, its session and summary.json. Exit codes: 3, the files of a camera are missing; 4, a file is damaged, \
+or of something else, or there is nothing to draw.\n\nExamples:\n  fourdbody view walk-01 --trigger 12 --out body.png --sides 4\n  fourdbody view walk-01/phases/h0_up_000012.phase --out h0_up.png"
 )]
 pub struct Args {
     /// What `fourdbody reconstruct` wrote: its directory, of which the merged cloud of a trigger is drawn, or one file of it (.ply,
@@ -43,7 +44,8 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let (comments, cloud) = load(args)?;
+    let ((comments, cloud), amiss) = load(args)?;
+    let is_amiss = tell_amiss(&amiss);
     if cloud.is_empty() {
         let reason = comments.iter().find_map(|comment| comment.strip_prefix("refused "));
         let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
@@ -60,26 +62,32 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     } else {
         println!("{}: {} points", args.out.display(), cloud.len());
     }
-    Ok(Exit::Done)
+    Ok(if is_amiss { Exit::DataLoss } else { Exit::Done })
 }
 
-/// The cloud that is asked for, with its comments.
-fn load(args: &Args) -> Result<Commented, Failure> {
+/// The cloud that is asked for, with its comments, and what is missing of it.
+fn load(args: &Args) -> Result<(Commented, Vec<String>), Failure> {
     let usage = |message: String| Failure::new(Exit::Usage, message);
     if !args.cloud.is_dir() {
         if args.trigger.is_some() {
             return Err(usage("--trigger: is for a directory; this is one file".to_owned()));
         }
-        return result::load_file(&args.cloud).map_err(|e| unreadable(&args.cloud, e));
+        let cloud = result::load_file(&args.cloud).map_err(|e| unreadable(&args.cloud, e))?;
+        return Ok((cloud, Vec::new()));
     }
     let clouds = Clouds::open(&args.cloud).map_err(|e| unusable_clouds(&args.cloud, e))?;
     let place = match args.trigger {
-        Some(trigger) => clouds.merged.get(&trigger),
-        None => clouds.merged.values().nth(clouds.merged.len() / 2),
+        Some(trigger) => clouds.merged.get_key_value(&trigger),
+        None => clouds.merged.iter().nth(clouds.merged.len() / 2),
     };
-    let place = place.ok_or_else(|| {
+    let amiss = |trigger: u64| clouds.amiss(&(trigger..trigger.saturating_add(1)));
+    let (&trigger, place) = place.ok_or_else(|| {
+        if let Some(amiss) = args.trigger.map(amiss).filter(|amiss| !amiss.is_empty()) {
+            return Failure::new(Exit::Corrupt, amiss.join("\n"));
+        }
         let (first, last) = (clouds.merged.keys().next(), clouds.merged.keys().next_back());
         usage(format!("--trigger: {} has merged clouds from {first:?} to {last:?}", args.cloud.display()))
     })?;
-    clouds.load(place).map_err(|e| Failure::new(Exit::Corrupt, e))
+    let cloud = clouds.load(place).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    Ok((cloud, amiss(trigger)))
 }

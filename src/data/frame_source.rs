@@ -151,9 +151,13 @@ pub trait FrameSource: Sync {
         None
     }
 
-    /// When `trigger` was, ns since the UNIX epoch or the session's start; `None` where the source does not
-    /// know.
+    /// When `trigger` was, ns since 1970 on the clock of [`Self::time_base`]; `None` where the source does not know.
     fn trigger_time_ns(&self, _trigger: TriggerIndex) -> Option<u64> {
+        None
+    }
+
+    /// What clock its triggers' times are of, in words; `None` where it knows no times.
+    fn time_base(&self) -> Option<String> {
         None
     }
 }

@@ -27,7 +27,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// Comments of directional clouds that are true of a merged one, too.
-const COMMON: [&str; 5] = ["fourdbody ", "parameters ", "calibration ", "trigger ", "frames "];
+const COMMON: [&str; 7] =
+    ["fourdbody ", "parameters ", "calibration ", "session ", "trigger ", "time_ns ", "frames "];
 
 /// What to write.
 #[derive(Debug, Clone)]

@@ -162,6 +162,11 @@ impl CloudSource for PlyDirectory {
         }
     }
 
+    fn time_ns(&self, trigger: u64) -> Option<u64> {
+        let path = self.paths(trigger, self.triggers.get(&trigger)?).into_iter().next()?;
+        ply::load_header(&path).ok()?.comment("time_ns")?.parse().ok()
+    }
+
     fn modified(&self, trigger: u64, cameras: &[usize]) -> Option<SystemTime> {
         self.paths(trigger, cameras).iter().map(|path| path.metadata().ok()?.modified().ok()).max()?
     }

@@ -15,7 +15,7 @@ pub const ANSWER_BYTES_MAX: usize = 8 << 20;
 /// What was made, or why nothing was.
 pub type Answer = Result<Vec<u8>, String>;
 
-/// Answers until nobody asks any more. The rate is told to players as it is given.
+/// Answers until nobody asks any more. The rate is that of a result that states no times.
 ///
 /// # Errors
 /// Nobody hears the answers.

@@ -37,6 +37,9 @@ pub struct Described {
     pub runs: Vec<[u64; 2]>,
     /// Triggers that were to have one and have none.
     pub holes: Vec<Hole>,
+    /// When each trigger of runs and holes was, in the order of triggers, seconds since trigger 0: by the result's own times, or by index
+    /// at the rate where it has none.
+    pub seconds: Vec<f64>,
 }
 
 impl Described {
@@ -62,7 +65,12 @@ impl Sequence {
     pub fn open(result: &Path) -> Result<Self, String> {
         let summary = load_summary(result)?;
         let clouds = Clouds::open(result)?;
-        let empty = without_points(&summary);
+        let mut empty = without_points(&summary);
+        for trigger in summary.triggers.iter().map(|one| one.trigger) {
+            if let Some(missing) = clouds.missing_at(trigger) {
+                empty.insert(trigger, format!("missing: {missing}"));
+            }
+        }
         let sets: BTreeMap<u64, Place> = clouds
             .merged
             .iter()
@@ -98,8 +106,8 @@ impl Sequence {
         Some(self.clouds.load(place).and_then(|(_, cloud)| packed(&cloud, points_each)))
     }
 
-    /// For a player.
-    pub fn described(&self, trigger_rate_hz: f64, points_each: usize) -> Described {
+    /// For a player. `rate_hz` is that of results that state no times.
+    pub fn described(&self, rate_hz: f64, points_each: usize) -> Described {
         let mut runs: Vec<[u64; 2]> = Vec::new();
         for trigger in self.triggers() {
             match runs.last_mut() {
@@ -107,8 +115,31 @@ impl Sequence {
                 _ => runs.push([trigger, trigger]),
             }
         }
-        Described { trigger_rate_hz, points_each, runs, holes: self.holes.clone() }
+        let holes = self.holes.iter().flat_map(|hole| hole.first..=hole.last);
+        let mut all: Vec<u64> = self.triggers().chain(holes).collect();
+        all.sort_unstable();
+        let known = |trigger: &u64| Some((*trigger, self.clouds.expected.time_ns(*trigger)?));
+        let known: BTreeMap<u64, u64> = all.iter().filter_map(known).collect();
+        let (trigger_rate_hz, seconds) = placed(&all, &known, rate_hz);
+        Described { trigger_rate_hz, points_each, runs, holes: self.holes.clone(), seconds }
     }
+}
+
+/// Triggers per second, and when each trigger was, seconds since trigger 0: by the times that are known, ns, else by index at `rate_hz`.
+fn placed(triggers: &[u64], known_ns: &BTreeMap<u64, u64>, rate_hz: f64) -> (f64, Vec<f64>) {
+    let ends = known_ns.first_key_value().zip(known_ns.last_key_value());
+    let measured = ends.and_then(|((first, from), (last, to))| {
+        let ns = to.checked_sub(*from).filter(|ns| *ns > 0)?;
+        Some((last - first) as f64 * 1e9 / ns as f64)
+    });
+    let rate_hz = measured.unwrap_or(rate_hz);
+    let since = |trigger: &u64| {
+        let ((first, from), _) = ends?;
+        let ns = i128::from(*known_ns.get(trigger)?) - i128::from(*from);
+        Some(*first as f64 / rate_hz + ns as f64 / 1e9)
+    };
+    let seconds = triggers.iter().map(|trigger| since(trigger).unwrap_or(*trigger as f64 / rate_hz));
+    (rate_hz, seconds.collect())
 }
 
 /// Triggers of which no camera gave a point, with the reason.
@@ -160,10 +191,28 @@ mod tests {
     #[test]
     fn a_trigger_is_in_a_run_or_in_none() {
         let runs = vec![[0, 0], [3, 5], [u64::MAX, u64::MAX]];
-        let described = Described { trigger_rate_hz: 120.0, points_each: 1, runs, holes: Vec::new() };
+        let (holes, seconds) = (Vec::new(), Vec::new());
+        let described = Described { trigger_rate_hz: 120.0, points_each: 1, runs, holes, seconds };
         let found: Vec<u64> = (0..9).filter(|trigger| described.has(*trigger)).collect();
         assert_eq!(found, [0, 3, 4, 5]);
         assert!(described.has(u64::MAX) && !described.has(u64::MAX - 1));
+    }
+
+    #[test]
+    fn triggers_are_placed_by_their_own_times() {
+        // 20 Hz by a clock that is 20 ppm fast, one trigger 300 us late.
+        let ns = |trigger: u64| {
+            1_790_000_000_000_000_000 + trigger * 49_999_000 + if trigger == 5 { 300_000 } else { 0 }
+        };
+        let known = (2..=9).map(|trigger| (trigger, ns(trigger))).collect();
+        let (rate_hz, seconds) = super::placed(&[2, 3, 5, 9], &known, 120.0);
+        assert!((rate_hz - 1e9 / 49_999_000.0).abs() < 1e-9, "{rate_hz}");
+        for (found, trigger) in seconds.iter().zip([2, 3, 5, 9]) {
+            let expected = (ns(trigger) - ns(0)) as f64 / 1e9;
+            assert!((found - expected).abs() < 1e-9, "{trigger}: {found} {expected}");
+        }
+        let (rate_hz, seconds) = super::placed(&[0, 60], &std::collections::BTreeMap::new(), 120.0);
+        assert_eq!((rate_hz, seconds), (120.0, vec![0.0, 0.5]));
     }
 
     #[test]

@@ -333,13 +333,31 @@ impl WarmUp {
     }
 }
 
-/// All outcomes of a segment, so that a closed one opens without walking its records.
+/// All outcomes of a segment, and its part of the trigger table, so that a closed one opens without walking its records.
 #[derive(Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SegmentIndex {
     /// Camera (its place in the header), trigger, offset of the message's payload in the file, its length.
     pub frames: Vec<(u32, u64, u64, u64)>,
     /// The gap records.
     pub gaps: Vec<GapRecord>,
+    /// Rows of the trigger table ([`TriggerRecord::row`]); none in segments of versions that left them out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub triggers: Option<Vec<TriggerRow>>,
+}
+
+/// A trigger's index, HSU time, flags, and host time, ns.
+pub type TriggerRow = (u64, u64, u32, u64);
+
+impl TriggerRecord {
+    /// As an index has it.
+    pub fn row(&self) -> TriggerRow {
+        (self.index.0, self.hsu_time_ns, self.flags, self.host_time_ns)
+    }
+
+    /// Of an index.
+    pub fn of_row((index, hsu_time_ns, flags, host_time_ns): TriggerRow) -> Self {
+        Self { index: TriggerIndex(index), hsu_time_ns, flags, host_time_ns }
+    }
 }
 
 /// JSON schema of [`SegmentIndex`].
@@ -349,6 +367,8 @@ pub(crate) fn index_schema() -> serde_json::Value {
     serde_json::json!({"type": "object", "required": ["frames", "gaps"], "properties": {
         "frames": {"type": "array", "description": frames, "items": {"type": "array", "items": {"type": "integer"}}},
         "gaps": {"type": "array", "items": {"type": "object"}},
+        "triggers": {"type": "array", "description": "index, HSU time, flags and host time of each trigger",
+            "items": {"type": "array", "items": {"type": "integer"}}},
     }})
 }
 

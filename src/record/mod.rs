@@ -29,6 +29,7 @@ mod session;
 mod statistics;
 mod time_code;
 mod topic;
+mod trigger_times;
 mod unfinished;
 mod verdict;
 pub mod verify;

@@ -89,7 +89,7 @@ impl SegmentReader {
 pub(super) enum Extent {
     /// All small records.
     Everything,
-    /// Outcomes and verdict, by way of the indexes.
+    /// Outcomes, trigger table and verdict, by way of the indexes.
     Outcomes,
 }
 
@@ -325,11 +325,22 @@ impl RecordingReader {
             };
             self.outcome(number, camera as usize, trigger, Outcome::Frame { segment: place, offset, length });
         }
-        for gap in index.gaps {
-            self.gap(number, &gap);
-        }
+        index.gaps.iter().for_each(|gap| self.gap(number, gap));
+        let rows = index.triggers.into_iter().flatten().map(TriggerRecord::of_row);
+        rows.for_each(|row| self.trigger(number, row));
         segment.end = End::Closed;
         true
+    }
+
+    fn trigger(&mut self, segment: u32, record: TriggerRecord) {
+        if record.index.0 >= MAX_TRIGGERS {
+            let message =
+                format!("a row of the trigger table: no session has more than {MAX_TRIGGERS} triggers");
+            self.problem(segment, None, Some(record.index.0), message);
+        } else if self.triggers.insert(record.index, record).is_some_and(|first| first != record) {
+            let message = "two different rows in the trigger table";
+            self.problem(segment, None, Some(record.index.0), message);
+        }
     }
 
     fn gap(&mut self, segment: u32, gap: &GapRecord) {
@@ -367,17 +378,7 @@ impl RecordingReader {
         }
         let result = match topic {
             Topic::Gaps => serde_json::from_slice(bytes).map(|gap| self.gap(segment, &gap)),
-            Topic::Triggers => serde_json::from_slice(bytes).map(|record: TriggerRecord| {
-                if record.index.0 >= MAX_TRIGGERS {
-                    let message = format!(
-                        "a row of the trigger table: no session has more than {MAX_TRIGGERS} triggers"
-                    );
-                    self.problem(segment, None, Some(record.index.0), message);
-                } else if self.triggers.insert(record.index, record).is_some_and(|first| first != record) {
-                    let message = "two different rows in the trigger table";
-                    self.problem(segment, None, Some(record.index.0), message);
-                }
-            }),
+            Topic::Triggers => serde_json::from_slice(bytes).map(|record| self.trigger(segment, record)),
             Topic::Clock => serde_json::from_slice(bytes).map(|sample| self.clock_samples.push(sample)),
             Topic::Events => serde_json::from_slice(bytes).map(|event| self.events.push(event)),
             Topic::Image(_) | Topic::Other => Ok(()),

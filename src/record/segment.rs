@@ -7,8 +7,8 @@ use super::envelope::{self, FrameMeta};
 use super::layout::{
     FORMAT, HEADER_METADATA, INDEX_TOPIC, KEY_CRC, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_CRC,
     KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RECORDS, KEY_RIG, KEY_SEGMENT, KEY_SESSION,
-    RecordingHeader, SEGMENT_METADATA, STATISTICS_METADATA, SegmentIndex, VERDICT_METADATA, image_topic,
-    index_schema, json_channels,
+    RecordingHeader, SEGMENT_METADATA, STATISTICS_METADATA, SegmentIndex, TriggerRecord, VERDICT_METADATA,
+    image_topic, index_schema, json_channels,
 };
 use super::metadata::checksum;
 use super::open_chunk::{CHUNK_HEADER, Handle, Milestone, Window, lock};
@@ -207,8 +207,13 @@ impl Segment {
 
     /// Adds a small record to the open chunk.
     pub fn json(&mut self, channel: JsonChannel, sequence: u64, time_ns: u64, json: &[u8]) -> io::Result<()> {
-        if channel == JsonChannel::Gaps {
-            self.index.gaps.push(serde_json::from_slice(json)?);
+        match channel {
+            JsonChannel::Gaps => self.index.gaps.push(serde_json::from_slice(json)?),
+            JsonChannel::Triggers => {
+                let row: TriggerRecord = serde_json::from_slice(json)?;
+                self.index.triggers.get_or_insert_default().push(row.row());
+            }
+            JsonChannel::Clock | JsonChannel::Events => {}
         }
         self.write(self.json[channel as usize], sequence, time_ns, json)
     }

@@ -5,6 +5,7 @@ use super::layout::{GapCause, MAX_CAMERAS, VERDICT_METADATA, segment_number};
 use super::reader::{Extent, ReadError, RecordedFrame, RecordingReader};
 use super::scan::metadata_by_index;
 use super::segment_file::SegmentFile;
+use super::trigger_times::TriggerTimes;
 use crate::base::ids::{CameraId, NodeId, TriggerIndex};
 use crate::config::Rig;
 use crate::data::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement, StatedCamera};
@@ -181,6 +182,7 @@ pub struct SessionReader {
     /// Where the frames of each of `cameras` are.
     places: Vec<Place>,
     triggers: Range<u64>,
+    times: Option<TriggerTimes>,
 }
 
 /// Where a camera's frames are.
@@ -199,10 +201,18 @@ impl SessionReader {
         Self::of(path, open_extent(path, Extent::Everything)?)
     }
 
-    /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Trigger
-    /// tables, clock samples and events stay empty.
+    /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Clock samples and
+    /// events stay empty; so do trigger tables of versions that have none in their indexes.
     pub fn open_frames(path: &Path) -> Result<Self, ReadError> {
         Self::of(path, open_extent(path, Extent::Outcomes)?)
+    }
+
+    /// As [`Self::open_frames`], with trigger tables whatever version has written them.
+    pub fn open_timed(path: &Path) -> Result<Self, ReadError> {
+        let session = Self::open_frames(path)?;
+        let untimed =
+            |recording: &RecordingReader| recording.header.hsu.is_some() && recording.triggers.is_empty();
+        if session.recordings.iter().any(untimed) { Self::open(path) } else { Ok(session) }
     }
 
     fn of(
@@ -238,7 +248,8 @@ impl SessionReader {
         let end = recordings.iter().map(RecordingReader::triggers_end).max().unwrap_or(0);
         let triggers = start.unwrap_or(0).min(end)..end;
         let (cameras, places) = placed.into_iter().unzip();
-        Ok(Self { recordings, unreadable, lost, cameras, places, triggers })
+        let times = TriggerTimes::of(&recordings);
+        Ok(Self { recordings, unreadable, lost, cameras, places, triggers, times })
     }
 
     /// The recordings, by node.
@@ -339,6 +350,14 @@ impl FrameSource for SessionReader {
     fn pixels_crc(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Option<u32>, String> {
         let (recording, place) = self.place(camera)?;
         Ok(recording.frame_meta(place, trigger)?.ok().map(|meta| meta.pixels_crc))
+    }
+
+    fn trigger_time_ns(&self, trigger: TriggerIndex) -> Option<u64> {
+        self.times.as_ref()?.at(&self.recordings, trigger)
+    }
+
+    fn time_base(&self) -> Option<String> {
+        self.times.as_ref().map(|times| times.name(&self.recordings))
     }
 
     fn lost(&self) -> &[LostPart] {

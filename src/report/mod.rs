@@ -83,6 +83,8 @@ pub struct Report {
     pub nodes: Vec<NodeReport>,
     /// Recordings of the session of which nothing can be read.
     pub unreadable: Vec<Unreadable>,
+    /// Files of the result that are missing, and those left out, a sentence each.
+    pub amiss: Vec<String>,
     /// Points for the page's cloud (see [`encode`]), and of which trigger.
     pub cloud: Option<(u64, Vec<u8>)>,
 }
@@ -96,6 +98,9 @@ pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, ReadError
     };
     let points =
         result.map(|result| points_of(result, &reader)).transpose().map_err(of_result)?.unwrap_or_default();
+    let clouds = result.map(clouds_of).transpose().map_err(of_result)?.flatten();
+    let amiss = clouds.as_ref().map_or_else(Vec::new, |clouds| clouds.amiss(&(0..u64::MAX)));
+    let cloud = clouds.as_ref().map(cloud_of).transpose().map_err(of_result)?.flatten();
     let none = || ReadError::Unreadable(format!("{}: no recording", session.display()));
     let header = &reader.recordings().first().ok_or_else(none)?.header;
     let nodes = reader.recordings().iter().map(|recording| node(recording, &points)).collect();
@@ -108,7 +113,8 @@ pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, ReadError
         triggers: reader.recordings().iter().map(RecordingReader::triggers_end).max().unwrap_or(0),
         nodes,
         unreadable: reader.unreadable().to_vec(),
-        cloud: result.map(cloud_of).transpose().map_err(of_result)?.flatten(),
+        amiss,
+        cloud,
     })
 }
 
@@ -186,12 +192,14 @@ fn points_of(result: &Path, session: &SessionReader) -> Result<Vec<Points>, Stri
     Ok(frames.collect())
 }
 
-/// The merged cloud in the middle of what was reconstructed; none where there are no clouds.
-fn cloud_of(result: &Path) -> Result<Option<(u64, Vec<u8>)>, String> {
-    if !["phases", "clouds", "merged"].iter().any(|folder| result.join(folder).is_dir()) {
-        return Ok(None);
-    }
-    let clouds = Clouds::open(result)?;
+/// What was reconstructed; none where there are no clouds.
+fn clouds_of(result: &Path) -> Result<Option<Clouds>, String> {
+    let is_there = ["phases", "clouds", "merged"].iter().any(|folder| result.join(folder).is_dir());
+    is_there.then(|| Clouds::open(result)).transpose()
+}
+
+/// The merged cloud in the middle of what was reconstructed.
+fn cloud_of(clouds: &Clouds) -> Result<Option<(u64, Vec<u8>)>, String> {
     let Some((trigger, place)) = clouds.merged.iter().nth(clouds.merged.len() / 2) else { return Ok(None) };
     let (_, cloud) = clouds.load(place)?;
     Ok(Some((*trigger, encode(&cloud, POINTS_MAX))))

@@ -102,6 +102,9 @@ pub fn render(report: &Report, playing: Option<&Playing>) -> String {
         }
         (None, None) => {}
     }
+    if !report.amiss.is_empty() {
+        let _ = write!(page, "<pre class=\"bad\">{}</pre>", escape(&report.amiss.join("\n")));
+    }
     report.nodes.iter().for_each(|node| node_section(&mut page, report, node));
     for one in &report.unreadable {
         let _ = write!(
@@ -351,6 +354,7 @@ mod tests {
             triggers: 24,
             nodes,
             unreadable: Vec::new(),
+            amiss: Vec::new(),
             cloud: None,
         }
     }

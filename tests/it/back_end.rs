@@ -128,7 +128,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
             let plan = Plan { out, triggers: 0..1, cameras, formats, uncertainty, ..Plan::default() };
             let (summary, _) = run::run(&source, &calibration, &plan, |_| ()).expect("runs");
             if format == Format::Ply {
-                run::write_sequence(&source, &plan, &summary, 120.0).expect("writable");
+                run::write_sequence(&plan, &summary, 120.0).expect("writable");
             }
             summary
         };

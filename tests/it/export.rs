@@ -310,6 +310,7 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
     };
     let (summary, _) = run::run(&Frames(frames, cameras), &calibration, &plan, |_| ()).expect("runs");
     assert_eq!(summary.clouds, 8, "{summary:?}");
+    summary.save(&plan.out.join("summary.json")).expect("writable");
     // From stored phase maps, with the calibration beside them, or with the one that is given.
     let (out, beside) = (dir.path().join("out"), plan.out.join("calibration.json"));
     exported(&plan.out, &out, &["--to", "ply", "--mesh", "grid"]);

@@ -105,6 +105,7 @@ mod recover;
 mod refusals;
 #[cfg(feature = "aravis")]
 mod report;
+mod result_files;
 mod reused;
 #[cfg(feature = "aravis")]
 mod service;
@@ -136,4 +137,5 @@ mod unreadable_disk;
 mod unreadable_sessions;
 mod validate_commands;
 mod warm_up;
+mod witness;
 mod worker;

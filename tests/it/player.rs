@@ -3,7 +3,7 @@
 
 use crate::browser::Browser;
 use crate::lab::text_of;
-use crate::reused::{BALL, Place, reconstruct, run};
+use crate::reused::{BALL, Place, reconstruct, repeat, run};
 use serde_json::{Value, json};
 
 /// Triggers with a cloud: some are missing, then they come one after the other.
@@ -18,10 +18,7 @@ fn a_page_plays_what_was_reconstructed() {
     let (session, out, page) = (place.session("ball"), place.path("out"), place.path("page.html"));
     let made = reconstruct(&place, &session, &out, &[]);
     assert_eq!(made.status.code(), Some(0), "{}", text_of(&made));
-    let merged = |trigger: u64| out.join(format!("merged/{trigger:06}.ply"));
-    for trigger in TRIGGERS.into_iter().skip(1) {
-        std::fs::copy(merged(0), merged(trigger)).expect("writable");
-    }
+    repeat(&out, TRIGGERS.into_iter().skip(1));
     let report = |options: &[&str]| {
         let words = [&["report", "--play"], options].concat();
         run(&words, &[("", &session), ("--clouds", &out), ("--out", &page)])

@@ -247,3 +247,53 @@ fn small_records_read_back_and_every_segment_stands_alone() {
     }
     assert_eq!(next, 60);
 }
+
+/// The HSU's rhythm, put on the host's clock by the report that was held up least; a row that nobody has by its neighbour's.
+#[test]
+fn triggers_have_the_hsus_times_on_the_hosts_clock() {
+    for rate_hz in [20.0, 60.0, 120.0] {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        // Its clock is 20 ppm fast, and trigger 4 was late.
+        let period_ns = 1e9 / rate_hz * (1.0 + 20e-6);
+        let hsu_ns =
+            |index: u64| 7_000 + (index as f64 * period_ns) as u64 + if index == 4 { 300_000 } else { 0 };
+        let held_up_ns = |index: u64| if index == 5 { 40_000 } else { 90_000 + index * 37 % 11 * 1_000_000 };
+        for (node, cameras, missing) in [("a", ["h0_up"], 9), ("b", ["h2_up"], 40)] {
+            let header = RecordingHeader { trigger_rate_hz: rate_hz, ..header(node, &cameras, Some(12)) };
+            let path = node_dir(dir.path(), &NodeId::from(node));
+            let mut recording = Recording::create(&path, header, options(20_000)).expect("a new recording");
+            for index in 0..12 {
+                let (meta, message) = frame(cameras[0], 0, index);
+                recording.frame(0, &meta, &message).expect("recorded");
+                let host_time_ns = START_NS + hsu_ns(index) + held_up_ns(index);
+                let (index, hsu_time_ns) = (TriggerIndex(index), hsu_ns(index));
+                if index.0 != missing && index.0 != 11 {
+                    let row = TriggerRecord { index, hsu_time_ns, flags: 0, host_time_ns };
+                    recording.trigger(&row).expect("recorded");
+                }
+            }
+            recording.finish(end(12)).expect("finished");
+        }
+        for reader in [
+            SessionReader::open(dir.path()),
+            SessionReader::open_frames(dir.path()),
+            SessionReader::open_timed(dir.path()),
+        ] {
+            let reader = reader.expect("a session");
+            assert!(
+                reader
+                    .time_base()
+                    .is_some_and(|base| base.contains("node a") && base.contains("CLOCK_REALTIME"))
+            );
+            for index in 0..12 {
+                let found = reader.trigger_time_ns(TriggerIndex(index)).expect("a time");
+                let off = found.abs_diff(START_NS + hsu_ns(index) + 40_000);
+                // One after the last row: by the nominal period.
+                assert!(
+                    off <= if index == 11 { 2_000 } else { 1 },
+                    "{rate_hz} Hz, trigger {index}: {off} ns"
+                );
+            }
+        }
+    }
+}

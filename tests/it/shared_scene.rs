@@ -388,7 +388,7 @@ fn a_batch_gives_the_same_bytes_for_any_threads_and_resumes() {
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
         let done = pool.install(|| run::run(&source, &calibration, &plan, |_| ())).expect("runs");
-        run::write_sequence(&source, &plan, &done.0, 120.0).expect("writable");
+        run::write_sequence(&plan, &done.0, 120.0).expect("writable");
         done
     };
     let files = ["clouds/h0_up_000000.ply", "clouds/h0_low_000000.ply", "merged/000000.ply", "sequence.mcap"];

@@ -56,7 +56,8 @@ impl Job<'_> {
             };
         };
         let same = header.comment("parameters") == Some(&self.parameters);
-        if !same || !header.comments.contains(&cameras_comment(self.cameras())) {
+        let of_trigger = self.identity(trigger).chain([cameras_comment(self.cameras())]);
+        if !same || !of_trigger.into_iter().all(|comment| header.comments.contains(&comment)) {
             return None;
         }
         let frames = header.comments.iter().find(|comment| comment.starts_with("frames "))?.clone();

@@ -2,7 +2,6 @@
 //! What is written of a frame: its cloud, its phase map, and what both say of where they come from.
 
 use super::{Camera, Format, Job, cameras_comment};
-use crate::base::ids::TriggerIndex;
 use crate::batch::dump_maps;
 use crate::batch::summary::FrameSummary;
 use crate::data::Cloud;
@@ -13,13 +12,20 @@ use std::borrow::Cow;
 
 impl Job<'_> {
     pub(super) fn comments(&self, trigger: u64, frames: &str) -> Vec<String> {
-        vec![
+        let mut comments = vec![
             format!("fourdbody {}", env!("CARGO_PKG_VERSION")),
             format!("parameters {}", self.parameters),
             format!("calibration {}: {}", self.calibration.rig, self.calibration.origin),
-            format!("trigger {trigger}"),
-            frames.to_owned(),
-        ]
+        ];
+        comments.extend(self.identity(trigger));
+        comments.push(frames.to_owned());
+        comments
+    }
+
+    /// The comments that tell whose trigger it is, and when it was.
+    pub(super) fn identity(&self, trigger: u64) -> impl Iterator<Item = String> {
+        let time = self.time_ns(trigger).map(|ns| format!("time_ns {ns}"));
+        [format!("session {}", self.session), format!("trigger {trigger}")].into_iter().chain(time)
     }
 
     pub(super) fn merged_comments(&self, trigger: u64, frames: &str) -> Vec<String> {
@@ -102,7 +108,7 @@ impl Job<'_> {
         let statement = Statement {
             camera: camera.id.to_string(),
             trigger,
-            time_ns: self.source.trigger_time_ns(TriggerIndex(trigger)),
+            time_ns: self.time_ns(trigger),
             geometry_sha256,
             volume_m,
             points: result.cloud.len(),

@@ -3,10 +3,12 @@
 
 use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers, stopped};
 use crate::base::Exit;
-use crate::base::ids::{CameraId, TriggerIndex};
+use crate::base::ids::TriggerIndex;
+use crate::batch::belonging::{self, Expected, Held};
 use crate::batch::from_phase_maps::PhaseDirectory;
 use crate::batch::key::Key;
-use crate::cmds::failure::{Failure, tell_lost, unusable_clouds};
+use crate::batch::run::time_by_index_ns;
+use crate::cmds::failure::{Failure, tell_amiss, tell_lost, tell_made_up_times, unusable_clouds};
 use crate::cmds::progress::Progress;
 use crate::data::FrameSource;
 use crate::export::job::{self, Plan, Summary};
@@ -15,6 +17,7 @@ use crate::export::{Contents, collect};
 use crate::formats::sequence::Options;
 use crate::formats::{CloudSource, Format, PlyDirectory};
 use crate::record::SessionReader;
+use std::path::Path;
 
 /// Clouds, meshes, and the sequence.
 pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
@@ -29,7 +32,14 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
+    let corrupt = |e: String| Failure::new(Exit::Corrupt, e);
+    let expected = Expected::of(&args.directory).map_err(corrupt)?;
+    let there = belonging::listed(source);
+    let source: &dyn CloudSource = &Held::new(source, &expected);
     let plan = plan(args, source)?;
+    let wanted = |name: &str| plan.cameras.iter().any(|&camera| source.cameras()[camera].1 == name);
+    let triggers = args.triggers.clone().unwrap_or(0..u64::MAX);
+    let is_amiss = tell_amiss(&expected.amiss(&there, &triggers, &wanted));
     let progress = Progress::of("exporting", "triggers");
     let mut summary = Summary::default();
     if !plan.formats.is_empty() {
@@ -54,9 +64,9 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
         );
         return Err(Failure::new(Exit::Corrupt, message));
     }
-    Ok(match (summary.problems.is_empty(), summary.empty) {
-        (true, 0) => Exit::Done,
-        (true, _) => Exit::DataLoss,
+    Ok(match (summary.problems.is_empty(), summary.empty > 0 || is_amiss) {
+        (true, false) => Exit::Done,
+        (true, true) => Exit::DataLoss,
         (false, _) => Exit::Corrupt,
     })
 }
@@ -122,19 +132,16 @@ fn write_sequence(
     plan: &Plan,
     progress: &Progress,
 ) -> Result<Summary, Failure> {
-    let session = match &args.session {
-        None => None,
-        Some(path) => Some(SessionReader::open(path)?),
+    let session = args.session.as_ref().map(|path| same_session(args, path)).transpose()?;
+    let known = |trigger: u64| {
+        let of_session = || session.as_ref()?.trigger_time_ns(TriggerIndex(trigger));
+        source.time_ns(trigger).or_else(of_session)
     };
-    // Times are there as long as one node's recording is.
-    if let Some(session) = &session {
-        tell_lost(session.lost());
+    let unknown = |trigger: &u64| known(*trigger).is_none();
+    if source.triggers().range(plan.triggers.clone()).any(|(trigger, _)| unknown(trigger)) {
+        tell_made_up_times(args.rate_hz);
     }
-    let time_ns = |trigger: u64| {
-        let told = session.as_ref().and_then(|session| host_time_ns(session, trigger));
-        let by_index = (trigger as f64 * 1e9 / args.rate_hz).round() as u64;
-        told.or_else(|| source.time_ns(trigger)).unwrap_or(by_index)
-    };
+    let time_ns = |trigger: u64| known(trigger).unwrap_or_else(|| time_by_index_ns(trigger, args.rate_hz));
     let options = Options {
         zstd_level: args.compress.map_or(u32::from(args.quantize.is_some()), u32::from),
         step_m: args.quantize.map(|mm| mm / 1e3),
@@ -151,14 +158,22 @@ fn write_sequence(
     collect(source, &contents, options, &path, time_ns, |done, total| progress.at(done, total)).map_err(fail)
 }
 
-/// When the first frame of a trigger arrived, by the clock of the first node: the time of its message in the recording.
-fn host_time_ns(session: &SessionReader, trigger: u64) -> Option<u64> {
-    let recording = session.recordings().first()?;
-    let known: &[CameraId] = session.cameras();
-    let places = 0..recording.header.cameras.len().min(known.len());
-    let time =
-        |place| recording.frame_meta(place, TriggerIndex(trigger)).ok()?.ok().map(|meta| meta.host_time_ns);
-    places.filter_map(time).min()
+/// The session that the result is of.
+fn same_session(args: &Args, path: &Path) -> Result<SessionReader, Failure> {
+    let session = SessionReader::open_timed(path)?;
+    // Times are there as long as one node's recording is.
+    tell_lost(session.lost());
+    let corrupt = |e: String| Failure::new(Exit::Corrupt, e);
+    let (found, key) = (session.identity().map_err(corrupt)?, Key::load(&args.directory).map_err(corrupt)?);
+    if let Some(key) = key.filter(|key| key.session.id != found.id) {
+        return Err(corrupt(format!(
+            "--session {}: is {found}, expected the session that {} was made of, {}",
+            path.display(),
+            args.directory.display(),
+            key.session
+        )));
+    }
+    Ok(session)
 }
 
 fn report(args: &Args, summary: &Summary) {

@@ -4,7 +4,7 @@
 mod clouds;
 mod session;
 
-use super::failure::Failure;
+use super::failure::{Failure, tell_amiss, tell_made_up_times};
 use super::progress::Progress;
 use crate::base::Exit;
 use crate::batch::from_phase_maps::{self, StoredError};
@@ -27,8 +27,11 @@ use std::path::PathBuf;
 /// Without any choice of clouds, stored phase maps become all that `reconstruct` would have written itself, byte for byte:
 /// clouds/, merged/ and sequence.mcap.
 ///
-/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session, or clouds have no points (nothing is written
-/// of these); 4 some clouds or frames are damaged, and listed, or there is nothing to export at all; 1 could not write.
+/// Each file of a reconstruction is held against its name, its session and summary.json.
+///
+/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session, files are missing, or clouds have no points
+/// (nothing is written of these); 4 some clouds or frames are damaged or of something else, and listed, or there is nothing to export at
+/// all; 1 could not write.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -75,13 +78,13 @@ pub struct Args {
     /// With --to mcap: level of compression (zstd), 0 for none [default: 0, or 1 with --quantize].
     #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(0..=19))]
     compress: Option<u8>,
-    /// With --to mcap: take the times from this session, so that clouds and frames play together.
+    /// With --to mcap, of results of older versions, which state no times: take them from this session.
     #[arg(long, value_name = "DIR")]
     session: Option<PathBuf>,
     /// Number of threads [default: one per core].
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
-    /// Triggers per second, for the times in sequence.mcap where nothing tells them.
+    /// Triggers per second, for the times in sequence.mcap where nothing states them, as of images.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = super::reconstruct::parse_rate)]
     rate_hz: f64,
     /// Print the summary as JSON.
@@ -194,17 +197,22 @@ fn everything(args: &Args) -> Result<Exit, Failure> {
             }
         })?;
     drop(progress);
+    let is_amiss = tell_amiss(&made.amiss);
+    if made.made_up_times {
+        tell_made_up_times(args.rate_hz);
+    }
+    let is_whole = made.empty == 0 && !is_amiss;
     if args.json {
         println!("{}", serde_json::json!(made));
     } else {
-        let from_phase_maps::Exported { clouds, merged_points, triggers, kept, empty } = made;
+        let from_phase_maps::Exported { clouds, merged_points, triggers, kept, empty, .. } = made;
         let merged = triggers - empty;
         println!(
             "{clouds} clouds; {merged_points} points in {merged} merged clouds; {kept} of {triggers} triggers finished before, {empty} \
              without a point"
         );
     }
-    Ok(if made.empty == 0 { Exit::Done } else { Exit::DataLoss })
+    Ok(if is_whole { Exit::Done } else { Exit::DataLoss })
 }
 
 fn calibration(args: &Args) -> Result<Calibration, Failure> {

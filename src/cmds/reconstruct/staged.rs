@@ -77,6 +77,7 @@ impl Staged {
         let mut what = args.what.clone();
         if let Some(remote) = &self.session {
             what.session = self.scratch.join("session");
+            what.is_part = true;
             let wanted = |camera: &CameraId, trigger| self.reads(args, camera, trigger);
             let bytes = recordings::stage(remote, &what.session, &wanted).map_err(failed)?;
             eprintln!("{:.1} MB of the session fetched from {}", bytes as f64 / 1e6, remote.location());

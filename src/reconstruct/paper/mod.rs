@@ -31,7 +31,7 @@ use super::triangulate::ray_table::RayTable;
 use crate::base::image::{Mono8, Plane};
 
 /// Counterpart of [`crate::batch::key::ALGORITHM`] for this method: raised whenever the same frames may give other points.
-pub const ALGORITHM: u32 = 30;
+pub const ALGORITHM: u32 = 31;
 
 /// What fringe orders by this method are not checked against.
 pub const UNCHECKED: &str =

@@ -14,7 +14,7 @@ use crate::record::layout::{
 };
 use crate::record::metadata::{StatedHeader, is_sound, parse_header, parse_index};
 use crate::record::scan::{
-    End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json,
+    End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json, metadata_by_index,
 };
 use crate::record::segment_file::SegmentFile;
 use crate::record::statistics::WriteStatistics;
@@ -117,6 +117,7 @@ pub fn scan(number: u32, file: &SegmentFile, advance: &dyn Fn(u64)) -> SegmentSc
         checked: false,
         data: Hasher::new(),
         hashed: 0,
+        indexed: false,
         budget: budget(file.len()),
     };
     scanner.run();
@@ -148,6 +149,8 @@ struct Scanner<'a> {
     /// Of the data section so far.
     data: Hasher,
     hashed: usize,
+    /// Whether an index has been named.
+    indexed: bool,
     /// Bytes that may still be looked at, see [`budget`].
     budget: usize,
 }
@@ -182,6 +185,14 @@ impl<'a> Scanner<'a> {
                 }
             };
             walker = Walker::resume(self.file, goes_on);
+        }
+        // A length that is damaged may have led past the record that names the index: the summary knows it, too.
+        if !self.indexed && self.budget > 0 {
+            for (_, entries) in
+                metadata_by_index(self.file).iter().flatten().filter(|(name, _)| *name == SEGMENT_METADATA)
+            {
+                self.index(entries);
+            }
         }
     }
 
@@ -406,6 +417,7 @@ impl<'a> Scanner<'a> {
 
     /// The index knows the gap records, and frames whose way from record to record is damaged.
     fn index(&mut self, entries: &Entries) {
+        self.indexed = true;
         // A segment has one index. A file may name one over and over, and frames in it that lie over each other.
         let length = entries.get(KEY_INDEX_LENGTH).and_then(|text| text.parse().ok()).unwrap_or(0);
         self.look_at(self.file.len().min(length));

@@ -5,7 +5,7 @@ use super::witnesses::{Seen, Times};
 use super::{Notes, Severity};
 use crate::base::ids::TriggerIndex;
 use crate::record::frame_check::check_frame;
-use crate::record::layout::{GapRecord, SegmentIndex, image_topic};
+use crate::record::layout::{GapRecord, SegmentIndex, TriggerRecord, image_topic};
 use crate::record::metadata::stated_index;
 use crate::record::reader::{RecordingReader, SegmentReader};
 use crate::record::scan::{End, Event, Walker, metadata_by_index};
@@ -67,9 +67,12 @@ fn check_segment(
                 Event::Message { channel, sequence, data } => {
                     payload.resize(data.len(), 0);
                     let read = file.read(data.start, &mut payload).map_err(|bad| bad.to_string());
+                    // One that is not readable has been noted when the recording was opened.
                     if channels.get(&channel) == Some(&Topic::Gaps) {
-                        // One that is not readable has been noted when the recording was opened.
                         index.gaps.extend(serde_json::from_slice::<GapRecord>(&payload).ok());
+                    } else if channels.get(&channel) == Some(&Topic::Triggers) {
+                        let row = serde_json::from_slice::<TriggerRecord>(&payload).ok();
+                        index.triggers.get_or_insert_default().extend(row.map(|row| row.row()));
                     } else if let Some(Topic::Image(camera)) = channels.get(&channel) {
                         let trigger = u64::from(sequence);
                         index.frames.push((*camera as u32, trigger, data.start as u64, data.len() as u64));
@@ -116,6 +119,8 @@ fn check_segment(
     }
     if walker.end() == End::Closed && file.bad_ranges().is_empty() {
         let stated = metadata_by_index(file).and_then(|metadata| stated_index(file, &metadata));
+        // Older versions have no triggers in it.
+        index.triggers = index.triggers.filter(|_| stated.as_ref().is_some_and(|x| x.triggers.is_some()));
         if stated != Some(index) {
             notes.add(Severity::Corrupt, number, None, None, "its index is not what its records say");
         }

@@ -1,0 +1,224 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Frames of a finished run that show another trigger ([`super::witness`]) are refused: their files become those of refused frames, and
+//! the merged clouds of their triggers are made without them.
+//!
+//! This is done when all triggers of a run are there, at its end or when its shards are collected, so that the result is the same
+//! however it was come to.
+
+use super::from_phase_maps::{PhaseDirectory, phase_path};
+use super::run::{Format, Plan, cloud_path, merged_path};
+use super::summary::{FrameSummary, Summary, TriggerSummary};
+use super::witness::{self, REACH, Said, Sketch, Sketches};
+use crate::base::ids::CameraId;
+use crate::data::{Calibration, Cloud, PhaseMap};
+use crate::formats::{CloudSource, PlyDirectory, phase_file, ply};
+use crate::merge::{self, Rule, View, Viewpoint};
+use crate::reconstruct::pipeline::Method;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+
+/// Triggers whose clouds are read at a time.
+const AT_ONCE: usize = 4;
+
+/// How a reason begins that this is the author of.
+const SHOWN: &str = "it shows trigger ";
+
+fn reason(shown: u64, own: u64) -> String {
+    format!(
+        "{SHOWN}{shown}, not {own}: what moves lies where the other cameras have it then; see what happened to this camera about this trigger (`fourdbody verify`)"
+    )
+}
+
+/// Refuses the frames of a run that show another trigger, in its files and in `summary`, on the current rayon pool. `progress` hears
+/// of the triggers looked at, and of how many there are.
+///
+/// # Errors
+/// A file cannot be read or written.
+pub fn refuse(
+    plan: &Plan,
+    calibration: &Calibration,
+    summary: &mut Summary,
+    progress: impl Fn(usize, usize),
+) -> Result<(), String> {
+    if plan.discard || plan.method != Method::Joint || summary.clouds == 0 {
+        return Ok(());
+    }
+    let names: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
+    let mut said = ask(plan, calibration, summary, &names, progress)?;
+    let strangers = witness::strangers(calibration, &mut said);
+    for (&(trigger, camera), &shown) in &strangers {
+        refuse_files(plan, &names[camera], trigger, &reason(shown, trigger))?;
+    }
+    for one in &mut summary.triggers {
+        let is_stranger = |camera: &CameraId| {
+            let place = names.iter().position(|name| name == camera)?;
+            strangers.get(&(one.trigger, place)).copied()
+        };
+        let mut any = false;
+        for frame in &mut one.frames {
+            if let Some(shown) = is_stranger(&frame.camera) {
+                set_refused(frame, reason(shown, one.trigger));
+                any = true;
+            }
+        }
+        if any && plan.merges() {
+            one.merged_points = Some(merge_again(&plan.out, one)?);
+        }
+    }
+    summary.count();
+    summary.suspects = witness::suspects(calibration, &said)
+        .into_iter()
+        .map(|((trigger, camera), shown)| {
+            format!("{} {trigger}: the other camera of its head shows the same at trigger {shown}; one of the two is of another trigger", names[camera])
+        })
+        .collect();
+    Ok(())
+}
+
+fn set_refused(frame: &mut FrameSummary, reason: String) {
+    (frame.outcome, frame.reason, frame.points) = ("refused".into(), Some(reason), 0);
+}
+
+/// What is said of the frames against which anybody speaks.
+fn ask(
+    plan: &Plan,
+    calibration: &Calibration,
+    summary: &Summary,
+    names: &[CameraId],
+    progress: impl Fn(usize, usize),
+) -> Result<BTreeMap<(u64, usize), Said>, String> {
+    let source: Box<dyn CloudSource> = if plan.formats.contains(&Format::Phase) {
+        Box::new(PhaseDirectory::open(&plan.out, calibration.clone())?)
+    } else {
+        Box::new(PlyDirectory::open(&plan.out)?)
+    };
+    let lit: Vec<&TriggerSummary> = summary
+        .triggers
+        .iter()
+        .filter(|one| one.frames.iter().any(|frame| frame.outcome == "cloud"))
+        .collect();
+    let mut sketches: BTreeMap<u64, Sketches> = BTreeMap::new();
+    let (mut said, mut loaded) = (BTreeMap::new(), 0);
+    for (done, one) in lit.iter().enumerate() {
+        while let Some(next) =
+            lit.get(loaded).filter(|next| next.trigger <= one.trigger.saturating_add(REACH))
+        {
+            debug_assert!(!sketches.contains_key(&next.trigger));
+            let chunk = &lit[loaded..lit.len().min(loaded + AT_ONCE)];
+            let made =
+                chunk.par_iter().map(|one| Ok((one.trigger, sketch(&*source, calibration, one, names)?)));
+            sketches.extend(made.collect::<Result<Vec<_>, String>>()?);
+            loaded += chunk.len();
+        }
+        let frames = (0..names.len()).into_par_iter();
+        let heard = frames.filter_map(|camera| {
+            Some(((one.trigger, camera), witness::ask(calibration, &sketches, one.trigger, camera)?))
+        });
+        said.extend(heard.collect::<Vec<_>>());
+        sketches = sketches.split_off(&one.trigger.saturating_sub(REACH));
+        progress(done + 1, lit.len());
+    }
+    Ok(said)
+}
+
+/// The sketches of a trigger's clouds.
+fn sketch(
+    source: &dyn CloudSource,
+    calibration: &Calibration,
+    one: &TriggerSummary,
+    names: &[CameraId],
+) -> Result<Sketches, String> {
+    let cameras: Vec<_> = calibration.cameras().map(|(_, camera)| camera).collect();
+    let of = |(place, name): (usize, &CameraId)| {
+        if !one.frames.iter().any(|frame| frame.camera == *name && frame.outcome == "cloud") {
+            return Ok(None);
+        }
+        let known = source.cameras().iter().position(|(_, known)| known.as_str() == name.as_str());
+        let cloud =
+            known.map(|known| source.clouds(one.trigger, &[known])).transpose()?.and_then(|mut x| x.pop());
+        Ok(cloud.map(|(_, cloud)| Sketch::new(&cloud, &cameras[place].device)))
+    };
+    names.par_iter().enumerate().map(of).collect()
+}
+
+/// Makes the files of a frame those of a refused one.
+fn refuse_files(plan: &Plan, camera: &CameraId, trigger: u64, reason: &str) -> Result<(), String> {
+    let refused = format!("refused {reason}");
+    for format in &plan.formats {
+        match format {
+            Format::Phase => {
+                let path = phase_path(&plan.out, camera.as_str(), trigger);
+                let (mut statement, map) = phase_file::load(&path).map_err(|e| e.to_string())?;
+                statement.points = 0;
+                statement.comments.push(refused.clone());
+                let empty = PhaseMap { frame: map.frame, ..PhaseMap::default() };
+                phase_file::save(&path, &statement, &empty)
+                    .map_err(|e| format!("{}: {e}", path.display()))?;
+            }
+            Format::Ply => {
+                let path = cloud_path(&plan.out, camera, trigger);
+                let mut comments = ply::load_header(&path).map_err(|e| e.to_string())?.comments;
+                comments.push(refused.clone());
+                let saved = ply::save(&path, &Cloud::default(), &comments);
+                saved.map_err(|e| format!("{}: {e}", path.display()))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Makes the merged cloud of a trigger of the directional clouds that there are; the number of its points.
+fn merge_again(out: &Path, one: &TriggerSummary) -> Result<usize, String> {
+    let path = merged_path(out, one.trigger);
+    let stated = ply::load_header(&path).map_err(|e| e.to_string())?;
+    let comments =
+        merge::split_removed(&stated.comments).map_or(&stated.comments[..], |(own, _)| own).to_vec();
+    let source = PlyDirectory::open(out)?;
+    let with_points =
+        |name: &str| one.frames.iter().any(|frame| frame.camera.as_str() == name && frame.points > 0);
+    let places: Vec<usize> =
+        (0..source.cameras().len()).filter(|place| with_points(&source.cameras()[*place].1)).collect();
+    let failed = |e: io::Error| format!("{}: {e}", path.display());
+    if places.is_empty() {
+        return std::fs::remove_file(&path).map(|()| 0).map_err(failed);
+    }
+    let clouds = source.clouds(one.trigger, &places)?;
+    let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
+    let views = clouds.iter().zip(&from).zip(&places).map(|(((_, cloud), from), place)| View {
+        camera: source.cameras()[*place].0,
+        cloud,
+        from: from.as_ref(),
+    });
+    let views: Vec<View<'_>> = views.collect();
+    merge::save(&path, &views, &merge::left_out(&views, Rule::default()), comments).map_err(failed)
+}
+
+/// What a shard's summary says of a trigger, with the frames refused that an earlier collection has found to be of another trigger.
+/// Whether there are any.
+pub fn adopt(out: &Path, formats: &[Format], one: &mut TriggerSummary) -> bool {
+    let mut any = false;
+    for frame in &mut one.frames {
+        let comments = match formats.first() {
+            Some(Format::Phase) => {
+                let path = phase_path(out, frame.camera.as_str(), one.trigger);
+                phase_file::load_statement(&path).map(|statement| statement.comments).unwrap_or_default()
+            }
+            _ => {
+                let path = cloud_path(out, &frame.camera, one.trigger);
+                ply::load_whole_header(&path).map(|header| header.comments).unwrap_or_default()
+            }
+        };
+        let reason = comments.iter().find_map(|comment| comment.strip_prefix("refused "));
+        if let Some(reason) = reason.filter(|reason| reason.starts_with(SHOWN)) {
+            set_refused(frame, reason.to_owned());
+            any = true;
+        }
+    }
+    if any && one.merged_points.is_some() {
+        let merged = ply::load_whole_header(&merged_path(out, one.trigger));
+        one.merged_points = Some(merged.map_or(0, |header| header.points));
+    }
+    any
+}

@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! When the triggers of a session were: by the HSU's own clock, put on the clock of a node.
+//!
+//! From trigger to trigger the HSU's times are right to a microsecond; arrivals of reports and frames are late by whatever held them
+//! up. So the table gives the rhythm, and the one report that was held up least says where it lies on the host's clock.
+
+use super::layout::TriggerRecord;
+use super::reader::RecordingReader;
+use crate::base::ids::TriggerIndex;
+
+/// Where the trigger table lies on a host's clock.
+#[derive(Debug)]
+pub(super) enum TriggerTimes {
+    /// Host time less HSU time of the report that arrived soonest, ns, in this recording.
+    Table { recording: usize, host_minus_hsu_ns: i128 },
+    /// No recording has a table, as of imported images: from the first recording's creation on, at the nominal rate.
+    Nominal,
+}
+
+impl TriggerTimes {
+    /// `None` where there is no recording.
+    pub(super) fn of(recordings: &[RecordingReader]) -> Option<Self> {
+        let delay = |row: &TriggerRecord| i128::from(row.host_time_ns) - i128::from(row.hsu_time_ns);
+        let least = |recording: &RecordingReader| recording.triggers.values().map(delay).min();
+        let tables = recordings.iter().enumerate();
+        let mut tables = tables.filter_map(|(place, one)| Some((place, least(one)?)));
+        let table =
+            tables.next().map(|(recording, host_minus_hsu_ns)| Self::Table { recording, host_minus_hsu_ns });
+        table.or_else(|| (!recordings.is_empty()).then_some(Self::Nominal))
+    }
+
+    /// Host time of a trigger, ns since 1970. One that no node has heard of is as many nominal periods from its neighbour.
+    pub(super) fn at(&self, recordings: &[RecordingReader], trigger: TriggerIndex) -> Option<u64> {
+        let Self::Table { recording, host_minus_hsu_ns } = *self else {
+            let header = &recordings.first()?.header;
+            let since = (trigger.0 as f64 * 1e9 / header.trigger_rate_hz).round() as u64;
+            return header.created_ns.checked_add(since);
+        };
+        // All nodes heard the same HSU, and what one of them missed another may have.
+        let known = recordings.iter().find_map(|recording| recording.triggers.get(&trigger));
+        let hsu_ns = known.map(|row| i128::from(row.hsu_time_ns)).or_else(|| {
+            let recording = recordings.get(recording)?;
+            let before = recording.triggers.range(..trigger).next_back();
+            let (near, row) = before.or_else(|| recording.triggers.range(trigger..).next())?;
+            let periods = trigger.0 as f64 - near.0 as f64;
+            Some(
+                i128::from(row.hsu_time_ns)
+                    + (periods * 1e9 / recording.header.trigger_rate_hz).round() as i128,
+            )
+        });
+        u64::try_from(hsu_ns? + host_minus_hsu_ns).ok()
+    }
+
+    /// What clock this is.
+    pub(super) fn name(&self, recordings: &[RecordingReader]) -> String {
+        let place = match *self {
+            Self::Table { recording, .. } => recording,
+            Self::Nominal => 0,
+        };
+        let Some(header) = recordings.get(place).map(|one| &one.header) else { return String::new() };
+        let (clock, node) = (&header.host_clock, &header.node);
+        match self {
+            Self::Table { .. } => {
+                format!("the HSU's times, put on {clock} of node {node} by the report that arrived soonest")
+            }
+            Self::Nominal => format!(
+                "trigger index at {} Hz since the recording of node {node} was created ({clock})",
+                header.trigger_rate_hz
+            ),
+        }
+    }
+}
