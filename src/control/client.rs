@@ -180,7 +180,8 @@ impl NodeClient {
     /// Sends JSON, and wants no more than success.
     pub fn post(&self, path: &str, body: &impl Serialize, timeout: Duration) -> Result<(), Fault> {
         let body = serde_json::to_vec(body).map_err(|e| Fault::new(Exit::Failure, e))?;
-        let answer = self.ask(Method::POST, path, Some(body), timeout)?;
+        // `()` is a request without a body.
+        let answer = self.ask(Method::POST, path, Some(body).filter(|body| body != b"null"), timeout)?;
         if answer.status.is_success() { Ok(()) } else { Err(self.fault(&answer)) }
     }
 

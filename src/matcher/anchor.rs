@@ -61,6 +61,9 @@ impl Heard {
     }
 }
 
+/// Of each frame its trigger, as far as it is known.
+type Numbers = Vec<Option<i64>>;
+
 /// The triggers of a stream's first frames.
 #[derive(Debug, Clone)]
 pub struct Placed {
@@ -108,8 +111,7 @@ impl Anchoring {
         // Beside the clock as much is enough; alone arrivals may be regular by chance.
         let margin = if by_clock.is_some() { MARGIN } else { MARGIN_ALONE };
         let by_arrivals = self.rhythm(Heard::Arrivals, margin, table, period_ns);
-        let by_count: Vec<Option<i64>> =
-            self.frames.iter().map(|frame| first.checked_add(frame.count)).collect();
+        let by_count: Numbers = self.frames.iter().map(|frame| first.checked_add(frame.count)).collect();
         let agree = |one: &[Option<i64>], other: &[Option<i64>]| {
             let both = || one.iter().zip(other).filter_map(|(one, other)| one.as_ref().zip(other.as_ref()));
             let alike = both().filter(|(one, other)| one == other).count();
@@ -120,7 +122,7 @@ impl Anchoring {
         // Of a counter that went back nothing is known.
         let counts = self.frames.windows(2).all(|two| two[0].count < two[1].count);
         let by_count = if counts { by_count } else { Vec::new() };
-        let placed = |numbers: Vec<Option<i64>>, other: Vec<Option<i64>>| {
+        let placed = |numbers: Numbers, other: Numbers| {
             let agreed = numbers.iter().zip(other).map(|(one, other)| one.is_some() && *one == other);
             Some(Placed { agreed: agreed.collect(), numbers })
         };
@@ -136,13 +138,7 @@ impl Anchoring {
     }
 
     /// The triggers that a rhythm gives the frames; `None` where no place stands out by `margin` frames.
-    fn rhythm(
-        &self,
-        heard: Heard,
-        margin: usize,
-        table: &TriggerTable,
-        period_ns: u64,
-    ) -> Option<Vec<Option<i64>>> {
+    fn rhythm(&self, heard: Heard, margin: usize, table: &TriggerTable, period_ns: u64) -> Option<Numbers> {
         let known = |frame: &&Early| heard.ns(frame).is_some() && frame.arrived_ns.is_some();
         let reference = self.frames.iter().rev().find(known)?;
         let (arrived, at) = (reference.arrived_ns?, heard.ns(reference)?);
@@ -154,7 +150,7 @@ impl Anchoring {
         if !reported || behind > period * 5 / 4 {
             return None;
         }
-        let (mut best, mut second): (Option<(usize, Vec<Option<i64>>)>, usize) = (None, 0);
+        let (mut best, mut second): (Option<(usize, Numbers)>, usize) = (None, 0);
         // Ids count no more than was fired.
         let slowest = latest.saturating_sub((STALL_NS / period_ns.max(1)) as i64);
         let counted = table.first().saturating_add(reference.count).min(latest).max(slowest);
@@ -193,7 +189,7 @@ impl Anchoring {
     }
 
     /// The triggers of the frames, were the way to what is heard this long.
-    fn fit(&self, heard: Heard, way_ns: i128, table: &TriggerTable, period_ns: u64) -> Vec<Option<i64>> {
+    fn fit(&self, heard: Heard, way_ns: i128, table: &TriggerTable, period_ns: u64) -> Numbers {
         let period = i128::from(period_ns);
         let mut taken = i64::MIN;
         let mut fit = |frame: &Early| {

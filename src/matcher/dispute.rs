@@ -13,7 +13,7 @@ use crate::matcher::clock_relation::Tracker;
 use std::cmp::Ordering;
 
 /// So many frames must be in time for the account that gives the later triggers.
-const IN_TIME: usize = 4;
+const IN_TIME: usize = 3;
 /// Where arrivals are irregular, so many frames are looked at.
 const IRREGULAR: usize = 8;
 /// So many must be in time behind frames that were lost.
@@ -77,8 +77,7 @@ impl Matcher {
         }
     }
 
-    /// How the arrivals of frames fit their triggers. Of frames that came in one burst the first alone counts: they stood
-    /// in a queue.
+    /// How the arrivals of frames fit their triggers.
     pub(super) fn arrivals<'a>(
         &self,
         case: &Case<'_>,
@@ -99,6 +98,13 @@ impl Matcher {
     pub(super) fn by_counter_and_clock(&mut self, case: &Case<'_>, tracker: &Tracker) -> Match {
         let exposed = self.triggered_ns(tracker, case.frame, case.hsu);
         let own = self.claim_of(case, case.frame, case.by_id, exposed);
+        // The ordinary frame: nothing happened, and nothing is allocated.
+        let plain = own.by_clock == Some(own.by_id)
+            && self.doubt == 0
+            && self.last.is_some_and(|last| own.by_id == last.number + 1);
+        if plain && self.timing(case, case.frame, own.by_id) == Timing::InTime {
+            return self.accept(case, own.by_id, None);
+        }
         let mut before = 0;
         let behind: Vec<Claim<'_>> = case
             .followers
@@ -166,7 +172,10 @@ impl Matcher {
         // Where arrivals do not tell triggers apart, two witnesses must do.
         let before = self.last.is_some_and(|last| last.in_time && number == last.number + 1);
         let enough = match doubtful && tells {
-            true => arrivals.in_time + usize::from(before) >= IN_TIME_AGREED && self.is_heard(arrivals),
+            true => {
+                let needed = if self.unsettled { IN_TIME + 1 } else { IN_TIME_AGREED };
+                arrivals.in_time + usize::from(before) >= needed && self.is_heard(arrivals)
+            }
             false => arrivals.soon > 0 || !(tells || self.unsettled),
         };
         if enough && !self.is_shifted(case, chain()) {
@@ -235,10 +244,7 @@ impl Matcher {
         };
         match answer {
             Some(answer) => answer,
-            None if case.last_call => {
-                self.unsettled = true;
-                self.give_up(case.frame)
-            }
+            None if case.last_call => self.give_up(case.frame),
             None => Match::Wait,
         }
     }
@@ -249,7 +255,7 @@ impl Matcher {
         let chain = behind.iter().filter(|claim| claim.by_clock == Some(claim.by_id));
         let arrivals = self.arrivals(case, chain.map(|claim| (claim.frame, claim.by_id)));
         if arrivals.early > 0 {
-            return Some(self.give_up(case.frame));
+            return Some(self.pass_over(case.frame));
         }
         // Ids count through it, and no exposure can be where its timestamp is: that alone is wrong.
         let apart = i128::from(self.start.period_ns / 16);
@@ -267,7 +273,7 @@ impl Matcher {
                     Some(self.accept(case, own.by_id, Some(Finding::StampWrong(residual))))
                 }
                 Timing::Unknown if !case.last_call && self.envelope().is_none() => None,
-                _ => Some(self.give_up(case.frame)),
+                _ => Some(self.pass_over(case.frame)),
             };
         }
         // Its id stood still.
@@ -276,7 +282,7 @@ impl Matcher {
             .filter(|number| !self.is_fresh(own.by_id) && reported(*number) && *number < settled.by_id);
         match free.filter(|number| self.timing(case, own.frame, *number) == Timing::InTime) {
             Some(number) => Some(self.accept(case, number, None)),
-            None => Some(self.give_up(case.frame)),
+            None => Some(self.pass_over(case.frame)),
         }
     }
 
@@ -315,7 +321,12 @@ impl Matcher {
             self.last.zip(own.by_clock).is_some_and(|(last, number)| self.pace == Some(number - last.number));
         let again = paced && by_clock.early == 0 && side == Ordering::Greater;
         let clock_is_right = match side {
-            _ if again && own_stands && self.timing(case, own.frame, own.by_clock?) == Timing::InTime => true,
+            _ if again
+                && own_stands
+                && matches!(self.timing(case, own.frame, own.by_clock?), Timing::InTime | Timing::Slow) =>
+            {
+                true
+            }
             Ordering::Greater => self.decides(by_id, by_clock)?,
             _ => !self.decides(by_clock, by_id)?,
         };
@@ -347,7 +358,8 @@ impl Matcher {
         let alike = |claim: &&Claim<'_>| off(claim).is_some_and(|ns| (ns - own_off).abs() <= slack);
         let chain = std::iter::once(own).chain(behind).filter(alike);
         let arrivals = self.arrivals(case, chain.map(|claim| (claim.frame, claim.by_id)));
-        (own.by_clock.is_none() && self.convince(arrivals)).then(|| self.clock_was_set(case, own))
+        (own.by_clock.is_none() && !self.unsettled && self.convince(arrivals))
+            .then(|| self.clock_was_set(case, own))
     }
 
     /// Ids go on, the clock does not: its relation is learned anew from here.
@@ -355,7 +367,8 @@ impl Matcher {
         let (Some(camera_ns), Some(due)) = (case.frame.camera_ns, case.table.reported_ns(own.by_id)) else {
             return self.give_up(case.frame);
         };
-        if !self.is_fresh(own.by_id) {
+        // An extra frame between two triggers would not be in time.
+        if !self.is_fresh(own.by_id) || self.timing(case, own.frame, own.by_id) != Timing::InTime {
             return self.give_up(case.frame);
         }
         let residual = own.exposed.map_or(0, |ns| ns - i128::from(due));
@@ -367,19 +380,28 @@ impl Matcher {
     /// A camera without timestamps: its counter and the arrivals are the witnesses. A frame that is late may be of a later
     /// trigger, if the camera ignored some; of one that is early, ids have jumped.
     pub(super) fn by_counter_and_arrival(&mut self, case: &Case<'_>) -> Match {
-        let behind = case.followers.iter().filter_map(|frame| {
+        let mut before = 0;
+        let behind = case.followers.iter().map_while(|frame| {
+            // Ids that do not go on end what they say of this one.
             let steps = self.ids.between(case.frame.id.0, frame.id.0);
-            Some((frame, case.by_id.checked_add(steps).filter(|_| steps > 0)?))
+            let goes_on = steps > std::mem::replace(&mut before, steps);
+            Some((frame, case.by_id.checked_add(steps).filter(|_| goes_on)?))
         });
         let in_time = self.timing(case, case.frame, case.by_id) == Timing::InTime;
+        // After a contradiction that nothing resolved, an extra frame between two triggers must not pass for the next one's.
+        let due = case.table.time_ns(case.by_id);
+        let late = due.and_then(|due| self.late_ns(case.frame, due, case.hsu));
+        let near = !self.unsettled || late.is_some_and(|ns| ns.abs() <= i128::from(self.start.period_ns / 8));
+        let in_time = in_time && near;
         let arrivals = self.arrivals(case, behind);
         let possible = self.is_fresh(case.by_id) && case.table.is_reported(case.by_id);
-        if possible && in_time && arrivals.in_time == 0 && arrivals.early == 0 && !case.last_call {
+        let needed = if self.unsettled { IN_TIME } else { 1 };
+        if possible && in_time && arrivals.in_time < needed && arrivals.early == 0 && !case.last_call {
             return Match::Wait;
         }
         // At the end of a session nothing comes behind it.
         let follows = self.follows(case.frame, in_time.then_some(case.by_id));
-        let confirmed = arrivals.in_time > 0 || (case.followers.is_empty() && follows);
+        let confirmed = arrivals.in_time >= needed || (case.followers.is_empty() && follows);
         match possible && in_time && arrivals.early == 0 && confirmed {
             true => self.accept(case, case.by_id, None),
             false => self.give_up(case.frame),

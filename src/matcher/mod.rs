@@ -570,6 +570,12 @@ impl Matcher {
 
     /// Given up: what it was is not to be known. Ids count on from the last frame that has a trigger.
     fn give_up(&mut self, frame: &Sighting) -> Match {
+        self.unsettled = true;
+        self.pass_over(frame)
+    }
+
+    /// As [`Self::give_up`], of a frame that is wrong alone: those behind it stand as those before.
+    fn pass_over(&mut self, frame: &Sighting) -> Match {
         self.given_up = self.given_up.saturating_add(1);
         if let Some(last) = self.last.as_mut() {
             last.camera_ns = frame.camera_ns.or(last.camera_ns);

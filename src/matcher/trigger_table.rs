@@ -40,6 +40,8 @@ struct Anchor {
     hsu_ns: u64,
     /// Mean of the steps of single triggers that were in time, ns.
     step_ns: f64,
+    /// How long the train pauses, ns, as far as one pause was seen.
+    pause_ns: Option<i128>,
     /// Reports behind it contradict the rhythm.
     contradicted: bool,
     /// One of them was flagged as late.
@@ -109,7 +111,11 @@ impl TriggerTable {
         let in_time = ahead == 1 && !late && !PAUSE_BEFORE.contains(&number);
         let share = if in_time { 1.0 / 16.0 } else { 0.0 };
         let step_ns = anchor.step_ns + (span as f64 - anchor.step_ns) * share;
-        self.anchor = Some(Anchor::at(number, hsu_ns, step_ns));
+        let paused = ahead == 1 && !late && PAUSE_BEFORE.contains(&number) && self.period_ns > 0;
+        let pause_ns =
+            || i128::from(if span * 4 > self.period_ns * 7 { self.period_ns } else { self.period_ns / 2 });
+        let pause_ns = anchor.pause_ns.or_else(|| (paused && span * 4 > self.period_ns * 5).then(pause_ns));
+        self.anchor = Some(Anchor { pause_ns, ..Anchor::at(number, hsu_ns, step_ns) });
     }
 
     /// Rows up to a trigger; `hsu_ns` calculates the time of one so many triggers behind the last sound report.
@@ -135,11 +141,19 @@ impl TriggerTable {
             // Back in the old rhythm, and nowhere else: a step that is a period off would else be taken after some triggers.
             let plain = span - (anchor.step_ns * steps as f64) as i128;
             let pause = |ns: i128| (plain - pauses * ns).abs() <= period / 8;
-            return !anchor.late && !late && (pause(period / 2) || pause(period));
+            let paused = anchor.pause_ns.map_or_else(|| pause(period / 2) || pause(period), pause);
+            return !anchor.late && !late && paused;
         }
         let least = if steps == 1 { period * 7 / 8 } else { steps * (period - period / 512) - period / 8 };
-        let most = steps * period + period / 8 + pauses * period;
-        span >= least && (late || steps > 1 || span <= most)
+        // Of reports that are missing between them some may be late.
+        let late = late || steps > 1;
+        let on = |step: i128| (span - step).abs() <= period / 8;
+        let paused = anchor.pause_ns.map_or_else(
+            || on(period) || on(period * 3 / 2) || on(period * 2),
+            |ns| on(period) || on(period + ns),
+        );
+        let in_time = if pauses > 0 { paused } else { on(period) };
+        span >= least && (late || in_time)
     }
 
     /// The first sound report, behind others that were not.
@@ -208,9 +222,15 @@ impl TriggerTable {
         }
     }
 
-    /// The time of a trigger.
+    /// The time of a trigger; `None` also where reports contradict each other and the train has paused since the last sound
+    /// one, for a time that is not known.
     pub fn time_ns(&self, number: i64) -> Option<u64> {
-        Some(self.row(number)?.hsu_ns)
+        self.row(number).filter(|_| self.is_calculable(number)).map(|row| row.hsu_ns)
+    }
+
+    fn is_calculable(&self, number: i64) -> bool {
+        let Some(anchor) = self.anchor.filter(|anchor| anchor.contradicted) else { return true };
+        !PAUSE_BEFORE.iter().any(|pause| (anchor.number + 1..=number).contains(pause))
     }
 
     /// The time of a trigger that the HSU itself reported, in rhythm.
@@ -257,13 +277,14 @@ impl TriggerTable {
         let after = self.rows.partition_point(|row| i128::from(row.hsu_ns) < hsu_ns);
         let around = after.saturating_sub(1)..(after + 1).min(self.rows.len());
         let residual = |i: usize| (self.first + i as i64, hsu_ns - i128::from(self.rows[i].hsu_ns));
-        around.map(residual).min_by_key(|(_, residual)| residual.abs())
+        let nearest = around.map(residual).min_by_key(|(_, residual)| residual.abs());
+        nearest.filter(|(number, _)| self.is_calculable(*number))
     }
 }
 
 impl Anchor {
     fn at(number: i64, hsu_ns: u64, step_ns: f64) -> Self {
-        Self { number, hsu_ns, step_ns, contradicted: false, late: false }
+        Self { number, hsu_ns, step_ns, pause_ns: None, contradicted: false, late: false }
     }
 
     /// When a trigger is due so many triggers later, ns.

@@ -7,7 +7,7 @@ use fourdbody::base::ids::TriggerIndex;
 use fourdbody::data::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
 use fourdbody_simulator::faults::{Accounting, FaultPlan, Kind, Shown, check, read_truth};
-use fourdbody_simulator::gige::TestImages;
+use fourdbody_simulator::gige::{Habits, TestImages};
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions, TRUTH_FILE};
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
@@ -23,6 +23,17 @@ struct Run {
 impl Run {
     /// A laboratory with this plan, and its nodes; `change` edits their files.
     fn start(subnet: u8, rate_hz: f64, plan: FaultPlan, change: impl Fn(String) -> String) -> Self {
+        Self::with_habits(subnet, rate_hz, plan, &[], change)
+    }
+
+    /// With cameras of these habits.
+    fn with_habits(
+        subnet: u8,
+        rate_hz: f64,
+        plan: FaultPlan,
+        habits: &[(&str, Habits)],
+        change: impl Fn(String) -> String,
+    ) -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let mut options = LaboratoryOptions::new(small_rig(rate_hz), dir.path());
         options.first_address = Ipv4Addr::new(127, 0, subnet, 11);
@@ -30,6 +41,7 @@ impl Run {
         options.reserve_mib = 1;
         options.buffers_per_camera = 64;
         options.faults = Some(plan);
+        options.habits = habits.iter().map(|(camera, habits)| ((*camera).to_owned(), *habits)).collect();
         let laboratory = start_laboratory(&options);
         for node in &laboratory.nodes {
             let text = std::fs::read_to_string(&node.path).expect("written by the laboratory");
@@ -199,6 +211,40 @@ fn packets_from_others_than_the_camera_change_nothing() {
         assert!(accounting.kinds[kind].injected > 5, "{:?}", accounting.kinds);
     }
     assert!(accounting.kinds["foreign_ahead"].injected == 2);
+}
+
+/// The commonest mistakes of a new bench: a camera that takes every second trigger, two that wake up late (one of them
+/// behind the warm-up), and one that misses trigger 0. What comes is kept, under its trigger, with the right cause.
+#[test]
+fn a_camera_that_misses_triggers_keeps_what_it_takes() {
+    const TRIGGERS: u64 = 120;
+    let text = "[faults]\nseed = 17\nclear_triggers = 0\nfirst_trigger = 0\n[faults.probability]\n\
+        [[fault]]\nkind = \"trigger_ignored\"\ncamera = \"h2_up\"\ntrigger = 0\n";
+    let late = |triggers| Habits { late_triggers: triggers, ..Habits::default() };
+    let habits =
+        [("h0_up", Habits { takes_one_in: 2, ..Habits::default() }), ("h0_low", late(5)), ("h1_up", late(9))];
+    let mut run = Run::with_habits(158, 40.0, plan(text), &habits, |text| text);
+    let captured = run.capture(TRIGGERS);
+    assert_eq!(captured.status.code(), Some(3), "{}", text_of(&captured));
+    let session = run.session();
+    let verified = fourdbody(&["verify", &session.display().to_string()]);
+    assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+    let missing = |camera: usize| gaps(&session, camera);
+    let ignored = |triggers: &[u64]| -> Vec<(u64, GapCause)> {
+        triggers.iter().map(|trigger| (*trigger, GapCause::NotTriggered)).collect()
+    };
+    let half: Vec<u64> = missing(0).iter().map(|(trigger, _)| *trigger).collect();
+    // Of the last trigger no later frame tells that it was ignored.
+    let proven = missing(0).into_iter().filter(|(trigger, _)| *trigger < TRIGGERS - 1);
+    assert!(proven.clone().all(|(_, cause)| cause == GapCause::NotTriggered), "{:?}", missing(0));
+    assert_eq!(half.len() as u64, TRIGGERS / 2, "{half:?}");
+    assert!(half.windows(2).all(|two| two[1] == two[0] + 2), "{half:?}");
+    assert_eq!((missing(1), missing(2)), (vec![], ignored(&[0])));
+    assert_eq!((missing(3), missing(4), missing(5)), (vec![], ignored(&[0]), vec![]));
+    let told = text_of(&captured);
+    for named in ["TriggerOverlap", "warm_up_triggers"] {
+        assert!(told.contains(named), "{named}: {told}");
+    }
 }
 
 /// Without a distance between faults causes cannot always be told apart, but every trigger has its one outcome, and no

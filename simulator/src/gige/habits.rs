@@ -55,6 +55,8 @@ pub struct Habits {
     pub ids_go_on: bool,
     /// It wakes up late: the number of triggers that it misses of each acquisition, warm-up included (aravis#818).
     pub late_triggers: u32,
+    /// It takes one trigger in so many, because exposure and readout last longer than the period; 0: each.
+    pub takes_one_in: u32,
 }
 
 /// Where in a frame a camera takes its stamp.
@@ -182,6 +184,7 @@ impl Habits {
                 stray_after: Duration::from_millis(table.stray_after_ms),
                 ids_go_on: table.ids_go_on,
                 late_triggers: table.late_triggers,
+                takes_one_in: table.takes_one_in,
             };
             if habits.insert(table.camera.clone(), habit).is_some() {
                 return Err(HabitError(format!("{} is named twice", table.camera)));
@@ -239,6 +242,8 @@ struct Table {
     ids_go_on: bool,
     #[serde(default)]
     late_triggers: u32,
+    #[serde(default)]
+    takes_one_in: u32,
     // Which make it is: read by `Make::parse_all`.
     #[serde(default, rename = "like")]
     _like: Option<String>,

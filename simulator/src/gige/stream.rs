@@ -78,6 +78,8 @@ struct Acquisition {
     exposed: u64,
     /// Triggers that it still sleeps through.
     asleep: u32,
+    /// Triggers that it still misses because of the exposure before.
+    busy: u32,
     frames_left: Option<u64>,
 }
 
@@ -243,6 +245,11 @@ impl Streamer {
             running.asleep = asleep;
             return;
         }
+        if let Some(busy) = running.busy.checked_sub(1) {
+            running.busy = busy;
+            return;
+        }
+        running.busy = self.habits.takes_one_in.saturating_sub(1);
         let exposure = match running.stream.settings.exposure_mode {
             ExposureMode::Timed => running.stream.settings.exposure(),
             ExposureMode::TriggerWidth => Duration::from_nanos(edge.width_ns),
@@ -452,6 +459,7 @@ impl Acquisition {
                 .then_some(started),
             exposed: 0,
             asleep: camera.habits.late_triggers,
+            busy: 0,
             frames_left: stream.settings.frame_limit(),
             stream,
         }

@@ -91,7 +91,7 @@ impl Accounting {
         (lane.given_up, lane.given_up_now) = (lane.given_up + 1, lane.given_up_now + 1);
         if lane.given_up == 1 {
             let text = format!(
-                "block {}: id and timestamp name different triggers, of which nothing is reported; not recorded (later \
+                "block {}: no two of counter, clock and arrival agree on a trigger that was reported; not recorded (later \
                  ones are counted)",
                 arrival.block_id
             );
