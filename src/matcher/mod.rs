@@ -14,7 +14,7 @@
 //! clock contradict each other, the arrivals of this frame and of those behind it decide ([`dispute`]); where they do
 //! not, the frame is given up, never guessed.
 
-pub mod anchor;
+mod anchor;
 pub mod block_ids;
 mod clock_relation;
 mod dispute;
@@ -262,7 +262,9 @@ impl Matcher {
             // For want of reports: that says nothing against ids and clock.
             self.given_up = given_up;
         }
-        if answer == Match::Undecided && self.given_up >= GIVEN_UP_MAX {
+        // Without timestamps nothing could find the place again, but ids go on: once frames are in time for them, they are
+        // right.
+        if answer == Match::Undecided && self.given_up >= GIVEN_UP_MAX && self.tracker.is_some() {
             self.stage = Stage::Lost(rejoin::Rejoin { before: self.tracker.take() });
         }
         answer

@@ -242,11 +242,8 @@ fn an_export_is_no_larger_than_what_its_recording_tells() {
     let (walk, out) = (at("walk"), at("out"));
     let (code, text) = run(&["export", &walk, "--to", "png,csv", "--out", &out], Stdio::null());
     assert_eq!(code, Some(4), "{text}");
-    assert!(text.contains("--triggers A..B") && text.contains("134217728 frames"), "{text}");
-    assert!(!Path::new(&out).exists());
-    let (code, text) =
-        run(&["export", &walk, "--to", "png,csv", "--out", &out, "--triggers", "0..1"], Stdio::null());
-    assert!(matches!(code, Some(3 | 4)), "{code:?}: {text}");
+    let table = std::fs::metadata(Path::new(&out).join("timing.csv")).expect("a table").len();
+    assert!(table < 10_000, "{table} bytes");
     assert!(Path::new(&out).join("h0_up/000000.png").exists(), "{text}");
 }
 
