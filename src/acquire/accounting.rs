@@ -47,6 +47,8 @@ struct Lane {
     /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
     given_up: u64,
     given_up_now: u64,
+    /// The triggers that their ids pointed at, as far as these are known: the last ones.
+    given_up_at: VecDeque<u64>,
     /// When its clock was last asked for, at this point of [`Accounting::awake`].
     asked: Option<Duration>,
     breaches: Breaches,
@@ -100,6 +102,8 @@ pub(super) struct Accounting {
 const RECORD_PRESSED: &str = "record_pressed";
 /// Kind of the event at the first trigger whose time contradicts the HSU's others.
 const HSU_TIMES_WRONG: &str = "hsu_times_wrong";
+/// Of frames that are given up in a row so many are remembered.
+const GIVEN_UP_KEPT: usize = 64;
 /// A turn that took longer did not work for all of it.
 const LONGEST_TURN: Duration = TICK.saturating_mul(2);
 /// So long readings of a camera's clock that were asked for may take.
@@ -130,6 +134,7 @@ impl Accounting {
             unconfirmed: 0,
             given_up: 0,
             given_up_now: 0,
+            given_up_at: VecDeque::with_capacity(GIVEN_UP_KEPT),
             asked: None,
             breaches: Breaches::default(),
         };
@@ -488,12 +493,19 @@ impl Accounting {
         self.full = Some(full);
     }
 
-    /// Gap records for frames that did not come; the last of them may have come and been given up.
+    /// Gap records for frames that did not come, and for those that came and were given up: these by their ids, and where
+    /// ids point elsewhere, the last ones.
     fn missing(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
-        let given_up = std::mem::take(&mut self.lanes[camera].given_up_now);
-        let from = triggers.end.saturating_sub(given_up).max(triggers.start);
-        self.gaps(camera, triggers.start..from, cause);
-        self.gaps(camera, from..triggers.end, GapCause::IdentityMismatch);
+        let lane = &mut self.lanes[camera];
+        let given_up = std::mem::take(&mut lane.given_up_now);
+        let at: Vec<u64> = lane.given_up_at.drain(..).filter(|trigger| triggers.contains(trigger)).collect();
+        let others = given_up.saturating_sub(at.len() as u64);
+        let from = triggers.end.saturating_sub(others).max(triggers.start);
+        for trigger in triggers {
+            let here = at.contains(&trigger) || trigger >= from;
+            let cause = if here { GapCause::IdentityMismatch } else { cause };
+            self.gaps(camera, trigger..trigger + 1, cause);
+        }
     }
 
     fn gaps(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {

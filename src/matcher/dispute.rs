@@ -172,10 +172,10 @@ impl Matcher {
         // Where arrivals do not tell triggers apart, two witnesses must do.
         let before = self.last.is_some_and(|last| last.in_time && number == last.number + 1);
         let enough = match doubtful && tells {
-            true => {
-                let needed = if self.unsettled { IN_TIME + 1 } else { IN_TIME_AGREED };
-                arrivals.in_time + usize::from(before) >= needed && self.is_heard(arrivals)
+            true if self.unsettled => {
+                arrivals.in_time + usize::from(before) > IN_TIME && self.is_heard(arrivals)
             }
+            true => arrivals.soon + usize::from(before) >= IN_TIME_AGREED && self.is_heard(arrivals),
             false => arrivals.soon > 0 || !(tells || self.unsettled),
         };
         if enough && !self.is_shifted(case, chain()) {
@@ -230,6 +230,20 @@ impl Matcher {
 
     /// Counter and clock name different triggers, or the clock names none.
     fn disputed(&mut self, case: &Case<'_>, own: &Claim<'_>, behind: &[Claim<'_>]) -> Match {
+        // One that takes every second trigger does so again.
+        let again = |(last, number): (super::Last, i64)| self.pace == Some(number - last.number);
+        if let Some(number) = own.by_clock
+            && self.last.zip(own.by_clock).is_some_and(again)
+            && case.table.is_reported(number)
+        {
+            let timing = self.timing(case, own.frame, number);
+            if matches!(timing, Timing::InTime | Timing::Slow) || (timing == Timing::Late && case.last_call) {
+                let pace = self.pace;
+                let answer = self.accept(case, number, None);
+                self.pace = pace;
+                return answer;
+            }
+        }
         self.doubt = super::DOUBT;
         // Whether the clock gives the frames behind later triggers than their ids, earlier ones or the same: as far as they
         // agree with the first of them.
@@ -266,8 +280,12 @@ impl Matcher {
         });
         let reported = |number: i64| self.is_fresh(number) && case.table.is_reported(number);
         if reported(own.by_id) && impossible {
+            // Between two frames whose counter and clock agree, next to both by its id: it can be of no other trigger.
+            let enclosed = self.last.is_some_and(|last| own.by_id == last.number + 1)
+                && settled.by_id == own.by_id.saturating_add(1);
             return match self.timing(case, own.frame, own.by_id) {
-                Timing::InTime => {
+                Timing::Early => Some(self.pass_over(case.frame)),
+                timing if enclosed || timing == Timing::InTime => {
                     let residual = own.exposed.zip(case.table.time_ns(own.by_id));
                     let residual = residual.map(|(ns, due)| ns - i128::from(due));
                     Some(self.accept(case, own.by_id, Some(Finding::StampWrong(residual))))
@@ -316,17 +334,7 @@ impl Matcher {
         };
         let by_id = self.arrivals(case, chain().map(|claim| (claim.frame, claim.by_id)));
         let by_clock = self.arrivals(case, chain().filter_map(|claim| Some((claim.frame, claim.by_clock?))));
-        // One that takes every second trigger does so again.
-        let paced =
-            self.last.zip(own.by_clock).is_some_and(|(last, number)| self.pace == Some(number - last.number));
-        let again = paced && by_clock.early == 0 && side == Ordering::Greater;
         let clock_is_right = match side {
-            _ if again
-                && own_stands
-                && matches!(self.timing(case, own.frame, own.by_clock?), Timing::InTime | Timing::Slow) =>
-            {
-                true
-            }
             Ordering::Greater => self.decides(by_id, by_clock)?,
             _ => !self.decides(by_clock, by_id)?,
         };
@@ -368,7 +376,9 @@ impl Matcher {
             return self.give_up(case.frame);
         };
         // An extra frame between two triggers would not be in time.
-        if !self.is_fresh(own.by_id) || self.timing(case, own.frame, own.by_id) != Timing::InTime {
+        let timing = self.timing(case, own.frame, own.by_id);
+        let in_time = timing == Timing::InTime || (timing == Timing::Slow && !self.unsettled);
+        if !self.is_fresh(own.by_id) || !in_time {
             return self.give_up(case.frame);
         }
         let residual = own.exposed.map_or(0, |ns| ns - i128::from(due));

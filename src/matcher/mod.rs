@@ -218,6 +218,11 @@ impl Matcher {
         Some((number, tracker.hsu_ns(camera_ns)))
     }
 
+    /// The trigger that a frame's id points at, where ids count from a known one.
+    pub fn points_at(&self, id: BlockId) -> Option<i64> {
+        self.ids.step(id).filter(|_| self.is_placed()).map(|step| self.base.saturating_add(step))
+    }
+
     /// Whether it is known which trigger the stream's ids stand for.
     pub fn is_placed(&self) -> bool {
         matches!(self.stage, Stage::Known)

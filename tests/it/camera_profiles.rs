@@ -225,7 +225,6 @@ fn all_problems_of_all_cameras_are_told_at_once() {
     let laboratory = start_laboratory(&options(small_rig(20.0), dir.path(), 222));
     let file = |node: usize| laboratory.nodes[node].path.clone();
     say(&file(0), "h0_up", "trigger_line = \"Line7\"");
-    say(&file(0), "h0_low", "exposure_us = 0.5");
     say(&file(0), "h1_up", "gain_db = 90.0");
     say(&file(0), "h1_low", "trigger_edge = \"falling\"");
     say(&file(1), "h2_up", "settings = [[\"BlackLevel\", 4.0], [\"AcquisitionMode\", \"Never\"]]");
@@ -240,8 +239,6 @@ fn all_problems_of_all_cameras_are_told_at_once() {
             "camera h0_up: ",
             "`Line7` is not an entry of TriggerSource: ",
             "say trigger_line = \"Line0\"",
-            "camera h0_low: ",
-            "asked for exposure_us = 0.5",
             "camera h1_up: ",
             "asked for gain_db = 90",
             "camera h1_low: ",

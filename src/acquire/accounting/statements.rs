@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the accounting says in words: what happened before a frame and with it, and how a session went in all.
 
-use super::{Accounting, Full, Lane};
+use super::{Accounting, Full, GIVEN_UP_KEPT, Lane};
 use crate::acquire::receiver::Arrival;
 use crate::acquire::writer_queue::ToWriter;
 use crate::base::ids::{BlockId, CameraId, TriggerIndex};
@@ -89,6 +89,13 @@ impl Accounting {
     pub(super) fn give_up(&mut self, arrival: &Arrival) {
         let lane = &mut self.lanes[arrival.camera];
         (lane.given_up, lane.given_up_now) = (lane.given_up + 1, lane.given_up_now + 1);
+        let at = lane.matcher.points_at(arrival.block_id).and_then(|number| u64::try_from(number).ok());
+        if let Some(trigger) = at.filter(|trigger| !lane.given_up_at.contains(trigger)) {
+            if lane.given_up_at.len() == GIVEN_UP_KEPT {
+                lane.given_up_at.pop_front();
+            }
+            lane.given_up_at.push_back(trigger);
+        }
         if lane.given_up == 1 {
             let text = format!(
                 "block {}: no two of counter, clock and arrival agree on a trigger that was reported; not recorded (later \
