@@ -254,6 +254,9 @@ impl Matcher {
         let answer = match side.filter(|_| enough) {
             Some(Ordering::Equal) => self.passing(case, own, behind),
             Some(side) => self.standing(case, own, behind, side),
+            None if case.last_call && behind.is_empty() && own.by_clock.is_some_and(|n| n > own.by_id) => {
+                self.standing(case, own, behind, Ordering::Greater)
+            }
             None => self.off_the_grid(case, own, behind),
         };
         match answer {
@@ -335,6 +338,8 @@ impl Matcher {
         let by_id = self.arrivals(case, chain().map(|claim| (claim.frame, claim.by_id)));
         let by_clock = self.arrivals(case, chain().filter_map(|claim| Some((claim.frame, claim.by_clock?))));
         let clock_is_right = match side {
+            // With no more to come, behind one that was in time.
+            Ordering::Greater if case.last_call && self.ends_in_time(by_clock) => true,
             Ordering::Greater => self.decides(by_id, by_clock)?,
             _ => !self.decides(by_clock, by_id)?,
         };
@@ -426,6 +431,12 @@ impl Matcher {
     /// Whether arrivals speak for the triggers that they were held against.
     pub(super) fn convince(&self, arrivals: Arrivals) -> bool {
         arrivals.early == 0 && arrivals.in_time >= IN_TIME && self.is_heard(arrivals)
+    }
+
+    /// Whether the last frames of a session, behind one that was in time, are all in time.
+    fn ends_in_time(&self, arrivals: Arrivals) -> bool {
+        let before = self.last.is_some_and(|last| last.in_time) && !self.unsettled;
+        before && arrivals.frames < IN_TIME && arrivals.in_time == arrivals.frames && self.is_heard(arrivals)
     }
 
     /// Whether arrivals decide for the account that gives the later triggers; `None` where they do not decide.
