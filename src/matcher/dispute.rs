@@ -173,7 +173,9 @@ impl Matcher {
         let before = self.last.is_some_and(|last| last.in_time && number == last.number + 1);
         let enough = match doubtful && tells {
             true if self.unsettled => {
-                arrivals.in_time + usize::from(before) > IN_TIME && self.is_heard(arrivals)
+                let in_time = arrivals.in_time + usize::from(before);
+                let soon = arrivals.soon + usize::from(before);
+                soon > IN_TIME && in_time >= IN_TIME_AGREED && self.is_heard(arrivals)
             }
             true => arrivals.soon + usize::from(before) >= IN_TIME_AGREED && self.is_heard(arrivals),
             false => arrivals.soon > 0 || !(tells || self.unsettled),
