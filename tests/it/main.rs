@@ -116,6 +116,7 @@ mod shared_exposure;
 mod shared_scene;
 mod simd_paths;
 mod slurm;
+#[cfg(feature = "aravis")]
 mod stray_frames;
 #[cfg(feature = "aravis")]
 mod sub_path;
@@ -136,6 +137,7 @@ mod unread_output;
 mod unreadable_disk;
 mod unreadable_sessions;
 mod validate_commands;
+#[cfg(feature = "aravis")]
 mod warm_up;
 mod witness;
 mod worker;

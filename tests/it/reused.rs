@@ -8,6 +8,7 @@ use fourdbody::base::image::{Mono8, Plane, write_png_grey};
 use fourdbody::batch::key::ALGORITHM;
 use fourdbody::config::Rig;
 use fourdbody::data::Calibration;
+#[cfg(feature = "aravis")]
 use fourdbody::formats::ply;
 use nalgebra::Point3;
 use serde_json::Value;
@@ -106,6 +107,7 @@ pub fn reconstruct(place: &Place, from: &Path, out: &Path, options: &[&str]) -> 
 }
 
 /// Gives a result of clouds of trigger 0 the same ones of other triggers, as if there had been more of them.
+#[cfg(feature = "aravis")]
 pub fn repeat(out: &Path, triggers: impl IntoIterator<Item = u64>) {
     let mut summary = json(&out.join("summary.json"));
     let all = summary["triggers"].as_array_mut().expect("triggers");
