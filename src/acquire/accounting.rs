@@ -384,13 +384,7 @@ impl Accounting {
         self.progress.latencies.matched.record(arrival.taken.elapsed());
         self.report(camera, &matched, &arrival);
         let Ok(trigger) = u64::try_from(matched.number) else {
-            let sample = WarmUp::Frame {
-                block: arrival.block_id.0,
-                camera_time_ns: arrival.camera_ns,
-                host_time_ns: arrival.host_ns,
-            };
-            let camera = Some(self.lanes[camera].id.clone());
-            return self.ring.small(ToWriter::Event(sample.event(camera, host_time_ns())));
+            return self.warm_up_frame(&arrival);
         };
         if self.emitted.is_some_and(|emitted| trigger >= emitted) {
             return self.spurious(&arrival, "came after the last trigger");
@@ -424,6 +418,17 @@ impl Accounting {
             Some(cause) => self.gaps(camera, trigger..trigger + 1, cause),
             None => self.ready(camera, trigger, arrival),
         }
+    }
+
+    /// Frames of the warm-up are recorded raw, whether they could be placed or not: `verify` places them again.
+    fn warm_up_frame(&mut self, arrival: &Arrival) {
+        let sample = WarmUp::Frame {
+            block: arrival.block_id.0,
+            camera_time_ns: arrival.camera_ns,
+            host_time_ns: arrival.host_ns,
+        };
+        let camera = Some(self.lanes[arrival.camera].id.clone());
+        self.ring.small(ToWriter::Event(sample.event(camera, host_time_ns())));
     }
 
     fn ready(&mut self, camera: usize, trigger: u64, arrival: Arrival) {

@@ -87,9 +87,13 @@ impl Accounting {
 
     /// Which of two triggers a frame was of could not be told: whichever it was, it has a gap record.
     pub(super) fn give_up(&mut self, arrival: &Arrival) {
+        let at = self.lanes[arrival.camera].matcher.points_at(arrival.block_id);
+        if at.is_some_and(|number| number < 0) {
+            return self.warm_up_frame(arrival);
+        }
         let lane = &mut self.lanes[arrival.camera];
         (lane.given_up, lane.given_up_now) = (lane.given_up + 1, lane.given_up_now + 1);
-        let at = lane.matcher.points_at(arrival.block_id).and_then(|number| u64::try_from(number).ok());
+        let at = at.and_then(|number| u64::try_from(number).ok());
         if let Some(trigger) = at.filter(|trigger| !lane.given_up_at.contains(trigger)) {
             if lane.given_up_at.len() == GIVEN_UP_KEPT {
                 lane.given_up_at.pop_front();
