@@ -126,7 +126,7 @@ impl Latency {
         (known.len() >= Self::ENOUGH).then(|| Envelope {
             least_ns: least.into(),
             regular,
-            tells: regular || (known.len() >= Self::KEPT / 2 && within(3, 7)),
+            tells: regular || (known.len() >= 10 && within(3, 7)),
         })
     }
 }

@@ -185,8 +185,13 @@ impl Matcher {
             return self.accept(case, number, None);
         }
         match case.last_call {
-            // With no more to come: a host that stood still makes each frame less late than the one before.
-            true if !doubtful && !enough && !self.unsettled && !self.ends_shifted(case, chain()) => {
+            // With no more to come, and no contradiction right behind it.
+            true if !doubtful
+                && !enough
+                && !self.unsettled
+                && (behind.is_empty() || chain().nth(1).is_some())
+                && !self.stays_late(chain()) =>
+            {
                 self.accept(case, number, None)
             }
             false if !enough => Match::Wait,
@@ -194,17 +199,14 @@ impl Matcher {
         }
     }
 
-    /// Whether the last two frames are late by whole periods, and alike.
-    fn ends_shifted<'a>(&self, case: &Case<'_>, chain: impl Iterator<Item = (&'a Sighting, i64)>) -> bool {
-        let period_ns = i128::from(self.start.period_ns);
-        let (mut before, mut last) = (None, None);
-        for (frame, number) in chain {
-            let late = case.table.time_ns(number).and_then(|due| self.late_ns(frame, due, case.hsu));
-            before = std::mem::replace(&mut last, late);
-        }
-        let Some((before, last)) = before.zip(last) else { return false };
-        let whole = (last + period_ns / 2) / period_ns * period_ns;
-        whole > 0 && [before, last].iter().all(|late: &i128| (late - whole).abs() <= period_ns / 4)
+    /// Whether frames that came one by one, and not out of a queue, were all of them late: no host stands still for so long.
+    fn stays_late<'a>(&self, chain: impl Iterator<Item = (&'a Sighting, i64)>) -> bool {
+        let mut before = None;
+        let one_by_one = chain.filter(|(frame, _)| {
+            let before = before.replace(frame.host_ns);
+            before.is_some_and(|before: u64| frame.host_ns.saturating_sub(before) > self.start.period_ns / 2)
+        });
+        one_by_one.count() >= IN_TIME
     }
 
     /// Whether the frames before the next that are missing are late by whole periods, all alike: that is no host that stood

@@ -292,3 +292,22 @@ fn a_host_that_stands_still_costs_no_frames() {
     assert!(calm.given_up * 1000 <= calm.frames, "more than a thousandth given up: {calm:?}");
     assert!(early.given_up * 20 <= early.frames, "more than a twentieth given up: {early:?}");
 }
+
+/// Faults a dozen triggers apart on a host that is busy.
+#[test]
+fn a_busy_host_costs_few_frames_beside_faults() {
+    let mut all = Outcome::default();
+    for seed in histories(1_000) {
+        let any = Traits::any(seed);
+        let traits =
+            Traits { busy: true, stamps: true, batch_ns: 0, arrival_delay: any.arrival_delay.min(90), ..any };
+        let history = History::of(seed, traits);
+        let (outcome, log) = play(&history);
+        if std::env::var("SEED").is_ok() {
+            println!("{}", log.join("\n"));
+        }
+        assert_eq!(outcome.wrong, 0, "{}", explain(seed, &log));
+        all.add(outcome);
+    }
+    println!("busy {all:?}");
+}

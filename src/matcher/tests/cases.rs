@@ -33,6 +33,7 @@ fn habits(stamp_delay: u64, arrival_delay: u64) -> Traits {
         jitter: 5,
         batch_ns: 0,
         faults: false,
+        busy: false,
     }
 }
 

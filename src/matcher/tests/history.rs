@@ -52,6 +52,9 @@ pub struct Traits {
     pub batch_ns: u64,
     /// Whether anything goes wrong.
     pub faults: bool,
+    /// The host is busy: most frames are taken up at once, a third within a period, some later. Faults keep a distance of
+    /// twelve triggers then, as those of the laboratory's plans do.
+    pub busy: bool,
 }
 
 impl Traits {
@@ -66,6 +69,7 @@ impl Traits {
             jitter: random.below(20),
             batch_ns: if random.one_in(3) { 5_000_000 } else { 0 },
             faults: true,
+            busy: false,
         }
     }
 }
@@ -147,12 +151,18 @@ impl Camera {
 
     fn sighted(&mut self, fired_ns: u64, camera_ns: Option<u64>, complete: bool) -> Sighting {
         let jitter = self.random.below(self.period_ns / 30);
+        let busy = match self.random.below(10) {
+            _ if !self.traits.busy => 0,
+            0 => self.random.below(2 * self.period_ns),
+            1..=3 => self.random.below(self.period_ns * 7 / 10),
+            _ => self.random.below(self.period_ns / 10),
+        };
         let straggler = if self.traits.faults && self.random.one_in(200) {
             self.random.below(3 * self.period_ns)
         } else {
             0
         };
-        let at = fired_ns + self.percent(self.traits.arrival_delay) + jitter + straggler;
+        let at = fired_ns + self.percent(self.traits.arrival_delay) + jitter + straggler + busy;
         let at = at.max(self.stalled_ns).next_multiple_of(self.traits.batch_ns.max(1));
         self.last_ns = at.max(self.last_ns + 1_000);
         let host_ns = (i128::from(self.last_ns) + HOST_MINUS_HSU_NS) as u64;
@@ -210,9 +220,9 @@ impl Camera {
             }
             // Its clock is set: anyhow, or by whole periods.
             7 => {
-                // Where arrivals do not tell one trigger from the next, a clock that is set by a whole period and a camera that
+                // Where arrivals do not tell one trigger from the next, or hardly, a clock that is set by a whole period and a camera that
                 // ignores a trigger agree with each other.
-                let mute = self.traits.batch_ns * 4 > self.period_ns * 3;
+                let mute = self.traits.batch_ns * 4 > self.period_ns * 3 || self.traits.busy;
                 let by = match self.random.below(3) {
                     0 if !mute => i128::from(self.period_ns) * (1 + self.random.below(3) as i128),
                     _ => self.random.below(1 << 40) as i128,
@@ -295,9 +305,9 @@ impl History {
             let before = fired.last().map_or(0, |(ns, _)| *ns);
             fired.push((before + period_ns + pause + held, held > period_ns / 16));
         }
-        let absences = traits.faults && camera.random.one_in(2);
+        let absences = traits.faults && !traits.busy && camera.random.one_in(2);
         // In half of the histories the warm-up goes well.
-        let calm_start = camera.random.one_in(2);
+        let calm_start = camera.random.one_in(2) || traits.busy;
         let (mut calm, mut skip, mut away) = (if calm_start { 12u64 } else { 0 }, 0, 0u64);
         for (k, &(fired_ns, late)) in fired.iter().enumerate() {
             let number = k as i64 - warm_up;
@@ -332,11 +342,13 @@ impl History {
             let before = (camera.id, camera.arrivals.len());
             skip = camera.trigger(fired_ns, number, !traits.faults || calm > 0);
             let plain = (camera.id, camera.arrivals.len()) == (before.0 + 1, before.1 + 1);
-            calm = if plain { calm.saturating_sub(1) } else { camera.random.below(12) };
+            let distance = camera.random.below(12);
+            let distance = if traits.busy { 12 } else { distance };
+            calm = if plain { calm.saturating_sub(1) } else { distance };
         }
         let mut arrivals = camera.arrivals;
         let mut random = Random::new(seed ^ 0x11a5);
-        let link_stands = traits.faults && random.one_in(8);
+        let link_stands = traits.faults && !traits.busy && random.one_in(8);
         if link_stands {
             // The link to the HSU stands still for a while, often in the warm-up.
             let from = first_ns + random.below(2) * random.below(100 * period_ns);
