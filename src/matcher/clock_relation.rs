@@ -90,8 +90,6 @@ pub(super) struct Envelope {
 
 impl Latency {
     const KEPT: usize = 32;
-    /// So many frames must be alike, of those that are kept.
-    const ALIKE: usize = 3;
     /// Frames before anything is known.
     const ENOUGH: usize = 5;
 
@@ -112,7 +110,7 @@ impl Latency {
         let mut known = self.last;
         let known = &mut known[..self.frames.min(Self::KEPT)];
         known.sort_unstable();
-        let alike = Self::ALIKE.max(known.len() / 8);
+        let alike = if known.len() < Self::KEPT / 2 { 1 } else { 2 };
         let reach = (period_ns / 4) as i64;
         let quickest =
             known.windows(alike).find(|alike| alike[alike.len() - 1].saturating_sub(alike[0]) <= reach)?;
@@ -126,7 +124,7 @@ impl Latency {
         (known.len() >= Self::ENOUGH).then(|| Envelope {
             least_ns: least.into(),
             regular,
-            tells: regular || (known.len() >= 10 && within(3, 7)),
+            tells: regular || (known.len() >= 8 && (within(3, 7) || within(2, 5))),
         })
     }
 }

@@ -100,7 +100,7 @@ impl Matcher {
         let own = self.claim_of(case, case.frame, case.by_id, exposed);
         // The ordinary frame: nothing happened, and nothing is allocated.
         let plain = own.by_clock == Some(own.by_id)
-            && self.doubt == 0
+            && !self.unsettled
             && self.last.is_some_and(|last| own.by_id == last.number + 1);
         if plain && self.timing(case, case.frame, own.by_id) == Timing::InTime {
             return self.accept(case, own.by_id, None);
@@ -146,7 +146,6 @@ impl Matcher {
         let number = own.by_id;
         if !self.is_fresh(number) {
             // Both went back.
-            self.doubt = super::DOUBT;
             return self.give_up(case.frame);
         }
         let chain = || {
@@ -156,10 +155,9 @@ impl Matcher {
         let arrivals = self.arrivals(case, chain());
         if arrivals.early > 0 {
             // Both are too far ahead: they slipped alike.
-            self.doubt = super::DOUBT;
             return self.give_up(case.frame);
         }
-        let doubtful = self.doubt > 0 || self.last.is_some_and(|last| number > last.number + 1);
+        let doubtful = self.unsettled || self.last.is_some_and(|last| number > last.number + 1);
         let tells = self.envelope().is_some_and(|known| known.tells);
         // In a doubtful time no loss may lie between it and those that are in time.
         let arrivals = match doubtful {
@@ -175,20 +173,18 @@ impl Matcher {
             true if self.unsettled => {
                 let in_time = arrivals.in_time + usize::from(before);
                 let soon = arrivals.soon + usize::from(before);
-                soon > IN_TIME && in_time >= IN_TIME_AGREED && self.is_heard(arrivals)
+                soon > IN_TIME && in_time >= IN_TIME_AGREED
             }
-            true => arrivals.soon + usize::from(before) >= IN_TIME_AGREED && self.is_heard(arrivals),
+            true => arrivals.soon + usize::from(before) >= IN_TIME_AGREED,
             false => arrivals.soon > 0 || !(tells || self.unsettled),
         };
         if enough && !self.is_shifted(case, chain()) {
-            self.doubt = self.doubt.saturating_sub(1);
             return self.accept(case, number, None);
         }
         match case.last_call {
             // With no more to come, and no contradiction right behind it.
             true if !doubtful
                 && !enough
-                && !self.unsettled
                 && (behind.is_empty() || chain().nth(1).is_some())
                 && !self.stays_late(chain()) =>
             {
@@ -248,7 +244,6 @@ impl Matcher {
                 return answer;
             }
         }
-        self.doubt = super::DOUBT;
         // Whether the clock gives the frames behind later triggers than their ids, earlier ones or the same: as far as they
         // agree with the first of them.
         let sides = || behind.iter().filter_map(|claim| Some(claim.by_clock?.cmp(&claim.by_id)));
@@ -289,7 +284,8 @@ impl Matcher {
         if reported(own.by_id) && impossible {
             // Between two frames whose counter and clock agree, next to both by its id: it can be of no other trigger.
             let enclosed = self.last.is_some_and(|last| own.by_id == last.number + 1)
-                && settled.by_id == own.by_id.saturating_add(1);
+                && settled.by_id == own.by_id.saturating_add(1)
+                && arrivals.frames >= ALIKE;
             return match self.timing(case, own.frame, own.by_id) {
                 Timing::Early => Some(self.pass_over(case.frame)),
                 timing if enclosed || timing == Timing::InTime => {

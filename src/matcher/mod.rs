@@ -35,8 +35,6 @@ use trigger_table::{Schedule, TriggerTable};
 
 /// So long a tracker is believed without a frame before the clock's fit is asked, ns.
 const TRACKER_REACH_NS: i128 = 2_000_000_000;
-/// After a contradiction, so many frames are looked at closely.
-const DOUBT: u32 = 16;
 /// Behind a frame that no rhythm places so many are waited for.
 const LIKE_FOLLOWERS: usize = 5;
 /// So many frames given up in a row mean that what is known of ids and clock is wrong.
@@ -95,8 +93,6 @@ pub struct Matcher {
     lost_before: u64,
     last: Option<Last>,
     given_up: u32,
-    /// So many frames must still be in order before arrivals need not confirm id and stamp any more.
-    doubt: u32,
     /// Counter and clock contradicted each other, and nothing told which was right: that they agree again proves nothing.
     unsettled: bool,
     /// The first id of the stream with which the session began.
@@ -152,7 +148,6 @@ impl Matcher {
             lost_before: 0,
             last: None,
             given_up: 0,
-            doubt: 0,
             unsettled: false,
             pace: None,
             first_id: None,
@@ -261,11 +256,13 @@ impl Matcher {
         if matches!(self.stage, Stage::Lost(_)) {
             return self.rejoin(&case);
         }
-        let given_up = self.given_up;
+        let before = (self.given_up, self.unsettled);
         let answer = if frame.complete { self.whole(&case) } else { self.torn(&case) };
-        if answer == Match::Undecided && case.frame_is_ahead(self.arrived_ns(frame.host_ns, hsu), period_ns) {
+        let unreported = !case.table.is_reported(by_id)
+            && case.frame_is_ahead(self.arrived_ns(frame.host_ns, hsu), period_ns);
+        if answer == Match::Undecided && unreported {
             // For want of reports: that says nothing against ids and clock.
-            self.given_up = given_up;
+            (self.given_up, self.unsettled) = before;
         }
         // Without timestamps nothing could find the place again, but ids go on: once frames are in time for them, they are
         // right.
@@ -402,7 +399,6 @@ impl Matcher {
             }
         }
         self.clock.ask();
-        self.doubt = 0;
         Match::Trigger(self.place(frame, number, None))
     }
 

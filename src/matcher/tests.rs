@@ -207,8 +207,8 @@ fn frames_are_filed_rightly_or_given_up_and_never_wrongly() {
         "less than 47 % filed where reports are held up: {held_up:?}"
     );
     // One trigger in fourteen has a fault, and a quarter of the hosts tell no trigger from the next.
-    assert!(all.given_up * 5 < 2 * all.frames, "more than two fifths given up: {all:?}");
-    assert!(prompt.given_up * 10 < 3 * prompt.frames, "more than three tenths given up: {prompt:?}");
+    assert!(all.given_up * 10 < 3 * all.frames, "more than three tenths given up: {all:?}");
+    assert!(prompt.given_up * 4 < prompt.frames, "more than a quarter given up: {prompt:?}");
 }
 
 /// Without faults nothing is given up, whatever the camera's habits.
@@ -293,21 +293,18 @@ fn a_host_that_stands_still_costs_no_frames() {
     assert!(early.given_up * 20 <= early.frames, "more than a twentieth given up: {early:?}");
 }
 
-/// Faults a dozen triggers apart on a host that is busy.
+/// Faults a dozen triggers apart on a host that takes a third of the frames up late: few are given up.
 #[test]
 fn a_busy_host_costs_few_frames_beside_faults() {
     let mut all = Outcome::default();
     for seed in histories(1_000) {
         let any = Traits::any(seed);
-        let traits =
-            Traits { busy: true, stamps: true, batch_ns: 0, arrival_delay: any.arrival_delay.min(90), ..any };
-        let history = History::of(seed, traits);
-        let (outcome, log) = play(&history);
-        if std::env::var("SEED").is_ok() {
-            println!("{}", log.join("\n"));
-        }
+        let arrival_delay = any.arrival_delay.min(90);
+        let traits = Traits { busy: true, stamps: true, batch_ns: 0, arrival_delay, ..any };
+        let (outcome, log) = play(&History::of(seed, traits));
         assert_eq!(outcome.wrong, 0, "{}", explain(seed, &log));
         all.add(outcome);
     }
-    println!("busy {all:?}");
+    println!("{all:?}");
+    assert!(all.given_up * 16 <= all.frames, "more than a sixteenth given up: {all:?}");
 }

@@ -48,10 +48,9 @@ fn every_injected_fault_is_accounted_for_and_nothing_else_is_missing() {
     let accounting = check(&truth, &[&session], Shown::TestImages).expect("a session");
     println!("{}", serde_json::json!(accounting));
     assert_eq!(accounting.mismatches, 0, "{:#?}", accounting.listed);
-    // A host that is slow while faults come every dozen triggers costs some frames, by name.
     assert!(
-        accounting.given_up * 12 <= accounting.outcomes,
-        "more than a twelfth given up: {}",
+        accounting.given_up * 100 <= accounting.outcomes,
+        "more than 1 % given up: {}",
         accounting.given_up
     );
     assert_eq!(accounting.outcomes, 8 * TRIGGERS as u64);

@@ -137,7 +137,6 @@ fn check_recording(
     let dropped = GapCause::DroppedRingFull.to_string();
     let doubtful = GapCause::IdentityMismatch.to_string();
     let paused = GapCause::NodePaused.to_string();
-    let missing = GapCause::MissingPackets.to_string();
     let mut all = Vec::new();
     let links = Links::of(truth, train, recording);
     links.judge(recording, into);
@@ -161,10 +160,6 @@ fn check_recording(
             let since = |fault: &Injected| trigger.checked_sub(fault.trigger + fault.lasts.unwrap_or(0));
             mine().filter_map(since).any(|since| since <= DOUBTFUL)
         };
-        let beside_given_up = |trigger: u64| {
-            let from = trigger.saturating_sub(DOUBTFUL) as usize;
-            outcomes.iter().skip(from).take(2 * DOUBTFUL as usize).any(|outcome| *outcome == doubtful)
-        };
         let last_frame = outcomes.iter().rposition(|outcome| outcome == FRAME).map_or(0, |at| at as u64);
         for (trigger, found) in (0u64..).zip(&outcomes) {
             if unfinished && trigger > last_frame && found.contains(ABSENT) {
@@ -186,16 +181,6 @@ fn check_recording(
                 // That the set is whole and that an event names it is judged below.
                 _ if *found == dropped || *found == paused => into.dropped_by_host += 1,
                 None => into.mismatch(format!("{}: {found}, nothing was injected", place())),
-                // So is a frame at a fault: whatever was done to it, it is given up by name.
-                Some(fault) if *found == doubtful => {
-                    into.given_up += 1;
-                    into.count(&fault.kind, true);
-                }
-                // Beside frames that were given up, what was ignored and what was lost cannot be told apart.
-                Some(fault) if fault.kind == IGNORED && *found == missing && beside_given_up(trigger) => {
-                    into.given_up += 1;
-                    into.count(&fault.kind, true);
-                }
                 Some(fault) => {
                     let wrong = judge(fault, found, at_end, &events);
                     let right = wrong.is_none();
@@ -217,8 +202,6 @@ fn check_recording(
     torn.into_iter().for_each(|wrong| into.mismatch(format!("{}: {wrong}", recording.path.display())));
 }
 
-/// The kind of a trigger that the camera ignored.
-const IGNORED: &str = "trigger_ignored";
 /// In the reader's words, a trigger without an outcome.
 const ABSENT: &str = "neither a frame nor a gap record";
 

@@ -121,7 +121,25 @@ pub struct Streamer {
 #[derive(Debug, Clone, Copy)]
 pub struct Absence {
     kind: Kind,
+    /// The last trigger that it lasts.
+    last: i64,
+    period: Duration,
     until: Instant,
+}
+
+impl Absence {
+    /// How much later than planned the next edge may come; behind it the train is over.
+    const EDGE_WAIT: Duration = Duration::from_secs(1);
+
+    /// Its end follows the edges, not the clock alone: a train on a busy host may be late as a whole.
+    fn follow(&mut self, edge: &TriggerEdge) {
+        let left = u32::try_from(self.last.saturating_sub(edge.instant)).unwrap_or(0);
+        let wait = match left {
+            0 => self.period / 2,
+            left => self.period.saturating_mul(left) + Self::EDGE_WAIT,
+        };
+        self.until = edge.time + wait;
+    }
 }
 
 /// Between two signs of life of the client that has taken control.
@@ -232,6 +250,9 @@ impl Streamer {
     }
 
     fn on_edge(&mut self, acquisition: &mut Option<Acquisition>, edge: TriggerEdge, source: TriggerSource) {
+        if let Some(absence) = &mut self.absence {
+            absence.follow(&edge);
+        }
         let hears = |a: &Acquisition| match source {
             TriggerSource::Action0 => a.stream.settings.hears_actions(),
             _ => a.stream.settings.hears_edges(),
@@ -302,8 +323,10 @@ impl Streamer {
             let _ = self.running.compare_exchange(running.number, 0, SeqCst, SeqCst);
         }
         let period = self.injector.as_ref().and_then(Injector::period).unwrap_or(IDLE);
-        let triggers = u32::try_from(fault.count).unwrap_or(u32::MAX);
-        let until = edge.time + period.saturating_mul(triggers).saturating_sub(period / 2);
+        let more = i64::try_from(fault.count).unwrap_or(i64::MAX).saturating_sub(1);
+        let last = edge.instant.saturating_add(more);
+        let mut absence = Absence { kind: fault.kind, last, period, until: edge.time };
+        absence.follow(edge);
         match fault.kind {
             Kind::ControlTaken => {
                 if let Some(client) = self.rogue.as_ref().and_then(Rogue::address) {
@@ -312,7 +335,7 @@ impl Streamer {
             }
             _ => self.presence.power_off(),
         }
-        self.absence = Some(Absence { kind: fault.kind, until });
+        self.absence = Some(absence);
     }
 
     fn absence_wait(&self) -> Duration {

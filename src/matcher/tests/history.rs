@@ -127,6 +127,8 @@ struct Camera {
     last_ns: u64,
     clocks: Vec<(u64, i128)>,
     arrivals: Vec<(u64, Arrives)>,
+    /// Whether something happened at the last trigger.
+    faulty: bool,
 }
 
 impl Camera {
@@ -191,6 +193,7 @@ impl Camera {
     /// One trigger, and whatever happens at it. Returns how many more of them the fault takes.
     fn trigger(&mut self, fired_ns: u64, number: i64, quiet: bool) -> i64 {
         let fault = if quiet { 99 } else { self.random.below(200) };
+        self.faulty = fault <= 13;
         match fault {
             // Lost on the way.
             0 | 1 => {
@@ -290,6 +293,7 @@ impl History {
             last_ns: 0,
             clocks: vec![(0, 77_000_000_000_000)],
             arrivals: Vec::new(),
+            faulty: false,
             random,
         };
         let first_ns = HSU_NS + 1_000_000_000;
@@ -343,8 +347,11 @@ impl History {
             skip = camera.trigger(fired_ns, number, !traits.faults || calm > 0);
             let plain = (camera.id, camera.arrivals.len()) == (before.0 + 1, before.1 + 1);
             let distance = camera.random.below(12);
-            let distance = if traits.busy { 12 } else { distance };
-            calm = if plain { calm.saturating_sub(1) } else { distance };
+            calm = match () {
+                () if traits.busy && camera.faulty => 12,
+                () if plain => calm.saturating_sub(1),
+                () => distance,
+            };
         }
         let mut arrivals = camera.arrivals;
         let mut random = Random::new(seed ^ 0x11a5);
