@@ -77,16 +77,41 @@ pub(super) struct Latency {
     late: usize,
 }
 
+/// Whether the last frames came as soon behind a trigger, of whichever, as the quickest do: where a host takes frames up
+/// at any time, half of them do.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct OnTime(u8);
+
+impl Default for OnTime {
+    fn default() -> Self {
+        Self(u8::MAX)
+    }
+}
+
+impl OnTime {
+    pub(super) fn add(&mut self, on_time: bool) {
+        self.0 = self.0 << 1 | u8::from(on_time);
+    }
+
+    /// The last one was, and of those before no more than one was not.
+    pub(super) fn is_calm(self) -> bool {
+        self.0 & 1 == 1 && self.0.count_zeros() <= 1
+    }
+}
+
 /// How soon after its trigger a frame arrives at the earliest, and how regularly frames do.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Envelope {
     /// The shortest way that several frames had, ns.
     pub(super) least_ns: i128,
-    /// Whether most frames come within a quarter of a period of it.
-    pub(super) regular: bool,
+    /// The share of frames that come within a quarter of a period of it.
+    pub(super) quick: f64,
     /// Within three quarters: else arrivals do not tell one trigger from the next.
     pub(super) tells: bool,
 }
+
+/// The share of frames that are alike where arrivals are regular.
+const REGULAR: f64 = 0.875;
 
 impl Latency {
     const KEPT: usize = 32;
@@ -116,15 +141,15 @@ impl Latency {
             known.windows(alike).find(|alike| alike[alike.len() - 1].saturating_sub(alike[0]) <= reach)?;
         let least = quickest[0];
         // Aravis takes packets off its socket every 5 ms where few come.
-        let within = |part: u64, share: usize| {
+        let within = |part: u64| {
             let end = least.saturating_add((period_ns / 4 * part) as i64);
-            known.iter().filter(|ns| (least..=end).contains(*ns)).count() * 8 >= known.len() * share
+            known.iter().filter(|ns| (least..=end).contains(*ns)).count() as f64 / known.len() as f64
         };
-        let regular = within(1, 7);
+        let quick = within(1);
         (known.len() >= Self::ENOUGH).then(|| Envelope {
             least_ns: least.into(),
-            regular,
-            tells: regular || (known.len() >= 8 && (within(3, 7) || within(2, 5))),
+            quick,
+            tells: quick >= REGULAR || (known.len() >= 8 && (within(3) >= REGULAR || within(2) >= 0.625)),
         })
     }
 }

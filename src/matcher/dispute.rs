@@ -12,10 +12,16 @@ use super::{Case, Matcher};
 use crate::matcher::clock_relation::Tracker;
 use std::cmp::Ordering;
 
+/// Without timestamps, so many frames must be looked at behind a contradiction.
+const COUNTED: usize = 8;
 /// So many frames must be in time for the account that gives the later triggers.
 const IN_TIME: usize = 3;
-/// Where arrivals are irregular, so many frames are looked at.
-const IRREGULAR: usize = 8;
+/// Of the frames that should be in time, so many must be.
+const IN_TIME_SHARE: f64 = 0.75;
+/// No host takes up more frames at once than this share.
+const MOST_QUICK: f64 = 0.9;
+/// So unlikely it must be that a host took up none of the frames at once.
+const CHANCE: f64 = 1e-5;
 /// So many must be in time behind frames that were lost.
 const IN_TIME_AGREED: usize = 2;
 /// So many frames behind one must stand alike; with no more to come, one.
@@ -169,7 +175,10 @@ impl Matcher {
         };
         // Where arrivals do not tell triggers apart, two witnesses must do.
         let before = self.last.is_some_and(|last| last.in_time && number == last.number + 1);
+        // What the rhythm lets expect is no trigger that was reported: one may have been held.
+        let known = !doubtful || case.table.is_reported(number);
         let enough = match doubtful && tells {
+            _ if !known => false,
             true if self.unsettled => {
                 let in_time = arrivals.in_time + usize::from(before);
                 let soon = arrivals.soon + usize::from(before);
@@ -253,7 +262,10 @@ impl Matcher {
         let answer = match side.filter(|_| enough) {
             Some(Ordering::Equal) => self.passing(case, own, behind),
             Some(side) => self.standing(case, own, behind, side),
-            None if case.last_call && behind.is_empty() && own.by_clock.is_some_and(|n| n > own.by_id) => {
+            None if case.last_call
+                && case.followers.is_empty()
+                && own.by_clock.is_some_and(|n| n > own.by_id) =>
+            {
                 self.standing(case, own, behind, Ordering::Greater)
             }
             None => self.off_the_grid(case, own, behind),
@@ -288,6 +300,7 @@ impl Matcher {
                 && arrivals.frames >= ALIKE;
             return match self.timing(case, own.frame, own.by_id) {
                 Timing::Early => Some(self.pass_over(case.frame)),
+                Timing::Late if self.is_in_time_by_clock(case, own) => Some(self.pass_over(case.frame)),
                 timing if enclosed || timing == Timing::InTime => {
                     let residual = own.exposed.zip(case.table.time_ns(own.by_id));
                     let residual = residual.map(|(ns, due)| ns - i128::from(due));
@@ -305,6 +318,11 @@ impl Matcher {
             Some(number) => Some(self.accept(case, number, None)),
             None => Some(self.pass_over(case.frame)),
         }
+    }
+
+    /// Its clock and its arrival agree on another trigger than its id's.
+    fn is_in_time_by_clock(&self, case: &Case<'_>, own: &Claim<'_>) -> bool {
+        own.by_clock.is_some_and(|number| self.timing(case, own.frame, number) == Timing::InTime)
     }
 
     /// The clock gives the frames behind other triggers than their ids, all of them later ones or all earlier ones.
@@ -352,7 +370,7 @@ impl Matcher {
                     answer
                 }
                 // The frames behind have one id too many: this one has no trigger.
-                None if side == Ordering::Less => {
+                None if side == Ordering::Less && case.table.is_reported(own.by_id) => {
                     let off = own.exposed.zip(case.table.time_ns(own.by_id));
                     self.spurious(case.frame, off.map_or(0, |(ns, due)| ns - i128::from(due)))
                 }
@@ -410,33 +428,40 @@ impl Matcher {
         let in_time = in_time && near;
         let arrivals = self.arrivals(case, behind);
         let possible = self.is_fresh(case.by_id) && case.table.is_reported(case.by_id);
-        let needed = if self.unsettled { IN_TIME } else { 1 };
-        if possible && in_time && arrivals.in_time < needed && arrivals.early == 0 && !case.last_call {
+        let enough = match self.unsettled {
+            true => self.convince(arrivals) && arrivals.frames >= COUNTED && self.on_time.is_calm(),
+            false => arrivals.in_time > 0,
+        };
+        if possible && in_time && !enough && arrivals.early == 0 && !case.last_call {
             return Match::Wait;
         }
         // At the end of a session nothing comes behind it.
         let follows = self.follows(case.frame, in_time.then_some(case.by_id));
-        let confirmed = arrivals.in_time >= needed || (case.followers.is_empty() && follows);
+        let confirmed = enough || (case.followers.is_empty() && follows);
         match possible && in_time && arrivals.early == 0 && confirmed {
             true => self.accept(case, case.by_id, None),
             false => self.give_up(case.frame),
         }
     }
 
-    /// Whether so many frames were looked at that their arrivals mean something: more where arrivals are irregular.
-    fn is_heard(&self, arrivals: Arrivals) -> bool {
-        self.envelope().is_some_and(|known| known.regular || arrivals.frames >= IRREGULAR)
-    }
-
-    /// Whether arrivals speak for the triggers that they were held against.
+    /// Whether arrivals speak for the triggers that they were held against: as many frames are in time as there should be,
+    /// and it cannot be that all of them are late ones of earlier triggers.
     pub(super) fn convince(&self, arrivals: Arrivals) -> bool {
-        arrivals.early == 0 && arrivals.in_time >= IN_TIME && self.is_heard(arrivals)
+        self.envelope().is_some_and(|known| {
+            let frames = arrivals.frames as f64;
+            let chance = if self.on_time.is_calm() { CHANCE } else { CHANCE * CHANCE };
+            let expected = known.quick * frames;
+            arrivals.early == 0
+                && arrivals.in_time >= IN_TIME
+                && arrivals.in_time as f64 >= IN_TIME_SHARE * expected
+                && (1.0 - known.quick.min(MOST_QUICK)).powf(frames) <= chance
+        })
     }
 
     /// Whether the last frames of a session, behind one that was in time, are all in time.
     fn ends_in_time(&self, arrivals: Arrivals) -> bool {
         let before = self.last.is_some_and(|last| last.in_time) && !self.unsettled;
-        before && arrivals.frames < IN_TIME && arrivals.in_time == arrivals.frames && self.is_heard(arrivals)
+        before && arrivals.frames < IN_TIME && arrivals.in_time == arrivals.frames
     }
 
     /// Whether arrivals decide for the account that gives the later triggers; `None` where they do not decide.

@@ -29,7 +29,7 @@ use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 use crate::base::ids::BlockId;
 use anchor::{Anchoring, Early};
 use block_ids::BlockIds;
-use clock_relation::{Envelope, Latency, Tracker};
+use clock_relation::{Envelope, Latency, OnTime, Tracker};
 use reading::{CameraClock, LATE_PERIODS};
 use trigger_table::{Schedule, TriggerTable};
 
@@ -86,6 +86,7 @@ pub struct Matcher {
     clock: CameraClock,
     tracker: Option<Tracker>,
     latency: Latency,
+    on_time: OnTime,
     ids: BlockIds,
     /// The trigger that the last id taken stands for.
     base: i64,
@@ -143,6 +144,7 @@ impl Matcher {
             clock: CameraClock::new(period_ns),
             tracker: None,
             latency: Latency::default(),
+            on_time: OnTime::default(),
             ids: BlockIds::default(),
             base: 0,
             lost_before: 0,
@@ -254,7 +256,9 @@ impl Matcher {
         let by_id = self.base.saturating_add(step.unwrap_or(0));
         let case = Case { frame, followers, by_id, table, hsu, last_call };
         if matches!(self.stage, Stage::Lost(_)) {
-            return self.rejoin(&case);
+            let answer = self.rejoin(&case);
+            self.note_arrival(&case, answer);
+            return answer;
         }
         let before = (self.given_up, self.unsettled);
         let answer = if frame.complete { self.whole(&case) } else { self.torn(&case) };
@@ -264,12 +268,21 @@ impl Matcher {
             // For want of reports: that says nothing against ids and clock.
             (self.given_up, self.unsettled) = before;
         }
+        self.note_arrival(&case, answer);
         // Without timestamps nothing could find the place again, but ids go on: once frames are in time for them, they are
         // right.
         if answer == Match::Undecided && self.given_up >= GIVEN_UP_MAX && self.tracker.is_some() {
             self.stage = Stage::Lost(rejoin::Rejoin { before: self.tracker.take() });
         }
         answer
+    }
+
+    fn note_arrival(&mut self, case: &Case<'_>, answer: Match) {
+        let arrived = self.arrived_ns(case.frame.host_ns, case.hsu).filter(|_| answer != Match::Wait);
+        let Some((ns, known)) = arrived.zip(self.envelope()).filter(|_| case.frame.complete) else { return };
+        if let Some((_, residual)) = case.table.nearest(ns - known.least_ns) {
+            self.on_time.add(residual.abs() <= i128::from(self.start.period_ns) / 4);
+        }
     }
 
     /// A frame of a stream whose place in the train is not settled yet; `None` once it is, by the frames before this one.
@@ -432,7 +445,11 @@ impl Matcher {
         if !self.is_fresh(case.by_id) || self.precedes(case.frame, due, case.hsu) {
             return Match::Stray;
         }
-        Match::Trigger(self.place(case.frame, case.by_id, None))
+        // Its id is the only witness: of a counter that is in doubt it would settle nothing.
+        match self.unsettled {
+            true => self.give_up(case.frame),
+            false => Match::Trigger(self.place(case.frame, case.by_id, None)),
+        }
     }
 
     fn is_fresh(&self, number: i64) -> bool {

@@ -175,8 +175,8 @@ fn explain(seed: u64, log: &[String]) -> String {
 #[test]
 fn frames_are_filed_rightly_or_given_up_and_never_wrongly() {
     let (mut all, mut wrong) = (Outcome::default(), Vec::new());
-    let (mut by, mut prompt, mut held_up) =
-        (std::collections::BTreeMap::new(), Outcome::default(), Outcome::default());
+    let (mut by, mut prompt, mut held_up, mut spells) =
+        (std::collections::BTreeMap::new(), Outcome::default(), Outcome::default(), Outcome::default());
     for seed in histories(4_000) {
         let history = History::of(seed, Traits::any(seed));
         let (outcome, log) = play(&history);
@@ -187,18 +187,25 @@ fn frames_are_filed_rightly_or_given_up_and_never_wrongly() {
             }
         }
         // Where reports are held up for long, frames are given up by right.
-        match history.link_stands {
-            true => held_up.add(outcome),
-            false => all.add(outcome),
+        match (history.traits.spells, history.link_stands) {
+            (true, _) => spells.add(outcome),
+            (_, true) => held_up.add(outcome),
+            _ => all.add(outcome),
         }
-        if !history.link_stands && history.traits.batch_ns == 0 && history.period_ns > 5_000_000 {
+        if !history.link_stands
+            && !history.traits.spells
+            && history.traits.batch_ns == 0
+            && history.period_ns > 5_000_000
+        {
             prompt.add(outcome);
         }
         let key = (history.calm_start, history.traits.stamps, history.traits.clock);
         by.entry(key).or_insert_with(Outcome::default).add(outcome);
     }
     by.iter().for_each(|(key, outcome)| println!("(calm warm-up, stamps, clock) {key:?}: {outcome:?}"));
-    println!("{all:?}; where arrivals are prompt {prompt:?}, reports held up {held_up:?}");
+    println!(
+        "{all:?}; where arrivals are prompt {prompt:?}, reports held up {held_up:?}, busy spells {spells:?}"
+    );
     let some = &wrong[..wrong.len().min(20)];
     assert!(wrong.is_empty(), "frames filed wrongly in {} histories: {some:?}", wrong.len());
     // So many as a frame's patience allows: the rest of the session is filed once the link speaks again.
@@ -207,8 +214,12 @@ fn frames_are_filed_rightly_or_given_up_and_never_wrongly() {
         "less than 47 % filed where reports are held up: {held_up:?}"
     );
     // One trigger in fourteen has a fault, and a quarter of the hosts tell no trigger from the next.
-    assert!(all.given_up * 10 < 3 * all.frames, "more than three tenths given up: {all:?}");
+    assert!(all.given_up * 5 < 2 * all.frames, "more than two fifths given up: {all:?}");
     assert!(prompt.given_up * 4 < prompt.frames, "more than a quarter given up: {prompt:?}");
+    assert!(
+        spells.right * 5 > spells.frames * 2,
+        "less than two fifths filed on hosts that are busy now and then: {spells:?}"
+    );
 }
 
 /// Without faults nothing is given up, whatever the camera's habits.
@@ -293,18 +304,19 @@ fn a_host_that_stands_still_costs_no_frames() {
     assert!(early.given_up * 20 <= early.frames, "more than a twentieth given up: {early:?}");
 }
 
-/// Faults a dozen triggers apart on a host that takes a third of the frames up late: few are given up.
+/// Faults a dozen triggers apart on a host that takes four frames of ten up late: arrivals tell little, and a contradiction
+/// is over before enough frames have come.
 #[test]
-fn a_busy_host_costs_few_frames_beside_faults() {
+fn a_busy_host_costs_frames_beside_faults_and_files_none_wrongly() {
     let mut all = Outcome::default();
     for seed in histories(1_000) {
         let any = Traits::any(seed);
         let arrival_delay = any.arrival_delay.min(90);
-        let traits = Traits { busy: true, stamps: true, batch_ns: 0, arrival_delay, ..any };
+        let traits = Traits { busy: true, spells: false, stamps: true, batch_ns: 0, arrival_delay, ..any };
         let (outcome, log) = play(&History::of(seed, traits));
         assert_eq!(outcome.wrong, 0, "{}", explain(seed, &log));
         all.add(outcome);
     }
     println!("{all:?}");
-    assert!(all.given_up * 16 <= all.frames, "more than a sixteenth given up: {all:?}");
+    assert!(all.given_up * 5 <= all.frames, "more than a fifth given up: {all:?}");
 }

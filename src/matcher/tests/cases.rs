@@ -34,6 +34,7 @@ fn habits(stamp_delay: u64, arrival_delay: u64) -> Traits {
         batch_ns: 0,
         faults: false,
         busy: false,
+        spells: false,
     }
 }
 

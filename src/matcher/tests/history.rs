@@ -55,6 +55,8 @@ pub struct Traits {
     /// The host is busy: most frames are taken up at once, a third within a period, some later. Faults keep a distance of
     /// twelve triggers then, as those of the laboratory's plans do.
     pub busy: bool,
+    /// For spells of some dozen frames the host takes each up when it gets to it, within two and a half periods.
+    pub spells: bool,
 }
 
 impl Traits {
@@ -70,6 +72,7 @@ impl Traits {
             batch_ns: if random.one_in(3) { 5_000_000 } else { 0 },
             faults: true,
             busy: false,
+            spells: random.one_in(3),
         }
     }
 }
@@ -124,6 +127,8 @@ struct Camera {
     ppm: f64,
     /// No frame arrives before this, HSU clock, ns: the host stands still.
     stalled_ns: u64,
+    /// Frames that the busy spell still lasts, and within what they are taken up, ns.
+    spell: (u64, u64),
     last_ns: u64,
     clocks: Vec<(u64, i128)>,
     arrivals: Vec<(u64, Arrives)>,
@@ -164,7 +169,12 @@ impl Camera {
         } else {
             0
         };
-        let at = fired_ns + self.percent(self.traits.arrival_delay) + jitter + straggler + busy;
+        let spell = match self.spell.0 {
+            0 => 0,
+            _ => self.random.below(self.spell.1),
+        };
+        self.spell.0 = self.spell.0.saturating_sub(1);
+        let at = fired_ns + self.percent(self.traits.arrival_delay) + jitter + straggler + busy + spell;
         let at = at.max(self.stalled_ns).next_multiple_of(self.traits.batch_ns.max(1));
         self.last_ns = at.max(self.last_ns + 1_000);
         let host_ns = (i128::from(self.last_ns) + HOST_MINUS_HSU_NS) as u64;
@@ -290,6 +300,7 @@ impl History {
             clock_ns: 77_000_000_000_000,
             ppm,
             stalled_ns: 0,
+            spell: (0, 0),
             last_ns: 0,
             clocks: vec![(0, 77_000_000_000_000)],
             arrivals: Vec::new(),
@@ -342,6 +353,9 @@ impl History {
                 away = 4 + camera.random.below(40);
                 calm = 12;
                 continue;
+            }
+            if traits.spells && traits.faults && camera.spell.0 == 0 && camera.random.one_in(60) {
+                camera.spell = (10 + camera.random.below(50), 1 + camera.random.below(5 * period_ns / 2));
             }
             let before = (camera.id, camera.arrivals.len());
             skip = camera.trigger(fired_ns, number, !traits.faults || calm > 0);
