@@ -356,7 +356,7 @@ impl Accounting {
     /// camera that ignored triggers, or whose clock was set, is alone with that.
     fn infer_trigger(&mut self, camera: usize, seen: &Sighting) {
         let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
-        if number < self.table.end() {
+        if self.table.is_heard(number) {
             return;
         }
         let period_ns = i128::from(self.options.period_ns);
@@ -364,7 +364,7 @@ impl Accounting {
         // A train is never faster than its period: a number that comes too early for its count is one too high.
         let ahead = i128::from(number - self.table.end() + 1);
         let earliest = |latest: u64| i128::from(latest) + ahead * period_ns - period_ns / 4;
-        if self.table.latest_ns().is_some_and(|latest| hsu_ns < earliest(latest)) {
+        if ahead > 0 && self.table.latest_ns().is_some_and(|latest| hsu_ns < earliest(latest)) {
             return;
         }
         let agrees =

@@ -15,11 +15,11 @@ use std::cmp::Ordering;
 /// Without timestamps, so many frames must be looked at behind a contradiction.
 const COUNTED: usize = 8;
 /// So many frames must be in time for the account that gives the later triggers.
-const IN_TIME: usize = 3;
+pub(super) const IN_TIME: usize = 3;
 /// Of the frames that should be in time, so many must be.
 const IN_TIME_SHARE: f64 = 0.75;
 /// No host takes up more frames at once than this share.
-const MOST_QUICK: f64 = 0.9;
+const MOST_QUICK: f64 = 0.98;
 /// So unlikely it must be that a host took up none of the frames at once.
 const CHANCE: f64 = 1e-5;
 /// So many must be in time behind frames that were lost.

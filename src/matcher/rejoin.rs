@@ -7,7 +7,7 @@
 //! frame and of those behind it must say the same. One of the two alone is not enough.
 
 use super::clock_relation::Tracker;
-use super::dispute::Timing;
+use super::dispute::{IN_TIME, Timing};
 use super::sighting::{Match, Sighting};
 use super::{Case, Matcher, Stage};
 
@@ -61,7 +61,12 @@ impl Matcher {
         if against || arrivals.early > 0 {
             return self.give_up(case.frame);
         }
-        if !self.convince(arrivals) || self.timing(case, case.frame, named.number) != Timing::InTime {
+        // What was read of the clock since is right of itself; what held before must be borne out.
+        let enough = match self.clock.read_fired_ns(case.frame, case.hsu) {
+            Some(_) => arrivals.in_time >= IN_TIME,
+            None => self.convince(arrivals),
+        };
+        if !enough || self.timing(case, case.frame, named.number) != Timing::InTime {
             return if more { Match::Wait } else { self.give_up(case.frame) };
         }
         self.tracker = before.filter(|_| named.unchanged);

@@ -209,8 +209,17 @@ impl TriggerTable {
         (first..0).filter_map(pause).any(|ns| (period_ns / 4 * 5..period_ns / 4 * 9).contains(&ns))
     }
 
-    /// Notes a trigger whose report is held up, from what cameras agree on; its report, once there, replaces it.
+    /// Whether the HSU reported a trigger, in rhythm or not.
+    pub fn is_heard(&self, number: i64) -> bool {
+        self.row(number).is_some_and(|row| row.heard)
+    }
+
+    /// Notes a trigger whose report is held up, or missing between others, from what cameras agree on; its report, once
+    /// there, replaces it.
     pub fn infer(&mut self, number: i64, hsu_ns: u64) {
+        if number < self.end() {
+            return self.infer_between(number, hsu_ns);
+        }
         let Some(last) = self.rows.back().map(|row| row.hsu_ns) else { return };
         let ahead = number.saturating_sub(self.end()).saturating_add(1);
         if !(1..=HOLE_MAX).contains(&ahead) || hsu_ns <= last {
@@ -219,6 +228,25 @@ impl TriggerTable {
         for k in 1..=ahead {
             let between = last + (u128::from(hsu_ns - last) * k as u128 / ahead as u128) as u64;
             self.rows.push_back(Row { hsu_ns: between, sound: false, heard: false });
+        }
+    }
+
+    /// Between two reports triggers need not lie evenly: one may have been late. No two are closer than 7/8 of a period.
+    fn infer_between(&mut self, number: i64, hsu_ns: u64) {
+        let Some(place) = usize::try_from(number - self.first).ok().filter(|place| !self.rows[*place].heard)
+        else {
+            return;
+        };
+        let apart = |steps: usize| self.period_ns * 7 / 8 * steps as u64;
+        let before = place.checked_sub(1).map(|place| self.rows[place]);
+        let after = self.rows.range(place + 1..).zip(1..).find(|(row, _)| row.sound);
+        let Some((last, (next, until))) = before.zip(after) else { return };
+        let span = next.hsu_ns.saturating_sub(hsu_ns);
+        if hsu_ns < last.hsu_ns + apart(1) || span < apart(until) {
+            return;
+        }
+        for k in 0..until {
+            self.rows[place + k].hsu_ns = hsu_ns + (u128::from(span) * k as u128 / until as u128) as u64;
         }
     }
 
@@ -408,6 +436,27 @@ mod tests {
         assert_eq!((reported(&table), table.missing()), ([false, true, false, false, false], 2));
         table.insert(6, 1_300);
         assert_eq!((table.time_ns(6), reported(&table)[3]), (Some(1_300), true));
+    }
+
+    #[test]
+    fn between_reports_cameras_may_agree_on_what_the_train_allows() {
+        let mut table = TriggerTable::new(1_000);
+        [(0, 1_000), (5, 6_600)].into_iter().for_each(|(number, ns)| table.insert(number, ns));
+        let times = |table: &TriggerTable| [1, 2, 3, 4].map(|number| table.time_ns(number));
+        assert_eq!(times(&table), [2_120, 3_240, 4_360, 5_480].map(Some), "evenly, until more is known");
+        table.infer(1, 2_600);
+        assert_eq!(times(&table), [2_600, 3_600, 4_600, 5_600].map(Some), "the first of them was late");
+        for (number, ns) in [(2, 3_300), (2, 4_100), (0, 1_400)] {
+            table.infer(number, ns);
+            assert_eq!(
+                table.time_ns(2),
+                Some(3_600),
+                "closer than 7/8 of a period, or reported: {number} {ns}"
+            );
+        }
+        assert_eq!(table.missing(), 4);
+        table.insert(1, 2_590);
+        assert!(table.is_heard(1) && table.time_ns(1) == Some(2_590));
     }
 
     #[test]

@@ -298,6 +298,30 @@ fn one_camera_gives_up_what_it_cannot_tell() {
     }
 }
 
+/// The link is lost at trigger 40 and back at 60: the report of 60 is there before those that were missed, and the train was
+/// late meanwhile.
+#[test]
+fn two_cameras_stand_in_for_reports_that_are_still_missing_when_the_link_is_back() {
+    let mut desk = Desk::new(2);
+    let late = |trigger: u64| if trigger >= 45 { PERIOD_NS * 3 / 4 } else { 0 };
+    for trigger in 0..100 {
+        let at = due(trigger) + late(trigger);
+        if !(40..60).contains(&trigger) {
+            desk.report(trigger, at);
+        }
+        if trigger == 60 {
+            desk.last_call();
+            (40..60).for_each(|missed| desk.report(missed, due(missed) + late(missed)));
+        }
+        (0..2).for_each(|camera| desk.frame(camera, 0, trigger + 1, at));
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 200);
+    for ((trigger, camera), outcome) in outcomes {
+        assert_eq!(outcome, Ok(trigger + 1), "camera {camera}");
+    }
+}
+
 /// Both cameras' ids jump by one at trigger 42 while the reports of 40 to 59 are held up: they agree, and are wrong. But no
 /// train fires a trigger before its time.
 #[test]
