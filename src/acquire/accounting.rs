@@ -20,6 +20,7 @@ use crate::matcher::{Match, Matched, Sighting, Witness};
 use crate::record::{ClockSample, FrameMeta, GapCause, SessionEnd, WarmUp};
 use crossbeam_channel::Sender;
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -47,8 +48,8 @@ struct Lane {
     /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
     given_up: u64,
     given_up_now: u64,
-    /// The triggers that their ids pointed at, as far as these are known: the last ones.
-    given_up_at: VecDeque<u64>,
+    /// The triggers that their ids pointed at, as far as these are known, and those of their clock: the last ones.
+    given_up_at: VecDeque<(u64, Option<u64>)>,
     /// When its clock was last asked for, at this point of [`Accounting::awake`].
     asked: Option<Duration>,
     breaches: Breaches,
@@ -110,6 +111,43 @@ const LONGEST_TURN: Duration = TICK.saturating_mul(2);
 const CLOCK_PATIENCE: Duration = Duration::from_millis(10);
 /// So long a frame waits for its report even if there are more waiting than should be: they may have come at once.
 const BURST_PATIENCE: Duration = Duration::from_millis(25);
+
+impl Lane {
+    /// Why triggers before a frame have none: those of frames that came and were given up, `ignored` ones, and for the rest
+    /// `cause`. What was given up is of the trigger that its id points at, or where the frame shows now that triggers were
+    /// ignored, of its clock's.
+    fn skipped(&mut self, triggers: Range<u64>, cause: GapCause, ignored: u64) -> Vec<GapCause> {
+        let given_up = std::mem::take(&mut self.given_up_now) as usize;
+        let shown: Vec<(u64, Option<u64>)> = self.given_up_at.drain(..).collect();
+        let disputed = ignored > 0 && shown.iter().any(|(id, clock)| clock.is_some_and(|clock| clock > *id));
+        let mut causes = vec![cause; triggers.end.saturating_sub(triggers.start) as usize];
+        let mut placed = 0;
+        for (id, clock) in shown {
+            let trigger = clock.filter(|_| ignored > 0).unwrap_or(id);
+            let place = trigger.checked_sub(triggers.start).and_then(|place| causes.get_mut(place as usize));
+            if let Some(place) = place.filter(|place| **place != GapCause::IdentityMismatch) {
+                *place = GapCause::IdentityMismatch;
+                placed += 1;
+            }
+        }
+        let free = |causes: &[GapCause]| -> Vec<usize> {
+            (0..causes.len()).filter(|place| causes[*place] != GapCause::IdentityMismatch).collect()
+        };
+        // Frames lost on the way first: in which order the two happened is not to be known. A camera that woke late
+        // ignored its first triggers, and one whose frames were given up since it ignored some, too.
+        let ignored = ignored as usize;
+        let mut open = free(&causes);
+        if triggers.start > 0 && !disputed {
+            open.reverse();
+        }
+        open.into_iter().take(ignored).for_each(|place| causes[place] = GapCause::NotTriggered);
+        // Of the others that were given up nothing is known but that they came.
+        let lost = free(&causes).into_iter().rev().filter(|place| causes[*place] == cause);
+        let others: Vec<usize> = lost.take(given_up.saturating_sub(placed)).collect();
+        others.into_iter().for_each(|place| causes[place] = GapCause::IdentityMismatch);
+        causes
+    }
+}
 
 impl Accounting {
     pub(super) fn new(
@@ -382,8 +420,9 @@ impl Accounting {
     fn settle(&mut self, matched: Matched, arrival: Arrival) {
         let camera = arrival.camera;
         self.progress.latencies.matched.record(arrival.taken.elapsed());
-        self.report(camera, &matched, &arrival);
         let Ok(trigger) = u64::try_from(matched.number) else {
+            self.report_skipped(camera, arrival.block_id, (matched.lost, None), (matched.ignored, None));
+            self.report(camera, &matched, &arrival);
             return self.warm_up_frame(&arrival);
         };
         if self.emitted.is_some_and(|emitted| trigger >= emitted) {
@@ -398,24 +437,25 @@ impl Accounting {
         self.last_settled = self.awake;
         lane.unconfirmed += u64::from(matched.witness == Witness::One);
         let start = std::mem::replace(&mut lane.next, trigger + 1);
-        let (back, absence) = (std::mem::take(&mut lane.back), lane.absence);
-        // Frames lost on the way first: in which order the two happened is not to be known.
-        let ignored_from = if back { trigger } else { trigger.saturating_sub(matched.ignored).max(start) };
-        let cause = if back { absence } else { GapCause::MissingPackets };
-        if start == 0 && !back {
-            // A camera that woke late ignored its first triggers; what came then and was given up came behind them.
-            let ignored_to = matched.ignored.min(trigger);
-            self.gaps(camera, 0..ignored_to, GapCause::NotTriggered);
-            self.missing(camera, ignored_to..trigger, cause);
-        } else {
-            self.missing(camera, start..ignored_from, cause);
-            self.gaps(camera, ignored_from..trigger, GapCause::NotTriggered);
-        }
+        let (cause, ignored) = match std::mem::take(&mut lane.back) {
+            true => (lane.absence, 0),
+            false => (GapCause::MissingPackets, matched.ignored),
+        };
+        let skipped = lane.skipped(start..trigger, cause, ignored);
+        let of = |cause: GapCause| {
+            let mut at = (start..).zip(&skipped).filter(|(_, other)| **other == cause).map(|(at, _)| at);
+            let first = at.next();
+            (first.map_or(0, |_| 1 + at.count() as u64), first)
+        };
+        let (lost, ignored) = (of(GapCause::MissingPackets), of(GapCause::NotTriggered));
+        self.report_skipped(camera, arrival.block_id, lost, ignored);
+        self.report(camera, &matched, &arrival);
+        self.gaps(camera, start, skipped);
         if let Transfer::Breach(breach) = arrival.transfer {
             self.breach(camera, arrival.block_id, breach);
         }
         match gap_cause(arrival.transfer) {
-            Some(cause) => self.gaps(camera, trigger..trigger + 1, cause),
+            Some(cause) => self.gaps(camera, trigger, vec![cause]),
             None => self.ready(camera, trigger, arrival),
         }
     }
@@ -498,24 +538,10 @@ impl Accounting {
         self.full = Some(full);
     }
 
-    /// Gap records for frames that did not come, and for those that came and were given up: these by their ids, and where
-    /// ids point elsewhere, the last ones.
-    fn missing(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
-        let lane = &mut self.lanes[camera];
-        let given_up = std::mem::take(&mut lane.given_up_now);
-        let at: Vec<u64> = lane.given_up_at.drain(..).filter(|trigger| triggers.contains(trigger)).collect();
-        let others = given_up.saturating_sub(at.len() as u64);
-        let from = triggers.end.saturating_sub(others).max(triggers.start);
-        for trigger in triggers {
-            let here = at.contains(&trigger) || trigger >= from;
-            let cause = if here { GapCause::IdentityMismatch } else { cause };
-            self.gaps(camera, trigger..trigger + 1, cause);
-        }
-    }
-
-    fn gaps(&mut self, camera: usize, triggers: std::ops::Range<u64>, cause: GapCause) {
+    /// Gap records of triggers in a row.
+    fn gaps(&mut self, camera: usize, first: u64, causes: Vec<GapCause>) {
         let now = Instant::now();
-        for trigger in triggers {
+        for (trigger, cause) in (first..).zip(causes) {
             let paused = self.pauses.breaks(trigger, cause);
             self.count_gap(camera, TriggerIndex(trigger), if paused { GapCause::NodePaused } else { cause });
             self.sets.outcome(camera, trigger, None, now);
@@ -545,9 +571,10 @@ impl Accounting {
         for camera in 0..self.lanes.len() {
             let lane = &mut self.lanes[camera];
             let cause = if lane.lost || lane.back { lane.absence } else { GapCause::Timeout };
-            let missing = lane.next..triggers;
-            lane.next = lane.next.max(triggers);
-            self.missing(camera, missing, cause);
+            let first = lane.next;
+            lane.next = first.max(triggers);
+            let skipped = lane.skipped(first..triggers, cause, 0);
+            self.gaps(camera, first, skipped);
         }
     }
 

@@ -13,6 +13,18 @@ struct Row {
     sound: bool,
     /// Reported at all.
     heard: bool,
+    /// Not reported, and cameras agree on it.
+    agreed: bool,
+}
+
+impl Row {
+    fn reported(hsu_ns: u64, sound: bool) -> Self {
+        Self { hsu_ns, sound, heard: true, agreed: false }
+    }
+
+    fn calculated(hsu_ns: u64) -> Self {
+        Self { hsu_ns, sound: false, heard: false, agreed: false }
+    }
 }
 
 /// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers.
@@ -74,7 +86,7 @@ impl TriggerTable {
         }
         if self.rows.is_empty() {
             (self.first, self.contradicting) = (number, u64::from(!possible));
-            self.rows.push_back(Row { hsu_ns, sound: possible, heard: true });
+            self.rows.push_back(Row::reported(hsu_ns, possible));
             self.anchor = possible.then_some(Anchor::at(number, hsu_ns, self.period_ns as f64));
             return;
         }
@@ -101,13 +113,10 @@ impl TriggerTable {
             return;
         }
         let span = hsu_ns - anchor.hsu_ns;
-        let ahead = (number - anchor.number) as u128;
+        let ahead = number - anchor.number;
         self.grow_to(number, |_| hsu_ns);
-        for k in 1..ahead {
-            let between = anchor.hsu_ns + (u128::from(span) * k / ahead) as u64;
-            self.rows[(anchor.number - self.first) as usize + k as usize].hsu_ns = between;
-        }
-        self.rows[(number - self.first) as usize] = Row { hsu_ns, sound: true, heard: true };
+        self.spread(number, hsu_ns);
+        self.rows[(number - self.first) as usize] = Row::reported(hsu_ns, true);
         let in_time = ahead == 1 && !late && !PAUSE_BEFORE.contains(&number);
         let share = if in_time { 1.0 / 16.0 } else { 0.0 };
         let step_ns = anchor.step_ns + (span as f64 - anchor.step_ns) * share;
@@ -123,7 +132,19 @@ impl TriggerTable {
         let anchor = self.anchor.map_or(self.first, |anchor| anchor.number);
         while self.end() <= number {
             let hsu_ns = hsu_ns(self.end() - anchor);
-            self.rows.push_back(Row { hsu_ns, sound: false, heard: false });
+            self.rows.push_back(Row::calculated(hsu_ns));
+        }
+    }
+
+    /// Triggers without a report before one with a time lie evenly behind the last time that is known.
+    fn spread(&mut self, number: i64, hsu_ns: u64) {
+        let end = (number - self.first) as usize;
+        let known = |row: &Row| (row.sound || row.agreed) && row.hsu_ns < hsu_ns;
+        let Some(start) = (0..end).rev().find(|place| known(&self.rows[*place])) else { return };
+        let from = self.rows[start].hsu_ns;
+        let (span, steps) = (u128::from(hsu_ns - from), (end - start) as u128);
+        for (row, k) in self.rows.range_mut(start + 1..end).zip(1..) {
+            row.hsu_ns = from + (span * k / steps) as u64;
         }
     }
 
@@ -160,7 +181,7 @@ impl TriggerTable {
     fn begin_anew(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         self.grow_to(number, |_| hsu_ns);
         let row = &mut self.rows[(number - self.first) as usize];
-        *row = Row { hsu_ns, sound: possible, heard: true };
+        *row = Row::reported(hsu_ns, possible);
         self.contradicting += u64::from(!possible);
         self.anchor = possible.then_some(Anchor::at(number, hsu_ns, self.period_ns as f64));
     }
@@ -179,7 +200,7 @@ impl TriggerTable {
         let most = around(Some(place + 1)).unwrap_or(u64::MAX);
         let row = self.rows[place];
         if !row.heard && possible && after_last && before_next && (least..=most).contains(&hsu_ns) {
-            self.rows[place] = Row { hsu_ns, sound: true, heard: true };
+            self.rows[place] = Row::reported(hsu_ns, true);
         }
     }
 
@@ -192,9 +213,9 @@ impl TriggerTable {
         let span = u128::from(first - hsu_ns);
         for k in (1..missing).rev() {
             let between = (span * k as u128 / missing as u128) as u64;
-            self.rows.push_front(Row { hsu_ns: hsu_ns + between, sound: false, heard: false });
+            self.rows.push_front(Row::calculated(hsu_ns + between));
         }
-        self.rows.push_front(Row { hsu_ns, sound: possible, heard: true });
+        self.rows.push_front(Row::reported(hsu_ns, possible));
         self.first = number;
     }
 
@@ -225,10 +246,9 @@ impl TriggerTable {
         if !(1..=HOLE_MAX).contains(&ahead) || hsu_ns <= last {
             return;
         }
-        for k in 1..=ahead {
-            let between = last + (u128::from(hsu_ns - last) * k as u128 / ahead as u128) as u64;
-            self.rows.push_back(Row { hsu_ns: between, sound: false, heard: false });
-        }
+        self.grow_to(number, |_| hsu_ns);
+        self.rows[(number - self.first) as usize].agreed = true;
+        self.spread(number, hsu_ns);
     }
 
     /// Between two reports triggers need not lie evenly: one may have been late. No two are closer than 7/8 of a period.
@@ -245,9 +265,9 @@ impl TriggerTable {
         if hsu_ns < last.hsu_ns + apart(1) || span < apart(until) {
             return;
         }
-        for k in 0..until {
-            self.rows[place + k].hsu_ns = hsu_ns + (u128::from(span) * k as u128 / until as u128) as u64;
-        }
+        let (number, next_ns) = (number + until as i64, next.hsu_ns);
+        self.rows[place] = Row { hsu_ns, agreed: true, ..self.rows[place] };
+        self.spread(number, next_ns);
     }
 
     /// The time of a trigger; `None` also where reports contradict each other and the train has paused since the last sound
@@ -457,6 +477,18 @@ mod tests {
         assert_eq!(table.missing(), 4);
         table.insert(1, 2_590);
         assert!(table.is_heard(1) && table.time_ns(1) == Some(2_590));
+    }
+
+    #[test]
+    fn a_report_behind_a_hole_leaves_what_cameras_agreed_on() {
+        let mut table = TriggerTable::new(1_000);
+        table.insert(0, 1_000);
+        [(1, 2_000), (2, 3_000)].into_iter().for_each(|(number, ns)| table.infer(number, ns));
+        table.insert(5, 8_000);
+        let times = [1, 2, 3, 4].map(|number| table.time_ns(number));
+        assert_eq!(times, [2_000, 3_000, 4_666, 6_333].map(Some), "trigger 3, 4 or 5 was late");
+        table.infer(3, 4_000);
+        assert_eq!(table.time_ns(3), Some(4_000));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the accounting says in words: what happened before a frame and with it, and how a session went in all.
 
-use super::{Accounting, Full, GIVEN_UP_KEPT, Lane};
+use super::{Accounting, Full, GIVEN_UP_KEPT, Lane, sighting};
 use crate::acquire::receiver::Arrival;
 use crate::acquire::writer_queue::ToWriter;
 use crate::base::ids::{BlockId, CameraId, TriggerIndex};
@@ -12,21 +12,27 @@ use crate::record::{NodeEvent, UNCONFIRMED};
 
 /// Texts name blocks: a trigger's number stands in its event, where seconds before Record can change what it is counted from.
 impl Accounting {
-    /// Says what happened before a frame, and with it.
-    pub(crate) fn report(&mut self, camera: usize, matched: &Matched, arrival: &Arrival) {
-        let (number, block) = (matched.number, arrival.block_id);
-        let at = |number: i64| u64::try_from(number).ok();
-        let back = self.lanes[camera].back;
-        if matched.lost > 0 && !back {
-            let first = number - (matched.lost + matched.ignored) as i64;
-            let text = format!("{} frames before block {block} were lost on the way", matched.lost);
-            self.note(camera, "frames_lost", at(first), text);
+    /// Says how many frames before one were lost on the way, and how many triggers its camera ignored: from which trigger on.
+    pub(super) fn report_skipped(
+        &mut self,
+        camera: usize,
+        block: BlockId,
+        lost: (u64, Option<u64>),
+        ignored: (u64, Option<u64>),
+    ) {
+        if lost.0 > 0 {
+            let text = format!("{} frames before block {block} were lost on the way", lost.0);
+            self.note(camera, "frames_lost", lost.1, text);
         }
-        if matched.ignored > 0 && !back {
-            let first = number - matched.ignored as i64;
-            let text = format!("the camera ignored {} triggers before block {block}", matched.ignored);
-            self.note(camera, "trigger_ignored", at(first), text);
+        if ignored.0 > 0 {
+            let text = format!("the camera ignored {} triggers before block {block}", ignored.0);
+            self.note(camera, "trigger_ignored", ignored.1, text);
         }
+    }
+
+    /// Says what happened with a frame.
+    pub(super) fn report(&mut self, camera: usize, matched: &Matched, arrival: &Arrival) {
+        let block = arrival.block_id;
         let (kind, text) = match matched.finding {
             None => return,
             Some(Finding::IdJump(by)) => {
@@ -50,7 +56,7 @@ impl Accounting {
                 format!("block {block} has no timestamp; its id and arrival name its trigger"),
             ),
         };
-        self.note(camera, kind, at(number), text);
+        self.note(camera, kind, u64::try_from(matched.number).ok(), text);
     }
 
     /// One event for a row of dropped sets, when it is over.
@@ -94,11 +100,17 @@ impl Accounting {
         let lane = &mut self.lanes[arrival.camera];
         (lane.given_up, lane.given_up_now) = (lane.given_up + 1, lane.given_up_now + 1);
         let at = at.and_then(|number| u64::try_from(number).ok());
-        if let Some(trigger) = at.filter(|trigger| !lane.given_up_at.contains(trigger)) {
+        let by_clock = lane.matcher.claim(&sighting(arrival)).and_then(|(_, hsu_ns)| {
+            let (number, residual) = self.table.reported().nearest(hsu_ns)?;
+            u64::try_from(number)
+                .ok()
+                .filter(|_| residual.unsigned_abs() < u128::from(self.options.period_ns / 4))
+        });
+        if let Some(trigger) = at.filter(|trigger| lane.given_up_at.iter().all(|(id, _)| id != trigger)) {
             if lane.given_up_at.len() == GIVEN_UP_KEPT {
                 lane.given_up_at.pop_front();
             }
-            lane.given_up_at.push_back(trigger);
+            lane.given_up_at.push_back((trigger, by_clock));
         }
         if lane.given_up == 1 {
             let text = format!(

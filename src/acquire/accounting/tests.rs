@@ -362,3 +362,26 @@ fn ids_that_jump_are_outvoted_by_the_clock_and_the_arrivals() {
     let outcomes = desk.outcomes();
     assert!(outcomes.iter().all(|((trigger, _), outcome)| *outcome == Ok(block(*trigger))), "{outcomes:?}");
 }
+
+/// Trigger 34 was ignored, the frames of 35 to 37 came and were given up, that of 38 was lost.
+#[test]
+fn given_up_frames_stand_at_their_clocks_triggers_where_the_next_frame_shows_that_some_were_ignored() {
+    let mut desk = Desk::new(1);
+    let lane = &mut desk.accounting.lanes[0];
+    let skipped = |lane: &mut super::Lane, shown: &[(u64, Option<u64>)], ignored| {
+        (lane.given_up_now, lane.given_up_at) = (3, shown.iter().copied().collect());
+        let short = |cause| match cause {
+            GapCause::IdentityMismatch => 'g',
+            GapCause::NotTriggered => 'i',
+            _ => 'l',
+        };
+        lane.skipped(34..39, GapCause::MissingPackets, ignored).into_iter().map(short).collect::<String>()
+    };
+    let disputed = [(34, Some(35)), (35, Some(36)), (36, Some(37))];
+    assert_eq!(skipped(lane, &disputed, 1), "igggl");
+    assert_eq!(skipped(lane, &disputed, 0), "gggll", "ids are right after all");
+    let agreed = disputed.map(|(id, _)| (id, Some(id)));
+    assert_eq!(skipped(lane, &agreed, 1), "gggli", "which of the two came first is not known");
+    assert_eq!(skipped(lane, &[], 1), "lgggi", "nor where they are");
+    assert_eq!(skipped(lane, &[(4, None), (4, None), (90, None)], 0), "llggg");
+}
