@@ -176,7 +176,7 @@ impl Matcher {
         // Where arrivals do not tell triggers apart, two witnesses must do.
         let before = self.last.is_some_and(|last| last.in_time && number == last.number + 1);
         // What the rhythm lets expect is no trigger that was reported: one may have been held.
-        let known = !doubtful || case.table.is_reported(number);
+        let known = !doubtful || case.table.is_known(number);
         let enough = match doubtful && tells {
             _ if !known => false,
             true if self.unsettled => {
@@ -204,14 +204,15 @@ impl Matcher {
         }
     }
 
-    /// Whether frames that came one by one, and not out of a queue, were all of them late: no host stands still for so long.
+    /// Whether frames that came one by one, and not out of a queue, were all of them late, on a host that took up those
+    /// before as soon as they came: no host stands still for so long.
     fn stays_late<'a>(&self, chain: impl Iterator<Item = (&'a Sighting, i64)>) -> bool {
         let mut before = None;
         let one_by_one = chain.filter(|(frame, _)| {
             let before = before.replace(frame.host_ns);
             before.is_some_and(|before: u64| frame.host_ns.saturating_sub(before) > self.start.period_ns / 2)
         });
-        one_by_one.count() >= IN_TIME
+        self.on_time.is_calm() && one_by_one.count() >= IN_TIME
     }
 
     /// Whether the frames before the next that are missing are late by whole periods, all alike: that is no host that stood
@@ -429,12 +430,15 @@ impl Matcher {
         // After a contradiction that nothing resolved, an extra frame between two triggers must not pass for the next one's.
         let due = case.table.time_ns(case.by_id);
         let late = due.and_then(|due| self.late_ns(case.frame, due, case.hsu));
-        let near = !self.unsettled || late.is_some_and(|ns| ns.abs() <= i128::from(self.start.period_ns / 8));
+        let doubtful = self.unsettled || self.given_up > 0;
+        let near = !doubtful || late.is_some_and(|ns| ns.abs() <= i128::from(self.start.period_ns / 8));
         let in_time = in_time && near;
+        let early = self.timing(case, case.frame, case.by_id) == Timing::Early;
         let arrivals = self.arrivals(case, behind);
         let possible = self.is_fresh(case.by_id) && case.table.is_reported(case.by_id);
         let enough = match self.unsettled {
-            true => self.convince(arrivals) && arrivals.frames >= COUNTED && self.on_time.is_calm(),
+            true => self.convince(arrivals) && arrivals.frames >= COUNTED,
+            false if doubtful => arrivals.in_time >= IN_TIME,
             false => arrivals.in_time > 0,
         };
         if possible && in_time && !enough && arrivals.early == 0 && !case.last_call {
@@ -445,6 +449,8 @@ impl Matcher {
         let confirmed = enough || (case.followers.is_empty() && follows);
         match possible && in_time && arrivals.early == 0 && confirmed {
             true => self.accept(case, case.by_id, None),
+            // One that is late alone says nothing against the counter.
+            false if possible && !early && arrivals.early == 0 => self.pass_over(case.frame),
             false => self.give_up(case.frame),
         }
     }

@@ -320,3 +320,22 @@ fn a_busy_host_costs_frames_beside_faults_and_files_none_wrongly() {
     println!("{all:?}");
     assert!(all.given_up * 5 <= all.frames, "more than a fifth given up: {all:?}");
 }
+
+/// Without faults, on a host that takes four frames of ten up late: counter and clock are two witnesses, and lateness says
+/// nothing against them. Without timestamps the arrivals must show the rhythm of the warm-up.
+#[test]
+fn a_busy_host_takes_no_frame_from_a_camera_with_timestamps() {
+    let (mut stamped, mut unstamped) = (Outcome::default(), Outcome::default());
+    for seed in histories(500) {
+        let any = Traits::any(seed);
+        let traits = Traits { busy: true, spells: false, faults: false, batch_ns: 0, ..any };
+        let (outcome, log) = play(&History::of(seed, traits));
+        assert_eq!(outcome.wrong, 0, "{}", explain(seed, &log));
+        match traits.stamps {
+            true => stamped.add(outcome),
+            false => unstamped.add(outcome),
+        }
+    }
+    println!("with timestamps {stamped:?}, without {unstamped:?}");
+    assert_eq!(stamped.given_up, 0);
+}

@@ -25,6 +25,10 @@ impl Row {
     fn calculated(hsu_ns: u64) -> Self {
         Self { hsu_ns, sound: false, heard: false, agreed: false }
     }
+
+    fn is_known(&self) -> bool {
+        self.sound || self.agreed
+    }
 }
 
 /// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers.
@@ -139,7 +143,7 @@ impl TriggerTable {
     /// Triggers without a report before one with a time lie evenly behind the last time that is known.
     fn spread(&mut self, number: i64, hsu_ns: u64) {
         let end = (number - self.first) as usize;
-        let known = |row: &Row| (row.sound || row.agreed) && row.hsu_ns < hsu_ns;
+        let known = |row: &Row| row.is_known() && row.hsu_ns < hsu_ns;
         let Some(start) = (0..end).rev().find(|place| known(&self.rows[*place])) else { return };
         let from = self.rows[start].hsu_ns;
         let (span, steps) = (u128::from(hsu_ns - from), (end - start) as u128);
@@ -258,11 +262,11 @@ impl TriggerTable {
             return;
         };
         let apart = |steps: usize| self.period_ns * 7 / 8 * steps as u64;
-        let before = place.checked_sub(1).map(|place| self.rows[place]);
+        let before = self.rows.range(..place).rev().zip(1..).find(|(row, _)| row.is_known());
         let after = self.rows.range(place + 1..).zip(1..).find(|(row, _)| row.sound);
-        let Some((last, (next, until))) = before.zip(after) else { return };
+        let Some(((last, since), (next, until))) = before.zip(after) else { return };
         let span = next.hsu_ns.saturating_sub(hsu_ns);
-        if hsu_ns < last.hsu_ns + apart(1) || span < apart(until) {
+        if hsu_ns < last.hsu_ns + apart(since) || span < apart(until) {
             return;
         }
         let (number, next_ns) = (number + until as i64, next.hsu_ns);
@@ -387,6 +391,11 @@ impl Schedule<'_> {
     /// The time of a trigger that the HSU itself reported, in rhythm.
     pub fn reported_ns(&self, number: i64) -> Option<u64> {
         self.table.reported_ns(number)
+    }
+
+    /// Whether the HSU or two cameras gave a trigger's time.
+    pub fn is_known(&self, number: i64) -> bool {
+        self.table.row(number).is_some_and(Row::is_known)
     }
 
     /// Whether the HSU itself gave a trigger's time.
